@@ -12,12 +12,11 @@ import pytest
 
 import configs
 from drivers.signals import Mode
-from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.unattended import without_operator
-from hil.app.sim.build import build_lockstep
 from hil.loop.tick_row import Given, Ticks
+from tests.broad import broad
+from tests.loop.bench import bench, changed
 from tools.drive_families import FAMILIES, Changes, merged
 
 CONFIGS = Path(str(configs.__path__[0]))
@@ -32,14 +31,18 @@ MEMORY = {"TickRow._turn_over", "TickRow._hold", "Ticks.__init__", "data_at"}
 DECISIONS = {"Cycle.decide", "Cycle.end_tick"}
 CHANGES = 9
 """Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""
-OBSERVED = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
+OBSERVED: dict[str, Any] = {
+    "estimation": {
+        "wrench": {"source": "observer", "bandwidth_Hz": 5, "bus_ms": 0.5, "drive_lag_ms": 0.8},
+    }
+}
 TWO_BUSES: Changes = {
     "bus": {
         "channel": None,
         "channels": [{"channel": "a", "legs": [0, 2, 4]}, {"channel": "b", "legs": [1, 3, 5]}],
     }
 }
-FUSED = "\nsensors: {tracker: {rate_Hz: 200}}\nestimation: {pose: fused}\n"
+FUSED: dict[str, Any] = {"sensors": {"tracker": {"rate_Hz": 200}}, "estimation": {"pose": "fused"}}
 
 
 class Watch:
@@ -67,34 +70,40 @@ class Watch:
         return watched
 
 
-def shipped(name: str, block: str = "") -> Configuration:
+def shipped(name: str, **sections: Any) -> Configuration:
     c = without_operator(load(name))
-    return loads(c.text + block, c.name, c.folder) if block else c
-
-
-def desktop(family: Changes, buses: Changes) -> Configuration:
-    return loads(with_changes(load("desktop").text, merged(family, buses)), "desktop")
+    return changed(c, **sections) if sections else c
 
 
 WITH_PLANT = sorted(path.stem for path in CONFIGS.glob("*.yaml") if "\nplant:" in path.read_text())
 CASES: dict[str, Callable[[], Configuration]] = {
     **{name: partial(shipped, name) for name in WITH_PLANT},
-    "observer": partial(shipped, "virtual", OBSERVED),
-    "fused pose": partial(shipped, "virtual", FUSED),
-    **{f"{family}, one bus": partial(desktop, changes, {}) for family, changes in FAMILIES.items()},
-    **{f"{family}, two buses": partial(desktop, changes, TWO_BUSES) for family, changes in FAMILIES.items()},
+    "observer": partial(shipped, "virtual", **OBSERVED),
+    "fused pose": partial(shipped, "virtual", **FUSED),
+    **{f"{family}, one bus": partial(changed, "desktop", **changes) for family, changes in FAMILIES.items()},
+    **{
+        f"{family}, two buses": partial(changed, "desktop", **merged(changes, TWO_BUSES))
+        for family, changes in FAMILIES.items()
+    },
 }
 
 
-@pytest.mark.parametrize("name", CASES)
+QUICK = [
+    "virtual",
+    "two_buses",
+    "virtual-cia402",
+    "observer",
+    "fused pose",
+    "moteus, two buses",
+    "odrive, one bus",
+]
+
+
+@pytest.mark.parametrize("name", broad([*QUICK, *(name for name in CASES if name not in QUICK)], len(QUICK)))
 def test_python_decides_only_where_a_mode_changes(name):
     """At both ends and on the bus; with sensors in the cycle, as their samples are drawn in Python."""
     c = CASES[name]()
     watch = Watch()
-    cycle: Any = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
-    nodes, plant = build_nodes(c)
-    lockstep: Any = build_lockstep(c, cycle, nodes)
-    lockstep.advance = watch.over(lockstep.advance)
     modes: list[Mode] = []
     decided = 0
 
@@ -108,10 +117,10 @@ def test_python_decides_only_where_a_mode_changes(name):
         decided += bool(moved and others)
         watch.entered.clear()
 
-    try:
+    with bench(c) as ends:
+        lockstep: Any = ends
+        lockstep.advance = watch.over(lockstep.advance)
         assert lockstep.run(4000 / c.loop.rate_Hz, None, take=take).success
-    finally:
-        plant.close()
     assert len(modes) > 500
     assert {Mode.TRACKING, Mode.PARKED} <= set(modes)
     assert 0 < decided <= CHANGES

@@ -4,69 +4,32 @@ SYNC to force takes 0.5 ms there (the drives' rates are those of a grid of 0.1 m
 at 0.6 ms), the drives' force loop of 200 Hz lags 0.796 ms, the hold costs 0.5 ms.
 """
 
+from __future__ import annotations
+
 from functools import cache
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.signals import Mode
-from hil.app.configuration.configuration import load, loads
-from hil.app.sim.command import simulate
-from hil.record.log import Log
-from tests.loop import unrecorded
+from tests.loop.bench import changed, run, succeeded
 
-AFTER_A_HOLD = """reference:
-  type: waypoints
-  interpolation: cubic
-  points:
-    - {t_s: 0, position_m: [0, 0, 1]}
-    - {t_s: 0.1, position_m: [0, 0, 1]}
-    - {t_s: 1.1, position_m: [0.25, 0.5, 0.75], rotation_vector_deg: [5, 10, 15]}
-    - {t_s: 2.1, position_m: [0, 0, 1]}
-"""
-BOOK = """reference:
-  type: waypoints
-  interpolation: cubic
-  points:
-    - {t_s: 0, position_m: [0, 0, 1]}
-    - {t_s: 1, position_m: [0.25, 0.5, 0.75], rotation_vector_deg: [5, 10, 15]}
-    - {t_s: 2, position_m: [0, 0, 1]}
-"""
+FAR = {"position_m": [0.25, 0.5, 0.75], "rotation_vector_deg": [5, 10, 15]}
+HOME = {"position_m": [0, 0, 1]}
 TRUE = {"bus_ms": 0.5, "drive_lag_ms": 0.8, "hold_ms": 0.5}
 
 
-def bench(name, reference, delay=None):
-    text = load(name).text
-    first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
-    text = text[:first] + reference + "\n" + text[last:]
-    if delay is not None:
-        keys = ", ".join(f"{key}: {value}" for key, value in delay.items())
-        damping = "  damping_ratio: 1\n"
-        assert text.count(damping) == 1
-        text = text.replace(damping, f"{damping}  delay_compensation: {{{keys}}}\n")
-    return loads(text, f"{name}.yaml", Path())
+def bench(name: str, delay: dict[str, float] | None, hold_s: float = 0.1) -> Any:
+    """The book's path after a hold."""
+    times = [0, 1, 2] if not hold_s else [0, hold_s, 1 + hold_s, 2 + hold_s]
+    poses = [HOME, FAR, HOME] if not hold_s else [HOME, HOME, FAR, HOME]
+    points = [{"t_s": t} | pose for t, pose in zip(times, poses, strict=True)]
+    law = {"delay_compensation": delay} if delay else {}
+    return changed(name, controller=law, reference={"periods": 1, "points": points})
 
 
-def run(configuration, path=None):
-    """Simulate; return the rows, those of a log that replays where there is a path for one."""
-    if path is None:
-        summary, rows = unrecorded.run(configuration)
-    else:
-        summary = simulate(configuration, log=path)
-        assert summary["replay"]["exact"]
-        rows = Log.open(path).rows()
-    assert summary["success"], summary
-    assert not any(summary["limited_ticks"].values())
-    return rows
-
-
-def peak_mm(rows):
-    moving = rows[rows["mode"] == Mode.TRACKING]
-    return 1e3 * np.abs(moving["q_d"] - moving["q"]).max()
-
-
-RUNS = {
+RUNS: dict[str, tuple[str, dict[str, float] | None]] = {
     "bus": ("virtual", None),
     "bus, compensated": ("virtual", TRUE),
     "bus, twice the delay": ("virtual", {key: 2 * value for key, value in TRUE.items()}),
@@ -75,60 +38,51 @@ RUNS = {
 }
 
 
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """A run after a hold by its name: its rows."""
-    folder = tmp_path_factory.mktemp("delay")
-    logged = {name: folder / f"{name}.mcap" for name in ("bus", "bus, compensated")}
+@cache
+def rows(name: str) -> Any:
+    return succeeded(bench(*RUNS[name])).rows
 
-    @cache
-    def found(name):
-        base, compensated = RUNS[name]
-        return run(bench(base, AFTER_A_HOLD, compensated), logged.get(name))
 
-    return found
+def peak_mm(found: Any) -> float:
+    moving = found[found["mode"] == Mode.TRACKING]
+    return 1e3 * float(np.abs(moving["q_d"] - moving["q"]).max())
 
 
 @pytest.mark.long
-def test_compensation_leaves_a_third_of_the_error_of_the_bus(runs, capsys):
-    with capsys.disabled():
-        print("\nexact inverse dynamics, wn 20 rad/s, the book's path after 0.1 s: peak leg error")
-        for name, rows in ((name, runs(name)) for name in RUNS):
-            print(f"  {name:24} {peak_mm(rows):.4f} mm")
-    without, compensated = peak_mm(runs("bus")), peak_mm(runs("bus, compensated"))
+def test_compensation_leaves_a_third_of_the_error_of_the_bus():
+    without, compensated = peak_mm(rows("bus")), peak_mm(rows("bus, compensated"))
     assert without <= 0.15
-    assert compensated <= 0.05
-    assert compensated <= without / 3
+    assert compensated <= min(0.05, without / 3)
 
 
 @pytest.mark.long
-def test_what_is_left_comes_from_the_jump_of_the_acceleration(runs):
+def test_what_is_left_comes_from_the_jump_of_the_acceleration():
     """It falls between two ticks. Where the path is smooth, from 0.6 s to 1.1 s, an eighth is left."""
 
-    def smooth_mm(rows):
-        t = rows["reference_time_s"]
-        return peak_mm(rows[(t > 0.6) & (t < 1.1)])
+    def smooth_mm(name: str) -> float:
+        t = rows(name)["reference_time_s"]
+        return peak_mm(rows(name)[(t > 0.6) & (t < 1.1)])
 
-    assert smooth_mm(runs("bus")) == peak_mm(runs("bus"))
-    assert smooth_mm(runs("bus, compensated")) < smooth_mm(runs("bus")) / 8
-    assert peak_mm(runs("bus, compensated")) > 2 * smooth_mm(runs("bus, compensated"))
-
-
-@pytest.mark.long
-def test_twice_the_delay_is_worse_than_none_and_than_the_true_one(runs):
-    wrong = peak_mm(runs("bus, twice the delay"))
-    assert wrong > peak_mm(runs("bus"))
-    assert wrong > 3 * peak_mm(runs("bus, compensated"))
+    assert smooth_mm("bus") == peak_mm(rows("bus"))
+    assert smooth_mm("bus, compensated") < smooth_mm("bus") / 8
+    assert peak_mm(rows("bus, compensated")) > 2 * smooth_mm("bus, compensated")
 
 
 @pytest.mark.long
-def test_half_a_period_of_hold_is_compensated_on_the_ideal_path(runs):
-    assert peak_mm(runs("ideal, compensated")) < peak_mm(runs("ideal")) / 10
+def test_twice_the_delay_is_worse_than_none_and_than_the_true_one():
+    wrong = peak_mm(rows("bus, twice the delay"))
+    assert wrong > peak_mm(rows("bus"))
+    assert wrong > 3 * peak_mm(rows("bus, compensated"))
 
 
-def test_safety_and_the_log_keep_the_present_state_and_reference(runs):
-    """Same path in both logs, tick by tick, and the logged pose is the measured one."""
-    a, b = runs("bus"), runs("bus, compensated")
+@pytest.mark.long
+def test_half_a_period_of_hold_is_compensated_on_the_ideal_path():
+    assert peak_mm(rows("ideal, compensated")) < peak_mm(rows("ideal")) / 10
+
+
+def test_safety_and_the_log_keep_the_present_state_and_reference():
+    """The same path in both runs, tick by tick, and the recorded pose is the measured one."""
+    a, b = rows("bus"), rows("bus, compensated")
     np.testing.assert_array_equal(a["tick"], b["tick"])
     moving = (a["mode"] == Mode.TRACKING) & (b["mode"] == Mode.TRACKING)
     for column in ("q_d", "dq_d", "ddq_d"):
@@ -136,28 +90,15 @@ def test_safety_and_the_log_keep_the_present_state_and_reference(runs):
     assert np.abs(a["q"][moving] - b["q"][moving]).max() < 0.2e-3
 
 
-@pytest.fixture(scope="module")
-def stopped(tmp_path_factory):
-    """The book's path without a hold before it, stopped on the way."""
-    path = tmp_path_factory.mktemp("stopped") / "a.mcap"
-    summary = simulate(bench("virtual", BOOK, TRUE), log=path, duration_s=2.2)
-    assert summary["success"], summary
-    return Log.open(path).rows()
-
-
-@pytest.mark.parametrize("mode", [Mode.RELEASING, Mode.APPROACH, Mode.STOPPING, Mode.PARKING])
-def test_entry_and_exit_have_no_bump(stopped, mode):
-    steps = np.abs(np.diff(stopped["tau"], axis=0)).max(axis=1)[stopped["mode"][1:] == mode]
-    if mode is Mode.APPROACH:  # its last tick looks into the path
-        steps = steps[:-1]
-    assert steps.size > 1
-    assert steps.max() < 60.0
-
-
-def test_the_path_begins_before_its_time_by_the_delay(stopped):
+def test_entry_and_exit_have_no_bump_and_the_path_begins_before_its_time_by_the_delay():
     """The jump of the first acceleration, 2.5 kN, is commanded a tick early: 1.8 ms ahead is in the path."""
-    begins = int(np.argmax(stopped["mode"] == Mode.TRACKING))
-    steps = np.abs(np.diff(stopped["tau"], axis=0)).max(axis=1)
-    assert stopped["mode"][begins - 1] == Mode.APPROACH
+    ran = run(bench("virtual", TRUE, hold_s=0.0), stop_s=2.2)
+    assert ran.ending.success, ran.ending
+    mode, steps = ran.rows["mode"], np.abs(np.diff(ran.rows["tau"], axis=0)).max(axis=1)
+    begins = ran.first(Mode.TRACKING)
     assert steps[begins - 2] > 2000.0, "from the tick before the last of the approach to the last"
     assert max(steps[begins - 3], steps[begins - 1], steps[begins]) < 100.0
+    calm = np.isin(mode[1:], [Mode.RELEASING, Mode.APPROACH, Mode.STOPPING, Mode.PARKING])
+    calm[begins - 2] = False
+    assert {*mode[1:][calm]} == {Mode.RELEASING, Mode.APPROACH, Mode.STOPPING, Mode.PARKING}
+    assert steps[calm].max() < 60.0

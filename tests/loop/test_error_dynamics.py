@@ -7,21 +7,17 @@ over is the zero-order hold's: it halves with the period.
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from drivers.signals import Mode
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.app.sim.command import simulate
 from hil.mathematics.rotations import rotation_from_vector
-from hil.record.log import Log
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
+from tests.loop.bench import changed, run
 
 HOME_m = np.array([0.0, 0.0, 1.0])
 W_N = 20.0
@@ -33,27 +29,17 @@ directions = pytest.mark.parametrize("direction", DIRECTIONS)
 PLATFORM = build_platform(load("ideal").platform)
 
 
-def track(law, direction, folder, *, metres=0.02, degrees=5.0, rate_Hz=1000, hold=False):
+def track(law, direction, *, metres=0.02, degrees=5.0, rate_Hz=1000, **sections):
     """Return the rows of the tracking and the pose p (3,), R (3, 3) at which the plant started."""
     along, about = (np.array(v) for v in DIRECTIONS[direction])
-    text = load("ideal").text
-    a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
-    text = f"{text[:a]}controller:\n{law}\n{text[b:]}"
-    if hold:
-        a, b = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
-        pose = f"{{position_m: {HOME_m.tolist()}}}"
-        text = f"{text[:a]}reference:\n  type: hold\n  pose: {pose}\n  duration_s: 0.6\n\n{text[b:]}"
-    assert text.count("rate_Hz: 1000\n") == 1
-    text = text.replace("rate_Hz: 1000\n", f"rate_Hz: {rate_Hz}\n")
     p, vector_deg = HOME_m + metres * along, degrees * about
-    text += f"  initial_position_m: {p.tolist()}\n  initial_rotation_vector_deg: {vector_deg.tolist()}\n"
-    path = folder / f"{rate_Hz}.mcap"
-    summary = simulate(loads(text, "astray.yaml", Path()), log=path, duration_s=0.8, check_replay=False)
-    assert summary["success"], summary
-    assert not any(summary["limited_ticks"].values())
-    assert summary["tracking"]["ticks"] > 0.5 * rate_Hz, "1 / 2000 of the error is left by then"
-    rows = Log.open(path).rows()
-    return rows[rows["mode"] == Mode.TRACKING], p, rotation_from_vector(np.deg2rad(vector_deg))
+    start = {"initial_position_m": p, "initial_rotation_vector_deg": vector_deg}
+    c = changed("ideal", controller=law, plant=start, loop={"rate_Hz": rate_Hz}, **sections)
+    ran = run(c, stop_s=0.8)
+    assert ran.ending.success, ran.ending
+    assert not any(ran.summary["limited_ticks"].values())
+    assert len(ran.tracking) > 0.5 * rate_Hz, "1 / 2000 of the error is left by then"
+    return ran.tracking, p, rotation_from_vector(np.deg2rad(vector_deg))
 
 
 def leg_errors(p, R):
@@ -70,42 +56,42 @@ def deviation(found, expected):
     return float(np.abs(found - expected).max() / np.abs(expected[0]).max())
 
 
-INVERSE_DYNAMICS = f"  law: inverse_dynamics\n  wn_rad_s: {W_N}\n"
+INVERSE_DYNAMICS = {"law": "inverse_dynamics", "wn_rad_s": W_N}
 
 
 @directions
-def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direction, tmp_path):
-    rows, p, R = track(INVERSE_DYNAMICS, direction, tmp_path)
+def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direction):
+    rows, p, R = track(INVERSE_DYNAMICS, direction)
     expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
     assert 0.04 < np.abs(expected[0]).max() < 0.11
     assert deviation(rows["q_d"] - rows["q"], expected) < 0.005
 
 
 @pytest.mark.long
-def test_what_is_left_over_halves_with_the_period(tmp_path):
+def test_what_is_left_over_halves_with_the_period():
     found = []
     for rate_Hz in (1000, 2000):
-        rows, p, R = track(INVERSE_DYNAMICS, "askew", tmp_path, rate_Hz=rate_Hz)
+        rows, p, R = track(INVERSE_DYNAMICS, "askew", rate_Hz=rate_Hz)
         expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
         found.append(deviation(rows["q_d"] - rows["q"], expected))
     assert found[0] / found[1] == pytest.approx(2.0, rel=0.1)
 
 
 @directions
-def test_under_inverse_dynamics_in_pose_space_the_position_does(direction, tmp_path):
-    rows, p, _ = track(f"  law: pose_inverse_dynamics\n  wn_rad_s: {W_N}\n", direction, tmp_path)
+def test_under_inverse_dynamics_in_pose_space_the_position_does(direction):
+    rows, p, _ = track(INVERSE_DYNAMICS | {"law": "pose_inverse_dynamics"}, direction)
     expected = critically_damped(HOME_m - p, rows["reference_time_s"])
     assert deviation(rows["p_d"] - rows["p"], expected) < 0.005
 
 
-def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides(tmp_path):
+def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides():
     """e'' + lambda e' + k sat(s / phi) = 0, s = e' + lambda e, integrated by scipy."""
     slope, k, phi = 20.0, 18.0, 0.1
-    law = (
-        f"  law: sliding_mode\n  lambda_rad_s: {slope}\n  reaching_m_s2: 2\n  boundary_layer_m_s: {phi}\n"
-        "  uncertainty: {disturbance_m_s2: 16}\n"
-    )
-    rows, p, R = track(law, "askew", tmp_path)
+    law = {
+        "law": "sliding_mode", "lambda_rad_s": slope, "reaching_m_s2": 2, "boundary_layer_m_s": phi,
+        "uncertainty": {"disturbance_m_s2": 16},
+    }  # fmt: skip
+    rows, p, R = track(law, "askew")
 
     def acceleration(e, de):
         return -slope * de - k * np.clip((de + slope * e) / phi, -1.0, 1.0)
@@ -121,15 +107,15 @@ def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides(tmp
 
 
 @pytest.mark.long
-def test_under_the_lyapunov_redesign_the_legs_share_one_bounded_correction(tmp_path):
+def test_under_the_lyapunov_redesign_the_legs_share_one_bounded_correction():
     """e'' + K_D e' + K_P e + rho y / max(|y|, epsilon) = 0, y = e' + K_D e / 2, integrated by scipy."""
     K_P, K_D, epsilon = 400.0, 40.0, 0.2
     rho = 6.0**0.5 * 8.0
-    law = (
-        f"  law: robust_inverse_dynamics\n  wn_rad_s: 20\n  boundary_layer_m_s: {epsilon}\n"
-        "  uncertainty: {disturbance_m_s2: 8}\n"
-    )
-    rows, p, R = track(law, "askew", tmp_path)
+    law = {
+        "law": "robust_inverse_dynamics", "wn_rad_s": 20, "boundary_layer_m_s": epsilon,
+        "uncertainty": {"disturbance_m_s2": 8},
+    }  # fmt: skip
+    rows, p, R = track(law, "askew")
 
     def acceleration(e, de):
         y = de + K_D / 2 * e
@@ -155,11 +141,12 @@ def integrated(acceleration, e0, t):
 
 
 @directions
-def test_under_feed_forward_with_pd_the_legs_couple_through_the_inertia(direction, tmp_path):
+def test_under_feed_forward_with_pd_the_legs_couple_through_the_inertia(direction):
     """M e'' + Kv e' + Kp e = 0 with the leg-space inertia M at home, by the matrix exponential."""
     kp, kv = 2.0e6, 5.0e4
-    law = f"  law: feedforward_pd\n  kp_N_m: {kp}\n  kv_N_s_m: {kv}\n"
-    rows, p, R = track(law, direction, tmp_path, metres=1e-3, degrees=0.25, hold=True)
+    law = {"law": "feedforward_pd", "kp_N_m": kp, "kv_N_s_m": kv}
+    hold = {"type": "hold", "pose": {"position_m": HOME_m}, "duration_s": 0.6}
+    rows, p, R = track(law, direction, metres=1e-3, degrees=0.25, reference=hold)
     inverse = np.linalg.inv(jacobian(PLATFORM, HOME_m, np.eye(3)))
     M = inverse.T @ Model(PLATFORM).mass_matrix(HOME_m, np.eye(3)) @ inverse
     e, e0 = rows["q_d"] - rows["q"], leg_errors(p, R)

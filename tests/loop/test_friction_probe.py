@@ -14,6 +14,7 @@ from click.testing import CliRunner
 import hil
 from drivers.signals import Doubt
 from hil.cli import main
+from tests.broad import broad
 
 HEAVY: dict[str, Any] = {
     "platform": {"platform": {"mass_kg": 38, "inertia_kg_m2": [[0.35, 0, 0], [0, 0.35, 0], [0, 0, 0.4]]}},
@@ -40,8 +41,10 @@ def _in_a_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.mark.parametrize("drives", [LEGS, ODRIVE], ids=["legs", "odrive"])
-@pytest.mark.parametrize("friction_N", [3.0, 10.0, 30.0])
+FRICTIONS = [(10.0, ODRIVE), (3.0, LEGS), (30.0, ODRIVE), (10.0, LEGS), (3.0, ODRIVE), (30.0, LEGS)]
+
+
+@pytest.mark.parametrize(("friction_N", "drives"), broad(FRICTIONS, quick=1))
 def test_no_leg_is_pushed_that_known_friction_holds(friction_N, drives):
     run = moved(friction_N, drives)
     assert run.success, run.summary["trouble"]
@@ -52,9 +55,10 @@ def test_no_leg_is_pushed_that_known_friction_holds(friction_N, drives):
     assert run.summary["pushes"] is None
 
 
-@pytest.mark.parametrize("drives", [LEGS, ODRIVE], ids=["legs", "odrive"])
-@pytest.mark.parametrize("friction_N", [3.0, 10.0, 30.0])
-@pytest.mark.parametrize("at_s", [2.7, 3.9])
+@pytest.mark.parametrize(
+    ("friction_N", "drives", "at_s"),
+    broad([(*each, (2.7, 3.9)[n % 2]) for n, each in enumerate(FRICTIONS)], 2),
+)
 def test_a_frozen_encoder_is_found_before_its_leg_is_far_off(friction_N, drives, at_s):
     leg = 2
     run = moved(friction_N, drives, faults=[f"encoder_freeze at={at_s} leg={leg}"])
@@ -96,8 +100,16 @@ def test_a_run_with_friction_teaches():
     assert learned.exit_code == 0, learned.output
 
 
-@pytest.mark.parametrize("drives", [LEGS, ODRIVE], ids=["legs", "odrive"])
-@pytest.mark.parametrize("fault", ["brake_stuck_closed leg=1 at=1", "encoder_freeze at=2.7 leg=1"])
+@pytest.mark.parametrize(
+    ("fault", "drives"),
+    broad(
+        [
+            ("encoder_freeze at=2.7 leg=1", ODRIVE), ("brake_stuck_closed leg=1 at=1", LEGS),
+            ("encoder_freeze at=2.7 leg=1", LEGS), ("brake_stuck_closed leg=1 at=1", ODRIVE),
+        ],
+        quick=1,
+    ),
+)  # fmt: skip
 def test_an_observer_takes_no_leg_that_stands_for_a_load(fault, drives):
     observer = {"wrench": {"source": "observer"}}
     run = moved(10.0, drives, estimation=observer, faults=[fault])

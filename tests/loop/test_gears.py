@@ -8,42 +8,38 @@ which is about a leg's mean share of the platform on the book's path.
 from __future__ import annotations
 
 from math import pi, sqrt
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hil.app.compose import build_nodes
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
 from hil.contracts.records import referred
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.build import build_trajectory
-from tests.loop import unrecorded
+from tests.loop.bench import changed, run, succeeded
 
 W_N = 20.0
 SHARE_kg = 1000.0
 GEAR_kg = 0.019 * (2 * pi / 0.005) ** 2
 PERIOD_S = 1e-3
+WIDE = 1_000_000
+"""Newton: 148 kN accelerate 30 t."""
 
 
 def geared(reflected_kg):
-    """The ideal bench with geared legs, its force limits ten times as wide: 148 kN accelerate 30 t."""
+    """The ideal bench with geared legs, its force limits ten times as wide."""
     m = reflected_kg + SHARE_kg
-    text = load("ideal").text
-    a, b = text.index("\ncontroller:") + 1, text.index("\nengage:") + 1
-    text = (
-        f"{text[:a]}controller:\n  law: pd\n  kp_N_m: {W_N**2 * m!r}\n  kv_N_s_m: {2 * W_N * m!r}\n"
-        f"  feedforward_mass_kg: {m!r}\n\n{text[b:]}"
+    law = {"law": "pd", "kp_N_m": W_N**2 * m, "kv_N_s_m": 2 * W_N * m, "feedforward_mass_kg": m}
+    return changed(
+        "ideal",
+        controller=law,
+        plant={"model": {"reflected_mass_kg": reflected_kg}},
+        limits=dict.fromkeys(("force_N", "force_step_N", "force_window_N"), WIDE),
+        drives={"force_limit_N": WIDE},
     )
-    plant = "    type: stewart\n"
-    assert text.count(plant) == 1
-    text = text.replace(plant, f"{plant}    reflected_mass_kg: {reflected_kg!r}\n")
-    for key in ("force_N", "force_step_N", "force_window_N", "force_limit_N"):
-        assert text.count(f"  {key}: 100000") == 1
-        text = text.replace(f"  {key}: 100000", f"  {key}: 1000000")
-    return loads(text, "geared.yaml", Path())
 
 
 def path():
@@ -73,37 +69,21 @@ def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
     assert slowest < W_N < fastest
 
 
-@pytest.fixture(scope="module")
-def peaks_mm():
-    """Peak leg error in lockstep by reflected mass."""
-    found: dict[float, float] = {}
-    for factor in (0.5, 1.0, 2.0):
-        summary, _ = unrecorded.run(geared(factor * GEAR_kg))
-        assert summary["success"], summary
-        assert not any(summary["limited_ticks"].values())
-        found[factor] = summary["tracking"]["peak_leg_error_mm"]
-    return found
-
-
-def test_a_decentralised_law_with_a_gear_is_forty_times_better_than_without(peaks_mm, capsys):
-    without = pushed_on_mm(geared(0.0))
-    with capsys.disabled():
-        print("\nPD with acceleration feed-forward, wn 20 rad/s, the book's path: peak leg error")
-        print(f"  no gear        {without:7.2f} mm")
-        for factor, peak in peaks_mm.items():
-            print(f"  {factor * GEAR_kg * 1e-3:5.0f} t a leg  {peak:7.2f} mm")
-    assert without == pytest.approx(50.9, rel=0.10)
-    assert peaks_mm[1.0] == pytest.approx(1.32, rel=0.10)
-
-
-def test_the_error_falls_as_the_inertia_of_the_motors_rises(peaks_mm):
-    products = np.array([factor * peak for factor, peak in peaks_mm.items()])
+def test_a_decentralised_law_with_a_gear_is_forty_times_better_than_without():
+    """And its error falls as the inertia of the motors rises."""
+    factors = np.array([0.5, 1.0, 2.0])
+    peaks = [
+        succeeded(geared(factor * GEAR_kg)).summary["tracking"]["peak_leg_error_mm"] for factor in factors
+    ]
+    assert pushed_on_mm(geared(0.0)) == pytest.approx(50.9, rel=0.10)
+    assert peaks[1] == pytest.approx(1.32, rel=0.10)
+    products = factors * peaks
     assert products == pytest.approx(products.mean(), rel=0.03)
 
 
 def test_without_a_gear_safety_stops_before_the_platform_falls_through_a_singularity():
     """Legs 37 mm short of the far point have no pose on this side of it."""
-    summary, _ = unrecorded.run(geared(0.0))
+    summary = run(geared(0.0)).summary
     assert summary["faults"] == ["CONDITION"]
     assert 0.03 < 1e-3 * summary["tracking"]["peak_leg_error_mm"] < 0.0509
 
@@ -112,8 +92,7 @@ def pushed_on_mm(configuration):
     """Peak leg error of the same law on the plant itself, with nobody to stop it: PD needs no pose."""
     law = configuration.controller
     platform, trajectory = path()
-    nodes, plant = build_nodes(configuration)
-    del nodes
+    _, plant = build_nodes(configuration)
     try:
         q, dq = plant.reset()
         peak = 0.0

@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError
-from drivers.signals import Mode
-from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import JOG_NAMES, Operator, Order
+from tests.live_reference import LIVE_REFERENCE
+from tests.loop.bench import new_cycle
 from tests.loop.operated import Changed, modes, simulated
 
 BRISK = {"setup_speed_m_s": 0.2, "setup_speed_deg_s": 20}
@@ -79,8 +78,7 @@ def test_a_replay_notices_a_jog_that_is_another(jogged, axis, fraction):
     run, _ = jogged
     orders = (Order(Operator.JOG, (float(JOG_NAMES.index(axis)), fraction)),)
     changed = Changed(run.log, 4000, orders)
-    cycle = build_cycle(load("virtual"), 1000.0, 0.01)
-    assert 4000 <= replay(changed, cycle).first[0].tick <= 4010
+    assert 4000 <= replay(changed, new_cycle(load("virtual"))).first[0].tick <= 4010
 
 
 def test_a_jog_stops_before_the_soft_end_of_the_stroke(tmp_path):
@@ -112,22 +110,6 @@ def test_a_stop_in_a_jog_ends_the_run_there_and_armed_again_it_jogs_again(tmp_pa
     assert rows["twist_d"][9200][1] < -0.05
 
 
-@pytest.mark.long
-def test_a_hold_that_ends_with_the_way_back_to_the_path_parks_nothing(tmp_path):
-    run, rows = simulated(
-        tmp_path,
-        [(1.6, "hold"), (2.4, "jog x -1 for 0.2"), (4.0, "start"), (4.73, "hold"), (6.0, "start")],
-        duration_s=7.0,
-        operator=BRISK,
-        check_replay=False,
-    )
-    assert run.success
-    assert (rows["mode"][1300:6900] == Mode.TRACKING).all()
-    assert not rows["twist_d"][5300:6000].any()
-    np.testing.assert_allclose(rows["p_d"][5900], rows["p_d"][2390], atol=1e-12)
-    assert rows["reference_time_s"][6900] > rows["reference_time_s"][2390] + 0.2
-
-
 def test_the_key_that_is_let_go_of_ends_a_jog(tmp_path):
     run, rows = simulated(
         tmp_path,
@@ -143,32 +125,12 @@ def test_the_key_that_is_let_go_of_ends_a_jog(tmp_path):
 
 
 def test_a_live_reference_is_not_jogged(tmp_path):
-    velocity = {"velocity_m_s": 0.3, "velocity_deg_s": 20}
-    acceleration = {"acceleration_m_s2": 1, "acceleration_deg_s2": 60}
-    limits = velocity | acceleration | {"jerk_m_s3": 10, "jerk_deg_s3": 600}
     run, rows = simulated(
         tmp_path,
         [(1.5, "hold"), (2.0, "jog x 1 for 0.5")],
         duration_s=3.0,
-        reference={"type": "live", "limits": limits},
+        reference=LIVE_REFERENCE,
         check_replay=False,
     )
     assert run.success
     assert not rows["twist_d"][1300:2900].any()
-
-
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("jog x 1 for ever", "command 1: for 'ever', allowed: seconds"),
-        ("jog x 1 for -1", "command 1: for '-1', allowed: seconds"),
-        ("jog x 1.5 for 1", "1.5; allowed: -1 .. 1"),
-        ("jog leg6 1", "'leg6' is no axis and no leg"),
-        ("jog x", "1 words; allowed: an axis or leg"),
-        ("jog x nan", "not finite"),
-        ("hold for 1", "takes no further words"),
-    ],
-)
-def test_a_jog_that_no_controller_would_take_is_refused(tmp_path, text, complaint):
-    with pytest.raises(ConfigurationError, match=complaint):
-        simulated(tmp_path, [(1.0, text)])

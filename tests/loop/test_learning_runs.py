@@ -26,6 +26,7 @@ from hil.lab.learn.model import belief_of, learner
 from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
 from hil.lab.learn.runs import learning_run
 from hil.record.log import Log
+from tests.loop.bench import changed
 
 SHORT = {
     "type": "waypoints",
@@ -38,10 +39,10 @@ SHORT = {
 }
 
 
-def short(**changes: Any) -> Configuration:
+def short(**sections: Any) -> Configuration:
     c = load("virtual")
-    text = with_changes(c.text, {"name": "short", "reference": SHORT} | changes)
-    return with_scale(loads(text, "short.yaml", Path()), 0.9)
+    text = with_changes(c.text, {"name": "short", "reference": SHORT} | sections)
+    return with_scale(loads(text, "short.yaml", c.folder), 0.9)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +61,7 @@ def told(*arguments: Any) -> Any:
 
 
 @pytest.mark.long
-def test_the_error_falls_from_run_to_run_down_to_the_floor(made: tuple[Path, Rehearsal]) -> None:
+def test_the_error_falls_from_run_to_run_down_to_the_floor(made):
     folder, found = made
     assert not found.trouble
     rms = [step.rms_mm for step in found.steps]
@@ -75,9 +76,7 @@ def test_the_error_falls_from_run_to_run_down_to_the_floor(made: tuple[Path, Reh
     assert found.steps[3].peak_mm == pytest.approx(np.abs(e).max(), rel=1e-9)
 
 
-def test_the_log_has_what_acted_and_its_replay_needs_nothing_from_the_disk(
-    made: tuple[Path, Rehearsal], tmp_path: Path
-) -> None:
+def test_the_log_has_what_acted_and_its_replay_needs_nothing_from_the_disk(made, tmp_path):
     folder, _ = made
     alone = tmp_path / "alone.mcap"
     shutil.copy(log(folder, 2), alone)
@@ -106,9 +105,7 @@ def test_the_log_has_what_acted_and_its_replay_needs_nothing_from_the_disk(
     assert np.abs(unloading["tau"][0] - moving["tau"][-1]).max() < 1.0, "it goes with the holding force"
 
 
-def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(
-    made: tuple[Path, Rehearsal], tmp_path: Path
-) -> None:
+def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(made, tmp_path):
     folder, _ = made
     out = tmp_path / "next.csv"
     result = told(log(folder, 0), "-o", out)
@@ -122,28 +119,6 @@ def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(
     )
 
 
-def test_a_series_says_what_it_has_written_and_the_section_that_names_it(
-    made: tuple[Path, Rehearsal],
-) -> None:
-    _, found = made
-    assert found.outcome is not None
-    at_floor = found._replace(outcome=found.outcome._replace(state="floor"))
-    for series in (found, at_floor):
-        said = report.series(series, Path("out/best.csv"))
-        assert said[-2:] == [
-            "written    out/best.csv, of the run with the smallest error",
-            "feedforward: {file: best.csv, limit_N: 5000}",
-        ]
-        assert "is written" not in "\n".join(said), "nothing else is said of a file"
-
-
-def test_a_series_that_writes_nothing_says_so(made: tuple[Path, Rehearsal]) -> None:
-    _, found = made
-    said = report.series(found._replace(steps=found.steps[:1], best=""), Path("best.csv"))
-    assert said[-1] == "best.csv is not written: the only run was the one without a feed-forward"
-    assert not any("fold" in line for line in said), "one run is compared with nothing"
-
-
 @pytest.mark.parametrize(
     ("end", "trouble", "state"),
     [
@@ -152,13 +127,8 @@ def test_a_series_that_writes_nothing_says_so(made: tuple[Path, Rehearsal]) -> N
     ],
 )
 def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
-    made: tuple[Path, Rehearsal],
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    end: BaseException,
-    trouble: str,
-    state: str,
-) -> None:
+    made, tmp_path, monkeypatch, end, trouble, state
+):
     folder, before = made
 
     def read(path: Path) -> Any:
@@ -176,62 +146,26 @@ def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
     assert (summary["success"], summary["state"]) == (False, state)
 
 
-@pytest.mark.parametrize(
-    ("numbers", "said"),
-    [
-        ((1,), "give the log of the run before, too"),
-        ((0, 2), "allowed are consecutive runs in their order"),
-        ((1, 0), "allowed are consecutive runs in their order"),
-        ((0, 0), "allowed are consecutive runs in their order"),
-    ],
-)
-def test_logs_that_do_not_follow_each_other_are_refused(
-    made: tuple[Path, Rehearsal], numbers: tuple[int, ...], said: str, tmp_path: Path
-) -> None:
+@pytest.mark.parametrize("numbers", [(1,), (0, 2), (1, 0), (0, 0)])
+def test_logs_that_do_not_follow_each_other_are_refused(made, numbers, tmp_path):
     result = told(*(log(made[0], number) for number in numbers), "-o", tmp_path / "next.csv")
     assert result.exit_code == 2
-    assert said in result.stderr.replace("\n", " ")
+    assert "run" in result.stderr
     assert not (tmp_path / "next.csv").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["a.mcap"], "-o FILE"),
-        (["virtual", "-o", "a.csv"], "virtual is a configuration"),
-        (["mine.yaml", "-o", "a.csv"], "mine.yaml is a configuration"),
-        (["a.mcap", "-o", "a.csv", "--inertia-scale", "0.9"], "are for --runs"),
-        (["none.mcap", "-o", "a.csv"], "none.mcap: no such file"),
-        (["virtual", "lab", "--runs", "2"], "--runs takes one configuration"),
-        (["a.mcap", "-o", "/nowhere/a.csv"], "there is no folder /nowhere"),
-    ],
-)
-def test_what_cannot_be_done_is_refused_before_anything_runs(arguments: list[str], said: str) -> None:
-    result = told(*arguments)
-    assert result.exit_code == 2
-    assert said in result.stderr
-
-
-def test_a_file_that_is_none_of_its_own_is_not_overwritten(
-    made: tuple[Path, Rehearsal], tmp_path: Path
-) -> None:
-    mine = tmp_path / "mine.csv"
-    mine.write_text("t_s,a\n")
-    result = told(log(made[0], 0), "-o", mine)
-    assert result.exit_code == 2
-    assert mine.read_text() == "t_s,a\n"
-
-
-def test_a_limit_cuts_what_is_learned_and_says_so(made: tuple[Path, Rehearsal], tmp_path: Path) -> None:
+def test_a_limit_cuts_what_is_learned_and_a_file_of_others_is_not_overwritten(made, tmp_path):
     out = tmp_path / "next.csv"
     result = told(log(made[0], 0), "-o", out, "--limit", "150")
     assert result.exit_code == 0
-    assert "a leg asks for more than 150 N" in result.output.replace("\n", " ")
-    tau = read_feedforward(out.read_bytes(), "next.csv")[1]
-    assert np.abs(tau).max() == 150.0
+    assert "more than 150 N" in result.output.replace("\n", " ")
+    assert np.abs(read_feedforward(out.read_bytes(), "next.csv")[1]).max() == 150.0
+    out.write_text("t_s,a\n")
+    assert told(log(made[0], 0), "-o", out).exit_code == 2
+    assert out.read_text() == "t_s,a\n"
 
 
-def test_a_run_that_contradicts_the_uncertainty_is_refused(made: tuple[Path, Rehearsal]) -> None:
+def test_a_run_that_contradicts_the_uncertainty_is_refused(made):
     """The second run as if its learned forces had acted the other way."""
     first, second = (learning_run(log(made[0], number)) for number in (0, 1))
     t = second.trial
@@ -244,7 +178,7 @@ def test_a_run_that_contradicts_the_uncertainty_is_refused(made: tuple[Path, Reh
     assert found.factor > 1.4 > found.allowed
 
 
-def changed(rows: Any, **columns: Any) -> Any:
+def spoiled(rows: Any, **columns: Any) -> Any:
     """Return rows with columns changed from half a way along the reference on."""
     other = rows.copy()
     along = np.flatnonzero(other["mode"] == Mode.TRACKING)
@@ -258,34 +192,16 @@ def changed(rows: Any, **columns: Any) -> Any:
     [
         ({"faults": int(Fault.FOLLOWING)}, r"ended in a fault \(FOLLOWING\)"),
         ({"mode": int(Mode.STOPPING)}, "250 of 500 ticks along the reference"),
-        (
-            {"reference_time_s": 0.25},
-            r"from 0\.251 s after its start the reference's time is not the clock's",
-        ),
-        ({"warnings": int(Warn.FORCE_STEP)}, r"limits cut the forces at 250 ticks, the first one 0\.250 s"),
+        ({"reference_time_s": 0.25}, "not the clock's"),
+        ({"warnings": int(Warn.FORCE_STEP)}, r"limits cut the forces at 250 ticks"),
     ],
 )
-def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(
-    made: tuple[Path, Rehearsal], columns: dict[str, Any], said: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(made, columns, said, monkeypatch):
     path = log(made[0], 0)
     recorded = recorded_run(path)
     along = recorded.rows[: np.flatnonzero(recorded.rows["mode"] == Mode.TRACKING)[499] + 1]
-    monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=changed(along, **columns)))
+    monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=spoiled(along, **columns)))
     with pytest.raises(LogError, match=said):
-        learning_run(path)
-
-
-def test_a_limit_on_the_last_of_the_approach_teaches_nothing_either(
-    made: tuple[Path, Rehearsal], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = log(made[0], 0)
-    recorded = recorded_run(path)
-    rows = recorded.rows.copy()
-    begins = np.flatnonzero(rows["mode"] == Mode.TRACKING)[0]
-    rows["warnings"][begins - 100 : begins - 90] |= int(Warn.FORCE_STEP)
-    monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=rows))
-    with pytest.raises(LogError, match=r"at 10 ticks, the first one 0\.100 s before the reference's start"):
         learning_run(path)
 
 
@@ -295,19 +211,14 @@ def test_a_limit_on_the_last_of_the_approach_teaches_nothing_either(
         ({"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}, "demands no acceleration"),
         ({"law": "pose_inverse_dynamics", "wn_rad_s": 20}, "controls the pose"),
         (
-            {
-                "law": "robust_inverse_dynamics",
-                "wn_rad_s": 20,
-                "boundary_layer_m_s": 0.01,
-                "uncertainty": {"disturbance_m_s2": 1},
-            },
+            {"law": "robust_inverse_dynamics", "wn_rad_s": 20, "boundary_layer_m_s": 0.01,
+             "uncertainty": {"disturbance_m_s2": 1}},
             "has no linear loop",
         ),
     ],
-)
-def test_a_law_whose_loop_is_not_known_is_refused(controller: dict[str, Any], said: str) -> None:
-    c = load("virtual")
-    other = loads(with_changes(c.text, {"name": "virtual", "controller": controller}), "my.yaml", Path())
+)  # fmt: skip
+def test_a_law_whose_loop_is_not_known_is_refused(controller, said):
+    other = changed("virtual", controller=controller)
     with pytest.raises(ConfigurationError, match=said):
         learner(other, belief_of(other, None, 0.25, 1e-3), 2500)
 
@@ -330,9 +241,7 @@ def axes(folder: Path, **changes: Any) -> Path:
     return path
 
 
-def test_identified_axes_take_the_place_of_what_is_stated(
-    made: tuple[Path, Rehearsal], tmp_path: Path
-) -> None:
+def test_identified_axes_take_the_place_of_what_is_stated(made, tmp_path):
     c = load("virtual")
     known = learner(c, belief_of(c, axes(tmp_path), 0.25, 1e-3), 2500)
     assert 35.0 < known.choice.Q.end_Hz < 40.4, "beyond its last line, but for a bin, nothing is known"
@@ -347,24 +256,8 @@ def test_identified_axes_take_the_place_of_what_is_stated(
     assert read_feedforward((tmp_path / "next.csv").read_bytes(), "csv")[0].cutoff_Hz < 40.7
 
 
-@pytest.mark.parametrize(("key", "value"), [("rate_Hz", 500.0), ("axes", "pose")])
-def test_axes_of_another_loop_are_refused(key: str, value: Any, tmp_path: Path) -> None:
-    c = load("virtual")
-    with pytest.raises(ConfigurationError, match="allowed: joint axes at 1000 Hz"):
-        belief_of(c, axes(tmp_path, **{key: value}), 0.25, 1e-3)
-
-
-def test_where_no_filter_serves_nothing_is_written(made: tuple[Path, Rehearsal], tmp_path: Path) -> None:
-    bound = {"frequency_Hz": [1.0, 40.0], "bound": [30.0, 30.0]}
-    out = tmp_path / "next.csv"
-    result = told(log(made[0], 0), "-o", out, "--axes", axes(tmp_path, uncertainty=bound))
-    assert result.exit_code == 2
-    assert "no filter makes the error fall" in result.stderr
-    assert not out.exists()
-
-
 @pytest.mark.long
-def test_ten_runs_of_the_books_path_take_a_twentieth_of_the_error_and_more(tmp_path: Path) -> None:
+def test_ten_runs_of_the_books_path_leave_less_than_a_twentieth_of_the_error(tmp_path):
     """The book's path on the bus, the law's masses 0.9 of the robot's."""
     found = rehearse(with_scale(load("virtual"), 0.9), 10, Knowledge(), tmp_path, lambda _: None)
     assert not found.trouble
@@ -390,7 +283,7 @@ REAL: dict[str, dict[str, Any]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", REAL)
-def test_on_other_plants_the_error_falls_or_learning_ends(name: str, tmp_path: Path) -> None:
+def test_on_other_plants_the_error_falls(name, tmp_path):
     found = rehearse(short(**REAL[name]), 6, Knowledge(), tmp_path, lambda _: None)
     rms = [step.rms_mm for step in found.steps]
     assert max(rms) <= 1.55 * rms[0]
@@ -399,21 +292,7 @@ def test_on_other_plants_the_error_falls_or_learning_ends(name: str, tmp_path: P
 
 
 @pytest.mark.long
-def test_a_series_begins_without_the_feed_forward_of_its_configuration_and_keeps_its_limit(
-    made: tuple[Path, Rehearsal], tmp_path: Path
-) -> None:
-    text = Log.open(log(made[0], 1)).configuration
-    c = loads(with_changes(text, {"feedforward": {"limit_N": 3000}}), "short.yaml", tmp_path)
-    found = rehearse(c, 1, Knowledge(), tmp_path, lambda _: None)
-    assert found.limit_N == 3000.0
-    assert found.steps[0].run.head is None
-    assert found.steps[0].rms_mm == pytest.approx(made[1].steps[0].rms_mm)
-
-
-@pytest.mark.long
-def test_what_was_learned_goes_where_a_hold_interrupts_the_run(
-    made: tuple[Path, Rehearsal], tmp_path: Path
-) -> None:
+def test_what_was_learned_goes_where_a_hold_interrupts_the_run(made, tmp_path):
     folder, _ = made
     c = Log.open(log(folder, 2)).configuration
     (tmp_path / "c.yaml").write_text(c)

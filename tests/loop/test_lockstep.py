@@ -10,13 +10,15 @@ from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.frame_array import received_frames, sent_frames
 from drivers.protocol import Frame
 from drivers.signals import Mode
-from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.configuration import load, loads
+from hil.app.compose import build_nodes
+from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
 from hil.signals import Operator
 from tests.drivers.arbitrated import arbitrate
+from tests.loop.bench import changed, new_cycle
+from tests.loop.operated import modes
 
 
 @pytest.fixture(scope="module")
@@ -34,34 +36,16 @@ def recorded(virtual, tmp_path_factory):
     return simulate(virtual, log=path, duration_s=ONE_PASS_S), Log.open(path)
 
 
-def test_engages_tracks_stops_and_parks(recorded):
+def test_a_run_over_a_real_bus_is_bumpless_and_tracks_the_book_within_half_a_millimetre(recorded):
     summary, log = recorded
+    rows = log.rows()
     assert summary["success"], summary
-    modes = log.rows()["mode"]
-    order = [int(m) for m in modes[np.flatnonzero(np.diff(modes, prepend=-1))]]
-    assert order == [
-        Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING,
-        Mode.STOPPING, Mode.PARKING, Mode.UNLOADING, Mode.PARKED,
-    ]  # fmt: skip
-
-
-def test_every_feedback_is_fresh_and_nothing_is_refused(recorded):
-    summary, log = recorded
-    assert summary["stale_ticks"] == 0
-    assert summary["rejected_frames"] == 0
-    assert summary["dropped_ticks"] == 0
-    assert (log.rows()["frames_received"][5:] >= 6).all()
-
-
-def test_the_entry_is_bumpless(recorded):
-    """From the opening of the brakes to the end of the approach no leg moves by more than 20 um."""
-    rows = recorded[1].rows()
+    assert modes(rows) == [mode.name for mode in Mode if mode not in {Mode.HELD, Mode.FAULT}]
+    assert [summary[key] for key in ("stale_ticks", "rejected_frames", "dropped_ticks")] == [0, 0, 0]
+    assert (rows["frames_received"][5:] >= 6).all()
+    assert 0.01 < summary["tracking"]["peak_leg_error_mm"] < 0.5
     entry = rows[(rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.APPROACH)]
     assert np.abs(entry["q"] - rows["q"][rows["mode"] == Mode.LOADING][0]).max() < 20e-6
-
-
-def test_tracks_the_book_within_half_a_millimetre_over_a_real_bus(recorded):
-    assert 0.01 < recorded[0]["tracking"]["peak_leg_error_mm"] < 0.5
 
 
 def test_twice_the_same_run_gives_the_same_bytes(virtual, recorded, tmp_path):
@@ -83,17 +67,13 @@ def test_a_stop_before_the_drives_are_ready_ends_the_simulation_too(virtual, tmp
 @pytest.mark.parametrize("layout", ["fd", "classic"])
 def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monkeypatch):
     """SYNC, six answers and the commands, in ticks without a status; identifiers not in the order of legs."""
-    text = virtual.text
-    for old, new in (
-        ("node_ids: [1, 2, 3, 4, 5, 6]", "node_ids: [3, 1, 6, 2, 5, 4]"),
-        ("layout: fd", f"layout: {layout}"),
-        ("rate_Hz: 1000", "rate_Hz: 400"),
-        ("watchdog_ms: 10", "watchdog_ms: 25"),
-    ):
-        assert old in text
-        text = text.replace(old, new)
-    c = loads(text, virtual.name, virtual.folder)
-    cycle, (nodes, plant), timing = build_cycle(c, 400.0, 0.025), build_nodes(c), BitTiming.of(c.bus)
+    c = changed(
+        virtual,
+        drives={"node_ids": [3, 1, 6, 2, 5, 4], "watchdog_ms": 25},
+        bus={"layout": layout},
+        loop={"rate_Hz": 400},
+    )
+    cycle, (nodes, plant), timing = new_cycle(c), build_nodes(c), BitTiming.of(c.bus)
     lockstep = Lockstep(cycle, nodes, (timing,), c.loop.window_s(400.0))
     live = nodes.advance
     answers: list[tuple[int, Frame]] = []

@@ -5,77 +5,48 @@ The book's platform, path and bus. Tracking begins at 0.95 s; the far point of t
 
 from __future__ import annotations
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import BitTiming
-from drivers.signals import Fault, Mode, Warn
+from drivers.signals import Fault as Faults
+from drivers.signals import Mode, Warn
 from drivers.tick_columns import ROW
-from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.bus_budget import bus_budget
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import Configuration
 from hil.app.sim.command import simulate
-from hil.app.sim.lockstep import Lockstep
+from hil.loop.run_end import Course
 from hil.record.log import Log
-from hil.signals import Operator
+from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveSign, WrenchStep
-from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
+from tests.loop.bench import bench, changed
 
-SLIDING = """controller:
-  law: sliding_mode
-  lambda_rad_s: 92
-  reaching_m_s2: 1
-  uncertainty: {disturbance_m_s2: 13, model_error: 0.1, acceleration_m_s2: 12}
-"""
-POSE = """controller:
-  law: pose_inverse_dynamics
-  wn_rad_s: 20
-"""
-AHEAD = """controller:
-  law: inverse_dynamics
-  wn_rad_s: 90
-  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}
-"""
+SLIDING = {
+    "law": "sliding_mode", "lambda_rad_s": 92, "reaching_m_s2": 1,
+    "uncertainty": {"disturbance_m_s2": 13, "model_error": 0.1, "acceleration_m_s2": 12},
+}  # fmt: skip
+POSE = {"law": "pose_inverse_dynamics", "wn_rad_s": 20}
+AHEAD = {
+    "law": "inverse_dynamics", "wn_rad_s": 90,
+    "delay_compensation": {"bus_ms": 0.5, "drive_lag_ms": 0.8, "hold_ms": 0.5},
+}  # fmt: skip
+PD = {"law": "pd", "kp_N_m": 2.0e6, "kv_N_s_m": 5.0e4}
 LOAD = WrenchStep(at_s=2.2, force_N=(-1.12e3, -6.46e3, 7.55e3), moment_N_m=(0.0, 0.0, 0.0))
 """10 kN where they move leg 1 most: J M^-1 wrench is 7.7 m/s^2."""
 
 
-def bench(action, disturbance=8.0, name="virtual", controller=None, **changes):
-    text = load(name).text
-    if controller is not None:
-        text = text[: text.index("\ncontroller:") + 1] + controller + text[text.index("\nmonitor:") :]
-    monitor = f"\nmonitor: {{action: {action}, disturbance_m_s2: {disturbance}}}\n"
-    if "\nmonitor:" in text:
-        text = text[: text.index("\nmonitor:")] + text[text.index("\nengage:") :]
-    text = text.replace("\nengage:", monitor + "engage:", 1)
-    for key, value in changes.items():
-        (line,) = [line for line in text.splitlines() if line.startswith(f"  {key}: ")]
-        text = text.replace(line, f"  {key}: {value}")
-    return loads(text, "monitor.yaml", Path())
+def watched(action: str, disturbance: float = 8.0, name: str = "virtual", **sections: Any) -> Configuration:
+    return changed(name, monitor={"action": action, "disturbance_m_s2": disturbance}, **sections)
 
 
-def run(c, faults, until_s):
+def run(c: Configuration, *faults: Fault, until_s: float) -> Any:
     """Return the rows up to an instant, or to a fault."""
-    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms)
-    nodes, plant = build_nodes(c, FaultPlan(faults))
-    rate = c.loop.rate_Hz
-    timing = None if bus_budget(c.bus, c.drives, c.sensors, rate) is None else BitTiming.of(c.bus)
-    lockstep = Lockstep(cycle, nodes, (timing,), c.loop.window_s(rate))
-    rows, engaged = [], False
-    operator: tuple[Operator, ...] = ()
-    try:
-        for _ in range(round(until_s * rate)):
-            _, _, out = lockstep.step(operator)
-            rows.append(out.row.copy())
-            operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE and not engaged else ()
-            engaged = engaged or bool(operator)
-            if cycle.faults:
-                break
-    finally:
-        plant.close()
+    rows: list[Any] = []
+    with bench(c, *faults) as lockstep:
+        course = Course(lockstep.cycle)
+        while len(rows) < round(until_s * c.loop.rate_Hz) and not lockstep.cycle.faults:
+            rows.append(lockstep.step(course.commands(lockstep.tick + 1))[2].row.copy())
     return np.array(rows, ROW)
 
 
@@ -87,20 +58,20 @@ def alarms(rows):
 FLIPS = [(1.05, (3,)), (1.25, (1,)), (1.5, (2,)), (1.75, (0,)), (2.25, (4, 5))]
 
 
-@pytest.mark.parametrize(("start_s", "leg"), [(t, leg) for t, legs in FLIPS for leg in legs])
+@pytest.mark.parametrize(("start_s", "leg"), broad([(t, leg) for t, legs in FLIPS for leg in legs], quick=2))
 def test_a_flipped_gain_ends_the_run_within_20_ms_while_the_leg_carries_force(start_s, leg):
-    rows = run(bench("fault"), [DriveSign(leg=leg, at_s=start_s)], start_s + 0.05)
+    rows = run(watched("fault"), DriveSign(leg=leg, at_s=start_s), until_s=start_s + 0.05)
     before = rows[np.searchsorted(rows["t_ns"], 1e9 * start_s) - 1]
     assert abs(before["tau"][leg]) > 1000.0
     assert not before["warnings"]
-    assert rows["faults"][-1] == Fault.CERTIFICATE, "before any other rule notices"
+    assert rows["faults"][-1] == Faults.CERTIFICATE, "before any other rule notices"
     assert 0.0 < 1e-9 * rows["t_ns"][-1] - start_s <= 0.020
 
 
 @pytest.mark.parametrize("controller", [SLIDING, POSE], ids=["sliding mode", "pose"])
 def test_it_does_so_under_other_certified_laws(controller):
-    rows = run(bench("fault", controller=controller), [DriveSign(leg=5, at_s=1.75)], 1.8)
-    assert rows["faults"][-1] == Fault.CERTIFICATE
+    rows = run(watched("fault", controller=controller), DriveSign(leg=5, at_s=1.75), until_s=1.8)
+    assert rows["faults"][-1] == Faults.CERTIFICATE
     assert 1e-9 * rows["t_ns"][-1] - 1.75 <= 0.020
 
 
@@ -108,7 +79,9 @@ def test_it_does_so_under_other_certified_laws(controller):
 def nominal(tmp_path_factory):
     """From rest over path, stop and brakes to rest."""
     path = tmp_path_factory.mktemp("monitor") / "nominal.mcap"
-    summary = simulate(bench("fault", periods=1), log=path, duration_s=2.6, check_replay=True)
+    summary = simulate(
+        watched("fault", reference={"periods": 1}), log=path, duration_s=2.6, check_replay=True
+    )
     return summary, Log.open(path).rows()
 
 
@@ -119,10 +92,6 @@ def test_the_nominal_run_stays_far_from_its_bound_and_replays_to_the_bit(nominal
     assert summary["certificate"]["alarms"] == alarms(rows) == 0
     assert summary["certificate"]["largest_share_percent"] < 60.0
     assert Mode.STOPPING in rows["mode"]
-
-
-def test_every_tick_with_open_brakes_is_watched(nominal):
-    _, rows = nominal
     driving = (rows["mode"] >= Mode.APPROACH) & (rows["mode"] <= Mode.STOPPING)
     for column in ("lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
         assert np.isfinite(rows[column][driving]).all(), column
@@ -142,28 +111,27 @@ def test_V_is_that_of_the_smallest_reachable_ellipsoid_and_its_rate_a_difference
 
 @pytest.mark.parametrize(("disturbance", "alarmed"), [(8.0, False), (6.0, True)])
 def test_an_untold_load_alarms_where_it_is_more_than_what_is_stated(disturbance, alarmed):
-    rows = run(bench("warn", disturbance, following_error_m=0.1), [LOAD], 2.45)
+    rows = run(watched("warn", disturbance, limits={"following_error_m": 0.1}), LOAD, until_s=2.45)
     assert bool(alarms(rows)) == alarmed
     assert not rows["faults"].any(), "it only warns"
     assert np.sqrt(rows["lyapunov"].max(where=np.isfinite(rows["lyapunov"]), initial=0.0)) > 8.0
 
 
-def test_nor_does_it_alarm_a_law_that_looks_ahead():
+def test_a_law_that_looks_ahead_is_not_alarmed_either():
     """It does not see the load coming: 7.7 m/s^2 on a leg act like 10.2."""
-    rows = run(bench("warn", controller=AHEAD), [LOAD], 2.4)
+    rows = run(watched("warn", controller=AHEAD), LOAD, until_s=2.4)
     assert alarms(rows) == 0
     assert rows["lyapunov_share"][-100:].max() > 0.9
 
 
 @pytest.mark.parametrize(("name", "until_s"), broad([("lab", 2.1), ("vcan50", 3.5), ("ideal", 1.3)], quick=2))
 def test_other_shipped_configurations_do_not_alarm(name, until_s):
-    rows = run(bench("warn", name=name), [], until_s)
+    rows = run(watched("warn", name=name), until_s=until_s)
     assert np.isfinite(rows["lyapunov_share"]).sum() > 0.3 * len(rows)
     assert alarms(rows) == 0
 
 
 def test_without_a_certificate_nothing_is_watched():
-    pd = "controller:\n  law: pd\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n"
-    rows = run(bench("log", controller=pd), [], 1.0)
+    rows = run(watched("log", controller=PD), until_s=1.0)
     assert (rows["mode"] == Mode.APPROACH).any()
     assert np.isnan(rows["lyapunov"]).all()

@@ -4,63 +4,42 @@ The error that a load leaves without it is its share of the error dynamics: M J^
 load, so e = J M^-1 wrench / wn^2.
 """
 
-from pathlib import Path
+from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.signals import Mode
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
-from hil.app.sim.command import simulate
-from hil.record.log import Log
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from plant_fmu.faults.kinds import WrenchStep
-from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
-from tests.loop import unrecorded
+from tests.loop.bench import changed, succeeded
 
-HOLD = "reference: {type: hold, duration_s: 1.25}\n"
+HOLD = {"type": "hold", "duration_s": 1.25}
 LOAD = (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 START_S = 1.5
 """A quarter of a second after tracking begins: there is nothing to be seen before."""
-STEP = FaultPlan([WrenchStep(at_s=START_S, force_N=LOAD[:3], moment_N_m=LOAD[3:])])
+STEP = WrenchStep(at_s=START_S, force_N=LOAD[:3], moment_N_m=LOAD[3:])
 
 
-def bench(*, reference=None, bandwidth_Hz=15.0, bus_ms=0.5, drive_lag_ms=0.796, source="observer", scale=1.0):
-    text = load("virtual").text
-    if reference is not None:
-        first, last = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
-        text = text[:first] + reference + "\n" + text[last:]
-    text = text.replace("periods: 10", "periods: 1")
-    model = f"{{inertia_scale: {scale}}}"
-    text += (
-        f"\nestimation: {{wrench: {{source: {source}, bandwidth_Hz: {bandwidth_Hz}, bus_ms: {bus_ms}, "
-        f"drive_lag_ms: {drive_lag_ms}, model: {model}}}}}\n"
-    )
-    variant = "    variant: full\n"
-    assert text.count(variant) == 1
-    text = text.replace(variant, f"{variant}    inertia_scale: {scale}\n")
-    if source == "sensor":
-        text += "sensors: {wrench: {rate_Hz: 1000}}\n"
-    return loads(text, "virtual.yaml", Path())
-
-
-def run(configuration, path, faults=None):
-    summary = simulate(configuration, log=path, faults=faults)
-    assert summary["success"], summary
-    assert summary["replay"]["exact"]
-    assert not any(summary["limited_ticks"].values())
-    return Log.open(path).rows()
-
-
-def shown(configuration, faults=None):
-    """As `run`, without a log: which loads and gains an observer is given is nothing to a replay."""
-    summary, rows = unrecorded.run(configuration, faults)
-    assert summary["success"], summary
-    assert not any(summary["limited_ticks"].values())
-    return rows
+def bench(reference: Any = HOLD, scale: float = 1.0, **wrench: Any) -> Configuration:
+    model = {"inertia_scale": scale}
+    observer = {
+        "source": "observer",
+        "bandwidth_Hz": 15.0,
+        "bus_ms": 0.5,
+        "drive_lag_ms": 0.796,
+        "model": model,
+    }
+    sections: dict[str, Any] = {"estimation": {"wrench": observer | wrench}, "reference": reference}
+    if wrench.get("source") == "sensor":
+        sections["sensors"] = {"wrench": {"rate_Hz": 1000}}
+    return changed("virtual", controller={"model": model}, **sections)
 
 
 def final_error(rows):
@@ -70,12 +49,8 @@ def final_error(rows):
 
 
 @pytest.fixture(scope="module")
-def held(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("held")
-    return {
-        source: run(bench(reference=HOLD, source=source), folder / f"{source}.mcap", STEP)
-        for source in ("observer", "sensor")
-    } | {"none": shown(bench(reference=HOLD, source="none"), STEP)}
+def held() -> dict[str, Any]:
+    return {source: succeeded(bench(source=source), STEP).rows for source in ("observer", "sensor", "none")}
 
 
 def test_a_step_of_1_kN_is_seen_within_5_percent_after_50_ms(held):
@@ -89,17 +64,10 @@ def test_a_step_of_1_kN_is_seen_within_5_percent_after_50_ms(held):
     assert np.abs(wrench[after, 1:]).max() < 50.0
 
 
-@pytest.fixture(scope="module")
-def loaded():
-    """1 kN from the first tick on, seen by a sensor."""
-    return shown(
-        bench(reference=HOLD, source="sensor"),
-        FaultPlan([WrenchStep(at_s=0.0, force_N=LOAD[:3], moment_N_m=LOAD[3:])]),
-    )
-
-
-def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_they_do(loaded):
+def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_they_do():
     """The force is built up to what holds platform and load, by statics."""
+    first = WrenchStep(at_s=0.0, force_N=LOAD[:3], moment_N_m=LOAD[3:])
+    loaded = succeeded(bench(source="sensor"), first).rows
     last = loaded[loaded["mode"] == Mode.LOADING][-1]
     platform = build_platform(load("virtual").platform)
     on_platform = jacobian(platform, last["p"], last["R"].reshape(3, 3)).T @ last["tau"]
@@ -112,13 +80,8 @@ def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_th
 
 
 @pytest.mark.parametrize("source", ["observer", "sensor"])
-def test_fed_back_it_removes_the_static_error(held, source, capsys):
+def test_fed_back_it_removes_the_static_error(held, source):
     without, fed_back = final_error(held["none"]), final_error(held[source])
-    with capsys.disabled():
-        print(
-            f"\n1 kN on the held platform: leg error {1e6 * np.abs(without).max():.0f} um without, "
-            f"{1e6 * np.abs(fed_back).max():.2f} um with the {source}"
-        )
     c = load("virtual")
     platform = build_platform(c.platform)
     home, level = np.array(c.platform.home.position_m), np.eye(3)
@@ -128,31 +91,30 @@ def test_fed_back_it_removes_the_static_error(held, source, capsys):
     assert np.abs(fed_back).max() < 0.1 * np.abs(without).max()
 
 
+BOOK = {"periods": 1}
+
+
 @pytest.mark.long
-def test_without_a_load_it_sees_less_than_1_N_on_the_whole_path(tmp_path, capsys):
-    rows = run(bench(), tmp_path / "a.mcap")
+def test_without_a_load_it_sees_less_than_1_N_on_the_whole_path():
+    rows = succeeded(bench(BOOK)).rows
     moving = rows[np.isin(rows["mode"], [Mode.APPROACH, Mode.TRACKING])]
     assert np.abs(np.diff(moving["tau"], axis=0)).max() > 2000.0, "the acceleration jumps"
-    largest = np.abs(rows["wrench"]).max()
-    with capsys.disabled():
-        print(f"\nno load on the book's path: the observer sees at most {largest:.2f} N or N m")
-    assert largest < 1.0
+    assert np.abs(rows["wrench"]).max() < 1.0
 
 
-def test_a_delay_that_it_is_not_told_is_seen_as_a_load():
-    rows = shown(bench(bus_ms=0.0, drive_lag_ms=0.0))
+def test_a_delay_that_it_does_not_know_is_seen_as_a_load():
+    rows = succeeded(bench(BOOK, bus_ms=0.0, drive_lag_ms=0.0)).rows
     assert np.abs(rows["wrench"]).max() > 50.0
 
 
 @pytest.mark.parametrize(
     ("bandwidth_Hz", "scale", "known"),
-    broad([(100.0, 1.6, True), (100.0, 1.0, False), (15.0, 0.6, True)], quick=2),
+    broad([(100.0, 1.6, True), (100.0, 1.0, False), (15.0, 0.6, True)], quick=1),
 )
 def test_fed_back_it_is_stable_with_wrong_masses_and_unknown_delays(bandwidth_Hz, scale, known):
     """Masses of 0.6 to 1.6 times the true ones in law and observer, or no delay told, up to 100 Hz."""
-    delays = {} if known else {"bus_ms": 0.0, "drive_lag_ms": 0.0}
-    configuration = bench(reference=HOLD, bandwidth_Hz=bandwidth_Hz, scale=scale, **delays)
-    rows = shown(configuration, STEP)
+    delays: dict[str, Any] = {} if known else {"bus_ms": 0.0, "drive_lag_ms": 0.0}
+    rows = succeeded(bench(scale=scale, bandwidth_Hz=bandwidth_Hz, **delays), STEP).rows
     last = rows[rows["mode"] == Mode.TRACKING][-200:]
     assert np.ptp(last["tau"], axis=0).max() < 5.0, "the forces are at rest"
     assert np.abs(last["q_d"] - last["q"]).max() < 3e-6

@@ -7,16 +7,14 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import BitTiming
 from drivers.frame_array import received_frames
 from drivers.signals import DriveState, Mode
-from hil.app.compose import build_cycle, build_nodes
 from hil.app.sim.lockstep import Lockstep
 from hil.signals import TickInput
 from plant_fmu.drives.drive import Snapshot
-from tests.loop.test_desktop_drives import FAMILIES, desktop
+from tests.loop.bench import run
+from tests.loop.test_desktop_drives import desktop
 
-DURATION_S = 1.0
 ESTIMATES = 0x09
 RELEASED_TICKS = 40
 """From the release of the brakes on: more than a heartbeat of 0.1 s at 312.5 Hz."""
@@ -34,26 +32,16 @@ class Started(NamedTuple):
 
 @pytest.fixture(scope="module")
 def started() -> Started:
-    c = desktop(*FAMILIES["odrive"])
-    rate = c.loop.rate_Hz
-    cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
-    nodes, plant = build_nodes(c)
-    rows: list[Any] = []
     axes: list[Snapshot] = []
     estimates: list[tuple[int, int]] = []
 
-    def observe(given: TickInput, _opening: object, out: Any) -> None:
+    def watch(lockstep: Lockstep, given: TickInput, _row: Any) -> None:
         own = [t_ns for t_ns, frame in received_frames(given.frames) if frame.id & 0x1F == ESTIMATES]
         estimates.append((len(own), sum(t_ns >= given.t_ns for t_ns in own)))
-        rows.append(out.row)
-        axes.append(nodes.snapshot())
+        axes.append(lockstep.nodes.snapshot())
 
-    try:
-        Lockstep(cycle, nodes, (BitTiming.of(c.bus),), c.loop.window_s(rate)).run(DURATION_S, observe)
-    finally:
-        plant.close()
-    found = np.array(rows, rows[0].dtype)
-    return Started(found, axes, int(np.argmax(found["mode"] == Mode.RELEASING)), np.array(estimates))
+    ran = run(desktop("odrive"), stop_s=1.0, watch=watch)
+    return Started(ran.rows, axes, ran.first(Mode.RELEASING), np.array(estimates))
 
 
 def test_the_drives_hear_each_command_once(started):
@@ -87,7 +75,7 @@ def test_the_start_goes_on_once_the_last_heartbeat_has_told_and_the_run_meets_no
     assert rows["rejected"].max() == 0
     assert rows["age"][k:].max() <= 1
     error = np.abs(rows["q"][k:] - rows["q_d"][k:]).max()
-    assert error < 0.5 * desktop(*FAMILIES["odrive"]).limits.following_error_m
+    assert error < 0.5 * desktop("odrive").limits.following_error_m
 
 
 def test_the_brakes_are_not_believed_shut_before_each_axis_has_told_it(started):

@@ -3,14 +3,13 @@
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError
 from drivers.signals import Mode
-from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import Operator, Order
 from tests.broad import broad
 from tests.live_reference import LIVE_REFERENCE
+from tests.loop.bench import new_cycle
 from tests.loop.operated import WITHIN, Changed, modes, simulated
 
 BRISK = {"setup_speed_m_s": 0.5, "setup_speed_deg_s": 50}
@@ -76,7 +75,7 @@ def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
 )
 def test_a_replay_notices_an_order_that_is_another(operated, tick, orders):
     run, _ = operated
-    verdict = replay(Changed(run.log, tick, orders), build_cycle(load("virtual"), 1000.0, 0.01))
+    verdict = replay(Changed(run.log, tick, orders), new_cycle(load("virtual")))
     assert tick <= verdict.first[0].tick <= tick + WITHIN
 
 
@@ -97,12 +96,6 @@ def test_without_the_key_the_stop_begins_in_time_and_only_a_new_start_ends_it(tm
     assert slower[0] + 1 == last_key + 100 + 1
     assert (np.diff(t[3585:5000]) == 0.0).all(), "a start without the key, a key without a start"
     assert t[5600] > t[5000]
-
-
-def test_without_a_key_the_approach_does_not_begin(tmp_path):
-    run, rows = simulated(tmp_path, [(0, "speed 100")], duration_s=2.0, operator={"deadman_s": 0.1})
-    assert run.success
-    assert not rows["twist_d"].any()
 
 
 def test_a_start_that_is_asked_for_waits_at_the_start_of_the_path(tmp_path):
@@ -127,14 +120,6 @@ def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(t
 
 
 @pytest.mark.long
-def test_an_emergency_stop_before_the_platform_moved_leaves_a_run_that_stays_to_be_armed(tmp_path):
-    commands = [(0.2, "estop"), (0.5, "reset"), (1.0, "arm"), (2.6, "end")]
-    run, rows = simulated(tmp_path, commands, operator=BRISK | {"stays": True})
-    assert run.success, run.summary["trouble"]
-    assert modes(rows) == ["WAITING", "IDLE", "FAULT", *AS_ALWAYS, *PARKING]
-
-
-@pytest.mark.long
 @pytest.mark.parametrize("word", broad(["stop", "estop"], quick=1))
 def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
     run, rows = simulated(tmp_path, [(2.2, "park"), (3.5, word)], check_replay=False)
@@ -143,34 +128,30 @@ def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
     assert np.abs(rows["p_d"][-1] - rows["p_d"][3500]).max() < 0.05
 
 
-@pytest.mark.parametrize(
-    ("start", "t"), broad([("asked", 0.9), ("automatic", 1.1), ("asked", 1.1), ("automatic", 1.2)], quick=1)
-)
-def test_a_park_in_the_approach_parks_however_the_path_begins(tmp_path, start, t):
-    settings = BRISK | {"start": start}
-    run, rows = simulated(tmp_path, [(t, "park")], duration_s=10.0, operator=settings)
-    assert run.success
-    assert run.summary["replay"]["different_ticks"] == 0
-    assert rows["tick"][-1] < 5000, "parked, not stopped by the end of the run"
-    assert modes(rows)[-4:] == PARKING
-    np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
-
-
 SHORT = {"reference": {"periods": 1}, "engage": {"stop_s": 3.0}}
 """A path that ends at tick 3208, and a stop in which 1.5 s of path time go by."""
 
 
-@pytest.mark.long
-@pytest.mark.parametrize(
-    ("then", "ends"),
-    [(((5.0, "start"),), ["TRACKING", *PARKING[1:]]), ((), ["TRACKING", *PARKING])],
-)
-def test_a_park_just_before_the_end_of_the_path_is_no_fault(tmp_path, then, ends):
-    commands = [(3.15, "park"), *then]
-    run, rows = simulated(tmp_path, commands, duration_s=30.0, operator=BRISK, **SHORT)
+PARKS = [
+    ("asked", {}, [(0.9, "park")], PARKING, 5000),
+    ("automatic", {}, [(1.2, "park")], PARKING, 5000),
+    ("automatic", SHORT, [(3.15, "park"), (5.0, "start")], ["TRACKING", *PARKING[1:]], 30_000),
+    ("automatic", SHORT, [(3.15, "park")], ["TRACKING", *PARKING], 30_000),
+]
+
+
+@pytest.mark.parametrize(("start", "sections", "commands", "ends", "within"), broad(PARKS, quick=1))
+def test_a_park_in_the_approach_and_just_before_the_end_of_the_path_parks(
+    tmp_path, start, sections, commands, ends, within
+):
+    settings = BRISK | {"start": start}
+    run, rows = simulated(tmp_path, commands, duration_s=30.0, operator=settings, **sections)
     assert run.success, run.summary["trouble"]
     assert run.summary["replay"]["different_ticks"] == 0
+    assert rows["tick"][-1] < within, "parked, not stopped by the end of the run"
     assert modes(rows)[-len(ends) :] == ends
+    if not sections:
+        np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
 
 
 @pytest.mark.long
@@ -186,20 +167,6 @@ def test_a_hold_in_the_approach_and_on_the_way_back_is_one_too(tmp_path):
     assert not rows["twist_d"][5680:6000].any(), "held while the speed rises: up to a third longer"
     assert rows["mode"][5900] == Mode.STOPPING
     np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("command", "complaint"),
-    [
-        ((1.0, "jump"), "command 1: 'jump' is no word of the operator"),
-        ((-1.0, "hold"), "command 1: time -1.0"),
-        ((1.0, "speed 140"), "140 %; allowed: 0 .. 100"),
-        ((1.0, "status"), "asks a running controller"),
-    ],
-)
-def test_a_script_that_no_controller_would_take_is_refused(tmp_path, command, complaint):
-    with pytest.raises(ConfigurationError, match=complaint):
-        simulated(tmp_path, [command])
 
 
 def test_a_live_reference_is_held_slowed_and_parked_and_refuses_set_points_on_hold(tmp_path):

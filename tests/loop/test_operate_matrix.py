@@ -110,8 +110,13 @@ def test_words_of_two_clients_at_once_are_one_order_after_the_other(tmp_path):
     assert ((jog[:, :3] != 0.0).sum(axis=1) <= 1).all(), "one axis at a time"
 
 
+SOME = [
+    (law, script) for n, script in enumerate(SCRIPTS) for k, law in enumerate(LAWS) if (k - n) % 5 in {0, 2}
+]
+"""Each script under two laws, each law with four scripts."""
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("script", SCRIPTS)
-@pytest.mark.parametrize("law", LAWS)
+@pytest.mark.parametrize(("law", "script"), SOME)
 def test_the_operator_may_say_anything_at_any_time(tmp_path, law, script):
     check(operated(tmp_path, law, script), script)

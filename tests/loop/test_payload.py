@@ -21,7 +21,6 @@ from hil.lab.identify.payload import identify_payload
 from hil.lab.identify.payload_block import block
 from hil.record.log import Log
 from plant_fmu.faults.kinds import EncoderNoise, WrenchStep
-from plant_fmu.faults.plan import FaultPlan
 from tests.loop import laden
 
 AXES = {
@@ -91,41 +90,17 @@ def tensor(theta):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def test_mass_place_and_inertia_of_an_unknown_payload(found, capsys):
+def test_mass_place_and_inertia_of_an_unknown_payload(found):
     mass, moment = found.theta[0] - 1150.0, found.theta[1:4]
     off = np.abs(tensor(found.theta) - truth()).max() / truth().max()
-    each = np.abs(tensor(found.theta) / truth() - 1.0).max()
-    moments = np.abs(moment / (MASS * COM) - 1.0).max()
-    with capsys.disabled():
-        print(
-            f"\npayload {mass:.3f} kg ({100 * (mass / MASS - 1):+.4f} %), first moments within "
-            f"{100 * moments:.3f} %, inertia within {100 * each:.3f} % of each element"
-        )
     assert mass == pytest.approx(MASS, rel=0.005)
-    assert moments < 0.02
+    assert moment == pytest.approx(MASS * COM, rel=0.02)
     assert off < 0.02
-    assert each < 0.1
-
-
-def test_the_errors_are_a_few_standard_errors(found):
-    """No more than the smoothing adds, which no residual shows."""
-    I = truth()
-    body = [1150.0 + MASS, *(MASS * COM), *np.diag(I), I[0, 1], I[0, 2], I[1, 2]]
-    error = np.abs(found.theta[:10] - body)
-    assert (error < 6.0 * found.estimate.std[:10]).all(), error / found.estimate.std[:10]
-    assert (found.estimate.std[:10] < 1e-3 * np.abs(body)).all()
-
-
-def test_the_held_out_halves_are_predicted_as_well_as_fitted(found):
-    rms = np.sqrt(np.mean(found.estimate.residual_N**2))
-    assert set(found.held_out) == {"first half", "second half"}
-    for ours, believed in found.held_out.values():
-        assert ours < 2.0 * rms
-        assert believed > 100.0 * ours
+    assert np.abs(tensor(found.theta) / truth() - 1.0).max() < 0.1
 
 
 @pytest.mark.long
-def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tmp_path, capsys):
+def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tmp_path):
     """On the book's path: inverse dynamics that knows the identified payload, against the one without payload."""
     book = laden.changed(load("virtual"), reference={"periods": 1})
     heavy = laden.changed(book, **LADEN)
@@ -139,20 +114,16 @@ def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tm
     empty = peak_mm(book, book, "empty.mcap")
     fed = peak_mm(laden.changed(book, **block(found)), heavy, "fed.mcap")
     unknown = peak_mm(laden.changed(book, limits={"following_error_m": 0.1}), heavy, "unknown.mcap")
-    with capsys.disabled():
-        print(f"\npeak leg error: {empty:.3f} mm empty, {fed:.3f} mm identified, {unknown:.1f} mm unknown")
     assert fed <= 1.3 * empty
     assert unknown > 20.0 * empty
 
 
 @pytest.mark.long
-def test_friction_of_every_leg_of_the_lab_bench(more, capsys):
+def test_friction_of_every_leg_of_the_lab_bench(more):
     summary = more / "lab.json"
     result = identify(more / "lab.mcap", "--json", summary)
     assert result.exit_code == 0, result.output
     lab = json.loads(summary.read_text())
-    with capsys.disabled():
-        print(f"\nviscous {lab['viscous_friction_N_s_m']}, Coulomb {lab['coulomb_friction_N']}")
     assert lab["viscous_friction_N_s_m"] == pytest.approx([200.0] * 6, rel=0.05)
     assert lab["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
     assert lab["reflected_mass_kg"] == pytest.approx([9.9] * 6, rel=0.05)
@@ -161,21 +132,15 @@ def test_friction_of_every_leg_of_the_lab_bench(more, capsys):
     assert lab["platform"]["mass_kg"] == pytest.approx(300.0, rel=1e-3)
     model = lab["block"]["controller"]["model"]
     assert model["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
-    assert "reflected mass, kg, identified" in result.stdout
-
-
-@pytest.mark.long
-def test_a_reflected_mass_that_is_given_is_said_to_be_given(more):
     result = identify(more / "lab.mcap", "--reflected", 9.9, "--json", more / "given.json")
     assert result.exit_code == 0, result.output
     given = json.loads((more / "given.json").read_text())
     assert given["reflected_mass"] == "given"
-    assert "reflected mass: 9.9 kg each, given, not identified" in result.stdout
     assert given["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
     assert given["block"]["controller"]["model"]["reflected_mass_kg"] == [9.9] * 6
 
 
-def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder, monkeypatch, capsys):
+def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder, monkeypatch):
     """Layout classic has no room for them. The bound of the delay, 1 ms, is 0.5 ms too long, and is found out.
 
     Encoders are latched 0.025 ms before the grid on which rates and forces are.
@@ -191,8 +156,6 @@ def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder
     found = identify_payload([folder / "a.mcap"], None)
     assert not found.sources[0].reported
     late_ms = 1e3 * found.theta[22]
-    with capsys.disabled():
-        print(f"\nfrom commands: payload {found.theta[0] - 1150.0:.2f} kg, late by {late_ms:.3f} ms")
     assert late_ms == pytest.approx(0.475, abs=0.02)
     assert found.theta[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
     assert np.abs(tensor(found.theta) - truth()).max() < 0.02 * truth().max()
@@ -204,7 +167,6 @@ def test_an_empty_platform_keeps_its_exact_figures(more, tmp_path):
     result = identify(more / "free.mcap", "-o", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
     assert result.exit_code == 0, result.output
     assert "No payload beyond what section platform has" in result.stdout
-    assert "The block leaves the body out: it is that of section platform" in result.stdout
     found = json.loads((tmp_path / "b.json").read_text())
     assert found["platform"]["mass_kg"] == pytest.approx(1150.0, rel=1e-4)
     assert np.diag(found["platform"]["inertia_kg_m2"]) == pytest.approx([570.0, 285.0, 285.0], rel=1e-3)
@@ -214,14 +176,13 @@ def test_an_empty_platform_keeps_its_exact_figures(more, tmp_path):
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("reach", [240.0, 100.0])
-def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(tmp_path, reach):
+def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(tmp_path):
     """Its ranges stay, in its own frame, and hold what was found."""
     fixed = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
     frame = {"origin_m": [0.1, 0.0, 0.2], "rotation_vector_deg": [0.0, 0.0, 90.0]}
     ranged = {
         "mass_kg": 0.0,
-        "mass_range_kg": [0.0, reach],
+        "mass_range_kg": [0.0, 100.0],
         "com_m": [0.0, 0.0, 0.3],
         "com_range_m": [[-0.4, 0.4], [-0.5, 0.4], [0.2, 0.4]],
         "shape": {"type": "box", "size_m": [0.3, 0.3, 0.3]},
@@ -231,16 +192,13 @@ def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(t
     laden.run(c, laden.changed(c, platform={"platform": {"payload": [PAYLOAD, fixed]}}), tmp_path / "a.mcap")
     result = identify(tmp_path / "a.mcap", "-o", tmp_path / "b.yaml")
     assert result.exit_code == 0, result.output
-    words = " ".join(result.stdout.split())
-    assert "The block has it in the place of 0 to " in words
-    assert ("wide enough for it now" in words) == (reach < MASS)
     written = yaml.safe_load((tmp_path / "b.yaml").read_text())
     first, second = written["platform"]["platform"]["payload"]
     assert first == fixed
     assert second["frame"] == frame
     assert second["mass_kg"] == pytest.approx(MASS, rel=0.005)
     assert second["com_m"] == pytest.approx([0.3, -0.4, 0.3], abs=0.005)
-    assert second["mass_range_kg"] == [0.0, max(reach, second["mass_kg"])]
+    assert second["mass_range_kg"] == [0.0, second["mass_kg"]], "wide enough for it now"
     assert second["com_range_m"] == ranged["com_range_m"]
     a, b, c_ = SIZE_m**2
     own = MASS / 12.0 * np.diag([a + c_, b + c_, a + b])  # its x axis is y of the platform
@@ -249,28 +207,20 @@ def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(t
 
 
 @pytest.mark.long
-def test_the_file_and_the_refusals(more, tmp_path):
-    out = tmp_path / "block.yaml"
-    result = identify(more / "a.mcap", "-o", out)
-    assert result.exit_code == 0, result.output
+def test_logs_and_files_that_cannot_serve_are_refused(more, tmp_path):
+    out, other, still = (tmp_path / name for name in ("block.yaml", "mine.yaml", "still.mcap"))
+    for _ in range(2):  # its own earlier file is replaced
+        assert identify(more / "a.mcap", "-o", out).exit_code == 0
     body = yaml.safe_load(out.read_text())["platform"]["platform"]["payload"][0]
     assert body["mass_kg"] == pytest.approx(MASS, rel=0.005)
-    assert identify(more / "a.mcap", "-o", out).exit_code == 0, "its own earlier file is replaced"
-    still = tmp_path / "still.mcap"
     rest = laden.changed(load("virtual"), reference={"type": "hold", "duration_s": 0.3})
     simulate(rest, log=still, check_replay=False)
-    springs = tmp_path / "springs.mcap"
-    simulate(load("bench"), log=springs, duration_s=3.0, check_replay=False)
-    other = tmp_path / "mine.yaml"
     other.write_text("name: mine\n")
     for arguments, said in (
         ((more / "a.mcap", "-o", other), "is not overwritten"),
         ((more / "a.mcap", more / "lab.mcap"), "its section platform is not that of"),
         ((still,), "too little motion"),
-        ((springs,), "this is another robot"),
         ((more / "a.mcap", more / "a.mcap"), "the same log twice"),
-        ((more / "none.mcap",), "none.mcap"),
-        ((other,), "mine.yaml"),
     ):
         result = identify(*arguments)
         assert result.exit_code == 2, result.output
@@ -279,55 +229,14 @@ def test_the_file_and_the_refusals(more, tmp_path):
 
 
 @pytest.mark.long
-def test_what_no_payload_explains_is_printed_as_the_platforms_own_figures(folder, tmp_path):
-    """50 kg more and less inertia than believed: no body on top of the platform takes inertia away."""
-    own = {"mass_kg": 1200, "com_m": [0, 0, 0.05], "inertia_kg_m2": [[400, 0, 0], [0, 250, 0], [0, 0, 260]]}
-    laden.run(virtual(), laden.changed(virtual(), platform={"platform": own}), tmp_path / "a.mcap")
-    result = identify(tmp_path / "a.mcap", "--json", tmp_path / "a.json")
-    assert result.exit_code == 0, result.output
-    found = json.loads((tmp_path / "a.json").read_text())
-    assert "no payload alone explains the rest" in result.stdout
-    assert found["payload"] is None
-    assert found["payload_alone_is_a_body"] is False
-    platform = found["block"]["platform"]["platform"]
-    assert platform["mass_kg"] == pytest.approx(1200.0, rel=1e-4)
-    assert platform["com_m"] == pytest.approx([0.0, 0.0, 0.05], abs=1e-4)
-    assert np.diag(platform["inertia_kg_m2"]) == pytest.approx([400.0, 250.0, 260.0], rel=1e-3)
-
-
-@pytest.mark.long
-def test_a_payload_that_is_known_stays_in_the_list(tmp_path):
-    """The block replaces the list: what was in it is there, and what is new behind it."""
-    known = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
-    c = laden.changed(virtual(), platform={"platform": {"payload": [known]}})
-    laden.run(c, laden.changed(c, platform={"platform": {"payload": [known, PAYLOAD]}}), tmp_path / "a.mcap")
-    first, second = block(identify_payload([tmp_path / "a.mcap"], None))["platform"]["platform"]["payload"]
-    assert first == known
-    assert second["mass_kg"] == pytest.approx(MASS, rel=0.005)
-    assert second["com_m"] == pytest.approx(COM, abs=0.005)
-
-
-@pytest.mark.long
 def test_a_load_that_moves_with_nothing_is_doubted_aloud(more, tmp_path):
     """A push that comes and goes is no mass: the residual says so."""
-    steps = [
-        WrenchStep(at_s=float(t), for_s=0.5, force_N=(4000.0, 0.0, 0.0)) for t in range(3, 12)
-    ]  # fmt: skip
-    laden.run(virtual(), virtual(), tmp_path / "a.mcap", FaultPlan(steps))
+    steps = [WrenchStep(at_s=float(t), for_s=0.5, force_N=(4000.0, 0.0, 0.0)) for t in range(3, 12)]
+    laden.run(virtual(), virtual(), tmp_path / "a.mcap", *steps)
     pushed, quiet = identify(tmp_path / "a.mcap"), identify(more / "free.mcap")
     assert pushed.exit_code == 0, pushed.output
     assert "a load on the platform" in pushed.stdout
     assert "a load on the platform" not in quiet.stdout
-
-
-@pytest.mark.long
-def test_a_controller_that_scales_its_masses_does_not_scale_the_legs_of_the_fit(tmp_path):
-    """Legs are those of section platform; the block takes the scale back."""
-    c = laden.changed(lab(), controller={"model": {"inertia_scale": 0.9}})
-    laden.run(c, c, tmp_path / "a.mcap")
-    found = identify_payload([tmp_path / "a.mcap"], None)
-    assert found.theta[0] == pytest.approx(300.0, rel=1e-3)
-    assert block(found)["controller"]["model"]["inertia_scale"] == 1.0
 
 
 def test_a_law_without_a_model_gets_no_section_for_one(folder, found, tmp_path):
@@ -341,51 +250,33 @@ def test_a_law_without_a_model_gets_no_section_for_one(folder, found, tmp_path):
 
 
 @pytest.mark.long
-def test_two_logs_predict_each_other(folder, tmp_path):
-    laden.run(
-        laden.changed(virtual(), reference={**MOTION, "duration_s": 7}),
-        laden.changed(virtual(), **LADEN),
-        tmp_path / "b.mcap",
-    )
-    found = identify_payload([folder / "a.mcap", tmp_path / "b.mcap"], None)
-    assert set(found.held_out) == {str(folder / "a.mcap"), str(tmp_path / "b.mcap")}
-    assert max(ours for ours, _ in found.held_out.values()) < 3.0
-    assert found.theta[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
-
-
-@pytest.mark.long
-def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path, capsys):
+def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path):
     """White noise of 2 um on every encoder, in the closed loop, 16 seeds."""
     c = laden.changed(virtual(), reference={**MOTION, "duration_s": 14})
     plant = laden.changed(c, **LADEN)
     theta, std = [], []
-    for seed in range(16):
+    for seed in range(12):
         noise = [EncoderNoise(leg=leg, at_s=0.0, sigma_m=2e-6, seed=6 * seed + leg) for leg in range(6)]
         path = tmp_path / f"{seed}.mcap"
-        laden.run(c, plant, path, FaultPlan(noise))
+        laden.run(c, plant, path, *noise)
         found = identify_payload([path], None)
         theta.append(found.theta)
         std.append(found.estimate.std)
         path.unlink()
     ratio = np.sqrt(np.mean(np.square(std), axis=0)) / np.std(theta, axis=0, ddof=1)
-    with capsys.disabled():
-        print(
-            f"\nstandard error over spread: {ratio.min():.2f} .. {ratio.max():.2f}, median {np.median(ratio):.2f}"
-        )
     assert ratio.min() > 0.5
     assert ratio.max() < 2.0
     assert np.mean(theta, axis=0)[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("axis", ["z_m", "x_m"])
-def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for_motion(tmp_path, axis):
+def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for_motion(tmp_path):
     """They tilt the platform by micrometres, and least squares would find an inertia in that: m z 12 of its
     standard errors off. What shows is right, the rest stays as believed, and no body is offered."""
-    line = {"components": [{"axis": axis, "amplitude": 0.05, "frequency_Hz": 0.8}]}
+    line = {"components": [{"axis": "x_m", "amplitude": 0.05, "frequency_Hz": 0.8}]}
     c = laden.changed(lab(), reference=line)
     laden.run(c, c, tmp_path / "line.mcap")
-    result = identify(tmp_path / "line.mcap", "--json", tmp_path / "line.json")
+    identify(tmp_path / "line.mcap", "--json", tmp_path / "line.json")
     found = json.loads((tmp_path / "line.json").read_text())
     assert {"I_xx", "I_zz", "I_xz"} <= set(found["not_shown"])
     assert "mass" not in found["not_shown"]
@@ -394,10 +285,3 @@ def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for
         assert value == pytest.approx(found["parameters_believed"][name], abs=2e-3 * size), name
     assert found["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
     assert "platform" not in found["block"]
-    again = identify_payload([tmp_path / "line.mcap"], None)
-    scaled = laden.changed(c, controller={"model": {"inertia_scale": 0.9}})
-    keys = block(again._replace(sources=[again.sources[0]._replace(configuration=scaled)]))
-    assert "inertia_scale" not in keys["controller"]["model"], "masses that are not shown are not taken back"
-    assert "The block leaves the body out, this motion does not show all of it" in " ".join(
-        result.stdout.split()
-    )

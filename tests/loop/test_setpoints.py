@@ -6,37 +6,16 @@ import pytest
 from drivers.errors import ConfigurationError
 from drivers.signals import Mode, Refusal, Warn
 from hil.app.check.command import inspect
-from hil.app.compose import build_cycle
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.loop.replay import replay
 from hil.record.log import Log
 from hil.signals import SetPoint
+from tests.live_reference import LIVE_REFERENCE
+from tests.loop.bench import changed, new_cycle
 
-LIVE = """reference:
-  type: live
-  limits:
-    velocity_m_s: 0.3
-    velocity_deg_s: 20
-    acceleration_m_s2: 1
-    acceleration_deg_s2: 60
-    jerk_m_s3: 10
-    jerk_deg_s3: 600
-
-"""
-VIRTUAL = load("virtual").text
-
-
-def configuration(*changes):
-    first, last = VIRTUAL.index("\nreference:") + 1, VIRTUAL.index("\nlimits:") + 1
-    text = VIRTUAL[:first] + LIVE + VIRTUAL[last:]
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return loads(text, "my.yaml")
-
-
+LIVE = changed("virtual", reference=LIVE_REFERENCE)
 POSES = """t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg
 0.0, 0.1, 0, 1.05, 0, 0, 0
 0.4, 0.1, 0.1, 1, 5, 0, -5
@@ -49,7 +28,7 @@ POSES = """t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("live")
     (folder / "poses.csv").write_text(POSES)
-    summary = simulate(configuration(), log=folder / "a.mcap", duration_s=6.3, setpoints=folder / "poses.csv")
+    summary = simulate(LIVE, log=folder / "a.mcap", duration_s=6.3, setpoints=folder / "poses.csv")
     return summary, Log.open(folder / "a.mcap")
 
 
@@ -102,7 +81,7 @@ def test_the_log_has_the_set_points_and_replays_them_to_the_bit(run):
 
 
 class Changed:
-    """A log in which one set-point is another, or comes later."""
+    """A log in which one set-point is another."""
 
     def __init__(self, log, change):
         self.log, self.change = log, change
@@ -125,7 +104,7 @@ def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
         words[word] += 1e-9
         return tick._replace(setpoints=(SetPoint(*words),))
 
-    verdict = replay(Changed(log, change), build_cycle(configuration(), 1000.0, 0.01))
+    verdict = replay(Changed(log, change), new_cycle(LIVE))
     assert not verdict.exact
     assert first[0] <= verdict.first[0].tick <= first[0] + 1000
 
@@ -133,7 +112,7 @@ def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
 def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES.splitlines()[0] + "\n0,0.3,0,1.1,0,0,8\n9,0,0,1,0,0,0\n")
     summary = simulate(
-        configuration(),
+        LIVE,
         log=tmp_path / "a.mcap",
         duration_s=2.0,
         setpoints=tmp_path / "poses.csv",
@@ -151,54 +130,23 @@ def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
     assert stopping["p_d"][-1, 0] < 0.3
 
 
-def test_without_set_points_it_holds_at_its_start(tmp_path):
-    summary = simulate(configuration(), log=tmp_path / "a.mcap", duration_s=1.8, check_replay=False)
-    assert summary["success"]
-    rows = Log.open(tmp_path / "a.mcap").rows()
-    tracking = rows[rows["mode"] == Mode.TRACKING]
-    assert (tracking["p_d"] == [0, 0, 1]).all()
-    assert "setpoints" not in summary
-
-
-def test_a_live_reference_has_no_end_of_its_own(tmp_path):
-    with pytest.raises(ConfigurationError, match="--duration"):
-        simulate(configuration(), log=tmp_path / "a.mcap")
-
-
-def test_set_points_for_another_reference_are_refused(tmp_path):
+def test_set_points_where_none_can_be_followed_are_refused(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES)
-    with pytest.raises(ConfigurationError, match=r"waypoints takes no set-points, allowed: live"):
+    with pytest.raises(ConfigurationError, match="--duration"):
+        simulate(LIVE, log=tmp_path / "a.mcap")
+    with pytest.raises(ConfigurationError, match="takes no set-points"):
         simulate(load("virtual"), log=tmp_path / "a.mcap", setpoints=tmp_path / "poses.csv")
+    (tmp_path / "poses.csv").write_text(POSES + "2.0,0,0,1,0,0,0\n")
+    with pytest.raises(ConfigurationError, match="times must increase"):
+        simulate(LIVE, log=tmp_path / "a.mcap", duration_s=1, setpoints=tmp_path / "poses.csv")
+    fast = changed(LIVE, reference={"limits": {"acceleration_m_s2": 19}})
+    with pytest.raises(ConfigurationError, match="at its start, set-points are refused"):
+        inspect(fast)
 
 
-@pytest.mark.parametrize(
-    ("text", "complaint"),
-    [
-        ("t,x\n", "the header must be t_s,x_m,y_m"),
-        (POSES.splitlines()[0] + "\n", r"0 row\(s\) of poses; at least 1"),
-        (POSES + "2.0,0,0,1,0,0,0\n", "times must increase"),
-    ],
-)
-def test_a_file_that_holds_no_set_points_is_refused(tmp_path, text, complaint):
-    (tmp_path / "poses.csv").write_text(text)
-    with pytest.raises(ConfigurationError, match=complaint):
-        simulate(configuration(), log=tmp_path / "a.mcap", duration_s=1, setpoints=tmp_path / "poses.csv")
-
-
-def test_a_start_where_every_set_point_would_be_refused_is_refused():
-    with pytest.raises(
-        ConfigurationError,
-        match=r"my.yaml:\d+:1: reference: at its start, set-points are refused: a leg could",
-    ):
-        inspect(configuration(("acceleration_m_s2: 1\n", "acceleration_m_s2: 19\n")))
-
-
-def test_leg_rates_that_all_axes_together_could_ask_for_are_warned_of():
-    warnings = inspect(configuration(("velocity_m_s: 0.3", "velocity_m_s: 2"))).warnings
-    assert any("set-points on all axes at once may ask for" in w for w in warnings)
-    assert not any("set-points" in w for w in inspect(configuration()).warnings)
-
-
-def test_leg_decelerations_that_would_be_a_fault_before_a_soft_end_are_warned_of():
-    c = configuration(("deceleration_m_s2: 10 ", "deceleration_m_s2: 1 "))
-    assert any("limits.deceleration_m_s2 is 1: before a soft end" in w for w in inspect(c).warnings)
+def test_limits_that_set_points_could_ask_too_much_with_are_warned_of():
+    assert not any("set-points" in w for w in inspect(LIVE).warnings)
+    fast = inspect(changed(LIVE, reference={"limits": {"velocity_m_s": 2}})).warnings
+    assert any("set-points on all axes" in w for w in fast)
+    weak = inspect(changed(LIVE, limits={"deceleration_m_s2": 1})).warnings
+    assert any("limits.deceleration_m_s2 is 1" in w for w in weak)

@@ -12,10 +12,8 @@ from math import pi, sqrt
 import numpy as np
 import pytest
 
-from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.contracts.records import referred
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from hil.trajectory.build import build_trajectory
@@ -24,7 +22,6 @@ from tests.loop.bench import changed, run, succeeded
 W_N = 20.0
 SHARE_kg = 1000.0
 GEAR_kg = 0.019 * (2 * pi / 0.005) ** 2
-PERIOD_S = 1e-3
 WIDE = 1_000_000
 """Newton: 148 kN accelerate 30 t."""
 
@@ -69,13 +66,11 @@ def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
     assert slowest < W_N < fastest
 
 
-def test_a_decentralised_law_with_a_gear_is_forty_times_better_than_without():
-    """And its error falls as the inertia of the motors rises."""
+def test_the_error_of_a_decentralised_law_falls_as_the_inertia_of_the_motors_rises():
     factors = np.array([0.5, 1.0, 2.0])
     peaks = [
         succeeded(geared(factor * GEAR_kg)).summary["tracking"]["peak_leg_error_mm"] for factor in factors
     ]
-    assert pushed_on_mm(geared(0.0)) == pytest.approx(50.9, rel=0.10)
     assert peaks[1] == pytest.approx(1.32, rel=0.10)
     products = factors * peaks
     assert products == pytest.approx(products.mean(), rel=0.03)
@@ -85,23 +80,4 @@ def test_without_a_gear_safety_stops_before_the_platform_falls_through_a_singula
     """Legs 37 mm short of the far point have no pose on this side of it."""
     summary = run(geared(0.0)).summary
     assert summary["faults"] == ["CONDITION"]
-    assert 0.03 < 1e-3 * summary["tracking"]["peak_leg_error_mm"] < 0.0509
-
-
-def pushed_on_mm(configuration):
-    """Peak leg error of the same law on the plant itself, with nobody to stop it: PD needs no pose."""
-    law = configuration.controller
-    platform, trajectory = path()
-    _, plant = build_nodes(configuration)
-    try:
-        q, dq = plant.reset()
-        peak = 0.0
-        for k in range(2000):
-            r = referred(platform, trajectory.sample(k * PERIOD_S))
-            e, de = r["q_d"] - q, r["dq_d"] - dq
-            peak = max(peak, float(np.abs(e).max()))
-            tau = law.kp_N_m * e + law.kv_N_s_m * de + law.feedforward_mass_kg * r["ddq_d"]
-            q, dq = plant.step(tau, np.zeros(6), np.zeros(6), PERIOD_S)
-    finally:
-        plant.close()
-    return 1e3 * peak
+    assert 30.0 < summary["tracking"]["peak_leg_error_mm"] < 50.9

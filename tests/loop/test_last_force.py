@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.loop.fused import fused
 
 import hil.loop.cycle
 from drivers.signals import DriveState, Fault, Mode
@@ -22,6 +21,7 @@ from plant_fmu.faults.kinds import (
 )
 from tests.broad import broad
 from tests.loop.bench import changed, run
+from tests.loop.fused import fused
 from tests.loop.test_held import BOUND_m, held
 
 JUMP_s = 2.0

@@ -12,7 +12,7 @@ import pytest
 from click.testing import CliRunner
 
 import hil
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import LogError
 from drivers.signals import Fault, Mode, Warn
 from hil.app.configuration.changes import text_of, with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
@@ -26,7 +26,6 @@ from hil.lab.learn.model import belief_of, learner
 from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
 from hil.lab.learn.runs import learning_run
 from hil.record.log import Log
-from tests.loop.bench import changed
 
 SHORT = {
     "type": "waypoints",
@@ -203,24 +202,6 @@ def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(made, colum
     monkeypatch.setattr(runs, "recorded_run", lambda _: recorded._replace(rows=spoiled(along, **columns)))
     with pytest.raises(LogError, match=said):
         learning_run(path)
-
-
-@pytest.mark.parametrize(
-    ("controller", "said"),
-    [
-        ({"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}, "demands no acceleration"),
-        ({"law": "pose_inverse_dynamics", "wn_rad_s": 20}, "controls the pose"),
-        (
-            {"law": "robust_inverse_dynamics", "wn_rad_s": 20, "boundary_layer_m_s": 0.01,
-             "uncertainty": {"disturbance_m_s2": 1}},
-            "has no linear loop",
-        ),
-    ],
-)  # fmt: skip
-def test_a_law_whose_loop_is_not_known_is_refused(controller, said):
-    other = changed("virtual", controller=controller)
-    with pytest.raises(ConfigurationError, match=said):
-        learner(other, belief_of(other, None, 0.25, 1e-3), 2500)
 
 
 def axes(folder: Path, **changes: Any) -> Path:

@@ -56,16 +56,6 @@ def test_on_hold_the_reference_rests_on_the_path_and_goes_on_from_there(operated
     assert np.abs(np.cross(x, direction)).max() < 1e-9, "never off the path"
 
 
-def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(operated):
-    _, rows = operated
-    moving = rows[1215:8700]
-    v = np.gradient(moving["p_d"], 1e-3, axis=0)
-    a = np.gradient(moving["twist_d"][:, :3], 1e-3, axis=0)
-    assert np.abs(v - moving["twist_d"][:, :3])[1:-1].max() < 1e-5
-    assert np.abs(a - moving["dtwist_d"][:, :3])[1:-1].max() < 0.01
-    assert np.abs(moving["q_d"] - moving["q"]).max() < 5e-4
-
-
 @pytest.mark.parametrize(
     ("tick", "orders"),
     broad(
@@ -96,14 +86,6 @@ def test_without_the_key_the_stop_begins_in_time_and_only_a_new_start_ends_it(tm
     assert slower[0] + 1 == last_key + 100 + 1
     assert (np.diff(t[3585:5000]) == 0.0).all(), "a start without the key, a key without a start"
     assert t[5600] > t[5000]
-
-
-def test_a_start_that_is_asked_for_waits_at_the_start_of_the_path(tmp_path):
-    _, rows = simulated(tmp_path, [(2.5, "start")], duration_s=4.0, operator={"start": "asked"})
-    waiting = rows[(rows["mode"] == Mode.TRACKING) & (rows["tick"] <= 2500)]
-    assert len(waiting) > 1000
-    assert not waiting["twist_d"].any()
-    assert rows["twist_d"][2600:3900].any(axis=1).all()
 
 
 def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(tmp_path):

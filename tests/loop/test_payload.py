@@ -176,37 +176,6 @@ def test_an_empty_platform_keeps_its_exact_figures(more, tmp_path):
 
 
 @pytest.mark.long
-def test_what_was_found_takes_the_place_of_the_payload_that_is_known_by_ranges(tmp_path):
-    """Its ranges stay, in its own frame, and hold what was found."""
-    fixed = {"mass_kg": 20.0, "com_m": [0.0, 0.0, 0.1], "shape": {"type": "sphere", "radius_m": 0.1}}
-    frame = {"origin_m": [0.1, 0.0, 0.2], "rotation_vector_deg": [0.0, 0.0, 90.0]}
-    ranged = {
-        "mass_kg": 0.0,
-        "mass_range_kg": [0.0, 100.0],
-        "com_m": [0.0, 0.0, 0.3],
-        "com_range_m": [[-0.4, 0.4], [-0.5, 0.4], [0.2, 0.4]],
-        "shape": {"type": "box", "size_m": [0.3, 0.3, 0.3]},
-        "frame": frame,
-    }
-    c = laden.changed(virtual(), platform={"platform": {"payload": [ranged, fixed]}})
-    laden.run(c, laden.changed(c, platform={"platform": {"payload": [PAYLOAD, fixed]}}), tmp_path / "a.mcap")
-    result = identify(tmp_path / "a.mcap", "-o", tmp_path / "b.yaml")
-    assert result.exit_code == 0, result.output
-    written = yaml.safe_load((tmp_path / "b.yaml").read_text())
-    first, second = written["platform"]["platform"]["payload"]
-    assert first == fixed
-    assert second["frame"] == frame
-    assert second["mass_kg"] == pytest.approx(MASS, rel=0.005)
-    assert second["com_m"] == pytest.approx([0.3, -0.4, 0.3], abs=0.005)
-    assert second["mass_range_kg"] == [0.0, second["mass_kg"]], "wide enough for it now"
-    assert second["com_range_m"] == ranged["com_range_m"]
-    a, b, c_ = SIZE_m**2
-    own = MASS / 12.0 * np.diag([a + c_, b + c_, a + b])  # its x axis is y of the platform
-    assert np.abs(np.array(second["inertia_kg_m2"]) - own).max() < 1.0
-    laden.changed(c, **written)
-
-
-@pytest.mark.long
 def test_logs_and_files_that_cannot_serve_are_refused(more, tmp_path):
     out, other, still = (tmp_path / name for name in ("block.yaml", "mine.yaml", "still.mcap"))
     for _ in range(2):  # its own earlier file is replaced

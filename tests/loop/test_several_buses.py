@@ -50,16 +50,6 @@ def two(*changes: Changes, which: int = 1, **bus: Any) -> Configuration:
     return changed("two_buses", **merged({"bus": {"channels": lines}}, *changes))
 
 
-def cia402(legs: str, rate_Hz: float) -> Configuration:
-    drives = {
-        "protocol": "cia402",
-        "options": {"rated_torque_Nm": 9.5, "velocity": "difference"},
-        "transmission": {"lead_m": 0.02, "counts_per_turn": 131072, "offset_m": 0.7},
-    }
-    changes: Changes = {"bus": {"layout": "classic"}, "drives": drives, "loop": {"rate_Hz": rate_Hz}}
-    return changed("lab", **merged(split(legs), changes))
-
-
 # -- budget ----------------------------------------------------------------------------------------------------
 
 
@@ -102,15 +92,6 @@ def test_the_slower_bus_decides_on_the_load_and_on_the_window_of_the_feedbacks(s
         assert any("take 406 us" in each for each in report.warnings) == late
 
 
-@pytest.mark.parametrize(("legs", "rate_Hz"), [("2x3", 939.6), ("3x2", 1359.2)])
-def test_cia402_drives_run_as_fast_as_their_buses_carry(legs, rate_Hz):
-    c = cia402(legs, 400)
-    found = bus_budgets(c.bus, c.drives, c.sensors, 400.0)
-    assert {round(each.allowed_rate_Hz, 1) for each in found} == {rate_Hz}
-    with pytest.raises(ConfigurationError, match=f"up to {rate_Hz:.0f} Hz"):
-        cia402(legs, rate_Hz + 1.0)
-
-
 # -- runs ------------------------------------------------------------------------------------------------------
 
 
@@ -146,14 +127,6 @@ def test_every_family_runs_to_parked_on_several_buses(family, legs):
     ran = run(changed("desktop", **merged(FAMILIES[family], split(legs))), stop_s=0.1)
     assert ran.ending.success, ran.ending
     assert (ran.summary["rejected_frames"], ran.summary["stale_ticks"]) == (0, 0)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("legs", "rate_Hz"), [("2x3", 625), ("3x2", 1250)])
-def test_cia402_drives_run_to_parked_on_several_buses(legs, rate_Hz):
-    ran = run(cia402(legs, rate_Hz), stop_s=1.0)
-    assert ran.ending.success, ran.ending
-    assert ran.summary["rejected_frames"] == 0
 
 
 # -- skew ------------------------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ from hil.app.configuration.configuration import load
 from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.control.inverse_dynamics import JointInverseDynamics
-from hil.loop.motion import Motion
 from hil.loop.run_end import Course
 from hil.loop.story.told import Story
 from hil.record.log import Log
@@ -110,13 +109,6 @@ def test_an_encoder_that_jumps_far_is_told_before_what_its_length_spoils():
     off = abs(ran.true[last.tick][5] + 1.0 - ran.rows[last.tick]["q_d"][5])
     assert last.seen.value == pytest.approx(off, abs=1e-3)
     assert last.seen.limit == pytest.approx(0.5, rel=0.1)
-
-
-def test_a_brake_that_slips_names_a_limit_of_this_configuration():
-    _, story = told(plant={"model": {"brake_force_N": 3200}}, limits={"standstill_m": 7e-4})
-    assert {each.seen.limit for each in story.findings} == {7e-4}
-    assert all(each.seen.value > 7e-4 for each in story.findings)  # type: ignore[operator]
-    assert "limits.standstill_m is 0.7 mm" in story.short
 
 
 def test_drives_that_a_forged_command_switched_off_are_named():
@@ -316,32 +308,3 @@ def test_a_law_that_raises_is_a_latched_fault_with_what_it_raised_and_where(monk
     assert finding.tick >= begins
     assert "ZeroDivisionError: a {defect}" in finding.text
     assert __file__ in finding.text
-
-
-def test_a_reference_that_is_no_number_is_told_with_the_columns_it_spoils(monkeypatch):
-    """No measurement leads there, as drives and sensors that send no numbers are refused."""
-    start = Motion.start
-
-    class Defective:
-        def __init__(self, sound, tick):
-            self.sound, self.tick, self.duration_s = sound, tick, sound.duration_s
-
-        def sample(self, t):
-            whole = self.sound.sample(t)
-            return whole._replace(twist=whole.twist * (np.nan if self.tick + round(1e3 * t) >= 1400 else 1.0))
-
-    def defective(self, trajectory, tick, then=None):
-        start(self, trajectory, tick, then)
-        self._go_along(Defective(trajectory, tick))
-
-    monkeypatch.setattr(Motion, "start", defective)
-    ran, story = told()
-    found = [each for each in story.findings if each.fault == "NOT_FINITE"]
-    row = ran.rows[1400]
-    assert [each.seen.leg for each in found] == [*range(6), None]
-    for each in found:
-        assert each.tick == 1400
-        column = each.text.split(" ")[0]
-        assert not np.isfinite(row[column][each.seen.leg or 0])
-    assert np.isfinite(ran.rows["tau"]).all()
-    assert not ran.ending.success

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -85,16 +84,6 @@ def test_rows_are_paired_by_their_number_whatever_the_blocks(sizes):
             assert (lacking.count, lacking.first) == (len(rest), rest[0] + start if rest else None)
 
 
-@pytest.mark.parametrize("longer", [0, 1])
-@pytest.mark.parametrize("size", [1, 2, 5, 50])
-def test_the_ticks_by_which_one_log_is_longer_are_lacking_in_the_other_one(size, longer):
-    one, other = (Made(range(12) if n == longer else range(5), size) for n in (0, 1))
-    alone = Alone()
-    list(paired(one, other, NAMES, (0, 0), alone))
-    found = [(each.count, each.first) for each in (alone.one, alone.other)]
-    assert found == [(7, 5) if n == longer else (0, None) for n in (0, 1)]
-
-
 def test_a_log_is_the_same_as_itself_and_as_one_whose_clock_began_elsewhere(log, made):
     result = CliRunner().invoke(main, ["replay", str(log), "--against", str(log)])
     assert result.exit_code == 0, result.output
@@ -108,21 +97,21 @@ def test_the_first_tick_of_a_column_is_named_with_both_values(log, tmp_path):
     words = ["replay", str(log), "--against", str(other), "--json", str(tmp_path / "a.json")]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 1, result.output
-    found = json.loads((tmp_path / "a.json").read_text())
+    assert "tau.leg_" in result.stdout
+    columns = json.loads((tmp_path / "a.json").read_text())["columns"]
+    (tau,) = [each for each in columns if each["column"] == "tau"]
     one, two = (Log(path).rows() for path in (log, other))
     count = min(len(one), len(two))
-    differs = (one["tau"][:count] != two["tau"][:count]).any(axis=1)
-    tick = int(one["tick"][:count][differs][0])
-    (tau,) = [each for each in found["columns"] if each["column"] == "tau"]
-    assert (tau["first"]["tick"], tau["ticks"], tau["unit"]) == (tick, int(differs.sum()), "N")
-    assert tau["largest"] == pytest.approx(np.abs(one["tau"][:count] - two["tau"][:count]).max(), rel=1e-12)
+    a, b = one["tau"][:count], two["tau"][:count]
+    differs = (a != b).any(axis=1)
+    row = int(differs.argmax())
+    assert (tau["first"]["tick"], tau["ticks"], tau["unit"]) == (one["tick"][row], int(differs.sum()), "N")
+    assert tau["largest"] == pytest.approx(np.abs(a - b).max(), rel=1e-12)
     leg = int(tau["first"]["element"].removeprefix("tau.leg_"))
-    row = int(np.flatnonzero(one["tick"] == tick)[0])
     assert (tau["first"]["log"], tau["first"]["other"]) == (
-        repr(one["tau"][row, leg].item()),
-        repr(two["tau"][row, leg].item()),
+        repr(a[row, leg].item()),
+        repr(b[row, leg].item()),
     )
-    assert "tau.leg_" in result.stdout
 
 
 def test_a_tolerance_is_of_its_column_and_inf_judges_nothing(made):
@@ -169,27 +158,32 @@ def test_motions_are_aligned_by_the_first_tick_in_which_the_platform_moves(made)
     assert (column["column"], column["first"]["tick"], column["first"]["time_s"]) == ("tau", 9, 0.003)
     with pytest.raises(LogError, match=r"never moves, .* --align tick"):
         made(early, Made(range(5)), align="motion")
-    late.columns = (COLUMNS["tick"], COLUMNS["t_ns"], COLUMNS["tau"]._replace(name="mode"))
-    with pytest.raises(LogError, match="has no column of modes"):
-        made(early, late, align="motion")
+
+
+BEFORE = [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING]
 
 
 @pytest.mark.parametrize(
-    "then",
-    [[], [Mode.FAULT], [Mode.UNLOADING, Mode.PARKED], [Mode.PARKED], [Mode.HELD], [Mode.PARKING]],
+    ("modes", "first"),
+    [
+        *(
+            ([*BEFORE, *then], None)
+            for then in ([], [Mode.FAULT], [Mode.UNLOADING, Mode.PARKED], [Mode.HELD])
+        ),
+        *(
+            ([*BEFORE, Mode.FAULT, *BEFORE, mode], 9)
+            for mode in (Mode.APPROACH, Mode.TRACKING, Mode.STOPPING)
+        ),
+    ],
     ids=str,
 )
-def test_a_run_that_ended_before_its_approach_never_moved_however_it_ended(then):
-    before = [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING, *then]
+def test_a_platform_moves_first_in_its_first_approach_also_after_an_end_without_motion(modes, first):
+    rows = Made(range(len(modes)), mode=modes)
+    if first is not None:
+        assert first_motion(rows) == (first, 1_000_000 * first)
+        return
     with pytest.raises(LogError, match=r"never moves, .* --align tick"):
-        first_motion(Made(range(len(before)), mode=before))
-
-
-@pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
-def test_a_run_that_moves_after_an_end_without_motion_moves_first_there(mode):
-    """One that stays, was faulted in its brake test, reset and armed."""
-    modes = [Mode.LOADING, Mode.FAULT, Mode.WAITING, Mode.LOADING, Mode.RELEASING, mode, mode]
-    assert first_motion(Made(range(len(modes)), mode=modes)) == (5, 5_000_000)
+        first_motion(rows)
 
 
 def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
@@ -203,20 +197,10 @@ def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
     assert found["columns_compared"] == 3
 
 
-@pytest.mark.parametrize(
-    "words", [["age=inf"], ["condition=inf"], ["tau=inf"], ["tau=0.5", "age=0", "condition=1"]]
-)
-def test_a_tolerance_of_a_column_that_one_log_lacks_or_has_of_another_type_is_taken(made, words):
+def test_a_tolerance_of_a_column_that_one_log_lacks_is_taken(made):
     one, other = Made(range(4)), Made(range(4))
     one.columns = (*one.columns, COLUMNS["age"])
-    other.columns = (COLUMNS["condition"], *other.columns[:-1], COLUMNS["tau"]._replace(type=int))
-    found = made(one, other, *words)
-    assert found["success"]
-    assert found["columns_compared"] == 3
-    with pytest.raises(ConfigurationError, match=r"'agee'; did you mean age\?"):
-        made(one, other, "agee=inf")
-    with pytest.raises(ConfigurationError, match="age has a tolerance already"):
-        made(one, other, "age=1", "age=2")
+    assert made(one, other, "tau=0.5", "age=0")["success"]
 
 
 def test_what_cannot_be_compared_is_refused(made):
@@ -230,32 +214,14 @@ def test_what_cannot_be_compared_is_refused(made):
         made(Made(range(3)), Made(range(3, 5)))
 
 
-@pytest.mark.parametrize("unknown", [0, 1])
-def test_a_log_that_does_not_say_its_rate_is_compared_with_none_that_does(made, unknown):
-    logs = [Made(range(3)), Made(range(3))]
-    logs[unknown].metadata = {"hil": {}}
-    rates = ["1000 Hz", "1000 Hz"]
-    rates[unknown] = "an unknown rate"
-    with pytest.raises(LogError, match=f"ran at {rates[0]}, that of made.mcap at {rates[1]}; allowed"):
-        made(*logs)
-    logs[1 - unknown].metadata = {}
-    assert made(*logs)["success"]
-
-
 @pytest.mark.parametrize(
     ("words", "message"),
     [
         (["tua=1"], r"neither log has a column 'tua'; did you mean tau\?"),
-        (["=1"], "neither log has a column ''"),
         (["tau=-1"], "allowed: COLUMN=VALUE"),
-        (["tau=nan"], "allowed: COLUMN=VALUE"),
         (["much"], "allowed: COLUMN=VALUE"),
         (["tau=1", "tau=2"], "column tau has a tolerance already"),
-        (["tau=0", "tau=2"], "column tau has a tolerance already"),
-        (["tau=2", "tau=0"], "column tau has a tolerance already"),
         (["1e-9", "1e-6"], "is given twice"),
-        (["0", "1e-6"], "is given twice"),
-        (["1e-6", "0"], "is given twice"),
         (["mode=1"], "have names and no distance, allowed: mode=0"),
     ],
 )
@@ -280,14 +246,6 @@ def test_a_tick_that_is_missing_from_the_file_is_found(log, tmp_path):
     assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 300})
 
 
-@pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING])
-def test_a_platform_that_waits_or_stands_on_its_brakes_is_not_in_its_first_motion(mode):
-    rows = Made(range(10, 19), size=4, mode=[mode] * 6 + [Mode.APPROACH] * 3)
-    assert first_motion(rows) == (16, 16_000_000)
-    with pytest.raises(LogError, match="its platform never moves"):
-        first_motion(Made(range(9), mode=mode))
-
-
 @pytest.mark.parametrize("name", NAMES[2:])
 @pytest.mark.parametrize(("late_ns", "other_late_ns"), [(0, 0), (300_000, 0), (0, 300_000)])
 def test_the_time_of_a_difference_is_that_of_the_log_however_late_the_other_was(
@@ -301,9 +259,3 @@ def test_the_time_of_a_difference_is_that_of_the_log_however_late_the_other_was(
     for key in ("first", "at"):
         place = found[name][key]
         assert (place["tick"], place["time_s"]) == (5, pytest.approx(5e-3 + 1e-9 * late_ns, abs=1e-12))
-
-
-def test_a_comparison_says_how_long_it_took(made, monkeypatch):
-    clock = SimpleNamespace(perf_counter=iter((1000.0, 1002.5)).__next__)
-    monkeypatch.setattr("hil.study.against.command.time", clock)
-    assert made(Made(range(3)), Made(range(3)))["wall_s"] == 2.5

@@ -11,10 +11,10 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner
 
 from hil.app.configuration.configuration import load
-from hil.cli import main
+from hil.app.sim.command import simulate
+from tests.loop.bench import changed
 
 PROBE = """
 import hashlib, json, math, struct
@@ -47,7 +47,7 @@ for log in sys.argv[1:]:
 """
 # What each path needs of the controller: polynomials and inverse dynamics; sines and another robot; a centre of
 # mass off every axis, where a dot product would round by kernel.
-RECORDED = {"virtual": "1.5", "lab": "1.5", "aside": "1.5"}
+RECORDED = ("virtual", "lab", "aside")
 
 
 def python(variables, *words):
@@ -70,31 +70,15 @@ def usual():
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("logs")
-    text = load("virtual").text
-    assert text.count("com_m: [0, 0, 0]") == 1
-    aside = folder / "aside.yaml"
-    aside.write_text(text.replace("com_m: [0, 0, 0]", "com_m: [0.075, 0.238, 0.165]"))
-    for name, duration in RECORDED.items():
-        configuration = str(aside) if name == "aside" else name
-        result = CliRunner().invoke(
-            main, ["sim", configuration, "--duration", duration, "--log", str(folder / f"{name}.mcap")]
-        )
-        assert result.exit_code == 0, result.output
+    centre = {"platform": {"com_m": [0.075, 0.238, 0.165]}}
+    for name in RECORDED:
+        c = changed("virtual", platform=centre) if name == "aside" else load(name)
+        assert simulate(c, log=folder / f"{name}.mcap", duration_s=1.5)["success"]
     return folder
 
 
-def test_the_probe_repeats(usual):
-    assert probe({}) == usual
-
-
 @pytest.mark.long
-@pytest.mark.parametrize(
-    ("library", "variables"),
-    [
-        pytest.param(*variant, id=name, marks=() if name.startswith("both") else pytest.mark.long)
-        for name, variant in VARIANTS.items()
-    ],
-)
+@pytest.mark.parametrize(("library", "variables"), VARIANTS.values(), ids=VARIANTS)
 def test_replay_is_exact_under_other_kernels(usual, logs, tmp_path, library, variables):
     differs = probe(variables)[library] != usual[library]
     copies = [shutil.copy(logs / f"{name}.mcap", tmp_path) for name in RECORDED]

@@ -1,99 +1,272 @@
-"""A log replays to the bit, and replay notices what does not."""
+"""A log replays to the bit, and a replay notices what does not: every column, every input, every frame."""
 
 from __future__ import annotations
 
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
 import pytest
 
-from drivers.protocol import Received
-from drivers.signals import Mode
-from hil.app.compose import build_cycle
+from drivers.errors import LogError
+from drivers.frame_array import received_frames
+from drivers.protocol import Frame, Received
+from drivers.signals import LEGS, BusState, Mode
+from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS, INPUT_COLUMNS, ROW
 from hil.app.configuration.configuration import load
+from hil.app.readable import readable
 from hil.app.replay import replay_log
-from hil.app.sim.command import simulate
-from hil.loop.replay import replay
+from hil.loop.replay import Comparison, Difference, recorded_input, replay
+from hil.record.entries import Tick
 from hil.record.log import Log
-from tests.broad import broad
+from hil.record.salvage import salvage
+from hil.signals import Operator
+from hil.study.what_if.command import what_if_log
+from tests.hil.rewrite import mcap_summary
+from tests.loop.bench import new_cycle
+from tests.replay.moving import moved
+
+AT = 50
+"""The tick that is changed."""
 
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory):
-    path = tmp_path_factory.mktemp("replay") / "run.mcap"
-    summary = simulate(load("virtual"), log=path, duration_s=2.8)
-    assert summary["success"]
-    return path
+    return moved(tmp_path_factory.mktemp("replay") / "run.mcap")
 
 
-class Edited:
-    """A log with one tick changed on its way to the replay."""
-
-    def __init__(self, path, tick, change):
-        self.log, self.tick, self.change = Log.open(path), tick, change
-
-    def ticks(self):
-        for entry in self.log.ticks():
-            yield self.change(entry) if entry.row["tick"] == self.tick else entry
+@pytest.fixture(scope="module")
+def entries(log):
+    return list(Log.open(log).ticks())
 
 
-def cycle():
-    c = load("virtual")
-    return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
+@cache
+def cycle() -> Any:
+    """Return a controller that each replay resets."""
+    return new_cycle(load("virtual"))
 
 
-def flip(entry, frame=2, byte=0):
-    received = list(entry.received)
-    t_ns, f = received[frame]
-    data = bytearray(f.data)
-    data[byte] ^= 1
-    received[frame] = Received(t_ns, f._replace(data=bytes(data)))
-    return entry._replace(received=tuple(received))
+def verdict_on(entries: list[Tick]) -> Comparison:
+    class Entries:
+        def ticks(self) -> Any:
+            return iter(entries)
+
+    return replay(Entries(), cycle())
 
 
-def test_every_tick_and_frame_comes_back(log):
+def with_row(entries: list[Tick], at: int, **columns: Any) -> list[Tick]:
+    """Return the ticks with some columns of one changed."""
+    row: Any = entries[at].row.copy()
+    for name, value in columns.items():
+        row[name] = value
+    return [*entries[:at], entries[at]._replace(row=row), *entries[at + 1 :]]
+
+
+def compared(entries: list[Tick], **columns: Any) -> Comparison:
+    return verdict_on(with_row(entries, AT, **columns)[: AT + 10])
+
+
+def test_every_tick_and_frame_comes_back(log, entries):
     verdict, summary = replay_log(log)
     assert verdict.exact
-    assert verdict.ticks == len(Log.open(log).rows()) > 2500
+    assert verdict.ticks == len(entries) > 500
+    assert verdict.frames == sum(len(entry.sent) for entry in entries)
     assert summary["different_ticks"] == 0
+    assert (compared(entries).largest, compared(entries).story) == (0.0, None)
 
 
-@pytest.mark.parametrize(
-    "mode", broad([Mode.TRACKING, Mode.IDLE, Mode.LOADING, Mode.APPROACH, Mode.PARKED], quick=2)
-)
-def test_one_flipped_bit_names_the_tick_and_the_column(log, mode):
-    rows = Log.open(log).rows()
-    tick = int(rows["tick"][rows["mode"] == mode][-1])
-    verdict = replay(Edited(log, tick, flip), cycle())
+@pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.IDLE, Mode.LOADING, Mode.APPROACH, Mode.PARKED])
+def test_one_flipped_bit_of_a_frame_names_the_tick_and_the_column(entries, mode):
+    at = next(k for k, entry in enumerate(entries) if entry.row["mode"] == mode)
+    received = list(entries[at].received)
+    t_ns, frame = received[2]
+    received[2] = Received(t_ns, frame._replace(data=bytes([frame.data[0] ^ 1, *frame.data[1:]])))
+    changed = entries[at]._replace(received=tuple(received))
+    verdict = verdict_on([*entries[:at], changed, *entries[at + 1 : at + 20]])
     assert not verdict.exact
-    assert {d.tick for d in verdict.first} == {tick}
+    assert {d.tick for d in verdict.first} == {at}
     assert "frames_crc32" in [d.column for d in verdict.first]
 
 
-def test_a_changed_computed_column_is_named(log):
-    def change(entry):
-        row = entry.row.copy()
-        row["tau"][3] += 1e-9
-        return entry._replace(row=row)
-
-    verdict = replay(Edited(log, 1200, change), cycle())
-    assert [(d.tick, d.column) for d in verdict.first] == [(1200, "tau")]
-    assert verdict.different_ticks == 1
-    assert verdict.wire_different_ticks == 0
-
-
-def test_a_changed_sent_frame_is_named(log):
-    def change(entry):
-        return entry._replace(sent=(*entry.sent[:-1], entry.sent[-1]._replace(data=b"")))
-
-    verdict = replay(Edited(log, 1200, change), cycle())
-    assert [(d.tick, d.column) for d in verdict.first] == [(1200, "sent frames")]
-    assert verdict.wire_different_ticks == 1
+@pytest.mark.parametrize("name", COMPUTED_COLUMNS)
+def test_every_computed_column_is_compared_in_its_last_element(entries, name):
+    column, row = COLUMNS[name], entries[1].row
+    changed = np.array(row[name])
+    changed.reshape(-1)[-1] = 1.0 if np.isnan(changed.reshape(-1)[-1]) else changed.reshape(-1)[-1] + 1
+    verdict = verdict_on(with_row(entries[:2], 1, **{name: changed}))
+    assert [(each.tick, each.column) for each in verdict.first] == [(1, name)]
+    assert (verdict.different_ticks, verdict.wire_different_ticks) == (1, 0)
+    assert (verdict.largest == math.inf) == (column.type is not float or np.isnan(row[name]).any())
+    assert verdict.largest > 0.0
 
 
-def test_a_missing_tick_is_a_gap_and_no_verdict_beyond_it(log):
-    class Gap(Edited):
-        def ticks(self):
-            return (entry for entry in self.log.ticks() if entry.row["tick"] != self.tick)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_a_number_that_was_recorded_as_none_is_no_small_difference(entries, value):
+    lengths = np.where(np.arange(6) == 5, value, entries[AT].row["q"])
+    verdict = compared(entries, q=lengths)
+    assert verdict.largest == math.inf
+    assert f"q[5]: recorded {value!r}, replayed " in str(verdict.first[0])
 
-    verdict = replay(Gap(log, 700, None), cycle())
-    assert verdict.gaps == [(700, 1)]
-    assert verdict.ticks == 700
-    assert not verdict.exact
+
+def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(entries):
+    lengths = entries[AT].row["q"].copy()
+    own = float(lengths[3])
+    for recorded, unit in ((1e6, 1e6), (own + 0.5, own + 0.5), (0.75, 1.0), (0.0, 1.0), (-1.25, 1.25)):
+        lengths[3] = recorded
+        found = compared(entries, q=lengths)
+        assert found.largest == pytest.approx(abs(recorded - own) / unit, rel=1e-9)
+        assert f"tick {AT}: q[3]: recorded {recorded!r}, replayed {own!r}" in str(found.first[0])
+    far = Difference(7, "tau", np.array([1.7e308]), np.array([-1.7e308]))
+    assert "difference -inf" in str(far)
+
+
+def test_the_largest_difference_is_that_of_all_ticks_and_an_integer_has_no_small_one(entries):
+    far = with_row(entries[:100], 20, q=entries[20].row["q"] + 9.0)
+    verdict = verdict_on(with_row(far, 60, q=entries[60].row["q"] + 0.1))
+    assert verdict.different_ticks == 2
+    assert verdict.largest == pytest.approx(9.0 / (9.0 + entries[20].row["q"].min()), rel=1e-3)
+    found = compared(entries, q=entries[AT].row["q"] * 2, mode=99)
+    assert found.largest == math.inf
+    assert {each.column for each in found.first} == {"q", "mode"}
+
+
+def test_sent_frames_that_are_others_or_missing_are_a_difference_of_the_wire(entries):
+    for sent in ((), (*entries[AT].sent[:-1], entries[AT].sent[-1]._replace(data=b""))):
+        verdict = verdict_on([*entries[:AT], entries[AT]._replace(sent=sent), *entries[AT + 1 : 100]])
+        assert [(each.tick, each.column) for each in verdict.first] == [(AT, "sent frames")]
+        assert (verdict.different_ticks, verdict.wire_different_ticks, verdict.largest) == (1, 1, 0.0)
+        assert not verdict.equivalent
+        assert "sent frames: recorded (" in str(verdict.first[0])
+
+
+@pytest.mark.parametrize(
+    ("found", "exact", "equivalent"),
+    [
+        ({}, True, True),
+        ({"ticks": 0}, False, False),
+        ({"gaps": [(700, 3)]}, False, False),
+        ({"different_ticks": 1, "largest": 1e-9}, False, True),
+        ({"different_ticks": 1, "largest": 1.001e-9}, False, False),
+        ({"different_ticks": 1, "wire_different_ticks": 1}, False, False),
+    ],
+)
+def test_exact_is_every_bit_and_equivalent_the_same_frames_within_a_billionth(found, exact, equivalent):
+    comparison = Comparison(**{"ticks": 1000, **found})
+    assert (comparison.exact, comparison.equivalent) == (exact, equivalent)
+
+
+@pytest.mark.parametrize(
+    ("largest", "there", "here"), [(None, True, True), (1e-10, True, False), (1e-8, False, False)]
+)
+def test_a_replay_agrees_to_the_bit_and_on_another_processor_within_a_billionth(
+    log, entries, monkeypatch, largest, there, here
+):
+    found = {} if largest is None else {"different_ticks": 1, "largest": largest}
+    monkeypatch.setattr("hil.app.replay.replay", lambda *_: Comparison(ticks=len(entries), **found))
+    assert replay_log(log)[1]["agrees"] is here
+    monkeypatch.setattr("hil.app.replay.environment", lambda: {"cpu": "another one"})
+    fields = replay_log(log)[1]
+    assert (fields["agrees"], fields["replayed_on"]) == (there, "another one")
+
+
+def test_a_replay_has_the_story_of_the_faults_that_its_cycle_latched(entries):
+    begun = next(k for k, entry in enumerate(entries) if entry.row["mode"] == Mode.LOADING)
+    verdict = verdict_on(with_row(entries[: begun + 50], begun + 5, bus_off=1))
+    assert verdict.story is not None
+    assert [finding.fault for finding in verdict.story.findings] == ["BUS"]
+
+
+# -- gaps ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("skipped", "missing"), [(0, 2), (1, 1), (2, 0)])
+def test_a_gap_is_what_is_missing_beyond_the_ticks_that_the_loop_skipped(entries, skipped, missing):
+    verdict = verdict_on([*entries[:40], *with_row(entries[42:], 0, skipped=skipped)])
+    assert verdict.gaps == ([(40, missing)] if missing else [])
+    assert verdict.ticks == (40 if missing else len(entries) - 2)
+    if not missing:
+        assert verdict.end == int(entries[-1].row["tick"]) + 1, "by its number, whatever was skipped before"
+        assert verdict_on(with_row(entries[2:], 0, skipped=2)).gaps == [], "nor are those before the first"
+
+
+@pytest.mark.parametrize(("at", "skipped"), [(0, 1), (42, 1), (42, 43), (42, -1)])
+def test_ticks_that_cannot_have_been_skipped_are_damage_of_their_row(entries, at, skipped):
+    with pytest.raises(LogError, match=f"the row of tick {at} is damaged"):
+        verdict_on(with_row(entries, at, skipped=skipped))
+
+
+def test_a_log_that_its_run_did_not_close_may_end_too_early_and_says_so(log, tmp_path):
+    cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
+    cut.write_bytes(log.read_bytes()[: log.stat().st_size * 4 // 5])
+    salvage(cut, whole)
+    assert "it may end before the run did" in replay_log(whole)[1]["remark"]
+    assert "remark" not in replay_log(log)[1]
+
+
+def test_a_salvaged_log_whose_last_chunk_was_damaged_says_what_is_lost_wherever_it_is_read(log, tmp_path):
+    """Nothing after it shows a gap: what replays is exact."""
+    data = bytearray(log.read_bytes())
+    chunk = mcap_summary(log).chunk_indexes[-1]
+    data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0x40
+    bad, whole = tmp_path / "bad.mcap", tmp_path / "whole.mcap"
+    bad.write_bytes(data)
+    report = salvage(bad, whole)
+    assert report.ticks_lost > 0
+    comparison, found = replay_log(whole)
+    assert (comparison.exact, found["gaps"]) == (True, [])
+    assert f"{report.bytes_lost} bytes of the original are lost" in found["remark"]
+    assert found["remark"] in what_if_log(whole)["remarks"]
+    with readable(whole, ("tick",)) as there:
+        assert there.remark == found["remark"]
+
+
+# -- inputs ----------------------------------------------------------------------------------------------------
+
+
+def recorded(frames=(), operator=(), setpoints=(), orders=(), **columns):
+    """A tick each of whose numbers of an input is another one."""
+    rows = np.zeros(1, ROW)
+    for number, name in enumerate(INPUT_COLUMNS):
+        rows[name] = 1000 * number + np.arange(LEGS if name == "latch_ns" else 1)
+    rows["tick"], rows["bus_state"], rows["recorder_alive"] = 17, BusState.PASSIVE, 1
+    for name, value in columns.items():
+        rows[name] = value
+    row: Any = rows[0]
+    return Tick(row, frames, (), operator, setpoints, orders)
+
+
+def test_every_input_comes_back_in_its_place_as_the_loop_gave_it():
+    frames = (Received(7, Frame(0x181, b"\x01")), Received(9, Frame(0x182, b"\x02")))
+    setpoints: Any = ("a pose", "another")
+    orders: Any = ("an order",)
+    given = recorded(frames, (int(Operator.STOP), int(Operator.RESET)), setpoints, orders)
+    found = recorded_input(given)._asdict()
+    for number, name in enumerate(INPUT_COLUMNS):
+        if name in {"tick", "bus_state", "recorder_alive"}:
+            continue
+        whole = 1000 * number
+        assert found[name] == (tuple(range(whole, whole + LEGS)) if name == "latch_ns" else whole), name
+    assert (found["tick"], found["bus_state"]) == (17, BusState.PASSIVE)
+    assert received_frames(found["frames"]) == frames
+    assert found["operator"] == (Operator.STOP, Operator.RESET)
+    assert (found["setpoints"], found["orders"]) == (setpoints, orders)
+    for alive in (True, False):
+        assert recorded_input(recorded(recorder_alive=alive)).recorder_alive is alive
+    for state in BusState:
+        assert recorded_input(recorded(bus_state=state)).bus_state is state
+
+
+@pytest.mark.parametrize(
+    ("column", "values"),
+    [
+        ("bus_state", (1 << 40, -1, 5)),
+        ("operator", ((99,), (1, 0))),
+        ("recorder_alive", (2, -1, 256, 1 << 40)),
+    ],
+)
+def test_a_state_a_command_or_a_recorder_that_there_is_none_of_is_damage_of_its_tick(column, values):
+    """A replay would find another row, and no column of its own that differs."""
+    for value in values:
+        with pytest.raises(LogError, match=r"^the row of tick 17 is damaged: .* is not a valid"):
+            recorded_input(recorded(**{column: value}))

@@ -17,7 +17,6 @@ from hil.app.compose import attachments
 from hil.app.configuration.configuration import load
 from hil.app.replay import open_run, replay_log
 from hil.cli import main
-from hil.loop.replay import other_columns
 from hil.record import Recording, environment
 from hil.record.log import Log
 from hil.record.row import Table
@@ -90,68 +89,39 @@ def test_a_log_whose_columns_differ_is_refused_with_the_difference_and_its_rows_
     assert_same(Log.open(tmp_path / "a.mcap").ticks(), ticks)
 
 
+OTHER_FORCE = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 31_000.0).database[1].encode()
+
+
 @pytest.mark.parametrize(
-    ("count", "named"),
+    ("database", "said"),
     [
-        (0, ""),
-        (1, "n_0"),
-        (2, "n_0, n_1"),
-        (3, "n_0, n_1, n_2"),
-        (4, "n_0, n_1, n_2 and 1 more"),
-        (9, "n_0, n_1, n_2 and 6 more"),
+        (b'VERSION "other"', r"its protocol has version other, this one 2\.0; .*another legs\.dbc"),
+        (None, r"its protocol has version unknown, .* another legs\.dbc"),
+        (OTHER_FORCE, r"a\.mcap: it was made with another legs\.dbc: replay it with the build of version"),
     ],
 )
-def test_of_columns_that_differ_in_one_way_three_are_named_and_the_others_counted(count, named):
-    more = [NEW._replace(name=f"n_{n}") for n in range(count)]
-    assert other_columns([*RECORDED, *more]) == (f"only the log has {named}" if count else "")
-
-
-def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_path):
-    recorded(tmp_path / "a.mcap", legs_dbc=b'VERSION "other"')
-    with pytest.raises(
-        LogError, match=r"made with another legs\.dbc: replay it with the build of version 0\.2\.0"
-    ):
-        replay_log(tmp_path / "a.mcap")
-    with pytest.raises(LogError, match=r"made it; this is another one, or the log was altered$"):
-        replay_log(tmp_path / "a.mcap")
-    with pytest.raises(LogError, match=r"its protocol has version other, this one 2\.0; it was made with"):
-        replay_log(tmp_path / "a.mcap")
-
-
-def test_a_log_that_does_not_carry_its_database_is_refused_as_one_of_an_unknown_protocol(tmp_path):
-    recorded(tmp_path / "a.mcap", legs_dbc=None)
-    with pytest.raises(
-        LogError, match=r"its protocol has version unknown, this one 2\.0; .* another legs\.dbc"
-    ):
-        replay_log(tmp_path / "a.mcap")
-
-
-def test_a_log_whose_database_differs_in_the_rated_force_alone_has_the_same_version(tmp_path):
-    recorded(
-        tmp_path / "a.mcap",
-        legs_dbc=LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 31_000.0).database[1].encode(),
-    )
-    with pytest.raises(LogError, match=r"a\.mcap: it was made with another legs\.dbc"):
+def test_a_log_made_with_another_database_is_refused_by_the_name_of_that(tmp_path, database, said):
+    recorded(tmp_path / "a.mcap", legs_dbc=database)
+    with pytest.raises(LogError, match=said):
         replay_log(tmp_path / "a.mcap")
 
 
 def test_a_log_names_version_and_columns_in_its_metadata(tmp_path):
     recorded(tmp_path / "a.mcap", (*RECORDED, NEW))
     metadata = Log.open(tmp_path / "a.mcap").metadata
-    assert metadata["environment"]["version"] == environment()["version"] == "0.2.0"
+    assert metadata["environment"]["version"] == environment()["version"]
     last = json.loads(metadata["hil"]["columns"])[-1]
     assert (last["name"], last["unit"], last["meaning"]) == ("temperature", "K", "of the oil")
 
 
-@pytest.mark.parametrize("options", [(), ("--delay",)])
-def test_identify_refuses_columns_that_it_cannot_read(tmp_path, options):
+def test_identify_refuses_columns_that_it_cannot_read(tmp_path):
     recorded(tmp_path / "a.mcap", CHANGES["renamed"][0])
-    result = CliRunner().invoke(main, ["identify", str(tmp_path / "a.mcap"), *options])
-    assert isinstance(result.exception, SystemExit)
+    result = CliRunner().invoke(main, ["identify", str(tmp_path / "a.mcap")])
     assert result.exit_code == 2
-    assert "its columns differ (tau): read it with the build of version 0.2.0" in " ".join(
-        result.stderr.split()
-    )
+    assert "its columns differ (tau)" in " ".join(result.stderr.split())
+
+
+RATE, WATCHDOG = b"rate_Hz\x06\x00\x00\x001000.0", b"watchdog_s\x04\x00\x00\x000.01"
 
 
 @pytest.mark.parametrize(
@@ -160,17 +130,8 @@ def test_identify_refuses_columns_that_it_cannot_read(tmp_path, options):
         (b'"elements"', b'"segments"', "metadata record 'hil' cannot be read"),
         (b'"shape": [3, 3]', b'"shape": [3,-3]', "metadata record 'hil' cannot be read"),
         (b"epoch_ns", b"epoch_nx", "metadata record 'hil' cannot be read"),
-        (b"can_channel", b"can_channeb", "metadata record 'hil' cannot be read"),
-        (
-            b"rate_Hz\x06\x00\x00\x001000.0",
-            b"rate_Hz\x06\x00\x00\x00-100.0",
-            "rate_Hz: -100.0, allowed: a number > 0",
-        ),
-        (
-            b"watchdog_s\x04\x00\x00\x000.01",
-            b"watchdog_s\x04\x00\x00\x00none",
-            "watchdog_s: 'none', allowed: a number > 0",
-        ),
+        (RATE, RATE[:-6] + b"-100.0", "rate_Hz: -100.0, allowed: a number > 0"),
+        (WATCHDOG, WATCHDOG[:-4] + b"none", "watchdog_s: 'none', allowed: a number > 0"),
     ],
 )
 def test_metadata_that_was_edited_is_no_traceback(tmp_path, old, new, said):
@@ -184,40 +145,23 @@ def test_metadata_that_was_edited_is_no_traceback(tmp_path, old, new, said):
     assert said in " ".join(result.stderr.split())
 
 
-@pytest.fixture
-def opened(monkeypatch):
-    """A function that opens a log whose metadata say other things of its run."""
-
-    def open_with(open_it, **changes):
-        run = {"kind": "run", "rate_Hz": "1000", "watchdog_s": "0.01"} | changes
-        log = SimpleNamespace(columns=RECORDED, metadata={"hil": run}, configuration=load("virtual").text)
-        monkeypatch.setattr(Log, "open", lambda _: log)
-        return open_it(Path("a.mcap"))
-
-    return open_with
-
-
-@pytest.mark.parametrize("open_it", [open_run, replay_log])
-@pytest.mark.parametrize("kind", ["plant", "RUN", ""])
-def test_a_log_of_another_kind_than_a_run_is_refused_with_the_kinds_that_there_are(opened, open_it, kind):
-    with pytest.raises(LogError, match=f"a.mcap: holds a log of kind '{kind}', allowed: one of `hil run`"):
-        opened(open_it, kind=kind)
-    for allowed in ("run", "sim"):
-        assert opened(open_run, kind=allowed)[1]["kind"] == allowed
-
-
 @pytest.mark.parametrize(
-    ("key", "most", "too_much"), [("rate_Hz", "100000", "100001"), ("watchdog_s", "3600", "3600.5")]
+    ("run", "said"),
+    [
+        ({"kind": "plant"}, "holds a log of kind 'plant'"),
+        ({"kind": "what-if", "what_if_of": "day.mcap"}, r"holds a what-if on 'day\.mcap', no run"),
+        ({"rate_Hz": "100000"}, ""),
+        ({"rate_Hz": "100001"}, "has rate_Hz: .*, at most "),
+        ({"watchdog_s": "3600"}, ""),
+        ({"watchdog_s": "nan"}, "has watchdog_s: .*, at most "),
+    ],
 )
-def test_a_rate_and_a_watchdog_have_a_largest_value_that_is_allowed_itself(opened, key, most, too_much):
-    assert opened(open_run, **{key: most})[1][key] == float(most)
-    for value in (too_much, "0", "nan", "inf", ""):
-        with pytest.raises(LogError, match=rf"a.mcap: .* has {key}: .*, at most "):
-            opened(open_run, **{key: value})
-
-
-def test_a_what_if_is_told_apart_from_other_kinds_and_named_by_the_log_that_it_is_on(opened):
-    with pytest.raises(LogError, match=r"a.mcap: holds a what-if on 'day.mcap', no run: .* that log itself"):
-        opened(replay_log, kind="what-if", what_if_of="day.mcap")
-    with pytest.raises(LogError, match="holds a what-if on 'a log', no run"):
-        opened(replay_log, kind="what-if")
+def test_a_log_of_another_kind_or_without_a_sound_rate_and_watchdog_is_refused(monkeypatch, run, said):
+    given = {"kind": "run", "rate_Hz": "1000", "watchdog_s": "0.01"} | run
+    log = SimpleNamespace(columns=RECORDED, metadata={"hil": given}, configuration=load("virtual").text)
+    monkeypatch.setattr(Log, "open", lambda _: log)
+    if not said:
+        assert {key: open_run(Path("a.mcap"))[1][key] for key in run} == {k: float(v) for k, v in run.items()}
+        return
+    with pytest.raises(LogError, match=said):
+        replay_log(Path("a.mcap"))

@@ -19,8 +19,9 @@ from hil.config.reference import TimeOptimalReference
 from hil.loop import what_if as kernel
 from hil.record.log import Log
 from hil.study.what_if.allowed import changes, refuse_other_inputs
-from hil.study.what_if.changes import changed
+from hil.study.what_if.changes import changed, read_changes
 from hil.study.what_if.command import what_if_log
+from hil.study.what_if.picture import Forces
 from hil.study.what_if.recorded import OPEN_LOOP
 from hil.trajectory.time_optimal import plan
 from tests.broad import broad
@@ -68,9 +69,7 @@ def cycle(*words):
     return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
-@pytest.mark.parametrize(
-    "config", broad(["virtual", "virtual-cia402", "lab", "lab-cia402", "desktop", "ideal", "bench"], quick=1)
-)
+@pytest.mark.parametrize("config", broad(["virtual", "lab-cia402", "desktop", "bench"], quick=1))
 def test_the_same_configuration_has_no_differences(config, log, tmp_path):
     path = log if config == "virtual" else moved(tmp_path / "run.mcap", config)
     found = what_if_log(path)
@@ -159,19 +158,6 @@ def test_a_fault_that_the_open_loop_may_have_made_is_called_so(log):
     assert not [each for each in limit["remarks"] if "open loop" in each]
 
 
-@pytest.mark.long
-def test_set_points_that_the_other_reference_does_not_take_are_counted(tmp_path):
-    limits = {"velocity_m_s": 0.3, "velocity_deg_s": 20, "acceleration_m_s2": 1, "acceleration_deg_s2": 60}
-    live = {"type": "live", "limits": limits | {"jerk_m_s3": 10, "jerk_deg_s3": 600}}
-    head = "t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg"
-    (tmp_path / "poses.csv").write_text(f"{head}\n0,0.02,0,1,0,0,0\n0.1,0,0,1,0,0,0\n")
-    path = moved(tmp_path / "live.mcap", reference=live, setpoints=tmp_path / "poses.csv")
-    assert what_if_log(path)["different_ticks"] == 0
-    found = what_if_log(path, None, ["reference={type: hold}"])
-    (remark,) = [each for each in found["remarks"] if "set-points" in each]
-    assert remark == "the 2 set-points of the log are not followed: reference.type hold takes none"
-
-
 def test_a_gap_and_damage_on_the_way_end_the_answer_and_are_no_success(entries):
     gap = kernel.what_if(Edited(entries, without=(300,)), cycle())
     assert (gap.ticks, gap.gaps, gap.whole) == (300, [(300, 1)], False)
@@ -218,26 +204,12 @@ def test_what_it_answers_is_a_log_that_says_that_it_is_no_run(log, rows, tmp_pat
         what_if_log(log, out=out)
 
 
-def test_the_picture_has_each_legs_forces_and_their_differences(log, tmp_path):
-    picture = tmp_path / "forces.svg"
-    found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"], picture=picture)
-    assert found["picture"] == str(picture)
-    said = re.findall(r">([^<>\n]+)</text>", picture.read_text())
-    assert [each for each in said if each.startswith("tau.leg_")] == [f"tau.leg_{n}" for n in range(6)]
-    assert (said.count("recorded"), said.count("what-if")) == (6, 6)
-    assert "tau: what-if - recorded" in said
-    with pytest.raises(LogError, match=r"--plot .*notes\.txt: allowed are the endings"):
-        what_if_log(log, picture=tmp_path / "notes.txt")
-
-
 @pytest.mark.parametrize(
     ("config", "words", "key"),
     [
         ("virtual", ("bus.layout=ideal",), "bus.layout: ideal, allowed: fd"),
         ("virtual", ("loop.rate_Hz=500",), "loop.rate_Hz: 500.0, allowed: 1000.0"),
-        ("virtual", ("drives.watchdog_ms=20",), "drives.watchdog_ms: 20.0, allowed: 10.0"),
         ("virtual", ("drives.node_ids=[2,1,3,4,5,6]",), "drives.node_ids"),
-        ("virtual", ("drives.force_limit_N=40000",), "limits.force_N"),
         ("virtual", ("reactions.silence=damp",), "reactions.silence: damp, allowed: brake"),
         ("virtual", ("sensors.wrench={node_id: 9}", "bus.max_load_percent=90"), "sensors.wrench"),
         ("virtual-cia402", (), "drives.protocol: cia402, allowed: legs"),
@@ -256,7 +228,6 @@ def test_a_configuration_to_which_the_frames_mean_something_else_is_refused(conf
 @pytest.mark.parametrize(
     "words",
     [
-        ("controller={law: pd, kp_N_m: 1e6, kv_N_s_m: 1e4}",),
         ("platform.platform.mass_kg=500", "limits.speed_m_s=1", "monitor.action=warn"),
         ("reference={type: hold}", "engage.stop_s=1", "operator.stays=true"),
         ("bus.channel=other", "bus.max_load_percent=90", "drives.brake_after_ms=500", "recording.folder=x"),
@@ -279,30 +250,11 @@ def test_the_command_refuses_it_before_anything_is_answered(log, tmp_path):
     assert not (tmp_path / "a.mcap").exists()
 
 
-def test_a_log_that_ran_slower_than_configured_takes_either_rate():
-    slow = changed(VIRTUAL, ["loop.rate_Hz=500"], own=False)
-    refuse_other_inputs(VIRTUAL, slow, 500.0)
-    refuse_other_inputs(VIRTUAL, VIRTUAL, 500.0)
-    with pytest.raises(ConfigurationError, match="its ticks are 2 ms apart"):
-        refuse_other_inputs(VIRTUAL, changed(VIRTUAL, ["loop.rate_Hz=400"], own=False), 500.0)
-
-
 def test_a_wrong_key_is_named_without_a_place_in_a_text_that_nobody_has(log):
     with pytest.raises(ConfigurationError) as refused:
         what_if_log(log, None, ["controller.wn_rads=25"])
     assert re.search(r"with --set: controller\.wn_rads: unknown key, allowed: .*wn_rad_s", str(refused.value))
     assert not re.search(r":\d+:\d+:", str(refused.value))
-
-
-def test_a_change_to_the_logs_own_configuration_opens_no_file(log, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "path.csv").write_text("t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg\n0,0,0,1,0,0,0\n1,0,0,1,0,0,0\n")
-    for words in (
-        ["reference={type: sampled, path: path.csv}"],
-        ["controller={law: state_space, controller_file: hinf}"],
-    ):
-        with pytest.raises(ConfigurationError, match="names no file on this disk"):
-            what_if_log(log, None, words)
 
 
 def test_the_plan_of_a_reference_is_the_logs_and_another_reference_is_planned_anew(tmp_path, monkeypatch):
@@ -351,10 +303,12 @@ def taught(tmp_path_factory):
     return moved(folder / "taught.mcap", str(folder / "own.yaml"))
 
 
-def test_a_feed_forward_that_the_log_does_not_carry_is_refused(log, taught):
+def test_a_file_that_the_log_does_not_carry_is_refused(log, taught):
     for path in (log, taught):
         with pytest.raises(ConfigurationError, match=r"--set feedforward\.file=other\.csv: .* no file on"):
             what_if_log(path, None, ["feedforward={file: other.csv, limit_N: 1000}"])
+    with pytest.raises(ConfigurationError, match="names no file on this disk"):
+        what_if_log(log, None, ["controller={law: state_space, controller_file: hinf}"])
 
 
 def test_without_its_feed_forward_a_log_lacks_these_forces_alone(taught):
@@ -366,23 +320,35 @@ def test_without_its_feed_forward_a_log_lacks_these_forces_alone(taught):
     assert {each["column"] for each in found["columns"]} <= {"tau_learned", "tau", "encoder_share"}
 
 
-def test_a_feed_forward_of_another_content_is_named_where_the_text_is_the_same(taught, tmp_path):
-    path = taught
-    (tmp_path / "own.yaml").write_text(Log(path).configuration)
-    (tmp_path / "learned.csv").write_text(LEARNED)
-    assert what_if_log(path, str(tmp_path / "own.yaml"))["changed"] == []
-    other = feedforward_text(head_of(VIRTUAL, rows=50), np.full((50, 6), 11.0), -4, 1e-3)
-    (tmp_path / "learned.csv").write_text(other)
-    found = what_if_log(path, str(tmp_path / "own.yaml"))
-    assert found["changed"] == ["feedforward.file: the file has another content than that of the log"]
-    assert found["different_ticks"] > 0
-
-
 def test_a_feed_forward_of_another_controller_is_refused_with_what_leaves_it_out(taught):
-    with pytest.raises(ConfigurationError) as refused:
+    with pytest.raises(ConfigurationError, match=r"learned on another controller(?s:.*)--set feedforward="):
         what_if_log(taught, None, ["controller.wn_rad_s=25"])
-    said = str(refused.value)
-    assert f"{taught}:feedforward.csv: was learned on another controller" in said
-    assert "--set feedforward=" in said
-    assert "/hil-what-if-" not in said, "a file that is gone"
     assert what_if_log(taught, None, ["controller.wn_rad_s=25", "feedforward="])["different_ticks"] > 0
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["controller.wn_rad_s"], ["=3"], ["limits.x=]"], ["limits={x: 1, x: 2}"], ["limits.x=1\ny: 2"],
+        ["limits.x=1", "limits.x=2"], ["limits.x=1", "limits.x.y=2"], ["limits.x.y=1", "limits.x=2"],
+    ],
+)  # fmt: skip
+def test_words_that_are_no_change_are_refused(words):
+    with pytest.raises(ConfigurationError, match="--set"):
+        read_changes(words)
+
+
+def test_a_change_is_read_as_yaml_and_an_empty_one_takes_the_key_away():
+    words = ["a.b=1e3", "a.c=[1, 2]", "a.d={e: x}", "f=", "a.g.h=true"]
+    expected = {"a": {"b": 1000.0, "c": [1, 2], "d": {"e": "x"}, "g": {"h": True}}, "f": None}
+    assert read_changes(words) == expected
+
+
+def test_a_what_if_whose_own_log_or_picture_is_not_whole_is_no_success(log, tmp_path, monkeypatch):
+    def full(*_, **__):
+        raise LogError("--plot a.png: No space left on device")
+
+    monkeypatch.setattr(Forces, "draw", full)
+    found = what_if_log(log, picture=tmp_path / "a.png")
+    assert (found["success"], found["picture"]) == (False, None)
+    assert found["unwritten"] == ["--plot a.png: No space left on device"]

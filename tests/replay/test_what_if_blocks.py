@@ -8,7 +8,7 @@ import pytest
 
 from drivers.config import SensorSettings
 from drivers.errors import ConfigurationError
-from drivers.frame_array import NO_FRAMES, sent_array, sent_frames
+from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import Frame
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import FIRST, ROW
@@ -58,14 +58,13 @@ def compared(sides, size):
     return answer
 
 
-@pytest.mark.parametrize("begun_ns", [0, 7_000_000])
-@pytest.mark.parametrize("block", [1, 2, 3, 4, 5, 7, 9, 14, 20, 1024])
-def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, begun_ns, monkeypatch):
+@pytest.mark.parametrize("block", [1, 2, 7, 20])
+def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, monkeypatch):
     monkeypatch.setattr(kernel, "BLOCK", block)
     latched, sides = Fault.NONE, []
     for tick in range(20):
         latched = FAULTS.get(tick, latched)
-        mode, t_ns = Mode.FAULT if latched else Mode.IDLE, begun_ns + 2_000_000 * tick
+        mode, t_ns = Mode.FAULT if latched else Mode.IDLE, 7_000_000 + 2_000_000 * tick
         row = row_of(tick=100 + tick, t_ns=t_ns, faults=latched, mode=mode)
         sides.append((row, row))
     answer = compared(sides, min(block, 3))
@@ -76,7 +75,7 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
     assert answer.last_mode == "FAULT"
 
 
-@pytest.mark.parametrize("block", [1, 2, 5, 6, 7, 20])
+@pytest.mark.parametrize("block", [1, 2, 7, 20])
 def test_forces_count_until_the_latched_faults_differ_and_not_again_once_they_are_the_same(
     block, monkeypatch
 ):
@@ -99,7 +98,6 @@ CYCLE: Any = SimpleNamespace(
     parts=SimpleNamespace(protocol=SimpleNamespace(addressed=lambda frame: (frame.id,))),
 )  # fmt: skip
 """One that decides nothing; a frame is for the leg that its identifier names."""
-KINDS = ["tracker", "imu", "wrench"]
 
 
 def sensing(kind, **node):
@@ -108,36 +106,20 @@ def sensing(kind, **node):
     return VIRTUAL.model_copy(update={"sensors": sensors})
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize(
-    ("key", "other"),
-    [("node_id", {"node_id": 12, "channel": "a"}), ("channel", {"node_id": 11, "channel": "b"})],
-)
-def test_a_sensor_whose_recorded_frames_would_not_be_heard_is_refused(kind, key, other):
-    there = sensing(kind, node_id=11, channel="a")
-    refuse_other_inputs(there, there, VIRTUAL.loop.rate_Hz)
-    for log, given in ((there, sensing(kind, **other)), (sensing(kind, **other), there)):
-        with pytest.raises(ConfigurationError) as refused:
-            refuse_other_inputs(log, given, VIRTUAL.loop.rate_Hz)
-        recorded, wanted = (getattr(getattr(c.sensors, kind), key) for c in (log, given))
-        assert f"sensors.{kind}.{key}: {wanted}, allowed: {recorded}, as in the log" in str(refused.value)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_sensor_may_be_left_out_and_may_not_be_added(kind):
-    there, without = sensing(kind, node_id=11), sensing(kind)
-    refuse_other_inputs(there, without, VIRTUAL.loop.rate_Hz)
+@pytest.mark.parametrize("kind", ["tracker", "imu", "wrench"])
+def test_a_sensor_may_be_left_out_and_not_added_or_heard_elsewhere(kind):
+    there, without = sensing(kind, node_id=11, channel="a"), sensing(kind)
+    rate_Hz = VIRTUAL.loop.rate_Hz
+    refuse_other_inputs(there, there, rate_Hz)
+    refuse_other_inputs(there, without, rate_Hz)
     with pytest.raises(ConfigurationError, match=f"sensors.{kind}: .*the log has no frame of one"):
-        refuse_other_inputs(without, there, VIRTUAL.loop.rate_Hz)
-
-
-@pytest.mark.parametrize("counts", [[2], [0, 2, 1, 0, 3, 0], [1] * 5, [0, 0]])
-def test_all_set_points_of_a_log_are_counted_whichever_ticks_they_came_in(counts, monkeypatch):
-    sides = [(row_of(tick=tick), row_of(tick=tick)) for tick in range(len(counts))]
-    block = block_of(sides, setpoints=[("a pose",) * count for count in counts])
-    monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
-    answer = kernel.what_if(None, CYCLE)  # type: ignore[arg-type]
-    assert (answer.ticks, answer.setpoints) == (len(counts), sum(counts))
+        refuse_other_inputs(without, there, rate_Hz)
+    for key, other in (
+        ("node_id", {"node_id": 12, "channel": "a"}),
+        ("channel", {"node_id": 11, "channel": "b"}),
+    ):
+        with pytest.raises(ConfigurationError, match=rf"sensors\.{kind}\.{key}: .*, as in the log"):
+            refuse_other_inputs(there, sensing(kind, **other), rate_Hz)
 
 
 def ticks_with(pairs, begun_ns=0):
@@ -149,9 +131,8 @@ def ticks_with(pairs, begun_ns=0):
 A, B, C = (Frame(leg, bytes((leg,))) for leg in (1, 2, 3))
 
 
-@pytest.mark.parametrize("begun_ns", [0, 1, 3 * 86_400 * 10**9])
-def test_the_time_of_the_first_other_frames_counts_from_the_first_tick_of_the_log(begun_ns, monkeypatch):
-    block = ticks_with([((A,), (A,))] * 3 + [((A,), (B,)), ((A,), (C,))], begun_ns)
+def test_the_time_of_the_first_other_frames_counts_from_the_first_tick_of_the_log(monkeypatch):
+    block = ticks_with([((A,), (A,))] * 3 + [((A,), (B,)), ((A,), (C,))], 3 * 86_400 * 10**9)
     monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
     answer = kernel.what_if(None, CYCLE)  # type: ignore[arg-type]
     assert answer.first_frames is not None
@@ -181,19 +162,6 @@ def test_the_first_frame_in_its_place_that_differs_is_named_with_its_leg(
     assert (found.recorded, found.answered, found.legs) == (recorded, answered, (leg,))
 
 
-@pytest.mark.parametrize(
-    ("found", "whole"),
-    [
-        ({"ticks": 1}, True),
-        ({"ticks": 0}, False),
-        ({"ticks": 1, "gaps": [(1, 1)]}, False),
-        ({"ticks": 1, "damage": "damaged at byte 4711"}, False),
-    ],
-)
-def test_an_answer_is_whole_with_one_tick_without_a_gap_and_without_damage(found, whole):
-    assert kernel.Answer(**found).whole is whole
-
-
 def test_the_largest_difference_of_a_force_is_that_of_its_own_leg_over_all_blocks():
     forces = kernel.Forces()
     assert forces.rms.tolist() == [0.0] * 6
@@ -209,13 +177,7 @@ def test_the_largest_difference_of_a_force_is_that_of_its_own_leg_over_all_block
     assert forces.rms == pytest.approx([(each / 3) ** 0.5 for each in squares])
 
 
-def test_the_root_of_the_mean_square_of_one_tick_is_the_size_of_its_difference():
-    forces = kernel.Forces()
-    forces.take(np.array([20]), np.array([[9.0, 0.0, -3.0, 1.0, 0.5, -0.25]]))
-    assert forces.rms.tolist() == [9.0, 0.0, 3.0, 1.0, 0.5, 0.25]
-
-
-@pytest.mark.parametrize("block", [1, 2, 3, 7, 20])
+@pytest.mark.parametrize("block", [1, 2, 7, 20])
 def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the_answer_alone(
     block, monkeypatch
 ):
@@ -230,16 +192,3 @@ def test_a_warning_is_counted_on_either_side_and_is_first_where_it_stands_in_the
     ]
     answer = compared(sides, min(block, 3))
     assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}
-
-
-def test_who_observes_a_what_if_is_told_what_is_answered_and_not_what_was_recorded(monkeypatch):
-    block = ticks_with([((A,), (B,)), ((A, B), (C,)), ((A,), ())])
-    monkeypatch.setattr(kernel, "blocks", lambda *_: iter([block]))
-    told = []
-
-    def observe(block):
-        rows, frames, ends = block.ticks.recorded(block.span)
-        told.append((rows["tick"].tolist(), sent_frames(frames), ends.tolist()))
-
-    kernel.what_if(None, CYCLE, observe=observe)  # type: ignore[arg-type]
-    assert told == [([0, 1, 2], (B, C), [1, 2, 2])]

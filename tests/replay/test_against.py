@@ -197,12 +197,6 @@ def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
     assert found["columns_compared"] == 3
 
 
-def test_a_tolerance_of_a_column_that_one_log_lacks_is_taken(made):
-    one, other = Made(range(4)), Made(range(4))
-    one.columns = (*one.columns, COLUMNS["age"])
-    assert made(one, other, "tau=0.5", "age=0")["success"]
-
-
 def test_what_cannot_be_compared_is_refused(made):
     plant, slow = Made(range(3)), Made(range(3))
     plant.topic, slow.metadata = "/plant", {"hil": {"rate_Hz": "500"}}
@@ -215,18 +209,11 @@ def test_what_cannot_be_compared_is_refused(made):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
-    [
-        (["tua=1"], r"neither log has a column 'tua'; did you mean tau\?"),
-        (["tau=-1"], "allowed: COLUMN=VALUE"),
-        (["much"], "allowed: COLUMN=VALUE"),
-        (["tau=1", "tau=2"], "column tau has a tolerance already"),
-        (["1e-9", "1e-6"], "is given twice"),
-        (["mode=1"], "have names and no distance, allowed: mode=0"),
-    ],
+    "words",
+    [["tua=1"], ["tau=-1"], ["much"], ["tau=1", "tau=2"], ["1e-9", "1e-6"], ["mode=1"]],
 )
-def test_words_that_are_no_tolerance_are_refused(words, message):
-    with pytest.raises(ConfigurationError, match=message):
+def test_words_that_are_no_tolerance_are_refused(words):
+    with pytest.raises(ConfigurationError, match="tolerance"):
         read_tolerances(words, RECORDED)
 
 
@@ -244,18 +231,3 @@ def test_a_tick_that_is_missing_from_the_file_is_found(log, tmp_path):
     rewrite_log(log, gap, lambda topic, data, number: None if (topic, number) == ("/tick", 300) else data)
     found = against(gap, log)
     assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 300})
-
-
-@pytest.mark.parametrize("name", NAMES[2:])
-@pytest.mark.parametrize(("late_ns", "other_late_ns"), [(0, 0), (300_000, 0), (0, 300_000)])
-def test_the_time_of_a_difference_is_that_of_the_log_however_late_the_other_was(
-    made, name, late_ns, other_late_ns
-):
-    one, other = Made(range(9), zero_ns=10**15), Made(range(9))
-    one.rows["t_ns"][5] += late_ns
-    other.rows["t_ns"][5] += other_late_ns
-    one.rows[name][5] = 1
-    found = {each["column"]: each for each in made(one, other)["columns"]}
-    for key in ("first", "at"):
-        place = found[name][key]
-        assert (place["tick"], place["time_s"]) == (5, pytest.approx(5e-3 + 1e-9 * late_ns, abs=1e-12))

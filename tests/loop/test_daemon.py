@@ -12,20 +12,21 @@ from drivers.errors import BusError
 from drivers.frame_array import FRAME, NO_FRAMES, received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import BusState, DriveMode, Mode
+from hil.app.compose import build_nodes
+from hil.app.sim.lockstep import Lockstep
 from hil.contracts.messages import DeviceCommand, hear
 from hil.loop.clock import Wake
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import Shell, _ask, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
-from hil.operate.channel import Heard
-from hil.signals import Operator, Order, TickInput
+from hil.signals import Operator, TickInput
 from plant_fmu.drives import drives_end
 from plant_fmu.faults.kinds import DriveSilence, EncoderJump, FramesLoss
+from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 from tests.drivers.stub_protocol import InPython
 from tests.loop.bench import new_cycle
-from tests.loop.bench import run as stepped
 from tests.loop.wire import IDEAL, PERIOD_NS, Wire, daemon
 
 LATE_NS, OUT_NS = 70_000, 123_000
@@ -49,17 +50,20 @@ TICKS = 6
 )
 def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, seconds):
     stop_s = None if mode is Mode.WAITING else 1.4
-    there = stepped(IDEAL, *faults, stop_s=stop_s)
+    nodes, plant = build_nodes(IDEAL, FaultPlan(faults))
+    rows: list[Any] = []
+    there = Lockstep(new_cycle(IDEAL), nodes, (None,), 0.0).run(
+        stop_s, lambda *args: rows.append(args[2].row)
+    )
+    plant.close()
     seen: list[Any] = []
     here, _ = daemon(
         *faults, course=lambda cycle: Course(cycle, stop_s), tick=lambda row, *_, **__: seen.append(row)
     )
-    assert (here, here.story) == (there.ending, there.ending.story)
+    assert (here, here.story) == (there, there.story)
     assert here.mode is mode, here
-    assert len(seen) == len(there.rows) == here.ticks + 1
-    assert all(
-        (a["mode"], a["faults"]) == (b["mode"], b["faults"]) for a, b in zip(there.rows, seen, strict=True)
-    )
+    assert len(seen) == len(rows) == here.ticks + 1
+    assert all((a["mode"], a["faults"]) == (b["mode"], b["faults"]) for a, b in zip(rows, seen, strict=True))
     if seconds is not None:
         assert here.ticks == round(seconds * IDEAL.loop.rate_Hz)
 
@@ -210,25 +214,6 @@ def test_frames_that_the_bus_refused_are_reported_once_each_in_the_next_step():
 def test_a_reset_calls_the_frames_of_a_dead_bus_back(operator, tries):
     _, wire = looped(commands={3: (operator,)})
     assert wire.flushed.count(3) == tries
-
-
-def test_the_step_gets_what_came_over_the_channel_and_the_course_the_consent():
-    inputs: list[TickInput] = []
-
-    def ends(inp: TickInput) -> Any:
-        inputs.append(inp)
-        raise RuntimeError("enough")
-
-    def course(cycle: Cycle) -> Course:
-        cycle.mode = Mode.IDLE
-        cycle.step = ends  # type: ignore[method-assign]
-        return Course(cycle, armed=False)
-
-    said = Heard((Operator.STOP,), orders=(Order(Operator.KEY),))
-    channel = SimpleNamespace(take=lambda *, anew: said, waited_for=False, old=frozenset())
-    daemon(course=course, channel=channel, consent=lambda: True)
-    assert [inp.operator for inp in inputs] == [(Operator.ENGAGE, Operator.STOP)]
-    assert [inp.orders for inp in inputs] == [(Order(Operator.KEY),)]
 
 
 # -- the end ---------------------------------------------------------------------------------------------------

@@ -67,16 +67,6 @@ def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direct
     assert deviation(rows["q_d"] - rows["q"], expected) < 0.005
 
 
-@pytest.mark.long
-def test_what_is_left_over_halves_with_the_period():
-    found = []
-    for rate_Hz in (1000, 2000):
-        rows, p, R = track(INVERSE_DYNAMICS, "askew", rate_Hz=rate_Hz)
-        expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
-        found.append(deviation(rows["q_d"] - rows["q"], expected))
-    assert found[0] / found[1] == pytest.approx(2.0, rel=0.1)
-
-
 @directions
 def test_under_inverse_dynamics_in_pose_space_the_position_does(direction):
     rows, p, _ = track(INVERSE_DYNAMICS | {"law": "pose_inverse_dynamics"}, direction)

@@ -9,11 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from click.testing import CliRunner
 
 import hil
-from drivers.signals import Doubt
-from hil.cli import main
 from tests.broad import broad
 
 HEAVY: dict[str, Any] = {
@@ -84,20 +81,6 @@ def test_a_push_for_friction_that_nobody_stated_is_seen_in_column_event_and_summ
     there = run.log.frame("mode")["mode"].to_numpy() == "TRACKING"
     late = run.log.frame("t_ns").index.to_numpy() > 3.0  # the entry offset has faded
     np.testing.assert_allclose((sent - asked)[there & late], force[there & late], atol=1e-9)
-
-
-def test_a_brake_that_did_not_open_is_found_where_friction_is_known():
-    run = moved(10.0, LEGS, faults=["brake_stuck_closed leg=1 at=1"])
-    (finding, *_) = run.summary["story"]["findings"]
-    assert (finding["fault"], finding["leg"]) == ("ENCODER", 1)
-    assert run.log.frame("doubt", numbers=True)["doubt"].max() == Doubt.STILL
-
-
-def test_a_run_with_friction_teaches():
-    """Limits that pushes ran into had cut the forces, and such a run was refused."""
-    run = hil.sim("desktop", **ODRIVE, **HEAVY, plant={"model": {"coulomb_friction_N": 10.0}}, log="run.mcap")
-    learned = CliRunner().invoke(main, ["learn", str(run.log.path), "-o", "next.csv"])
-    assert learned.exit_code == 0, learned.output
 
 
 @pytest.mark.parametrize(

@@ -101,17 +101,3 @@ def test_noise_and_force_follow_from_encoders_friction_and_the_monitor():
     plantless = leg_errors(bench("lab").model_copy(update={"plant": None}))
     assert plantless.force_std_N == pytest.approx(0.05 * 2000), "5 % of the smallest force limit"
     assert plantless.length_std_m == pytest.approx(2e-6 / np.sqrt(12))
-
-
-@pytest.mark.parametrize(
-    ("fusion", "expected"),
-    [
-        ({"model": {"coulomb_friction_N": 45}}, {"force_std_N": 15.0}),
-        ({"model": {"coulomb_friction_N": 90}}, {"force_std_N": 0.0}),
-        ({"leg_force_std_N": 7, "leg_force_time_ms": 20}, {"force_std_N": 7.0, "force_time_s": 0.02}),
-        ({"length_std_m": 1e-5, "rate_std_m_s": 2e-3}, {"length_std_m": 1e-5, "rate_std_m_s": 2e-3}),
-    ],
-)
-def test_what_is_stated_counts(fusion, expected):
-    found = leg_errors(bench("lab", fusion))._asdict()
-    assert {name: found[name] for name in expected} == pytest.approx(expected)

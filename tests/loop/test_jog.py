@@ -48,18 +48,6 @@ def test_the_leg_that_is_jogged_moves_alone(jogged):
     assert np.abs(rows["dq_d"][LEG]).max() == pytest.approx(0.7 * 0.2)
 
 
-def test_the_law_gets_a_reference_whose_rates_are_those_of_its_poses(jogged):
-    _, rows = jogged
-    moving = rows[3500:11400]
-    v = np.gradient(moving["p_d"], 1e-3, axis=0)
-    a = np.gradient(moving["twist_d"], 1e-3, axis=0)
-    assert np.abs(v - moving["twist_d"][:, :3])[1:-1].max() < 1e-5
-    assert np.abs(a - moving["dtwist_d"])[1:-1].max() < 0.01
-    assert np.abs(np.diff(moving["dtwist_d"], axis=0)).max() < 0.03, "no jump"
-    dq = np.gradient(lengths(moving), 1e-3, axis=0)
-    assert np.abs(dq - moving["dq_d"])[1:-1].max() < 2e-5
-
-
 def test_start_goes_on_from_where_the_path_was_left(jogged):
     _, rows = jogged
     left = rows[LEFT]

@@ -14,15 +14,14 @@ from click.testing import CliRunner
 import hil
 from drivers.errors import LogError
 from drivers.signals import Fault, Mode, Warn
-from hil.app.configuration.changes import text_of, with_changes
+from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.feedforward_file import read_feedforward
 from hil.app.replay import replay_log
 from hil.cli import main
 from hil.lab.identify.runs import recorded_run
-from hil.lab.learn import rehearsal, report, runs
+from hil.lab.learn import runs
 from hil.lab.learn.command import Knowledge, learn, learned
-from hil.lab.learn.model import belief_of, learner
 from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
 from hil.lab.learn.runs import learning_run
 from hil.record.log import Log
@@ -118,33 +117,6 @@ def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(made, t
     )
 
 
-@pytest.mark.parametrize(
-    ("end", "trouble", "state"),
-    [
-        (LogError("limits cut the forces"), "limits cut the forces", "failed"),
-        (KeyboardInterrupt(), "interrupted", "interrupted"),
-    ],
-)
-def test_a_later_run_that_cannot_teach_ends_the_series_and_keeps_what_was_best(
-    made, tmp_path, monkeypatch, end, trouble, state
-):
-    folder, before = made
-
-    def read(path: Path) -> Any:
-        if path.stem.endswith("02"):
-            raise end
-        return learning_run(folder / path.name)
-
-    monkeypatch.setattr(rehearsal, "simulate", lambda *_, **__: {"success": True})
-    monkeypatch.setattr(rehearsal, "learning_run", read)
-    found = rehearse(short(), 4, Knowledge(), tmp_path, lambda _: None)
-    assert found.trouble == f"run 2: {trouble}"
-    assert [step.rms_mm for step in found.steps] == [step.rms_mm for step in before.steps[:2]]
-    assert found.best == (folder / "short-run-01.csv").read_text()
-    summary = report.series_summary(found, Path("a.csv"))
-    assert (summary["success"], summary["state"]) == (False, state)
-
-
 @pytest.mark.parametrize("numbers", [(1,), (0, 2), (1, 0), (0, 0)])
 def test_logs_that_do_not_follow_each_other_are_refused(made, numbers, tmp_path):
     result = told(*(log(made[0], number) for number in numbers), "-o", tmp_path / "next.csv")
@@ -204,39 +176,6 @@ def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(made, colum
         learning_run(path)
 
 
-def axes(folder: Path, **changes: Any) -> Path:
-    """Return a file as `hil identify` writes one: gain 0.9, 0.5 ms, and a lag of 0.8 ms, known to 40 Hz."""
-    line = {"frequency_Hz": [1.0], "magnitude": [1.0], "phase_deg": [0.0], "coherence": [1.0]}
-    line |= {"magnitude_std": [0.0], "phase_std_deg": [0.0]}
-    section = {
-        "kind": "axis-model",
-        "source": "run.mcap",
-        "axes": "joint",
-        "rate_Hz": 1000.0,
-        "nominal": {"gain": [0.9] * 6, "transport_ms": 0.5, "lag_ms": 0.8},
-        "uncertainty": {"frequency_Hz": [1.0, 40.0], "bound": [0.05, 0.1]},
-        "measured": [line] * 6,
-    }
-    path = folder / "axes.yaml"
-    path.write_text(text_of(section | changes))
-    return path
-
-
-def test_identified_axes_take_the_place_of_what_is_stated(made, tmp_path):
-    c = load("virtual")
-    known = learner(c, belief_of(c, axes(tmp_path), 0.25, 1e-3), 2500)
-    assert 35.0 < known.choice.Q.end_Hz < 40.4, "beyond its last line, but for a bin, nothing is known"
-    assert known.choice.contraction < 0.12
-    by_statement = learner(c, belief_of(c, None, 0.25, 1e-3), 2500)
-    jw = 2j * np.pi * known.f_Hz[1:125]  # up to 50 Hz, where the hold is half a period of delay
-    for loop, gain, transport_s in ((known.loops[0], 0.9, 0.5e-3), (by_statement.loops[0], 1.0, 1e-3)):
-        G = gain * np.exp(-(transport_s + 0.5e-3) * jw) / (1.0 + jw / (2.0 * np.pi * 200.0)) / jw**2
-        np.testing.assert_allclose(loop.P[1:125], G / (1.0 + G * (400.0 + 40.0 * jw)), rtol=0.01)
-    result = told(log(made[0], 0), "-o", tmp_path / "next.csv", "--axes", axes(tmp_path))
-    assert result.exit_code == 0, result.output
-    assert read_feedforward((tmp_path / "next.csv").read_bytes(), "csv")[0].cutoff_Hz < 40.7
-
-
 @pytest.mark.long
 def test_ten_runs_of_the_books_path_leave_less_than_a_twentieth_of_the_error(tmp_path):
     """The book's path on the bus, the law's masses 0.9 of the robot's."""
@@ -258,7 +197,6 @@ REAL: dict[str, dict[str, Any]] = {
     "motor mass": {"plant": {"model": {"reflected_mass_kg": 60}}},
     "noisy encoders": {"plant": {"drives": {"encoder_resolution_m": 2e-5}}},
     "classic bus": {"bus": {"layout": "classic"}, "loop": {"rate_Hz": 400}},
-    "predicting law": {"controller": {"delay_compensation": {"bus_ms": 0.9, "drive_lag_ms": 0.8}}},
 }
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 import pytest
 
-import hil
 from drivers.signals import Fault, Mode
 from hil.loop.console import REFUSED
 from hil.loop.run_end import LEFT_ALONE, Course
@@ -112,20 +111,3 @@ def test_an_arm_that_comes_too_early_does_not_record_for_ever_and_each_refusal_i
     for n, (event, word) in enumerate(zip(told, ("arm", "move", "hold", "nothing is held"), strict=True)):
         assert event.t_ns // 1_000_000 == n
         assert word in event.text
-
-
-def test_without_commands_a_run_goes_along_its_path_whatever_an_operator_would_have_to_do(tmp_path):
-    """And its log replays: the configuration in it is that of the run."""
-    pose = {"position_m": [0, 0, 1]}
-    points = [{"t_s": 0} | pose, {"t_s": 0.1, "position_m": [0, 0, 1.001]}, {"t_s": 0.2} | pose]
-    run = hil.sim(
-        "virtual",
-        log=tmp_path / "a.mcap",
-        reference={"type": "waypoints", "points": points, "periods": 1, "interpolation": "quintic"},
-        operator={"start": "asked", "deadman_s": 0.1, "stays": True},
-    )
-    assert run.success, run.summary["trouble"]
-    rows = run.log.rows()
-    assert modes(rows)[-3:] == PARKED
-    assert rows["p_d"][rows["mode"] == Mode.TRACKING][:, 2].max() == pytest.approx(1.001, abs=1e-6)
-    assert run.summary["replay"]["different_ticks"] == 0

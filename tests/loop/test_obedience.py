@@ -63,16 +63,6 @@ def test_a_leg_that_gets_faster_against_its_force_by_that_alone_gets_none(
     assert watch.obedience.refused == (leg if refused else None)
 
 
-@pytest.mark.parametrize(("others", "refused"), [(0.013, True), (0.05, False)])
-def test_a_load_moves_the_legs_in_another_proportion(watch, others, refused):
-    """Beside one by 0.1: five by x leave 5 x^2 / (0.1^2 + 5 x^2), 0.28^2 and 0.75^2."""
-    tau = np.full(6, -1.0)
-    change = np.full(6, others * 1.01)
-    change[2] = 0.101
-    watch(np.full(6, 0.5), tau)
-    assert watch(0.5 + change, tau) is refused
-
-
 def test_a_push_on_the_platform_refuses_nobody(watch, home):
     model, p, R, J = home
     twist = np.linalg.solve(model.mass_matrix(p, R), [0, 0, -20e3, 0, 0, 0])

@@ -94,14 +94,6 @@ def test_fed_back_it_removes_the_static_error(held, source):
 BOOK = {"periods": 1}
 
 
-@pytest.mark.long
-def test_without_a_load_it_sees_less_than_1_N_on_the_whole_path():
-    rows = succeeded(bench(BOOK)).rows
-    moving = rows[np.isin(rows["mode"], [Mode.APPROACH, Mode.TRACKING])]
-    assert np.abs(np.diff(moving["tau"], axis=0)).max() > 2000.0, "the acceleration jumps"
-    assert np.abs(rows["wrench"]).max() < 1.0
-
-
 def test_a_delay_that_it_does_not_know_is_seen_as_a_load():
     rows = succeeded(bench(BOOK, bus_ms=0.0, drive_lag_ms=0.0)).rows
     assert np.abs(rows["wrench"]).max() > 50.0

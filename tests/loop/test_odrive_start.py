@@ -85,13 +85,3 @@ def test_the_brakes_are_not_believed_shut_before_each_axis_has_told_it(started):
     assert (rows["drive_state"][unloading] == DriveState.READY).all()
     assert started.axes[unloading].brake.all()
     assert rows["mode"][-1] == Mode.PARKED
-
-
-def test_estimates_that_the_axes_send_by_their_timer_too_are_no_second_axis_and_doubt_no_encoder(started):
-    rows = started.rows
-    heard, since = started.estimates[rows["mode"] >= Mode.LOADING].T
-    assert heard.mean() == pytest.approx(6 + 6 * 3.2 / 10, abs=0.05), "as delivered: every 10 ms of each axis"
-    assert since.mean() < 6.5, "they come when they are sent, not with the answers"
-    assert rows["doubled"].max() == 0
-    assert rows["rejected"].max() == 0
-    assert np.nanmax(rows["encoder_share"]) < 0.5

@@ -14,7 +14,7 @@ import yaml
 from click.testing import CliRunner
 
 from drivers.signals import Mode
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.lab.identify.payload import identify_payload
@@ -208,16 +208,6 @@ def test_a_load_that_moves_with_nothing_is_doubted_aloud(more, tmp_path):
     assert "a load on the platform" not in quiet.stdout
 
 
-def test_a_law_without_a_model_gets_no_section_for_one(folder, found, tmp_path):
-    source = found.sources[0]
-    document = yaml.safe_load(load("virtual").text)
-    document["monitor"] = {"action": "log"}
-    document["controller"] = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
-    c = loads(yaml.safe_dump(document), "pd.yaml", tmp_path)
-    assert set(block(found._replace(sources=[source._replace(configuration=c)]))) == {"platform"}
-    assert set(block(found)) == {"platform", "controller"}
-
-
 @pytest.mark.long
 def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path):
     """White noise of 2 um on every encoder, in the closed loop, 16 seeds."""
@@ -236,21 +226,3 @@ def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path
     assert ratio.min() > 0.5
     assert ratio.max() < 2.0
     assert np.mean(theta, axis=0)[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
-
-
-@pytest.mark.long
-def test_of_a_motion_along_one_axis_the_errors_of_the_encoders_are_not_taken_for_motion(tmp_path):
-    """They tilt the platform by micrometres, and least squares would find an inertia in that: m z 12 of its
-    standard errors off. What shows is right, the rest stays as believed, and no body is offered."""
-    line = {"components": [{"axis": "x_m", "amplitude": 0.05, "frequency_Hz": 0.8}]}
-    c = laden.changed(lab(), reference=line)
-    laden.run(c, c, tmp_path / "line.mcap")
-    identify(tmp_path / "line.mcap", "--json", tmp_path / "line.json")
-    found = json.loads((tmp_path / "line.json").read_text())
-    assert {"I_xx", "I_zz", "I_xz"} <= set(found["not_shown"])
-    assert "mass" not in found["not_shown"]
-    for name, value in found["parameters"].items():
-        size = 300.0 if name == "mass" else 68.0 if name.startswith("m ") else 38.0
-        assert value == pytest.approx(found["parameters_believed"][name], abs=2e-3 * size), name
-    assert found["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
-    assert "platform" not in found["block"]

@@ -5,17 +5,13 @@ from __future__ import annotations
 import contextlib
 import socket
 import tempfile
-import threading
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from drivers.errors import RunError
 from drivers.signals import Mode
-from hil.app.configuration.configuration import load
-from hil.app.run.command import release_held
 from hil.loop.console import Console
 from hil.loop.cycle import Cycle
 from hil.loop.panel import OperatorPanel
@@ -127,20 +123,6 @@ def test_a_word_from_before_that_is_read_late_releases_nothing_whoever_sent_it(b
         new = sender()
         new.send(b"release")
         assert [held.tick(Mode.HELD) for _ in range(2)].count(True) == 1
-
-
-def test_where_no_controller_runs_there_is_nothing_to_release(bus):
-    c = load("virtual")
-    with pytest.raises(RunError, match="no controller runs on bus localcan:hil0"):
-        release_held(c)
-    with OperatorChannel(c.bus.interface, c.bus.channel) as channel:
-        held, over = Held(channel), threading.Event()
-        thread = threading.Thread(target=lambda: [held.tick(Mode.TRACKING) for _ in iter(over.is_set, True)])
-        thread.start()
-        with pytest.raises(RunError, match="released nothing: nothing is held"):
-            release_held(c)
-        over.set()
-        thread.join()
 
 
 def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():

@@ -183,39 +183,6 @@ def test_at_equal_crossover_the_peak_is_alike_and_the_lasting_error_is_not():
     assert hinf.lasting_mm <= equal.lasting_mm / 20.0
 
 
-def small_motion(frequency_Hz: float, amplitude_m: float) -> dict[str, Any]:
-    """Six axes at once, so that no leg rests."""
-    axes = {"x_m": 0.0, "y_m": 1.0, "z_m": 2.0, "rx_deg": 0.5, "ry_deg": 1.5, "rz_deg": 2.5}
-    components = [
-        {
-            "axis": axis,
-            "amplitude": amplitude_m * (1 if axis.endswith("m") else 60),
-            "frequency_Hz": frequency_Hz,
-            "phase_rad": phase,
-        }
-        for axis, phase in axes.items()
-    ]
-    return {"type": "sinusoids", "ramp_s": 0.5, "duration_s": 2, "components": components}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("frequency_Hz", "amplitude_m", "smaller"), [(3.0, 0.01, 2.0), (1.0, 0.03, 4.0)])
-def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
-    frequency_Hz, amplitude_m, smaller
-):
-    w_c = crossover("constant_hinf")
-    assert w_c >= 120.0
-    frozen = {"model": {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}}
-    rms = []
-    for law in (designed("constant_hinf"), of_crossover(w_c)):
-        c = changed("virtual", controller=law | frozen, reference=small_motion(frequency_Hz, amplitude_m))
-        rows = run(changed(c, limits={"following_error_m": 0.1})).tracking
-        steady = rows[(rows["reference_time_s"] > 0.5) & (rows["reference_time_s"] < 1.5)]
-        assert len(steady) > 900
-        rms.append(float(np.sqrt(((steady["q_d"] - steady["q"]) ** 2).mean())))
-    assert rms[1] >= smaller * rms[0]
-
-
 # -- the ultimate bound of inverse dynamics ---------------------------------------------------------------------
 
 

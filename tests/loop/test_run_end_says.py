@@ -136,15 +136,6 @@ def test_a_simulation_whose_plant_fails_says_so_first_and_then_which_fault_was_l
     assert ending.story.plant == "the plant was killed"
 
 
-def test_why_a_way_is_not_followed_is_logged_once_each_time():
-    now, told = cycle(T), []
-    course = Course(now, event=lambda *event: told.append(event))
-    for tick, trouble in enumerate(("", "far", "far", "near", "", "near")):
-        now.operating.trouble, now.tick["t_ns"] = trouble, 1000 * tick
-        course.ending(tick)
-    assert told == [(1000, "warning", "far"), (3000, "warning", "near"), (5000, "warning", "near")]
-
-
 def test_a_run_that_stays_says_for_what(monkeypatch):
     for force, holds in ((True, "with force"), (False, "Nothing but the brakes")):
         now = cycle(H, faults=Fault.ESTOP)

@@ -142,11 +142,3 @@ def test_set_points_where_none_can_be_followed_are_refused(tmp_path):
     fast = changed(LIVE, reference={"limits": {"acceleration_m_s2": 19}})
     with pytest.raises(ConfigurationError, match="at its start, set-points are refused"):
         inspect(fast)
-
-
-def test_limits_that_set_points_could_ask_too_much_with_are_warned_of():
-    assert not any("set-points" in w for w in inspect(LIVE).warnings)
-    fast = inspect(changed(LIVE, reference={"limits": {"velocity_m_s": 2}})).warnings
-    assert any("set-points on all axes" in w for w in fast)
-    weak = inspect(changed(LIVE, limits={"deceleration_m_s2": 1})).warnings
-    assert any("limits.deceleration_m_s2 is 1" in w for w in weak)

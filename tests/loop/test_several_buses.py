@@ -15,7 +15,6 @@ from drivers.signals import Fault, Warn
 from hil.app.check.bus import report_bus
 from hil.app.check.findings import Report
 from hil.app.configuration.bus_budget import bus_budgets
-from hil.app.configuration.bus_budget import loads as loads_of_buses
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.sim.command import simulate
 from hil.cli import main
@@ -63,33 +62,6 @@ def test_2_kHz_take_68_percent_of_each_of_two_buses_by_the_sum_of_the_frames():
     report = Report(c.name)
     report_bus(report, c)
     assert report.figures["bus"]["channels"]["two1"]["feedback_us"] == pytest.approx(75 + 193.8)
-
-
-def test_a_bus_that_is_too_full_is_refused_with_its_own_arithmetic_at_its_own_place():
-    lines = [{"channel": "two0", "legs": [0, 1]}, {"channel": "two1", "legs": [2, 3, 4, 5]}]
-    with pytest.raises(ConfigurationError) as refused:
-        changed("two_buses", bus={"channels": lines})
-    assert "bus.channels[1]" in str(refused.value)
-    # four legs need the command of 32 bytes: 75 + 105.6 + 4 x 64.6
-    assert "total 439.0 us of a 500.0 us period = 87.8 %" in str(refused.value)
-    assert "bus.channels[0]" not in str(refused.value)
-    with pytest.raises(ConfigurationError, match=r"(?s)bus\.channels\[1\].*data phase 1 Mbit/s"):
-        two(data_bitrate_bit_s=1000000)
-
-
-@pytest.mark.parametrize("slower", [0, 1])
-def test_the_slower_bus_decides_on_the_load_and_on_the_window_of_the_feedbacks(slower):
-    """With 2 Mbit/s of data a command takes 130.5 us, a feedback 110.5 us; 537 us in all are 26.85 % of 2 ms."""
-    c = two(SLOWLY, which=slower, data_bitrate_bit_s=2000000)
-    found = loads_of_buses(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
-    assert found["bus_load_percent"] == pytest.approx(26.85)
-    expected = {f"two{slower}": pytest.approx(26.85), f"two{1 - slower}": pytest.approx(17.07)}
-    assert found["bus_load_percent_by_channel"] == expected
-    # SYNC and three feedbacks: 75 + 331.5 us there, 268.8 us on the other bus
-    for window_us, late in ((407, False), (406, True), (270, True)):
-        report = Report(c.name)
-        report_bus(report, changed(c, loop={"feedback_window_us": window_us}))
-        assert any("take 406 us" in each for each in report.warnings) == late
 
 
 # -- runs ------------------------------------------------------------------------------------------------------

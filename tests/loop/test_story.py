@@ -24,7 +24,6 @@ from plant_fmu.faults.kinds import (
     BrakeStuckOpen,
     DriveSign,
     DriveSilence,
-    EncoderJump,
     EncoderLost,
     FramesLoss,
     PlantCrash,
@@ -97,18 +96,6 @@ def test_a_brake_that_stays_open_when_parking_is_told_with_the_way_of_its_leg():
     assert finding.seen.limit == 5e-4
     assert [step.mode for step in story.done] == ["HELD"]
     assert "switch off" not in "".join(story.lines())
-
-
-def test_an_encoder_that_jumps_far_is_told_before_what_its_length_spoils():
-    ran = run(load("ideal"), EncoderJump(leg=5, by_m=1.0, at_s=0.5), stop_s=1.0)
-    story = story_of(ran)
-    assert [each.fault for each in story.findings] == ["ENCODER", "KINEMATICS", "ASSEMBLY", "FOLLOWING"]
-    first, last = story.findings[0], story.findings[-1]
-    assert first.seen.leg == last.seen.leg == 5
-    assert first.seen.value == pytest.approx(1.0, abs=1e-4)
-    off = abs(ran.true[last.tick][5] + 1.0 - ran.rows[last.tick]["q_d"][5])
-    assert last.seen.value == pytest.approx(off, abs=1e-3)
-    assert last.seen.limit == pytest.approx(0.5, rel=0.1)
 
 
 def test_drives_that_a_forged_command_switched_off_are_named():

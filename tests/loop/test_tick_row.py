@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import PlantError
-from drivers.tick_columns import ROW
 from hil.app.compose import build_nodes
-from hil.app.configuration.configuration import Configuration, load
+from hil.app.configuration.configuration import Configuration
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.run_end import Ending
-from hil.loop.tick_row import CAPACITY
 from tests.golden.cases import CASES
 from tests.golden.runner import configured, new_cycle
 
@@ -82,46 +79,3 @@ def test_many_ticks_in_one_call_are_those_of_one_call_each(name):
     assert together.frames == alone.frames
     assert (many.mode, many.ticks, many.reason) == (one.mode, one.ticks, one.reason)
     assert together.calls < alone.calls // 4
-
-
-def test_ticks_before_a_plant_fails_are_given_and_the_run_ends_in_the_tick_that_failed(monkeypatch):
-    kept, failing = Kept(), 1000
-    with bench(load("virtual")) as lockstep:
-        nodes = lockstep.nodes
-        known: Any = type(nodes).address
-
-        def address(self: Any) -> int:
-            """Let Python move the plant from some tick on, and fail."""
-            return 0 if lockstep.tick + 1 >= failing - CAPACITY else int(known.fget(self))
-
-        def advance(t_ns: int, received: Any) -> Any:
-            if t_ns >= failing * lockstep.period_ns:
-                raise PlantError("the model is gone")
-            return type(nodes).advance(nodes, t_ns, received)
-
-        monkeypatch.setattr(type(nodes), "address", property(address))
-        monkeypatch.setattr(nodes, "advance", advance)
-        ending = lockstep.run(2.0, None, take=kept.take)
-    assert len(kept.rows) == failing == ending.ticks == lockstep.tick
-    assert ending.reason.startswith("the model is gone")
-    assert (lockstep.cycle.tick["tick"], lockstep.cycle.last["tick"]) == (failing - 1, failing - 2)
-
-
-@pytest.mark.parametrize("place", ["_look_at_nodes", "row._turn_over"])
-def test_a_run_that_is_interrupted_gives_no_tick_twice_and_none_that_was_not_made(place, monkeypatch):
-    kept = Kept()
-    with bench(load("virtual")) as lockstep:
-        owner, name = (lockstep.row, "_turn_over") if "." in place else (lockstep, place)
-        before = getattr(owner, name)
-
-        def interrupted() -> None:
-            before()
-            if lockstep.tick > 600:
-                raise KeyboardInterrupt
-
-        monkeypatch.setattr(owner, name, interrupted)
-        with pytest.raises(KeyboardInterrupt):
-            lockstep.run(2.0, None, take=kept.take)
-    ticks = [int(np.frombuffer(row, ROW)["tick"][0]) for row in kept.rows]
-    assert ticks == list(range(len(ticks)))
-    assert len(ticks) > 600

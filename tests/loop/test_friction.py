@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from math import pi
+from math import pi, sqrt
 
 import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import load
+from hil.app.configuration.platform import build_platform
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from hil.trajectory.build import build_trajectory
 from tests.loop.bench import changed, run, succeeded
 
 BOTH = {"viscous_friction_N_s_m": 2000, "reflected_mass_kg": 500}
@@ -57,6 +62,27 @@ def geared(reflected_kg):
         limits=dict.fromkeys(("force_N", "force_step_N", "force_window_N"), WIDE),
         drives={"force_limit_N": WIDE},
     )
+
+
+def slowest_and_fastest(reflected_kg):
+    """Extremes along the book's path of sqrt(Kp / m), m the eigenvalues of the leg-space inertia, Kp fixed."""
+    c = load("ideal")
+    platform, trajectory = build_platform(c.platform), build_trajectory(c.reference, c.platform.home, None)
+    model, found = Model(platform, reflected_mass=reflected_kg), []
+    for t in np.linspace(0.0, 2.0, 201):
+        s = trajectory.sample(float(t))
+        inverse = np.linalg.inv(jacobian(platform, s.p, s.R))
+        found.append(np.linalg.eigvalsh(inverse.T @ model.mass_matrix(s.p, s.R) @ inverse))
+    Kp = W_N**2 * (reflected_kg + SHARE_kg)
+    return sqrt(Kp / np.max(found)), sqrt(Kp / np.min(found))
+
+
+def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
+    slowest, fastest = slowest_and_fastest(0.0)
+    assert fastest / slowest == pytest.approx(5.5, rel=0.02)
+    slowest, fastest = slowest_and_fastest(GEAR_kg)
+    assert fastest / slowest < 1.10
+    assert slowest < W_N < fastest
 
 
 def test_the_error_of_a_decentralised_law_falls_as_the_inertia_of_the_motors_rises():

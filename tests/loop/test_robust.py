@@ -183,6 +183,34 @@ def test_at_equal_crossover_the_peak_is_alike_and_the_lasting_error_is_not():
     assert hinf.lasting_mm <= equal.lasting_mm / 20.0
 
 
+AXES = {"x_m": 0.0, "y_m": 1.0, "z_m": 2.0, "rx_deg": 0.5, "ry_deg": 1.5, "rz_deg": 2.5}
+"""Six axes at once, so that no leg rests, and their phases."""
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("frequency_Hz", "amplitude_m", "smaller"), [(3.0, 0.01, 2.0), (1.0, 0.03, 4.0)])
+def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
+    frequency_Hz, amplitude_m, smaller
+):
+    w_c, rms = crossover("constant_hinf"), []
+    assert w_c >= 120.0
+    motion = [
+        {"axis": a, "amplitude": amplitude_m * (1 if a.endswith("m") else 60), "frequency_Hz": frequency_Hz, "phase_rad": b}
+        for a, b in AXES.items()
+    ]  # fmt: skip
+    reference = {"type": "sinusoids", "ramp_s": 0.5, "duration_s": 2, "components": motion}
+    frozen = {"model": {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}}
+    for law in (designed("constant_hinf"), of_crossover(w_c)):
+        c = changed(
+            "virtual", controller=law | frozen, reference=reference, limits={"following_error_m": 0.1}
+        )
+        rows = run(c).tracking
+        steady = rows[(rows["reference_time_s"] > 0.5) & (rows["reference_time_s"] < 1.5)]
+        assert len(steady) > 900
+        rms.append(float(np.sqrt(((steady["q_d"] - steady["q"]) ** 2).mean())))
+    assert rms[1] >= smaller * rms[0]
+
+
 # -- the ultimate bound of inverse dynamics ---------------------------------------------------------------------
 
 

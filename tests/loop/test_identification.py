@@ -8,21 +8,16 @@ than in the closed form; 0.4 degrees at 30 Hz.
 
 from __future__ import annotations
 
-import json
 from math import pi
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
-import yaml
-from click.testing import CliRunner
 
 from drivers.arrays import Rows
 from drivers.signals import Mode
-from hil.app.configuration.section_file import read_section
 from hil.app.sim.command import simulate
-from hil.cli import main
 from hil.config.axis_model import AxisModel
 from hil.lab.identify.axes import axes_of_log, excited_axes
 from hil.lab.identify.estimators.axis_fit import Fit
@@ -103,14 +98,3 @@ def test_the_bound_covers_the_truth(made):
     for gain in nominal.gain:
         assert (np.abs(truth(f) * late / (gain * P0) - 1) <= np.array(profile.bound)).all()
     assert np.interp(10.0, f, profile.bound) < 0.05
-
-
-def test_a_log_gives_the_file_the_picture_and_the_report(made, tmp_path):
-    words = ["identify", str(made.log), "-o", str(tmp_path / "axes.yaml"), "--json", str(tmp_path / "a.json")]
-    result = CliRunner(env={"COLUMNS": "140"}).invoke(main, words)
-    assert result.exit_code == 0, result.output
-    assert read_section(tmp_path / "axes.yaml", AxisModel)[0] == made.model
-    assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
-    assert json.loads((tmp_path / "a.json").read_text())["total_ms"] == pytest.approx(TOTAL_MS, abs=0.05)
-    block = yaml.safe_load(result.stdout[result.stdout.index("controller:") :])["controller"]
-    assert sum(block["delay_compensation"].values()) == pytest.approx(TOTAL_MS, abs=0.05)

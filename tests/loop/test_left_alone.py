@@ -66,18 +66,6 @@ def test_a_run_that_stays_does_so_for_as_long_as_somebody_may_speak(mode: Mode) 
     assert course.ending(2001) is not None
 
 
-@pytest.mark.parametrize("armed", [True, False])
-def test_where_its_duration_ends_a_run_it_waits_until_then(armed: bool) -> None:
-    now = waiting(Mode.IDLE)
-    course = Course(now, 5.0, armed=armed, goes_on=True)
-    if not armed:
-        course.commands(0, (Operator.ENGAGE,))
-    now.mode, now.operating.go = Mode.TRACKING, False
-    assert course.left_alone() == ()
-    assert course.goes_on
-    assert course.commands(500) == STOP
-
-
 @pytest.mark.parametrize(
     ("commands", "operator", "last"),
     broad(

@@ -31,7 +31,6 @@ AHEAD = {
     "law": "inverse_dynamics", "wn_rad_s": 90,
     "delay_compensation": {"bus_ms": 0.5, "drive_lag_ms": 0.8, "hold_ms": 0.5},
 }  # fmt: skip
-PD = {"law": "pd", "kp_N_m": 2.0e6, "kv_N_s_m": 5.0e4}
 LOAD = WrenchStep(at_s=2.2, force_N=(-1.12e3, -6.46e3, 7.55e3), moment_N_m=(0.0, 0.0, 0.0))
 """10 kN where they move leg 1 most: J M^-1 wrench is 7.7 m/s^2."""
 
@@ -129,9 +128,3 @@ def test_other_shipped_configurations_do_not_alarm(name, until_s):
     rows = run(watched("warn", name=name), until_s=until_s)
     assert np.isfinite(rows["lyapunov_share"]).sum() > 0.3 * len(rows)
     assert alarms(rows) == 0
-
-
-def test_without_a_certificate_nothing_is_watched():
-    rows = run(watched("log", controller=PD), until_s=1.0)
-    assert (rows["mode"] == Mode.APPROACH).any()
-    assert np.isnan(rows["lyapunov"]).all()

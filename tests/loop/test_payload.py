@@ -20,7 +20,7 @@ from hil.cli import main
 from hil.lab.identify.payload import identify_payload
 from hil.lab.identify.payload_block import block
 from hil.record.log import Log
-from plant_fmu.faults.kinds import EncoderNoise, WrenchStep
+from plant_fmu.faults.kinds import EncoderNoise
 from tests.loop import laden
 
 AXES = {
@@ -162,20 +162,6 @@ def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder
 
 
 @pytest.mark.long
-def test_an_empty_platform_keeps_its_exact_figures(more, tmp_path):
-    """What is as believed, within the errors, does not take the place of what is known exactly."""
-    result = identify(more / "free.mcap", "-o", tmp_path / "b.yaml", "--json", tmp_path / "b.json")
-    assert result.exit_code == 0, result.output
-    assert "No payload beyond what section platform has" in result.stdout
-    found = json.loads((tmp_path / "b.json").read_text())
-    assert found["platform"]["mass_kg"] == pytest.approx(1150.0, rel=1e-4)
-    assert np.diag(found["platform"]["inertia_kg_m2"]) == pytest.approx([570.0, 285.0, 285.0], rel=1e-3)
-    written = yaml.safe_load((tmp_path / "b.yaml").read_text())
-    assert set(written) == {"controller"}
-    laden.changed(load("virtual"), **written)  # it is a configuration
-
-
-@pytest.mark.long
 def test_logs_and_files_that_cannot_serve_are_refused(more, tmp_path):
     out, other, still = (tmp_path / name for name in ("block.yaml", "mine.yaml", "still.mcap"))
     for _ in range(2):  # its own earlier file is replaced
@@ -195,17 +181,6 @@ def test_logs_and_files_that_cannot_serve_are_refused(more, tmp_path):
         assert result.exit_code == 2, result.output
         assert said in result.stderr
     assert other.read_text() == "name: mine\n"
-
-
-@pytest.mark.long
-def test_a_load_that_moves_with_nothing_is_doubted_aloud(more, tmp_path):
-    """A push that comes and goes is no mass: the residual says so."""
-    steps = [WrenchStep(at_s=float(t), for_s=0.5, force_N=(4000.0, 0.0, 0.0)) for t in range(3, 12)]
-    laden.run(virtual(), virtual(), tmp_path / "a.mcap", *steps)
-    pushed, quiet = identify(tmp_path / "a.mcap"), identify(more / "free.mcap")
-    assert pushed.exit_code == 0, pushed.output
-    assert "a load on the platform" in pushed.stdout
-    assert "a load on the platform" not in quiet.stdout
 
 
 @pytest.mark.long

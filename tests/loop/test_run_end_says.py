@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -83,26 +81,6 @@ def test_a_stale_fault_names_the_legs_that_reached_its_limit_in_its_tick(ages, s
     ending = course.ending(26)
     assert ending is not None
     assert said in ending.reason
-
-
-@pytest.mark.parametrize(
-    ("more", "said"),
-    [
-        ({}, "why"),
-        ({"fault_tick": 0}, "why at tick 0"),
-        ({"done": "the loop ended"}, "why: the loop ended"),
-        (
-            {
-                "fault_tick": 7,
-                "done": "the loop ended",
-                "story": SimpleNamespace(done_text="the brakes closed"),
-            },
-            "why at tick 7: the brakes closed; the loop ended",
-        ),
-    ],
-)
-def test_trouble_is_what_went_wrong_in_which_tick_and_what_was_done(more, said):
-    assert Ending(F, Fault.STALE, "why", 9, **more).trouble == said
 
 
 def test_what_the_plant_says_of_itself_comes_before_what_the_controller_saw_of_it():

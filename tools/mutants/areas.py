@@ -118,7 +118,7 @@ AREAS = {
             "tests/hil/test_live.py",
             "tests/hil/test_reference.py",
             "tests/hil/test_operating*.py",
-            "tests/loop/test_jog.py",
+            "tests/loop/test_operate.py",
             "tests/loop/test_paths.py",
             "tests/loop/test_setpoints.py",
         ),

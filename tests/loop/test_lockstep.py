@@ -136,7 +136,7 @@ NAMES = (
 
 
 class Kept:
-    """All ticks of a kept_of: rows, frames, and how many calls it took. State: these."""
+    """All ticks of a run: rows, frames, and how many calls it took. State: these."""
 
     def __init__(self) -> None:
         self.rows: list[bytes] = []

@@ -66,10 +66,7 @@ ATTACKS: dict[str, Callable[[Attacked], Attack]] = {
     "the next counter": lambda bench: lambda tick: forged(bench, tick + 1, 3e3),
     "old commands": lambda bench: lambda tick: forged(bench, tick - 1 - tick % 2, 3e3),
     "SYNC and command": lambda bench: (
-        lambda tick: (
-            *opening(bench.cycle.parts.protocol, tick + 9),
-            *forged(bench, tick + 9, 3e3),
-        )
+        lambda tick: (*opening(bench.cycle.parts.protocol, tick + 9), *forged(bench, tick + 9, 3e3))
     ),
 }
 

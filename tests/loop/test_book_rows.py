@@ -31,7 +31,7 @@ from hil.contracts.records import asked, referred
 from hil.control.law import LawContext
 from hil.loop.cycle import Cycle
 from hil.loop.run_end import Course
-from hil.robot.kinematics import jacobian, jacobian_rate, leg_lengths
+from hil.robot.kinematics import jacobian, leg_lengths
 from hil.safety.encoder_limits import NONE
 from hil.trajectory.build import build_trajectory
 from plant_fmu.faults.kinds import WrenchStep
@@ -254,45 +254,6 @@ def test_constant_dynamics_with_safety_end_in_a_latched_fault_before_the_singula
     assert rows["reference_time_s"][-2] < 1.011
     assert int(rows["faults"][-1]) & (Fault.CONDITION | Fault.KINEMATICS | Fault.ASSEMBLY)
     assert any("small motion only" in w for w in inspect(configuration).warnings)
-
-
-# -- what a term is worth --------------------------------------------------------------------------------------
-
-
-class WithoutBend:
-    """The exact law, its (dJ/dt) twist given back through ddq_d: the only term that is dropped."""
-
-    def __init__(self, law, platform):
-        self.law, self.platform = law, platform
-
-    def reset(self):
-        self.law.reset()
-
-    def effort(self, tick):
-        bend = jacobian_rate(self.platform, tick["p"], tick["R"], tick["twist"]) @ tick["twist"]
-        tick["tau_law"] = asked(self.law, tick, ddq_d=tick["ddq_d"] + bend)
-
-
-def drop_bend(cycle, _plant):
-    law = WithoutBend(cycle.parts.law, cycle.parts.platform)
-    return Cycle(replace(cycle.parts, law=law))
-
-
-@pytest.mark.parametrize(
-    ("dropped", "law", "prepare", "peak_mm"),
-    [
-        ("H", {"law": "partial_linearisation", "wn_rad_s": 20}, None, 0.23),
-        ("(dJ/dt) twist", idc(20), drop_bend, 2.6),
-    ],
-)
-def test_on_the_books_path_the_rate_of_J_is_worth_ten_times_H(dropped, law, prepare, peak_mm):
-    found = figures(track(ideal(law), 2.0, prepare=prepare))
-    assert found["peak_leg_err_mm"] == pytest.approx(peak_mm, rel=0.10), dropped
-
-
-def test_constant_M_and_G_with_the_current_J_are_six_times_better_in_small_motion():
-    found = figures(track(ideal(idc(60, "constant_MG"), small=True), 4.0))
-    assert found["peak_leg_err_mm"] == pytest.approx(0.28, rel=0.10)
 
 
 # -- rounding: the law integrated with the accelerations of the plant's FMU -------------------------------------

@@ -287,24 +287,6 @@ def heard_by(shared: bool, now: Any, next_one: Any, window_ns: int, wake: Wake) 
     return _ask(cycle, shell, wake, sent_array([Frame(1, b"")]))[0]
 
 
-@pytest.mark.parametrize("shared", [False, True])
-def test_after_a_late_wake_up_old_answers_do_not_end_the_wait_and_the_window_is_no_longer(shared):
-    def frame(number: int) -> Frame:
-        return Frame(9, bytes([number])) if shared else Frame(number, b"\0")
-
-    coming = [Received(t_ns, frame(number)) for t_ns, number in ((10, 1), (120, 2), (130, 1), (140, 2))]
-    deadlines: set[int] = set()
-
-    def next_one(deadline_ns: int, _wanted: Any = None) -> Rows:
-        deadlines.add(deadline_ns)
-        return received_array([coming.pop(0)])
-
-    heard = heard_by(shared, lambda: 100, next_one, 175, Wake(0, 0, 90, 0))
-    assert heard["t_ns"].tolist() == [10, 120, 130]
-    assert len(coming) == 1
-    assert deadlines == {175}
-
-
 @pytest.mark.parametrize(("window_ns", "last"), [(145, 150), (140, 140), (141, 150)])
 @pytest.mark.parametrize("shared", [False, True])
 def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared, window_ns, last):

@@ -33,9 +33,7 @@ DECISIONS = {"Cycle.decide", "Cycle.end_tick"}
 CHANGES = 9
 """Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""
 OBSERVED: dict[str, Any] = {
-    "estimation": {
-        "wrench": {"source": "observer", "bandwidth_Hz": 5, "bus_ms": 0.5, "drive_lag_ms": 0.8},
-    }
+    "estimation": {"wrench": {"source": "observer", "bandwidth_Hz": 5, "bus_ms": 0.5, "drive_lag_ms": 0.8}}
 }
 TWO_BUSES: Changes = {
     "bus": {

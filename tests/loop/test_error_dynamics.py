@@ -67,13 +67,6 @@ def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direct
     assert deviation(rows["q_d"] - rows["q"], expected) < 0.005
 
 
-@directions
-def test_under_inverse_dynamics_in_pose_space_the_position_does(direction):
-    rows, p, _ = track(INVERSE_DYNAMICS | {"law": "pose_inverse_dynamics"}, direction)
-    expected = critically_damped(HOME_m - p, rows["reference_time_s"])
-    assert deviation(rows["p_d"] - rows["p"], expected) < 0.005
-
-
 def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides():
     """e'' + lambda e' + k sat(s / phi) = 0, s = e' + lambda e, integrated by scipy."""
     slope, k, phi = 20.0, 18.0, 0.1
@@ -94,26 +87,6 @@ def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides():
     arrived = t > s[0].max() / k
     assert s[arrived].max() < phi
     assert s[t < 0.9 * s[0].max() / k].max(axis=1).min() > phi
-
-
-@pytest.mark.long
-def test_under_the_lyapunov_redesign_the_legs_share_one_bounded_correction():
-    """e'' + K_D e' + K_P e + rho y / max(|y|, epsilon) = 0, y = e' + K_D e / 2, integrated by scipy."""
-    K_P, K_D, epsilon = 400.0, 40.0, 0.2
-    rho = 6.0**0.5 * 8.0
-    law = {
-        "law": "robust_inverse_dynamics", "wn_rad_s": 20, "boundary_layer_m_s": epsilon,
-        "uncertainty": {"disturbance_m_s2": 8},
-    }  # fmt: skip
-    rows, p, R = track(law, "askew")
-
-    def acceleration(e, de):
-        y = de + K_D / 2 * e
-        return -K_D * de - K_P * e - rho * y / max(np.linalg.norm(y), epsilon)
-
-    e0 = leg_errors(p, R)
-    assert np.linalg.norm(K_D / 2 * e0) > 10 * epsilon
-    assert deviation(rows["q_d"] - rows["q"], integrated(acceleration, e0, rows["reference_time_s"])) < 0.005
 
 
 def integrated(acceleration, e0, t):

@@ -12,7 +12,6 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError
 from drivers.signals import Mode
-from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import read_fault, show_fault, with_faults
 from hil.cli import main
@@ -22,8 +21,6 @@ from hil.study.faults.cases import LEG, MATRIX, cases
 from hil.study.faults.command import run_matrix
 from hil.study.faults.verdict import Bounds
 from plant_fmu.faults import FAULTS
-from plant_fmu.faults.kinds import PayloadStep
-from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 from tests.live_reference import LIVE_REFERENCE
 from tests.loop.bench import bench, changed
@@ -63,15 +60,6 @@ def test_a_seed_draws_leg_size_and_sign_and_words_repeat_the_fault():
     for case in cases(c, seed=3):
         again = read_fault(show_fault(case.fault))
         assert again.model_copy(update={"at_s": case.fault.at_s}) == case.fault
-
-
-def test_a_load_of_the_matrix_weighs_what_the_configuration_says():
-    light = changed("virtual", platform={"gravity_m_s2": [0.0, 0.0, -1.62]})
-    nodes, plant = build_nodes(light, FaultPlan([PayloadStep(mass_kg=100.0)]))
-    nodes.step(1_000_000, [])
-    snapshot = nodes.snapshot()
-    plant.close()
-    assert snapshot.wrench[2] == pytest.approx(-162.0)
 
 
 def one(pattern: str, configuration: str = "virtual") -> dict[str, Any]:
@@ -141,17 +129,6 @@ def test_a_fault_of_a_mode_begins_in_it_and_counts_from_there(mode):
                 entered, now = lockstep.tick, lockstep.cycle.mode
         assert now is mode
         assert 1e-9 * begins_ns(fault) - 1e-3 * entered == pytest.approx(0.02, abs=1e-3)
-
-
-def test_a_reference_that_stands_is_at_hold_a_tenth_of_a_second_later():
-    c = cases(load("virtual"), ["encoder_noise/HOLD"])[0].configuration
-    with bench(with_faults(c, ["encoder_noise leg=0 sigma=0 mode=HOLD"])) as lockstep:
-        course = Course(lockstep.cycle)
-        while lockstep.nodes.waiting:
-            lockstep.step(course.commands(lockstep.tick + 1))
-            assert lockstep.tick < 3000
-        assert lockstep.cycle.mode is Mode.TRACKING
-        assert lockstep.tick - lockstep.cycle.mode_tick == pytest.approx(100, abs=1)
 
 
 def test_a_run_says_which_faults_struck_and_which_were_not_reached(tmp_path):

@@ -36,8 +36,7 @@ def test_the_error_is_that_of_sampling_if_the_model_knows_the_drives(model, plan
 
 
 @pytest.mark.parametrize(
-    ("key", "value"),
-    [("reflected_mass_kg", -1), ("viscous_friction_N_s_m", [1, 2]), ("coulomb_friction", 1)],
+    ("key", "value"), [("reflected_mass_kg", -1), ("viscous_friction_N_s_m", [1, 2]), ("coulomb_friction", 1)]
 )
 def test_drives_without_meaning_are_refused(key, value):
     with pytest.raises(ConfigurationError, match=rf"controller\.model\.{key}\b"):

@@ -17,10 +17,7 @@ HEAVY: dict[str, Any] = {
     "platform": {"platform": {"mass_kg": 38, "inertia_kg_m2": [[0.35, 0, 0], [0, 0.35, 0], [0, 0, 0.4]]}},
     "limits": {"force_N": 290, "force_step_N": 120, "force_window_N": 280},
 }
-ODRIVE: dict[str, Any] = {
-    "drives": {"protocol": "odrive", "options": None},
-    "loop": {"rate_Hz": 312.5},
-}
+ODRIVE: dict[str, Any] = {"drives": {"protocol": "odrive", "options": None}, "loop": {"rate_Hz": 312.5}}
 LEGS: dict[str, Any] = {"drives": {"protocol": "legs", "options": None, "transmission": None}}
 FOUND_m = 4e-3
 """True error of a leg by which its frozen encoder is found."""

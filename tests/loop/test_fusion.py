@@ -117,8 +117,7 @@ def test_one_lost_encoder_whichever_leg_it_is():
 
 
 @pytest.mark.parametrize(
-    ("fault", "end"),
-    broad([(EncoderFreeze, UNPROVEN), (DriveSilence, (Mode.PARKED, Fault.NONE))], quick=1),
+    ("fault", "end"), broad([(EncoderFreeze, UNPROVEN), (DriveSilence, (Mode.PARKED, Fault.NONE))], quick=1)
 )
 def test_a_frozen_encoder_and_a_silent_drive_are_survived_in_motion(fault, end):
     found = track(fused(), fault(leg=1, at_s=0.8, for_s=0.8))

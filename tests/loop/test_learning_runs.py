@@ -117,25 +117,6 @@ def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(made, t
     )
 
 
-@pytest.mark.parametrize("numbers", [(1,), (0, 2), (1, 0), (0, 0)])
-def test_logs_that_do_not_follow_each_other_are_refused(made, numbers, tmp_path):
-    result = told(*(log(made[0], number) for number in numbers), "-o", tmp_path / "next.csv")
-    assert result.exit_code == 2
-    assert "run" in result.stderr
-    assert not (tmp_path / "next.csv").exists()
-
-
-def test_a_limit_cuts_what_is_learned_and_a_file_of_others_is_not_overwritten(made, tmp_path):
-    out = tmp_path / "next.csv"
-    result = told(log(made[0], 0), "-o", out, "--limit", "150")
-    assert result.exit_code == 0
-    assert "more than 150 N" in result.output.replace("\n", " ")
-    assert np.abs(read_feedforward(out.read_bytes(), "next.csv")[1]).max() == 150.0
-    out.write_text("t_s,a\n")
-    assert told(log(made[0], 0), "-o", out).exit_code == 2
-    assert out.read_text() == "t_s,a\n"
-
-
 def test_a_run_that_contradicts_the_uncertainty_is_refused(made):
     """The second run as if its learned forces had acted the other way."""
     first, second = (learning_run(log(made[0], number)) for number in (0, 1))

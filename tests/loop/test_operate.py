@@ -10,7 +10,6 @@ from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
 from hil.signals import JOG_NAMES, Operator, Order
 from tests.broad import broad
-from tests.live_reference import LIVE_REFERENCE
 from tests.loop.bench import new_cycle
 from tests.loop.operated import WITHIN, Changed, modes, simulated
 
@@ -75,10 +74,7 @@ def test_without_the_key_the_stop_begins_in_time_and_only_a_new_start_ends_it(tm
     held = [(0.02 * k, "key") for k in range(150)]
     again = [(4.0 + 0.02 * k, "key") for k in range(200)]
     run, rows = simulated(
-        tmp_path,
-        [*held, (3.8, "start"), *again, (5.0, "start")],
-        duration_s=6.0,
-        operator={"deadman_s": 0.1},
+        tmp_path, [*held, (3.8, "start"), *again, (5.0, "start")], duration_s=6.0, operator={"deadman_s": 0.1}
     )
     assert run.success
     assert run.summary["replay"]["different_ticks"] == 0
@@ -136,21 +132,6 @@ def test_a_park_in_the_approach_and_just_before_the_end_of_the_path_parks(
     assert modes(rows)[-len(ends) :] == ends
     if not sections:
         np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
-
-
-@pytest.mark.long
-def test_a_hold_in_the_approach_and_on_the_way_back_is_one_too(tmp_path):
-    run, rows = simulated(
-        tmp_path,
-        [(0.9, "hold"), (2.2, "start"), (4.0, "park"), (5.0, "hold"), (6.0, "start")],
-        check_replay=False,
-    )
-    assert run.success
-    assert not rows["twist_d"][1500:2200].any()
-    assert rows["mode"][2000] == Mode.APPROACH
-    assert not rows["twist_d"][5680:6000].any(), "held while the speed rises: up to a third longer"
-    assert rows["mode"][5900] == Mode.STOPPING
-    np.testing.assert_allclose(rows["p_d"][-1], [0, 0, 1], atol=1e-4)
 
 
 # -- jogs ----------------------------------------------------------------------------------------------------
@@ -217,31 +198,13 @@ def test_a_replay_notices_a_jog_that_is_another(jogged, axis, fraction):
 
 def test_a_jog_stops_before_the_soft_end_of_the_stroke(tmp_path):
     run, rows = simulated(
-        tmp_path,
-        [(1.6, "hold"), (2.4, "jog leg0 1 for 6"), (9.5, "park")],
-        operator=SLOW,
-        check_replay=False,
+        tmp_path, [(1.6, "hold"), (2.4, "jog leg0 1 for 6"), (9.5, "park")], operator=SLOW, check_replay=False
     )
     assert run.success, run.summary["trouble"]
     assert set(run.summary["limited_ticks"].values()) == {0}
     q = lengths(rows)
     assert q.max() < 2.2 - 0.02 - 1e-3
     assert not rows["twist_d"][9400].any()
-
-
-@pytest.mark.long
-def test_a_stop_in_a_jog_ends_the_run_there_and_armed_again_it_jogs_again(tmp_path):
-    commands = [
-        *[(0.5, "arm"), (1.8, "hold"), (2.6, "jog y 1 for 1"), (3.0, "stop"), (5.0, "reset"), (5.4, "arm")],
-        *[(8.0, "hold"), (9.0, "jog y -1 for 0.3"), (10.0, "start"), (11.0, "end")],
-    ]
-    run, rows = simulated(tmp_path, commands, operator=SLOW | {"stays": True})
-    assert run.success, run.summary["trouble"]
-    assert run.summary["replay"]["different_ticks"] == 0
-    assert modes(rows).count("PARKED") == 2
-    parked = rows["p_d"][4800]
-    assert 0.05 < parked[1] - rows["p_d"][2590][1] < 0.2
-    assert rows["twist_d"][9200][1] < -0.05
 
 
 def test_the_key_that_is_let_go_of_ends_a_jog(tmp_path):
@@ -256,15 +219,3 @@ def test_the_key_that_is_let_go_of_ends_a_jog(tmp_path):
     assert rows["twist_d"][3600:4080, 0].max() == pytest.approx(-0.2)
     assert rows["twist_d"][4090, 0] > -0.2
     assert not rows["twist_d"][4700:5900].any()
-
-
-def test_a_live_reference_is_not_jogged(tmp_path):
-    run, rows = simulated(
-        tmp_path,
-        [(1.5, "hold"), (2.0, "jog x 1 for 0.5")],
-        duration_s=3.0,
-        reference=LIVE_REFERENCE,
-        check_replay=False,
-    )
-    assert run.success
-    assert not rows["twist_d"][1300:2900].any()

@@ -10,7 +10,6 @@ import json
 
 import numpy as np
 import pytest
-import yaml
 from click.testing import CliRunner
 
 from drivers.signals import Mode
@@ -159,28 +158,6 @@ def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder
     assert late_ms == pytest.approx(0.475, abs=0.02)
     assert found.theta[0] - 1150.0 == pytest.approx(MASS, rel=0.005)
     assert np.abs(tensor(found.theta) - truth()).max() < 0.02 * truth().max()
-
-
-@pytest.mark.long
-def test_logs_and_files_that_cannot_serve_are_refused(more, tmp_path):
-    out, other, still = (tmp_path / name for name in ("block.yaml", "mine.yaml", "still.mcap"))
-    for _ in range(2):  # its own earlier file is replaced
-        assert identify(more / "a.mcap", "-o", out).exit_code == 0
-    body = yaml.safe_load(out.read_text())["platform"]["platform"]["payload"][0]
-    assert body["mass_kg"] == pytest.approx(MASS, rel=0.005)
-    rest = laden.changed(load("virtual"), reference={"type": "hold", "duration_s": 0.3})
-    simulate(rest, log=still, check_replay=False)
-    other.write_text("name: mine\n")
-    for arguments, said in (
-        ((more / "a.mcap", "-o", other), "is not overwritten"),
-        ((more / "a.mcap", more / "lab.mcap"), "its section platform is not that of"),
-        ((still,), "too little motion"),
-        ((more / "a.mcap", more / "a.mcap"), "the same log twice"),
-    ):
-        result = identify(*arguments)
-        assert result.exit_code == 2, result.output
-        assert said in result.stderr
-    assert other.read_text() == "name: mine\n"
 
 
 @pytest.mark.long

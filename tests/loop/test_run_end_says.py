@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from drivers.signals import NEVER, Fault, Mode, Stop
-from hil.contracts.records import altered
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
 from tests.loop.test_run_end import MOVES, F, H, P, S, T, W, X, change, cycle
@@ -63,24 +62,6 @@ def test_a_stop_by_safety_is_no_success_and_says_why(stop, what):
     assert ending is not None
     assert (ending.success, ending.requested) == (False, False)
     assert what in ending.reason
-
-
-@pytest.mark.parametrize(
-    ("ages", "said"),
-    [
-        ([3, 3, 5, 1, 3, 1], "(leg 2 not heard for 5 ticks, limits.stale_fault_ticks is 5)"),
-        ([0, 7, 5, 0, 0, 0], "(leg 1, 2 not heard for 7, 5 ticks, "),
-        ([5, 6, 5, 5, 5, 5], "(no leg heard for 5 ticks, "),
-    ],
-)
-def test_a_stale_fault_names_the_legs_that_reached_its_limit_in_its_tick(ages, said):
-    now = cycle(F, 1, Fault.STALE, counted_age=np.array(ages))
-    course = Course(now)
-    assert course.ending(1) is None
-    now.tick = altered(now.tick, counted_age=[9, 9, 30, 9, 9, 9])
-    ending = course.ending(26)
-    assert ending is not None
-    assert said in ending.reason
 
 
 def test_what_the_plant_says_of_itself_comes_before_what_the_controller_saw_of_it():

@@ -112,11 +112,7 @@ def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
 def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES.splitlines()[0] + "\n0,0.3,0,1.1,0,0,8\n9,0,0,1,0,0,0\n")
     summary = simulate(
-        LIVE,
-        log=tmp_path / "a.mcap",
-        duration_s=2.0,
-        setpoints=tmp_path / "poses.csv",
-        check_replay=False,
+        LIVE, log=tmp_path / "a.mcap", duration_s=2.0, setpoints=tmp_path / "poses.csv", check_replay=False
     )
     assert summary["success"], summary
     rows = Log.open(tmp_path / "a.mcap").rows()

@@ -14,7 +14,7 @@ from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.record.log import Log
 from tests.broad import broad
-from tests.loop.bench import bench, run, until
+from tests.loop.bench import run
 
 CONTROLLER = (Path(__file__).parents[1] / "data" / "controller.yaml").read_text()
 
@@ -60,23 +60,6 @@ def test_the_law_takes_over_at_the_very_force_that_holds(tmp_path):
     assert np.abs(rows["tau"][begins] - rows["tau"][begins - 1]).max() < 1e-6 * holding
     entry = rows[(rows["mode"] == Mode.RELEASING) | (rows["mode"] == Mode.APPROACH)]
     assert np.abs(np.diff(entry["tau"], axis=0)).max() < 1.5 * 1.875 * holding * 1e-3 / 0.3
-
-
-def test_the_controller_has_made_one_step_after_the_first_tick(tmp_path, monkeypatch):
-    """What the cycle asked to learn the force of the entry is forgotten."""
-    calls = []
-    with bench(designed(tmp_path, CONTROLLER)) as lockstep:
-        law = lockstep.cycle.parts.law
-        for name in ("effort", "reset"):
-            method = getattr(law, name)
-
-            def call(*arguments, name=name, method=method):
-                calls.append(name)
-                return method(*arguments)
-
-            monkeypatch.setattr(law, name, call)
-        until(lockstep, Mode.RELEASING)
-    assert calls[-2:] == ["effort", "reset"]
 
 
 BELOW_M, FORCE_N = 0.03, 4300.0

@@ -209,8 +209,7 @@ def test_what_cannot_be_compared_is_refused(made):
 
 
 @pytest.mark.parametrize(
-    "words",
-    [["tua=1"], ["tau=-1"], ["much"], ["tau=1", "tau=2"], ["1e-9", "1e-6"], ["mode=1"]],
+    "words", [["tua=1"], ["tau=-1"], ["much"], ["tau=1", "tau=2"], ["1e-9", "1e-6"], ["mode=1"]]
 )
 def test_words_that_are_no_tolerance_are_refused(words):
     with pytest.raises(ConfigurationError, match="tolerance"):

@@ -18,7 +18,6 @@ from hil.record.log import Log
 from hil.study.what_if.allowed import changes, refuse_other_inputs
 from hil.study.what_if.changes import changed, read_changes
 from hil.study.what_if.command import what_if_log
-from hil.study.what_if.picture import Forces
 from hil.study.what_if.recorded import OPEN_LOOP
 from tests.broad import broad
 from tests.hil.app.test_feedforward_file import head_of, using
@@ -197,14 +196,6 @@ def test_what_the_controller_decides_may_differ_and_is_named(words):
     assert changes(VIRTUAL, changed(VIRTUAL, ["description=x"], own=False)) == []
 
 
-def test_the_command_refuses_it_before_anything_is_answered(log, tmp_path):
-    words = ["--set", "loop.rate_Hz=500", "--log", str(tmp_path / "a.mcap")]
-    result = CliRunner().invoke(main, ["replay", str(log), *words])
-    assert result.exit_code == 2
-    assert "loop.rate_Hz: 500.0, allowed: 1000.0, as in the log" in result.stderr
-    assert not (tmp_path / "a.mcap").exists()
-
-
 def test_files_of_another_content_are_named_where_the_text_is_the_same(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lines = ["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", "0,0,0,1,0,0,0", "1,0.02,0,1,0,0,0", "2,0,0,1,0,0,0"]
@@ -261,13 +252,3 @@ def test_a_change_is_read_as_yaml_and_an_empty_one_takes_the_key_away():
     words = ["a.b=1e3", "a.c=[1, 2]", "a.d={e: x}", "f=", "a.g.h=true"]
     expected = {"a": {"b": 1000.0, "c": [1, 2], "d": {"e": "x"}, "g": {"h": True}}, "f": None}
     assert read_changes(words) == expected
-
-
-def test_a_picture_that_cannot_be_written_is_no_success_and_keeps_the_figures(log, tmp_path, monkeypatch):
-    def full(*_, **__):
-        raise LogError("--plot a.png: No space left on device")
-
-    monkeypatch.setattr(Forces, "draw", full)
-    found = what_if_log(log, picture=tmp_path / "a.png")
-    assert (found["success"], found["picture"]) == (False, None)
-    assert found["unwritten"] == ["--plot a.png: No space left on device"]

@@ -10,7 +10,7 @@ from drivers.config import SensorSettings
 from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES, sent_array
 from drivers.protocol import Frame
-from drivers.signals import Fault, Mode, Warn
+from drivers.signals import Fault, Mode
 from drivers.tick_columns import FIRST, ROW
 from hil.app.configuration.configuration import load
 from hil.loop import what_if as kernel
@@ -75,21 +75,6 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
     assert answer.last_mode == "FAULT"
 
 
-@pytest.mark.parametrize("block", [1, 2, 7, 20])
-def test_forces_count_until_the_latched_faults_differ(block, monkeypatch):
-    monkeypatch.setattr(kernel, "BLOCK", block)
-    sides = [
-        (
-            row_of(tick=100 + tick, faults=Fault.SPEED if 6 <= tick < 12 else Fault.NONE),
-            row_of(tick=100 + tick, tau=1.0 if tick < 6 else 50.0),
-        )
-        for tick in range(20)
-    ]
-    answer = compared(sides, min(block, 4))
-    assert (answer.parts_tick, answer.forces.ticks) == (106, 6)
-    assert answer.forces.largest.tolist() == answer.forces.rms.tolist() == [1.0] * 6
-
-
 VIRTUAL = load("virtual")
 CYCLE: Any = SimpleNamespace(
     reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=FIRST, last=FIRST,
@@ -149,18 +134,3 @@ def test_the_first_frame_in_its_place_that_differs_is_named_with_its_leg_and_its
     assert found is not None
     assert (found.recorded, found.answered, found.legs) == (recorded, answered, (leg,))
     assert (found.tick, found.time_s) == (3, pytest.approx(6e-3, abs=1e-12))
-
-
-@pytest.mark.parametrize("block", [1, 2, 7, 20])
-def test_a_warning_is_counted_on_either_side(block, monkeypatch):
-    monkeypatch.setattr(kernel, "BLOCK", block)
-    step, late = Warn.FORCE_STEP, Warn.FORCE_STEP | Warn.LATE
-    sides = [
-        (
-            row_of(tick=100 + tick, warnings=step if tick in {1, 2, 5} else Warn.NONE),
-            row_of(tick=100 + tick, warnings=late if tick in {2, 4, 5, 6, 11} else Warn.NONE),
-        )
-        for tick in range(12)
-    ]
-    answer = compared(sides, min(block, 3))
-    assert answer.warnings == {"FORCE_STEP": (3, 5, 104), "LATE": (0, 5, 102)}

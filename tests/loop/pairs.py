@@ -10,11 +10,12 @@ from typing import Any
 def pairwise(*factors: Sequence[Any]) -> list[tuple[Any, ...]]:
     """Return the cases, always the same ones: each next one has the most pairs that none before has."""
 
-    def pairs(case: tuple[int, ...]) -> set[tuple[tuple[int, int], ...]]:
+    def pairs(case: tuple[int, ...]) -> set[Any]:
         return set(combinations(enumerate(case), 2))
 
     every = list(product(*(range(len(factor)) for factor in factors)))
-    left, cases = set().union(*map(pairs, every)), []
+    left: set[Any] = set().union(*map(pairs, every))
+    cases: list[tuple[Any, ...]] = []
     while left:
         best = max(every, key=lambda case: len(pairs(case) & left))
         left -= pairs(best)

@@ -21,15 +21,8 @@ AS_ALWAYS = ["WAITING", "IDLE", "LOADING", "RELEASING", "APPROACH", "TRACKING"]
 @pytest.fixture(scope="module")
 def operated(tmp_path_factory):
     commands = [
-        *[
-            (3.0, "hold"),
-            (4.0, "start"),
-            (4.5, "speed 40"),
-            (6.0, "speed 100"),
-            (7.0, "hold"),
-            (7.2, "start"),
-        ],
-        (8.0, "park"),
+        *[(3.0, "hold"), (4.0, "start"), (4.5, "speed 40"), (6.0, "speed 100")],
+        *[(7.0, "hold"), (7.2, "start"), (8.0, "park")],
     ]
     return simulated(tmp_path_factory.mktemp("operate"), commands, operator=BRISK)
 

@@ -14,7 +14,6 @@ from drivers.frame_array import received_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, BusState, Mode
 from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS, INPUT_COLUMNS, ROW
-from hil.app.configuration.configuration import load
 from hil.app.readable import readable
 from hil.app.replay import replay_log
 from hil.loop.replay import Comparison, Difference, recorded_input, replay
@@ -24,8 +23,8 @@ from hil.record.salvage import salvage
 from hil.signals import Operator
 from hil.study.what_if.command import what_if_log
 from tests.hil.rewrite import mcap_summary
-from tests.loop.bench import new_cycle
-from tests.replay.moving import moved
+from tests.loop.bench import changed, new_cycle
+from tests.replay.moving import SOON, moved
 
 AT = 50
 """The tick that is changed."""
@@ -44,7 +43,7 @@ def entries(log):
 @cache
 def cycle() -> Any:
     """Return a controller that each replay resets."""
-    return new_cycle(load("virtual"))
+    return new_cycle(changed("virtual", **SOON))
 
 
 def verdict_on(entries: list[Tick]) -> Comparison:

@@ -45,7 +45,6 @@ class Ran(NamedTuple):
     """Every tick."""
     true: Any
     """(n, 6) m, the plant's own lengths at each tick."""
-    inputs: list[TickInput]
     cycle: Cycle
 
     @property
@@ -105,17 +104,15 @@ def run(
     """Run to the end, or to a stop; `watch` is called after each tick with both ends, its input and its row."""
     rows: list[Any] = []
     true: list[Any] = []
-    inputs: list[TickInput] = []
     with bench(c, *faults, seed=seed, plant_of=plant_of) as lockstep, collector_paused():
 
         def observe(inp: TickInput, _opening: object, out: Any) -> None:
             rows.append(out.row)
             true.append(lockstep.nodes.snapshot().length)
-            inputs.append(inp)
             watch(lockstep, inp, out.row)
 
         ending = lockstep.run(stop_s, observe)
-    return Ran(ending, np.array(rows, rows[0].dtype), np.array(true), inputs, lockstep.cycle)
+    return Ran(ending, np.array(rows, rows[0].dtype), np.array(true), lockstep.cycle)
 
 
 def succeeded(c: Configuration, *faults: PlantFault, plant_of: Configuration | None = None) -> Ran:

@@ -13,7 +13,7 @@ from drivers.signals import DriveMode, Fault, Mode
 from hil.app.configuration.configuration import load
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.run_end import Course
-from hil.signals import Operator
+from hil.signals import Operator, TickInput
 from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.kinds import BrakeStuckOpen, DriveSilence, EncoderLost
 from tests.broad import broad
@@ -29,6 +29,11 @@ LEGS = range(6)
 @pytest.fixture(scope="module")
 def good() -> Ran:
     return run(load("virtual"), stop_s=STOP_S)
+
+
+@pytest.fixture
+def stuck(good: Ran) -> BrakeStuckOpen:
+    return BrakeStuckOpen(leg=2, at_s=good.within(Mode.TRACKING, 0.5))
 
 
 def assert_held(ran: Ran, legs: tuple[int, ...], since: Mode) -> None:
@@ -143,10 +148,11 @@ def test_a_leg_that_is_not_measured_during_the_test_is_no_proof(good, fault):
     assert ran.moved(ran.first(Mode.PARKING)) < 50e-6
 
 
-def test_a_run_that_is_held_replays_to_the_bit(good):
-    ran = run(load("virtual"), BrakeStuckOpen(leg=0, at_s=good.within(Mode.TRACKING, 0.5)), stop_s=STOP_S)
+def test_a_run_that_is_held_replays_to_the_bit(stuck):
+    inputs: list[TickInput] = []
+    ran = run(load("virtual"), stuck, stop_s=STOP_S, watch=lambda _, inp, __: inputs.append(inp))
     ran.cycle.reset()
-    for inp, row in zip(ran.inputs, ran.rows, strict=True):
+    for inp, row in zip(inputs, ran.rows, strict=True):
         ran.cycle.begin(inp.tick)
         assert ran.cycle.step(inp).row.tobytes() == row.tobytes()
 
@@ -161,11 +167,6 @@ def held(fault: PlantFault, **sections: Any) -> Iterator[tuple[Lockstep, Course]
         course = Course(lockstep.cycle, STOP_S, stays=True)
         until(lockstep, Mode.HELD, course)
         yield lockstep, course
-
-
-@pytest.fixture
-def stuck(good: Ran) -> BrakeStuckOpen:
-    return BrakeStuckOpen(leg=2, at_s=good.within(Mode.TRACKING, 0.5))
 
 
 def test_the_daemon_holds_until_the_release_and_stays_until_all_is_at_rest(stuck):

@@ -13,12 +13,11 @@ from drivers.frame_array import received_frames
 from drivers.signals import DriveState, Mode
 from hil.app.configuration.configuration import Configuration
 from hil.app.sim.lockstep import Lockstep
-from hil.loop.report import waiting_text
 from hil.signals import TickInput
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.faults.kinds import BusOff
 from tests.broad import broad
-from tests.loop.bench import Ran, changed, new_cycle, run
+from tests.loop.bench import Ran, changed, run
 from tools.drive_families import FAMILIES, Changes, merged
 
 OTHERS = sorted((name for name in FAMILIES if not name.startswith("legs")), key=lambda name: name != "moteus")
@@ -63,13 +62,6 @@ def test_what_the_drives_or_their_bus_cannot_do_is_refused(family, sections, sai
     assert said in str(caught.value)
 
 
-def test_a_fault_code_is_told_with_its_leg_and_what_the_maker_means_by_it():
-    cycle = new_cycle(desktop())
-    cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
-    cycle.tick["drive_state"][4], cycle.tick["drive_fault"][4] = DriveState.FAULT, 0x100 + 8
-    assert "drive 4 stays in FAULT (264: over voltage)" in waiting_text(cycle)
-
-
 @pytest.mark.parametrize("family", broad((*WITHOUT_WATCHDOG, "mit, damiao DM4310"), quick=1))
 def test_drives_without_a_watchdog_are_not_said_to_have_stopped_on_a_dead_bus(family):
     """The plant decides: a leg whose brake has closed stands, one that has kept its torque does not."""
@@ -111,11 +103,6 @@ def started() -> Started:
 
     ran = run(desktop("odrive"), stop_s=1.0, watch=watch)
     return Started(ran.rows, axes, ran.first(Mode.RELEASING), np.array(estimates))
-
-
-def test_the_drives_hear_each_command_once(started):
-    heard = np.diff([each.commands for each in started.axes])
-    assert set(heard[started.rows["mode"][1:] == Mode.APPROACH].tolist()) == {6}
 
 
 def test_the_brakes_open_with_the_holding_force_on_and_no_leg_sinks(started):

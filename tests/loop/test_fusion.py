@@ -14,7 +14,6 @@ import pytest
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.signals import LEGS, Fault, Mode, Warn
-from hil.app.configuration.configuration import load
 from hil.app.leg_errors import leg_errors
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
@@ -216,11 +215,6 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 def test_what_cannot_work_is_refused_with_a_reason(sections, message):
     with pytest.raises(ConfigurationError, match=message):
         changed(fused() if "estimation" not in sections else fused(estimation=None), **sections)
-
-
-def test_sensors_need_a_plant_that_knows_its_pose():
-    with pytest.raises(ConfigurationError, match=r"plant\.model\.type: knows no pose"):
-        changed(load("bench"), sensors={"tracker": TRACKER})
 
 
 # -- its errors are as large as it says ----------------------------------------------------------------------

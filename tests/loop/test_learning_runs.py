@@ -21,7 +21,7 @@ from hil.app.replay import replay_log
 from hil.cli import main
 from hil.lab.identify.runs import recorded_run
 from hil.lab.learn import runs
-from hil.lab.learn.command import Knowledge, learn, learned
+from hil.lab.learn.command import Knowledge, learn
 from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
 from hil.lab.learn.runs import learning_run
 from hil.record.log import Log
@@ -115,19 +115,6 @@ def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(made, t
     assert read_feedforward(out.read_bytes(), "next.csv")[0].run == 2, (
         "an earlier file of its own is replaced"
     )
-
-
-def test_a_run_that_contradicts_the_uncertainty_is_refused(made):
-    """The second run as if its learned forces had acted the other way."""
-    first, second = (learning_run(log(made[0], number)) for number in (0, 1))
-    t = second.trial
-    worse = second._replace(trial=t._replace(e=2.0 * first.trial.e - t.e))
-    outcome = learned([first, worse], Knowledge())
-    assert outcome.state == "contradicted"
-    assert outcome.text == ""
-    found = outcome.steps[-1].contradicted
-    assert found is not None
-    assert found.factor > 1.4 > found.allowed
 
 
 def spoiled(rows: Any, **columns: Any) -> Any:

@@ -21,7 +21,6 @@ from hil.loop.story.told import Story
 from hil.record.log import Log
 from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.kinds import (
-    BrakeStuckOpen,
     DriveSign,
     DriveSilence,
     EncoderLost,
@@ -84,18 +83,6 @@ def test_a_stale_leg_whose_drive_still_confirms_is_told_from_lost_frames(fault, 
     assert (finding.fault, finding.seen.leg) == ("STALE", leg)
     assert ("not confirmed by drive 0, 1, 2, 3, 4, 5" in story.done_text) is unconfirmed
     assert "all six" not in story.done_text or not unconfirmed
-
-
-def test_a_brake_that_stays_open_when_parking_is_told_with_the_way_of_its_leg():
-    ran, story = told(BrakeStuckOpen(leg=4, at_s=1.6))
-    (finding,) = story.findings
-    assert (finding.fault, finding.seen.leg, finding.mode) == ("BRAKE", 4, "UNLOADING")
-    moved = np.abs(ran.true[finding.tick] - ran.true[ran.first(Mode.UNLOADING)])
-    assert int(moved.argmax()) == 4
-    assert finding.seen.value == pytest.approx(moved[4], abs=5e-5)
-    assert finding.seen.limit == 5e-4
-    assert [step.mode for step in story.done] == ["HELD"]
-    assert "switch off" not in "".join(story.lines())
 
 
 def test_drives_that_a_forged_command_switched_off_are_named():

@@ -18,7 +18,6 @@ from hil.record.log import Log
 from hil.study.against.command import against
 from hil.study.against.pairs import Alone, first_motion, paired
 from hil.study.against.tolerances import read_tolerances
-from tests.hil.rewrite import rewrite_log
 from tests.replay.moving import moved
 
 NAMES = ("tick", "t_ns", "mode", "tau")
@@ -223,10 +222,3 @@ def test_a_damaged_log_on_either_side_is_one_line_and_2(log, tmp_path):
         result = CliRunner().invoke(main, ["replay", *words])
         assert (result.exit_code, len(result.stderr.splitlines())) == (2, 1)
         assert f"{cut}: cut at " in result.stderr
-
-
-def test_a_tick_that_is_missing_from_the_file_is_found(log, tmp_path):
-    gap = tmp_path / "gap.mcap"
-    rewrite_log(log, gap, lambda topic, data, number: None if (topic, number) == ("/tick", 300) else data)
-    found = against(gap, log)
-    assert (found["success"], found["only_in_other"]) == (False, {"ticks": 1, "first": 300})

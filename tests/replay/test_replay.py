@@ -256,6 +256,21 @@ def test_every_input_comes_back_in_its_place_as_the_loop_gave_it():
         assert recorded_input(recorded(bus_state=state)).bus_state is state
 
 
+NOTICED = {
+    "t_ns": 5 * 10**8, "lateness_ns": 5 * 10**7, "stretched_ns": 10**10, "sync_skew_ns": 9 * 10**8, "sends_failed": 5,
+    "bus_errors": 500, "bus_off": 1, "bus_overflow": 5, "recorder_alive": 0, "recorder_dropped": 5, "latch_ns": 10**6,
+}  # fmt: skip
+"""Inputs on which a decision depends, and other values of them; the state of the bus and times are for readers."""
+
+
+@pytest.mark.parametrize("name", NOTICED)
+def test_every_input_that_was_another_is_noticed_in_its_tick(entries, name):
+    assert set(INPUT_COLUMNS) - set(NOTICED) == {"tick", "skipped", "bus_state", "compute_ns"}
+    verdict = compared(entries, **{name: NOTICED[name]})
+    assert not verdict.exact
+    assert min(each.tick for each in verdict.first) == AT
+
+
 @pytest.mark.parametrize(
     ("column", "values"),
     [

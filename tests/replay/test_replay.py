@@ -264,11 +264,11 @@ NOTICED = {
 
 
 @pytest.mark.parametrize("name", NOTICED)
-def test_every_input_that_was_another_is_noticed_in_its_tick(entries, name):
+def test_every_input_that_was_another_is_noticed_by_the_next_tick(entries, name):
     assert set(INPUT_COLUMNS) - set(NOTICED) == {"tick", "skipped", "bus_state", "compute_ns"}
     verdict = compared(entries, **{name: NOTICED[name]})
     assert not verdict.exact
-    assert min(each.tick for each in verdict.first) == AT
+    assert AT <= min(each.tick for each in verdict.first) <= AT + 1
 
 
 @pytest.mark.parametrize(

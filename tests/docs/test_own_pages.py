@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from hil.app.new.skeleton import write_skeleton
+
 ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```\{code-block\} \w+\n:caption: (.*?)\n\n(.*?)^```", re.DOTALL | re.MULTILINE)
 CONTRACT = """
@@ -23,7 +25,7 @@ assert run.summary["rejected_frames"] == 0
 
 
 class Package:
-    """The package of a page, as an installation leaves it on the path: its files, and other blocks by caption."""
+    """What `hil new KIND NAME` writes, as an installation leaves it on the path; blocks of its page by caption."""
 
     def __init__(self, kind: str, name: str, page: str, folder: Path) -> None:
         """Write the package."""
@@ -52,9 +54,12 @@ class Package:
         return done.stdout
 
 
-@pytest.fixture(scope="module", params=["own-laws.md", "own-drives.md"])
+PAGES = {"law": ("soft", "own-laws.md"), "protocol": ("cheetah", "own-drives.md")}
+
+
+@pytest.fixture(scope="module", params=PAGES)
 def package(request, tmp_path_factory):
-    return Package(request.param, tmp_path_factory.mktemp("page"))
+    return Package(request.param, *PAGES[request.param], tmp_path_factory.mktemp("page"))
 
 
 def test_the_package_of_the_page_runs_and_replays(package):

@@ -39,6 +39,6 @@ def test_settings_of_a_law_get_the_name_of_its_entry_point():
     made = named("mine", Mine, LawSettings, "law").model_validate({"law": "mine", "gain": 1.0})
     assert isinstance(made, Mine)
     with pytest.raises(ValueError, match="law"):
-        named("mine", Mine).model_validate({"law": "other", "gain": 1.0})
+        named("mine", Mine, LawSettings, "law").model_validate({"law": "other", "gain": 1.0})
     with pytest.raises(ConfigurationError, match=r"law mine: .* not a subclass"):
         named("mine", dict, LawSettings, "law")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.docs.page_package import CONTRACT, SUCCESS, Package
+from tests.docs.test_own_pages import CONTRACT, SUCCESS, Package
 
 pytestmark = pytest.mark.long
 

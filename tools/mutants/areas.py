@@ -77,7 +77,6 @@ AREAS = {
             "tests/hil/test_latches.py",
             "tests/hil/test_daemon*.py",
             "tests/hil/test_panel.py",
-            "tests/hil/test_unheard.py",
             "tests/loop/test_daemon.py",
             "tests/loop/test_last_force.py",
             "tests/loop/test_release.py",

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tests.drivers.spoken_drives import last_tick
 
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol

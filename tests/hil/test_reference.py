@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.signals import Mode
 from hil.config.reference import WaypointReference
 from hil.config.values import Pose
 from hil.contracts.records import referred
@@ -18,7 +17,7 @@ from hil.loop.setup_moves import approach, at_setup_speed
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.build import build_trajectory
-from tests.hil.test_cycle_again import a_bench
+from hil.trajectory.path import PoseSample
 
 BOOK = json.loads((Path(__file__).parent.parent / "data" / "book_platform.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
@@ -65,36 +64,61 @@ WAYS = {
 }
 
 
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.LOADING, Mode.PARKED])
-def test_where_nothing_is_followed_the_reference_is_where_the_platform_is(mode):
-    bench = moved_in(mode)
-    tick = bench.cycle.tick
-    assert bench.cycle.mode is mode
-    np.testing.assert_array_equal(tick["p_d"], tick["p"])
-    np.testing.assert_array_equal(tick["R_d"], tick["R"])
-    assert not tick["twist_d"].any()
+def at(p: list[float], turn: Any = (0.0, 0.0, 0.0)) -> PoseSample:
+    return PoseSample(np.array(p), Rotation.from_rotvec(turn).as_matrix(), np.zeros(6), np.zeros(6))
 
 
-@pytest.mark.parametrize("mode", [Mode.RELEASING, Mode.PARKING, Mode.UNLOADING])
-def test_from_the_release_to_the_test_of_the_brakes_it_is_where_the_platform_should_stand(mode):
-    bench = moved_in(mode)
-    tick, home = bench.cycle.tick, bench.cycle.parts.home_p
-    assert bench.cycle.mode is mode
-    np.testing.assert_allclose(tick["p_d"], home, atol=1e-6)
-    assert np.abs(tick["p"] - home).max() > 4e-6
-    assert not tick["twist_d"].any()
+def approach_to(start: PoseSample, here: PoseSample, blend_s: float = BLEND_S) -> Any:
+    parts: Any = SimpleNamespace(
+        platform=PLATFORM,
+        trajectory=SimpleNamespace(sample={0.0: start}.__getitem__),
+        engage=SimpleNamespace(approach_speed_m_s=SPEED_m_s, blend_s=blend_s),
+    )
+    return approach(parts, here, PERIOD_S)
 
 
-def moved_in(mode):
-    """A bench whose legs are 5 um longer since the second tick of a mode; what it is a tick later."""
-    bench = a_bench()
-    stops = mode in {Mode.PARKING, Mode.UNLOADING, Mode.PARKED}
-    bench.until(Mode.APPROACH if stops else mode)
-    bench.step((Operator.STOP,) * stops)
-    while bench.cycle.mode is not mode:
-        bench.step()
-        assert bench.tick < 2000
-    bench.drives.length = bench.drives.length + 5e-6
-    for _ in range(2):
-        bench.step()
-    return bench
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("back", [False, True])
+def test_the_leg_that_goes_farthest_does_so_at_the_speed_of_the_approach(way: str, back: bool) -> None:
+    ends = at(HOME), at(*WAYS[way])
+    here, there = ends[::-1] if back else ends
+    change = leg_lengths(PLATFORM, there.p, there.R) - leg_lengths(PLATFORM, here.p, here.R)
+    farthest = float(np.abs(change).max())
+    assert farthest / SPEED_m_s > 2.0 * BLEND_S
+    assert farthest_leg_m(PLATFORM, here, there) == pytest.approx(farthest, rel=1e-12)
+    move = approach_to(there, here)
+    assert move.duration_s == pytest.approx(farthest / SPEED_m_s, rel=1e-12)
+    np.testing.assert_allclose(move.sample(0.0).p, here.p, atol=1e-15)
+    np.testing.assert_allclose(move.sample(farthest / SPEED_m_s).p, there.p, atol=1e-12)
+
+
+@pytest.mark.parametrize(("blend_s", "takes_s"), [(BLEND_S, BLEND_S), (0.0, PERIOD_S)])
+def test_a_short_approach_takes_the_blend_and_without_one_a_period(blend_s: float, takes_s: float) -> None:
+    assert approach_to(at(HOME), at(HOME), blend_s).duration_s == takes_s
+
+
+@pytest.mark.parametrize(
+    ("by_m", "turn_deg", "least_s", "takes_s"),
+    [
+        ([0.03, -0.04, 0.12], 0.0, 0.5, 1.875 * 0.13 / 0.05),
+        ([0.0, 0.0, 0.0], 20.0, 0.5, 1.875 * 20.0 / 10.0),
+        ([0.03, -0.04, 0.12], 20.0, 0.5, 1.875 * 0.13 / 0.05),
+        ([0.03, -0.04, 0.12], 40.0, 0.5, 1.875 * 40.0 / 10.0),
+        ([0.03, -0.04, 0.12], 40.0, 9.5, 9.5),
+    ],
+)
+def test_a_move_at_set_up_speed_is_as_fast_as_way_and_turn_allow(
+    by_m: list[float], turn_deg: float, least_s: float, takes_s: float
+) -> None:
+    settings: Any = SimpleNamespace(setup_speed_m_s=0.05, setup_speed_deg_s=10.0)
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    here, there = at(HOME), at([*(np.array(HOME) + by_m)], np.radians(turn_deg) * axis)
+    for a, b in ((here, there), (there, here)):
+        move = at_setup_speed(settings, least_s, a, b)
+        assert move.duration_s == pytest.approx(takes_s, rel=1e-9)
+        np.testing.assert_allclose(move.sample(0.0).p, a.p, atol=1e-15)
+        np.testing.assert_allclose(move.sample(takes_s).R, b.R, atol=1e-9)
+        fastest = move.sample(0.5 * takes_s).twist
+        speeds = np.linalg.norm(fastest[:3]) / 0.05, np.linalg.norm(fastest[3:]) / np.radians(10.0)
+        assert max(speeds) <= 1.0 + 1e-9
+        assert (max(speeds) == pytest.approx(1.0)) == (takes_s > least_s)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import PlantError
+from plant_fmu.bench import Bench
 from plant_fmu.config import PLANTS, BenchPlant, FmuPlant, StewartPlant
 from plant_fmu.plant import Robot, whole_steps
 from plant_fmu.plants import open_plant

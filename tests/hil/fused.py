@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from drivers.config import TrackerSettings
+from drivers.arrays import Array
+from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import DriveState
 from drivers.tick_columns import Record
 from hil.config.estimation import FusionSettings
@@ -68,6 +69,17 @@ class Truth:
         R = Rotation.from_rotvec(ROTATION_STD * self.chance.standard_normal(3)) * self.R
         return Sample(tick, offset_s, (*p, *R.as_rotvec()))
 
+    def feel(self, tick: int, imu: ImuSettings, biases: Array) -> Sample:
+        """Step, and what an IMU with biases (6,) of rate and force measures at the end of this interval."""
+        before = self.twist[:3]
+        self.step()
+        acceleration = (self.twist[:3] - before) / T
+        measured = np.concatenate(
+            (self.R.inv().apply(self.twist[3:]), self.R.inv().apply(acceleration - PLATFORM.gravity))
+        )
+        std = np.repeat([imu.angular_rate_std_rad_s, imu.specific_force_std_m_s2], 3)
+        return Sample(tick - 1, 0.999e-3, (*(measured + biases + std * self.chance.standard_normal(6)),))
+
 
 def legs(p, R, twist):
     r = R.apply(B)
@@ -82,8 +94,8 @@ def measurement(q, dq, *, lost=()) -> Record:
     return record_of(length=q, rate=dq, age=[9 * (leg in lost) for leg in range(6)])
 
 
-def estimator(settings=LOOSE, errors=LOOSE_LEGS, start=None):
-    found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, TRACKER, None, T)
+def estimator(settings=LOOSE, errors=LOOSE_LEGS, start=None, imu=None):
+    found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, TRACKER, imu, T)
     truth = start or Truth(0)
     found.start(0, 0, truth.p, truth.R.as_matrix())
     return found
@@ -105,8 +117,8 @@ class Fused:
         return tuple(bool(self.record["legs_used"] >> leg & 1) for leg in range(6))
 
 
-def update(found, tick, measured, samples=()):
-    return Fused(found, tick, measured, Readings(tracker=tuple(samples)))
+def update(found, tick, measured, samples=(), felt=()):
+    return Fused(found, tick, measured, Readings(tracker=tuple(samples), imu=tuple(felt)))
 
 
 def error(fused, truth):

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from drivers.compiled.compiler import MATRIX, kernel, record
-from drivers.compiled.pointed import context_of, data_at
+from drivers.compiled.pointed import context_of
 from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import DriveState, Fault, Warn
 from drivers.tick_columns import TICK, part
@@ -17,7 +16,7 @@ from hil.config.estimation import FusionSettings
 from hil.contracts.records import altered, record_of
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
-from hil.estimation.fusion_kernels import fill_estimate, rerun_kernel
+from hil.estimation.fusion_kernels import fill_estimate
 from hil.estimation.fusion_layout import FUSION, KEPT, STEP, LegErrors
 from hil.estimation.fusion_tick import judge
 from hil.robot.dynamics import Model
@@ -40,86 +39,6 @@ from tests.hil.fused import (
     measurement,
 )
 from tests.sensed import Readings, Sample
-
-TILT = Rotation.from_rotvec([0.3, -0.4, 0.5])
-TWIST = np.array([0.3, -0.2, 0.1, 0.5, -0.4, 0.8])
-TURN = np.array([20.0, -10.0, 15.0])
-SURE, UNSURE = 1e-9, 1e12
-"""Variances of what counts alone, and of what does not count."""
-
-
-def interval_noise(force, gyro):
-    """A filter of two steps with the variances of an IMU and its biases; legs count for nothing."""
-    robot = {"base_joints": A, "platform_joints": B, "gravity": (0.0, 0.0, -9.81)}
-    variances = {"q_v": 1e-6, "q_w": 1e-9, "r_length": 1.0, "r_rate": 1.0, "gate": 1e6}
-    rings = {"size": 2, "newest": 1, "errors": 18, "forces": 18}
-    return context_of(FUSION, r_force=force, r_gyro=gyro, **robot, **variances, **rings)
-
-
-def begun():
-    x = np.zeros(30)
-    x[:3], x[3:12], x[12:18] = (0.05, -0.1, 1.1), TILT.as_matrix().ravel(), TWIST
-    x[18:24] = 0.01, -0.02, 0.03, 0.1, -0.2, 0.3
-    return x
-
-
-def ended(c, u, x0, P0):
-    """State and covariance after the interval u."""
-    steps, covariances = np.zeros(2, STEP), np.zeros((2, *P0.shape))
-    steps[1], covariances[0] = u, P0
-    steps[0]["x"] = x0
-    c["steps"], c["covariances"] = data_at(steps), data_at(covariances)
-    rerun_kernel(c, 1)
-    return steps[1]["x"], covariances[1]
-
-
-def sampled(share, gyro, force):
-    """An interval in which the platform turns faster and faster, with a sample of an IMU."""
-    dtwist = (1.0, 2.0, -3.0, *TURN)
-    return context_of(STEP, T=T, fade=1.0, imu=1, imu_at=share, dtwist=dtwist, gyro=gyro, force=force)
-
-
-def off(x, error):
-    """A state that is off by an error (18,): pose, twist, biases."""
-    there = x.copy()
-    there[:3] += error[:3]
-    there[3:12] = (
-        (Rotation.from_rotvec(error[3:6]) * Rotation.from_matrix(x[3:12].reshape(3, 3))).as_matrix().ravel()
-    )
-    there[12:24] += error[6:18]
-    return there
-
-
-def between(x, y):
-    """The error (18,) by which y is off x."""
-    turned = Rotation.from_matrix(y[3:12].reshape(3, 3)) * Rotation.from_matrix(x[3:12].reshape(3, 3)).inv()
-    return np.concatenate((y[:3] - x[:3], turned.as_rotvec(), y[12:24] - x[12:24]))
-
-
-@pytest.mark.parametrize("force", [SURE, UNSURE], ids=["by the IMU", "by the model"])
-@pytest.mark.parametrize("j", range(18))
-def test_an_error_is_carried_on_as_the_state_is(j, force):
-    """Central differences, an accelerometer that counts for everything or for nothing on a tilted platform."""
-    c, x0, h = interval_noise(force=force, gyro=UNSURE), begun(), 1e-5
-    u = sampled(0.5, np.zeros(3), np.array([3.0, -2.0, 11.0]))
-    e = np.eye(18)[j]
-    ahead, back = (ended(c, u, off(x0, sign * h * e), np.zeros((18, 18)))[0] for sign in (1.0, -1.0))
-    column = between(back, ahead) / (2.0 * h)
-    P = ended(c, u, x0, np.outer(e, e))[1]
-    np.testing.assert_allclose(P[j] / np.sqrt(P[j, j]), column, rtol=0, atol=1e-5)
-
-
-@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 1.0])
-def test_a_gyro_sample_counts_at_its_instant_within_an_interval(share):
-    t = share * T
-    R = Rotation.from_rotvec(TWIST[3:] * t + TURN * t * t / 2.0) * TILT
-    x0 = begun()
-    gyro = R.inv().apply(TWIST[3:] + t * TURN) + x0[18:21]
-    P0 = np.diag(np.repeat([SURE, SURE, SURE, 1.0, SURE, SURE], 3))
-    x, P = ended(interval_noise(force=UNSURE, gyro=SURE), sampled(share, gyro, np.zeros(3)), x0, P0)
-    assert P[9:12, 9:12].diagonal().max() < 1e-6, "it counts"
-    np.testing.assert_allclose(x[15:18], TWIST[3:] + T * TURN, rtol=0, atol=2e-4)
-
 
 PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)
 """Ticks without a sample of use until the tracker is missed."""

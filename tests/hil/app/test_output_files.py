@@ -132,6 +132,10 @@ OUTPUTS = {
 """Command -> the name of its output."""
 
 
+def files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
+
+
 @pytest.mark.parametrize("line", OUTPUTS)
 @pytest.mark.parametrize("there", ["theirs", "a folder", "another log"])
 def test_nothing_of_others_is_replaced(log, here, line, there):
@@ -143,10 +147,10 @@ def test_nothing_of_others_is_replaced(log, here, line, there):
         Path(name).write_text("theirs")
     else:
         shutil.copy(log, name)
-    before = sorted(here.iterdir())
+    before = files(here)
     result = hil(line.replace("LOG", str(log)).replace("X", name))
     assert (result.exit_code, name in result.stderr) == (2, True), result.output
-    assert sorted(here.iterdir()) == before
+    assert files(here) == before
     if there != "a folder":
         assert Path(name).read_bytes() == (b"theirs" if there == "theirs" else log.read_bytes())
 
@@ -156,7 +160,7 @@ def test_a_missing_folder_is_refused_before_the_work(log, here, line):
     write(here / "poses.csv", rows())
     result = hil(line.replace("LOG", str(log)).replace("X", f"nowhere/{OUTPUTS[line]}"))
     assert (result.exit_code, "nowhere" in result.stderr) == (2, True), result.output
-    assert [path.name for path in here.iterdir()] == ["poses.csv"]
+    assert files(here) == [here / "poses.csv"]
 
 
 @pytest.mark.parametrize("text", ['["success", 1]', "{}", '{"a": "success"}', "null", "notes", "[" * 100_000])

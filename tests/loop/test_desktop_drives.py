@@ -20,7 +20,9 @@ from tests.broad import broad
 from tests.loop.bench import Ran, changed, run
 from tools.drive_families import FAMILIES, Changes, merged
 
-OTHERS = sorted((name for name in FAMILIES if not name.startswith("legs")), key=lambda name: name != "moteus")
+OTHERS = sorted(
+    (name for name in FAMILIES if not name.startswith(("legs", "cia402"))), key=lambda name: name != "moteus"
+)
 """Families that can be bought; the first one runs every day."""
 WITHOUT_WATCHDOG = ("mit, cubemars AK80-9", "mit, mini_cheetah", "mit, robstride rs-02")
 

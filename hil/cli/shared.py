@@ -79,6 +79,8 @@ configuration_argument = click.argument(
 )
 _NAMED = ("configuration", "design", "robot", "what_if")
 """Arguments that name a file, or one that is shipped."""
+FULL = frozenset({"scipy", "sympy", "flint"})
+"""Modules of the extra `full`."""
 _RAN = 1
 """Exit code of what had begun."""
 _REPORTED = frozenset({"run", "sim"})
@@ -201,6 +203,10 @@ def one_line_of_error() -> Iterator[None]:
         _refuse(one_line(str(error)))
     except HilError as error:
         _refuse(str(error))
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.partition(".")[0] not in FULL:
+            raise
+        _refuse(f"{error.name} is not installed: pip install 'hexapod-hil[full]'")
     except OSError as error:
         place = "" if error.filename is None else f"{error.filename}: "
         _refuse(f"{place}{error.strerror or error}")

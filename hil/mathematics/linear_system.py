@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from math import ceil, log2
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag
-from scipy.signal import cont2discrete
 
 from drivers.arrays import Array, ComplexArray
 from drivers.errors import ModelError
@@ -58,7 +57,7 @@ class LinearSystem(NamedTuple):
     def beside(self, other: LinearSystem) -> LinearSystem:
         """Return both side by side: inputs and outputs of this one first."""
         _same_time(self, other)
-        A, B, C, D = (block_diag(mine, yours) for mine, yours in zip(self[:4], other[:4], strict=True))
+        A, B, C, D = (_diagonal(mine, yours) for mine, yours in zip(self[:4], other[:4], strict=True))
         return LinearSystem(A, B, C, D, self.period_s)
 
     def closed_with(self, lower: LinearSystem) -> LinearSystem:
@@ -88,8 +87,47 @@ class LinearSystem(NamedTuple):
         """Return the system sampled with ``zoh`` (a plant behind a hold) or ``bilinear`` (a controller)."""
         if self.period_s is not None:
             raise ModelError("the system is sampled already")
-        A, B, C, D, _ = cont2discrete(self[:4], period_s, method=method)
-        return LinearSystem(A, B, C, D, period_s)
+        if method == "zoh":
+            return LinearSystem(*held(self.A, self.B, period_s), self.C, self.D, period_s)
+        half = 0.5 * period_s * self.A
+        left = np.eye(self.order) - half
+        A, B = np.linalg.solve(left, np.eye(self.order) + half), np.linalg.solve(left, period_s * self.B)
+        C = np.linalg.solve(left.T, self.C.T).T
+        return LinearSystem(A, B, C, self.D + 0.5 * self.C @ B, period_s)
+
+
+def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
+    """Return exp(A t) (n, n) and the integral of exp(A s) B over it (n, inputs): what held inputs do."""
+    n, inputs = B.shape
+    block = np.zeros((n + inputs, n + inputs))
+    block[:n, :n], block[:n, n:] = A, B
+    e = exponential(block * time_s)
+    return e[:n, :n], e[:n, n:]
+
+
+_PADE = (
+    64764752532480000.0, 32382376266240000.0, 7771770303897600.0, 1187353796428800.0, 129060195264000.0,
+    10559470521600.0, 670442572800.0, 33522128640.0, 1323241920.0, 40840800.0, 960960.0, 16380.0, 182.0, 1.0,
+)  # fmt: skip
+
+
+def exponential(A: Array) -> Array:
+    """Return exp(A) (n, n) by scaling, the Pade approximation of order 13, and squaring.
+
+    N. J. Higham, SIAM J. Matrix Anal. Appl. 26 (2005), algorithm 2.3.
+    """
+    size = float(np.abs(A).sum(axis=0).max(initial=0.0))
+    squarings = max(0, ceil(log2(size / 5.37))) if size > 0.0 else 0
+    A, b = A / 2.0**squarings, _PADE
+    I, A2 = np.eye(len(A)), A @ A
+    A4 = A2 @ A2
+    A6 = A4 @ A2
+    U = A @ (A6 @ (b[13] * A6 + b[11] * A4 + b[9] * A2) + b[7] * A6 + b[5] * A4 + b[3] * A2 + b[1] * I)
+    V = A6 @ (b[12] * A6 + b[10] * A4 + b[8] * A2) + b[6] * A6 + b[4] * A4 + b[2] * A2 + b[0] * I
+    e = np.asarray(np.linalg.solve(V - U, V + U), np.float64)
+    for _ in range(squarings):
+        e = e @ e
+    return e
 
 
 def static(gain: Array, period_s: float | None = None) -> LinearSystem:
@@ -105,6 +143,10 @@ def lag(time_s: float) -> LinearSystem:
         return static(np.eye(1))
     rate = np.array([[1.0 / time_s]])
     return LinearSystem(-rate, rate, np.eye(1), np.zeros((1, 1)))
+
+
+def _diagonal(a: Array, b: Array) -> Array:
+    return np.block([[a, np.zeros((len(a), b.shape[1]))], [np.zeros((len(b), a.shape[1])), b]])
 
 
 def _same_time(one: LinearSystem, other: LinearSystem) -> None:

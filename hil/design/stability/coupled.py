@@ -6,11 +6,10 @@ Linear, so true for small errors around one pose.
 from math import inf, pi
 
 import numpy as np
-from scipy.optimize import brentq
 
 from drivers.arrays import Array, ComplexArray
 from hil.design.stability.sampled import Axis
-from hil.design.stability.sampled_loop import late_states
+from hil.design.stability.sampled_loop import late_states, root
 from hil.mathematics.linear_system import LinearSystem, static
 
 
@@ -79,7 +78,7 @@ def delay_margin_s(
     size = np.abs(loci(omega))
     margin = inf
     for i, k in np.argwhere(np.diff(np.sign(size - 1.0), axis=0) != 0):
-        w = float(brentq(lambda w, k=k: abs(at(w, k)) - 1.0, omega[i], omega[i + 1]))
+        w = root(lambda w, k=k: abs(at(w, k)) - 1.0, omega[i], omega[i + 1])
         margin = min(margin, (float(np.angle(at(w, k))) + pi) / w)
     return margin
 

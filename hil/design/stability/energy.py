@@ -22,7 +22,6 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import minimize
 
 from drivers.arrays import Array
 from drivers.errors import ModelError
@@ -169,6 +168,8 @@ def basin(
             inside = outside(*displaced(start.p, start.R, middle * way)) is None
             near, far = (middle, far) if inside else (near, middle)
         return S(*displaced(start.p, start.R, far * way)) - ground, far * way
+
+    from scipy.optimize import minimize  # noqa: PLC0415 - `hil check` does without
 
     directions = np.random.default_rng(1).standard_normal((rays, 6))
     directions = np.vstack([directions, np.eye(6), -np.eye(6)])

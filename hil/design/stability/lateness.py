@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.signal import fftconvolve, lfilter
 
 from drivers.arrays import Array
 from hil.design.stability.disturbance import Linearised
@@ -26,6 +25,8 @@ _APART_s, _NARROW_s = 4e-3, 1e-5
 """Of the instants at which the forces along the reference are looked at, at most and at least."""
 _BENT = 2e-4
 """Of the forces' range, by which they may differ from what is in proportion between two instants."""
+_FORGOTTEN = 37.0
+"""Time constants after which a lag holds less than a rounding of what was."""
 _BLOCK_s = 10.0
 """Of the reference that is looked at in one go."""
 _PARTS = 8
@@ -87,7 +88,7 @@ def late(
             d, known = np.concatenate([past, d], axis=1), past.shape[1]
             for phase in d:
                 for i, h in enumerate(responses):
-                    answers = fftconvolve(phase[:, i, None], h, axes=0)[known : len(phase)]
+                    answers = _convolved(phase[:, i, None], h)[known : len(phase)]
                     worst[:, i] = np.maximum(worst[:, i], np.abs(answers).max(axis=0))
             past = d[:, max(0, d.shape[1] - remembered) :]
             tell(block[1] * T, count * T)
@@ -148,6 +149,14 @@ def _forces(
     return times, tau, matrices
 
 
+def _convolved(x: Array, h: Array) -> Array:
+    """Return the convolution of x (n, k) or (n, 1) with h (m, k) or (m, 1) along the first axis, by FFT."""
+    count = len(x) + len(h) - 1
+    size = 1 << (count - 1).bit_length()
+    product = np.fft.rfft(x, size, axis=0) * np.fft.rfft(h, size, axis=0)
+    return np.asarray(np.fft.irfft(product, size, axis=0)[:count], float)
+
+
 def _between(t: Array, times: Array, values: Array) -> Array:
     """Return values (n, ...) at rising `times` (n,) for other times t, in proportion; beyond, the nearest."""
     k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
@@ -161,6 +170,7 @@ def _lagged(x: Array, lag_s: float, step_s: float) -> Array:
     if lag_s == 0.0:
         return x
     keep = float(np.exp(-step_s / lag_s))
-    ends, _ = lfilter([1.0 - keep], [1.0, -keep], x - x[0], axis=0, zi=np.zeros((1, x.shape[1])))
+    lasts = min(len(x), int(np.ceil(_FORGOTTEN * lag_s / step_s)))
+    ends = _convolved(x - x[0], (1.0 - keep) * keep ** np.arange(lasts)[:, None])[: len(x)]
     begins = np.vstack([np.zeros((1, x.shape[1])), ends[:-1]])
     return np.asarray(x[0] + (begins + ends) / 2.0, float)

@@ -7,8 +7,7 @@ from math import floor
 
 import numpy as np
 
-from hil.design.stability.sampled_loop import held
-from hil.mathematics.linear_system import LinearSystem
+from hil.mathematics.linear_system import LinearSystem, held
 
 
 def predicting(

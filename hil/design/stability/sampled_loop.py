@@ -5,16 +5,15 @@ from demanded acceleration to measured position and rate; it is sampled exactly,
 no whole number of periods.
 """
 
+from collections.abc import Callable
 from math import ceil, inf, pi
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import expm
-from scipy.optimize import brentq
 
 from drivers.arrays import Array
 from hil.config.linear_controller import LinearController
-from hil.mathematics.linear_system import LinearSystem
+from hil.mathematics.linear_system import LinearSystem, held
 
 SLOWEST = 1e-5
 """Of the Nyquist frequency: where margins are looked for from."""
@@ -88,15 +87,6 @@ def disturbed(axis: LinearSystem) -> LinearSystem:
     return axis._replace(B=np.hstack([axis.B, push]), D=np.zeros((2, 2)))
 
 
-def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
-    """Return exp(A t) (n, n) and the integral of exp(A s) B over it (n, inputs): what held inputs do."""
-    n, inputs = B.shape
-    block = np.zeros((n + inputs, n + inputs))
-    block[:n, :n], block[:n, n:] = A, B
-    e = expm(block * time_s)
-    return e[:n, :n], e[:n, n:]
-
-
 def sampled_controller(controller: LinearController) -> LinearSystem:
     """Return a file's controller as a system from [e, de] to u."""
     chosen = np.eye(2)[[("error", "rate_error").index(name) for name in controller.inputs]]
@@ -114,6 +104,14 @@ def grid(period_s: float) -> Array:
     )
 
 
+def root(f: Callable[[float], float], low: float, high: float) -> float:
+    """Return where a function that has two signs at the ends of an interval is 0, by bisection."""
+    begins = f(low) > 0.0
+    while low < (middle := 0.5 * (low + high)) < high:
+        low, high = (middle, high) if (f(middle) > 0.0) == begins else (low, middle)
+    return high
+
+
 def margins(loop: LinearSystem) -> Margins:
     """Return the margins of a stable loop, sampled, one input L one output: 1 + L(z) = 0 is its edge."""
     assert loop.period_s is not None
@@ -125,12 +123,12 @@ def margins(loop: LinearSystem) -> Margins:
     value = loop.response(omega)[:, 0, 0]
     at_real = [value[-1].real]  # at half the rate the response is real
     for k in np.flatnonzero(np.diff(np.sign(value.imag[:-1])) != 0):
-        w = brentq(lambda w: L(w).imag, omega[k], omega[k + 1])
-        at_real.append(L(float(w)).real)
+        w = root(lambda w: L(w).imag, omega[k], omega[k + 1])
+        at_real.append(L(w).real)
     factors = [-1.0 / real for real in at_real if real < 0.0]
     phase, delay, crossover = inf, inf, 0.0
     for k in np.flatnonzero(np.diff(np.sign(np.abs(value) - 1.0)) != 0):
-        w = float(brentq(lambda w: abs(L(w)) - 1.0, omega[k], omega[k + 1]))
+        w = root(lambda w: abs(L(w)) - 1.0, omega[k], omega[k + 1])
         left = float(np.angle(L(w))) + pi  # in 0 .. 2 pi: what may still be lost until -1
         phase = min(phase, left, 2.0 * pi - left)
         delay = min(delay, left / w)

@@ -1,0 +1,41 @@
+"""What a plain `pip install hexapod-hil` has: the loop runs without SciPy, sympy and python-flint."""
+
+import subprocess
+import sys
+
+import pytest
+
+WITHOUT = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name.partition(".")[0] in {"scipy", "sympy", "flint", "pandas", "pyarrow"}:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+sys.meta_path.insert(0, Missing())
+from hil.cli import main
+main(sys.argv[1:])
+"""
+
+
+def hil(folder, *words):
+    command = [sys.executable, "-c", WITHOUT, *words]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_check_sim_and_replay_do_without_the_extra_packages(tmp_path):
+    for words in (
+        ["check", "virtual"],
+        ["sim", "virtual", "--duration", "0.1", "--log", "a.mcap"],
+        ["replay", "a.mcap"],
+    ):
+        done = hil(tmp_path, *words)
+        assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("words", [["workspace", "virtual"], ["design", "hinf", "hinf"]])
+def test_a_command_that_needs_more_names_the_extra(tmp_path, words):
+    done = hil(tmp_path, *words)
+    assert done.returncode == 2
+    assert "hexapod-hil[full]" in done.stderr

@@ -15,7 +15,6 @@ from drivers.tick_columns import Record, new_record
 from hil.contracts.drives_end import answers, reports
 from hil.contracts.messages import Configure, Status, Sync
 from tests.drivers.legs_frames import command_frames, opening
-from tests.drivers.spoken_drives import last_tick
 from tests.drivers.test_dbc import resealed
 
 NODES = (127, 20, 30, 40, 50, 1)

@@ -125,7 +125,7 @@ def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) 
     _end(summary, unwritten)
 
 
-def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> None:
+def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> NoReturn:
     """Write a report's JSON twin, print it, exit 0 only on success."""
     from hil.app.output import show_lines
 

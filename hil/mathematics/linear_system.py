@@ -90,9 +90,8 @@ class LinearSystem(NamedTuple):
         if method == "zoh":
             return LinearSystem(*held(self.A, self.B, period_s), self.C, self.D, period_s)
         half = 0.5 * period_s * self.A
-        left = np.eye(self.order) - half
-        A, B = np.linalg.solve(left, np.eye(self.order) + half), np.linalg.solve(left, period_s * self.B)
-        C = np.linalg.solve(left.T, self.C.T).T
+        inverse = np.asarray(np.linalg.inv(np.eye(self.order) - half), np.float64)
+        A, B, C = inverse @ (np.eye(self.order) + half), inverse @ (period_s * self.B), self.C @ inverse
         return LinearSystem(A, B, C, self.D + 0.5 * self.C @ B, period_s)
 
 

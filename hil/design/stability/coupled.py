@@ -3,6 +3,7 @@
 Linear, so true for small errors around one pose.
 """
 
+from functools import partial
 from math import inf, pi
 
 import numpy as np
@@ -71,6 +72,9 @@ def delay_margin_s(
     def at(omega: float, k: int) -> complex:
         return complex(loci(np.array([omega]))[0, k])
 
+    def beyond(k: int, omega: float) -> float:
+        return abs(at(omega, k)) - 1.0
+
     omega = np.geomspace(1e-4, 1.0, 1500) * pi / axis.period_s
     if stiffness is not None:  # narrow peaks, which no grid meets
         peaks = resonances(mobility, stiffness)
@@ -78,7 +82,7 @@ def delay_margin_s(
     size = np.abs(loci(omega))
     margin = inf
     for i, k in np.argwhere(np.diff(np.sign(size - 1.0), axis=0) != 0):
-        w = root(lambda w, k=k: abs(at(w, k)) - 1.0, omega[i], omega[i + 1])
+        w = root(partial(beyond, k), omega[i], omega[i + 1])
         margin = min(margin, (float(np.angle(at(w, k))) + pi) / w)
     return margin
 

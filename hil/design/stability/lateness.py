@@ -171,6 +171,6 @@ def _lagged(x: Array, lag_s: float, step_s: float) -> Array:
         return x
     keep = float(np.exp(-step_s / lag_s))
     lasts = min(len(x), int(np.ceil(_FORGOTTEN * lag_s / step_s)))
-    ends = _convolved(x - x[0], (1.0 - keep) * keep ** np.arange(lasts)[:, None])[: len(x)]
+    ends = _convolved(x - x[0], np.asarray((1.0 - keep) * keep ** np.arange(lasts)[:, None], float))[: len(x)]
     begins = np.vstack([np.zeros((1, x.shape[1])), ends[:-1]])
     return np.asarray(x[0] + (begins + ends) / 2.0, float)

@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from typing import Any
 
 import can
 import pytest
@@ -33,7 +34,7 @@ def local(channel: str) -> BusSettings:
     return BusSettings(interface="localcan", channel=channel)
 
 
-def three(**options: dict[str, object]) -> BusSettings:
+def three(**options: dict[str, Any]) -> BusSettings:
     """Three channels of two legs each; `options` of some of them."""
     channels = [
         {"channel": name, "legs": [2 * k, 2 * k + 1], "options": options.get(name, {})}

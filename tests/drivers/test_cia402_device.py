@@ -274,8 +274,8 @@ def test_only_drives_that_run_and_have_a_position_answer():
     for lost in range(6):
         states = np.array([1, 2, 3, 4, 3, 3])
         states[lost] |= INVALID
-        sent = [leg for leg, _ in P.answer(HELD, Sync(0), zeros + 0.7, zeros, zeros, states)[1]]
-        assert sent == [leg for leg in range(6) if leg != lost for _ in range(2)]
+        answered = [leg for leg, _ in P.answer(HELD, Sync(0), zeros + 0.7, zeros, zeros, states)[1]]
+        assert answered == [leg for leg in range(6) if leg != lost for _ in range(2)]
     states = ALL_RUN.copy()
     states[LEG] = DriveState.BOOT
     memory, sent = P.answer(drive(), Sync(0), zeros, zeros, zeros, states)

@@ -66,8 +66,8 @@ def test_set_up_sync_and_heartbeat_have_the_bytes_of_canopen():
     nmt = [Frame(0x000, step.request(5)) for step in steps if step.kind == "nmt"]
     assert nmt == [frame(vectors(f"NMT to node 5: {s}")[0]) for s in ("PRE-OPERATIONAL", "OPERATIONAL")]
     assert P.begin(P.start(SETUP), 7) == (frame(vectors("SYNC without counter")[0]),)
-    _, sent = P.command(P.start(SETUP), Command(DriveMode.OFF, np.zeros(LEGS)), 0)
-    assert sent[-1] == Frame(0x700 + 127, frame(vectors("heartbeat OPERATIONAL")[0]).data)
+    _, commanded = P.command(P.start(SETUP), Command(DriveMode.OFF, np.zeros(LEGS)), 0)
+    assert commanded[-1] == Frame(0x700 + 127, frame(vectors("heartbeat OPERATIONAL")[0]).data)
 
 
 def test_sdo_frames_are_written_and_read_as_canopen_does():

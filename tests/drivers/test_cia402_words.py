@@ -268,7 +268,7 @@ def test_each_setting_of_the_drives_reaches_its_object():
         ({"transmission": None}, r"drives\.transmission: "),
         ({"options": {}}, r"rated_torque_Nm of .*given: nothing"),
         *(
-            ({"options": {"rated_torque_Nm": 9.0} | {key: value}}, f"{word} .*given: {value}")
+            ({"options": {"rated_torque_Nm": 9.0, key: value}}, f"{word} .*given: {value}")
             for word, key, value in (
                 ("rated_torque_Nm of", "rated_torque_Nm", 0.000999),
                 ("rated_torque_Nm of", "rated_torque_Nm", 4_294_967.5),

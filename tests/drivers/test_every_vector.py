@@ -118,12 +118,17 @@ def ranges(name: str, v: Vector) -> Ranges:
     return found
 
 
+def packed_five(v: Vector, r: Ranges) -> bytes:
+    p, velocity, kp, kd, torque = (v["inputs"][key] for key in FIVE)
+    return pack_command(p, velocity, kp, kd, torque, r)
+
+
 def packed(name: str) -> Any:
     """Compare a command with a library's, and what the drive reads with what a firmware read, in float32."""
 
     def same(v: Vector) -> bool:
         r = ranges(name, v)
-        data = pack_command(*(v["inputs"][key] for key in FIVE), r)
+        data = packed_five(v, r)
         decoded = "katz" not in v or np.allclose(unpack_command(data, r), v["katz"], rtol=2e-5, atol=1e-5)
         return data.hex() == v["data"] and bool(decoded)
 
@@ -136,8 +141,8 @@ def mit_reply(v: Vector) -> bool:
     names = "position_rad", "velocity_rad_s", "torque_or_current"
     made = data[1:6]
     if v.get("made_by") == "KATZ":
-        given = (v["inputs"][name] for name in ("position_rad", "velocity_rad_s", "torque_Nm"))
-        made = bytes(device_motion(*given, r, clamps=False))
+        place, speed, torque = (v["inputs"][name] for name in ("position_rad", "velocity_rad_s", "torque_Nm"))
+        made = bytes(device_motion(place, speed, torque, r, clamps=False))
     return near(read_reply(data[1:6], r), [v["decoded"][name] for name in names]) and made == data[1:6]
 
 
@@ -198,7 +203,7 @@ def o2(v: Vector) -> Ranges:
 
 
 def packed_as_o2(v: Vector) -> bool:
-    return bool(pack_command(*(v["inputs"][name] for name in FIVE), o2(v)).hex() == v["data"])
+    return bool(packed_five(v, o2(v)).hex() == v["data"])
 
 
 def read_as_o2(v: Vector) -> bool:

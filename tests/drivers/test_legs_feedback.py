@@ -14,8 +14,7 @@ from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, Driv
 from drivers.tick_columns import Record, new_record
 from hil.contracts.drives_end import answers, reports
 from hil.contracts.messages import Configure, Status, Sync
-from tests.drivers.legs_frames import command_frames, opening
-from tests.drivers.test_dbc import resealed
+from tests.drivers.legs_frames import command_frames, opening, resealed
 
 NODES = (127, 20, 30, 40, 50, 1)
 P = {layout: LegsProtocol(layout, NODES, 32_000.0) for layout in ("classic", "fd", "ideal")}
@@ -210,7 +209,7 @@ def test_a_status_has_the_fault_of_its_drive_and_reports_another_set_up(layout, 
         end.state["confirmed"] = 0b111111
         bad = Received(SINCE_NS, resealed(good, at, bytes([value])))
         end.take(received_array([bad, bad]), last_tick(), tick, SINCE_NS)
-        assert (end.state["confirmed"], int(tick["rejected"])) == (0b111111, 2)
+        assert (int(end.state["confirmed"]), int(tick["rejected"])) == (0b111111, 2)
         assert tick["drive_fault"].tolist() == last_tick()["drive_fault"].tolist()
 
 

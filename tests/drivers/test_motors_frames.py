@@ -106,6 +106,7 @@ SET_POINTS = bytes.fromhex("02 04 06 07 0b 0c 0d 0e 0f 11 12 13 16 18 19 1a 1b 1
 
 def commands(name: str, node: int) -> list[Frame]:
     """Return frames of another controller to a drive."""
+    hosts: tuple[int, ...]
     if name == "robstride":
         data, hosts = struct.pack("<HxxI", 0x7005, 0), (253, 0xAA)
         return [

@@ -159,7 +159,14 @@ def test_frame_that_the_axis_does_not_have_is_refused_or_ignored():
 
 
 def test_axis_closes_its_loop_under_torque_control_alone():
-    frames = state(8), to(0x0B, struct.pack("<II", 2, 1)), state(8), TORQUE_CONTROL, torque(0.5), state(8, 4)
+    frames = [
+        state(8),
+        to(0x0B, struct.pack("<II", 2, 1)),
+        state(8),
+        TORQUE_CONTROL,
+        torque(0.5),
+        state(8, 4),
+    ]
     frames += state(8), torque(0.5), torque(-0.25, 4), torque(float("nan")), state(1), torque(0.5), state(8)
     memory, found = sent_to(*frames, to(0x18, b"\0"), torque(0.5))
     ready, run = DriveMode.READY, DriveMode.RUN

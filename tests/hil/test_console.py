@@ -55,7 +55,8 @@ class Desk:
         self.cycle, (self.channel, self.client) = cycle, ends
         cycle.mode = mode
         self.console = Console(Course(cycle, armed=False, **course), OperatorPanel(), self.channel)
-        self.log: Any = Log()
+        log: Any = Log()
+        self.log = log
         self.console.take()
         self.console.answer(self.log, 0)
 
@@ -196,9 +197,14 @@ def test_ctrl_c_stops_a_run_that_has_a_channel_whatever_is_said_there(cycle, end
 @pytest.mark.parametrize("armed", [False, True])
 @pytest.mark.parametrize("mode", Mode)
 def test_enter_is_looked_at_and_arms_only_where_consent_is_waited_for(cycle, mode, armed):
-    asked = []
+    asked: list[Mode] = []
+
+    def consent() -> bool:
+        asked.append(mode)
+        return True
+
     cycle.mode = mode
-    console = Console(Course(cycle, armed=armed), OperatorPanel(), consent=lambda: asked.append(mode) or True)
+    console = Console(Course(cycle, armed=armed), OperatorPanel(), consent=consent)
     waits = mode is Mode.IDLE and not armed
     assert console.take().operator == (Operator.ENGAGE,) * waits
     assert len(asked) == waits

@@ -134,7 +134,8 @@ def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_tes
     bench.stopped(Mode.UNLOADING)
     while bench.force.min() > 1000.0:
         bench.step()
-    assert bench.cycle.mode is Mode.UNLOADING
+    mode = bench.cycle.mode
+    assert mode is Mode.UNLOADING
     with held_to(bench, standstill_m=-1.0):
         bench.step()
     assert bench.cycle.mode is Mode.HELD

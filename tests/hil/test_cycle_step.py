@@ -191,7 +191,7 @@ def test_stroke_times_and_reactions_of_the_configuration_each_come_to_their_plac
 def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(monkeypatch):
     delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
     law = VIRTUAL.controller.model_copy(update={"delay_compensation": delay})
-    cycle = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE, "controller": law}), 500.0, 0.01)
+    cycle: Any = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE, "controller": law}), 500.0, 0.01)
     fresh, parts = cycle.end.remembered(), cycle.parts
     put_back: list[str] = []
     for owner, names in (

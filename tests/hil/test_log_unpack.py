@@ -2,6 +2,7 @@
 
 import struct
 from collections import defaultdict
+from typing import Any
 
 import numpy as np
 import pytest
@@ -261,9 +262,8 @@ def test_a_message_in_another_layout_is_refused_with_its_topic(topic, payload):
     decoder.learn(Channel(id=7, topic=topic, message_encoding="", metadata={}, schema_id=1))
     decoder.expect("/tick", TICKS.columns, BUSES, 5_000_000_000)
     data = record_bytes(Message(channel_id=7, log_time=0, publish_time=0, sequence=0, data=payload))
-    read = {"/can": decoder.frames, "/tick": decoder.rows}.get(
-        topic, lambda *of: list(decoder.messages(*of, topic))
-    )
+    reads: dict[str, Any] = {"/can": decoder.frames, "/tick": decoder.rows}
+    read = reads.get(topic, lambda data, table: list(decoder.messages(data, table, topic)))
     with pytest.raises(LogError, match=rf"^a\.mcap: a message of {topic} is damaged or of another kind: "):
         read(data, split(data)[0])
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mcap.reader import SeekingReader
-from mcap.records import Channel, Chunk, MessageIndex, Schema, Statistics
+from mcap.records import Channel, Chunk, Message, MessageIndex, Schema, Statistics
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from hil.record.mcap_file import MAGIC, McapFile, being_written
@@ -136,6 +136,7 @@ def test_the_index_has_times_sizes_places_and_counts(tmp_path):
                 wanted: dict[int, list[tuple[int, int]]] = {}
                 at = 0
                 for each in breakup_chunk(record):
+                    assert isinstance(each, Message)
                     wanted.setdefault(each.channel_id, []).append((each.log_time, at))
                     at += 31 + len(each.data)
             elif isinstance(record, MessageIndex):

@@ -99,7 +99,7 @@ def test_values_have_plain_names_and_numbers_from_0_on(flags):
             kind = read_with(type="Kind", flags=flags, names={"NONE": 0, name: number}).type
             assert issubclass(kind, IntFlag if flags else IntEnum)
             assert kind(number) is kind[name]
-    wrong = [("9", 1), ("_a", 1), ("a-b", 1), ("b" * 101, 1), ("", 1), ("A\n", 1)]
+    wrong: list[tuple[str, Any]] = [("9", 1), ("_a", 1), ("a-b", 1), ("b" * 101, 1), ("", 1), ("A\n", 1)]
     wrong += [("A", number) for number in (-1, 1 << 63, True, 1.0, "1", None)]
     for name, number in wrong:
         with pytest.raises(ValueError, match="allowed: a plain name and a number from 0 on"):

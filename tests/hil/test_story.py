@@ -68,7 +68,7 @@ def doubted(doubt: Doubt, **columns: Any) -> dict[str, Any]:
 RUN, OFF, FAILED = int(DriveState.RUN), int(DriveState.OFF), int(DriveState.FAULT)
 STRAYED = {"began": np.vstack([np.full((3, 6), 9.0), np.full((1, 6), 1e-5), np.full((2, 6), 9.0)])}
 PUSHES = legs(0.0, leg_1=38.0, leg_4=-7.0)
-DOUBTED = [(3, 3e-5, 2e-5)]
+DOUBTED: list[tuple[int | None, Any, Any]] = [(3, 3e-5, 2e-5)]
 STALL, LISTED = ("stalled for 6 ms", "loop.rate_Hz"), ("drive 0, 1 in OFF", "drive 3, 5 in OFF")
 CASES = [
     Case(Fault.STALE, {"counted_age": legs(0, leg_1=7, leg_4=5)}, [(1, 7, 5), (4, 5, 5)]),

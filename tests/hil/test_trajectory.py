@@ -278,6 +278,9 @@ def test_before_a_late_first_point_the_platform_waits_there(interpolation):
     np.testing.assert_allclose(late.sample(2.0).twist, expected, rtol=0, atol=1e-13)
 
 
+TURNED = {"position_m": (0.0, 0.0, 1.0), "rotation_vector_deg": (0.0, -165.0, 0.0)}
+
+
 def knots(index, **change):
     return [dict(k, **(change if i == index else {})) for i, k in enumerate(KNOTS)]
 
@@ -302,9 +305,6 @@ def knots(index, **change):
 def test_settings_that_make_no_path_are_refused(build, words):
     with pytest.raises((ConfigurationError, ValidationError), match=words):
         build()
-
-
-TURNED = {"position_m": (0.0, 0.0, 1.0), "rotation_vector_deg": (0.0, -165.0, 0.0)}
 
 
 def test_settings_at_the_border_of_what_is_refused_are_taken():

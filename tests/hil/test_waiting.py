@@ -36,7 +36,8 @@ def test_drives_that_answer_late_are_listed_and_one_tick_with_all_six_legs_is_en
         bench.step_late(1)
     for _ in range(493):
         text = bench.step_late(1, 4)
-    assert bench.cycle.mode is Mode.WAITING
+    mode = bench.cycle.mode
+    assert mode is Mode.WAITING
     assert bench.cycle.tick["age"].tolist() == [0, 1, 0, 0, 1, 0]
     assert "platform.home" not in text
     for words in ("drive 1 in none yet", "drive 4 0.49", "loop.rate_Hz"):

@@ -97,8 +97,8 @@ def test_a_sampled_path_is_followed_and_replays_without_its_file(tmp_path):
 # -- delay compensation --------------------------------------------------------------------------------------
 
 
-FAR = {"position_m": [0.25, 0.5, 0.75], "rotation_vector_deg": [5, 10, 15]}
-HOME = {"position_m": [0, 0, 1]}
+FAR: dict[str, list[float]] = {"position_m": [0.25, 0.5, 0.75], "rotation_vector_deg": [5, 10, 15]}
+HOME: dict[str, list[float]] = {"position_m": [0, 0, 1]}
 TRUE = {"bus_ms": 0.5, "drive_lag_ms": 0.8, "hold_ms": 0.5}
 
 

@@ -142,8 +142,8 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
         del anew
         return Heard((Operator.RELEASE,) if held[0] >= 3000 else ())
 
-    def course(cycle: Cycle) -> Course:
-        found = Course(cycle, 1.2, stays=True)
+    def course(cycle: Cycle) -> Any:
+        found: Any = Course(cycle, 1.2, stays=True)
 
         def ending(tick_number: int, judged: Any = found.ending) -> Any:
             if (
@@ -152,7 +152,7 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
                 panel.interrupts += 2
             return judged(tick_number)
 
-        found.ending = ending  # type: ignore[method-assign]
+        found.ending = ending
         return found
 
     channel = SimpleNamespace(take=take, waited_for=False, old=frozenset())

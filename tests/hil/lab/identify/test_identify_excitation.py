@@ -6,7 +6,6 @@ from scipy.spatial.transform import Rotation
 
 from hil.app.configuration.configuration import load
 from hil.config.values import Pose
-from hil.lab.identify.delay import excited
 from hil.lab.identify.estimators.excitation import CARRIER_Hz, delay_excitation
 from hil.lab.identify.runs import exact_model, excitation_pose
 from hil.robot.dynamics import Model
@@ -16,7 +15,11 @@ from hil.trajectory.build import build_trajectory
 from tests.hil.test_dynamics import BOOK
 
 FORCE_N = 40.0
+
+
 Q = Rotation.from_rotvec([0.6, -0.7, 0.5]).as_matrix()
+
+
 UPRIGHT = Rotation.from_rotvec([-np.pi / 2, 0.0, 0.0]).as_matrix()
 
 
@@ -78,16 +81,10 @@ def test_under_it_every_leg_slides_by_3_mm_wherever_the_legs_point(base, platfor
     assert np.ptp(q, axis=0) == pytest.approx(6 * [6e-3], rel=0.01)
 
 
-@pytest.mark.parametrize("rate_Hz", [25.0, 50.0, 90.0, 100.0, 149.0, 150.0, 250.0, 1000.0, 2000.0])
+@pytest.mark.parametrize("rate_Hz", [25.0, 100.0, 149.0, 150.0, 1000.0])
 def test_the_lines_that_find_a_delay_end_at_three_tenths_of_any_rate(rate_Hz: float) -> None:
     c = load("virtual")
     reference = delay_excitation(exact_model(c), excitation_pose(c), rate_Hz, 100.0, 20.0)
     lines = np.unique([s.frequency_Hz for s in reference.components if s.frequency_Hz != CARRIER_Hz])
     assert lines.max() <= 0.3 * rate_Hz * (1.0 + 1e-9)
     assert len(lines) == 36, "six of each axis, and none of two"
-
-
-def test_a_slow_loop_is_excited_with_its_own_limits() -> None:
-    made = excited(load("vcan50"), None, 4.0)
-    assert made.configuration.loop.rate_Hz == 50.0
-    assert made.force_N > 0.0

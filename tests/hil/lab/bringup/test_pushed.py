@@ -1,4 +1,4 @@
-"""A hand may push a leg shorter or longer: what gives way is seen either way, at any leg."""
+"""A hand may push a leg shorter or longer, slowly or fast: what gives way, and its rate, is seen either way."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from hil.lab.bringup.context import Context, Finding, Request
+from hil.lab.bringup.context import Context, Request
 from hil.lab.bringup.steps import brakes, encoder
-
-WAYS = pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
-LEGS = pytest.mark.parametrize("leg", range(6))
+from hil.lab.bringup.steps.brakes import RATE_WITHIN, Steps
+from plant_fmu.rehearsal.wiring import Wiring
+from tests.hil.lab.bringup.kit import Rehearsal
 
 
 class Pushed:
@@ -50,8 +50,8 @@ def pushed(act: str, way_m: float, *legs: int) -> Context:
     return cast("Context", Pushed(act, way_m, legs))
 
 
-@LEGS
-@WAYS
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
 @pytest.mark.parametrize("act", ["push", "read_held"])
 def test_a_shut_brake_that_slips_does_not_hold_whichever_way_and_whenever_it_slips(
     leg: int, way_m: float, act: str
@@ -63,15 +63,15 @@ def test_a_shut_brake_that_slips_does_not_hold_whichever_way_and_whenever_it_sli
     assert not brakes.holds(pushed(act, way_m / 4.0, leg), leg)["moved"], "a leg and its joints bend"
 
 
-@LEGS
-@WAYS
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
 def test_an_open_brake_gives_way_whichever_way_its_leg_is_pushed(leg: int, way_m: float) -> None:
     assert brakes.gives_way(pushed("push", way_m, leg), leg, lambda: None) == (True, 700.0)
     assert brakes.gives_way(pushed("push", way_m / 4.0, leg), leg, lambda: None) == (False, 0.0)
 
 
-@LEGS
-@WAYS
+@pytest.mark.parametrize("leg", range(6))
+@pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
 def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(
     leg: int, way_m: float
 ) -> None:
@@ -83,8 +83,8 @@ def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(
     assert brakes.give_way_too(pushed("push_others", way_m / 4.0, *others), leg, leg, others) == []
 
 
-def judged(ends: dict[int, tuple[float, float]]) -> list[Finding]:
-    """Return what is found where some legs end so far, m, before their configured ends (0.75 and 2.2 m)."""
+def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ...]]]:
+    """What is found where some legs end so far, m, before their configured ends (0.75 and 2.2 m)."""
     machine = SimpleNamespace(length_min=0.75, length_max=2.2, stroke=1.45, tape_m=2e-4)
     facts = {}
     for leg in range(6):
@@ -92,11 +92,7 @@ def judged(ends: dict[int, tuple[float, float]]) -> list[Finding]:
         tape = [0.75 + low, 2.2 - high]
         facts[leg] = {"drive": leg, "tape_m": tape, "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
     c = SimpleNamespace(machine=machine, known=lambda _, leg: facts[leg])
-    return encoder.judge(cast("Context", c))
-
-
-def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ...]]]:
-    return [(found.name, found.legs) for found in judged(ends)]
+    return [(found.name, found.legs) for found in encoder.judge(cast("Context", c))]
 
 
 @pytest.mark.parametrize("ends", [(3e-3, 0.0), (0.0, 3e-3), (3e-3, 3e-3), (0.2, -0.01)])
@@ -105,13 +101,39 @@ def test_a_leg_that_does_not_reach_either_end_has_something_in_its_way(ends: tup
         assert taped({leg: ends}) == [("end_stop", (leg,))]
     assert taped({1: ends, 4: ends[::-1]}) == [("end_stop", (1,)), ("end_stop", (4,))]
     assert taped(dict.fromkeys(range(6), ends)) == [("stroke", (0, 1, 2, 3, 4, 5))]
+    assert taped({}) == taped(dict.fromkeys(range(6), (1e-3, 1e-3))) == []
 
 
-def test_a_leg_that_reaches_both_ends_has_nothing_in_its_way() -> None:
-    assert taped({}) == []
-    assert taped(dict.fromkeys(range(6), (1e-3, 1e-3))) == []
+TICK_NS = 2_000_000
 
 
-def test_the_stroke_to_write_down_is_what_every_leg_reaches() -> None:
-    (found,) = judged({leg: (3e-3 + 1e-3 * leg, 9e-3 - 1e-3 * leg) for leg in range(6)})
-    assert "all end at 0.7580 and 2.1910 m" in found.line
+def share_of(motion, rate=lambda v: v):
+    """Return the share that drive 2 has after ticks with these speeds, m/s, and the rates that it reports."""
+    c = Rehearsal("virtual", Wiring()).context
+    record, length = c.drives.record, 1.5
+    steps = Steps(c, 2, lambda: None)
+    for n, speed in enumerate(motion):
+        length += 1e-9 * TICK_NS * speed
+        record["t_ns"], record["age"][2] = n * TICK_NS, 0
+        record["length"][2], record["rate"][2] = length, rate(speed)
+        steps.keep()
+    return steps.share()
+
+
+@pytest.mark.parametrize("speed", [2e-3, 0.015, 0.1, -0.1, 0.8])
+@pytest.mark.parametrize("factor", [1.0, -1.0, 2.0, 0.0])
+def test_a_slow_push_tells_a_rate_as_a_fast_one_does(speed, factor):
+    ticks = max(8, round(1.2e-3 / abs(speed) / (1e-9 * TICK_NS)))
+    assert share_of([speed] * ticks, lambda v: factor * v) == pytest.approx(factor, abs=1e-9)
+
+
+def test_a_leg_that_rests_for_long_before_and_after_says_nothing_then():
+    """Half a code of the rate at rest, for ten seconds each, would be more than the way that was share_of."""
+    rest = [0.0] * 5000
+    share = share_of([*rest, *[0.03] * 40, *rest], lambda v: v - 2e-4)
+    assert RATE_WITHIN[0] < share < RATE_WITHIN[1]
+
+
+@pytest.mark.parametrize("motion", [[1e-4] * 5000, [0.01] * 20, []])
+def test_a_push_that_is_too_slow_or_too_short_is_not_judged(motion):
+    assert share_of(motion) is None

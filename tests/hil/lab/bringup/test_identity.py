@@ -1,0 +1,293 @@
+"""Who each drive is: asked again where answers are lost, two drives on one number, a drive that was exchanged."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drivers.cia402 import objects
+from drivers.mit.robstride import RobStrideProtocol
+from drivers.odrive import ODriveProtocol
+from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, REVISION, SERIAL, Frame, Said
+from hil.app.compose import build_protocol
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import loads
+from hil.lab.bringup.drives import ASKED_TIMES
+from hil.lab.bringup.procedure import STEPS
+from hil.lab.bringup.store import refuse_malformed
+from plant_fmu.drives.cia402_dictionary import PLACE, defaults
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.broad import broad
+from tests.hil.lab.bringup.families import FAMILIES, family
+from tests.hil.lab.bringup.kit import Rehearsal, named
+
+ASKED = ("cia402_pdo", "damiao", "robstride", "odrive", "moteus_stopped")
+
+
+SCAN, BY_HAND = STEPS[:1], STEPS[:4]
+
+
+class LossyLine:
+    """A line that loses the first answers of each drive to who it is."""
+
+    def __init__(self, rehearsal: Rehearsal, lost: int) -> None:
+        self._line = rehearsal.drives.line
+        self._protocol = rehearsal.drives.protocol
+        self._left = dict.fromkeys(range(6), lost)
+        self.answers: list[Frame] = []
+        self.requests = 0
+        self.rate_Hz = self._line.rate_Hz
+        requests = self._protocol.traits.identity_requests
+        self._asking = {frame for asked in requests for frame in asked}
+
+    def exchange(self, opening):
+        heard = self._line.exchange(opening)
+        kept = []
+        for received in heard.frames:
+            said = self._protocol.identity(received.frame)
+            if said is not None:
+                self.answers.append(received.frame)
+                self._left[said.leg] -= 1
+            if said is None or self._left[said.leg] < 0:
+                kept.append(received)
+        return heard._replace(frames=tuple(kept))
+
+    def send(self, frames):
+        self.requests += sum(frame in self._asking for frame in frames)
+        self._line.send(frames)
+
+
+def asked_over(name, lost):
+    rehearsal = Rehearsal(name, Wiring())
+    line = LossyLine(rehearsal, lost)
+    rehearsal.drives.line = line
+    return rehearsal.drives.identities(), line
+
+
+@pytest.mark.parametrize("name", ["damiao", "odrive"])
+def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered_is_not(name):
+    rounds = {"damiao": 2, "odrive": 1}[name]
+    whole, line = asked_over(name, 0)
+    assert line.requests == 6 * rounds
+    late, line = asked_over(name, ASKED_TIMES - 1)
+    assert late == whole
+    assert [who[SERIAL] for who in whole] == [1, 2, 3, 4, 5, 6]
+    never, line = asked_over(name, 100)
+    assert never == ({},) * 6
+    assert line.requests == 6 * rounds * ASKED_TIMES
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["damiao", "odrive"])
+def test_a_drive_that_is_not_heard_is_not_asked_who_it_is(name):
+    rehearsal = Rehearsal(name, wired(Mistake("absent", 3)))
+    line = LossyLine(rehearsal, 0)
+    rehearsal.drives.line = line
+    assert named(rehearsal.run(SCAN)) == {("absent", (3,))}
+    assert line.requests == 5 * {"damiao": 2, "odrive": 1}[name]
+    assert rehearsal.context.facts["identity"].keys() == set("01245")
+
+
+class TwinLine(LossyLine):
+    """A line with a second drive of one number behind it, at the same length: it differs by its serial number."""
+
+    def __init__(self, rehearsal: Rehearsal, leg: int, name: str) -> None:
+        super().__init__(rehearsal, 0)
+        self._leg, self._lowest = leg, _LOWEST[name]
+
+    def exchange(self, opening):
+        heard = super().exchange(opening)
+        frames = list(heard.frames)
+        for each in heard.frames:
+            said = self._protocol.identity(each.frame)
+            if said is not None and said.leg == self._leg and said.what == SERIAL:
+                data = bytearray(each.frame.data)
+                data[self._lowest] += 32
+                frames.append(each._replace(frame=each.frame._replace(data=bytes(data))))
+        return heard._replace(frames=tuple(frames))
+
+
+_LOWEST = {"damiao": 4, "odrive": 1, "robstride": 0, "cia402_pdo": 4}
+"""Where in an answer the lowest byte of a serial number is."""
+
+
+@pytest.mark.parametrize("name", broad([*_LOWEST], quick=2))
+def test_two_serial_numbers_of_one_node_are_two_drives(name):
+    rehearsal = Rehearsal(name, Wiring())
+    rehearsal.drives.line = TwinLine(rehearsal, 2, name)
+    outcome = rehearsal.run(SCAN)
+    assert named(outcome) == {("same_id", (2,))}
+    assert "2" not in rehearsal.context.facts["identity"]
+
+
+@pytest.mark.parametrize("name", broad(["cubemars", "cia402_pdo", "odrive"], quick=1))
+def test_two_drives_of_one_number_and_one_length_answer_too_often(name):
+    """An axis of odrive is set to send nothing unasked."""
+    unasked = {"drives": {"options": {"encoder_msg_rate_ms": 0}}} if name == "odrive" else {}
+    c = family(name)
+    c = loads(with_changes(c.text, unasked), name, c.folder)
+    rehearsal = Rehearsal(c, wired(Mistake("same_id", 5, 2)))
+    legs = rehearsal.bench._legs
+    legs.place(5, rehearsal.bench.length(2))
+    legs.reset = lambda: (legs.legs["x"].copy(), np.zeros(6))  # type: ignore[method-assign]
+    rehearsal.bench.nodes.start(0)
+    assert named(rehearsal.run(SCAN)) == {("same_id", (2, 5))}
+
+
+@pytest.mark.parametrize("name", ASKED)
+def test_an_answer_counts_only_as_it_is_sent_and_on_the_bus_of_its_drive(name):
+    protocol = build_protocol(family(name))
+    _, line = asked_over(name, 0)
+    halves = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
+    c = family(name)
+    text = with_changes(c.text, {"bus": {"channel": None, "channels": halves}})
+    two = build_protocol(loads(text, name, c.folder))
+    assert len(line.answers) >= 6
+    for frame in line.answers:
+        said = protocol.identity(frame)
+        assert said is not None
+        for flag in (ERROR, REMOTE, BUS):
+            assert protocol.identity(frame._replace(flags=frame.flags | flag)) is None, flag
+        own = said.leg // 3
+        for bus in range(3):
+            on = frame._replace(flags=frame.flags + BUS * bus)
+            assert two.identity(on) == (said if bus == own else None)
+
+
+def measured():
+    rehearsal = Rehearsal("odrive", Wiring())
+    assert rehearsal.run(BY_HAND).success
+    return rehearsal.context.facts
+
+
+def scanned(facts, said, monkeypatch):
+    """Scan where the drives say this of themselves; return the rehearsal and what the operator was told."""
+    rehearsal = Rehearsal("odrive", Wiring(), facts=copy.deepcopy(facts))
+    told: list[str] = []
+    monkeypatch.setattr(rehearsal.hands, "tell", told.append)
+    monkeypatch.setattr(rehearsal.drives, "identities", lambda _: said)
+    rehearsal.drives.serials = tuple(set[int]() for _ in range(6))
+    return rehearsal, told
+
+
+CHANGES = {
+    "silent": ({}, {SERIAL: 3}, True),
+    "another": ({SERIAL: 77}, {SERIAL: 77}, False),
+    "one more figure": ({SERIAL: 3, REVISION: 7}, {SERIAL: 3, REVISION: 7}, True),
+}
+"""What drive 2 tells in the next session, what is known of it then, and whether its facts stay."""
+
+
+@pytest.mark.parametrize("case", CHANGES)
+def test_facts_of_a_drive_go_where_it_tells_another_number_and_stay_where_it_is_silent(case, monkeypatch):
+    tells, known, stay = CHANGES[case]
+    others = tuple(tells if leg == 2 else {SERIAL: leg + 1} for leg in range(6))
+    rehearsal, _ = scanned(measured(), others, monkeypatch)
+    saved: list[dict[str, Any]] = []
+    rehearsal.context.save = lambda: saved.append(copy.deepcopy(rehearsal.context.facts))
+    rehearsal.run(SCAN)
+    facts = rehearsal.context.facts
+    assert facts["identity"]["2"] == known
+    assert facts["encoder"].keys() == set("012345" if stay else "01345")
+    if not stay:
+        assert [
+            facts for facts in saved if "2" not in facts["encoder"] and facts["identity"]["2"] == {SERIAL: 3}
+        ]
+        assert not [facts for facts in saved if "2" in facts["encoder"] and facts["identity"]["2"] == known]
+
+
+@pytest.mark.parametrize("value", [0, 0xFFFFFFFF, (1 << 64) - 1])
+def test_serial_number_that_was_never_written_tells_nothing(value):
+    assert not Said(0, SERIAL, value).tells
+    assert Said(0, SERIAL, value ^ 0x10).tells
+    assert Said(0, REVISION, value).tells
+
+
+def asked_legs(rehearsal):
+    return {request.leg for request in rehearsal.hands.requests if request.act == "measure"}
+
+
+def with_another(monkeypatch, node, key, value):
+    """Let the drive of a node be another one, by one object of its dictionary."""
+
+    def of_one(n, *figures):
+        values = defaults(n, *figures)
+        if n == node:
+            values[PLACE[key]] = value
+        return values
+
+    monkeypatch.setattr("plant_fmu.drives.cia402_dictionary.defaults", of_one)
+
+
+@pytest.mark.parametrize(
+    ("key", "told"),
+    broad([(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")], quick=1),
+)
+def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_no_other(
+    monkeypatch, key, told
+):
+    first = Rehearsal("cia402_pdo", Wiring())
+    assert first.run(STEPS[:4]).success
+    facts = first.context.facts
+    refuse_malformed(facts)
+    assert facts["identity"]["2"] == {"serial number": 3, "revision": 1}
+
+    again = Rehearsal("cia402_pdo", Wiring(), facts=copy.deepcopy(facts))
+    said: list[str] = []
+    monkeypatch.setattr(again.hands, "tell", said.append)
+    assert again.run(STEPS[:4]).success
+    assert asked_legs(again) == set()
+    assert not any("another drive" in text for text in said)
+
+    with_another(monkeypatch, 3, key, 77)
+    third = Rehearsal("cia402_pdo", Wiring(), facts=copy.deepcopy(facts) | {"mounted": {"0": {}}})
+    monkeypatch.setattr(third.hands, "tell", said.append)
+    assert third.run(STEPS[:4]).success
+    assert asked_legs(third) == {2}
+    assert [text for text in said if told in text]
+    assert "mounted" not in third.context.facts
+    assert third.context.facts["watchdog"].keys() == set("012345")
+
+
+def requests_of(name):
+    protocol = build_protocol(family(name))
+    return protocol.traits.identity_requests
+
+
+def test_each_family_that_can_be_asked_says_who_its_drives_are_and_the_others_are_not_asked():
+    told = {}
+    for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
+        rehearsal = Rehearsal(name, Wiring())
+        told[name] = rehearsal.drives.identities()
+    assert told["cia402_pdo"][4] == {"serial number": 5, "revision": 1}
+    assert [who["serial number"] for who in told["robstride"]] == [1, 2, 3, 4, 5, 6]
+    assert [who["serial number"] for who in told["odrive"]] == [1, 2, 3, 4, 5, 6]
+    assert told["moteus_stopped"][4] == {"serial number": 5, "revision": 0x010000}
+    assert told["damiao"][5] == {"serial number": 6, "revision": 1}
+    assert told["cubemars"] == told["legs_fd"] == ({},) * 6
+    silent = {name for name in FAMILIES if not requests_of(name)}
+    assert silent == {"legs_fd", "legs_classic", "cubemars", "mini_cheetah"}
+
+
+def test_serial_numbers_are_read_as_their_makers_write_them():
+    """ODrive: tests/data/drives/odrive.json, 0.6: Address. RobStride: type 0 from motor 5 to 0xFE."""
+    odrive = build_protocol(family("odrive"))
+    robstride = build_protocol(family("robstride"))
+    assert isinstance(odrive, ODriveProtocol)
+    assert isinstance(robstride, RobStrideProtocol)
+    said = odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("05ab896745230107")))
+    assert said == Said(4, "serial number", 1250999896491)
+    assert odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("3fab896745230107"))) is None, (
+        "gives it another number"
+    )
+    assert odrive.traits.identity_requests[0][4] == Frame(5 << 5 | 6, b"", REMOTE)
+    assert robstride.identity(Frame(0x0005FE, (1 << 60 | 7).to_bytes(8, "little"), EXTENDED)) == Said(
+        4, "serial number", 1 << 60 | 7
+    )
+    assert robstride.traits.identity_requests[0][0].id == 0xFD01
+    to_the_host = Frame(0x0005FD, (7).to_bytes(8, "little"), EXTENDED)
+    assert robstride.identity(to_the_host) == Said(4, "serial number", 7)
+    assert robstride.identity(Frame(0x00FD01, bytes(8), EXTENDED)) is None

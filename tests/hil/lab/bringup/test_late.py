@@ -1,0 +1,217 @@
+"""Late ticks and answers, and the bring-up on a bus: one tick a period, all frames of its window."""
+
+from collections.abc import Sequence
+from typing import Any, cast
+
+import pytest
+
+from drivers.arrays import Rows
+from drivers.can.bus import Bus, BusEvents
+from drivers.clock import Clock
+from drivers.errors import BusError
+from drivers.frame_array import received_array, sent_frames
+from drivers.protocol import Frame, Received
+from hil.lab.bringup.drives import Heard, Line
+from hil.lab.bringup.ends import BusLine
+from hil.lab.bringup.rehearsal import BenchLine
+from hil.lab.bringup.steps import scan, silence
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.broad import broad
+from tests.hil.lab.bringup.kit import Rehearsal, named
+
+FAMILIES = ["virtual", "moteus_zero_velocity", "virtual-cia402", "odrive"]
+"""Watched on shut brakes, asked, watched one at a time, told by the heartbeat."""
+
+
+class Stalling(BenchLine):
+    """A line whose second tick of a silence comes late, some times."""
+
+    def __init__(self, rehearsal: Rehearsal, late_s: float, times: int) -> None:
+        super().__init__(rehearsal.bench.nodes, rehearsal.drives.line.rate_Hz)
+        self._polled = rehearsal.drives.protocol.traits.command_delay_ticks > 0
+        self._late = round(late_s * self.rate_Hz)
+        self.times = times
+        self._silent = 0
+
+    def exchange(self, opening: Sequence[Frame]) -> Heard:
+        if self._silent == 1 and self.times:
+            self._tick += self._late
+            self.times -= 1
+        if self._polled:
+            self._count(opening)
+        return super().exchange(opening)
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        if not self._polled:
+            self._count(frames)
+        super().send(frames)
+
+    def _count(self, commands: Sequence[Frame]) -> None:
+        self._silent = 0 if commands else self._silent + 1
+
+
+def found(
+    family: str, wiring: Wiring, late: float, times: int
+) -> tuple[set[tuple[str, tuple[int, ...]]], int]:
+    """Return what is named with ticks that are late by so many times the watchdog, and late ticks left."""
+    rehearsal = Rehearsal(family, wiring)
+    line = Stalling(rehearsal, late * rehearsal.machine.watchdog_s, times)
+    rehearsal.drives.line = line
+    return named(rehearsal.run((scan.STEP, silence.STEP))), line.times
+
+
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=2))
+def test_what_is_said_of_a_watchdog_holds_its_true_time(family):
+    for share in (0.95, 1.0):
+        rehearsal = Rehearsal(
+            family, wired(Mistake("watchdog_short", 2, value=share)) if share < 1.0 else Wiring()
+        )
+        rehearsal.run((scan.STEP, silence.STEP))
+        fact = rehearsal.context.known("watchdog", 2)
+        assert fact["since_s"] <= share * rehearsal.machine.watchdog_s <= fact["until_s"]
+
+
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
+def test_a_watchdog_eight_times_too_long_is_named_although_a_tick_of_its_silence_is_late(family):
+    leg = 3
+    assert found(family, wired(Mistake("watchdog_long", leg)), 6.5, 1) == ({("watchdog_long", (leg,))}, 0)
+
+
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
+def test_a_watchdog_that_is_right_is_measured_again_where_a_tick_was_late(family):
+    assert found(family, Wiring(), 6.5, silence.TRIES - 1) == (set(), 0)
+
+
+@pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
+def test_a_watchdog_that_late_ticks_hide_each_time_is_named_unmeasured(family):
+    findings, _ = found(family, Wiring(), 6.5, 100)
+    assert findings == {("watchdog_unmeasured", (leg,)) for leg in range(6)}
+
+
+class AfterSilence:
+    """A line on which the first answers after a silence miss their window: they stand in the next tick."""
+
+    def __init__(self, line: Line) -> None:
+        self.rate_Hz, self._line = line.rate_Hz, line
+        self._silent, self._late = False, tuple[Received, ...]()
+
+    def exchange(self, opening: Sequence[Frame]) -> Heard:
+        heard = self._line.exchange(opening)
+        frames = (*self._late, *heard.frames)
+        self._late = heard.frames if self._silent and opening else ()
+        self._silent = not opening
+        return Heard(heard.since_ns, frames[: -len(self._late)] if self._late else frames)
+
+    def send(self, frames: Sequence[Frame]) -> None:
+        self._line.send(frames)
+
+
+@pytest.mark.parametrize(
+    ("wiring", "findings"),
+    [
+        (Wiring(), set()),
+        (wired(Mistake("watchdog_missing", 2)), {("watchdog_missing", (2,))}),
+    ],
+    ids=["good", "missing"],
+)
+def test_a_watchdog_is_proven_although_the_first_answer_after_a_silence_is_late(wiring, findings):
+    rehearsal = Rehearsal("moteus_zero_velocity", wiring)
+    rehearsal.drives.line = AfterSilence(rehearsal.drives.line)
+    assert named(rehearsal.run((scan.STEP, silence.STEP))) == findings
+
+
+POLL, ANSWER, LATE = Frame(1, b"p"), Frame(2, b"a"), Frame(3, b"l")
+
+
+class Waited(Clock):
+    """Time that passes when somebody waits for it."""
+
+    def __init__(self) -> None:
+        self.t_ns = 1_000_000
+        self.allowed_ns = self.stood_ns = 0
+
+    def now(self) -> int:
+        return self.t_ns
+
+    def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
+        del spin_ns
+        self.t_ns = max(self.t_ns, t_ns)
+
+    def working(self, allowed_ns: int = 0) -> None:
+        self.allowed_ns = allowed_ns
+
+    def stretched(self) -> int:
+        return self.stood_ns
+
+
+class FakeBus:
+    """Answers each poll after 0.3 ms, and once more 1.6 ms later."""
+
+    def __init__(self) -> None:
+        self.clock, self.off = Waited(), False
+        self.due: list[Received] = []
+        self.sent: list[Frame] = []
+
+    def flush_tx(self) -> None:
+        self.due = []
+
+    def send(self, frames: Any) -> int:
+        for frame in sent_frames(frames):
+            self.sent.append(frame)
+            now = self.clock.t_ns
+            self.due += [Received(now + 300_000, ANSWER), Received(now + 1_900_000, LATE)]
+        return 0
+
+    def drain_now(self) -> Rows:
+        here = [r for r in self.due if r.t_ns <= self.clock.t_ns]
+        self.due = [r for r in self.due if r.t_ns > self.clock.t_ns]
+        return received_array(here)
+
+    def wait(self, deadline_ns: int) -> Rows:
+        self.clock.t_ns = min([deadline_ns, *(r.t_ns for r in self.due)])
+        return self.drain_now()
+
+    def events(self) -> BusEvents:
+        return BusEvents(0, self.off, 0)
+
+
+def test_a_tick_has_the_answers_of_its_window_and_what_was_late_before():
+    bus = FakeBus()
+    line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
+    first, second = line.exchange([POLL]), line.exchange([POLL])
+    assert [r.frame for r in first.frames] == [ANSWER]
+    assert [r.frame for r in second.frames] == [LATE, ANSWER]
+    assert second.frames[0].t_ns < second.since_ns <= second.frames[1].t_ns
+    assert second.since_ns - first.since_ns == 2_000_000
+
+
+def test_a_tick_waits_as_long_as_its_window():
+    bus = FakeBus()
+    line = BusLine(cast("Bus", bus), 500.0, 1.95e-3, watched=True)
+    assert [r.frame for r in line.exchange([POLL]).frames] == [ANSWER, LATE]
+
+
+def test_what_the_window_leaves_of_a_period_is_for_computing():
+    bus = FakeBus()
+    BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True).exchange([POLL])
+    assert bus.clock.allowed_ns == 700_000
+
+
+def test_a_tick_says_for_how_long_time_stood_still_before_it():
+    bus = FakeBus()
+    bus.clock.stood_ns = 100
+    line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
+    stood = []
+    for more_ns in (0, 7_000_000, 0):
+        bus.clock.stood_ns += more_ns
+        stood.append(line.exchange([POLL]).stretched_ns)
+    assert stood == [0, 7_000_000, 0]
+
+
+@pytest.mark.parametrize(("watched", "left"), [(True, "watchdogs shut"), (False, "cut their power now")])
+def test_a_bus_that_is_down_ends_the_bring_up_and_says_what_the_drives_do(watched, left):
+    bus = FakeBus()
+    line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=watched)
+    bus.off = True
+    with pytest.raises(BusError, match=f"down: the drives.* {left}"):
+        line.exchange([])

@@ -1,0 +1,203 @@
+"""The state file of a bring-up: what is kept, what goes with a leg, a drive or other hardware, and damage."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from drivers.errors import RunError
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import load, loads
+from hil.lab.bringup.context import Finding
+from hil.lab.bringup.facts import forget_legs
+from hil.lab.bringup.procedure import STEPS
+from hil.lab.bringup.steps import gauge
+from hil.lab.bringup.store import Store, identity
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from tests.hil.lab.bringup.kit import Rehearsal
+
+
+def state_with(facts: object, **changes: object) -> dict[str, object]:
+    return {"version": 5, "identity": {}, "facts": facts, **changes}
+
+
+ENCODER = {"drive": 0, "tape_m": [0.55, 0.85], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
+
+
+WAY = {"force_N": 1.0, "leg": 0, "way": 1}
+
+
+DAMAGED = {
+    "empty": "",
+    "half": "{",
+    "another file": "{}",
+    "too deep": "[" * 100_000,
+    "no facts": json.dumps(state_with([])),
+    "no identity": json.dumps(state_with({}, identity=[1])),
+    "unknown step": json.dumps(state_with({"nonsense": {}})),
+    "unknown leg": json.dumps(state_with({"held": {"6": {"moved": True}}})),
+    "a word for a flag": json.dumps(state_with({"held": {"0": {"moved": "no"}}})),
+    "five legs": json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5}}})),
+    "not a number": json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5 + [float("nan")]}}})),
+    "no such drive": json.dumps(state_with({"encoder": {"0": ENCODER | {"drive": 99}}})),
+    "no such way": json.dumps(state_with({"force": {"0": {"plus": WAY, "minus": WAY | {"way": 2}}}})),
+}
+
+
+@pytest.mark.parametrize("case", DAMAGED)
+def test_damaged_state_is_refused_in_one_line_and_stays_as_it_is(tmp_path, case):
+    path = tmp_path / "state.json"
+    path.write_text(DAMAGED[case])
+    with pytest.raises(RunError) as caught:
+        Store(path, {})
+    assert str(path) in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert path.read_text() == DAMAGED[case]
+
+
+def test_what_a_bring_up_has_kept_is_read_again_and_a_fact_that_is_gone_is_measured(tmp_path):
+    rehearsal = Rehearsal("virtual", Wiring())
+    store = Store(tmp_path / "state.json", {})
+    rehearsal.context.facts = store.facts
+    rehearsal.run()
+    store.save()
+    assert Store(tmp_path / "state.json", {}).facts == store.facts
+    assert set(store.facts) >= {"scan", "watchdog", "ids", "encoder", "held", "opens", "force", "gauge"}
+    del store.facts["gauge"]["1"], store.facts["held"]["2"]
+    again = Rehearsal("virtual", Wiring(), facts=store.facts)
+    assert again.run().passed == tuple(step.name for step in STEPS)
+    asked = [(request.act, request.leg) for request in again.hands.requests]
+    assert [each for each in asked if each[0] in {"read_gauge", "read_held"}] == [
+        ("read_held", 2),
+        *[("read_gauge", 1)] * 4,
+    ]
+    store.facts["encoder"]["3"]["scale"] = 0.0
+    assert gauge.judge(again.context) == [], "what no encoder counts has no lead"
+
+
+def test_a_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):
+    store = Store(tmp_path / "gone" / "s.json", {})
+    with pytest.raises(RunError, match="cannot be written"):
+        store.save()
+
+
+OF_LEGS = {
+    "watchdog": lambda k: {"powered": True, "until_s": 0.01, "since_s": 0.009},
+    "ids": lambda k: {"drives": [k], "changes_m": [0.0] * 6},
+    "encoder": lambda k: {"drive": k, "tape_m": [1, 2], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0},
+    "held": lambda k: {"moved": False, "hand_N": 700.0},
+    "opens": lambda k: {"legs": [k], "hand_N": 30.0, "rate_share": 1.0},
+    "force": lambda k: {"plus": {}, "minus": {}},
+    "gauge": lambda k: {"pairs_N": []},
+}
+"""All that is proven of one leg or its drive."""
+
+
+def all_facts() -> dict[str, dict[str, Any]]:
+    """Return the facts of a machine that has passed every step."""
+    facts: dict[str, dict[str, Any]] = {
+        step: {str(k): fact(k) for k in range(6)} for step, fact in OF_LEGS.items()
+    }
+    whole: dict[str, dict[str, Any]] = {
+        "mounted": {"0": {"q_m": [1.0] * 6}, "1": {"q_m": [1.1] * 6}},
+        "load": {"mass_kg": 1150.0, "presses": 1.0},
+        "passed": dict.fromkeys([*OF_LEGS, "mounted"], True),
+    }
+    return facts | whole | {"platform": {"hung": True}, "identity": {str(k): {} for k in range(6)}}
+
+
+@pytest.mark.parametrize("legs", [{0}, {1}, {2}, {3}, {4}, {5}, {1, 4}])
+@pytest.mark.parametrize("by_finding", [False, True])
+def test_nothing_that_was_proven_of_a_leg_or_its_drive_outlives_it(
+    legs: set[int], by_finding: bool, tmp_path: Any
+) -> None:
+    facts = all_facts()
+    if by_finding:
+        store = Store(tmp_path / "s.json", {})
+        store.facts = facts
+        store.forget([Finding("watchdog_long", tuple(legs), "", "")])
+    else:
+        forget_legs(facts, legs)
+    others = {str(k) for k in range(6)} - {str(k) for k in legs}
+    assert {step: facts[step].keys() for step in OF_LEGS} == dict.fromkeys(OF_LEGS, others)
+    assert facts.keys() == {*OF_LEGS, "platform", "identity"}, "the platform hangs whoever was exchanged"
+
+
+@pytest.mark.parametrize(
+    ("step", "fact"),
+    [
+        ("ids", {"drives": [4]}),
+        ("ids", {"drives": [2, 4]}),
+        ("encoder", {"drive": 4}),
+        ("opens", {"legs": [1, 4]}),
+    ],
+)
+def test_behind_exchanged_numbers_a_fact_that_names_the_drive_goes_with_it(
+    step: str, fact: dict[str, Any]
+) -> None:
+    facts = all_facts()
+    facts[step]["1"] |= fact
+    forget_legs(facts, {4})
+    assert set(facts[step]) == {"0", "2", "3", "5"}
+    assert all(set(facts[other]) == set("01235") for other in OF_LEGS if other != step)
+
+
+OTHERS: dict[str, tuple[str, dict[str, Any], str]] = {
+    "watchdog": ("desktop", {"drives": {"watchdog_ms": 12}}, "drives"),
+    "rated_force": ("desktop", {"drives": {"force_limit_N": 200}}, "drives"),
+    "radius": ("desktop", {"drives": {"transmission": {"pulley_radius_m": 0.021}}}, "drives"),
+    "one_sign": ("desktop", {"drives": {"transmission": {"sign": [1, -1, 1, -1, 1, 1]}}}, "drives"),
+    "range": ("desktop", {"drives": {"options": {"position_rad": 12.6}}}, "drives"),
+    "heartbeat": ("virtual", {"drives": {"heartbeat_ms": 50}}, "drives"),
+    "numbers": ("virtual", {"drives": {"node_ids": [1, 2, 3, 4, 6, 5]}}, "node numbers"),
+    "shorter": ("virtual", {"platform": {"length_min_m": 0.76}}, "stroke"),
+    "longer": ("virtual", {"platform": {"length_max_m": 2.19}}, "stroke"),
+    "bus": ("virtual", {"bus": {"channel": "hil9"}}, "bus"),
+}
+
+
+@pytest.mark.parametrize("case", OTHERS)
+def test_with_other_hardware_in_the_configuration_everything_is_proven_again(case, tmp_path):
+    name, changes, changed = OTHERS[case]
+    c, path = load(name), tmp_path / "s.json"
+    store = Store(path, identity(c, ()))
+    store.facts["watchdog"] = {"0": {"powered": True, "until_s": 0.012, "since_s": 0.01}}
+    store.facts["platform"] = {"hung": True}
+    store.save()
+    assert Store(path, identity(c, ())).facts == store.facts
+    other = loads(with_changes(c.text, changes), "other.yaml", c.folder)
+    again = Store(path, identity(other, ()))
+    assert (again.changed, again.facts) == (changed, {"platform": {"hung": True}})
+
+
+FIRST = STEPS[:4]
+
+
+@pytest.mark.long
+def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    c = load("virtual")
+    state = tmp_path / "s.json"
+    bad = Rehearsal("virtual", wired(Mistake("encoder_sign", 3)))
+    store = Store(state, identity(c, ()))
+    bad.context.facts, bad.context.save = store.facts, store.save
+    store.forget(bad.run().findings)
+    good = Rehearsal("virtual", Wiring(), facts=Store(state, identity(c, ())).facts)
+    assert good.run().success
+    assert {r.leg for r in good.hands.requests if r.leg >= 0} == {3}
+
+
+def test_an_encoder_that_was_mended_behind_exchanged_numbers_is_measured_again(tmp_path):
+    """The finding names the drive, 4; the facts are those of leg 1, which it counts."""
+    bad = Rehearsal("virtual", wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_jumps", 1)))
+    store = Store(tmp_path / "s.json", {})
+    bad.context.facts = store.facts
+    outcome = bad.run(FIRST)
+    assert [finding.name for finding in outcome.findings] == ["encoder_jumps"]
+    store.forget(outcome.findings)
+    mended = Rehearsal("virtual", wired(Mistake("ids_swapped", 1, 4)), facts=store.facts)
+    assert mended.run(FIRST).findings == ()
+    measured = [request.leg for request in mended.hands.requests if request.act == "measure"]
+    assert sorted(measured) == [1, 1, 1, 4, 4, 4]

@@ -1,0 +1,263 @@
+"""A series of learning runs: from run to run, what ends it, its limit, and the file that it leaves."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pytest
+import yaml
+
+from drivers.errors import ConfigurationError, HilError, LogError, ModelError, PlantError
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.feedforward_file import (
+    learned_forces,
+    made_for,
+    read_feedforward,
+)
+from hil.config.feedforward import FeedforwardHead, FeedforwardSettings
+from hil.lab.learn import rehearsal
+from hil.lab.learn.command import Knowledge, learned
+from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
+from hil.lab.learn.report import series_summary, summary, written
+from hil.lab.learn.runs import LearningRun
+from hil.lab.learn.trial import trial
+
+C = load("virtual")
+
+
+T, LEAD, COUNT = 1e-3, 450, 500
+
+
+FIRST_MM = 1.6
+"""Error of the first run of a series whose first log is not given."""
+
+
+MADE_FOR = made_for(C.reference, C.controller, C.platform, C.folder)
+
+
+ERROR = np.zeros((LEAD + COUNT, 6))
+ERROR[LEAD:] = np.sin(2.0 * np.pi * 6.0 * T * np.arange(COUNT))[:, None] * (
+    5e-4,
+    4e-4,
+    -5e-4,
+    3e-4,
+    -2e-4,
+    5e-4,
+)
+
+
+def head_of(run: int, **changes: Any) -> FeedforwardHead:
+    head = FeedforwardHead(
+        kind="feedforward",
+        source="first.mcap",
+        run=run,
+        made_for=MADE_FOR,
+        rate_Hz=1000.0,
+        cutoff_Hz=88.0,
+        contraction=0.8,
+        first_rms_error_mm=FIRST_MM,
+        rms_error_mm=0.5,
+        peak_N=100.0,
+        rows=LEAD + COUNT,
+    )
+    return head.model_copy(update=changes)
+
+
+def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun:
+    """Return the run with what so many runs have taught, next to nothing, its error a share of ERROR."""
+    still = np.zeros_like(ERROR)
+    there = trial(T, LEAD, share * ERROR, still, 1e-6 * number * ERROR, np.full(6, 20.0))
+    masses = np.broadcast_to(100.0 * np.eye(6), (LEAD + COUNT, 6, 6))
+    head = head_of(number) if number else None
+    return LearningRun(Path(f"run-{number}.mcap"), c, there, masses, still, MADE_FOR, head)
+
+
+@pytest.mark.parametrize("number", [0, 1, 5])
+def test_an_error_that_grows_contradicts_wherever_in_a_series_it_does(number: int) -> None:
+    outcome = learned([run_of(number), run_of(number + 1, 2.0)], Knowledge())
+    assert (outcome.state, outcome.text) == ("contradicted", "")
+    found = outcome.steps[-1].contradicted
+    assert found is not None
+    assert found.factor == pytest.approx(2.0, rel=0.05)
+
+
+@pytest.mark.parametrize("number", [0, 1, 5])
+def test_the_error_of_the_first_run_goes_from_file_to_file(number: int) -> None:
+    outcome = learned([run_of(number), run_of(number + 1, 0.5)], Knowledge())
+    assert outcome.state == "learned"
+    head, _, start_s, _ = read_feedforward(outcome.text.encode(), "next.csv")
+    own_mm = 1e3 * float(np.sqrt((ERROR[LEAD:] ** 2).mean()))
+    assert head.first_rms_error_mm == pytest.approx(FIRST_MM if number else own_mm, rel=1e-5)
+    assert head.rms_error_mm == pytest.approx(0.5 * own_mm, rel=1e-5)
+    assert head.run == number + 2
+    assert start_s == pytest.approx(-T * LEAD)
+
+
+@pytest.mark.parametrize("what", ["reference", "controller", "platform"])
+@pytest.mark.parametrize("other", [0, 2])
+def test_runs_with_another_reference_controller_or_platform_do_not_teach_one_feed_forward(
+    what: str, other: int
+) -> None:
+    series = [run_of(0), run_of(1), run_of(2)]
+    series[other] = series[other]._replace(made_for=MADE_FOR.model_copy(update={what: "another"}))
+    with pytest.raises(LogError, match=f"another {what}"):
+        learned(series, Knowledge())
+
+
+def printed(limit_N: float) -> dict[str, Any]:
+    """Return the section that is printed for a file."""
+    section: dict[str, Any] = yaml.safe_load(written(Path("next.csv"), limit_N)[-1])["feedforward"]
+    return section
+
+
+def taken(folder: Path, text: str, section: dict[str, Any]) -> float:
+    """Return the largest force that a run takes of a file and its section."""
+    c = load("virtual")
+    (folder / "next.csv").write_text(text)
+    settings = FeedforwardSettings.model_validate(section)
+    forces = learned_forces(settings, c.reference, c.controller, c.platform, folder)
+    assert forces is not None
+    return float(abs(read_feedforward(text.encode(), "next.csv")[1]).max())
+
+
+@pytest.mark.parametrize(
+    ("limit_N", "peak_N"),
+    [
+        (1.00006, 1.0),
+        (4.448222, 4.4482),
+        (0.00007, 0.0),
+    ],
+)
+def test_a_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
+    tmp_path: Path, limit_N: float, peak_N: float
+) -> None:
+    outcome = learned([run_of(0)], Knowledge(limit_N=limit_N))
+    assert outcome.cut > 0
+    assert taken(tmp_path, outcome.text, printed(limit_N)) == peak_N
+    assert taken(tmp_path, outcome.text, {"file": "next.csv", "limit_N": limit_N}) == peak_N
+
+
+@pytest.mark.parametrize("masses_kg", [1.0, 100.0])
+def test_a_cut_force_is_predicted_to_take_off_a_constant_error_what_it_holds_against_the_law(
+    masses_kg: float,
+) -> None:
+    """A constant error needs a constant a = wn^2 e, wn 20 rad/s; cut at F it takes F / (m wn^2) off each leg."""
+    e = np.full((LEAD + 4 * COUNT, 6), 1e-3)
+    e[:, 3:] *= -1.0
+    there = trial(T, LEAD, e, np.zeros_like(e), np.zeros_like(e), np.full(6, 20.0))
+    masses = np.broadcast_to(masses_kg * np.eye(6), (len(e), 6, 6))
+    run = run_of(0)._replace(trial=there, force_per_acceleration=masses)
+    outcome = learned([run], Knowledge(limit_N=0.1 * masses_kg))
+    assert outcome.cut > COUNT
+    assert outcome.predicted_mm == pytest.approx(1.0 - 1e3 * 0.1 / 20.0**2, rel=0.02)
+
+
+OUT = Path("next.csv")
+
+
+SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
+"""State -> error of the second run as a share of the first one's."""
+
+
+@pytest.mark.parametrize("state", SHARES)
+@pytest.mark.parametrize("trouble", ["", "run 2: a fault", "interrupted"])
+def test_series_is_a_success_where_no_run_contradicts_and_none_failed(state: str, trouble: str) -> None:
+    outcome = learned([run_of(0), run_of(1, SHARES[state])], Knowledge())
+    found = summary(outcome, OUT)
+    assert (found["state"], found["success"]) == (state, state != "contradicted")
+    assert found["written"] == (str(OUT) if state == "learned" else None)
+    interrupted = trouble == "interrupted"
+    series = series_summary(Rehearsal(outcome.steps, outcome, 300.0, "a text", trouble, interrupted), OUT)
+    assert series["success"] is (state != "contradicted" and not trouble)
+    assert series["state"] == ("interrupted" if interrupted else "failed" if trouble else state)
+
+
+def test_masses_that_a_law_believes_in_are_scaled_from_what_it_believes_already() -> None:
+    change = {"name": "virtual", "controller": {"model": {"inertia_scale": 0.8}}}
+    c = with_scale(loads(with_changes(C.text, change), "virtual", C.folder), 1.1)
+    assert c.controller.believed is not None
+    assert c.controller.believed.inertia_scale == pytest.approx(0.88, rel=1e-12)
+    pd = {"law": "pd", "kp_N_m": 1e6, "kv_N_s_m": 1e5}
+    c = loads(with_changes(C.text, {"name": "virtual", "controller": pd}), "virtual", C.folder)
+    with pytest.raises(ConfigurationError, match="--inertia-scale"):
+        with_scale(c, 0.9)
+
+
+FAILURES = [
+    ("_with", OSError(28, "No space left on device")),
+    ("simulate", PlantError("the FMU does not start")),
+    ("learning_run", LogError("limits cut the forces")),
+    ("learned", ModelError("no filter makes the error fall")),
+]
+"""What a run of a series calls, and how that may fail."""
+
+
+class _Step(NamedTuple):
+    rms_mm: float
+
+
+class _Learned(NamedTuple):
+    """An outcome that goes on; its text is of the file of the next run."""
+
+    text: str
+    steps: list[_Step]
+    state: str = "learned"
+
+
+@pytest.fixture
+def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Let each run have half the error of the one before; return what makes a run fail at a call."""
+    calls: dict[str, int] = {}
+
+    def learn(*_: Any) -> Any:
+        number = calls["learned"] - 1
+        return _Learned(f"of run {number + 1}", [_Step(0.5**number)])
+
+    stand_ins: dict[str, Any] = {
+        "_with": lambda *_: C,
+        "simulate": lambda *_, **__: {"success": True},
+        "learning_run": lambda _: None,
+        "learned": learn,
+    }
+
+    def fails(number: int, call: str, error: Exception) -> None:
+        def called(name: str) -> Any:
+            def answer(*given: Any, **named: Any) -> Any:
+                calls[name] = calls.get(name, 0) + 1
+                if name == call and calls[name] == number + 1:
+                    raise error
+                return stand_ins[name](*given, **named)
+
+            return answer
+
+        for name in stand_ins:
+            monkeypatch.setattr(rehearsal, name, called(name))
+
+    monkeypatch.setattr(rehearsal, "refuse_unreachable", lambda _: None)
+    monkeypatch.setattr(rehearsal, "limit_of", lambda *_: 100.0)
+    return fails
+
+
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
+def test_a_later_run_that_fails_ends_the_series_and_what_was_best_is_kept(
+    runs: Any, tmp_path: Path, number: int, call: str, error: Exception
+) -> None:
+    runs(number, call, error)
+    found = rehearse(C, 5, Knowledge(), tmp_path, lambda _: None)
+    assert (found.trouble, found.interrupted) == (f"run {number}: {error}", False)
+    assert [step.rms_mm for step in found.steps] == [1.0, 0.5][:number]
+    assert found.best == ("" if number == 1 else "of run 1"), "the first run is without a file"
+
+
+@pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
+def test_a_first_run_that_fails_has_taught_nothing_and_its_error_is_told(
+    runs: Any, tmp_path: Path, call: str, error: Exception
+) -> None:
+    runs(0, call, error)
+    with pytest.raises((HilError, OSError)) as told:
+        rehearse(C, 5, Knowledge(), tmp_path, lambda _: None)
+    assert told.value is error

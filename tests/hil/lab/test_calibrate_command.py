@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import platform_dict
 from hil.cli import main
-from hil.lab.calibrate.command import read_pairs
 
 LAB = load("lab")
 
@@ -112,16 +111,6 @@ def test_columns_may_come_in_any_order_and_deviations_give_a_chi_square(tmp_path
     _, figures = calibrated(tmp_path, table, ["length_std_m", *HEADER[::-1]])
     assert figures["chi_square"] / figures["degrees_of_freedom"] == pytest.approx(share**-2, rel=0.3)
     assert (0.001 < figures["p_value"] < 0.999) == (share == 1.0)
-
-
-def test_deviations_of_lengths_positions_and_angles_are_taken_in_their_units(tmp_path):
-    deviations = ["length_std_m", "position_std_m", "rotation_std_deg"]
-    table = [[*row, 2e-5, 3e-5, 0.06 * (n + 1)] for n, row in enumerate(rows(8))]
-    measured = read_pairs(write(tmp_path / "poses.csv", table, [*HEADER, *deviations])).measured
-    assert measured.length_std == pytest.approx(np.full(8, 2e-5))
-    assert measured.position_std == pytest.approx(np.full(8, 3e-5))
-    assert measured.rotation_std == pytest.approx(0.06 * np.pi / 180 * np.arange(1, 9))
-    assert measured.rotation_vector == pytest.approx(np.pi / 180 * np.array(table)[:, 3:6])
 
 
 def test_poses_without_tilt_are_named(tmp_path):

@@ -109,11 +109,6 @@ def test_mistake_that_cannot_be_is_refused_with_what_is_allowed(words):
         wiring_of([words], VIRTUAL)
 
 
-def test_mistakes_that_undo_each_other_are_refused():
-    with pytest.raises(ConfigurationError, match="--mistake"):
-        wiring_of(["encoder_sign leg=2"] * 2, VIRTUAL)
-
-
 def test_drives_without_a_watchdog_cannot_have_a_wrong_one():
     with pytest.raises(ConfigurationError, match="no watchdog"):
         wiring_of(["watchdog_long leg=1"], build_protocol(family("cubemars")))

@@ -5,27 +5,21 @@ from __future__ import annotations
 import copy
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.cia402 import objects
 from drivers.mit.robstride import RobStrideProtocol
 from drivers.odrive import ODriveProtocol
-from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, REVISION, SERIAL, Frame, Said
+from drivers.protocol import EXTENDED, REMOTE, REVISION, SERIAL, Frame, Said
 from hil.app.compose import build_protocol
-from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import loads
 from hil.lab.bringup.drives import ASKED_TIMES
 from hil.lab.bringup.procedure import STEPS
 from hil.lab.bringup.store import refuse_malformed
 from plant_fmu.drives.cia402_dictionary import PLACE, defaults
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
+from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
 from tests.hil.lab.bringup.families import FAMILIES, family
 from tests.hil.lab.bringup.kit import Rehearsal, named
-
-ASKED = ("cia402_pdo", "damiao", "robstride", "odrive", "moteus_stopped")
-
 
 SCAN, BY_HAND = STEPS[:1], STEPS[:4]
 
@@ -80,17 +74,6 @@ def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered
     assert line.requests == 6 * rounds * ASKED_TIMES
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["damiao", "odrive"])
-def test_a_drive_that_is_not_heard_is_not_asked_who_it_is(name):
-    rehearsal = Rehearsal(name, wired(Mistake("absent", 3)))
-    line = LossyLine(rehearsal, 0)
-    rehearsal.drives.line = line
-    assert named(rehearsal.run(SCAN)) == {("absent", (3,))}
-    assert line.requests == 5 * {"damiao": 2, "odrive": 1}[name]
-    assert rehearsal.context.facts["identity"].keys() == set("01245")
-
-
 class TwinLine(LossyLine):
     """A line with a second drive of one number behind it, at the same length: it differs by its serial number."""
 
@@ -121,40 +104,6 @@ def test_two_serial_numbers_of_one_node_are_two_drives(name):
     outcome = rehearsal.run(SCAN)
     assert named(outcome) == {("same_id", (2,))}
     assert "2" not in rehearsal.context.facts["identity"]
-
-
-@pytest.mark.parametrize("name", broad(["cubemars", "cia402_pdo", "odrive"], quick=1))
-def test_two_drives_of_one_number_and_one_length_answer_too_often(name):
-    """An axis of odrive is set to send nothing unasked."""
-    unasked = {"drives": {"options": {"encoder_msg_rate_ms": 0}}} if name == "odrive" else {}
-    c = family(name)
-    c = loads(with_changes(c.text, unasked), name, c.folder)
-    rehearsal = Rehearsal(c, wired(Mistake("same_id", 5, 2)))
-    legs = rehearsal.bench._legs
-    legs.place(5, rehearsal.bench.length(2))
-    legs.reset = lambda: (legs.legs["x"].copy(), np.zeros(6))  # type: ignore[method-assign]
-    rehearsal.bench.nodes.start(0)
-    assert named(rehearsal.run(SCAN)) == {("same_id", (2, 5))}
-
-
-@pytest.mark.parametrize("name", ASKED)
-def test_an_answer_counts_only_as_it_is_sent_and_on_the_bus_of_its_drive(name):
-    protocol = build_protocol(family(name))
-    _, line = asked_over(name, 0)
-    halves = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
-    c = family(name)
-    text = with_changes(c.text, {"bus": {"channel": None, "channels": halves}})
-    two = build_protocol(loads(text, name, c.folder))
-    assert len(line.answers) >= 6
-    for frame in line.answers:
-        said = protocol.identity(frame)
-        assert said is not None
-        for flag in (ERROR, REMOTE, BUS):
-            assert protocol.identity(frame._replace(flags=frame.flags | flag)) is None, flag
-        own = said.leg // 3
-        for bus in range(3):
-            on = frame._replace(flags=frame.flags + BUS * bus)
-            assert two.identity(on) == (said if bus == own else None)
 
 
 def measured():

@@ -242,17 +242,6 @@ def test_lead_and_encoder_are_told_apart_by_force_or_both_are_named(case):
     assert [finding.name for finding in found] == [name] * (name is not None)
 
 
-@pytest.mark.parametrize(("hand", "name"), [(0.76, "friction"), (0.74, "force_one_way")])
-def test_a_leg_that_moves_one_way_alone_is_laid_to_its_friction_where_a_hand_needs_the_force_too(hand, name):
-    """Friction of nearly the most force: truncated codes of torque reach it one way and not the other."""
-    still, moved = {"force_N": None, "leg": None, "way": 0}, {"force_N": 5.3, "leg": 2, "way": -1}
-    c = Rehearsal("cubemars", Wiring()).context
-    c.facts["opens"] = {"2": {"legs": [2], "hand_N": hand * c.machine.force_N, "rate_share": None}}
-    c.facts["force"] = {"2": {"plus": still, "minus": moved}}
-    (finding,) = force.judge(c)
-    assert (finding.name, finding.legs) == (name, (2,))
-
-
 SAME_LEVELS = {
     "good": ([[2.0, 1.9], [2.0, 2.0], [3.0, 3.0], [4.0, 4.0]], []),
     "a limit": ([[2.0, 1.9], [2.0, 2.0], [3.0, 2.1], [4.0, 2.1]], ["force_saturates"]),

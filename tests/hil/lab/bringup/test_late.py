@@ -60,17 +60,6 @@ def found(
     return named(rehearsal.run((scan.STEP, silence.STEP))), line.times
 
 
-@pytest.mark.parametrize("family", broad(FAMILIES, quick=2))
-def test_what_is_said_of_a_watchdog_holds_its_true_time(family):
-    for share in (0.95, 1.0):
-        rehearsal = Rehearsal(
-            family, wired(Mistake("watchdog_short", 2, value=share)) if share < 1.0 else Wiring()
-        )
-        rehearsal.run((scan.STEP, silence.STEP))
-        fact = rehearsal.context.known("watchdog", 2)
-        assert fact["since_s"] <= share * rehearsal.machine.watchdog_s <= fact["until_s"]
-
-
 @pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
 def test_a_watchdog_eight_times_too_long_is_named_although_a_tick_of_its_silence_is_late(family):
     leg = 3
@@ -189,12 +178,6 @@ def test_a_tick_waits_as_long_as_its_window():
     bus = FakeBus()
     line = BusLine(cast("Bus", bus), 500.0, 1.95e-3, watched=True)
     assert [r.frame for r in line.exchange([POLL]).frames] == [ANSWER, LATE]
-
-
-def test_what_the_window_leaves_of_a_period_is_for_computing():
-    bus = FakeBus()
-    BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True).exchange([POLL])
-    assert bus.clock.allowed_ns == 700_000
 
 
 def test_a_tick_says_for_how_long_time_stood_still_before_it():

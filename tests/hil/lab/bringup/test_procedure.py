@@ -240,27 +240,6 @@ def test_two_brakes_on_one_output_are_named_with_both_legs_and_carry_no_force():
     assert rehearsal.context.known("force", 4) is not None
 
 
-def test_a_tape_that_is_read_in_millimetres_is_asked_again():
-    rehearsal = Rehearsal("virtual", Wiring())
-    answer = rehearsal.hands.answer
-    typed: list[float] = []
-    said: list[str] = []
-
-    def in_millimetres():
-        value = answer()
-        if rehearsal.hands.requests[-1].act == "measure" and len(typed) < 1 and value is not None:
-            typed.append(value)
-            return 1e3 * value
-        return value
-
-    rehearsal.hands.answer = in_millimetres  # type: ignore[method-assign]
-    rehearsal.hands.tell = said.append  # type: ignore[method-assign,assignment]
-    outcome = rehearsal.run(STEPS[:4])
-    assert outcome.findings == ()
-    assert sum(request.act == "measure" for request in rehearsal.hands.requests) == 19
-    assert any("cannot be" in text and "not mm" in text for text in said)
-
-
 @pytest.mark.long
 def test_killed_after_any_fact_it_goes_on_from_there_and_ends_well():
     """SIGKILL leaves what was saved last: the facts of some moments, each read back as JSON."""

@@ -107,18 +107,6 @@ def test_found_file_is_released_once_six_legs_have_moved_and_says_that_it_is_of_
     assert (tmp_path / summary["checklist"]).read_text().startswith("REHEARSAL")
 
 
-def test_a_configuration_that_would_be_refused_is_not_written_and_why_is_said(ended, tmp_path):
-    """A lead five times as long takes five times the torque: more than these drives have."""
-    encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.2, "offset_m": 0.0, "bent_m": 0.0}
-    findings = (Finding("wrong_lead", (3,), "too long", "Shorten it."),)
-    summary, said = ended(ran(), name="desktop", facts={"encoder": {"3": encoder}}, findings=findings)
-    assert "found" not in summary
-    assert not (tmp_path / "desktop.rehearsal.yaml").exists()
-    (why,) = [text for text in said if text.startswith("no configuration is written")]
-    assert "drives.force_limit_N: " in why
-    assert why in (tmp_path / summary["checklist"]).read_text()
-
-
 def test_what_the_written_file_makes_up_for_stands_apart_from_what_is_to_be_mended(ended, tmp_path):
     encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.98, "offset_m": 0.0, "bent_m": 0.0}
     findings = (
@@ -134,16 +122,6 @@ def test_what_the_written_file_makes_up_for_stands_apart_from_what_is_to_be_mend
     assert [line.split(":")[0] for line in head[makes_up + 1 :]] == ["#   wrong_lead"]
     (line,) = [text for text in said if text.startswith("next: ")]
     assert "desktop.rehearsal.yaml --rehearse" in line
-
-
-@pytest.mark.parametrize("leg", [0, 5])
-def test_what_was_measured_at_a_leg_with_a_finding_is_not_in_the_state_and_the_rest_is(ended, tmp_path, leg):
-    facts = {step: {str(k): _FACTS[step] | {"legs": [k]} for k in range(6)} for step in ("held", "opens")}
-    summary, _ = ended(ran(), facts=facts, findings=(Finding("encoder_sign", (leg,), "falls", "Mend it."),))
-    assert not summary["success"]
-    kept = Store(tmp_path / "virtual.rehearsal.state.json", {}).facts
-    others = [k for k in range(6) if k != leg]
-    assert {step: sorted(map(int, kept[step])) for step in facts} == dict.fromkeys(facts, others)
 
 
 def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import io
-import socket
 import threading
 import time
-from collections.abc import Iterator
 
 import pytest
 
@@ -15,12 +13,10 @@ from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.errors import ConfigurationError, RunError
-from drivers.frame_array import sent_array
 from hil.app.compose import build_protocol
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
-from hil.app.plant import Bench
 from hil.app.run.stretching import STRANGER
 from hil.lab.bringup import command
 from hil.lab.bringup.command import run_bringup
@@ -34,41 +30,6 @@ from hil.lab.bringup.terminal import Terminal
 from hil.record.log import Log
 
 C = load("virtual")
-
-
-@pytest.fixture
-def stranger() -> Iterator[socket.socket]:
-    """A socket without a name of its own: nobody can answer it."""
-    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as door:
-        yield door
-
-
-def ask(bench: Bench, door: socket.socket, request: bytes) -> None:
-    door.sendto(request, str(hands_socket(C.bus.interface, C.bus.channel)))
-    bench.hands()
-
-
-@pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize(
-    "request_",
-    [
-        b'["weigh", Infinity, 0]',
-        b'["weigh", 1e999, 0]',
-        b'["weigh", -1, ' + b"1" * 400 + b"]",
-        b'["hang", -1, 1000]',
-        b"[" * 4096,
-    ],
-    ids=["no leg", "a leg without end", "no number", "no such pose", "too deep"],
-)
-def test_a_request_that_means_nothing_does_not_end_a_bench(stranger: socket.socket, request_: bytes) -> None:
-    with served_bench(C, []) as bench:
-        stranger.bind(f"{hands_socket(C.bus.interface, C.bus.channel)}-me")
-        stranger.setblocking(False)
-        ask(bench, stranger, request_)
-        with pytest.raises(BlockingIOError):
-            stranger.recv(100)
-        ask(bench, stranger, b'["read_way", -1, 0]')
-        assert float(stranger.recv(100)) == 1.0
 
 
 @pytest.mark.usefixtures("folder")
@@ -174,21 +135,6 @@ def test_time_does_not_stand_while_a_person_thinks_and_does_in_the_steps(folder)
         assert isinstance(bus.clock, BenchClock)
         assert not bus.clock.holds
     assert STRANGER not in said
-
-
-def test_a_stranger_who_sends_is_named(folder):
-    c = shipped("virtual", folder)
-    protocol, said = build_protocol(c), list[str]()
-    with (
-        Bus.open(c.bus, role="controller") as bus,
-        Bus.open(c.bus, role="stranger") as other,
-        served_bench(c, []),
-    ):
-        beside = Terminal(said.append, io.StringIO(""))
-        with served_end(c, bus, protocol, beside, lambda *_: True, said.append) as end:
-            end.line.exchange(())
-            other.send(sent_array(protocol.traits.cyclic_frames[:1]))
-    assert STRANGER in said
 
 
 def test_the_log_is_in_universal_time_names_each_bus_and_how_long_time_stood(folder, tmp_path, monkeypatch):

@@ -172,9 +172,6 @@ def test_with_other_hardware_in_the_configuration_everything_is_proven_again(cas
     assert (again.changed, again.facts) == (changed, {"platform": {"hung": True}})
 
 
-FIRST = STEPS[:4]
-
-
 @pytest.mark.long
 def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
@@ -187,17 +184,3 @@ def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch
     good = Rehearsal("virtual", Wiring(), facts=Store(state, identity(c, ())).facts)
     assert good.run().success
     assert {r.leg for r in good.hands.requests if r.leg >= 0} == {3}
-
-
-def test_an_encoder_that_was_mended_behind_exchanged_numbers_is_measured_again(tmp_path):
-    """The finding names the drive, 4; the facts are those of leg 1, which it counts."""
-    bad = Rehearsal("virtual", wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_jumps", 1)))
-    store = Store(tmp_path / "s.json", {})
-    bad.context.facts = store.facts
-    outcome = bad.run(FIRST)
-    assert [finding.name for finding in outcome.findings] == ["encoder_jumps"]
-    store.forget(outcome.findings)
-    mended = Rehearsal("virtual", wired(Mistake("ids_swapped", 1, 4)), facts=store.facts)
-    assert mended.run(FIRST).findings == ()
-    measured = [request.leg for request in mended.hands.requests if request.act == "measure"]
-    assert sorted(measured) == [1, 1, 1, 4, 4, 4]

@@ -7,18 +7,13 @@ import pytest
 from click.testing import CliRunner
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError, IdentificationError
-from drivers.signals import Mode
-from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
-from hil.app.configuration.section_file import read_section, write_section
 from hil.cli import main
-from hil.config.axis_model import AxisModel
 from hil.config.reference import Sinusoid, SinusoidReference
 from hil.config.values import Pose
 from hil.lab.identify.estimators.excitation import axis_excitation
 from hil.lab.identify.estimators.response import AxisSignals
-from hil.lab.identify.linearised import linearised_law, repeating, settled, signals_of
+from hil.lab.identify.linearised import linearised_law, repeating, settled
 
 
 def identify(*arguments):
@@ -39,19 +34,6 @@ def test_what_cannot_be_measured_is_refused_before_anything_runs(arguments, said
     assert result.exit_code == 2
     assert said in result.stderr
     assert not (tmp_path / "a.mcap").exists()
-
-
-def rows_of(mode, q):
-    rows = np.zeros(len(q), ROW)
-    rows["mode"], rows["q"], rows["tick"] = mode, q, np.arange(len(q))
-    rows["p"], rows["R"] = (0.0, 0.0, 1.0), np.eye(3)
-    return rows
-
-
-def test_a_log_of_a_held_platform_is_refused_for_its_motion():
-    q = 1.4 + 1e-6 * np.random.default_rng(1).integers(0, 2, (5000, 6))
-    with pytest.raises(IdentificationError, match="at least"):
-        signals_of(rows_of(Mode.TRACKING, q), linearised_law(load("virtual")), 1000.0)
 
 
 @pytest.mark.parametrize("space", ["joint", "pose"])
@@ -125,13 +107,6 @@ def test_the_last_whole_periods_between_the_ramps_count():
     assert mask.sum() == 6000
 
 
-def test_a_run_that_was_stopped_counts_as_far_as_it_went():
-    t = np.where(np.arange(8000) < 5500, np.arange(8000) * 1e-3, np.nan)
-    mask = counted(t, sinusoids(1.0), 1000)
-    assert mask.sum() == 4000
-    assert np.flatnonzero(mask)[-1] <= 5500
-
-
 def test_a_stretch_at_less_than_full_speed_does_not_count_and_what_is_beside_it_does():
     """Slowly from tick 2500 on, at rest from 3000 on, and as the clock again from 4500 on."""
     speed = np.ones(10000)
@@ -141,40 +116,3 @@ def test_a_stretch_at_less_than_full_speed_does_not_count_and_what_is_beside_it_
     expected = (t >= 1.0 - 1e-9) & (t < 8.0 - 1e-9)
     expected[2501:4501] = False
     assert np.flatnonzero(mask).tolist() == np.flatnonzero(expected).tolist()
-
-
-def axis_model():
-    measured = {
-        "frequency_Hz": [1.0, 2.0],
-        "magnitude": [0.025, 0.006],
-        "phase_deg": [-180.0, -181.0],
-        "coherence": [1.0, 0.99],
-        "magnitude_std": [1e-5, 1e-6],
-        "phase_std_deg": [0.1, 0.2],
-    }
-    return AxisModel.model_validate(
-        {
-            "kind": "axis-model",
-            "source": "a.mcap",
-            "axes": "joint",
-            "rate_Hz": 1000.0,
-            "nominal": {"gain": [1.0] * 6, "transport_ms": 0.5, "lag_ms": 0.796},
-            "uncertainty": {"frequency_Hz": [1.0, 2.0], "bound": [0.01, 0.02]},
-            "measured": [measured] * 6,
-        }
-    )
-
-
-def test_axis_model_is_read_as_it_was_written_and_a_wrong_one_refused_with_its_place(tmp_path):
-    file = tmp_path / "axes.yaml"
-    write_section(file, axis_model(), "Made by a test.")
-    assert read_section(file, AxisModel)[0] == axis_model()
-    text = file.read_text()
-    for old, new, said in (
-        ("lag_ms: 0.796", "lag_ms: -1", r"axes.yaml:\d+:\d+: nominal.lag_ms"),
-        ("kind: axis-model", "kind: linear-controller", "linear-controller"),
-        ("bound: [0.01, 0.02]", "bound: [0.01]", "allowed"),
-    ):
-        file.write_text(text.replace(old, new))
-        with pytest.raises(ConfigurationError, match=said):
-            read_section(file, AxisModel)

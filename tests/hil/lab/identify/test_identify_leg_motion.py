@@ -9,7 +9,6 @@ import pytest
 from drivers.arrays import Array
 from hil.lab.identify.estimators.leg_motion import (
     LegSignals,
-    all_under,
     bell,
     half_ticks,
     leg_to_platform,
@@ -67,17 +66,6 @@ def test_value_rate_and_acceleration_pass_one_and_the_same_filter():
     assert smooth(b.second, x)[k, 0] / (-(w**2) * np.sin(w * t[k])) == pytest.approx(share, rel=2e-3)
 
 
-def test_a_missing_tick_spoils_what_the_filter_reaches_and_no_more():
-    good = np.ones(100, bool)
-    good[40] = False
-    found = all_under(10, good)
-    assert not found[30:51].any()
-    assert found[10:30].all()
-    assert found[51:90].all()
-    assert not found[:10].any()
-    assert not found[90:].any()
-
-
 def test_legs_to_platform_is_the_inverse_of_the_kinematics():
     p, R, twist, dtwist = state(0.43)
     J = jacobian(PLATFORM, p, R)
@@ -102,13 +90,3 @@ def test_twist_and_acceleration_come_from_the_lengths_alone():
     assert np.abs(motion.dtwist - dtwist)[inside].max() < 1e-3 * np.abs(dtwist).max()
     force = np.cos(made.length) * np.gradient(made.length, T, axis=0)
     assert np.abs(motion.dforce - force)[inside].max() < 2e-3 * np.abs(force).max()
-
-
-def test_lengths_that_no_pose_has_are_left_out():
-    made, _ = signals(120)
-    length = made.length.copy()
-    length[60:] = 9.0
-    length[60:, 0] = 0.1
-    motion = platform_motion(PLATFORM, made._replace(length=length))
-    assert motion.good[20:45].all()
-    assert not motion.good[75:].any()

@@ -11,7 +11,7 @@ from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import gains
 from hil.design.stability.sampled_loop import sampled_axis
 from hil.lab.learn.convergence import CONTRACTION, Filter, Uncertainty, choose, contraction, stated
-from hil.lab.learn.judgement import contradiction, floor
+from hil.lab.learn.judgement import contradiction
 from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
 from hil.lab.learn.model import belief_of, learner
 from hil.lab.learn.trial import predicted, trial, updated
@@ -136,20 +136,6 @@ def test_an_error_that_grows_without_a_change_contradicts_where_nothing_is_known
     assert said.axis == 2
     assert said.factor == pytest.approx(3.0, rel=1e-6)
     assert said.allowed == pytest.approx(1.5, rel=1e-6), "what it was, and the margin"
-
-
-def test_a_floor_has_the_cause_that_makes_most_of_it() -> None:
-    one = AxisLoop(*(np.zeros(len(F), complex) for _ in range(4)))
-    e = np.zeros((LEAD + 1000, 6))
-    e[LEAD:] = 1e-5 * np.sin(2.0 * np.pi * 200.0 * T * np.arange(1000))[:, None]
-    fast = trial(T, LEAD, e, 0.0 * e, 0.0 * e, np.full(6, 20.0))
-    f = frequencies(len(fast.e), T)
-    loops = [AxisLoop(*(np.zeros(len(f), complex) for _ in one))] * 6
-    found = floor(fast, None, loops, Filter(80.0), f, length_m=1e-7, rate_m_s=0.0)
-    assert found.beyond_filter_m == pytest.approx(1e-5 / 2.0**0.5, rel=0.02)
-    assert found.not_repeating_m == 0.0
-    other = floor(fast, fast.tracked, loops, Filter(80.0), f, length_m=0.0, rate_m_s=0.0)
-    assert other.not_repeating_m == pytest.approx(1e-5 / 2.0, rel=1e-3), "of two runs each has a half"
 
 
 WN = [20.0, 20.0, 25.0, 15.0, 20.0, 30.0]

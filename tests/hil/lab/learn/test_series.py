@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from drivers.errors import ConfigurationError, HilError, LogError, ModelError, PlantError
-from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import Configuration, load, loads
+from drivers.errors import HilError, LogError, ModelError, PlantError
+from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import (
     learned_forces,
     made_for,
@@ -20,7 +19,7 @@ from hil.app.configuration.feedforward_file import (
 from hil.config.feedforward import FeedforwardHead, FeedforwardSettings
 from hil.lab.learn import rehearsal
 from hil.lab.learn.command import Knowledge, learned
-from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
+from hil.lab.learn.rehearsal import Rehearsal, rehearse
 from hil.lab.learn.report import series_summary, summary, written
 from hil.lab.learn.runs import LearningRun
 from hil.lab.learn.trial import trial
@@ -173,17 +172,6 @@ def test_series_is_a_success_where_no_run_contradicts_and_none_failed(state: str
     series = series_summary(Rehearsal(outcome.steps, outcome, 300.0, "a text", trouble, interrupted), OUT)
     assert series["success"] is (state != "contradicted" and not trouble)
     assert series["state"] == ("interrupted" if interrupted else "failed" if trouble else state)
-
-
-def test_masses_that_a_law_believes_in_are_scaled_from_what_it_believes_already() -> None:
-    change = {"name": "virtual", "controller": {"model": {"inertia_scale": 0.8}}}
-    c = with_scale(loads(with_changes(C.text, change), "virtual", C.folder), 1.1)
-    assert c.controller.believed is not None
-    assert c.controller.believed.inertia_scale == pytest.approx(0.88, rel=1e-12)
-    pd = {"law": "pd", "kp_N_m": 1e6, "kv_N_s_m": 1e5}
-    c = loads(with_changes(C.text, {"name": "virtual", "controller": pd}), "virtual", C.folder)
-    with pytest.raises(ConfigurationError, match="--inertia-scale"):
-        with_scale(c, 0.9)
 
 
 FAILURES = [

@@ -219,7 +219,11 @@ def until(step, share, name):
     return first + share * (last - first)
 
 
-FAULTS = {"jump": (EncoderJump, {"by_m": 0.02}), "freeze": (EncoderFreeze, {}), "silence": (DriveSilence, {})}
+FAULTS: dict[str, tuple[Any, dict[str, float]]] = {
+    "encoder_jump": (EncoderJump, {"by_m": 0.02}),
+    "encoder_freeze": (EncoderFreeze, {}),
+    "drive_silence": (DriveSilence, {}),
+}
 STEPS_OF_FAULTS = ("ids", "brakes", "gauge", "mounted")
 SYSTEMS = ("virtual", "damiao", "odrive")
 PLACES = [
@@ -235,7 +239,7 @@ PLACES = [
 def test_fault_of_one_leg_in_mid_step_is_named_at_that_leg(fault, step, name):
     kind, more = FAULTS[fault]
     at_s = until(step, 0.3, name)
-    plan = FaultPlan([kind(kind=kind.model_fields["kind"].default, leg=3, at_s=at_s, **more)])
+    plan = FaultPlan([kind(kind=fault, leg=3, at_s=at_s, **more)])
     rehearsal = Rehearsal(name, Wiring(), faults=plan)
     outcome = rehearsal.run()
     assert any(3 in legs for _, legs in named(outcome)), outcome.findings

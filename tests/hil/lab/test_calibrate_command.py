@@ -71,7 +71,7 @@ def refused(tmp_path, table, header=HEADER):
     return result.stderr.replace(str(tmp_path) + "/", "")
 
 
-def test_the_robot_is_found_and_the_fragment_replaces_the_joints(tmp_path):
+def test_robot_is_found_and_the_fragment_replaces_the_joints(tmp_path):
     poses = write(tmp_path / "poses.csv", rows())
     out = tmp_path / "joints.yaml"
     result = hil("calibrate", "lab", poses, "--out", out, "--json", tmp_path / "c.json")
@@ -157,5 +157,5 @@ BAD = [
 
 
 @pytest.mark.parametrize(("table", "header", "message"), BAD)
-def test_a_wrong_file_is_refused_with_the_place(tmp_path, table, header, message):
+def test_wrong_file_is_refused_with_the_place(tmp_path, table, header, message):
     assert message in refused(tmp_path, table, header)

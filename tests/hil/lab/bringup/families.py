@@ -61,6 +61,6 @@ FAMILIES: dict[str, dict[str, Any]] = {
 
 @cache
 def family(name: str) -> Configuration:
-    """Return the configuration of a family's machine."""
+    """The configuration of a family's machine."""
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     return loads(with_changes(text, FAMILIES[name]), name)

@@ -85,7 +85,7 @@ class Hands(BenchHands):
 
 
 def _configured(given: str | Configuration) -> Configuration:
-    """Return a configuration, that of a family, or a shipped one."""
+    """A configuration, that of a family, or a shipped one."""
     if isinstance(given, Configuration):
         return given
     return family(given) if given in FAMILIES else configuration(given)
@@ -121,5 +121,5 @@ class Rehearsal:
 
 
 def named(outcome: Outcome) -> set[tuple[str, tuple[int, ...]]]:
-    """Return names and legs of the findings."""
+    """Names and legs of the findings."""
     return {(finding.name, tuple(sorted(finding.legs))) for finding in outcome.findings}

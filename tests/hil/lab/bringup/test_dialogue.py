@@ -115,7 +115,7 @@ def test_drives_without_a_watchdog_cannot_have_a_wrong_one():
     assert wiring_of(["watchdog_long leg=1"], build_protocol(family("damiao"))) != Wiring()
 
 
-def test_the_legs_of_a_mistake_are_those_that_are_named():
+def test_legs_of_a_mistake_are_those_that_are_named():
     assert wiring_of(["ids_rotated leg=1 other=2 third=4"], VIRTUAL).motor == (0, 2, 4, 3, 1, 5)
     assert wiring_of(["payload value=3", "upside_down"], VIRTUAL) == Wiring(payload=3.0, gravity=-1.0)
     brakes = wiring_of(["brake_of_another leg=1 other=4"], VIRTUAL).brake

@@ -27,7 +27,7 @@ def fact(drive, tape_m=(0.25, 0.4), scale=1.0, offset_m=0.0):
 
 
 def written(machine, c, facts, *findings):
-    """Return what is written, as a mapping, where encoders were found like that."""
+    """What is written, as a mapping, where encoders were found like that."""
     machine.context.facts = {"encoder": {str(leg): fact for leg, fact in enumerate(facts)}}
     return yaml.safe_load(
         found_text(c, machine.context, [Finding(name, legs, "", "") for name, legs in findings])
@@ -42,9 +42,7 @@ def written(machine, c, facts, *findings):
         ([3, 1, 2, 0, 4, 5], [3, 4, 2, 6, 5, 1]),
     ],
 )
-def test_each_leg_gets_the_number_of_the_drive_that_counts_it_however_they_are_rotated(
-    machines, drives, nodes
-):
+def test_each_leg_gets_the_number_of_the_drive_that_counts_it(machines, drives, nodes):
     """drives: of each leg. Numbers that are not in the order of the legs."""
     virtual = machines["virtual"]
     c = loads(with_changes(virtual.c.text, {"drives": {"node_ids": [6, 4, 2, 3, 5, 1]}}), "x")
@@ -54,7 +52,7 @@ def test_each_leg_gets_the_number_of_the_drive_that_counts_it_however_they_are_r
 
 
 @pytest.mark.parametrize(("first", "last"), [(0, 3), (1, 5), (3, 3), (4, 1)])
-def test_the_written_stroke_is_that_which_all_legs_reach(machines, first, last):
+def test_written_stroke_is_that_which_all_legs_reach(machines, first, last):
     """Leg `first` ends soonest as it gets shorter, leg `last` as it gets longer."""
     virtual = machines["virtual"]
     tapes = [
@@ -74,7 +72,7 @@ OFFSETS_M = (4e-3, -3e-3, 0.0, 5e-3, -2e-3, 0.0)
 """What each leg reads too much at the middle of its tape."""
 
 
-def test_with_a_corrected_lead_or_sign_each_leg_reads_the_tape_wherever_its_zero_is(machines):
+def test_with_a_corrected_lead_or_sign_each_leg_reads_the_tape(machines):
     desktop = machines["desktop"]
     zeros = [0.30, 0.36, 0.29, 0.36, 0.28, 0.34]
     c = loads(with_changes(desktop.c.text, {"drives": {"transmission": {"offset_m": zeros}}}), "x")
@@ -94,7 +92,7 @@ def test_with_a_corrected_lead_or_sign_each_leg_reads_the_tape_wherever_its_zero
     assert np.abs(np.subtract(gear["offset_m"], zeros)).min() > 1e-3, "each zero has moved"
 
 
-def test_behind_exchanged_numbers_the_file_mends_the_numbers_alone():
+def test_exchanged_numbers_alone_are_fixed_in_the_file():
     """Drives 1 and 4 were read with each other's sign: exchanged, they are right."""
     rehearsal = Rehearsal("desktop", Wiring())
     c = rehearsal.c
@@ -117,7 +115,7 @@ def test_behind_exchanged_numbers_the_file_mends_the_numbers_alone():
     assert found.drives.transmission == c.drives.transmission
 
 
-def test_behind_crossed_encoder_cables_the_file_changes_no_transmission_and_no_number_but_the_exchanged():
+def test_crossed_encoder_cables_change_no_transmission_in_the_file():
     """Drives 0 and 2 have each other's encoder, drives 1 and 4 each other's number."""
     rehearsal = Rehearsal("desktop", Wiring())
     c = rehearsal.c
@@ -137,7 +135,7 @@ def test_behind_crossed_encoder_cables_the_file_changes_no_transmission_and_no_n
         assert found.drives.transmission == c.drives.transmission
 
 
-def test_limits_are_reduced_once_however_often_the_written_file_is_given_again(machines):
+def test_limits_are_reduced_once_however_often_the_file_is_given(machines):
     virtual = machines["virtual"]
     c = virtual.c
     once = loads(found_text(c, virtual.context, []), "once", c.folder)
@@ -148,7 +146,7 @@ def test_limits_are_reduced_once_however_often_the_written_file_is_given_again(m
     assert (twice.limits, twice.engage) == (once.limits, once.engage)
 
 
-def test_the_checklist_marks_what_passed_and_what_was_found():
+def test_checklist_marks_what_passed_and_what_was_found():
     rehearsal = Rehearsal("virtual", wired(Mistake("encoder_sign", 3)))
     outcome = rehearsal.run(STEPS[:4])
     lines = checklist(rehearsal.context, outcome, ["[ ] together"])

@@ -26,7 +26,7 @@ MOUNTED = STEPS[-1:]
 
 
 def saved(rehearsal: Rehearsal) -> list[str]:
-    """Return all that a bring-up writes into its state file from now on."""
+    """All that a bring-up writes into its state file from now on."""
     written: list[str] = []
     rehearsal.context.save = lambda: written.append(json.dumps(rehearsal.context.facts))
     return written
@@ -37,7 +37,7 @@ def asked(rehearsal: Rehearsal, act: str) -> list[float]:
 
 
 @pytest.mark.parametrize("stop_at", [3, 4], ids=["first pose", "second pose"])
-def test_who_is_ended_while_the_platform_is_being_hung_has_written_that_it_may_hang(stop_at: int) -> None:
+def test_interrupted_hanging_is_written_down_as_a_platform_that_may_hang(stop_at: int) -> None:
     rehearsal = Rehearsal("virtual", Wiring(), stop_at=stop_at)
     written = saved(rehearsal)
     with pytest.raises(KeyboardInterrupt):
@@ -90,7 +90,7 @@ def test_no_hand_moves_or_pushes_a_leg_that_the_platform_hangs_on(name, gone, st
 
 
 @pytest.mark.long
-def test_after_legs_were_mended_that_were_mounted_elsewhere_the_platform_comes_off():
+def test_platform_comes_off_after_wrongly_mounted_legs_were_fixed():
     rehearsal = Rehearsal("virtual", wired(Mistake("mounted_elsewhere", 1, 2)))
     assert {name for name, _ in named(rehearsal.run())} == {"mounted_elsewhere"}
     facts = rehearsal.context.facts
@@ -105,7 +105,7 @@ def test_after_legs_were_mended_that_were_mounted_elsewhere_the_platform_comes_o
 
 
 @pytest.mark.parametrize("name", ["absent", "same_id", "wrong_protocol", "second_controller", "set_up"])
-def test_a_platform_that_hangs_is_known_after_a_finding_for_which_the_bus_is_scanned_again(tmp_path, name):
+def test_hanging_platform_is_known_after_a_new_scan_of_the_bus(tmp_path, name):
     path = tmp_path / "s.json"
     store = Store(path, {})
     facts = store.facts
@@ -114,7 +114,7 @@ def test_a_platform_that_hangs_is_known_after_a_finding_for_which_the_bus_is_sca
     assert Store(path, {}).facts == facts == {"platform": {"hung": True}}
 
 
-def test_a_new_beginning_still_knows_that_the_platform_hangs(tmp_path):
+def test_new_beginning_still_knows_that_the_platform_hangs(tmp_path):
     c = load("virtual")
     path = tmp_path / "state.json"
     store = Store(path, identity(c, ()))
@@ -131,7 +131,7 @@ def weighs(rehearsal: Rehearsal, typed: Callable[[], float]) -> None:
 
 
 @pytest.mark.parametrize("typed", [0.0, 1190.0])
-def test_a_platform_that_cannot_be_weighed_is_a_gap_and_one_of_some_percent_more_is_not(typed):
+def test_platform_that_cannot_be_weighed_is_a_gap(typed):
     rehearsal = Rehearsal("virtual", Wiring())
     weighs(rehearsal, lambda: typed)
     outcome = rehearsal.run(MOUNTED)

@@ -62,7 +62,7 @@ def asked_over(name, lost):
 
 
 @pytest.mark.parametrize("name", ["damiao", "odrive"])
-def test_a_drive_whose_answers_are_lost_is_asked_again_and_one_that_has_answered_is_not(name):
+def test_only_drives_whose_answers_are_lost_are_requested_again(name):
     rounds = {"damiao": 2, "odrive": 1}[name]
     whole, line = asked_over(name, 0)
     assert line.requests == 6 * rounds
@@ -131,7 +131,7 @@ CHANGES = {
 
 
 @pytest.mark.parametrize("case", CHANGES)
-def test_facts_of_a_drive_go_where_it_tells_another_number_and_stay_where_it_is_silent(case, monkeypatch):
+def test_facts_of_a_drive_go_with_its_number_and_stay_where_it_is_silent(case, monkeypatch):
     tells, known, stay = CHANGES[case]
     others = tuple(tells if leg == 2 else {SERIAL: leg + 1} for leg in range(6))
     rehearsal, _ = scanned(measured(), others, monkeypatch)
@@ -175,9 +175,7 @@ def with_another(monkeypatch, node, key, value):
     ("key", "told"),
     broad([(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")], quick=1),
 )
-def test_a_drive_that_was_exchanged_between_two_sessions_is_measured_again_and_no_other(
-    monkeypatch, key, told
-):
+def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
     first = Rehearsal("cia402_pdo", Wiring())
     assert first.run(STEPS[:4]).success
     facts = first.context.facts
@@ -206,7 +204,7 @@ def requests_of(name):
     return protocol.traits.identity_requests
 
 
-def test_each_family_that_can_be_asked_says_who_its_drives_are_and_the_others_are_not_asked():
+def test_each_family_with_identities_reports_them():
     told = {}
     for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
         rehearsal = Rehearsal(name, Wiring())

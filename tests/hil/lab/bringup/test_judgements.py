@@ -115,14 +115,14 @@ FORGOTTEN_M = np.array([0.025, 0.02, 0.03, 0.025, 0.0125, 0.05])
 
 
 def hung(context, off_m):
-    """Return the names and legs that are found where each leg reads so much more at both poses."""
+    """The names and legs that are found where each leg reads so much more at both poses."""
     context.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = context.machine.pose_lengths + off_m
     context.facts["mounted"] = {str(k): {"q_m": each.tolist()} for k, each in enumerate(q)}
     return [(finding.name, finding.legs) for finding in mounted.judge(context)]
 
 
-def test_whole_turns_that_motors_forgot_name_no_leg_and_what_is_beyond_them_does(context):
+def test_forgotten_whole_turns_are_no_offset_and_what_is_beyond_them_is(context):
     context.machine = replace(context.machine, forgotten_m=FORGOTTEN_M)
     for turns in ([1, -1, 2, -2, 3, 0], [-1, 1, -2, 2, -3, 5], [0] * 6):
         assert hung(context, np.array(turns) * FORGOTTEN_M) == []
@@ -158,7 +158,7 @@ def test_gravity_is_named_wherever_it_is_not_where_the_configuration_has_it(pres
     assert [f.name for f in mounted.judge(c)] == ["gravity"] * named
 
 
-def test_two_good_legs_under_a_platform_that_hangs_tilted_are_not_blamed_alone():
+def test_tilted_platform_is_suspected_next_to_two_slipped_legs():
     c = Rehearsal("virtual", Wiring()).context
     c.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = c.machine.pose_lengths + 6e-3 * np.array([0, 0, 0, 1, -1, 0])
@@ -192,7 +192,7 @@ def with_robot(name, wiring):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_a_sign_of_force_is_not_taken_from_half_a_step_that_moves_the_leg(name):
+def test_sign_of_force_is_not_taken_from_half_a_step_that_moves_the_leg(name):
     rehearsal = with_robot(name, wired(Mistake("force_sign", 2)))
     outcome = rehearsal.run((force.STEP,))
     assert named(outcome) == {("force_sign", (2,))}
@@ -200,7 +200,7 @@ def test_a_sign_of_force_is_not_taken_from_half_a_step_that_moves_the_leg(name):
 
 
 @pytest.mark.parametrize(("plus", "minus"), [(-1, -1), (1, 1), (-1, 0), (0, 1)])
-def test_a_leg_that_moves_one_way_under_either_sign_is_no_reason_to_exchange_phases(plus, minus):
+def test_leg_that_moves_one_way_is_no_reason_to_exchange_phases(plus, minus):
     rehearsal = with_robot("cubemars", Wiring())
     right = {"plus": {"force_N": 1.0, "leg": 0, "way": 1}, "minus": {"force_N": 1.0, "leg": 0, "way": -1}}
     one_way = {"plus": right["plus"] | {"way": plus}, "minus": right["minus"] | {"way": minus}}

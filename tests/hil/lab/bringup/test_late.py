@@ -53,7 +53,7 @@ class Stalling(BenchLine):
 def found(
     family: str, wiring: Wiring, late: float, times: int
 ) -> tuple[set[tuple[str, tuple[int, ...]]], int]:
-    """Return what is named with ticks that are late by so many times the watchdog, and late ticks left."""
+    """What is named with ticks that are late by so many times the watchdog, and late ticks left."""
     rehearsal = Rehearsal(family, wiring)
     line = Stalling(rehearsal, late * rehearsal.machine.watchdog_s, times)
     rehearsal.drives.line = line
@@ -61,18 +61,18 @@ def found(
 
 
 @pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
-def test_a_watchdog_eight_times_too_long_is_named_although_a_tick_of_its_silence_is_late(family):
+def test_watchdog_that_is_too_long_is_found_despite_a_late_tick(family):
     leg = 3
     assert found(family, wired(Mistake("watchdog_long", leg)), 6.5, 1) == ({("watchdog_long", (leg,))}, 0)
 
 
 @pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
-def test_a_watchdog_that_is_right_is_measured_again_where_a_tick_was_late(family):
+def test_watchdog_that_is_right_is_measured_again_where_a_tick_was_late(family):
     assert found(family, Wiring(), 6.5, silence.TRIES - 1) == (set(), 0)
 
 
 @pytest.mark.parametrize("family", broad(FAMILIES, quick=1))
-def test_a_watchdog_that_late_ticks_hide_each_time_is_named_unmeasured(family):
+def test_watchdog_that_late_ticks_hide_each_time_is_named_unmeasured(family):
     findings, _ = found(family, Wiring(), 6.5, 100)
     assert findings == {("watchdog_unmeasured", (leg,)) for leg in range(6)}
 
@@ -103,7 +103,7 @@ class AfterSilence:
     ],
     ids=["good", "missing"],
 )
-def test_a_watchdog_is_proven_although_the_first_answer_after_a_silence_is_late(wiring, findings):
+def test_watchdog_is_proven_although_an_answer_is_late(wiring, findings):
     rehearsal = Rehearsal("moteus_zero_velocity", wiring)
     rehearsal.drives.line = AfterSilence(rehearsal.drives.line)
     assert named(rehearsal.run((scan.STEP, silence.STEP))) == findings
@@ -164,7 +164,7 @@ class FakeBus:
         return BusEvents(0, self.off, 0)
 
 
-def test_a_tick_has_the_answers_of_its_window_and_what_was_late_before():
+def test_tick_has_the_answers_of_its_window_and_what_was_late_before():
     bus = FakeBus()
     line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
     first, second = line.exchange([POLL]), line.exchange([POLL])
@@ -174,13 +174,13 @@ def test_a_tick_has_the_answers_of_its_window_and_what_was_late_before():
     assert second.since_ns - first.since_ns == 2_000_000
 
 
-def test_a_tick_waits_as_long_as_its_window():
+def test_tick_waits_as_long_as_its_window():
     bus = FakeBus()
     line = BusLine(cast("Bus", bus), 500.0, 1.95e-3, watched=True)
     assert [r.frame for r in line.exchange([POLL]).frames] == [ANSWER, LATE]
 
 
-def test_a_tick_says_for_how_long_time_stood_still_before_it():
+def test_tick_says_for_how_long_time_stood_still_before_it():
     bus = FakeBus()
     bus.clock.stood_ns = 100
     line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=True)
@@ -192,7 +192,7 @@ def test_a_tick_says_for_how_long_time_stood_still_before_it():
 
 
 @pytest.mark.parametrize(("watched", "left"), [(True, "watchdogs shut"), (False, "cut their power now")])
-def test_a_bus_that_is_down_ends_the_bring_up_and_says_what_the_drives_do(watched, left):
+def test_bus_that_is_down_ends_the_bring_up_and_says_what_the_drives_do(watched, left):
     bus = FakeBus()
     line = BusLine(cast("Bus", bus), 500.0, 1.3e-3, watched=watched)
     bus.off = True

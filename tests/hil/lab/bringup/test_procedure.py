@@ -28,7 +28,7 @@ def good():
     return rehearsal, rehearsal.run()
 
 
-def test_good_machine_passes_every_step_with_one_brake_little_force_and_a_short_way(good):
+def test_good_machine_passes_with_one_brake_little_force_a_short_way(good):
     rehearsal, outcome = good
     assert outcome.findings == ()
     assert outcome.passed == tuple(step.name for step in STEPS)
@@ -91,7 +91,7 @@ def test_no_brake_opens_beside_a_drive_that_cannot_be_locked_out():
     assert DriveState(int(rehearsal.drives.record["drive_state"][0])) == DriveState.OFF
 
 
-def test_ctrl_c_with_a_brake_open_takes_force_and_power_away_and_keeps_what_is_known():
+def test_ctrl_c_with_a_brake_open_takes_force_and_power_away():
     rehearsal = Rehearsal("virtual", Wiring(), stop_at=61)
     with pytest.raises(KeyboardInterrupt):
         rehearsal.run(ALONE)
@@ -111,7 +111,7 @@ def test_ctrl_c_with_a_brake_open_takes_force_and_power_away_and_keeps_what_is_k
     assert resumed.context.known("opens", 5)["legs"] == [5]
 
 
-def test_a_brake_that_nobody_has_pushed_on_has_not_held():
+def test_brake_that_nobody_has_pushed_on_has_not_held():
     """The brake of leg 3 does not shut; the operator pushes only once the gauge's 0 N has been refused."""
     rehearsal = Rehearsal("virtual", wired(Mistake("brake_stuck_open", 3)))
     ask, reads = rehearsal.hands.ask, []
@@ -197,7 +197,7 @@ def test_drives_with_frames_of_their_own_are_powered_alone(family):
     assert not {DriveState.READY, DriveState.RUN} & {*states[:3], *states[4:]}
 
 
-def test_a_brake_is_open_and_shut_for_the_bringup_when_a_slow_heartbeat_has_told_it():
+def test_brake_is_open_or_shut_once_a_slow_heartbeat_reports_it():
     c = family("odrive")
     slow = with_changes(c.text, {"drives": {"heartbeat_ms": 250}})
     rehearsal = Rehearsal(loads(slow, "odrive", c.folder), Wiring())
@@ -219,7 +219,7 @@ SLOW = {
 
 
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
-def test_a_slow_brake_is_shut_before_the_next_one_opens(name):
+def test_slow_brake_is_shut_before_the_next_one_opens(name):
     """One command for all drives, and one for each: every leg, its neighbour, and the first leg again."""
     rehearsal = Rehearsal(loads(with_changes(load(name).text, SLOW), name), Wiring())
     rehearsal.drives.prepare(None)
@@ -230,7 +230,7 @@ def test_a_slow_brake_is_shut_before_the_next_one_opens(name):
     assert rehearsal.watched.most_open == 1
 
 
-def test_two_brakes_on_one_output_are_named_with_both_legs_and_carry_no_force():
+def test_two_brakes_on_one_output_are_found_and_carry_no_force():
     rehearsal = Rehearsal("virtual", wired(Mistake("brake_of_another", 1, 4)))
     outcome = rehearsal.run(STEPS[:6])
     assert named(outcome) == {("brake_crossed", (1, 4))}

@@ -53,9 +53,7 @@ def pushed(act: str, way_m: float, *legs: int) -> Context:
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
 @pytest.mark.parametrize("act", ["push", "read_held"])
-def test_a_shut_brake_that_slips_does_not_hold_whichever_way_and_whenever_it_slips(
-    leg: int, way_m: float, act: str
-) -> None:
+def test_shut_brake_that_slips_either_way_does_not_hold(leg: int, way_m: float, act: str) -> None:
     c = pushed(act, way_m, leg)
     read = [] if act == "push" else ["read_held"]
     assert brakes.holds(c, leg) == {"moved": True, "hand_N": 700.0 if read else None}
@@ -65,16 +63,14 @@ def test_a_shut_brake_that_slips_does_not_hold_whichever_way_and_whenever_it_sli
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
-def test_an_open_brake_gives_way_whichever_way_its_leg_is_pushed(leg: int, way_m: float) -> None:
+def test_open_brake_gives_way_whichever_way_its_leg_is_pushed(leg: int, way_m: float) -> None:
     assert brakes.gives_way(pushed("push", way_m, leg), leg, lambda: None) == (True, 700.0)
     assert brakes.gives_way(pushed("push", way_m / 4.0, leg), leg, lambda: None) == (False, 0.0)
 
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("way_m", [2e-3, -2e-3], ids=["longer", "shorter"])
-def test_each_further_leg_that_a_drive_frees_is_seen_whichever_way_it_is_pushed(
-    leg: int, way_m: float
-) -> None:
+def test_each_further_leg_that_a_drive_frees_is_seen_either_way(leg: int, way_m: float) -> None:
     others = [other for other in range(6) if other != leg]
     for freed in ([], others[:1], others[-1:], others[1:4], others):
         c = pushed("push_others", way_m, *freed)
@@ -96,7 +92,7 @@ def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ..
 
 
 @pytest.mark.parametrize("ends", [(3e-3, 0.0), (0.0, 3e-3), (3e-3, 3e-3), (0.2, -0.01)])
-def test_a_leg_that_does_not_reach_either_end_has_something_in_its_way(ends: tuple[float, float]) -> None:
+def test_leg_that_does_not_reach_either_end_has_something_in_its_way(ends: tuple[float, float]) -> None:
     for leg in range(6):
         assert taped({leg: ends}) == [("end_stop", (leg,))]
     assert taped({1: ends, 4: ends[::-1]}) == [("end_stop", (1,)), ("end_stop", (4,))]
@@ -108,7 +104,7 @@ TICK_NS = 2_000_000
 
 
 def share_of(motion, rate=lambda v: v):
-    """Return the share that drive 2 has after ticks with these speeds, m/s, and the rates that it reports."""
+    """The share that drive 2 has after ticks with these speeds, m/s, and the rates that it reports."""
     c = Rehearsal("virtual", Wiring()).context
     record, length = c.drives.record, 1.5
     steps = Steps(c, 2, lambda: None)
@@ -122,11 +118,11 @@ def share_of(motion, rate=lambda v: v):
 
 @pytest.mark.parametrize("speed", [2e-3, 0.015, 0.1, -0.1, 0.8])
 @pytest.mark.parametrize("factor", [1.0, -1.0, 2.0, 0.0])
-def test_a_slow_push_tells_a_rate_as_a_fast_one_does(speed, factor):
+def test_slow_push_tells_a_rate_as_a_fast_one_does(speed, factor):
     ticks = max(8, round(1.2e-3 / abs(speed) / (1e-9 * TICK_NS)))
     assert share_of([speed] * ticks, lambda v: factor * v) == pytest.approx(factor, abs=1e-9)
 
 
 @pytest.mark.parametrize("motion", [[1e-4] * 5000, [0.01] * 20, []])
-def test_a_push_that_is_too_slow_or_too_short_is_not_judged(motion):
+def test_push_that_is_too_slow_or_too_short_is_not_judged(motion):
     assert share_of(motion) is None

@@ -98,7 +98,7 @@ def _refuse(*_):
     raise RefusedError("ended by the operator")
 
 
-def test_found_file_is_released_once_six_legs_have_moved_and_says_that_it_is_of_a_rehearsal(ended, tmp_path):
+def test_file_is_released_once_six_legs_have_moved(ended, tmp_path):
     summary, _ = ended(ran())
     assert summary["success"]
     text = (tmp_path / FOUND).read_text()
@@ -107,7 +107,7 @@ def test_found_file_is_released_once_six_legs_have_moved_and_says_that_it_is_of_
     assert (tmp_path / summary["checklist"]).read_text().startswith("REHEARSAL")
 
 
-def test_what_the_written_file_makes_up_for_stands_apart_from_what_is_to_be_mended(ended, tmp_path):
+def test_what_the_file_makes_up_for_stands_apart_from_what_is_to_be_fixed(ended, tmp_path):
     encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.98, "offset_m": 0.0, "bent_m": 0.0}
     findings = (
         Finding("wrong_lead", (3,), "too long", "Shorten it."),
@@ -124,7 +124,7 @@ def test_what_the_written_file_makes_up_for_stands_apart_from_what_is_to_be_mend
     assert "desktop.rehearsal.yaml --rehearse" in line
 
 
-def test_a_brake_that_failed_under_the_platform_is_tested_again_and_nothing_is_released(ended, tmp_path):
+def test_brake_that_failed_is_tested_again_and_nothing_is_released(ended, tmp_path):
     summary, _ = ended(ran(success=False, faults=Fault.BRAKE))
     assert not summary["success"]
     assert "# NOT RELEASED: the step together has not passed" in (tmp_path / FOUND).read_text()
@@ -155,21 +155,21 @@ def test_nothing_is_released_where_the_program_died_meanwhile(ended, tmp_path):
     assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
 
 
-def test_a_log_that_was_cut_is_said_once_and_six_legs_do_not_move(ended, tmp_path):
+def test_log_that_was_cut_is_said_once_and_six_legs_do_not_move(ended, tmp_path):
     summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), fails_at=2)
     assert not summary["success"]
     assert summary["trouble"] == f"{FULL}: 3 ticks are not in the log"
     assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
 
 
-def test_a_log_that_was_cut_at_the_end_is_no_success(ended):
+def test_log_that_was_cut_at_the_end_is_no_success(ended):
     summary, _ = ended(ran(), fails_at=4)
     assert (summary["success"], FULL in summary["trouble"]) == (False, True)
 
 
 @pytest.mark.parametrize("served", [True, False])
 @pytest.mark.parametrize("agrees", [True, False])
-def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees, served):
+def test_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees, served):
     done: list[str] = []
     monkeypatch.setattr(Terminal, "consent", lambda *_: agrees or _refuse())
     monkeypatch.setattr(command, "state_lengths", lambda *_: done.append("stated"))
@@ -187,7 +187,7 @@ def test_the_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, ag
 
 
 def forgetful(folder, radius_m: float = 0.004) -> Configuration:
-    """Return the desktop with motors that forget their turns: multiples of 25 mm."""
+    """The desktop with motors that forget their turns: multiples of 25 mm."""
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     homing = {"file": "legs.homing.yaml", "limit_m": 5e-3}
     drives = {
@@ -207,14 +207,14 @@ def test_whole_turns_that_were_forgotten_are_no_offset_and_the_rest_is(tmp_path)
 
 
 @pytest.mark.long
-def test_a_rehearsal_with_such_motors_ends_with_six_legs_that_move(tmp_path):
+def test_rehearsal_with_such_motors_ends_with_six_legs_that_move(tmp_path):
     rehearsal = Rehearsal(forgetful(tmp_path), Wiring())
     outcome = rehearsal.run()
     assert outcome.success, outcome.findings
     assert six_legs(rehearsal.c, rehearsal.bench).success
 
 
-def test_the_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tmp_path):
+def test_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tmp_path):
     c = forgetful(tmp_path)
     said: list[str] = []
     mark_moved(c, said.append)
@@ -233,7 +233,7 @@ def test_the_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tm
     assert stated.lengths_m == pytest.approx(context.machine.pose_lengths[1].tolist())
 
 
-def test_a_file_of_another_robot_ends_the_bring_up_before_it_begins(tmp_path):
+def test_file_of_another_robot_ends_the_bring_up_before_it_begins(tmp_path):
     state_homing(forgetful(tmp_path, 0.005), at_home=True)
     with pytest.raises(ConfigurationError, match="another robot"):
         mark_moved(forgetful(tmp_path), lambda _: None)
@@ -282,7 +282,7 @@ def test_nobody_agrees_to_all_steps_at_a_machine_beforehand(stated: Configuratio
     assert sorted(stated.folder.iterdir()) == before
 
 
-def test_the_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
+def test_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
     stated: Configuration, begun: list[str]
 ) -> None:
     for _ in range(2):
@@ -293,7 +293,7 @@ def test_the_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
 
 
 @pytest.mark.parametrize("served", [False, True])
-def test_a_rehearsal_leaves_the_homing_file_of_the_machine_alone(
+def test_rehearsal_leaves_the_homing_file_of_the_machine_alone(
     stated: Configuration, begun: list[str], served: bool
 ) -> None:
     with served_bench(stated, []) if served else contextlib.nullcontext():
@@ -304,7 +304,7 @@ def test_a_rehearsal_leaves_the_homing_file_of_the_machine_alone(
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
-def test_a_rehearsal_ends_with_six_legs_that_move_and_files_that_load(name, tmp_path, monkeypatch):
+def test_rehearsal_ends_with_six_legs_that_move_and_files_that_load(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said: list[str] = []
     summary = run_bringup(name, load(name), mistakes=[], yes=True, say=said.append)

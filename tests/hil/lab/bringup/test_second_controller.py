@@ -9,7 +9,7 @@ from tests.hil.lab.bringup.kit import Rehearsal, named
 
 
 def disturbed(at, name="virtual"):
-    """Return a machine on whose bus somebody sends in some ticks; at: tick -> what."""
+    """A machine on whose bus somebody sends in some ticks; at: tick -> what."""
     rehearsal = Rehearsal(name, Wiring())
     step = rehearsal.drives.step
 
@@ -36,7 +36,7 @@ def test_one_frame_of_another_controller_is_named_whenever_it_comes(name, share)
 
 
 @pytest.mark.parametrize("what", [f for f in Foreign if f])
-def test_drives_that_another_controller_may_be_driving_are_neither_reset_nor_set_up(what):
+def test_drives_of_another_controller_are_neither_reset_nor_set_up(what):
     rehearsal, set_up = disturbed({5: int(what)}), list[object]()
     rehearsal.drives.prepare = lambda leg: set_up.append(leg) or ("",) * 6  # type: ignore[func-returns-value]
     scan.find(rehearsal.context)

@@ -36,14 +36,14 @@ C = load("virtual")
 @pytest.mark.parametrize(
     "fault", ["drive_silence leg=2", "frames_loss probability=0.5", "bus_second_controller rate=100"]
 )
-def test_fault_that_would_never_strike_at_a_bench_is_refused_before_it_is_served(fault: str) -> None:
+def test_fault_that_would_never_strike_at_a_bench_is_refused(fault: str) -> None:
     c = with_faults(C, ["process_slow by=1", fault])
     with pytest.raises(ConfigurationError, match=r"plant\.faults\[1\].*--mistake"), served_bench(c, []):
         pass
     assert not hands_socket(C.bus.interface, C.bus.channel).exists()
 
 
-def test_the_hands_of_a_served_bench_are_asked_by_a_socket(folder):
+def test_hands_of_a_served_bench_are_asked_by_a_socket(folder):
     c = load("virtual")
     beside = Terminal(lambda _: None, io.StringIO(""))
     address = BusAddress(c.bus.interface, c.bus.channel)
@@ -89,7 +89,7 @@ def _stopped(c, protocol, end, store, *_, **__):
 
 
 def shipped(name, folder):
-    """Return a shipped configuration that records in a folder."""
+    """A shipped configuration that records in a folder."""
     c = load(name)
     return loads(with_changes(c.text, {"recording": {"folder": f"{folder}/runs"}}), name, c.folder)
 
@@ -137,7 +137,7 @@ def test_time_does_not_stand_while_a_person_thinks_and_does_in_the_steps(folder)
     assert STRANGER not in said
 
 
-def test_the_log_is_in_universal_time_names_each_bus_and_how_long_time_stood(folder, tmp_path, monkeypatch):
+def test_log_is_in_universal_time_names_each_bus_and_how_long_time_stood(folder, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     c = shipped("two_buses", folder)
 

@@ -57,7 +57,7 @@ def test_damaged_state_is_refused_in_one_line_and_stays_as_it_is(tmp_path, case)
     assert path.read_text() == DAMAGED[case]
 
 
-def test_what_a_bring_up_has_kept_is_read_again_and_a_fact_that_is_gone_is_measured(tmp_path):
+def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):
     rehearsal = Rehearsal("virtual", Wiring())
     store = Store(tmp_path / "state.json", {})
     rehearsal.context.facts = store.facts
@@ -77,7 +77,7 @@ def test_what_a_bring_up_has_kept_is_read_again_and_a_fact_that_is_gone_is_measu
     assert gauge.judge(again.context) == [], "what no encoder counts has no lead"
 
 
-def test_a_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):
+def test_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):
     store = Store(tmp_path / "gone" / "s.json", {})
     with pytest.raises(RunError, match="cannot be written"):
         store.save()
@@ -96,7 +96,7 @@ OF_LEGS = {
 
 
 def all_facts() -> dict[str, dict[str, Any]]:
-    """Return the facts of a machine that has passed every step."""
+    """The facts of a machine that has passed every step."""
     facts: dict[str, dict[str, Any]] = {
         step: {str(k): fact(k) for k in range(6)} for step, fact in OF_LEGS.items()
     }

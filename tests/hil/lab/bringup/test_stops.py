@@ -32,7 +32,7 @@ UNSAFE = ("runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps")
 
 
 def step(name: str, begun: list[str], found: list[Finding], *, raises: bool = False) -> Step:
-    """Return a step that is no gate, which finds this, or is ended by it."""
+    """A step that is no gate, which finds this, or is ended by it."""
 
     def find(_: Context) -> None:
         begun.append(name)
@@ -99,9 +99,7 @@ def test_after_what_can_wait_the_next_step_still_looks_for_its_cause(name: str) 
 
 @pytest.mark.parametrize("drive", range(6))
 @pytest.mark.parametrize("others", [False, True], ids=["alone", "with the others"])
-def test_a_drive_that_falls_silent_while_a_hand_pushes_is_commanded_a_few_ticks_and_no_more(
-    drive: int, others: bool
-) -> None:
+def test_drive_that_falls_silent_is_commanded_a_few_ticks_and_no_more(drive: int, others: bool) -> None:
     """The operator takes twenty ticks; what the drive last said of its state still stands."""
     waits = iter(range(20))
     c, drives = context(lambda: None if next(waits, None) is not None else 0.0)
@@ -113,7 +111,7 @@ def test_a_drive_that_falls_silent_while_a_hand_pushes_is_commanded_a_few_ticks_
 
 
 @pytest.mark.parametrize("open_brake", [False, True], ids=["all shut", "one open"])
-def test_readings_that_cannot_be_end_a_bring_up_after_so_many_whatever_is_commanded_meanwhile(
+def test_impossible_readings_end_a_bring_up_after_a_few(
     open_brake: bool,
 ) -> None:
     c, _ = context(iter([7.0] * 3).__next__)
@@ -124,7 +122,7 @@ def test_readings_that_cannot_be_end_a_bring_up_after_so_many_whatever_is_comman
 
 
 def powered(states):
-    """Return what steps share, with drives that report some states whatever they are commanded."""
+    """What steps share, with drives that report some states whatever they are commanded."""
     record = new_record()
     record["age"], record["drive_state"] = 0, states
     protocol = SimpleNamespace(fault_text=lambda _code: "")
@@ -133,7 +131,7 @@ def powered(states):
 
 
 @pytest.mark.parametrize("state", [s for s in DriveState if s is not DriveState.RUN])
-def test_a_drive_that_has_left_run_by_itself_is_pushed_no_further(state):
+def test_drive_that_has_left_run_by_itself_is_pushed_no_further(state):
     for leg in range(6):
         states = np.full(6, int(DriveState.RUN))
         states[leg] = state
@@ -143,14 +141,14 @@ def test_a_drive_that_has_left_run_by_itself_is_pushed_no_further(state):
         assert (stop.value.finding.name, stop.value.finding.legs) == ("lost_power", (leg,))
 
 
-def test_a_drive_that_runs_goes_on_whatever_the_locked_ones_report():
+def test_drive_that_runs_goes_on_whatever_the_locked_ones_report():
     for leg in range(6):
         states = np.full(6, int(DriveState.FAULT))
         states[leg] = DriveState.RUN
         powered(states).drive(leg, 10.0)
 
 
-def test_a_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
+def test_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
     rehearsal = Rehearsal("lab", Wiring())
     hands, bench = rehearsal.hands, rehearsal.bench
     ask, answer, late = hands.ask, hands.answer, []
@@ -172,7 +170,7 @@ def test_a_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
     assert abs(bench.length(2) - late[0]) < 0.02
 
 
-def test_a_drive_that_falls_silent_with_its_brake_open_is_named():
+def test_drive_that_falls_silent_with_its_brake_open_is_named():
     rehearsal = Rehearsal("virtual", Wiring())
     step = rehearsal.drives.line.exchange
 
@@ -189,7 +187,7 @@ def test_a_drive_that_falls_silent_with_its_brake_open_is_named():
     assert ("lost_power", (2,)) in named(outcome)
 
 
-def test_a_leg_that_runs_away_is_stopped_and_named():
+def test_leg_that_runs_away_is_stopped_and_named():
     rehearsal = Rehearsal("virtual", wired(Mistake("force_scale", 3, value=60.0)))
     outcome = rehearsal.run(STEPS[:6])
     assert named(outcome) == {("runaway", (3,))}
@@ -198,7 +196,7 @@ def test_a_leg_that_runs_away_is_stopped_and_named():
 
 @cache
 def begins(name):
-    """Return when a good machine begins each step, s, and when it has ended the last one."""
+    """When a good machine begins each step, s, and when it has ended the last one."""
     rehearsal = Rehearsal(name, Wiring())
     ticks: list[int] = []
 
@@ -213,7 +211,7 @@ def begins(name):
 
 
 def until(step, share, name):
-    """Return when a good machine is at a share of a step, s."""
+    """When a good machine is at a share of a step, s."""
     number = [each.name for each in STEPS].index(step)
     first, last = begins(name)[number : number + 2]
     return first + share * (last - first)
@@ -246,7 +244,7 @@ def test_fault_of_one_leg_in_mid_step_is_named_at_that_leg(fault, step, name):
     assert rehearsal.watched.most_open <= 1
 
 
-def test_a_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
+def test_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
     rehearsal = Rehearsal("virtual", Wiring())
     exchange = rehearsal.drives.line.exchange
 
@@ -270,7 +268,7 @@ def test_no_reading_is_taken_of_a_drive_that_is_not_heard():
         rehearsal.context.lengths()
 
 
-def test_how_far_legs_have_gone_is_not_said_by_what_a_drive_read_before_it_fell_silent():
+def test_travel_is_not_taken_from_a_drive_that_fell_silent():
     facts = {"encoder": {str(leg): {"drive": 5 - leg, "scale": 2.0} for leg in range(6)}}
     rehearsal = Rehearsal("virtual", Wiring(), facts=facts)
     rehearsal.drives.step()
@@ -287,7 +285,7 @@ LEGS = range(6)
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_leg_that_goes_too_far_is_stopped_whichever_way_it_goes(leg, way):
+def test_leg_that_goes_too_far_is_stopped_whichever_way_it_goes(leg, way):
     off = []
     gone = {k: way * TRAVEL_M * (1.01 if k == leg else -0.3) for k in LEGS}
     c: Any = SimpleNamespace(

@@ -91,12 +91,12 @@ def noisy():
 
 @pytest.mark.parametrize("samples", [0, 1, 3])
 @pytest.mark.parametrize("lag", [0.2e-3, LAG, 5e-3])
-def test_the_nominal_axis_is_what_scipy_samples(samples, lag):
+def test_nominal_axis_is_what_scipy_samples(samples, lag):
     f = np.array([0.5, 3.0, 30.0, 200.0, 450.0])
     np.testing.assert_allclose(axis_response(f, T, samples * T, lag), sampled(f, lag, samples), rtol=1e-6)
 
 
-def test_noise_in_the_loop_does_not_bias_it_though_it_biases_the_plain_quotient():
+def test_noise_in_the_loop_biases_the_plain_quotient_alone():
     """Under noise alone position over demanded acceleration is -1 over the law, not the plant."""
     signals = run(multisine(27, HARMONICS), noise=24e-6, w_n=200.0)
     signals.good[: 3 * PERIOD] = False
@@ -130,7 +130,7 @@ def test_circles_hold_the_truth_as_often_as_they_say(noisy):
     assert 0.89 < share < 0.995
 
 
-def test_the_bound_holds_the_coupling_of_the_axes():
+def test_bound_holds_the_coupling_of_the_axes():
     """Delta is known: its largest singular value, not its diagonal, is what a controller meets."""
     coupling = 0.1 * np.random.default_rng(8).normal(size=(6, 6))
     np.fill_diagonal(coupling, 0.0)

@@ -100,14 +100,14 @@ def counted(t, reference, length, good=True):
     return settled(signals, t, reference, length)
 
 
-def test_the_last_whole_periods_between_the_ramps_count():
+def test_last_whole_periods_between_the_ramps_count():
     t = 1e-3 * np.arange(10000, dtype=np.float64)
     mask = counted(t, sinusoids(0.5 / 1.5), 3000)
     assert np.flatnonzero(mask)[[0, -1]].tolist() == [3000, 8999]
     assert mask.sum() == 6000
 
 
-def test_a_stretch_at_less_than_full_speed_does_not_count_and_what_is_beside_it_does():
+def test_stretch_at_less_than_full_speed_does_not_count():
     """Slowly from tick 2500 on, at rest from 3000 on, and as the clock again from 4500 on."""
     speed = np.ones(10000)
     speed[2500:3000], speed[3000:4500] = 0.5, 0.0

@@ -47,7 +47,7 @@ def measured(tmp_path_factory):
 
 
 @pytest.mark.parametrize("bandwidth_Hz", broad([200.0, 100.0], quick=1))
-def test_the_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwidth_Hz):
+def test_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwidth_Hz):
     _, _, summary = measured(bandwidth_Hz)
     lag_ms = 1e3 / (2 * pi * bandwidth_Hz)
     assert summary["total_ms"] == pytest.approx(TRANSPORT_MS + lag_ms + HOLD_MS, abs=0.05)
@@ -59,7 +59,7 @@ def test_the_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwi
     assert summary["gain"] == pytest.approx([1.0] * 6, abs=0.01)
 
 
-def test_run_is_small_and_its_log_tells_the_same_and_the_configuration_is_printed(measured, tmp_path):
+def test_run_is_small_and_its_log_gives_the_same_figures(measured, tmp_path):
     result, log, summary = measured(200.0)
     run = summary["run"]
     assert not any(run["limited_ticks"].values())
@@ -89,7 +89,7 @@ def test_what_cannot_be_measured_is_refused_with_the_way_out(arguments, said):
 
 
 @pytest.mark.long
-def test_friction_is_that_of_the_drive_though_the_platform_is_heavier_than_the_model(tmp_path):
+def test_friction_is_found_though_the_platform_is_heavier_than_the_model(tmp_path):
     """A fifth more mass than believed: gains of 0.83, which would make 12.5 N of 15 N."""
     c = load("virtual")
     load_kg = {"mass_kg": 230.0, "com_m": [0.0, 0.0, 0.0], "shape": {"type": "sphere", "radius_m": 1.1}}
@@ -114,7 +114,7 @@ def test_friction_is_that_of_the_drive_though_the_platform_is_heavier_than_the_m
 
 
 @pytest.mark.parametrize("excite", [excited, excited_axes])
-def test_a_run_that_identifies_has_the_limits_and_the_engage_times_of_any_other(excite):
+def test_identification_run_has_the_limits_of_any_other(excite):
     """So a stall that ends it would have ended `hil run` as well: name and reference alone differ."""
     c = load("virtual")
     made = excite(c, None, None).configuration

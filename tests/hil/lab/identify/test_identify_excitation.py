@@ -24,7 +24,7 @@ UPRIGHT = Rotation.from_rotvec([-np.pi / 2, 0.0, 0.0]).as_matrix()
 
 
 def same_robot(base, platform):
-    """Return the book's robot and its home with axes of base and of platform turned by these rotations."""
+    """The book's robot and its home with axes of base and of platform turned by these rotations."""
     g = BOOK["geometry"]
     body = {
         "mass": 1150.0, "com": [0.0, 0.0, 0.0],
@@ -55,7 +55,7 @@ TURNED = pytest.mark.parametrize(
 
 
 def shaken(base, platform, frequencies):
-    """Return the model, and trajectory and home of those components alone, without their fading."""
+    """The model, and trajectory and home of those components alone, without their fading."""
     model, home = same_robot(base, platform)
     made = delay_excitation(model, home, 100.0, FORCE_N, 20.0)
     some = [s for s in made.components if frequencies(s.frequency_Hz)]
@@ -63,9 +63,7 @@ def shaken(base, platform, frequencies):
 
 
 @TURNED
-def test_the_largest_leg_force_that_finds_a_delay_is_the_one_asked_for_however_a_home_is_turned(
-    base, platform
-):
+def test_largest_leg_force_is_the_requested_one_at_any_home(base, platform):
     """Beyond the weight and the slow motion; lines at multiples of 2/3 Hz repeat after 1.5 s."""
     model, path = shaken(base, platform, lambda f: f != CARRIER_Hz)
     rest = model.inverse_dynamics(*path.sample(0.0)[:2], np.zeros(6), np.zeros(6))
@@ -82,7 +80,7 @@ def test_under_it_every_leg_slides_by_3_mm_wherever_the_legs_point(base, platfor
 
 
 @pytest.mark.parametrize("rate_Hz", [25.0, 100.0, 149.0, 150.0, 1000.0])
-def test_the_lines_that_find_a_delay_end_at_three_tenths_of_any_rate(rate_Hz: float) -> None:
+def test_lines_that_find_a_delay_end_at_three_tenths_of_any_rate(rate_Hz: float) -> None:
     c = load("virtual")
     reference = delay_excitation(exact_model(c), excitation_pose(c), rate_Hz, 100.0, 20.0)
     lines = np.unique([s.frequency_Hz for s in reference.components if s.frequency_Hz != CARRIER_Hz])

@@ -28,7 +28,7 @@ CENTRE = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def state(t):
-    """Return p, R, twist, dtwist of sinusoids on six axes."""
+    """P, R, twist, dtwist of sinusoids on six axes."""
     chi = CENTRE + AMPLITUDE * np.sin(OMEGA * t)
     rate = AMPLITUDE * OMEGA * np.cos(OMEGA * t)
     second = -AMPLITUDE * OMEGA**2 * np.sin(OMEGA * t)
@@ -44,7 +44,7 @@ def signals(n, good=None):
 
 
 @pytest.mark.parametrize("half", [4, 10, 30])
-def test_the_filter_differentiates_parabolas_exactly(half):
+def test_filter_differentiates_parabolas_exactly(half):
     b = bell(half, T)
     t: Array = np.arange(200.0) * T
     x = (1.7 + 3.0 * t + 11.0 * t * t)[:, None]

@@ -70,7 +70,7 @@ def state(t, axes=range(6)):
 
 
 def made(model, seconds=6.0, axes=range(6), late_s=0.0):
-    """Return what a noiseless log would hold of a motion; the forces are those of `late_s` before."""
+    """What a noiseless log would hold of a motion; the forces are those of `late_s` before."""
     states = [state(k * T, axes) for k in range(round(seconds / T))]
     force = [model.inverse_dynamics(*state(k * T - late_s, axes)) for k in range(len(states))]
     return LegSignals(
@@ -119,7 +119,7 @@ def test_what_one_axis_cannot_show_stays_as_believed_and_is_named():
     assert (found.unknown[:3] < 0.1).all()
 
 
-def test_a_leg_that_never_slides_is_refused():
+def test_leg_that_never_slides_is_refused():
     signals = made(Model(PLATFORM), 2.0)
     still = np.tile(signals.length[:1], (len(signals.length), 1))
     with pytest.raises(IdentificationError, match="too little motion: leg 0 slides one way"):
@@ -139,7 +139,7 @@ def test_rows_around_a_turn_and_a_gap_are_left_out(laden):
         assert np.abs(at[:, None] - turns[None]).min() >= 29
 
 
-def test_a_held_out_half_is_predicted_as_well_as_the_half_that_was_fitted(laden):
+def test_held_out_half_is_predicted_as_well_as_the_half_that_was_fitted(laden):
     first, second = halves(equations_of(Model(PLATFORM), laden, None))
     assert first.sample.max() < second.sample.min()
     fit = solve(first, BELIEVED, SCALE, reflected=True)
@@ -155,7 +155,7 @@ def noisy(signals, rng, sigma_m=5e-6, sigma_N=3.0):
     )
 
 
-def test_a_payload_without_size_comes_out_as_a_body_and_the_report_knows_that_least_squares_did_not():
+def test_payload_without_size_comes_out_as_a_body():
     point = Body(230.0, np.array([0.5, 0.3, 0.5]), 1e-9 * np.eye(3))
     whole = combine([PLATFORM.platform, point])
     keys = {k: np.asarray(v).tolist() for k, v in vars(whole).items()}

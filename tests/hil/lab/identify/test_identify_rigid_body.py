@@ -25,7 +25,7 @@ MASSES, POINTS = RNG.uniform(1.0, 20.0, 7), RNG.normal(0.15, 0.4, (7, 3))
 
 
 def cloud():
-    """Return theta of the points by its definition."""
+    """Theta of the points by its definition."""
     I = sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(MASSES, POINTS, strict=True))
     return np.array([
         MASSES.sum(), *(MASSES @ POINTS), I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
@@ -56,7 +56,7 @@ def omega(t):
 
 
 @pytest.mark.parametrize("t", [0.1, 0.7, 1.9])
-def test_the_force_is_what_newton_asks_of_every_point(t):
+def test_force_is_what_newton_asks_of_every_point(t):
     (p, R), a = pose(t), second_difference(places, t)
     each = MASSES[:, None] * (a - GRAVITY)
     expected = np.concatenate([each.sum(axis=0), np.cross(places(t) - p, each).sum(axis=0)])
@@ -67,7 +67,7 @@ def test_the_force_is_what_newton_asks_of_every_point(t):
 
 
 @pytest.mark.parametrize("case", CASES[:12])
-def test_another_platform_on_the_same_legs_takes_the_difference_of_the_parameters(case):
+def test_another_platform_takes_the_difference_of_the_parameters(case):
     """The legs, with their inertia, cancel: the model is linear in the platform's parameters."""
     p, R, twist, dtwist, wrench, _ = state_of(case)
     platform = PLATFORMS[case["geometry"]]
@@ -81,14 +81,14 @@ def test_another_platform_on_the_same_legs_takes_the_difference_of_the_parameter
     np.testing.assert_allclose(found, more - less, rtol=0, atol=1e-9 * np.abs(more).max())
 
 
-def test_the_pseudo_inertia_is_the_second_moment_of_the_points():
+def test_pseudo_inertia_is_the_second_moment_of_the_points():
     x = np.column_stack([POINTS, np.ones(len(POINTS))])
     expected = (MASSES[:, None] * x).T @ x
     np.testing.assert_allclose(pseudo_inertia(cloud()), expected, rtol=0, atol=1e-12)
     np.testing.assert_allclose(from_pseudo_inertia(expected), cloud(), rtol=0, atol=1e-12)
 
 
-def test_a_body_and_its_ten_parameters_are_the_same_thing():
+def test_body_and_its_ten_parameters_are_the_same_thing():
     body = body_of(cloud())
     com = MASSES @ POINTS / MASSES.sum()
     away = POINTS - com

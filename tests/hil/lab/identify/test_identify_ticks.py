@@ -23,7 +23,7 @@ COUNT = 12
 
 
 def running(tick=range(COUNT)):
-    """Return rows that track, brakes open, all legs fresh."""
+    """Rows that track, brakes open, all legs fresh."""
     ticks = np.array(tick)
     rows = np.zeros(len(ticks), ROW)
     rows["tick"], rows["mode"], rows["drive_state"] = ticks, Mode.TRACKING, DriveState.RUN
@@ -49,11 +49,11 @@ def usable(request):
 
 
 def without(*ticks):
-    """Return the periods that are left where these ticks do not count."""
+    """The periods that are left where these ticks do not count."""
     return [k not in ticks and k + 1 not in ticks for k in range(COUNT - 1)]
 
 
-def test_ticks_that_the_log_lacks_or_in_which_a_leg_is_stale_are_not_measured(usable):
+def test_missing_ticks_and_stale_legs_are_not_measured(usable):
     assert usable(running()) == without()
     assert usable(running([k for k in range(COUNT) if k not in {3, 7, 8}])) == without(3, 7, 8)
     for leg in range(6):
@@ -62,7 +62,7 @@ def test_ticks_that_the_log_lacks_or_in_which_a_leg_is_stale_are_not_measured(us
         assert usable(rows) == without(5, 9)
 
 
-def test_the_wrench_is_taken_off_what_a_law_demands_where_it_compensates_it_and_nowhere_else():
+def test_wrench_is_taken_off_the_demand_of_a_law_that_compensates_it():
     """By hand: legs of the acceleration J M^-1 wrench, which a law that answers the wrench takes off its forces."""
     law = linearised_law(load("virtual"))
     rows, w = running(), np.array([300.0, -200.0, 500.0, 40.0, 60.0, -90.0])
@@ -81,7 +81,7 @@ def fused(c):
 
 
 @pytest.mark.parametrize("excite", [excited, excited_axes])
-def test_a_fused_pose_is_refused_before_anything_runs(excite):
+def test_fused_pose_is_refused_before_anything_runs(excite):
     c = fused(load("virtual"))
     with pytest.raises(ConfigurationError, match="fused"):
         excite(c, None, None)
@@ -95,7 +95,7 @@ def configured(*changes):
     return loads(text, "my.yaml", Path())
 
 
-def test_the_block_has_the_friction_that_the_model_has_and_what_the_log_shows_beyond_it():
+def test_block_has_the_friction_of_the_model_plus_what_the_log_shows():
     viscous, coulomb = [100.0, 200.0, 0.0, 50.0, 300.0, 10.0], [5.0, 0.0, 15.0, 20.0, 25.0, 30.0]
     model = f"    variant: full\n    viscous_friction_N_s_m: {viscous}\n    coulomb_friction_N: {coulomb}\n"
     beyond = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])

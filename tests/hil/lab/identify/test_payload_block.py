@@ -44,7 +44,7 @@ BODY = Body(85.0, np.array([0.02, 0.03, 0.15]), TENSOR)
 
 
 def whole(c, hidden=0.0, reflected_kg=None):
-    """Return a body that is another than that of section `platform`, and drives, as found from a log."""
+    """A body that is another than that of section `platform`, and drives, as found from a log."""
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(BODY)
     theta[REFLECTED:] = REFLECTED_KG
@@ -64,7 +64,7 @@ def whole(c, hidden=0.0, reflected_kg=None):
 
 
 def of_platform(body, scale=1.0):
-    """Return the shipped robot with another platform, and a law that scales its masses."""
+    """The shipped robot with another platform, and a law that scales its masses."""
     document = yaml.safe_load(load("lab").text)
     document["platform"]["platform"] = body
     document["controller"]["model"] |= {"inertia_scale": scale, "reflected_mass_kg": 5.0}
@@ -81,7 +81,7 @@ def of_platform(body, scale=1.0):
         (BOX | {"frame": READ["frame"]}, ["shape", "frame"]),
     ],
 )
-def test_pasted_over_a_platform_however_it_is_read_the_block_is_the_body_that_was_found(body, goes):
+def test_pasted_block_is_the_body_that_was_found(body, goes):
     c = of_platform(body)
     pasted = changed(c, **yaml.safe_load(block_text(whole(c))))
     theta = parameters_of(build_platform(pasted.platform).platform)
@@ -90,7 +90,7 @@ def test_pasted_over_a_platform_however_it_is_read_the_block_is_the_body_that_wa
 
 
 @pytest.mark.parametrize(("scale", "given", "hidden"), [(1.0, None, 0.0), (0.5, None, 0.0), (0.5, 7.0, 1.0)])
-def test_pasted_beside_a_scale_of_the_masses_the_block_has_the_reflected_masses_found(scale, given, hidden):
+def test_pasted_block_next_to_a_scale_has_the_reflected_masses(scale, given, hidden):
     """The scale is of these, too: it goes with the body, and where that is left out it stays."""
     c = of_platform(FIGURES, scale)
     model = changed(c, **yaml.safe_load(block_text(whole(c, hidden, given)))).controller.believed

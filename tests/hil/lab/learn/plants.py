@@ -40,7 +40,7 @@ class Plant:
 
 
 def path(n: int) -> tuple[Any, Any, Any]:
-    """Return position, rate and acceleration (n + 1, 6) of a motion over 1 s, from rest to rest and back."""
+    """Position, rate and acceleration (n + 1, 6) of a motion over 1 s, from rest to rest and back."""
     w = 2.0 * np.pi
     t = np.clip(T * np.arange(n + 1), 0.0, 1.0)[:, None]
     size = np.array([0.1, -0.06, 0.08, 0.05, -0.09, 0.07])
@@ -51,7 +51,7 @@ def path(n: int) -> tuple[Any, Any, Any]:
 
 
 def run(plant: Plant, a: Any, believed: float, seed: int = 0) -> tuple[Any, Any] | None:
-    """Return errors and their rates (LEAD + 1000, 6), measured; None where one of them ended the run.
+    """Errors and their rates (LEAD + 1000, 6), measured; None where one of them ended the run.
 
     a: learned acceleration (LEAD + 1000, 6); believed: share of the motion's acceleration that the law asks for.
     """

@@ -28,7 +28,7 @@ LOOP = axis_loop(AXIS, gains(K_P, K_D, T), F, looks_ahead=False)
 
 
 def worst(loop: AxisLoop, W: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    """Return the largest |1 - P/P_0| of an axis G_0 (1 + delta), |delta| = W, in closed loop."""
+    """The largest |1 - P/P_0| of an axis G_0 (1 + delta), |delta| = W, in closed loop."""
     L0, G0 = loop.T / loop.S, loop.P / loop.S
     largest = np.zeros(len(L0))
     for angle in np.linspace(0.0, 2.0 * np.pi, 181):
@@ -38,7 +38,7 @@ def worst(loop: AxisLoop, W: float) -> np.ndarray[tuple[int], np.dtype[np.float6
     return largest
 
 
-def test_the_bound_of_the_contraction_holds_for_every_axis_of_the_uncertainty_and_is_reached() -> None:
+def test_bound_of_the_contraction_holds_for_every_axis() -> None:
     """|1 - P/P_0| of loops closed anew around G_0 (1 + delta), delta all around the circle of the bound."""
     W = 0.3
     c = contraction([LOOP], F, Uncertainty(np.array([0.0, 500.0]), np.array([W, W])))
@@ -47,7 +47,7 @@ def test_the_bound_of_the_contraction_holds_for_every_axis_of_the_uncertainty_an
     assert largest[1:] == pytest.approx(c[1:], rel=1e-3)
 
 
-def test_a_stated_gain_and_delay_bound_what_they_do_to_an_axis() -> None:
+def test_stated_gain_and_delay_bound_what_they_do_to_an_axis() -> None:
     bound = stated(0.25, 1e-3, 100.0)
     f = np.linspace(0.1, 99.0, 50)
     off = np.array(
@@ -61,7 +61,7 @@ def test_a_stated_gain_and_delay_bound_what_they_do_to_an_axis() -> None:
     assert np.isinf(bound.at(np.array([100.1]))).all(), "beyond it nothing is stated"
 
 
-def test_the_filter_is_the_widest_that_keeps_the_condition() -> None:
+def test_filter_is_the_widest_that_keeps_the_condition() -> None:
     c = contraction([LOOP], F, stated(0.25, 1e-3, 100.0))
     found = choose(c, F)
     finite = np.where(np.isfinite(c), c, 1e300)
@@ -70,7 +70,7 @@ def test_the_filter_is_the_widest_that_keeps_the_condition() -> None:
     assert 60.0 < found.Q.end_Hz < 100.0
 
 
-def test_the_loop_predicts_what_a_learned_acceleration_does_to_a_simulated_leg() -> None:
+def test_loop_predicts_what_a_learned_acceleration_does_to_a_simulated_leg() -> None:
     """The simulation is another one: tenths of a tick, Euler; the prediction comes from the exact axis."""
     a = np.zeros((LEAD + 1000, 6))
     t = T * np.arange(1000)[:, None]
@@ -88,7 +88,7 @@ def test_the_loop_predicts_what_a_learned_acceleration_does_to_a_simulated_leg()
     assert np.abs(ahead - with_a[0][LEAD:]).max() < 0.03 * change
 
 
-def test_a_law_that_looks_ahead_counts_what_was_learned_among_its_commands() -> None:
+def test_law_that_looks_ahead_counts_what_was_learned_among_its_commands() -> None:
     """Step by step in time: the law predicts with the commands under way, the learned ones included."""
     law = predicting(K_P, K_D, T, bus_s=1e-3, lag_s=0.0, hold_s=0.5e-3)
     axis = sampled_axis(1e-3, lag(0.0), T)
@@ -108,7 +108,7 @@ def test_a_law_that_looks_ahead_counts_what_was_learned_among_its_commands() -> 
     assert np.abs(e - expected).max() < 0.01 * np.abs(e).max()
 
 
-def test_an_update_with_the_true_axis_takes_the_error_away_but_for_the_filter() -> None:
+def test_update_with_the_true_axis_takes_the_error_away_but_for_the_filter() -> None:
     e0, de0 = run(Plant(), np.zeros((LEAD + 1000, 6)), 0.9) or (None, None)
     assert e0 is not None
     assert de0 is not None
@@ -122,7 +122,7 @@ def test_an_update_with_the_true_axis_takes_the_error_away_but_for_the_filter() 
     np.testing.assert_allclose(half, 0.5 * a, atol=1e-12)
 
 
-def test_an_error_that_grows_without_a_change_contradicts_where_nothing_is_known_of_an_axis_too() -> None:
+def test_error_that_grows_without_a_change_contradicts() -> None:
     """Beyond what is stated the contraction is infinite, and times no change still nothing."""
     zero = np.zeros((LEAD + 1000, 6))
     e = zero.copy()
@@ -145,7 +145,7 @@ WN = [20.0, 20.0, 25.0, 15.0, 20.0, 30.0]
     ("bus_ms", "drive_lag_ms", "hold_ms"),
     [(0.9, 0.8, 0.5), (0.4, 0.7, 0.0)],
 )
-def test_a_law_that_looks_ahead_is_reckoned_with_its_own_bus_lag_and_hold(
+def test_law_that_looks_ahead_is_reckoned_with_its_own_bus_lag_and_hold(
     bus_ms: float, drive_lag_ms: float, hold_ms: float
 ) -> None:
     delay = {"bus_ms": bus_ms, "drive_lag_ms": drive_lag_ms, "hold_ms": hold_ms}

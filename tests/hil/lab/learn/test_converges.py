@@ -28,7 +28,7 @@ def of(plant: Plant, a: Any, believed: float, seed: int = 0) -> Trial | None:
 
 
 def learn(plant: Plant, runs: int, believed: float = 0.9, uncertainty: Uncertainty = STATED) -> Any:
-    """Return the errors (runs) mm of consecutive runs, and why they ended."""
+    """The errors (runs) mm of consecutive runs, and why they ended."""
     a = np.zeros((LEAD + 1000, 6))
     before = model = None
     errors: list[float] = []
@@ -59,7 +59,7 @@ def learn(plant: Plant, runs: int, believed: float = 0.9, uncertainty: Uncertain
 
 
 def contradicted_by(plant: Plant) -> Any:
-    """Return the contradiction that the second run of a plant shows."""
+    """The contradiction that the second run of a plant shows."""
     first = of(plant, np.zeros((LEAD + 1000, 6)), 0.9)
     assert first is not None
     f = frequencies(len(first.e), T)
@@ -72,7 +72,7 @@ def contradicted_by(plant: Plant) -> Any:
 
 
 def mixed(size: float) -> Any:
-    """Return a matrix (6, 6) that couples the legs, Delta of a norm."""
+    """A matrix (6, 6) that couples the legs, Delta of a norm."""
     other = np.random.default_rng(3).standard_normal((6, 6))
     return np.eye(6) + size * other / np.linalg.norm(other, 2)
 
@@ -89,7 +89,7 @@ WITHIN = {
 
 
 @pytest.mark.parametrize("name", broad(WITHIN, quick=1))
-def test_the_error_falls_in_every_run_on_a_plant_of_the_stated_uncertainty(name: str) -> None:
+def test_error_falls_in_every_run_on_a_plant_of_the_stated_uncertainty(name: str) -> None:
     errors, end = learn(WITHIN[name], 6)
     assert end in {"learned", "floor"}
     assert errors[1] < 0.75 * errors[0]
@@ -123,7 +123,7 @@ BEYOND = {
 
 
 @pytest.mark.parametrize("name", broad(BEYOND, quick=1))
-def test_on_a_plant_beyond_the_stated_uncertainty_learning_ends_before_the_error_grows(name: str) -> None:
+def test_beyond_the_uncertainty_learning_ends_before_the_error_grows(name: str) -> None:
     errors, end = learn(BEYOND[name], 10)
     assert max(errors, default=0.0) <= 1.55 * (errors[0] if errors else 0.0), "the first step is half of one"
     falls = [after < before for before, after in pairwise(errors)]
@@ -134,7 +134,7 @@ def test_on_a_plant_beyond_the_stated_uncertainty_learning_ends_before_the_error
         assert len(errors) <= 3
 
 
-def test_a_contradiction_names_the_leg_whose_learned_force_has_the_wrong_sign() -> None:
+def test_contradiction_names_the_leg_whose_learned_force_has_the_wrong_sign() -> None:
     found = contradicted_by(BEYOND["one learned force of the wrong sign"])
     assert found.axis == 3
     assert found.factor == pytest.approx(1.5, abs=0.1), "e_1 = e_0 + P_0 L e_0 / 2"

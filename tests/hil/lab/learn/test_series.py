@@ -66,7 +66,7 @@ def head_of(run: int, **changes: Any) -> FeedforwardHead:
 
 
 def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun:
-    """Return the run with what so many runs have taught, next to nothing, its error a share of ERROR."""
+    """The run with what so many runs have taught, next to nothing, its error a share of ERROR."""
     still = np.zeros_like(ERROR)
     there = trial(T, LEAD, share * ERROR, still, 1e-6 * number * ERROR, np.full(6, 20.0))
     masses = np.broadcast_to(100.0 * np.eye(6), (LEAD + COUNT, 6, 6))
@@ -75,7 +75,7 @@ def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun
 
 
 @pytest.mark.parametrize("number", [0, 1, 5])
-def test_an_error_that_grows_contradicts_wherever_in_a_series_it_does(number: int) -> None:
+def test_error_that_grows_contradicts_wherever_in_a_series_it_does(number: int) -> None:
     outcome = learned([run_of(number), run_of(number + 1, 2.0)], Knowledge())
     assert (outcome.state, outcome.text) == ("contradicted", "")
     found = outcome.steps[-1].contradicted
@@ -84,7 +84,7 @@ def test_an_error_that_grows_contradicts_wherever_in_a_series_it_does(number: in
 
 
 @pytest.mark.parametrize("number", [0, 1, 5])
-def test_the_error_of_the_first_run_goes_from_file_to_file(number: int) -> None:
+def test_error_of_the_first_run_goes_from_file_to_file(number: int) -> None:
     outcome = learned([run_of(number), run_of(number + 1, 0.5)], Knowledge())
     assert outcome.state == "learned"
     head, _, start_s, _ = read_feedforward(outcome.text.encode(), "next.csv")
@@ -97,9 +97,7 @@ def test_the_error_of_the_first_run_goes_from_file_to_file(number: int) -> None:
 
 @pytest.mark.parametrize("what", ["reference", "controller", "platform"])
 @pytest.mark.parametrize("other", [0, 2])
-def test_runs_with_another_reference_controller_or_platform_do_not_teach_one_feed_forward(
-    what: str, other: int
-) -> None:
+def test_runs_of_another_machine_do_not_teach_one_feed_forward(what: str, other: int) -> None:
     series = [run_of(0), run_of(1), run_of(2)]
     series[other] = series[other]._replace(made_for=MADE_FOR.model_copy(update={what: "another"}))
     with pytest.raises(LogError, match=f"another {what}"):
@@ -107,13 +105,13 @@ def test_runs_with_another_reference_controller_or_platform_do_not_teach_one_fee
 
 
 def printed(limit_N: float) -> dict[str, Any]:
-    """Return the section that is printed for a file."""
+    """The section that is printed for a file."""
     section: dict[str, Any] = yaml.safe_load(written(Path("next.csv"), limit_N)[-1])["feedforward"]
     return section
 
 
 def taken(folder: Path, text: str, section: dict[str, Any]) -> float:
-    """Return the largest force that a run takes of a file and its section."""
+    """The largest force that a run takes of a file and its section."""
     c = load("virtual")
     (folder / "next.csv").write_text(text)
     settings = FeedforwardSettings.model_validate(section)
@@ -130,7 +128,7 @@ def taken(folder: Path, text: str, section: dict[str, Any]) -> float:
         (0.00007, 0.0),
     ],
 )
-def test_a_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
+def test_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
     tmp_path: Path, limit_N: float, peak_N: float
 ) -> None:
     outcome = learned([run_of(0)], Knowledge(limit_N=limit_N))
@@ -140,7 +138,7 @@ def test_a_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
 
 
 @pytest.mark.parametrize("masses_kg", [1.0, 100.0])
-def test_a_cut_force_is_predicted_to_take_off_a_constant_error_what_it_holds_against_the_law(
+def test_cut_force_reduces_a_constant_error_as_predicted(
     masses_kg: float,
 ) -> None:
     """A constant error needs a constant a = wn^2 e, wn 20 rad/s; cut at F it takes F / (m wn^2) off each leg."""
@@ -231,7 +229,7 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.mark.parametrize("number", [1, 2])
 @pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
-def test_a_later_run_that_fails_ends_the_series_and_what_was_best_is_kept(
+def test_later_run_that_fails_ends_the_series_and_what_was_best_is_kept(
     runs: Any, tmp_path: Path, number: int, call: str, error: Exception
 ) -> None:
     runs(number, call, error)
@@ -242,7 +240,7 @@ def test_a_later_run_that_fails_ends_the_series_and_what_was_best_is_kept(
 
 
 @pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
-def test_a_first_run_that_fails_has_taught_nothing_and_its_error_is_told(
+def test_first_run_that_fails_has_taught_nothing_and_its_error_is_told(
     runs: Any, tmp_path: Path, call: str, error: Exception
 ) -> None:
     runs(0, call, error)

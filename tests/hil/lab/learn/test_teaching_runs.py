@@ -31,7 +31,7 @@ COLUMNS = [
 
 
 def rows_of(approach: int) -> Any:
-    """Return so many ticks of an approach, the ticks of a reference, and some behind it."""
+    """So many ticks of an approach, the ticks of a reference, and some behind it."""
     rows = np.zeros(approach + COUNT + 100, COLUMNS)
     rows["tick"] = 7000 + np.arange(len(rows))
     rows["mode"] = Mode.PARKING
@@ -46,7 +46,7 @@ def whole(rows: Any) -> tuple[int, Any]:
 
 
 @pytest.mark.parametrize(("approach", "lead"), [(0, 0), (1, 1), (200, 200), (LEAD, LEAD), (900, LEAD)])
-def test_the_end_of_an_approach_leads_into_the_reference_without_a_gap(approach: int, lead: int) -> None:
+def test_end_of_an_approach_leads_into_the_reference_without_a_gap(approach: int, lead: int) -> None:
     found, rows = whole(rows_of(approach))
     assert (found, len(rows)) == (lead, lead + COUNT)
     np.testing.assert_array_equal(rows["tick"], 7000 + approach - lead + np.arange(lead + COUNT))
@@ -54,9 +54,7 @@ def test_the_end_of_an_approach_leads_into_the_reference_without_a_gap(approach:
 
 @pytest.mark.parametrize("approach", [200, 900])
 @pytest.mark.parametrize("lost", [[1], [150, 199]])
-def test_an_approach_with_a_tick_lost_before_the_reference_leads_nowhere(
-    approach: int, lost: list[int]
-) -> None:
+def test_approach_with_a_tick_lost_before_the_reference_leads_nowhere(approach: int, lost: list[int]) -> None:
     """lost: ticks before the reference's start."""
     found, rows = whole(np.delete(rows_of(approach), approach - np.array(lost)))
     assert found == 0
@@ -67,7 +65,7 @@ def test_an_approach_with_a_tick_lost_before_the_reference_leads_nowhere(
     "limit", [Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW], ids=lambda w: w.name
 )
 @pytest.mark.parametrize("at", [-LEAD, -1, 0, COUNT - 1], ids=str)
-def test_a_run_in_which_any_limit_has_cut_the_forces_teaches_nothing(limit: Warn, at: int) -> None:
+def test_run_in_which_any_limit_has_cut_the_forces_teaches_nothing(limit: Warn, at: int) -> None:
     rows = rows_of(500)
     rows["warnings"][500 + at] = int(limit)
     with pytest.raises(LogError, match="limits cut"):
@@ -75,7 +73,7 @@ def test_a_run_in_which_any_limit_has_cut_the_forces_teaches_nothing(limit: Warn
 
 
 @pytest.mark.parametrize("rate_Hz", [500.0, 1001.0])
-def test_a_run_at_another_rate_than_the_configured_one_teaches_nothing(
+def test_run_at_another_rate_than_the_configured_one_teaches_nothing(
     monkeypatch: pytest.MonkeyPatch, rate_Hz: float
 ) -> None:
     """`hil run` slows down where a machine does not hold the rate; its period and delays are others then."""
@@ -103,7 +101,7 @@ def test_no_run_of_a_series_is_made_that_could_not_teach(
 @pytest.mark.parametrize("period_s", [1e-4, 2e-2])
 @pytest.mark.parametrize("at", [0, COUNT - 1], ids=str)
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_references_time_may_be_a_millionth_of_the_period_off_its_tick_whatever_that_is(
+def test_time_of_a_reference_may_be_a_millionth_of_the_period_off(
     period_s: float, at: int, side: float
 ) -> None:
     rows = rows_of(0)

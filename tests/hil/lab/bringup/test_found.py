@@ -51,19 +51,6 @@ def test_each_leg_gets_the_number_of_the_drive_that_counts_it(machines, drives, 
     assert written(virtual, c, facts, ("ids", moved))["drives"]["node_ids"] == nodes
 
 
-@pytest.mark.parametrize(("first", "last"), [(0, 3), (1, 5), (3, 3), (4, 1)])
-def test_written_stroke_is_that_which_all_legs_reach(machines, first, last):
-    """Leg `first` ends soonest as it gets shorter, leg `last` as it gets longer."""
-    virtual = machines["virtual"]
-    tapes = [
-        (1.10 if leg == first else 0.80 - 0.01 * leg, 2.00 if leg == last else 2.15 + 0.01 * leg)
-        for leg in LEGS
-    ]
-    facts = [fact(leg, tape_m) for leg, tape_m in enumerate(tapes)]
-    stroke = written(virtual, virtual.c, facts, ("stroke", tuple(LEGS)))["platform"]
-    assert (stroke["length_min_m"], stroke["length_max_m"]) == (1.101, 1.999)
-
-
 SCALES = (1.25, 0.8, 0.5, -1.0, -1.0, -1.0)
 """m of reading a m by tape."""
 

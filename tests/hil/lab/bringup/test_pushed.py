@@ -121,8 +121,3 @@ def share_of(motion, rate=lambda v: v):
 def test_slow_push_tells_a_rate_as_a_fast_one_does(speed, factor):
     ticks = max(8, round(1.2e-3 / abs(speed) / (1e-9 * TICK_NS)))
     assert share_of([speed] * ticks, lambda v: factor * v) == pytest.approx(factor, abs=1e-9)
-
-
-@pytest.mark.parametrize("motion", [[1e-4] * 5000, [0.01] * 20, []])
-def test_push_that_is_too_slow_or_too_short_is_not_judged(motion):
-    assert share_of(motion) is None

@@ -43,10 +43,3 @@ def test_drives_of_another_controller_are_neither_reset_nor_set_up(what):
     assert set_up == []
     states = [DriveState(int(s)) for s in rehearsal.bench.nodes.snapshot().state]
     assert states == [DriveState.BOOT] * 6
-
-
-def test_drives_that_are_alone_on_the_bus_are_set_up():
-    rehearsal = disturbed({})
-    scan.find(rehearsal.context)
-    states = [DriveState(int(s)) for s in rehearsal.bench.nodes.snapshot().state]
-    assert states == [DriveState.OFF] * 6

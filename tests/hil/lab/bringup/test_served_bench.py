@@ -27,7 +27,6 @@ from hil.lab.bringup.hands import RemoteHands, hands_socket, served_bench
 from hil.lab.bringup.machine import build_machine
 from hil.lab.bringup.procedure import Outcome
 from hil.lab.bringup.terminal import Terminal
-from hil.record.log import Log
 
 C = load("virtual")
 
@@ -135,34 +134,3 @@ def test_time_does_not_stand_while_a_person_thinks_and_does_in_the_steps(folder)
         assert isinstance(bus.clock, BenchClock)
         assert not bus.clock.holds
     assert STRANGER not in said
-
-
-def test_log_is_in_universal_time_names_each_bus_and_how_long_time_stood(folder, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    c = shipped("two_buses", folder)
-
-    def stood(c, protocol, end, store, said, **_):
-        context = Context(
-            build_machine(c, protocol), Drives(protocol, end.line, 0.1, said.tick), end.operator
-        )
-        exchange = end.line.exchange
-        for k in range(3):
-            end.line.exchange = lambda opening, k=k: exchange(opening)._replace(stretched_ns=4_500_000 * k)
-            context.drives.step()
-        return Outcome((), (), stopped="ended"), context, "ended"
-
-    monkeypatch.setattr(command, "_proceed", stood)
-    with Bus.open(c.bus, role="bench") as other, served_bench(c, []):
-        assert isinstance(other.clock, BenchClock)
-        other.clock.begin(1000, 1000)
-        other.clock.holds = True
-        other.clock.working()
-        time.sleep(0.6)
-        other.clock.leave()
-        summary = run_bringup("two", c, yes=True, say=lambda _: None)
-        log = Log.open(summary["log"])
-        behind_ns = time.time_ns() - log.epoch_ns - int(log.rows()["t_ns"][-1])
-    assert 0 < behind_ns < 500_000_000
-    assert log.can_channels == tuple(each.channel for each in c.bus.buses)
-    assert summary["bench_time"]["stretches"] == 2
-    assert summary["bench_time"]["longest_ms"] == 9.0

@@ -148,12 +148,8 @@ OTHERS: dict[str, tuple[str, dict[str, Any], str]] = {
     "watchdog": ("desktop", {"drives": {"watchdog_ms": 12}}, "drives"),
     "rated_force": ("desktop", {"drives": {"force_limit_N": 200}}, "drives"),
     "radius": ("desktop", {"drives": {"transmission": {"pulley_radius_m": 0.021}}}, "drives"),
-    "one_sign": ("desktop", {"drives": {"transmission": {"sign": [1, -1, 1, -1, 1, 1]}}}, "drives"),
-    "range": ("desktop", {"drives": {"options": {"position_rad": 12.6}}}, "drives"),
-    "heartbeat": ("virtual", {"drives": {"heartbeat_ms": 50}}, "drives"),
     "numbers": ("virtual", {"drives": {"node_ids": [1, 2, 3, 4, 6, 5]}}, "node numbers"),
     "shorter": ("virtual", {"platform": {"length_min_m": 0.76}}, "stroke"),
-    "longer": ("virtual", {"platform": {"length_max_m": 2.19}}, "stroke"),
     "bus": ("virtual", {"bus": {"channel": "hil9"}}, "bus"),
 }
 

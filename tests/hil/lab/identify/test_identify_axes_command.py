@@ -12,8 +12,7 @@ from hil.cli import main
 from hil.config.reference import Sinusoid, SinusoidReference
 from hil.config.values import Pose
 from hil.lab.identify.estimators.excitation import axis_excitation
-from hil.lab.identify.estimators.response import AxisSignals
-from hil.lab.identify.linearised import linearised_law, repeating, settled
+from hil.lab.identify.linearised import linearised_law, repeating
 
 
 def identify(*arguments):
@@ -92,27 +91,3 @@ def sinusoids(*frequencies, duration_s=10.0):
 def test_period_is_the_one_in_which_all_lines_repeat(reference, rate_Hz, expected):
     lines = repeating(reference, rate_Hz)
     assert (None if lines is None else (lines.length, lines.harmonics.tolist())) == expected
-
-
-def counted(t, reference, length, good=True):
-    still = np.zeros((len(t), 6))
-    signals = AxisSignals(1e-3, still, still, still, np.full(len(t), good) if np.isscalar(good) else good)
-    return settled(signals, t, reference, length)
-
-
-def test_last_whole_periods_between_the_ramps_count():
-    t = 1e-3 * np.arange(10000, dtype=np.float64)
-    mask = counted(t, sinusoids(0.5 / 1.5), 3000)
-    assert np.flatnonzero(mask)[[0, -1]].tolist() == [3000, 8999]
-    assert mask.sum() == 6000
-
-
-def test_stretch_at_less_than_full_speed_does_not_count():
-    """Slowly from tick 2500 on, at rest from 3000 on, and as the clock again from 4500 on."""
-    speed = np.ones(10000)
-    speed[2500:3000], speed[3000:4500] = 0.5, 0.0
-    t = 1e-3 * np.concatenate([[0.0], np.cumsum(speed[:-1])])
-    mask = counted(t, sinusoids(1.0, duration_s=9.0), 1)
-    expected = (t >= 1.0 - 1e-9) & (t < 8.0 - 1e-9)
-    expected[2501:4501] = False
-    assert np.flatnonzero(mask).tolist() == np.flatnonzero(expected).tolist()

@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
-
 import numpy as np
 import pytest
 
 from drivers.errors import ConfigurationError
 from drivers.signals import DriveState, Mode
 from drivers.tick_columns import ROW
-from hil.app.configuration.configuration import load, loads
+from hil.app.configuration.configuration import load
 from hil.lab.identify.axes import excited_axes
-from hil.lab.identify.delay import excited, friction_block, motion_of
+from hil.lab.identify.delay import excited, motion_of
 from hil.lab.identify.linearised import linearised_law, signals_of
-from hil.lab.identify.runs import exact_model
 from hil.robot.kinematics import jacobian
 
 COUNT = 12
@@ -85,25 +80,3 @@ def test_fused_pose_is_refused_before_anything_runs(excite):
     c = fused(load("virtual"))
     with pytest.raises(ConfigurationError, match="fused"):
         excite(c, None, None)
-
-
-def configured(*changes):
-    text = load("virtual").text
-    for old, new in changes:
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    return loads(text, "my.yaml", Path())
-
-
-def test_block_has_the_friction_of_the_model_plus_what_the_log_shows():
-    viscous, coulomb = [100.0, 200.0, 0.0, 50.0, 300.0, 10.0], [5.0, 0.0, 15.0, 20.0, 25.0, 30.0]
-    model = f"    variant: full\n    viscous_friction_N_s_m: {viscous}\n    coulomb_friction_N: {coulomb}\n"
-    beyond = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
-    found: Any = SimpleNamespace(
-        viscous=beyond, viscous_std=0.2 * beyond, coulomb=0.1 * beyond, coulomb_std=0.02 * beyond
-    )
-    exact = exact_model(configured(("    variant: full\n", model)))
-    assert friction_block(found, exact) == {
-        "viscous_friction_N_s_m": pytest.approx(np.array(viscous) + beyond),
-        "coulomb_friction_N": pytest.approx(np.array(coulomb) + 0.1 * beyond),
-    }

@@ -87,14 +87,3 @@ def test_pasted_block_is_the_body_that_was_found(body, goes):
     theta = parameters_of(build_platform(pasted.platform).platform)
     assert theta == pytest.approx(parameters_of(BODY), abs=1e-5)
     assert set(block(whole(c))["platform"]["platform"]) == {"mass_kg", "com_m", "inertia_kg_m2", *goes}
-
-
-@pytest.mark.parametrize(("scale", "given", "hidden"), [(1.0, None, 0.0), (0.5, None, 0.0), (0.5, 7.0, 1.0)])
-def test_pasted_block_next_to_a_scale_has_the_reflected_masses(scale, given, hidden):
-    """The scale is of these, too: it goes with the body, and where that is left out it stays."""
-    c = of_platform(FIGURES, scale)
-    model = changed(c, **yaml.safe_load(block_text(whole(c, hidden, given)))).controller.believed
-    assert model
-    reckoned = model.inertia_scale * np.array(model.reflected_mass_kg)
-    assert reckoned == pytest.approx(REFLECTED_KG if given is None else 6 * [given])
-    assert model.inertia_scale == (scale if hidden else 1.0)

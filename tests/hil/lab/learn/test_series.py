@@ -137,21 +137,6 @@ def test_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
     assert taken(tmp_path, outcome.text, {"file": "next.csv", "limit_N": limit_N}) == peak_N
 
 
-@pytest.mark.parametrize("masses_kg", [1.0, 100.0])
-def test_cut_force_reduces_a_constant_error_as_predicted(
-    masses_kg: float,
-) -> None:
-    """A constant error needs a constant a = wn^2 e, wn 20 rad/s; cut at F it takes F / (m wn^2) off each leg."""
-    e = np.full((LEAD + 4 * COUNT, 6), 1e-3)
-    e[:, 3:] *= -1.0
-    there = trial(T, LEAD, e, np.zeros_like(e), np.zeros_like(e), np.full(6, 20.0))
-    masses = np.broadcast_to(masses_kg * np.eye(6), (len(e), 6, 6))
-    run = run_of(0)._replace(trial=there, force_per_acceleration=masses)
-    outcome = learned([run], Knowledge(limit_N=0.1 * masses_kg))
-    assert outcome.cut > COUNT
-    assert outcome.predicted_mm == pytest.approx(1.0 - 1e3 * 0.1 / 20.0**2, rel=0.02)
-
-
 OUT = Path("next.csv")
 
 

@@ -8,13 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import LogError
 from drivers.signals import Mode, Warn
-from hil.app.configuration.changes import with_changes
-from hil.app.configuration.configuration import Configuration, load, loads
+from hil.app.configuration.configuration import load
 from hil.lab.identify.runs import Recorded
-from hil.lab.learn import rehearsal, runs
-from hil.lab.learn.command import Knowledge
+from hil.lab.learn import runs
 from hil.lab.learn.runs import learning_run
 
 T, COUNT, LEAD = 1e-3, 300, 450
@@ -81,21 +79,6 @@ def test_run_at_another_rate_than_the_configured_one_teaches_nothing(
     monkeypatch.setattr(runs, "recorded_run", lambda _: recorded)
     with pytest.raises(LogError, match="rate_Hz"):
         learning_run(PATH)
-
-
-def fused() -> Configuration:
-    text = with_changes(load("virtual").text, {"sensors": {"tracker": {}}, "estimation": {"pose": "fused"}})
-    return loads(text, "my.yaml", Path())
-
-
-def test_no_run_of_a_series_is_made_that_could_not_teach(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    made: list[Path] = []
-    monkeypatch.setattr(rehearsal, "simulate", lambda *_, log, **__: made.append(log))
-    with pytest.raises(ConfigurationError, match=r"estimation\.pose: fused"):
-        rehearsal.rehearse(fused(), 3, Knowledge(), tmp_path, lambda _: None)
-    assert made == []
 
 
 @pytest.mark.parametrize("period_s", [1e-4, 2e-2])

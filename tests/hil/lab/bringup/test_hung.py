@@ -162,8 +162,8 @@ def test_platform_is_to_be_fixed_at_a_machine_without_findings_alone(case, machi
     )
     monkeypatch.setattr(command, "bring_up", lambda _: outcome)
     monkeypatch.setattr(Drives, "step", lambda *_: new_record())
-    c, line, said = load("virtual"), SimpleNamespace(rate_Hz=500.0), SimpleNamespace(tick=None)
-    end: Any = End(line, operator)  # type: ignore[arg-type]
-    store = Store(tmp_path / "s.json", {})
-    command._proceed(c, build_protocol(c), end, store, said, hang=machine)  # type: ignore[arg-type]
+    c, store = load("virtual"), Store(tmp_path / "s.json", {})
+    line: Any = SimpleNamespace(rate_Hz=500.0)
+    said: Any = SimpleNamespace(tick=None)
+    command._proceed(c, build_protocol(c), End(line, operator), store, said, hang=machine)
     assert asked == ["mount"] * (good and machine)

@@ -23,6 +23,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
 from hil.app.configuration.fault_rules import refuse_what_no_bus_has
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
+from hil.app.configuration.law_file import ATTACHMENT
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
 from hil.app.encoder_limits import believed_mass_kg, encoder_limits, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
@@ -74,8 +75,6 @@ REFERENCE_CSV = "reference.csv"
 """Attachment of a log: the samples of its reference."""
 CONTROLLER_FILE = "controller.yaml"
 """Attachment of a log: the controller of law `state_space`."""
-LAW_FILE = "law.py"
-"""Attachment of a log: the source of a law in a file."""
 FEEDFORWARD_CSV = "feedforward.csv"
 """Attachment of a log: the learned feed-forward."""
 REFERENCE_PLAN = "reference.npy"
@@ -361,8 +360,7 @@ def record(
 
 def websocket(c: Configuration) -> tuple[str, int] | None:
     """Return where viewers may subscribe while a run is recorded."""
-    settings = c.recording.websocket
-    return None if settings is None else (settings.host, settings.port)
+    return None if (there := c.recording.websocket) is None else (there.host, there.port)
 
 
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
@@ -394,7 +392,7 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
         path = controller_path(configuration.controller, configuration.folder)
         files.append((CONTROLLER_FILE, read_regular(path)))
     if configuration.law_file is not None:
-        files.append((LAW_FILE, configuration.law_file.source))
+        files.append((ATTACHMENT, configuration.law_file.source))
     if configuration.feedforward is not None:
         path = feedforward_path(configuration.feedforward, configuration.folder)
         files.append((FEEDFORWARD_CSV, read_regular(path, MOST_BYTES)))

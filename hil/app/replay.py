@@ -8,9 +8,9 @@ from typing import Any
 from drivers.errors import HilError, LogError
 from drivers.files import read_regular
 from drivers.tick_columns import RECORDED
-from hil.app.compose import LAW_FILE, REFERENCE_PLAN, build_cycle, databases, version_of
+from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.configuration.law_file import PATH, UnreadLaw, run_law
+from hil.app.configuration.law_file import ATTACHMENT, PATH, UnreadLaw, run_law
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import reason
 from hil.app.readable import MOST_RATE_HZ, lacking
@@ -95,12 +95,12 @@ def law_of_log(c: Configuration, log: Log, run: dict[str, Any], *, trust_code: b
     """
     if not isinstance(c.controller, UnreadLaw):
         return c
-    if LAW_FILE not in log.attachments:
+    if ATTACHMENT not in log.attachments:
         raise LogError(f"{log.path}: its law is {c.controller.law}, and the log does not carry that file")
-    source, path = log.attachments[LAW_FILE], Path(run.get(PATH, ""))
+    source, path = log.attachments[ATTACHMENT], Path(run.get(PATH, ""))
     if not trust_code and not _holds(path, source):
         raise LogError(
-            f"{log.path}: its law is code, and {path} is not the file that the log carries ({LAW_FILE}, "
+            f"{log.path}: its law is code, and {path} is not the file that the log carries ({ATTACHMENT}, "
             f"{len(source)} bytes). Restore the file; or read the code (`mcap get attachment`), then add "
             "--trust-code"
         )

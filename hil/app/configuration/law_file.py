@@ -15,6 +15,8 @@ from drivers.files import read_regular
 from drivers.registry import named
 from hil.control.law import Law, LawContext, LawSettings
 
+ATTACHMENT = "law.py"
+"""Attachment of a log: the source of its law."""
 PATH = "law_path"
 """Key of a log's metadata: where the file of its law was."""
 _NAMED = re.compile(r".+\.py:[A-Za-z_]\w*")

@@ -386,8 +386,7 @@ def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
     """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
     files = databases(configuration)
     if isinstance(configuration.reference, SampledReference):
-        path = configuration.folder / configuration.reference.path
-        files.append((REFERENCE_CSV, read_regular(path)))
+        files.append((REFERENCE_CSV, read_regular(configuration.folder / configuration.reference.path)))
     if isinstance(configuration.controller, StateSpaceSettings):
         path = controller_path(configuration.controller, configuration.folder)
         files.append((CONTROLLER_FILE, read_regular(path)))

@@ -10,9 +10,8 @@ from __future__ import annotations
 
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from types import new_class
 from typing import Any, Literal, TypeVar, get_args
-
-from pydantic import create_model
 
 from drivers.errors import ConfigurationError
 from drivers.section import Section
@@ -71,6 +70,11 @@ def named(name: str, section: Any, base: type[Kind], field: str) -> type[Kind]:
         raise ConfigurationError(
             f"{field} {name}: {section!r} is not a subclass of {base.__module__}.{base.__name__}"
         )
+    return _named(name, section, base, field)
+
+
+@cache
+def _named(name: str, section: type[Kind], base: type[Kind], field: str) -> type[Kind]:
     own = get_args(section.model_fields[field].annotation)
     if own and own != (name,):
         raise ConfigurationError(
@@ -78,8 +82,19 @@ def named(name: str, section: Any, base: type[Kind], field: str) -> type[Kind]:
         )
     if own:
         return section
-    fields: Any = {field: (Literal[name], ...)}
-    return create_model(section.__name__, __base__=section, **fields)
+
+    def reduced(self: Section) -> tuple[Any, ...]:
+        """Let other processes, to which the class is unknown, make it of what they know."""
+        return revived, (section, base, field, name, self.model_dump())
+
+    body = {"__module__": __name__, "__annotations__": {field: Literal[name]}, "__reduce__": reduced}
+    return new_class(section.__name__, (section,), exec_body=lambda there: there.update(body))
+
+
+def revived(section: type[Kind], base: type[Kind], field: str, name: str, values: dict[str, Any]) -> Kind:
+    """Return a section of `named` that came from another process."""
+    made: Kind = named(name, section, base, field).model_validate(values)
+    return made
 
 
 def _package(entry: EntryPoint) -> str:

@@ -6,11 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import HilError, LogError
-from drivers.files import read_regular
 from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.configuration.law_file import ATTACHMENT, PATH, UnreadLaw, run_law
+from hil.app.configuration.law_file import ATTACHMENT, PATH, LawFile, UnreadLaw
 from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.output import reason
 from hil.app.readable import MOST_RATE_HZ, lacking
@@ -71,7 +70,7 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
 def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[str, Any], Configuration]:
     """Return a log that this version can replay, what it says of the run, and its configuration.
 
-    A law in a file is that of the disk where the log carries the same, or with `trust_code` the log's.
+    A law in a file runs where the disk has the same file and this user has run it, or with `trust_code`.
 
     Raises LogError for a file that is no log of `hil run` or `hil sim`, and for one of other columns, of
     another protocol or of a law that is not on the disk.
@@ -91,27 +90,21 @@ def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[
 def law_of_log(c: Configuration, log: Log, run: dict[str, Any], *, trust_code: bool) -> Configuration:
     """Return a log's configuration with its law, where that is a file.
 
-    Raises LogError where the disk has not the file that the log carries, unless `trust_code`.
+    Raises LogError where the disk has not the file that the log carries, or this user has never run it from a
+    configuration, unless `trust_code`.
     """
     if not isinstance(c.controller, UnreadLaw):
         return c
     if ATTACHMENT not in log.attachments:
         raise LogError(f"{log.path}: its law is {c.controller.law}, and the log does not carry that file")
-    source, path = log.attachments[ATTACHMENT], Path(run.get(PATH, ""))
-    if not trust_code and not _holds(path, source):
+    file = LawFile(Path(run.get(PATH, "")), log.attachments[ATTACHMENT])
+    if not trust_code and not file.is_known():
         raise LogError(
-            f"{log.path}: its law is code, and {path} is not the file that the log carries ({ATTACHMENT}, "
-            f"{len(source)} bytes). Restore the file; or read the code (`mcap get attachment`), then add "
-            "--trust-code"
+            f"{log.path}: its law is code, and {file.path} is not the file that the log carries ({ATTACHMENT}), "
+            f"or you have not run it yet. Restore it and run `hil check` on its "
+            "configuration; or read the code (`mcap get attachment`), then add --trust-code"
         )
-    return c.with_law(run_law(c.controller.law, source, path))
-
-
-def _holds(path: Path, content: bytes) -> bool:
-    try:
-        return read_regular(path, len(content)) == content
-    except OSError:
-        return False
+    return c.with_law(file)
 
 
 def replay_log(

@@ -93,6 +93,8 @@ def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     Guide: docs/guides/replay.md; docs/guides/what-if.md.
     """
     form = replay_forms.chosen_form(log, given)
+    if given["trust_code"] and form in ("--suite", "--against"):
+        raise click.UsageError(f"--trust-code runs the law of one log: it does not go with {form}.")
     if form == "--suite":
         replay_forms.suite(given["suite"], given, json_file)
         return

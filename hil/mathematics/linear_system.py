@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, log2
+from math import ceil, isfinite, log2
 from typing import NamedTuple
 
 import numpy as np
@@ -116,6 +116,8 @@ def exponential(A: Array) -> Array:
     N. J. Higham, SIAM J. Matrix Anal. Appl. 26 (2005), algorithm 2.3.
     """
     size = float(np.abs(A).sum(axis=0).max(initial=0.0))
+    if not isfinite(size):
+        raise ModelError("a system with infinite or undefined entries cannot be sampled")
     squarings = max(0, ceil(log2(size / 5.37))) if size > 0.0 else 0
     A, b = A / 2.0**squarings, _PADE
     I, A2 = np.eye(len(A)), A @ A

@@ -1,13 +1,14 @@
 """A question to the verifier as a file states it: states, their derivatives, V and where V is claimed.
 
 An expression is text in a small grammar: numbers, names, + - * / **, brackets and the functions of FUNCTIONS.
-It is taken apart as a tree; nothing of it is evaluated.
+It is taken apart as a tree; no Python of it runs, and numbers are bounded before sympy works them out.
 """
 
 import ast
 import operator
 from collections.abc import Callable, Mapping
 from decimal import Decimal
+from keyword import iskeyword
 from typing import Annotated, Literal, TypeVar
 
 import sympy as sp
@@ -23,6 +24,8 @@ Given = TypeVar("Given")
 Made = TypeVar("Made")
 LONGEST = 4000
 """Characters of an expression, and digits of a power of numbers."""
+EXPONENT = 10_000
+"""Numerator and denominator of an exponent, and of a number in a function."""
 LARGEST = 300
 """Decimal exponent of a number."""
 FUNCTIONS: dict[str, Callable[[sp.Expr], sp.Expr]] = {
@@ -40,7 +43,10 @@ _OPERATORS: dict[type, Callable[..., sp.Expr]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
-_SIZES = f"allowed: numbers up to 1e{LARGEST}, powers of numbers of up to {LONGEST} digits"
+_SIZES = (
+    f"allowed: numbers up to 1e{LARGEST}, exponents and arguments up to {EXPONENT}, "
+    f"powers of up to {LONGEST} digits"
+)
 _ALLOWED = f"allowed: numbers, names, + - * / ** ( ), {', '.join(sorted(FUNCTIONS))}"
 
 
@@ -68,21 +74,32 @@ def _built(node: ast.expr, text: str) -> sp.Expr:
             a, b = _built(left, text), _built(right, text)
             if isinstance(op, ast.Div) and b == 0:
                 raise ValueError(f"{ast.unparse(node):.60} divides by zero")
-            if isinstance(op, ast.Pow) and a.is_Rational and b.is_Rational and not _held(a, b):
+            if isinstance(op, ast.Pow) and b.is_number and not _held(a, b):
                 raise ValueError(f"{ast.unparse(node):.60} is out of range, {_SIZES}")
             return _OPERATORS[type(op)](a, b)
         case ast.UnaryOp(op=op, operand=operand) if type(op) in _OPERATORS:
             return _OPERATORS[type(op)](_built(operand, text))
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]) if name in FUNCTIONS:
-            return FUNCTIONS[name](_built(argument, text))
+            inner = _built(argument, text)
+            if inner.is_number and not (_small(inner) or _small(inner / sp.pi)):
+                raise ValueError(f"{ast.unparse(node):.60} is out of range, {_SIZES}")
+            return FUNCTIONS[name](inner)
     raise ValueError(f"{ast.unparse(node):.60} is not in the grammar, {_ALLOWED}")
 
 
-def _held(a: sp.Rational, b: sp.Rational) -> bool:
-    """Tell whether a power of numbers is finite and short enough."""
+def _held(a: sp.Expr, b: sp.Expr) -> bool:
+    """Tell whether a power with a number as exponent can be worked out, finite and short enough."""
+    if not b.is_Rational:
+        return not a.is_number
     if a == 0:
         return bool(b >= 0)
-    return bool(max(a.p.bit_length(), a.q.bit_length()) * abs(b) <= 4 * LONGEST)
+    factor = a.as_coeff_Mul()[0]
+    digits = max(factor.p.bit_length(), factor.q.bit_length()) if factor.is_Rational else 1
+    return _small(b) and bool(digits * abs(b) <= 4 * LONGEST)
+
+
+def _small(number: sp.Expr) -> bool:
+    return bool(number.is_Rational and max(abs(number.p), number.q) <= EXPONENT)
 
 
 def _number(text: str) -> sp.Expr:
@@ -101,7 +118,17 @@ def _checked(text: str | float) -> str | float:
 
 
 Expression = Annotated[str | float, AfterValidator(_checked)]
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=50)]
+
+
+def _free(name: str) -> str:
+    if name in CONSTANTS or name in FUNCTIONS or iskeyword(name):
+        raise ValueError(f"{name} has a meaning already, allowed: another name")
+    return name
+
+
+Name = Annotated[
+    str, StringConstraints(pattern=r"^[A-Za-z_][A-Za-z0-9_]*$", max_length=50), AfterValidator(_free)
+]
 Range = tuple[Expression, Expression]
 
 

@@ -172,6 +172,24 @@ def test_an_unreadable_message_is_one_lost_frame(error):
     assert (heard(bus), bus.overflow, bus.off) == ([2] * 20, 21, False)
 
 
+def test_a_look_ends_although_frames_come_without_end():
+    adapter = Adapter(last=message(7))
+    bus = on(adapter)
+    for _ in range(2):
+        adapter.looks = 0
+        assert len(heard(bus)) == adapter.looks < 2_000
+
+
+@pytest.mark.parametrize(("failures", "off"), [(7, False), (8, True)])
+def test_eight_failures_in_a_row_are_an_interface_that_is_gone(failures, off):
+    adapter = Adapter(None)
+    bus = on(adapter)
+    heard(bus)
+    adapter.coming = [*[OSError("lost")] * failures, None]
+    heard(bus)
+    assert bus.off is off
+
+
 @pytest.mark.parametrize("error", [*GARBLED, OSError("gone")], ids=repr)
 def test_an_interface_that_only_fails_is_off_at_the_first_look(error):
     adapter = Adapter(last=error)

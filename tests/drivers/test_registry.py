@@ -38,6 +38,7 @@ def test_settings_of_a_law_get_the_name_of_its_entry_point():
 
     made = named("mine", Mine, LawSettings, "law").model_validate({"law": "mine", "gain": 1.0})
     assert isinstance(made, Mine)
+    assert type(made).model_json_schema()["properties"]["law"]["const"] == "mine"
     with pytest.raises(ValueError, match="law"):
         named("mine", Mine, LawSettings, "law").model_validate({"law": "other", "gain": 1.0})
     with pytest.raises(ConfigurationError, match=r"law mine: .* not a subclass"):

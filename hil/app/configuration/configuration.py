@@ -19,7 +19,7 @@ from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.fault_rules import cannot_serve
-from hil.app.configuration.law_file import LawFile, UnreadLaw, is_file, read_law
+from hil.app.configuration.law_file import LawFile, UnreadLaw, is_file, read_law, run_law
 from hil.app.configuration.magnitudes import beyond_reason
 from hil.app.configuration.plant_step import fitted
 from hil.app.configuration.text_file import read_configuration
@@ -36,6 +36,7 @@ from hil.config.reference import ReferenceSettings
 from hil.config.running import EngageSettings, RecordingSettings
 from hil.config.watch import WatchSettings
 from hil.control import ControllerSettings
+from hil.control.law import LawSettings
 from plant_fmu.config import PlantSettings
 
 Command = Literal["run", "plant", "sim", "replay", "check"]
@@ -96,12 +97,13 @@ class Configuration(Section):
         return self._law_file
 
     def with_law(self, file: LawFile) -> "Configuration":
-        """Return the configuration of a log with the law that its section `controller` belongs to.
+        """Return the configuration of a log with the law that its section `controller` belongs to; it is run.
 
         Raises ConfigurationError where the law refuses the keys of this section.
         """
+        settings = run_law(self.controller.law, file)
         try:
-            controller = file.settings.model_validate_json(self.controller.model_dump_json(), strict=True)
+            controller = settings.model_validate_json(self.controller.model_dump_json(), strict=True)
         except ValidationError as error:
             raise ConfigurationError(f"{file.path}: refuses section controller of the log: {error}") from None
         changed = self.model_copy(update={"controller": controller})
@@ -205,6 +207,8 @@ def _together(sections: dict[str, Any], document: Document, folder: Path | None)
     plant, loop = sections.get("plant"), sections.get("loop")
     if plant is not None and loop is not None:
         sections["plant"] = fitted(plant, loop)
+    if isinstance(sections.get("controller"), UnreadLaw):  # nothing of it is known; its run was checked
+        sections = {name: section for name, section in sections.items() if name != "controller"}
     return [
         Problem(document.value_position(path), path, message)
         for rule in RULES
@@ -224,13 +228,14 @@ def _law(
     law = section.get("law") if isinstance(section, dict) else None
     if not is_file(law):
         return None, None
-    file = None
+    file: LawFile | None = None
+    settings: type[LawSettings] = UnreadLaw
     try:
-        file = None if folder is None else read_law(law, folder)
+        if folder is not None:
+            file, settings = read_law(law, folder)
     except ConfigurationError as error:
         place = ("controller", "law")
         found.append(Problem(document.value_position(place), place, str(error)))
-    settings = UnreadLaw if file is None else file.settings
     return file, create_model("controller", __base__=Section, controller=(settings, ...))
 
 

@@ -4,14 +4,16 @@ import hashlib
 import re
 import sys
 import traceback
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple, TypeGuard
 
 from pydantic import ConfigDict
 
+from drivers.cache_folder import CACHE_FOLDER
 from drivers.errors import ConfigurationError
-from drivers.files import read_regular
+from drivers.files import own_folder, read_regular
 from drivers.registry import named
 from hil.control.law import Law, LawContext, LawSettings
 
@@ -19,6 +21,8 @@ ATTACHMENT = "law.py"
 """Attachment of a log: the source of its law."""
 PATH = "law_path"
 """Key of a log's metadata: where the file of its law was."""
+_KNOWN = CACHE_FOLDER / "laws"
+"""Digests of the laws that this user has run."""
 _NAMED = re.compile(r".+\.py:[A-Za-z_]\w*")
 
 
@@ -36,15 +40,27 @@ class UnreadLaw(LawSettings):
 
 
 class LawFile(NamedTuple):
-    """The file of a law, which has been run, and its settings."""
+    """The file of a law, which has been run."""
 
     path: Path
     source: bytes
-    settings: type[LawSettings]
 
     def described(self) -> dict[str, str]:
         """Return what a log states of it beside its source."""
-        return {PATH: str(self.path.resolve()), "law_sha256": hashlib.sha256(self.source).hexdigest()}
+        return {PATH: str(self.path.resolve()), "law_sha256": self.digest}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the source."""
+        return hashlib.sha256(self.source).hexdigest()
+
+    def is_known(self) -> bool:
+        """Tell whether the disk has this file, and this user has run it from a configuration."""
+        try:
+            there = self.path.is_absolute() and read_regular(self.path, len(self.source)) == self.source
+            return there and (own_folder(_KNOWN) / self.digest).exists()
+        except OSError:
+            return False
 
 
 def is_file(law: object) -> TypeGuard[str]:
@@ -52,26 +68,40 @@ def is_file(law: object) -> TypeGuard[str]:
     return isinstance(law, str) and _NAMED.fullmatch(law) is not None
 
 
-def read_law(law: str, folder: Path) -> LawFile:
-    """Run the file of a law. Raises ConfigurationError where it cannot be read, and as `run_law`."""
+def read_law(law: str, folder: Path) -> tuple[LawFile, type[LawSettings]]:
+    """Run the file of a law; return it, and the class of its settings.
+
+    Raises ConfigurationError where it cannot be read, and as `run_law`.
+    """
     path = folder / law.rpartition(":")[0]
     try:
         source = read_regular(path)
     except OSError as error:
         raise ConfigurationError(f"{path}: {error.strerror}") from None
-    return run_law(law, source, path)
+    file = LawFile(path, source)
+    settings = run_law(law, file)
+    with suppress(OSError):  # then a replay asks for --trust-code
+        (own_folder(_KNOWN) / file.digest).touch()
+    return file, settings
 
 
-def run_law(law: str, source: bytes, path: Path) -> LawFile:
-    """Run the source of a law, once a process.
+def run_law(law: str, file: LawFile) -> type[LawSettings]:
+    """Run the source of a law, once a process; return the class of its settings.
 
     Raises ConfigurationError where it fails, or has no subclass of LawSettings of this name.
     """
     name = law.rpartition(":")[2]
-    settings: Any = getattr(_module(source, path), name, None)
-    if settings is None:
-        raise ConfigurationError(f"{path}: has no class {name}")
-    return LawFile(path, source, named(law, settings, LawSettings, "law"))
+    found: Any = getattr(_module(file.source, file.path), name, None)
+    if found is None:
+        raise ConfigurationError(f"{file.path}: has no class {name}")
+    settings: Any = named(law, found, LawSettings, "law")
+    settings.__reduce__ = lambda self: (_revived, (law, file, self.model_dump()))
+    return settings  # type: ignore[no-any-return]
+
+
+def _revived(law: str, file: LawFile, values: dict[str, Any]) -> LawSettings:
+    """Return settings that came from another process, in which the file has been run."""
+    return run_law(law, file).model_validate(values)
 
 
 def _module(source: bytes, path: Path) -> ModuleType:
@@ -81,7 +111,7 @@ def _module(source: bytes, path: Path) -> ModuleType:
         module.__file__ = str(path)
         try:
             exec(compile(source, str(path), "exec"), module.__dict__)  # noqa: S102 - the user's own law
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             del sys.modules[name]
             line = traceback.extract_tb(error.__traceback__)[-1].lineno
             raise ConfigurationError(f"{path}:{line}: {type(error).__name__}: {error}") from error

@@ -3,6 +3,7 @@
 import importlib.resources
 import keyword
 import re
+from importlib.util import find_spec
 from pathlib import Path
 
 from drivers.errors import ConfigurationError
@@ -28,6 +29,8 @@ def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
     """
     if _NAME.fullmatch(name) is None or keyword.iskeyword(name):
         raise ConfigurationError(f"{name!r}: allowed: a name of a-z, 0-9 and _, not a word of Python")
+    if find_spec(name) is not None:
+        raise ConfigurationError(f"{name}: there is a Python package of this name; take another name")
     taken = registered(f"hil.{kind}s").get(name)
     if taken is not None:
         raise ConfigurationError(f"{name}: there is a {kind} of this name, {taken.value}; take another name")

@@ -78,6 +78,11 @@ def what_if_log(
         log_path("", "", out)
     log, run, own = open_replayable(path, trust_code=trust_code)
     here = changed(own if config is None else load(config), words, own=config is None)
+    if config is None and here.controller.law != own.controller.law and own.law_file is not None:
+        raise ConfigurationError(
+            f"--set controller.law={here.controller.law}: the log carries {own.controller.law} alone; write "
+            "a configuration with the other law, and name it with --what-if"
+        )
     here = law_of_log(here, log, run, trust_code=trust_code)
     refuse_other_inputs(own, here, run["rate_Hz"])
     forces = None if picture is None else Forces()

@@ -1,6 +1,9 @@
 """`controller.law: ./my_law.py:MyLaw`: a law in one file runs, is recorded, and replays; a log runs no code."""
 
+import pickle
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -8,7 +11,7 @@ from click.testing import CliRunner
 
 import hil
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import load
+from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.law_file import UnreadLaw
 from hil.app.replay import open_run
 from hil.cli import main
@@ -74,6 +77,9 @@ def test_a_law_in_a_file_runs_and_its_log_replays_on_the_same_file_only(file, mo
     law.unlink()
     assert replay(log).exit_code == 2
     assert replay(log, "--trust-code", "--set", "controller.stiffness_N_m=1e6").exit_code == 0
+    assert (
+        CliRunner().invoke(main, ["report", str(log), "--out", str(log.with_suffix(".html"))]).exit_code == 0
+    )
     assert isinstance(open_run(log)[2].controller, UnreadLaw)
 
 
@@ -105,3 +111,25 @@ def test_a_law_file_that_fails_is_refused_with_its_line(file, code, words):
     (file.with_name("laws") / "spring.py").write_text(code)
     with pytest.raises(ConfigurationError, match=words):
         load(file)
+
+
+def test_a_law_in_a_file_goes_to_other_processes(file):
+    code = "import pickle, sys; c = pickle.load(sys.stdin.buffer); print(c.controller, c.law_file.path.name)"
+    here = pickle.dumps(load(file))
+    done = subprocess.run([sys.executable, "-c", code], input=here, capture_output=True, check=True)
+    assert b"stiffness_N_m=2000000.0" in done.stdout
+    assert b"spring.py" in done.stdout
+
+
+def test_a_file_beside_a_strangers_log_is_not_run(file, tmp_path, monkeypatch):
+    log = file.with_name("a.mcap")
+    hil.sim(file, duration_s=0.1, log=log)
+    monkeypatch.setattr("hil.app.configuration.law_file._KNOWN", tmp_path / "another user")
+    assert replay(log).exit_code == 2
+    load(file)
+    assert replay(log).exit_code == 0
+
+
+def test_a_log_of_a_law_with_a_certificate_is_read(file):
+    text = file.read_text()
+    loads(re.sub(r"^(monitor:.*\n  action: )\w+", r"\1warn", text, flags=re.MULTILINE), "a.mcap")

@@ -1,0 +1,52 @@
+"""Lines and syntax nodes of each room: a room that grows takes out as much, or a decision record says why not."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
+BUDGETS = {
+    "drivers": (9_350, 67_000),
+    "plant_fmu": (8_300, 58_000),
+    "hil/loop hil/operate": (7_100, 54_500),
+    "hil/safety hil/estimation": (3_100, 25_500),
+    "hil/robot hil/control hil/trajectory hil/mathematics": (6_100, 44_000),
+    "hil/record": (5_600, 41_500),
+    "hil/config hil/app/configuration": (4_350, 28_000),
+    "hil/design hil/proof": (7_350, 67_500),
+    "hil/lab": (8_900, 71_500),
+    "hil/study": (10_000, 80_000),
+    "hil/app": (12_150, 86_500),
+    "hil/cli": (3_100, 13_500),
+    "hil/contracts": (1_600, 13_500),
+    "tools": (3_450, 27_000),
+    "configs": (220, 2_000),
+    "tests": (76_500, 686_000),
+}
+"""Folders -> lines and nodes at most; `hil/app` without its configuration."""
+
+
+def files(folders: str) -> list[Path]:
+    found = [p for folder in folders.split() for p in (ROOT / folder).rglob("*") if p.suffix in SOURCES]
+    apart = ROOT / "hil/app/configuration"
+    return [p for p in found if folders != "hil/app" or apart not in p.parents]
+
+
+def counted(folders: str) -> tuple[int, int]:
+    lines = nodes = 0
+    for path in files(folders):
+        text = path.read_text(encoding="utf-8")
+        lines += text.count("\n")
+        nodes += sum(1 for _ in ast.walk(ast.parse(text))) if path.suffix == ".py" else 0
+    return lines, nodes
+
+
+@pytest.mark.parametrize("room", BUDGETS)
+def test_a_room_keeps_its_budget_of_lines_and_nodes(room):
+    lines, nodes = counted(room)
+    most_lines, most_nodes = BUDGETS[room]
+    assert lines <= most_lines, f"{room}: {lines} lines"
+    assert nodes <= most_nodes, f"{room}: {nodes} nodes"
+    assert lines > 0.9 * most_lines, f"{room}: {lines} lines, lower its budget"

@@ -100,9 +100,9 @@ def law_of_log(c: Configuration, log: Log, run: dict[str, Any], *, trust_code: b
     file = LawFile(Path(run.get(PATH, "")), log.attachments[ATTACHMENT])
     if not trust_code and not file.is_known():
         raise LogError(
-            f"{log.path}: its law is code, and {file.path} is not the file that the log carries ({ATTACHMENT}), "
-            f"or you have not run it yet. Restore it and run `hil check` on its "
-            "configuration; or read the code (`mcap get attachment`), then add --trust-code"
+            f"{log.path}: its law is code, and {file.path} is not the file that the log carries "
+            f"({ATTACHMENT}), or you have not run it yet. Restore it and run `hil check` with it; "
+            "or read the code (`mcap get attachment`), then add --trust-code"
         )
     return c.with_law(file)
 

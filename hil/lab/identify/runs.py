@@ -15,7 +15,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.platform import build_platform
 from hil.app.configuration.unattended import unattended
 from hil.app.configuration.yaml_positions import parse
-from hil.app.replay import open_run
+from hil.app.replay import law_of_log, open_run
 from hil.app.run.command import run_daemon
 from hil.app.sim.command import simulate
 from hil.config.model import ModelSettings
@@ -149,6 +149,7 @@ def run_for(
 def recorded_run(path: Path) -> Recorded:
     """Return what a log of `hil run` or `hil sim` holds. Raises LogError for what is no such log."""
     log, run, configuration = open_run(path)
+    configuration = law_of_log(configuration, log, run, trust_code=False)
     return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
 
 

@@ -10,11 +10,12 @@ import pytest
 from click.testing import CliRunner
 
 import hil
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.law_file import UnreadLaw
 from hil.app.replay import open_run
 from hil.cli import main
+from hil.lab.identify.runs import recorded_run
 
 LAW = """
 import numpy as np
@@ -68,8 +69,11 @@ def test_a_law_in_a_file_runs_and_its_log_replays_on_the_same_file_only(file, mo
     assert hil.sim(file, duration_s=0.2, log=log).summary["replay"]["exact"]
     monkeypatch.chdir("/")
     assert replay(log).exit_code == 0
+    assert recorded_run(log).configuration.controller.model_dump()["stiffness_N_m"] == 2e6
     law = file.with_name("laws") / "spring.py"
     law.write_text("raise SystemExit('another file')")
+    with pytest.raises(LogError, match="its law is code"):
+        recorded_run(log)
     refused = replay(log)
     assert refused.exit_code == 2
     assert "--trust-code" in refused.output

@@ -13,7 +13,8 @@ from hil.cli.shared import FILE, finish_lines, reporting
 def command(file: Path, json_file: Path | None) -> None:
     """Prove the stability of an equilibrium of dx/dt = f(x) by a Lyapunov function.
 
-    FILE is YAML: the states with their derivatives, V, and where V is claimed. Without V one is proposed.
+    FILE is YAML: the states with their derivatives, the candidate V and ranges of the states in which it is
+    claimed. Without V one is proposed.
     Symbols that are not states are parameters: any positive number, or one of the range stated. A claim is
     proven, refuted with a counterexample, or undecided; nothing is proven by samples or by floating point.
 

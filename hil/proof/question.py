@@ -1,4 +1,4 @@
-"""A question to the verifier as a file states it: states, their derivatives, V and where V is claimed.
+"""The file of `hil prove`: states, their derivatives, the candidate V and the box for which V is claimed.
 
 An expression is text in a small grammar: numbers, names, + - * / **, brackets and the functions of FUNCTIONS.
 It is taken apart as a tree; no Python of it runs, and numbers are bounded before sympy works them out.
@@ -143,7 +143,7 @@ class Question(Section):
     at: dict[Name, Expression] = {}
     """Equilibrium; a state that is missing is 0 there."""
     box: dict[Name, Range] = {}
-    """Where V is claimed; a state that is missing is unbounded."""
+    """Range of each state in which V is claimed; a state without a range is unbounded."""
     parameters: dict[Name, Range] = {}
     """Ranges of parameters; a parameter that is missing is any positive number."""
     boxes: Annotated[int, Field(gt=0)] = 40_000

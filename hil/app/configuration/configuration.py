@@ -195,7 +195,7 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
             found += _together(sections, document, folder)
     if found:
         raise ConfigurationError(*lines(found, name))
-    # each section is valid; the law of a file is none of the union's
+    # Each section is valid already, and the union of `controller` does not know a law in a file.
     configuration = Configuration.model_construct(**({"name": short_name(name)} | sections))
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
     configuration._law_file = file  # noqa: SLF001

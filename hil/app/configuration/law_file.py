@@ -32,7 +32,7 @@ class UnreadLaw(LawSettings):
     model_config = ConfigDict(extra="allow")
 
     def build(self, context: LawContext) -> Law:
-        """Refuse: a log may be a stranger's. Raises ConfigurationError."""
+        """Refuse, since a log is untrusted input. Raises ConfigurationError."""
         del context
         raise ConfigurationError(
             f"controller.law: {self.law} is code in a file, and only `hil replay` runs the law of a log"
@@ -46,7 +46,7 @@ class LawFile(NamedTuple):
     source: bytes
 
     def described(self) -> dict[str, str]:
-        """Return what a log states of it beside its source."""
+        """Return the metadata of a log: absolute path and SHA-256 of the file."""
         return {PATH: str(self.path.resolve()), "law_sha256": self.digest}
 
     @property

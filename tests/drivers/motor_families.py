@@ -100,7 +100,7 @@ class Motors(ByValue):
         return MotorMemory(memory_of(end))
 
     def hear(self, frame: Frame) -> Any:
-        """Return what a drive's frame says as `Heard`; None for a frame that is nobody's."""
+        """Return what a drive's frame says as `Heard`; None for an unknown frame."""
         heard = self.protocol._heard(frame)
         if heard is None:
             return None
@@ -281,7 +281,7 @@ def asked(data: bytes) -> tuple[tuple[int, int], ...]:
 def replied(
     data: bytes, turns: float = 0.5, speed: float = -1.0, torque: float = 1.5, state: int = DriveState.RUN
 ) -> bytes:
-    """Return what a drive answers to a frame."""
+    """Return the drive's answer to a frame."""
     memory, _ = _MOTEUS.parse(_MOTEUS.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
     length, force = np.full(6, turns) * UNIT.m_per_turn, np.full(6, torque) * UNIT.N_per_Nm
     rate, states = np.full(6, speed) * UNIT.m_per_turn, np.full(6, state, np.int64)
@@ -290,7 +290,7 @@ def replied(
 
 
 def registers(data: bytes, kind: int) -> dict[int, float] | None:
-    """Return what the subframes of a kind (WRITE, REPLY) hold, NaN for what is not known; None: not whole."""
+    """Return values of the subframes of a kind (WRITE, REPLY), NaN where unknown; None for a cut frame."""
     names = tuple(range(0x180))
     values = np.full(len(names), np.nan)
     has = read_subframes(data, len(data), kind, names, values)

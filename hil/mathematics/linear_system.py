@@ -125,7 +125,7 @@ def exponential(A: Array) -> Array:
     A6 = A4 @ A2
     U = A @ (A6 @ (b[13] * A6 + b[11] * A4 + b[9] * A2) + b[7] * A6 + b[5] * A4 + b[3] * A2 + b[1] * I)
     V = A6 @ (b[12] * A6 + b[10] * A4 + b[8] * A2) + b[6] * A6 + b[4] * A4 + b[2] * A2 + b[0] * I
-    e = np.asarray(np.linalg.solve(V - U, V + U), np.float64)
+    e = I + np.asarray(np.linalg.solve(V - U, 2.0 * U), np.float64)  # rounds to 1 an integrator's pole
     for _ in range(squarings):
         e = e @ e
     return e

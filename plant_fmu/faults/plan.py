@@ -42,6 +42,7 @@ class Schedule:
             )
             for n, fault in enumerate(plan.faults)
         ]
+        self._passages = [each for each in self._occurrences if isinstance(each.fault, Passage)]
 
     def starts_ns(self, fault: Fault) -> int:
         """Return when a fault of the plan begins; NEVER_NS where it will not, as things stand."""
@@ -83,9 +84,9 @@ class Schedule:
     def carry(self, t_ns: int, frame: Frame, *, to_drives: bool) -> list[tuple[int, Frame, bool]]:
         """Return when and as what a frame arrives, and whether it is one that nobody of ours has sent."""
         arriving = [(t_ns, frame, False)]
-        for own in self.active(t_ns):
+        for own in self._passages:
             fault = own.fault
-            if not isinstance(fault, Passage):
+            if not (isinstance(fault, Passage) and own.start_ns <= t_ns < own.stop_ns):
                 continue
             place: Place = (to_drives, frame.bus, frame.id)
             arriving = [

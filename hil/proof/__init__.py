@@ -12,7 +12,7 @@ solver's tolerance. In doubt a claim is undecided.
     interval        enclosures                         lasalle, level   where dV/dt = 0; sublevel sets
     branch_and_bound                                   linearisation, eigenvalues, chetaev   instability
     counterexample  what refutes                       proposal         a V where none was given
-    picture         V and trajectories of two states   theorems, report
+    theorems, report
 """
 
 from hil.proof.budget import Budget

@@ -6,7 +6,6 @@ was shown before stays shown: a proof is never half used.
 
 import math
 import signal
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import monotonic
@@ -18,20 +17,13 @@ Answer = TypeVar("Answer")
 
 
 class OutOfTime(BaseException):
-    """The seconds ended. No Exception: algebra that catches all of these must not catch this.
-
-    `again` is called where a finalizer swallowed it.
-    """
-
-    def __init__(self, again: Callable[[], None] = lambda: None) -> None:
-        super().__init__()
-        self.again = again
+    """The seconds ended. No Exception: algebra that catches all of these must not catch this."""
 
 
 class Budget:
     """How many cells may be looked at, and for how many seconds; counts down.
 
-    Mutable: `left` goes down, `ended` says that more was asked for than there was, `late` that it was time.
+    Mutable: `left` goes down, `ended` says that more was asked for than there was.
     `seconds` are those of each call of `verify`, on the wall; math.inf leaves the count of cells alone, so
     that a proof found once is found on every machine.
     """
@@ -41,18 +33,15 @@ class Budget:
             raise ModelError(
                 f"a budget of {boxes!r} boxes and {seconds!r} s: a whole number and a positive one are needed"
             )
-        self.boxes = boxes
         self.seconds = seconds
         self.left = boxes
         self.ended = False
-        self.late = False
         self._began = self._end = math.inf
 
     def start(self) -> None:
         """Begin to count the seconds."""
         self._began = monotonic()
         self._end = self._began + self.seconds
-        self.late = False
 
     def take(self) -> bool:
         """Take one cell; tell whether there was one."""
@@ -72,18 +61,15 @@ class Budget:
             with _interrupted(left):
                 return question()
         except OutOfTime:
-            self.ended = self.late = True
+            self.ended = True
             return otherwise
 
 
 @contextmanager
 def _interrupted(seconds: float) -> Iterator[None]:
-    """Raise OutOfTime in what is done here when the seconds end."""
+    """Raise OutOfTime in what is done here when the seconds end; outside the main thread only cells look."""
     if seconds <= 0:
         raise OutOfTime
-    if math.isinf(seconds):
-        yield
-        return
     armed = [True]
 
     def ring(*_: Any) -> None:
@@ -91,57 +77,15 @@ def _interrupted(seconds: float) -> Iterator[None]:
             raise OutOfTime
 
     try:
-        if signal.getitimer(signal.ITIMER_REAL)[0] > 0:
-            raise ValueError("somebody else waits for the alarm")  # noqa: TRY301
         before = signal.signal(signal.SIGALRM, ring)
-    except (AttributeError, ValueError):  # no alarm on this system, in this thread, or a taken one
-        with _watched(monotonic() + seconds):
-            yield
+    except (AttributeError, ValueError):  # no alarm on this system, or in this thread
+        yield
         return
     try:
-        signal.setitimer(signal.ITIMER_REAL, seconds, 0.2)  # again and again: one may be lost in a finalizer
-        try:
-            with _unlost():
-                yield
-        finally:
-            armed.clear()
+        if math.isfinite(seconds):
+            signal.setitimer(signal.ITIMER_REAL, seconds, 0.2)  # again and again: a finalizer may swallow one
+        yield
     finally:
+        armed.clear()
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)
-
-
-@contextmanager
-def _watched(end: float) -> Iterator[None]:
-    """Raise OutOfTime at the first call of a function after the end: slower, and in any thread."""
-
-    def look(_: Any, event: str, __: Any) -> None:
-        if event in {"call", "c_call"} and monotonic() > end:
-            raise OutOfTime(lambda: sys.setprofile(look))  # one that raises is taken away
-
-    if sys.getprofile() is not None:  # cells alone are counted under somebody else's profiler
-        yield
-        return
-    sys.setprofile(look)
-    try:
-        with _unlost():
-            yield
-    finally:
-        sys.setprofile(None)
-
-
-@contextmanager
-def _unlost() -> Iterator[None]:
-    """Let no finalizer end the wait: what was raised in one goes nowhere, so it is raised once more."""
-    before = sys.unraisablehook
-
-    def hook(lost: Any) -> None:
-        if isinstance(lost.exc_value, OutOfTime):
-            lost.exc_value.again()
-        else:
-            before(lost)
-
-    sys.unraisablehook = hook
-    try:
-        yield
-    finally:
-        sys.unraisablehook = before

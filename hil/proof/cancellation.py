@@ -108,25 +108,3 @@ def half_angles(expression: sp.Expr) -> list[sp.Expr]:
     down = sp.expand(expression.replace(sp.cos, lambda u: 1 - 2 * sp.sin(u / 2) ** 2))
     up = sp.expand(expression.replace(sp.cos, lambda u: 2 * sp.cos(u / 2) ** 2 - 1))
     return [down, up]
-
-
-def squares(expression: sp.Expr, states: Sequence[sp.Symbol]) -> list[tuple[sp.Expr, sp.Expr]] | None:
-    """Return (d_i, l_i) with expression = sum d_i l_i^2 for a quadratic form, else None.
-
-    Completing the square, exactly: L D L^T of a form whose coefficients are numbers, not all rational.
-    """
-    try:
-        form = sp.Poly(expression, *states)
-    except sp.PolynomialError:
-        return None
-    if any(sum(m) != 2 for m in form.monoms()) or any(c.free_symbols for c in form.coeffs()):
-        return None
-    rest, result = form.as_expr(), []
-    for x in states:
-        d = rest.coeff(x, 2)
-        if d == 0:
-            continue
-        line = sp.expand(x + rest.coeff(x, 1) / (2 * d))
-        result.append((d, line))
-        rest = sp.expand(rest - d * line**2)
-    return result if rest == 0 else None

@@ -7,6 +7,7 @@ reaches the boundary.
 from itertools import product
 
 import sympy as sp
+from flint import fmpq, fmpq_mat
 
 from hil.proof import quadratic
 from hil.proof.interval import number
@@ -43,13 +44,14 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
 
 def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
     """Return the least value of a quadratic form on the faces; ends that are no fractions from within."""
-    inverse, levels = quadratic.inverse(P), []
+    inverse = fmpq_mat([[fmpq(c.numerator, c.denominator) for c in row] for row in P]).inv()
+    levels = []
     for k, x in enumerate(signs.system.states):
         for end in signs.system.domain[x]:
             reach = (
                 abs(end) if end.is_Rational else sp.Rational(float(number(abs(end)).lower()) * (1 - 2.0**-40))
             )
-            levels.append(reach**2 / quadratic.rational(inverse[k][k]))
+            levels.append(reach**2 / sp.Rational(int(inverse[k, k].p), int(inverse[k, k].q)))
     return min(levels)
 
 

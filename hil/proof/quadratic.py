@@ -14,9 +14,9 @@ from sympy.polys.matrices import DomainMatrix
 Matrix = list[list[Fraction]]
 
 
-def fraction(value: sp.Rational) -> Fraction:
-    """Return an exact number as a fraction."""
-    return Fraction(int(value.p), int(value.q))
+def fractions(S: sp.Matrix) -> Matrix:
+    """Return a matrix of exact numbers as fractions."""
+    return [[Fraction(int(c.p), int(c.q)) for c in S.row(k)] for k in range(S.rows)]
 
 
 def rational(value: Fraction) -> sp.Rational:
@@ -29,7 +29,7 @@ def form(g: sp.Expr, states: Sequence[sp.Symbol]) -> Matrix | None:
     S = coefficients(g, states)
     if S is None or any(not c.is_Rational for row in S for c in row):
         return None
-    return [[fraction(c) for c in row] for row in S]
+    return fractions(sp.Matrix(S))
 
 
 def coefficients(g: sp.Expr, states: Sequence[sp.Symbol]) -> list[list[sp.Expr]] | None:
@@ -114,20 +114,6 @@ def falls(S: Matrix) -> list[Fraction] | None:
     order = [next(k for k, c in enumerate(line) if c) for line in parts[1]]
     free = next(k for k in range(n) if k not in order)
     return _back(_unit(n, free), parts[1], order)
-
-
-def inverse(S: Matrix) -> Matrix:
-    """Return the inverse of a regular matrix."""
-    n = len(S)
-    rows = [[*row, *_unit(n, k)] for k, row in enumerate(S)]
-    for k in range(n):
-        p = next(i for i in range(k, n) if rows[i][k])
-        rows[k], rows[p] = rows[p], rows[k]
-        rows[k] = [v / rows[k][k] for v in rows[k]]
-        for i in range(n):
-            if i != k and (c := rows[i][k]):
-                rows[i] = [a - c * b for a, b in zip(rows[i], rows[k], strict=True)]
-    return [row[n:] for row in rows]
 
 
 def leading_minors(S: Sequence[Sequence[sp.Expr]]) -> Iterator[sp.Expr]:

@@ -12,7 +12,7 @@ import sympy as sp
 from hil.proof import convex, origin, orthant, quadratic, tail
 from hil.proof.branch_and_bound import positive, without
 from hil.proof.budget import Budget
-from hil.proof.cancellation import factors, half_angles, squares
+from hil.proof.cancellation import factors, half_angles
 from hil.proof.interval import Cell, Enclosure, outward, unsupported
 from hil.proof.system import System
 
@@ -129,7 +129,7 @@ class Signs:
     def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
         """Judge a quadratic form: exactly, over ranges, or by leading minors for all parameters."""
         if all(c.is_Rational for row in S for c in row):
-            return quadratic.definite([[quadratic.fraction(c) for c in row] for row in S])
+            return quadratic.definite(quadratic.fractions(sp.Matrix(S)))
         if self.enclosable(g):
             return convex.definite_form(S, self._ranges(g), self.budget)
         return all(self.sign(minor) == 1 for minor in quadratic.leading_minors(S))
@@ -254,8 +254,6 @@ class Signs:
     def _factor(self, h: sp.Expr) -> Zeros | None:
         if (zeros := self._structure(h)) is not None:
             return zeros
-        if (lines := squares(h, self.system.states)) is not None:
-            return (tuple(line for _, line in lines),) if all(d > 0 for d, _ in lines) else None
         if sp.expand(h.subs(dict.fromkeys(self.own(h), 0))) == 0:
             if self.definite(h):
                 return (self.own(h),)

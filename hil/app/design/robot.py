@@ -10,7 +10,6 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.stability.subject import Stated, Subject
 from hil.config.axis_model import AxisSpace
 from hil.config.model import ModelSettings
-from hil.design.stability.disturbance import along
 from plant_fmu.config import BenchPlant
 
 POSES = 25
@@ -27,7 +26,7 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
     subject = Subject(c, Stated())
     path = subject.path[:: max(1, len(subject.path) // POSES)]
     model = c.controller.believed or ModelSettings()
-    return [local.Gamma for robot in subject.linearised(model, axes) for local in along(robot, path, 0.0)]
+    return [Gamma for robot in subject.linearised(model, axes) for Gamma in robot.at(path).Gamma]
 
 
 def _refuse_another_loop(c: Configuration, axes: AxisSpace, rate_Hz: float) -> None:

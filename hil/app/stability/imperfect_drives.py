@@ -78,19 +78,17 @@ class Drives(NamedTuple):
         """Tell whether what is read or sent has steps."""
         return bool(np.any([self.length, self.rate, self.force]))
 
-    def disturb(
-        self, linearised: Linearised, path: Sequence[PoseSample], found: list[Local]
-    ) -> list[Disturbed]:
+    def disturb(self, linearised: Linearised, path: Sequence[PoseSample], found: Local) -> list[Disturbed]:
         """Return what the axes are disturbed by along a path, by either bound of the forces they lose.
 
         found: the robot at each sample of the path.
         """
-        P = np.abs([local.per_force for local in found])
+        P = np.abs(found.per_force)
         steps = (P @ self.force).max(axis=0)
         if not self.loss.any():
             return [Disturbed(steps, np.zeros((6, 6)))]
-        tau = np.abs([linearised.along_reference(s)[0] for s in path])
-        back = np.abs([np.linalg.solve(local.per_force, local.Gamma) for local in found])
+        tau = np.abs(linearised.along_reference(path)[0])
+        back = np.abs(np.linalg.solve(found.per_force, found.Gamma))
         by_path = np.einsum("nij,nj->ni", P, self.loss * tau).max(axis=0)
         by_u = (P @ (self.loss[:, None] * back)).max(axis=0)
         at_most = (P @ (self.loss * self.most_N)).max(axis=0)

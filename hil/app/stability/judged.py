@@ -5,7 +5,7 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from hil.design.stability.disturbance import Local
+from drivers.arrays import Array
 from hil.design.stability.sampled import Sampled
 from hil.design.stability.ultimate import Ultimate
 
@@ -37,9 +37,8 @@ class Inertia(NamedTuple):
     """Of Gamma, least and largest: real, as it is similar to M^-1 M_believed."""
 
     @classmethod
-    def of(cls, found: list[Local]) -> Self:
-        """Return what covers all of them."""
-        Gamma = np.array([local.Gamma for local in found])
+    def of(cls, Gamma: Array) -> Self:
+        """Return what covers all of these (n, 6, 6)."""
         off = Gamma - np.eye(6)
         diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
         rest = np.abs(Gamma).sum(axis=2) - np.abs(diagonal)

@@ -23,7 +23,7 @@ from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
-from hil.design.stability.disturbance import Friction, Linearised, Load, Local, along, summary
+from hil.design.stability.disturbance import Friction, Linearised, Load, Local, Survey
 from hil.design.stability.lateness import Late, late, stale_s
 from hil.design.stability.sampled import Axis, Sampled, of_each
 from hil.design.stability.ultimate import Extra, Ultimate, ultimate
@@ -224,8 +224,8 @@ class Subject:
         looked = []
         every: dict[int, Sampled] = {}
         for linearised, carried in self._ends(model, axes):
-            found = along(linearised, self.path, stale)
-            loops = loops_of(summary(found).gamma)
+            found = linearised.at(self.path, stale_s=stale)
+            loops = loops_of(Survey.of(found).gamma)
             looked.append((linearised, carried, found, loops))
             every |= {id(loop): loop for loop in loops}
         all_loops = list(every.values())
@@ -241,7 +241,7 @@ class Subject:
             ends.append((loops, bound))
         worst = max(range(len(ends)), key=lambda k: float(ends[k][1].error.max()))
         loops, bound = ends[worst]
-        inertia = Inertia.of([local for _, _, found, _ in looked for local in found])
+        inertia = Inertia.of(np.vstack([found.Gamma for _, _, found, _ in looked]))
         return Judged(loops, all_loops, bound, inertia, tuple(ends), looked[worst][1])
 
     def _ends(self, model: ModelSettings, axes: AxisSpace) -> list[tuple[Linearised, str]]:
@@ -264,7 +264,7 @@ class Subject:
         return late(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
 
     def _least(
-        self, linearised: Linearised, loops: list[Sampled], late: Late, unknown: Unknown, found: list[Local]
+        self, linearised: Linearised, loops: list[Sampled], late: Late, unknown: Unknown, found: Local
     ) -> Ultimate | str:
         """Return the lower bound of those by what is known of the forces that drives lose, or why none."""
         best: Ultimate | str | None = None
@@ -285,11 +285,11 @@ class Subject:
         loops: list[Sampled],
         axes: AxisSpace,
         unknown: Unknown,
-        found: list[Local],
+        found: Local,
         by_drives: Disturbed,
     ) -> Extra:
         """Return what is stated, what steps of the readings cost, the drives' part, and pushes of legs."""
-        pushed = np.max([np.abs(local.per_force) @ self.push_N for local in found], axis=0)
+        pushed = (np.abs(found.per_force) @ self.push_N).max(axis=0)
         length, rate = self.drives.length, self.drives.rate
         if axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]

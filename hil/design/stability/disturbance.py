@@ -13,18 +13,34 @@ With an exact model Gamma = I and d = J M^-1 w. Masses believed to be s times wh
 and d = J M^-1 w - (1 - s) J M^-1 J^T tau, tau the force that the motion takes.
 """
 
-from collections.abc import Iterable
-from typing import Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 
 from drivers.arrays import Array
-from hil.design.stability.local_kernels import local_kernel, reference_kernel
+from drivers.compiled.compiler import BOOLEAN, INTEGER, MATRIX, VECTOR, kernel
+from hil.mathematics.linear_algebra import condition_kernel
+from hil.mathematics.rotations import rotation_from_vector
+from hil.mathematics.vectors import at
 from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import (
+    BASE,
+    FULL,
+    PLATFORM,
+    fill_jacobian,
+    fill_mass_matrix,
+    inverse_dynamics_kernel,
+    joint_idc_kernel,
+    newton_euler,
+)
+from hil.robot.dynamics_kernels import GRAVITY as G
+from hil.robot.kinematics_kernels import jacobian_rate_twist
 from hil.trajectory.path import PoseSample
 
 _STEP = 1e-6
 """Of the differences, m, rad, m/s or rad/s."""
+_UNIT = np.eye(6)
 
 
 class Load(NamedTuple):
@@ -45,28 +61,28 @@ class Friction(NamedTuple):
 
 
 class Local(NamedTuple):
-    """The loop of a linearising law at one state."""
+    """The loop of a linearising law at n states."""
 
     Gamma: Array
-    """(6, 6)."""
+    """(n, 6, 6)."""
     stale: Array
-    """(6, 6), Gamma of forces that were computed for where the reference was before."""
+    """(n, 6, 6), Gamma of forces that were computed for where the reference was before."""
     per_force: Array
-    """(6, 6) 1/kg or 1/(kg m), accelerations of the axes per force of the legs."""
+    """(n, 6, 6) 1/kg or 1/(kg m), accelerations of the axes per force of the legs."""
     d: Array
-    """(6,) m/s^2 or rad/s^2, the largest |d| of each axis."""
+    """(n, 6) m/s^2 or rad/s^2, the largest |d| of each axis."""
     extremes: Array
-    """(12, 6), the disturbances at which each axis has its largest and its smallest, friction left out."""
+    """(n, 12, 6), the disturbances at which each axis has its largest and its smallest, friction left out."""
     by_error: Array
-    """(6, 6) 1/s^2, change of the axes' accelerations per error, while the forces stay."""
+    """(n, 6, 6) 1/s^2, change of the axes' accelerations per error, while the forces stay."""
     by_rate: Array
-    """(6, 6) 1/s, likewise per rate."""
-    condition: float
-    """Of J, lengths made comparable; inf where it is singular."""
+    """(n, 6, 6) 1/s, likewise per rate."""
+    condition: Array
+    """(n,) of J, lengths made comparable; inf where it is singular."""
 
 
 class Survey(NamedTuple):
-    """The same over many states."""
+    """What covers all of many states."""
 
     d: Array
     """(6,), largest."""
@@ -81,6 +97,87 @@ class Survey(NamedTuple):
     condition: float
     """Largest."""
 
+    @classmethod
+    def of(cls, found: Local, gamma: float | None = None) -> Self:
+        """Return what covers all states, by default with the gain in the middle of Gamma's diagonal."""
+        if gamma is None:
+            diagonal = np.diagonal(found.Gamma, axis1=1, axis2=2)
+            gamma = float(diagonal.min() + diagonal.max()) / 2.0
+        return cls(
+            found.d.max(axis=0),
+            gamma,
+            np.abs(found.stale - gamma * _UNIT).max(axis=0),
+            np.abs(found.by_error).max(axis=0),
+            np.abs(found.by_rate).max(axis=0),
+            float(found.condition.max()),
+        )
+
+
+@kernel(VECTOR, MATRIX, MATRIX, MATRIX)
+def robot_kernel(c: Array, p: Array, turns: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
+    """Return J, M (n, 6, 6), H + G and (dJ/dt) twist (n, 6) at p (n, 3), R (3 n, 3) and twist (n, 6)."""
+    n, still = len(p), np.zeros(6)
+    J, M, bias, curve = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6))
+    for k in range(n):
+        R = turns[3 * k : 3 * k + 3]
+        fill_jacobian(c, FULL, p[k], R, J[k])
+        fill_mass_matrix(c, p[k], R, M[k])
+        newton_euler(c, p[k], R, at(c, G), twist[k], still, bias[k])
+        for i in range(6):
+            a, b = at(c, BASE + 3 * i), at(c, PLATFORM + 3 * i)
+            curve[k, i] = jacobian_rate_twist(a, b, at(p[k], 0), R, at(twist[k], 0), at(twist[k], 3))
+    return J, M, bias, curve
+
+
+@kernel(VECTOR, INTEGER, BOOLEAN, MATRIX, MATRIX, MATRIX, MATRIX)
+def forces_kernel(
+    c: Array, code: int, joint: bool, p: Array, turns: Array, twist: Array, demanded: Array
+) -> Array:
+    """Return a law's forces (n, 6) N for the accelerations (n, 6) that are demanded of the legs, or the pose.
+
+    c and code: what the law believes of the robot.
+    """
+    tau, J, none = np.empty((len(p), 6)), np.empty((6, 6)), np.zeros(6)
+    for k in range(len(p)):
+        R = turns[3 * k : 3 * k + 3]
+        if joint:
+            fill_jacobian(c, FULL, p[k], R, J)
+            tau[k] = joint_idc_kernel(c, code, p[k], R, twist[k], J, demanded[k], none)
+        else:
+            tau[k] = inverse_dynamics_kernel(c, code, p[k], R, twist[k], demanded[k], none)
+    return tau
+
+
+class _Robot(NamedTuple):
+    """The robot at n states."""
+
+    joint: bool
+    J: Array
+    M: Array
+    bias: Array
+    curve: Array
+
+    def of_axes(self, dtwist: Array) -> Array:
+        """Return the accelerations (n, 6) of the axes under those of the platform."""
+        return _times(self.J, dtwist) + self.curve if self.joint else dtwist
+
+    def answer(self, tau: Array) -> Array:
+        """Return the accelerations (n, 6) of the axes under forces (n, 6) N, unloaded."""
+        return self.of_axes(_solved(self.M, _times(self.J.transpose(0, 2, 1), tau) - self.bias))
+
+
+def _times(A: Array, x: Array) -> Array:
+    return np.asarray((A @ x[..., None])[..., 0], float)
+
+
+def _solved(A: Array, b: Array) -> Array:
+    return np.asarray(np.linalg.solve(A, b[..., None])[..., 0], float)
+
+
+def _displaced(p: Array, R: Array, x: Array) -> tuple[Array, Array]:
+    """Return the poses shifted by x[:, :3] m and turned by the rotation vectors x[:, 3:] rad, base frame."""
+    return p + x[:, :3], np.array([rotation_from_vector(turn) for turn in x[:, 3:]]) @ R
+
 
 class Linearised:
     """A robot under a law that linearises it with what it believes. No mutable state."""
@@ -94,56 +191,109 @@ class Linearised:
         self.axes = axes
         self.load = load
         self.friction = friction
-        self._models = robot.constants, believed.constants, believed.code, axes == "joint"
-        parts = ([load.force_N, load.torque_N_m], friction.viscous_N_s_m, friction.coulomb_N)
-        self._stated = np.concatenate(parts, dtype=float)
-        self._sizes = robot.platform.radius, _STEP
+        self._joint = axes == "joint"
 
-    def at(self, s: PoseSample, e: Array, de: Array, stale_s: float = 0.0) -> Local:
-        """Return the loop where the reference is `s` and the axes are behind it by e (6,) and de (6,).
+    def _robot(self, p: Array, R: Array, twist: Array) -> _Robot:
+        found = robot_kernel(self.robot.constants, p, R.reshape(-1, 3), np.ascontiguousarray(twist))
+        return _Robot(self._joint, *found)
+
+    def _forces(self, p: Array, R: Array, twist: Array, demanded: Array) -> Array:
+        model = self.believed
+        turns = np.ascontiguousarray(R).reshape(-1, 3)
+        return forces_kernel(model.constants, model.code, self._joint, p, turns, twist, demanded)
+
+    def _by_demand(self, p: Array, R: Array, twist: Array, demanded: Array) -> tuple[Array, Array]:
+        """Return the law's forces (n, 6) N, and (n, 6, 6) per acceleration demanded: affine in it."""
+        tau = self._forces(p, R, twist, demanded)
+        more = [self._forces(p, R, twist, demanded + unit) - tau for unit in _UNIT]
+        return tau, np.stack(more, axis=2)
+
+    def at(
+        self,
+        path: Sequence[PoseSample],
+        e: Array | float = 0.0,
+        de: Array | float = 0.0,
+        stale_s: float = 0.0,
+    ) -> Local:
+        """Return the loop where the reference is at each sample, and the axes behind it by e and de (n, 6).
 
         The pose that belongs to an error of the legs is taken to first order, J^-1 e. stale_s: so old are the
         pose and the twist of the reference for which the law answers u.
         """
-        motion, behind = np.array([s.twist, s.dtwist]), np.array([e, de])
+        s = _stacked(path)
+        x, dx = (np.broadcast_to(np.asarray(behind, float), s.twist.shape) for behind in (e, de))
+        reference = self._robot(s.p, s.R, s.twist)
+        demanded = reference.of_axes(s.dtwist)
+        if self._joint:
+            x, dx = _solved(reference.J, x), _solved(reference.J, dx)
+        (p, R), twist = _displaced(s.p, s.R, -x), s.twist - dx
+        here = self._robot(p, R, twist)
+        tau, per_demand = self._by_demand(p, R, twist, demanded)
+        inverse = np.linalg.inv(here.M)
+        mobility = here.J @ inverse if self._joint else inverse
+        per_force = mobility @ here.J.transpose(0, 2, 1)
+        Gamma = stale = per_force @ per_demand
+        if stale_s != 0.0:
+            was = _displaced(p, R, -stale_s * s.twist)
+            stale = per_force @ self._by_demand(*was, twist - stale_s * s.dtwist, demanded)[1]
+        error = here.answer(tau) - demanded
+        d, extremes = self._extremes(mobility, error)
+        rates = np.abs(_times(here.J, twist))
+        lost = self.friction.viscous_N_s_m * rates + self.friction.coulomb_N
+        condition = [condition_kernel(J, self.robot.platform.radius) for J in here.J]
         return Local(
-            *local_kernel(*self._models, s.p, s.R, motion, behind, self._stated, stale_s, *self._sizes)
+            Gamma,
+            stale,
+            per_force,
+            d + _times(np.abs(per_force), lost),
+            extremes,
+            *self._by_state(p, R, twist, tau, here),
+            np.array(condition),
         )
 
-    def along_reference(self, s: PoseSample) -> tuple[Array, Array]:
-        """Return the law's forces (6,) N without error, and the axes' accelerations per force (6, 6)."""
-        tau, per_force = reference_kernel(*self._models, s.p, s.R, np.array([s.twist, s.dtwist]))
-        return tau, per_force
+    def _extremes(self, mobility: Array, error: Array) -> tuple[Array, Array]:
+        """Return the largest |d| (n, 6) of each axis by load and error, and all axes' d (n, 12, 6) then."""
+        halves = mobility.reshape(-1, 6, 2, 3)  # by a force, by a torque
+        size = np.linalg.norm(halves, axis=3, keepdims=True)
+        most = np.array([[self.load.force_N], [self.load.torque_N_m]])
+        wrench = most * np.divide(halves, size, out=np.zeros_like(halves), where=size > 0.0)
+        loads = wrench.reshape(-1, 6, 6) @ mobility.transpose(0, 2, 1)  # (n, the axis it is worst for, axes)
+        extremes = np.concatenate([error[:, None] + loads, error[:, None] - loads], axis=1)
+        return np.abs(error) + np.diagonal(loads, axis1=1, axis2=2), extremes
+
+    def _by_state(self, p: Array, R: Array, twist: Array, tau: Array, here: _Robot) -> tuple[Array, Array]:
+        """Return the derivatives (n, 6, 6) of the axes' accelerations by their places, and by their rates.
+
+        While a place changes, the rates of the axes stay.
+        """
+        steps = _STEP * (np.linalg.inv(here.J) if self._joint else np.broadcast_to(_UNIT, here.J.shape))
+        still, rates = here.answer(tau), _times(here.J, twist)
+        found = []
+        for x in steps.transpose(2, 0, 1):  # of the pose, for a step of one axis
+            moved = _displaced(p, R, x)
+            there = twist
+            if self._joint:
+                there = _solved(self._robot(*moved, twist).J, rates)
+            by_place = self._robot(*moved, there).answer(tau) - still
+            found.append([by_place, self._robot(p, R, twist + x).answer(tau) - still])
+        by_error, by_rate = np.array(found).transpose(1, 2, 3, 0) / _STEP
+        return by_error, by_rate
+
+    def along_reference(self, path: Sequence[PoseSample]) -> tuple[Array, Array]:
+        """Return the law's forces (n, 6) N without error, and the axes' accelerations per force (n, 6, 6)."""
+        s = _stacked(path)
+        robot = self._robot(s.p, s.R, s.twist)
+        per_force = np.linalg.solve(robot.M, robot.J.transpose(0, 2, 1))
+        tau = self._forces(s.p, s.R, s.twist, robot.of_axes(s.dtwist))
+        return tau, np.asarray(robot.J @ per_force if self._joint else per_force, float)
+
+    def around(self, path: Sequence[PoseSample], errors: Array, rates: Array, stale_s: float = 0.0) -> Local:
+        """Return the loop at each sample under each of the errors (m, 6), with its rate (m, 6) +- 1."""
+        e, de = np.vstack([errors, errors]), np.vstack([-rates, rates])
+        all_samples = [s for s in path for _ in e]
+        return self.at(all_samples, np.tile(e, (len(path), 1)), np.tile(de, (len(path), 1)), stale_s)
 
 
-def along(linearised: Linearised, path: Iterable[PoseSample], stale_s: float = 0.0) -> list[Local]:
-    """Return the loop at each sample of a path, without error."""
-    still = np.zeros(6)
-    return [linearised.at(s, still, still, stale_s) for s in path]
-
-
-def around(
-    linearised: Linearised, path: Iterable[PoseSample], errors: Array, rates: Array, stale_s: float = 0.0
-) -> list[Local]:
-    """Return the loop at each sample of a path under each of the errors (n, 6), with its rate (n, 6) +- 1."""
-    return [
-        linearised.at(s, e, sign * de, stale_s)
-        for s in path
-        for e, de in zip(errors, rates, strict=True)
-        for sign in (-1, 1)
-    ]
-
-
-def summary(found: list[Local], gamma: float | None = None) -> Survey:
-    """Return what covers all of them, by default with the gain in the middle of Gamma's diagonal."""
-    if gamma is None:
-        diagonal = np.diagonal([local.Gamma for local in found], axis1=1, axis2=2)
-        gamma = float(diagonal.min() + diagonal.max()) / 2.0
-    return Survey(
-        np.max([local.d for local in found], axis=0),
-        gamma,
-        np.abs(np.array([local.stale for local in found]) - gamma * np.eye(6)).max(axis=0),
-        np.max([np.abs(local.by_error) for local in found], axis=0),
-        np.max([np.abs(local.by_rate) for local in found], axis=0),
-        max(local.condition for local in found),
-    )
+def _stacked(path: Sequence[PoseSample]) -> PoseSample:
+    """Return samples as one of arrays (n, ...)."""
+    return PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))

@@ -130,8 +130,7 @@ def _forces(
     """
 
     def sample(times: Array) -> tuple[Array, Array]:
-        found = [linearised.along_reference(reference.sample(float(at))) for at in times]
-        return np.array([tau for tau, _ in found]), np.array([matrix for _, matrix in found])
+        return linearised.along_reference([reference.sample(float(at)) for at in times])
 
     times = np.linspace(low_s, high_s, int(np.ceil((high_s - low_s) / _APART_s)) + 2)
     tau, matrices = sample(times)

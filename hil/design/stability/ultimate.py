@@ -30,7 +30,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.config.axis_model import AxisSpace
-from hil.design.stability.disturbance import Linearised, Local, Survey, around, summary
+from hil.design.stability.disturbance import Linearised, Local, Survey
 from hil.design.stability.lateness import Late
 from hil.design.stability.sampled import Sampled, of_each
 from hil.trajectory.path import PoseSample
@@ -100,7 +100,7 @@ class Ultimate(NamedTuple):
 def ultimate(
     linearised: Linearised,
     path: Sequence[PoseSample],
-    found_along: list[Local],
+    found_along: Local,
     loops: Sequence[Sampled],
     late: Late,
     extra: Extra,
@@ -112,11 +112,10 @@ def ultimate(
     found_along: the robot at each of its samples. loops: of each axis, with the gain of their survey.
     condition: of J, what the tube may not exceed.
     """
-    reference = summary(found_along)
-    d = np.array([local.d for local in found_along])
-    samples = [path[k] for k in _worst(d)]
+    reference = Survey.of(found_along)
+    samples = [path[k] for k in _worst(found_along.d)]
     every = max(1, len(path) // INSTANTS)
-    extremes = np.vstack([local.extremes for local in found_along[::every]])
+    extremes = np.vstack(found_along.extremes[::every])
     gains = np.column_stack(of_each(loops, lambda loop: loop.peak_gains()[:3]))
     found = _bound(reference, gains, late, extra)
     equal = bool(np.ptp(gains, axis=1).max() == 0.0) and not extra.d.any()
@@ -128,8 +127,8 @@ def ultimate(
         shape = _normalised(extremes) if equal else _SIGNS
         before = found
         errors, rates = 1.02 * before.error * shape, 1.02 * before.rate * shape
-        tube = around(linearised, samples, errors, rates, late.stale_s)
-        survey = _both(reference, summary(tube, reference.gamma))
+        tube = linearised.around(samples, errors, rates, late.stale_s)
+        survey = _both(reference, Survey.of(tube, reference.gamma))
         if survey.condition > condition:
             return (
                 f"the bound, {in_words(before.error, linearised.axes)}, reaches poses where the condition of "

@@ -1,21 +1,23 @@
 """A system of two states as a picture: V as a surface, its level sets, the sign of dV/dt, trajectories.
 
+Run: python docs/examples/lyapunov_picture.py pendulum.png
+
 What is drawn is floating point and proves nothing; the title is the finding, which is proven.
 """
 
+import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import sympy as sp
+from matplotlib.figure import Figure
+from scipy.integrate import solve_ivp
 
 from drivers.arrays import Array
-from drivers.errors import ModelError
-from drivers.files import whole_file
+from hil.proof import Report, verify
 from hil.proof.cancellation import lie_derivative
-from hil.proof.door import read
-from hil.proof.report import Report
 
 POINTS = 161
 """Of the grid, on each side."""
@@ -24,41 +26,19 @@ STARTS = 16
 
 
 def draw(
-    f: Mapping[sp.Symbol, Any],
-    V: Any,
-    box: Mapping[sp.Symbol, tuple[Any, Any]],
+    f: Mapping[sp.Symbol, sp.Expr],
+    V: sp.Expr,
+    box: Mapping[sp.Symbol, tuple[float, float]],
     path: Path,
-    *,
-    parameters: Mapping[sp.Symbol, Any] | None = None,
     report: Report | None = None,
 ) -> Path:
-    """Draw V, its level sets and trajectories of dx/dt = f(x) within a box.
-
-    `parameters` are their values. With a report the findings, the level and a counterexample are drawn too.
-
-    Raises ModelError where there are not two states, or a parameter has no value or a state no ends; OSError
-    where the file cannot be written.
-    """
-    from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
-
-    states = tuple(f)
-    if len(states) != 2:
-        raise ModelError(f"a picture needs two states; f has {len(states)}: {', '.join(map(str, states))}")
-    values = {p: read(value, f"the value of {p}") for p, value in (parameters or {}).items()}
-    field = {x: read(e, f"d{x}/dt").subs(values) for x, e in f.items()}
-    surface = read(V, "V").subs(values)
-    unknown = set().union(surface.free_symbols, *(e.free_symbols for e in field.values())) - set(states)
-    if unknown:
-        raise ModelError(f"no value of {', '.join(sorted(map(str, unknown)))}: name it in parameters")
-    sides = tuple(tuple(map(float, box.get(x, ()))) for x in states)
-    if any(len(side) != 2 or not np.isfinite(side).all() for side in sides):
-        raise ModelError(f"a picture needs a box with two ends for each of {states[0]}, {states[1]}")
+    """Draw V, its level sets and trajectories of dx/dt = f(x), of two states within a box."""
+    states = first, second = tuple(f)
+    sides = (box[first], box[second])
     X, Y = np.meshgrid(*(np.linspace(low, high, POINTS) for low, high in sides))
     real = {x: sp.Symbol(str(x), real=True) for x in states}
-    rate = lie_derivative(surface.xreplace(real), {real[x]: e.xreplace(real) for x, e in field.items()})
-    heights, rates = (
-        _numeric(e, names)(X, Y) for e, names in ((surface, states), (rate, tuple(real.values())))
-    )
+    rate = lie_derivative(V.xreplace(real), {real[x]: e.xreplace(real) for x, e in f.items()})
+    heights, rates = _numeric(V, states)(X, Y), _numeric(rate, tuple(real.values()))(X, Y)
 
     figure = Figure(figsize=(13, 6), layout="constrained")
     solid = figure.add_subplot(1, 2, 1, projection="3d")
@@ -67,7 +47,7 @@ def draw(
     plane = figure.add_subplot(1, 2, 2)
     plane.contourf(X, Y, rates > 0, levels=[0.5, 1.5], colors=["mistyrose"])
     plane.clabel(plane.contour(X, Y, heights, levels=12, cmap="viridis", linewidths=0.8), fontsize=7)
-    for track in _trajectories(tuple(_numeric(e, states) for e in field.values()), sides):
+    for track in _trajectories(tuple(_numeric(e, states) for e in f.values()), sides):
         plane.plot(*track, color="tab:blue", linewidth=0.8)
         plane.plot(*track[:, :1], marker="o", color="tab:blue", markersize=3)
     if report is not None:
@@ -76,8 +56,7 @@ def draw(
         figure.suptitle(f"{e.status.value}; certificate: {report.certificate.status.value}")
     plane.set(xlabel=str(states[0]), ylabel=str(states[1]), xlim=sides[0], ylim=sides[1])
     plane.set_title("level sets of V, trajectories; red: dV/dt > 0", fontsize=9)
-    with whole_file(path) as temporary:
-        figure.savefig(temporary, dpi=100)
+    figure.savefig(path, dpi=100)
     return path
 
 
@@ -95,8 +74,6 @@ def _numeric(e: sp.Expr, names: tuple[sp.Symbol, ...]) -> Callable[[Array, Array
 
 
 def _trajectories(rates: tuple[Callable[[Array, Array], Array], ...], sides: Any) -> list[Array]:
-    from scipy.integrate import solve_ivp  # noqa: PLC0415
-
     (left, right), (low, high) = sides
     middle, half = np.array([left + right, low + high]) / 2, np.array([right - left, high - low]) / 2
 
@@ -115,3 +92,10 @@ def _trajectories(rates: tuple[Callable[[Array, Array], Array], ...], sides: Any
         end = 20.0 / slowest if slowest > 0 else 1.0
         tracks.append(solve_ivp(f, (0.0, end), start, max_step=end / 200, events=inside).y)
     return tracks
+
+
+if __name__ == "__main__":
+    theta, omega = sp.symbols("theta omega")
+    f, V = {theta: omega, omega: -omega / 2 - sp.sin(theta)}, 1 - sp.cos(theta) + omega**2 / 2
+    box = {theta: (-3.0, 3.0), omega: (-3.0, 3.0)}
+    print(draw(f, V, box, Path(sys.argv[1]), verify(f, V, box=box)))

@@ -6,26 +6,16 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import designed, layered, linearising, payloads, spring_models
+from hil.app.stability import designed, layered, linearising, payloads, springs
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
+from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
+from hil.control.sliding_mode import SlidingModeSettings
+from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.assessment import Assessment
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
-Judge = Callable[[Subject, Any, bool], Assessment]
-
-JUDGES: dict[str, Judge] = {
-    "pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
-    "pid": lambda subject, law, _: spring_models.pid(subject, law),
-    "pd_gravity": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
-    "cartesian_pd": lambda subject, law, quick: spring_models.cartesian(subject, law, quick=quick),
-    "feedforward_pd": lambda subject, law, quick: spring_models.legs(subject, law, quick=quick),
-    "sliding_mode": lambda subject, law, _: layered.robust(subject, law),
-    "robust_inverse_dynamics": lambda subject, law, _: layered.robust(subject, law),
-    "state_space": lambda subject, law, _: designed.configured(subject, law),
-}
-"""`controller.law` -> what judges it, where another theorem than that of its linear error dynamics does."""
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
 """Laws that are judged with one robot at a time, see `hil.app.stability.payloads`."""
 
@@ -49,21 +39,23 @@ def judge(
         if stated.payload.mass_kg:
             return Assessment("not proven", "six uncoupled legs carry no payload", [], [], {})
         if isinstance(c.controller, PDSettings):
-            return spring_models.bench(subject, c.controller, c.plant.model)
+            return springs.bench(subject, c.controller, c.plant.model)
         return Assessment(
             "not proven", "six uncoupled legs are not the robot of this law's model", [], [], {}
         )
-    law = c.controller
+    law: Any = c.controller
     if law.law in SPRINGS:
         each = subject.alone()[::-1]  # what is stated to ride first
         if len(each) == 1:
-            return JUDGES[law.law](subject, law, quick)
-        found = [JUDGES[law.law](one, law, True) for one in each]
+            return springs.springs(subject, law, quick=quick)
+        found = [springs.springs(one, law, quick=True) for one in each]
         worst, words = payloads.worst_of(found), [carried for one in each for carried in one.carried]
-        chosen = found[worst] if quick else JUDGES[law.law](each[worst], law, quick)
+        chosen = found[worst] if quick else springs.springs(each[worst], law, quick=False)
         return payloads.told(chosen, words[worst], found, words)
-    if law.law in JUDGES:
-        return JUDGES[law.law](subject, law, quick)
+    if isinstance(law, StateSpaceSettings):
+        return designed.configured(subject, law)
+    if isinstance(law, SlidingModeSettings | RobustInverseDynamicsSettings):
+        return layered.robust(subject, law)
     dynamics = law.error_dynamics()
     if isinstance(dynamics, str):
         return Assessment("not proven", dynamics, [], [], {})

@@ -24,32 +24,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import ModelError
-from hil.mathematics.rotations import rotation_from_vector
+from hil.mathematics.rotations import relative_rotation, rotation_from_vector
+from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import leg_lengths_kernel
 
 Potential = Callable[[Array, Array], float]
 """S of p (3,) m and R (3, 3), J."""
-STEP = 1e-4
-"""m and rad, of the differences that derivatives are taken by."""
-
-
-class Well(NamedTuple):
-    """Where a law with a potential comes to rest."""
-
-    p: Array
-    """(3,) m."""
-    R: Array
-    """(3, 3)."""
-    stiffness: Array
-    """(6,) eigenvalues of d^2 S, N/m, rotations times the platform's radius; the smallest first."""
-
-    @property
-    def stable(self) -> bool:
-        """Tell whether the pose is a minimum of S."""
-        return bool(self.stiffness[0] > 0.0)
 
 
 class Basin(NamedTuple):
@@ -74,6 +56,16 @@ def leg_springs(platform: Platform, q_d: Array, K_p: Array, tau: Array) -> Poten
     return S
 
 
+def pose_springs(p_d: Array, R_d: Array, K_p: Array) -> Potential:
+    """Return the energy, J, of springs K_p (6,) N/m and N m/rad to a pose, one stiffness of all rotations."""
+
+    def S(p: Array, R: Array) -> float:
+        r, e = relative_rotation(R, R_d), p_d - p
+        return float(0.5 * e @ (K_p[:3] * e) + 0.5 * K_p[3] * r @ r)
+
+    return S
+
+
 def weight(robot: Model, compensated: Model | None = None) -> Potential:
     """Return what the robot weighs less what a law compensates of it, J."""
 
@@ -82,6 +74,20 @@ def weight(robot: Model, compensated: Model | None = None) -> Potential:
         return left if compensated is None else left - compensated.potential_energy(p, R)
 
     return U
+
+
+def same_weight(one: Model, other: Model) -> bool:
+    """Tell whether two models weigh the same wherever the robot is, however it is turned."""
+    return bool(np.allclose(_moments(one), _moments(other), rtol=1e-9, atol=1e-9))
+
+
+def _moments(model: Model) -> Array:
+    """Return what weight and its potential are made of beside the place, N and N m."""
+    c = model.constants
+    mass, cylinder, rod = c[kernels.MASS], c[kernels.CYLINDER_MASS], c[kernels.ROD_MASS]
+    along = cylinder * c[kernels.CYLINDER_COM] - rod * c[kernels.ROD_COM]
+    parts = np.array([mass, *(mass * c[kernels.COM : kernels.COM + 3]), rod, along])
+    return np.asarray(np.linalg.norm(c[kernels.GRAVITY : kernels.GRAVITY + 3]) * parts, np.float64)
 
 
 def total(*parts: Potential) -> Potential:
@@ -94,60 +100,27 @@ def displaced(p: Array, R: Array, x: Array) -> tuple[Array, Array]:
     return p + x[:3], rotation_from_vector(x[3:]) @ R
 
 
-def well(S: Potential, p: Array, R: Array, radius: float) -> Well:
-    """Return the pose at which dS = 0 nearest to p, R, by Newton's method.
-
-    radius: of the platform's joints, m, by which rotations become lengths.
-
-    Raises ModelError where there is none near.
-    """
-    scale = np.array([1.0] * 3 + [1.0 / radius] * 3)
-    for _ in range(30):
-        slope, stiffness = _derivatives(S, p, R, scale)
-        step = -np.linalg.solve(stiffness, slope)
-        if np.linalg.norm(step) > 0.5:
-            break
-        p, R = displaced(p, R, scale * step)
-        if np.linalg.norm(step) < 1e-9:
-            return Well(p, R, np.asarray(np.linalg.eigvalsh(stiffness), float))
-    raise ModelError("the springs of the law carry what is left of the weight nowhere near: stiffen them")
-
-
-def stiffness_matrix(S: Potential, p: Array, R: Array) -> Array:
-    """Return d^2 S (6, 6) at a pose with dS = 0, of shifts and turns: N/m, N, N m/rad."""
-    return _derivatives(S, p, R, np.ones(6))[1]
-
-
-def _derivatives(S: Potential, p: Array, R: Array, scale: Array) -> tuple[Array, Array]:
-    """Return dS (6,) and d^2 S (6, 6) of x / scale, by central differences."""
-    steps = STEP * np.diag(scale)
-
-    def at(x: Array) -> float:
-        return S(*displaced(p, R, x))
-
-    slope = np.array([at(x) - at(-x) for x in steps]) / (2.0 * STEP)
-    stiffness = np.empty((6, 6))
-    for i, x in enumerate(steps):
-        for j, y in enumerate(steps[: i + 1]):
-            mixed = at(x + y) - at(x - y) - at(y - x) + at(-x - y)
-            stiffness[i, j] = stiffness[j, i] = mixed / (4.0 * STEP**2)
-    return slope, stiffness
-
-
 def basin(
-    S: Potential, start: Well, radius: float, outside: Callable[[Array, Array], str | None], rays: int = 100
+    S: Potential,
+    p: Array,
+    R: Array,
+    stiffness: Array,
+    radius: float,
+    outside: Callable[[Array, Array], str | None],
+    rays: int = 100,
 ) -> Basin:
-    """Return the largest sublevel set around a well within a region, searched for along rays.
+    """Return the largest sublevel set around a minimum within a region, searched for along rays.
 
-    outside(p, R) says what is wrong with a pose, or None. Each ray goes from the well to the edge of the
-    region, where S is read; the lowest is sought on from the five lowest rays by Powell's method. The
-    directions are those of equal S near the well. A search, no enclosure.
+    stiffness: d^2 S (6, 6) there. radius: by which rotations become lengths, m. outside(p, R) says what is
+    wrong with a pose, or None. Each ray goes from the minimum to the edge of the region, where S is read; the
+    lowest is sought on from the five lowest rays by Powell's method. The directions are those of equal S near
+    the minimum. A search, no enclosure.
     """
     scale = np.array([1.0] * 3 + [1.0 / radius] * 3)
-    _, stiffness = _derivatives(S, start.p, start.R, scale)
-    values, vectors = np.linalg.eigh(stiffness)
+    curved = scale[:, None] * stiffness * scale
+    values, vectors = np.linalg.eigh(0.5 * (curved + curved.T))
     shape = scale[:, None] * vectors / np.sqrt(values)
-    ground = S(start.p, start.R)
+    ground = S(p, R)
     longest = 2.0 * np.sqrt(values[-1])
 
     def edge(u: Array) -> tuple[float, Array]:
@@ -159,15 +132,15 @@ def basin(
         way = shape @ (u / size) if size > 0.0 else shape[:, 0]
         near, far = 0.0, 0.0
         step = 0.02 / float(np.linalg.norm(way / scale))
-        while outside(*displaced(start.p, start.R, far * way)) is None:
+        while outside(*displaced(p, R, far * way)) is None:
             near, far = far, far + step
             if far > 100.0 * longest:
                 return np.inf, far * way
         for _ in range(20):
             middle = (near + far) / 2.0
-            inside = outside(*displaced(start.p, start.R, middle * way)) is None
+            inside = outside(*displaced(p, R, middle * way)) is None
             near, far = (middle, far) if inside else (near, middle)
-        return S(*displaced(start.p, start.R, far * way)) - ground, far * way
+        return S(*displaced(p, R, far * way)) - ground, far * way
 
     from scipy.optimize import minimize  # noqa: PLC0415 - `hil check` does without
 
@@ -178,5 +151,5 @@ def basin(
     options = {"maxfev": 300}
     found = [minimize(lambda u: edge(u)[0], u, method="Powell", options=options) for u in lowest]
     level, way = edge(min(found, key=lambda result: result.fun).x)
-    p, R = displaced(start.p, start.R, way)
-    return Basin(float(level), p, outside(p, R) or "the edge of the region")
+    met = displaced(p, R, way)
+    return Basin(float(level), met[0], outside(*met) or "the edge of the region")

@@ -5,13 +5,13 @@ from demanded acceleration to measured position and rate; it is sampled exactly,
 no whole number of periods.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from math import ceil, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, ComplexArray
 from hil.config.linear_controller import LinearController
 from hil.mathematics.linear_system import LinearSystem, held
 
@@ -37,17 +37,29 @@ class Margins(NamedTuple):
     """Of |L / (1 + L)|."""
 
 
-def sampled_axis(transport_s: float, drive: LinearSystem, period_s: float, gain: float = 1.0) -> LinearSystem:
-    """Return the axis at the samples: from held acceleration to [position, rate], its first two states.
+def sampled_axis(
+    transport_s: float,
+    drive: LinearSystem,
+    period_s: float,
+    gain: float | Array = 1.0,
+    stiffness: Array | None = None,
+) -> LinearSystem:
+    """Return axes at the samples: from held accelerations to positions and rates, their first states.
 
-    `drive` is the force loop, continuous: `hil.mathematics.linear_system.lag`, or one of higher order.
+    `drive` is the force loop of each, continuous: `hil.mathematics.linear_system.lag`, or one of higher
+    order. gain: of one axis, or (m, m): accelerations of m axes per force of each, then with a stiffness
+    (m, m) of their own, which answers at once.
     """
-    n = 2 + drive.order
-    A, B = np.zeros((n, n)), np.zeros((n, 1))  # of position, rate, and the drives
-    A[0, 1] = 1.0
-    A[1, 2:], B[1] = gain * drive.C[0], gain * drive.D[0]
-    A[2:, 2:], B[2:] = drive.A, drive.B
-    return late_states(A, B, 2, transport_s, period_s)
+    mobility = np.atleast_2d(gain)
+    m = len(mobility)
+    n = 2 * m + m * drive.order
+    A, B, each = np.zeros((n, n)), np.zeros((n, m)), np.eye(m)  # of positions, rates, and the drives
+    A[:m, m : 2 * m] = each
+    if stiffness is not None:
+        A[m : 2 * m, :m] = -mobility @ stiffness
+    A[m : 2 * m, 2 * m :], B[m : 2 * m] = mobility @ np.kron(each, drive.C), mobility @ np.kron(each, drive.D)
+    A[2 * m :, 2 * m :], B[2 * m :] = np.kron(each, drive.A), np.kron(each, drive.B)
+    return late_states(A, B, 2 * m, transport_s, period_s)
 
 
 def late_states(A: Array, B: Array, outputs: int, transport_s: float, period_s: float) -> LinearSystem:
@@ -112,33 +124,40 @@ def root(f: Callable[[float], float], low: float, high: float) -> float:
     return high
 
 
+def crossings(loci: Callable[[Array], ComplexArray], omega: Array) -> Iterator[tuple[float, float]]:
+    """Yield where a locus (n, k) of rising frequencies, rad/s, has magnitude 1, and its angle from -1."""
+    size = np.abs(loci(omega))
+    for i, k in np.argwhere(np.diff(np.sign(size - 1.0), axis=0) != 0):
+
+        def at(w: float, k: int = k) -> complex:
+            return complex(loci(np.array([w]))[0, k])
+
+        w = root(lambda w: abs(at(w)) - 1.0, omega[i], omega[i + 1])
+        yield w, float(np.angle(at(w))) + pi
+
+
 def margins(loop: LinearSystem) -> Margins:
     """Return the margins of a stable loop, sampled, one input L one output: 1 + L(z) = 0 is its edge."""
     assert loop.period_s is not None
 
-    def L(omega: float) -> complex:
-        return complex(loop.response(np.array([omega]))[0, 0, 0])
+    def L(omega: Array) -> ComplexArray:
+        return loop.response(omega)[:, :, 0]
 
     omega = grid(loop.period_s)
-    value = loop.response(omega)[:, 0, 0]
+    value = L(omega)[:, 0]
     at_real = [value[-1].real]  # at half the rate the response is real
     for k in np.flatnonzero(np.diff(np.sign(value.imag[:-1])) != 0):
-        w = root(lambda w: L(w).imag, omega[k], omega[k + 1])
-        at_real.append(L(w).real)
+        w = root(lambda w: L(np.array([w]))[0, 0].imag, omega[k], omega[k + 1])
+        at_real.append(L(np.array([w]))[0, 0].real)
     factors = [-1.0 / real for real in at_real if real < 0.0]
-    phase, delay, crossover = inf, inf, 0.0
-    for k in np.flatnonzero(np.diff(np.sign(np.abs(value) - 1.0)) != 0):
-        w = root(lambda w: abs(L(w)) - 1.0, omega[k], omega[k + 1])
-        left = float(np.angle(L(w))) + pi  # in 0 .. 2 pi: what may still be lost until -1
-        phase = min(phase, left, 2.0 * pi - left)
-        delay = min(delay, left / w)
-        crossover = max(crossover, w)
+    met = list(crossings(L, omega))  # what may still be lost until -1 is in 0 .. 2 pi
+    phase = min((min(left, 2.0 * pi - left) for _, left in met), default=inf)
     return Margins(
         min((f for f in factors if f > 1.0), default=inf),
         max((f for f in factors if f <= 1.0), default=0.0),
         float(np.degrees(phase)),
-        delay,
-        crossover,
+        min((left / w for w, left in met), default=inf),
+        max((w for w, _ in met), default=0.0),
         float(np.abs(1.0 / (1.0 + value)).max()),
         float(np.abs(value / (1.0 + value)).max()),
     )

@@ -6,9 +6,9 @@ from scipy.optimize import minimize
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.design.stability.energy import basin, displaced, leg_springs, total, weight, well
+from hil.design.stability.energy import basin, displaced, leg_springs, total, weight
+from hil.design.stability.springs import rest
 from hil.mathematics.linear_algebra import condition_kernel
-from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
@@ -42,11 +42,17 @@ def test_the_energy_falls_by_what_the_dampers_take():
 
 def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
     q_d = leg_lengths(PLATFORM, *HOME)
-    found = well(total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL)), *HOME, 1.0)
-    assert found.p[2] < 0.99
-    tau = K_P * (q_d - leg_lengths(PLATFORM, found.p, found.R))
+
+    def tau(p, R, twist):
+        return K_P * (q_d - leg_lengths(PLATFORM, p, R)) - K_V * (jacobian(PLATFORM, p, R) @ twist)
+
+    p, R, found = rest(MODEL, tau, *HOME)
+    assert p[2] < 0.99
     np.testing.assert_allclose(
-        jacobian(PLATFORM, found.p, found.R).T @ tau, MODEL.gravity(found.p, found.R), atol=0.05
+        jacobian(PLATFORM, p, R).T @ tau(p, R, NOTHING), MODEL.gravity(p, R), atol=0.05
+    )
+    np.testing.assert_allclose(
+        found.damping, jacobian(PLATFORM, p, R).T @ np.diag(K_V) @ jacobian(PLATFORM, p, R)
     )
 
 
@@ -60,8 +66,8 @@ def test_the_basin_of_a_bowl_is_known():
     def outside(p, R):
         return None if np.linalg.norm(p) < 0.3 and np.trace(R) > -0.5 else "far"
 
-    bottom = well(S, np.array([0.01, 0.0, 0.0]), rotation_from_vector(np.array([0.02, 0.0, 0.0])), 1.0)
-    found = basin(S, bottom, 1.0, outside)
+    stiffness = np.diag([1000.0] * 3 + [500.0] * 3)
+    found = basin(S, np.zeros(3), np.eye(3), stiffness, 1.0, outside)
     assert found.level_J == pytest.approx(0.5 * 1000 * 0.3**2, rel=0.02)
     assert found.level_J >= 0.5 * 1000 * 0.3**2 * (1 - 1e-6)
     assert found.reason == "far"
@@ -84,7 +90,8 @@ def shallow():
             return "stroke"
         return None if condition_of(p, R) < 50 else "singularity"
 
-    return S, outside, basin(S, well(S, *HOME, 1.0), 1.0, outside, rays=60)
+    J = jacobian(PLATFORM, *HOME)
+    return S, outside, basin(S, *HOME, J.T @ np.diag(K_P) @ J, 1.0, outside, rays=60)
 
 
 def test_below_its_level_no_ray_of_another_seed_leaves_the_basin(shallow):

@@ -8,10 +8,10 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 from hil.config.linear_controller import LinearController
-from hil.design.stability.coupled import delay_margin_s, growth, integrating, proportional
 from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import Axis, _closed, analyse, disturbed_axis, gains
 from hil.design.stability.sampled_loop import sampled_controller
+from hil.design.stability.springs import Springs
 from hil.mathematics.linear_system import LinearSystem
 
 T = 1e-3
@@ -128,26 +128,29 @@ Q = np.linalg.qr(np.random.default_rng(3).standard_normal((6, 6)))[0]
 MOBILITY = Q @ np.diag(1 / MASSES) @ Q.T
 
 
+def springs(mobility, K_p, K_v, own=0.0, K_i=0.0):
+    each = (np.broadcast_to(np.asarray(gain, float), 6) * np.eye(6) for gain in (K_p, K_v, own, K_i))
+    return Springs(mobility, *each)
+
+
 def test_equal_gains_fall_into_the_modes_of_the_inertia():
-    controller = proportional(np.full(6, 1e6), np.full(6, 2e4), T)
     modes = [np.abs(analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).poles).max() for m in MASSES]
-    assert growth(AXIS, controller, MOBILITY) == pytest.approx(max(modes), abs=1e-9)
+    assert springs(MOBILITY, 1e6, 2e4).growth(AXIS) == pytest.approx(max(modes), abs=1e-9)
 
 
 def test_the_delay_margin_is_the_least_of_the_modes():
-    controller = proportional(np.full(6, 1e6), np.full(6, 2e4), T)
     found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
     least = min(m.delay_s for m in found if m is not None)
-    assert delay_margin_s(AXIS, controller, MOBILITY) == pytest.approx(least, rel=0.01)
+    assert springs(MOBILITY, 1e6, 2e4).delay_margin_s(AXIS) == pytest.approx(least, rel=0.01)
 
 
 def test_an_integral_has_the_limit_of_routh_and_hurwitz():
     """m s^3 + K_v s^2 + K_p s + K_i: stable for K_i < K_p K_v / m; a period of 0.1 ms is nearly continuous."""
     m, K_p, K_v, fine = 200.0, 1e5, 1e4, Axis(1e-4)
-    limit = K_p * K_v / m
     for share, stable in ((0.97, True), (1.03, False)):
-        controller = integrating(np.full(6, K_p), np.full(6, K_v), np.full(6, share * limit), 1e-4)
-        assert (growth(fine, controller, np.eye(6) / m) < 1.0) is stable
+        found = springs(np.eye(6) / m, K_p, K_v, K_i=share * K_p * K_v / m)
+        assert (found.growth(fine) < 1.0) is stable
+        assert (found.slowest() < 0.0) is stable
 
 
 def test_springs_of_the_axes_act_at_once_and_the_law_late():
@@ -160,6 +163,4 @@ def test_springs_of_the_axes_act_at_once_and_the_law_late():
         push = [(1.0 - c) / k, s / (m * w)] if k else [T * T / (2.0 * m), T / m]
         A = np.block([[turn, np.transpose([push])], [np.array([[-K_p, -K_v, 0.0]])]])
         expected = np.abs(np.linalg.eigvals(A)).max()
-        controller = proportional(np.full(6, K_p), np.full(6, K_v), T)
-        found = growth(Axis(T, T), controller, np.eye(6) / m, k * np.eye(6))
-        assert found == pytest.approx(expected, abs=1e-6), k
+        assert springs(np.eye(6) / m, K_p, K_v, k).growth(Axis(T, T)) == pytest.approx(expected, abs=1e-6), k

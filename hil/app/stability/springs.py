@@ -1,0 +1,256 @@
+"""Verdicts on laws that do not linearise the robot: springs on legs or pose, with what carries the weight.
+
+What is proven of these laws is proven of a reference at rest; of a moving one nothing is, and the claim
+says so. Laws without an energy are judged by the eigenvalues where they rest (Lyapunov's indirect method).
+"""
+
+from dataclasses import replace
+from math import isfinite
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import ZERO6, Array
+from drivers.errors import ModelError
+from drivers.tick_columns import TICK
+from hil.app.stability.subject import NO_PAYLOAD, Subject
+from hil.config.model import ModelSettings
+from hil.control.cartesian_pd import CartesianPDSettings
+from hil.control.feedforward_pd import FeedforwardPDSettings
+from hil.control.law import Law, LawContext, per_leg
+from hil.control.pd import PDSettings
+from hil.control.pd_gravity import PDGravitySettings
+from hil.control.pid import PIDSettings
+from hil.design.stability.assessment import Assessment
+from hil.design.stability.energy import (
+    Potential,
+    basin,
+    leg_springs,
+    pose_springs,
+    same_weight,
+    total,
+    weight,
+)
+from hil.design.stability.springs import Forces, Springs, cubic_rest, rest
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian, leg_lengths
+from hil.trajectory.holding import HoldTrajectory
+from plant_fmu.config import BenchPlant
+
+SpringSettings = PDSettings | PIDSettings | PDGravitySettings | FeedforwardPDSettings | CartesianPDSettings
+AT_ONCE = (
+    "forces answer at once: V knows no sampling, delay or lag; what these do to small errors where "
+    "it comes to rest is in the sampled loop"
+)
+FROZEN = "a weight that is frozen while the robot moves has no potential"
+
+
+class Energy(NamedTuple):
+    """The potential of a law at the reference's start, at rest."""
+
+    S: Potential
+    exact: bool = False
+    """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
+    damping: str = "dq^T K_v dq"
+    """By which V falls."""
+    stiffness: float | None = None
+    """N/m, of all legs' springs together where S is theirs alone: the level is a length."""
+
+
+def at_rest(subject: Subject) -> list[str]:
+    """Return what a proof of a set-point asks of the reference."""
+    rests = subject.rest and not subject.live
+    conditions = [] if rests else ["the reference rests; while it moves nothing is proven"]
+    conditions += subject.unseen
+    if subject.c.drives.transmission is not None:
+        conditions.append("the drives give what is asked: their steps and losses are left out")
+    elif subject.drives.stepped:
+        conditions.append("forces and readings have no steps")
+    if not replace(subject.stated, payload=NO_PAYLOAD).nothing:
+        conditions.append("no load: of these laws no ultimate bound is computed")
+    return conditions
+
+
+def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment:
+    """Judge a PD or PID by its energy, or to first order where it has none."""
+    start, conditions, energy = subject.path[0], at_rest(subject), _energy(subject, law)
+    tau = law_forces(subject, law)
+    held = subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
+    try:
+        p, R, found = rest(subject.robot, tau, start.p, start.R)
+    except (ModelError, np.linalg.LinAlgError):
+        claim = "the springs of the law carry what is left of the weight nowhere near: stiffen them"
+        return Assessment("not proven", claim, conditions, [], {})
+    if isinstance(law, PIDSettings):
+        J = jacobian(subject.platform, p, R)
+        found = found._replace(integral=J.T @ (per_leg(law.ki_N_m_s)[:, None] * J))
+    sag = leg_lengths(subject.platform, p, R) - leg_lengths(subject.platform, start.p, start.R)
+    sag_mm = 1e3 * float(np.abs(sag).max())
+    lines, figures, radius = sampled_loop(subject, found, "where it comes to rest")
+    not_proven = (
+        None if (met := subject.outside(p, R)) is None else f"it comes to rest outside its limits: {met}"
+    )
+    grows = None if radius < 1.0 else unstable(subject, radius)
+    if isinstance(energy, Energy):
+        stiffness = found.stiffness(subject.platform.radius)
+        lines.insert(
+            0, f"stiffness      {stiffness[0]:.4g} to {stiffness[-1]:.4g} N/m where it comes to rest"
+        )
+        figures["energy"] = {"stiffness_N_m": stiffness.tolist(), "sag_mm": sag_mm}
+        if not stiffness[0] > 0.0:
+            not_proven = "the weight is stiffer than the springs: it falls over"
+    else:
+        slowest, count = found.slowest(), 18 if found.integral.any() else 12
+        line = f"eigenvalues    slowest exp({slowest:+.3g} t) of {count}, the weight's stiffness included"
+        lines.insert(0, line)
+        figures |= {"slowest_eigenvalue_1_s": slowest, "sag_mm": sag_mm}
+        if slowest >= 0.0:
+            grows = f"{energy}: no energy function; an eigenvalue grows as exp({slowest:.3g} t)"
+    if (
+        isinstance(law, PIDSettings)
+        and (short := float((np.abs(held) / per_leg(law.integral_limit_N)).max())) > 1.0
+    ):
+        not_proven = f"the integral cannot carry the weight: {100 * short:.0f} % of integral_limit_N"
+    if not_proven is not None:
+        return Assessment("not proven", not_proven, conditions, lines, figures)
+    if grows is not None:
+        return Assessment("unstable", grows, [], lines, figures)
+    exact = sag_mm < 1e-3 or (isinstance(energy, Energy) and energy.exact)
+    where = "the set-point" if exact else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
+    if isinstance(energy, Energy):
+        if not quick:
+            _basin(subject, energy, (p, R, found), lines, figures)
+        claim = f"V = t^T M t / 2 + S falls by {energy.damping}: {where} is asymptotically stable (LaSalle)"
+        conditions.append(AT_ONCE)
+        if not energy.exact:
+            conditions.append("no other equilibrium lies in the sublevel set: not searched for")
+    else:
+        rate = -np.log(radius) / subject.axis.period_s
+        claim = f"{energy}: no energy function; small errors from {where} die out as exp(-{rate:.3g} t)"
+        conditions.append("errors are small")
+    if isinstance(law, FeedforwardPDSettings) and law.evaluation == "online":
+        conditions += subject.wrench
+    return Assessment("conditional", claim, conditions, lines, figures)
+
+
+def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
+    """Judge a PD on six uncoupled legs with springs and dampers of their own."""
+    K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
+    q = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R)
+    linear, cubic = np.asarray(plant.stiffness_N_m), np.asarray(plant.stiffness_N_m3)
+    x = cubic_rest(q - plant.rest_length_m, K_p, linear, cubic)
+    own = np.diag(linear + 3.0 * cubic * x * x)
+    found = Springs(np.eye(6) / plant.mass_kg, np.diag(K_p), np.diag(K_v), own)
+    lines, figures, radius = sampled_loop(subject, found, "where it comes to rest")
+    if radius >= 1.0:
+        return Assessment("unstable", unstable(subject, radius), [], lines, figures)
+    claim = (
+        "each leg's V = m dq^2 / 2 + K_p e^2 / 2 + its own springs falls by K_v dq^2 + b |dq|^3 and grows "
+        "without bound: its rest is globally asymptotically stable (LaSalle)"
+    )
+    return Assessment("conditional", claim, [*at_rest(subject), AT_ONCE], lines, figures)
+
+
+def law_forces(subject: Subject, law: SpringSettings) -> Forces:
+    """Return the forces of the law that runs, at rest; of an integral it has what carries the weight."""
+    start, platform = subject.path[0], subject.platform
+    context = LawContext(
+        platform, subject.c.platform.leg_spin, subject.axis.period_s, HoldTrajectory(start.p, start.R)
+    )
+    built: Law
+    held = np.zeros(6)
+    if isinstance(law, PIDSettings):
+        built, held = law.pd(), subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
+    else:
+        online = {"evaluation": "online"} if isinstance(law, FeedforwardPDSettings) else {}
+        built = law.model_copy(update=online).build(context)
+    tick = np.zeros((), TICK)
+    tick["p_d"], tick["R_d"], tick["t_d"] = start.p, start.R, np.nan
+    tick["q_d"] = leg_lengths(platform, start.p, start.R)
+
+    def tau(p: Array, R: Array, twist: Array) -> Array:
+        J = jacobian(platform, p, R)
+        for name, value in (("p", p), ("R", R), ("twist", twist), ("J", J), ("dq", J @ twist)):
+            tick[name] = value
+        tick["q"] = leg_lengths(platform, p, R)
+        built.effort(tick)
+        return held + tick["tau_law"]
+
+    return tau
+
+
+def sampled_loop(subject: Subject, found: Springs, where: str) -> tuple[list[str], dict[str, Any], float]:
+    """Return the loop that runs as lines, figures, and its largest |z|."""
+    radius = found.growth(subject.axis)
+    figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
+    line = f"sampled loop   largest |z| {radius:.4f} {where}, all axes together"
+    if radius < 1.0 and (margin := found.delay_margin_s(subject.axis)) is not None:
+        figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
+        line += f"; bears {1e3 * margin:.3g} ms of further delay"
+    return [line], figures, radius
+
+
+def unstable(subject: Subject, radius: float) -> str:
+    """Say that the sampled loop is not stable."""
+    return (
+        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains"
+    )
+
+
+def _energy(subject: Subject, law: SpringSettings) -> Energy | str:
+    """Return the potential of a law, or why it has none."""
+    p, R = subject.path[0].p, subject.path[0].R
+    model = law.believed
+    if isinstance(law, PIDSettings):
+        return "an integral"
+    frozen = {"constant_MG"} if isinstance(law, PDGravitySettings) else {"constant", "constant_MG"}
+    if model is not None and model.variant in frozen and not isinstance(law, FeedforwardPDSettings):
+        return FROZEN
+    # the same forces wherever the robot is, or those that carry it where it is
+    steady = isinstance(law, FeedforwardPDSettings) or (model is not None and model.variant == "constant")
+    compensated = None if model is None or steady else _weighing(subject, model)
+    left = weight(subject.robot, compensated)
+    exact = compensated is not None and same_weight(subject.robot, compensated)
+    if isinstance(law, CartesianPDSettings):
+        K_p, _ = law.gains()
+        if law.rotation_error == "vector_difference":
+            return "the stiffness of vector_difference is not symmetric"
+        if len(set(K_p[3:])) > 1:
+            return "three stiffnesses of rotation have an energy to first order only"
+        return Energy(total(pose_springs(p, R, K_p), left), exact, "t^T K_v t")
+    K_p = per_leg(law.kp_N_m)
+    tau = (
+        subject.believed(model).inverse_dynamics(p, R, ZERO6, ZERO6)
+        if model is not None and steady
+        else ZERO6
+    )
+    S = total(leg_springs(subject.platform, leg_lengths(subject.platform, p, R), K_p, tau), left)
+    return Energy(S, exact, stiffness=float(K_p.sum()) if exact else None)
+
+
+def _basin(
+    subject: Subject,
+    energy: Energy,
+    at: tuple[Array, Array, Springs],
+    lines: list[str],
+    figures: dict[str, Any],
+) -> None:
+    p, R, found = at
+    level_J, edge_p, reason = basin(
+        energy.S, p, R, found.law + found.own, subject.platform.radius, subject.outside
+    )
+    start_mm = None if energy.stiffness is None else 1e3 * float(np.sqrt(2.0 * level_J / energy.stiffness))
+    starts = f": every start at rest with all legs up to {start_mm:.3g} mm off, in this assembly"
+    lines.append(
+        f"sublevel set   V < {level_J:.4g} J stays within stroke and regular J (by search; its edge: "
+        f"{reason}){'' if start_mm is None else starts}"
+    )
+    figures["energy"] |= {
+        "level_J": level_J, "edge": reason, "edge_position_m": edge_p.tolist(), "start_mm": start_mm,
+    }  # fmt: skip
+
+
+def _weighing(subject: Subject, settings: ModelSettings) -> Model:
+    """Return what a law believes that compensates the weight where the robot is: no frozen variant."""
+    variant = "massless_legs" if settings.variant == "massless_legs" else "full"
+    return subject.believed(settings.model_copy(update={"variant": variant, "frozen_at": None}))

@@ -19,8 +19,8 @@ import pytest
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.stability.axes import bounded
 from hil.app.stability.command import judge
-from hil.app.stability.linearising import bounded
 from hil.app.stability.subject import Stated, Subject
 from hil.control.law import ErrorDynamics
 from hil.control.sliding_mode import SlidingModeSettings

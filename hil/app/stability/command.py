@@ -6,7 +6,7 @@ from typing import Any
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import designed, layered, linearising, payloads, springs
+from hil.app.stability import axes, layered, payloads, springs
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.control.pd import PDSettings
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
@@ -53,7 +53,7 @@ def judge(
         chosen = found[worst] if quick else springs.springs(each[worst], law, quick=False)
         return payloads.told(chosen, words[worst], found, words)
     if isinstance(law, StateSpaceSettings):
-        return designed.configured(subject, law)
+        return axes.configured(subject, law)
     if isinstance(law, SlidingModeSettings | RobustInverseDynamicsSettings):
         return layered.robust(subject, law)
     dynamics = law.error_dynamics()
@@ -61,7 +61,7 @@ def judge(
         return Assessment("not proven", dynamics, [], [], {})
     if law.believed is None or dynamics.steepness > 0.0:
         return Assessment("not proven", "no theorem known here covers its error dynamics", [], [], {})
-    return linearising.linear(subject, law, dynamics)
+    return axes.linear(subject, law, dynamics)
 
 
 def assess(

@@ -1,20 +1,21 @@
 """Assessment of sliding mode and the Lyapunov redesign: reaching, layer, the loop in it and beyond."""
 
-from math import inf, isfinite, sqrt
+from math import isfinite, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.app.stability.judged import Inertia, Judged
-from hil.app.stability.linearising import assumed, bounded
+from drivers.arrays import Array
+from hil.app.stability.axes import assumed, bounded
 from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import bound_lines, describe, reaching_lines, unstable
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
 from hil.design.stability.assessment import Assessment
+from hil.design.stability.disturbance import Inertia
 from hil.design.stability.reaching import Reaching, Sector, redesign, sliding
 from hil.design.stability.sampled import of_each
-from hil.design.stability.ultimate import Ultimate
+from hil.design.stability.ultimate import Judged, Ultimate
 
 RobustSettings = SlidingModeSettings | RobustInverseDynamicsSettings
 
@@ -116,10 +117,11 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     if law.lookahead is not None:
         conditions.append(f"the {one.name} that the law predicts is no larger than the one measured")
     if law.error_dynamics().layer <= 0.0:
-        return _without_layer(one, conditions)
+        claim = "without a boundary layer it switches at every tick, and chatters: give boundary_layer_m_s"
+        return Assessment("not proven", claim, conditions, [], {})
     judged = one.bounded()
     if not judged.slowest.stable:
-        return Assessment("unstable", unstable(subject, judged.slowest), [], *describe(judged.every))
+        return Assessment("unstable", unstable(subject, judged.slowest), [], *describe(judged))
     if isinstance(judged.bound, str):
         return Assessment("not proven", f"with what is stated: {judged.bound}", conditions, [], {})
     if subject.nothing:
@@ -131,7 +133,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     if isinstance(found, str):
         return Assessment("not proven", found, conditions, [], {})
     reaching, lines, figures = found
-    for more, numbers in (describe(judged.every), bound_lines(judged, "joint")):
+    for more, numbers in (describe(judged), bound_lines(judged, judged.bound, "joint")):
         lines, figures = lines + more, {**figures, **numbers}
     if reaching.surplus <= 0.0:
         return Assessment("not proven", _short(one, figures), conditions, lines, figures)
@@ -166,31 +168,15 @@ def _beyond_lines(one: Layered, alpha: float) -> tuple[list[str], dict[str, Any]
     return [line], {"beyond": {"inside_m_s": most, "ultimate_bound": error.tolist()}}
 
 
-def _without_layer(one: Layered, conditions: list[str]) -> Assessment:
-    if not one.subject.nothing:
-        claim = "without a boundary layer nothing but section uncertainty is judged: give boundary_layer_m_s"
-        return Assessment("not proven", claim, conditions, [], {})
-    size, alpha = one.stated
-    found = _reaching(one, Inertia(alpha, alpha, 1.0 - alpha, 1.0 - alpha), np.full(6, size), None)
-    if isinstance(found, str):
-        return Assessment("not proven", found, conditions, [], {})
-    reaching, lines, figures = found
-    conditions = [*conditions, "a loop without delay: it switches at every tick, and chatters"]
-    if reaching.surplus <= 0.0:
-        return Assessment("not proven", _short(one, figures), conditions, lines, figures)
-    conditions += _room(one, reaching)
-    return Assessment("conditional", f"{one.name} reaches its layer", conditions, lines, figures)
-
-
 def _reaching(
-    one: Layered, inertia: Inertia, d: Any, judged: Judged | None
+    one: Layered, inertia: Inertia, d: Array, judged: Judged
 ) -> tuple[Reaching, list[str], dict[str, Any]] | str:
     """Return what the law promises of its layer, with lines and figures; or why nothing is known.
 
     d (6,): m/s^2, the largest disturbance of each leg.
     """
     law, layer = one.law, one.law.error_dynamics().layer
-    inside = inf if judged is None else one.inside(judged)
+    inside = one.inside(judged)
     source = "section uncertainty" if one.subject.nothing else "what is given"
     if isinstance(law, SlidingModeSettings):
         gamma, size = inertia.dominance, float(d.max())

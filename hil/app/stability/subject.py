@@ -7,34 +7,40 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers import build_protocol
+from drivers.arrays import ZERO6, Array
+from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import Corner, corners
 from hil.app.configuration.platform import build_platform
-from hil.app.encoder_limits import encoder_limits
+from hil.app.encoder_limits import efficiencies, encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
-from hil.app.stability.imperfect_drives import Disturbed, Drives
-from hil.app.stability.instants import instants
-from hil.app.stability.judged import NOTHING, Inertia, Judged, Unknown
 from hil.config.axis_model import AxisSpace
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
-from hil.design.stability.disturbance import Friction, Linearised, Load, Local, Survey
+from hil.design.stability.disturbance import Friction, Inertia, Linearised, Load, Local, Survey
+from hil.design.stability.drives import Drives
 from hil.design.stability.lateness import Late, late, stale_s
 from hil.design.stability.sampled import Axis, Sampled, of_each
-from hil.design.stability.ultimate import Extra, Ultimate, ultimate
+from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian
+from hil.robot.kinematics import jacobian, jacobian_rate
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
+from hil.safety.encoder_limits import UNASKED
 from hil.trajectory.build import build_trajectory
+from hil.trajectory.path import PoseSample
 from plant_fmu.config import BenchPlant, StewartPlant
 
+SAMPLES, APART_s = 101, 0.02
+"""Least instants of a reference that are looked at, and their distance on a long one, s."""
+MOST = 501
+GOLDEN = 0.6180339887498949
 NO_LOAD = Load()
 
 
@@ -103,7 +109,7 @@ class Subject:
         """What each of them carries."""
         self.path = instants(c)
         self.axis = Axis(*loop_delay(c))
-        self.drives = Drives.of(c)
+        self.drives = drives_of(c, self.platform, self.path)
         """Their steps and losses."""
         limits = encoder_limits(c, c.loop.rate_Hz)
         self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
@@ -214,43 +220,32 @@ class Subject:
         axes: AxisSpace,
         loops_of: Callable[[float], list[Sampled]],
         ahead_s: float = 0.0,
-        unknown: Unknown = NOTHING,
+        d: float = 0.0,
+        alpha: float = 0.0,
     ) -> Judged:
         """Return loops and bound of a law with this model: all loops, and the worst bound, of what is stated.
 
-        loops_of: the loop of each axis with a gain. ahead_s: how far the law looks ahead.
+        loops_of: the loop of each axis with a gain. ahead_s: how far the law looks ahead. d, m/s^2 of each
+        leg, and alpha, the norm of Gamma - I: what the law's own section says that its model does not know.
         """
-        stale = stale_s(self.axis, ahead_s)
-        looked = []
-        every: dict[int, Sampled] = {}
-        for linearised, carried in self._ends(model, axes):
-            found = linearised.at(self.path, stale_s=stale)
-            loops = loops_of(Survey.of(found).gamma)
-            looked.append((linearised, carried, found, loops))
-            every |= {id(loop): loop for loop in loops}
-        all_loops = list(every.values())
-        for _, carried, _, loops in looked:
-            if not all(loop.stable for loop in loops):
-                return Judged(loops, all_loops, f"the loop is not stable{carried}", carried=carried)
-        ends: list[tuple[list[Sampled], Ultimate]] = []
-        for linearised, carried, found, loops in looked:
-            late = self._late(linearised, loops, ahead_s)
-            bound = self._least(linearised, loops, late, unknown, found)
+        ends = self.linearised(model, axes)
+        words = [f", with {one}" if len(self.robots) > 1 else "" for one in self.carried]
+        words = [one for one in words for _ in range(len(ends) // len(words))]
+        found = [end.at(self.path, stale_s=stale_s(self.axis, ahead_s)) for end in ends]
+        loops = [loops_of(Survey.of(local).gamma) for local in found]
+        every = list({id(loop): loop for of_end in loops for loop in of_end}.values())
+        for of_end, carried in zip(loops, words, strict=True):
+            if not all(loop.stable for loop in of_end):
+                return Judged(of_end, every, f"the loop is not stable{carried}", carried=carried)
+        bounds: list[tuple[list[Sampled], Ultimate]] = []
+        for end, local, of_end, carried in zip(ends, found, loops, words, strict=True):
+            bound = self._least(end, local, of_end, self._late(end, of_end, ahead_s), d, alpha)
             if isinstance(bound, str):
-                return Judged(loops, all_loops, bound + carried, carried=carried)
-            ends.append((loops, bound))
-        worst = max(range(len(ends)), key=lambda k: float(ends[k][1].error.max()))
-        loops, bound = ends[worst]
-        inertia = Inertia.of(np.vstack([found.Gamma for _, _, found, _ in looked]))
-        return Judged(loops, all_loops, bound, inertia, tuple(ends), looked[worst][1])
-
-    def _ends(self, model: ModelSettings, axes: AxisSpace) -> list[tuple[Linearised, str]]:
-        """Return `linearised`, each with the words for what it carries where that is not one thing."""
-        robots = self.linearised(model, axes)
-        each = len(robots) // len(self.robots)
-        several = len(self.robots) > 1
-        words = [f", with {words}" if several else "" for words in self.carried for _ in range(each)]
-        return list(zip(robots, words, strict=True))
+                return Judged(of_end, every, bound + carried, carried=carried)
+            bounds.append((of_end, bound))
+        worst = max(range(len(bounds)), key=lambda k: float(bounds[k][1].error.max()))
+        inertia = Inertia.of(np.vstack([local.Gamma for local in found]))
+        return Judged(bounds[worst][0], every, bounds[worst][1], inertia, tuple(bounds), words[worst])
 
     def _late(self, linearised: Linearised, loops: list[Sampled], ahead_s: float) -> Late:
         """Return what the delays cost along the reference, under a law that looks ahead by `ahead_s`."""
@@ -264,51 +259,30 @@ class Subject:
         return late(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
 
     def _least(
-        self, linearised: Linearised, loops: list[Sampled], late: Late, unknown: Unknown, found: Local
+        self, end: Linearised, found: Local, loops: list[Sampled], late: Late, d: float, alpha: float
     ) -> Ultimate | str:
         """Return the lower bound of those by what is known of the forces that drives lose, or why none."""
-        best: Ultimate | str | None = None
-        for by_drives in self.drives.disturb(linearised, self.path, found):
-            more = self._unknown(loops, linearised.axes, unknown, found, by_drives)
-            condition = self.c.limits.condition
-            bound = ultimate(linearised, self.path, found, loops, late, more, condition=condition)
-            if best is None or (
-                not isinstance(bound, str)
-                and (isinstance(best, str) or float(bound.error.max()) < float(best.error.max()))
-            ):
-                best = bound
-        assert best is not None
-        return best
-
-    def _unknown(
-        self,
-        loops: list[Sampled],
-        axes: AxisSpace,
-        unknown: Unknown,
-        found: Local,
-        by_drives: Disturbed,
-    ) -> Extra:
-        """Return what is stated, what steps of the readings cost, the drives' part, and pushes of legs."""
-        pushed = (np.abs(found.per_force) @ self.push_N).max(axis=0)
         length, rate = self.drives.length, self.drives.rate
-        if axes == "pose":
+        if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
-            to_pose = np.max(np.abs([np.linalg.inv(one) for one in J]), axis=0)
+            to_pose = np.abs(np.linalg.inv(J)).max(axis=0)
             length, rate = to_pose @ length, to_pose @ rate
-        by_length = np.array(of_each(loops, Sampled.measured_gains))
-        by_rate = np.array(of_each(loops, lambda loop: loop.measured_gains(rate=True)))
-        if self.nothing and unknown.d == 0.0:
+        by_length = np.array(of_each(loops, Sampled.measured_gains)).T
+        by_rate = np.array(of_each(loops, lambda loop: loop.measured_gains(rate=True))).T
+        error, speed, effort, _ = by_length * length + by_rate * rate
+        pushed = (np.abs(found.per_force) @ self.push_N).max(axis=0)
+        if self.nothing and d == 0.0:
             pushed = np.zeros(6)
-        return Extra(
-            d=np.full(6, unknown.d),
-            pushed=pushed,
-            alpha=unknown.alpha,
-            error=(1.0 + by_length[:, 0]) * length + by_rate[:, 0] * rate,
-            rate=by_length[:, 1] * length + by_rate[:, 1] * rate,
-            effort=by_length[:, 2] * length + by_rate[:, 2] * rate,
-            drives=by_drives.d,
-            lost=by_drives.lost,
-        )
+        known = Extra(np.full(6, d), pushed, alpha, length + error, speed, effort, ZERO6, np.zeros((6, 6)))
+        bounds = [
+            ultimate(
+                end, self.path, found, loops, late, known._replace(drives=by.d, lost=by.lost),
+                condition=self.c.limits.condition,
+            )
+            for by in self.drives.disturb(end, self.path, found)
+        ]  # fmt: skip
+        found_bounds = [bound for bound in bounds if not isinstance(bound, str)]
+        return min(found_bounds, key=lambda bound: float(bound.error.max()), default=bounds[0])
 
     def linearised(self, settings: ModelSettings, axes: AxisSpace) -> list[Linearised]:
         """Return the robot under a law with this model, at each end of what is stated of its inertia."""
@@ -327,6 +301,51 @@ class Subject:
             return f"leg {int(np.argmax(q))} at its upper soft end"
         number = condition_kernel(jacobian_kernel(a, b, p, R), self.platform.radius)
         return None if number <= limits.condition else f"condition of J {limits.condition:g}"
+
+
+def instants(c: Configuration) -> list[PoseSample]:
+    """Return the reference at instants of even distance, or of uneven where few; one where it rests.
+
+    Raises ConfigurationError where it cannot be followed.
+    """
+    try:
+        trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+        span = span_s(trajectory)
+        count = min(max(SAMPLES, round(span / APART_s)), MOST)
+        # Just inside the end, where the path still moves: outside it rests.
+        times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
+        if count == MOST:  # what repeats in step with even distances would not be seen
+            times[1:-1] += (np.arange(1, MOST - 1) * GOLDEN % 1.0 - 0.5) * times[1]
+        path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
+    except ConfigurationError:
+        raise
+    except HilError as error:
+        raise ConfigurationError(f"{c.source}: reference: {error}") from error
+    moves = any(np.abs(s.twist).max() > 0.0 or np.abs(s.dtwist).max() > 0.0 for s in path)
+    return path if moves else path[:1]
+
+
+def drives_of(c: Configuration, platform: Platform, path: list[PoseSample]) -> Drives:
+    """Return the drives of a configuration.
+
+    A reading that a drive sends unasked may be older than its poll by UNASKED periods, along the path.
+    """
+    traits = build_protocol(c.bus, c.drives).traits
+    read = traits.resolution.at(c.loop.rate_Hz)
+    encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
+    age_s = UNASKED / c.loop.rate_Hz if traits.unasked_s > 0.0 else 0.0
+    dq, ddq = np.zeros(6), np.zeros(6)
+    for s in path:
+        J, dJ = jacobian(platform, s.p, s.R), jacobian_rate(platform, s.p, s.R, s.twist)
+        dq, ddq = np.maximum(dq, np.abs(J @ s.twist)), np.maximum(ddq, np.abs(J @ s.dtwist + dJ @ s.twist))
+    driving, back_driving = efficiencies(c)
+    return Drives(
+        read.length + encoder_m + age_s * dq,
+        read.rate + age_s * ddq,
+        read.force / back_driving,
+        1.0 / (driving * back_driving) - 1.0,
+        min(c.limits.force_N, c.drives.force_limit_N),
+    )
 
 
 def _laden(settings: PlatformSettings, payload: Payload) -> PlatformSettings:

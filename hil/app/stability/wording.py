@@ -1,27 +1,25 @@
 """Lines and figures of assessed laws that linearise the robot."""
 
-from collections.abc import Sequence
 from math import isfinite
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from hil.app.stability.judged import Judged, slowest_of
 from hil.app.stability.subject import Subject
 from hil.config.axis_model import AxisSpace
 from hil.design.stability.error_dynamics import certificate, decay_rate
 from hil.design.stability.reaching import Reaching
 from hil.design.stability.sampled import Sampled
-from hil.design.stability.ultimate import Ultimate, in_words
+from hil.design.stability.ultimate import Judged, Ultimate, in_words
 
 NEGLIGIBLE = 0.01
 """Share of a disturbance that is not worth a line."""
 
 
-def describe(loops: Sequence[Sampled]) -> tuple[list[str], dict[str, Any]]:
+def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
     """Return the sampled loops of the axes as lines and figures, of each figure the worst of all axes."""
-    slowest = slowest_of(loops)
+    slowest, loops = judged.slowest, judged.every
     largest, rate = float(np.abs(slowest.poles).max()), float(slowest.decay_rate)
     figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": rate}}
     margins = [loop.margins for loop in loops if loop.margins is not None]
@@ -52,11 +50,6 @@ def unstable(subject: Subject, loop: Sampled) -> str:
         f"the sampled loop has an eigenvalue of magnitude {np.abs(loop.poles).max():.4g} with "
         f"{subject.delay}: lower the gains or the delay"
     )
-
-
-def worst(bound: Ultimate, axes: AxisSpace) -> str:
-    """Return the ultimate bound in words."""
-    return in_words(bound.error, axes)
 
 
 def certificate_lines(judged: Judged, K_P: Array, K_D: Array) -> tuple[list[str], dict[str, Any]]:
@@ -90,10 +83,9 @@ def certificate_lines(judged: Judged, K_P: Array, K_D: Array) -> tuple[list[str]
     return lines, figures
 
 
-def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, Any]]:
+def bound_lines(judged: Judged, bound: Ultimate, axes: AxisSpace) -> tuple[list[str], dict[str, Any]]:
     """Return a bound, and what the inertia takes part in it, as lines and figures."""
-    bound, inertia = judged.bound, judged.inertia
-    assert isinstance(bound, Ultimate)
+    inertia = judged.inertia
     least, largest = inertia.eigenvalues
     figures = {
         "alpha": inertia.alpha,
@@ -122,15 +114,16 @@ def bound_lines(judged: Judged, axes: AxisSpace) -> tuple[list[str], dict[str, A
         size = f"{bound.d.max():.3g} m/s^2 of a leg"
         if axes == "pose":
             size = f"{bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2"
-        lines.append(f"disturbance    {size}: with the rest |e| <= {worst(bound, axes)}{judged.carried}")
+        lines.append(
+            f"disturbance    {size}: with the rest |e| <= {in_words(bound.error, axes)}{judged.carried}"
+        )
+    unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
     if bound.drives.max() > NEGLIGIBLE * bound.d.max():
-        unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
         lines.append(
             f"drives         {bound.drives.max():.3g} {unit} of the disturbance are the steps of the forces "
             "sent, and what a transmission may lose where a leg turns round"
         )
     if bound.pushed.max() > 1e-6:
-        unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
         lines.append(
             f"pushes         {bound.pushed.max():.3g} {unit} of the disturbance are safety's, of legs that "
             "stand still while others stray"

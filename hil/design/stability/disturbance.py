@@ -113,6 +113,35 @@ class Survey(NamedTuple):
         )
 
 
+class Inertia(NamedTuple):
+    """What a wrong inertia makes of the accelerations that a law asks for: Gamma = J M^-1 M_believed J^-1."""
+
+    alpha: float = 0.0
+    """Norm of Gamma - I by rows, largest."""
+    alpha_2: float = 0.0
+    """Spectral norm of Gamma - I, largest."""
+    dominance: float = 1.0
+    """Gamma_ii less the rest of its row, least."""
+    definite: float = 1.0
+    """Eigenvalue of the symmetric part of Gamma, least."""
+    eigenvalues: tuple[float, float] = (1.0, 1.0)
+    """Of Gamma, least and largest: real, as it is similar to M^-1 M_believed."""
+
+    @classmethod
+    def of(cls, Gamma: Array) -> Self:
+        """Return what covers all of these (n, 6, 6)."""
+        off = Gamma - _UNIT
+        diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
+        values = np.linalg.eigvals(Gamma).real
+        return cls(
+            float(np.abs(off).sum(axis=2).max()),
+            float(np.linalg.norm(off, ord=2, axis=(1, 2)).max()),
+            float((diagonal + np.abs(diagonal) - np.abs(Gamma).sum(axis=2)).min()),
+            float(np.linalg.eigvalsh(0.5 * (Gamma + Gamma.transpose(0, 2, 1))).min()),
+            (float(values.min()), float(values.max())),
+        )
+
+
 @kernel(VECTOR, MATRIX, MATRIX, MATRIX)
 def robot_kernel(c: Array, p: Array, turns: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
     """Return J, M (n, 6, 6), H + G and (dJ/dt) twist (n, 6) at p (n, 3), R (3 n, 3) and twist (n, 6)."""

@@ -30,7 +30,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.config.axis_model import AxisSpace
-from hil.design.stability.disturbance import Linearised, Local, Survey
+from hil.design.stability.disturbance import Inertia, Linearised, Local, Survey
 from hil.design.stability.lateness import Late
 from hil.design.stability.sampled import Sampled, of_each
 from hil.trajectory.path import PoseSample
@@ -95,6 +95,26 @@ class Ultimate(NamedTuple):
     """Of J, the largest in the tube."""
     read: Array
     """(6,) m/s^2 or rad/s^2, what the steps of the readings make the law ask for."""
+
+
+class Judged(NamedTuple):
+    """The loops that run, and what bounds them."""
+
+    loops: list[Sampled]
+    """Of each axis, where the bound is that of."""
+    every: list[Sampled]
+    """Of each axis at each end of what is stated of the inertia: those that differ."""
+    bound: Ultimate | str
+    inertia: Inertia = Inertia()
+    bounds: tuple[tuple[list[Sampled], Ultimate], ...] = ()
+    """Loops and bound at each end of what is stated of the inertia."""
+    carried: str = ""
+    """With what the bound is the largest, or there is none; nothing where only one thing is carried."""
+
+    @property
+    def slowest(self) -> Sampled:
+        """Return the loop whose errors die out last, or one that grows fastest."""
+        return min(self.every, key=lambda loop: loop.decay_rate)
 
 
 def ultimate(

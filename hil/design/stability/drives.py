@@ -13,20 +13,12 @@ P^-1 Gamma u, or limits.force_N, beyond which safety sends none: each gives a bo
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
-from drivers import build_protocol
 from drivers.arrays import Array
-from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform
-from hil.app.encoder_limits import efficiencies
-from hil.app.stability.instants import instants
 from hil.design.stability.disturbance import Linearised, Local
-from hil.robot.geometry import Platform
-from hil.robot.kinematics import jacobian, jacobian_rate
-from hil.safety.encoder_limits import UNASKED
 from hil.trajectory.path import PoseSample
 
 
@@ -53,26 +45,6 @@ class Drives(NamedTuple):
     most_N: float
     """No force is larger."""
 
-    @classmethod
-    def of(cls, c: Configuration) -> Self:
-        """Return those of a configuration.
-
-        A reading that a drive sends unasked may be older than its poll by UNASKED periods, along the path.
-        """
-        protocol = build_protocol(c.bus, c.drives)
-        read = protocol.traits.resolution.at(c.loop.rate_Hz)
-        encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
-        age_s = UNASKED / c.loop.rate_Hz if protocol.traits.unasked_s > 0.0 else 0.0
-        speed, acceleration = _of_legs(build_platform(c.platform), instants(c)) if age_s else (0.0, 0.0)
-        driving, back_driving = efficiencies(c)
-        return cls(
-            read.length + encoder_m + age_s * speed,
-            read.rate + age_s * acceleration,
-            read.force / back_driving,
-            1.0 / (driving * back_driving) - 1.0,
-            min(c.limits.force_N, c.drives.force_limit_N),
-        )
-
     @property
     def stepped(self) -> bool:
         """Tell whether what is read or sent has steps."""
@@ -93,13 +65,3 @@ class Drives(NamedTuple):
         by_u = (P @ (self.loss[:, None] * back)).max(axis=0)
         at_most = (P @ (self.loss * self.most_N)).max(axis=0)
         return [Disturbed(steps + by_path, by_u), Disturbed(steps + at_most, np.zeros((6, 6)))]
-
-
-def _of_legs(platform: Platform, path: Sequence[PoseSample]) -> tuple[Array, Array]:
-    """Return the largest speed of each leg along a path, m/s, and its acceleration, m/s^2, (6,) each."""
-    dq, ddq = np.zeros(6), np.zeros(6)
-    for s in path:
-        J = jacobian(platform, s.p, s.R)
-        dq = np.maximum(dq, np.abs(J @ s.twist))
-        ddq = np.maximum(ddq, np.abs(J @ s.dtwist + jacobian_rate(platform, s.p, s.R, s.twist) @ s.twist))
-    return dq, ddq

@@ -1,0 +1,126 @@
+"""Verdicts on laws that leave six alike axes: inverse dynamics of legs or pose, and designed controllers."""
+
+from drivers.arrays import Array
+from hil.app.configuration.controller_file import controller_of
+from hil.app.stability.subject import SURVEYED, Subject
+from hil.app.stability.wording import bound_lines, certificate_lines, describe, unstable
+from hil.config.axis_model import AxisSpace
+from hil.config.linear_controller import LinearController
+from hil.config.model import ModelSettings
+from hil.control.law import ErrorDynamics, LawSettings
+from hil.control.state_space import StateSpaceSettings
+from hil.design.stability.assessment import Assessment, unless
+from hil.design.stability.prediction import predicting
+from hil.design.stability.sampled import Sampled, analyse, gains
+from hil.design.stability.sampled_loop import sampled_controller
+from hil.design.stability.ultimate import Judged, Ultimate, in_words
+from hil.mathematics.linear_system import LinearSystem
+
+
+def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Assessment:
+    """Judge e'' + K_D e' + K_P e = d as it is sampled, held and late."""
+    axes: AxisSpace = "pose" if dynamics.pose else "joint"
+    K_P, K_D = dynamics.K_P, dynamics.K_D
+    judged = bounded(subject, law, axes, K_P, K_D)
+    found = _verdict(subject, judged, axes, assumed(subject, law))
+    if found.status == "unstable" or isinstance(judged.bound, str):
+        return found
+    lines, figures = certificate_lines(judged, K_P, K_D)
+    return found._replace(lines=lines + found.lines, figures=figures | found.figures)
+
+
+def configured(subject: Subject, law: StateSpaceSettings) -> Assessment:
+    """Judge the controller that the law names. Raises ConfigurationError where its file is no good."""
+    controller = controller_of(law, subject.c.folder)
+    assert controller is not None
+    return designed(subject, controller, law.model, assumed(subject, law))
+
+
+def designed(
+    subject: Subject, controller: LinearController, model: ModelSettings, conditions: list[str]
+) -> Assessment:
+    """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors.
+
+    conditions: what is assumed of the law that runs it.
+    """
+    sampled = sampled_controller(controller)
+
+    def loops(gain: float) -> list[Sampled]:
+        return [analyse(subject.axis._replace(gain=gain), sampled)] * 6
+
+    judged = subject.judged(model, controller.axes, loops)
+    found = _verdict(subject, judged, controller.axes, conditions)
+    figures = found.figures | {"axes": controller.axes, "order": len(controller.A)}
+    lines = found.lines
+    if not isinstance(judged.bound, str) and "uncertainty" in controller.design:
+        gain, share = controller.design["axis"]["gain"], controller.design["uncertainty"]["inertia"]
+        (least, largest), low, high = judged.inertia.eigenvalues, gain / (1.0 + share), gain / (1.0 - share)
+        figures["coupled_axes_covered"] = covered = low <= least and largest <= high
+        line = f"coupled axes   Gamma's eigenvalues {least:.3g} to {largest:.3g} are "
+        line += "all within" if covered else "not all within"
+        lines = [*lines, f"{line} {low:.3g} to {high:.3g}, which the controller was designed for"]
+    return found._replace(lines=lines, figures=figures)
+
+
+def _verdict(subject: Subject, judged: Judged, axes: AxisSpace, conditions: list[str]) -> Assessment:
+    """Return what eigenvalues and bound say of the loops, with their lines and figures."""
+    loop, bound = judged.slowest, judged.bound
+    lines, figures = describe(judged)
+    if not loop.stable:
+        return Assessment("unstable", unstable(subject, loop), [], lines, figures)
+    if not isinstance(bound, Ultimate):
+        return Assessment("not proven", bound, conditions, lines, figures)
+    more, numbers = bound_lines(judged, bound, axes)
+    lines, figures = more + lines, numbers | figures
+    if subject.undisturbed(bound):
+        claim = f"at the reference's pose small errors die out, the slowest as exp(-{loop.decay_rate:.3g} t)"
+        return Assessment(unless(conditions), claim, conditions, lines, figures)
+    claim = f"errors stay below {in_words(bound.error, axes)} along the reference"
+    return Assessment("conditional", claim, [*conditions, SURVEYED], lines, figures)
+
+
+def bounded(
+    subject: Subject,
+    law: LawSettings,
+    axes: AxisSpace,
+    K_P: Array,
+    K_D: Array,
+    d: float = 0.0,
+    alpha: float = 0.0,
+) -> Judged:
+    """Return the loop of a law with these gains, and its bound. d, m/s^2, and alpha: of its uncertainty."""
+    assert law.believed is not None
+    delay = law.lookahead
+    ahead_s = 0.0 if delay is None else 1e-3 * (delay.bus_ms + delay.drive_lag_ms + delay.hold_ms)
+
+    def loops(gain: float) -> list[Sampled]:
+        return sampled(subject, law, K_P, K_D, gain)
+
+    return subject.judged(law.believed, axes, loops, ahead_s, d, alpha)
+
+
+def sampled(subject: Subject, law: LawSettings, K_P: Array, K_D: Array, gain: float) -> list[Sampled]:
+    """Return the sampled loop of each axis, with the gain that the robot has."""
+    axis = subject.axis._replace(gain=gain)
+    delay = law.lookahead
+
+    def controller(k_p: float, k_d: float) -> LinearSystem:
+        if delay is None:
+            return gains(k_p, k_d, axis.period_s)
+        return predicting(
+            k_p, k_d, axis.period_s,
+            bus_s=1e-3 * delay.bus_ms, lag_s=1e-3 * delay.drive_lag_ms, hold_s=1e-3 * delay.hold_ms,
+        )  # fmt: skip
+
+    pairs = [(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True)]
+    loops = {pair: analyse(axis, controller(*pair)) for pair in set(pairs)}
+    return [loops[pair] for pair in pairs]
+
+
+def assumed(subject: Subject, law: LawSettings) -> list[str]:
+    """Return what a law of this family is proven under, beyond what is checked."""
+    conditions = []
+    if law.lookahead is not None:
+        conditions.append("the delays are those of delay_compensation")
+    wrench = subject.wrench if law.compensates_wrench else []
+    return conditions + wrench + subject.unseen + subject.live

@@ -11,8 +11,7 @@ import yaml
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.app.configuration.section_file import read_section
-from hil.app.design.robot import couplings
-from hil.app.design.robustness import for_the_robot, robustness
+from hil.app.design.robustness import couplings, for_the_robot, robustness
 from hil.app.files import printable
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
@@ -127,88 +126,60 @@ def summary(controller: LinearController, source: str) -> dict[str, Any]:
     }
 
 
+MET = "below 1 no single cause exceeds its weights, whatever the uncertainty"
+LEFT_OUT = f"Hankel singular values below {NOTHING:g} of the largest"
+ROWS = (
+    ("gamma", "gamma", "{gamma:.4f}, {gamma_opt:.4f} at best; below 1 no single cause exceeds its weights"),
+    ("gamma", "norm", "{norm:.4f}, of the exact sampled loop {norm_sampled:.4f}"),
+    ("mu_upper", "mu", "{mu_lower:.4f} to {mu_upper:.4f} at {mu_peak_rad_s:.3g} rad/s; " + MET),
+    ("mu_upper", "at every frequency", "{mu_proven:.4f}, by scales of order 1"),
+    ("mu_upper", "sampled loop", "{norm_sampled_corners:.4f} at the corners of the uncertainty"),
+    ("mu_upper", "without uncertainty", "{nominal_performance:.4f}"),
+    (
+        "mu_upper",
+        "coupled axes",
+        "stable where J M^-1 M_believed J^-1 has eigenvalues {covered[0]:.3g} to {covered[1]:.3g}",
+    ),
+    ("mu_upper", "rounds", "{shown_rounds}"),
+    ("mu_upper", "states left out", "{states_left_out}" + f", of {LEFT_OUT}"),
+    ("axis", "crossover", "{crossover_rad_s:.1f} rad/s, as PD of wn {wn:.1f}"),
+    ("axis", "margins", "{phase_margin_deg:.1f} deg, {delay_margin_ms:.2f} ms, gain {down:.2f} to {up:.2f}"),
+    ("axis", "peak of S, T", "{peak_S:.2f}, {peak_T:.2f}"),
+    ("axis", "controller's poles", "up to {fastest:.0f} rad/s; half Nyquist {half_nyquist:.0f}"),
+    ("axis", "closed loop's poles", "from {slowest:.1f} rad/s"),
+    ("measured", "|W T|, measured", "{measured[words]}; stable below 1"),
+    ("robot", "axes together", "stable, eigenvalues of Gamma {low:.3g} to {high:.3g}{robot[words]}"),
+)
+"""Figure that a row needs, its name, and its text."""
+
+
 def report(controller: LinearController) -> list[str]:
     """Return what the user reads: how much of the weights is used, margins, poles."""
-    d = controller.design
-    down, up = d["gain_margin"]
-    fastest = max(float(np.hypot(*pole)) for pole in d["controller_poles_rad_s"])
-    slowest = min(-pole[0] for pole in d["closed_loop_poles_rad_s"])
-    rows = [
-        *_figures(d),
-        (
-            "crossover",
-            f"{d['crossover_rad_s']:.1f} rad/s, as PD of wn {d['crossover_rad_s'] / PD_CROSSOVER:.1f}",
-        ),
-        (
-            "margins",
-            f"{d['phase_margin_deg']:.1f} deg, {d['delay_margin_ms']:.2f} ms, gain {down:.2f} to {up:.2f}",
-        ),
-        ("peak of S, T", f"{d['peak_S']:.2f}, {d['peak_T']:.2f}"),
-        (
-            "controller's poles",
-            f"up to {fastest:.0f} rad/s; half Nyquist {np.pi * controller.rate_Hz / 2:.0f}",
-        ),
-        ("closed loop's poles", f"from {slowest:.1f} rad/s"),
-    ]
-    rows += _robust_rows(d)
-    headline = (
-        f"{len(controller.A)} states for each of six {controller.axes} axes, {controller.rate_Hz:g} Hz, from "
-        f"{' and '.join(controller.inputs)}"
-    )
-    return [headline, *(f"  {name:20}{value}" for name, value in rows), *_remarks(d)]
-
-
-def _robust_rows(design: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return how near the loop comes to what measured axes, and the robot's coupling, make unstable."""
-    rows = []
-
-    def nearest(found: dict[str, float]) -> str:
-        return f"{found['norm']:.3f}, nearest to 1 at {found['at_rad_s'] / (2 * np.pi):.3g} Hz"
-
-    if "measured" in design:
-        rows.append(("|W T|, measured", f"{nearest(design['measured'])}; stable below 1"))
-    if "robot" in design:
-        low, high = design["robot"]["gamma_eigenvalues"]
-        words = f"stable, eigenvalues of Gamma {low:.3g} to {high:.3g}"
-        if "norm" in design["robot"]:
-            words += f"; |W T| {nearest(design['robot'])}"
-        rows.append(("axes together", words))
-    return rows
-
-
-def _remarks(design: dict[str, Any]) -> list[str]:
-    """Say where being near the optimum means less than it seems to."""
-    if design.get("gamma_opt", np.inf) > PINNED * design.get("gamma_at_rest", 0.0):
-        return []
-    remark = (
-        "note: the best gamma is noise.error_m times the error weight at rest, so no other weight limits it; "
-        "raise error.low_m until one does, or ask for more elsewhere"
-    )
-    return [remark]
-
-
-def _figures(design: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the rows that only some methods have."""
-    if "mu_upper" in design:
-        worst = f"{design['mu_lower']:.4f} to {design['mu_upper']:.4f} at {design['mu_peak_rad_s']:.3g} rad/s"
-        g, r = design["axis"]["gain"], design["uncertainty"]["inertia"]
-        return [
-            ("mu", f"{worst}; below 1 no single cause exceeds its weights, whatever the uncertainty"),
-            ("at every frequency", f"{design['mu_proven']:.4f}, by scales of order 1"),
-            ("sampled loop", f"{design['norm_sampled_corners']:.4f} at the corners of the uncertainty"),
-            ("without uncertainty", f"{design['nominal_performance']:.4f}"),
-            (
-                "coupled axes",
-                f"stable where J M^-1 M_believed J^-1 has eigenvalues {g / (1 + r):.3g} to {g / (1 - r):.3g}",
-            ),
-            ("rounds", " ".join(f"{peak:.3f}" for peak in design["rounds"])),
-            (
-                "states left out",
-                f"{design['states_left_out']}, of Hankel singular values below {NOTHING:g} of the largest",
-            ),
-        ]
-    if "gamma" not in design:
-        return []
-    best = f"{design['gamma_opt']:.4f} at best; below 1 no single cause exceeds its weights"
-    exact = f"of the exact sampled loop {design['norm_sampled']:.4f}"
-    return [("gamma", f"{design['gamma']:.4f}, {best}"), ("norm", f"{design['norm']:.4f}, {exact}")]
+    d: dict[str, Any] = dict(controller.design)
+    d["down"], d["up"] = d["gain_margin"]
+    d["low"], d["high"] = d.get("robot", {}).get("gamma_eigenvalues", (0.0, 0.0))
+    d["wn"] = d["crossover_rad_s"] / PD_CROSSOVER
+    d["fastest"] = max(float(np.hypot(*pole)) for pole in d["controller_poles_rad_s"])
+    d["slowest"] = min(-pole[0] for pole in d["closed_loop_poles_rad_s"])
+    d["half_nyquist"] = np.pi * controller.rate_Hz / 2
+    if "mu_upper" in d:
+        gain, share = d["axis"]["gain"], d["uncertainty"]["inertia"]
+        d["covered"] = gain / (1 + share), gain / (1 - share)
+        d["shown_rounds"] = " ".join(f"{peak:.3f}" for peak in d["rounds"])
+    for key, before in (("measured", ""), ("robot", "; |W T| ")):
+        if key in d:
+            near = "{norm:.3f}, nearest to 1 at {Hz:.3g} Hz"
+            found = d[key]
+            words = ""
+            if "norm" in found:
+                words = before + near.format(norm=found["norm"], Hz=found["at_rad_s"] / (2 * np.pi))
+            d[key] = found | {"words": words}
+    axes = f"each of six {controller.axes} axes, {controller.rate_Hz:g} Hz"
+    lines = [f"{len(controller.A)} states for {axes}, from {' and '.join(controller.inputs)}"]
+    lines += [f"  {name:20}{text.format(**d)}" for needs, name, text in ROWS if needs in d]
+    if d.get("gamma_opt", np.inf) <= PINNED * d.get("gamma_at_rest", 0.0):
+        lines.append(
+            "note: the best gamma is noise.error_m times the error weight at rest, so no other weight limits "
+            "it; raise error.low_m until one does, or ask for more elsewhere"
+        )
+    return lines

@@ -10,9 +10,10 @@ from drivers.files import whole_file
 from hil.app.files import printable
 from hil.config.design import Design, DesignAxis
 from hil.design.stability.sampled_loop import grid
+from hil.design.synthesis.axis import around
 from hil.design.synthesis.hinf_design import Designed
-from hil.design.synthesis.sampled import loop_gain, sampled_axis
-from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
+from hil.design.synthesis.sampled import loop_gain, sampled_axis, sampled_problem
+from hil.design.synthesis.weights import control_weight, disturbance_weight
 from hil.mathematics.linear_system import LinearSystem
 
 STEP_S = 0.3
@@ -30,9 +31,9 @@ def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: st
     omega = omega[(omega > 0.1) & (omega < omega[-1])]
     L = loop_gain(K, legs).response(omega)[:, 0, 0]
     _closed(axes[0, 0], design, omega, L)
-    _weighted(axes[0, 1], design, omega, K, legs, L, made.figures)
+    _weighted(axes[0, 1], design, omega, sampled_problem(design, axis).closed_with(K), made.figures)
     _open(axes[1, 0], omega, L, made.figures)
-    _step(axes[1, 1], design, K, legs)
+    _step(axes[1, 1], design, around(legs).closed_with(K))
     figure.suptitle(printable(title), parse_math=False)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=100)
@@ -51,28 +52,13 @@ def _closed(axes: Any, design: Design, omega: Array, L: ComplexArray) -> None:
     axes.grid(alpha=0.3, which="both")
 
 
-def _weighted(
-    axes: Any,
-    design: Design,
-    omega: Array,
-    K: LinearSystem,
-    legs: LinearSystem,
-    L: ComplexArray,
-    figures: dict[str, Any],
-) -> None:
+def _weighted(axes: Any, design: Design, omega: Array, closed: LinearSystem, figures: dict[str, Any]) -> None:
     """Each path times its weights: below gamma all of them together, below 1 the design is met."""
-    S = 1.0 / (1.0 + L)
-    P = legs.response(omega)
-    k = K.response(omega)[:, 0, :]
-    W_e = error_weight(design.weights.error).response(omega)[:, 0, 0]
-    W_u = control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0]
-    W_d, noise = disturbance_weight(design).D[0, 0], np.diag(noise_weight(design).D)
-    axes.loglog(omega, np.abs(W_e * P[:, 0, 0] * S * W_d), label="disturbance to error")
-    axes.loglog(omega, np.abs(W_u * (k * P[:, 1:, 0]).sum(axis=1) * S * W_d), label="disturbance to control")
-    for column, name in enumerate(design.inputs):
-        K_S = k[:, column] * S * noise[column]
-        axes.loglog(omega, np.abs(W_u * K_S), "--", label=f"noise of {name} to control, K S")
-        axes.loglog(omega, np.abs(W_e * P[:, 0, 1] * K_S), ":", label=f"noise of {name} to error")
+    size = np.abs(closed.response(omega))
+    causes = ["disturbance", *(f"noise of {name}" for name in design.inputs)]
+    for i, effect in enumerate(("error", "control")):
+        for j, cause in enumerate(causes):
+            axes.loglog(omega, size[:, i, j], ":" if j else "-", label=f"{cause} to {effect}")
     axes.axhline(1.0, color="black", linewidth=0.8)
     if "gamma" in figures:
         axes.axhline(figures["gamma"], color="black", linestyle="--", linewidth=0.8, label="gamma")
@@ -102,19 +88,16 @@ def _open(axes: Any, omega: Array, L: ComplexArray, figures: dict[str, Any]) -> 
     )
 
 
-def _step(axes: Any, design: Design, K: LinearSystem, legs: LinearSystem) -> None:
+def _step(axes: Any, design: Design, closed: LinearSystem) -> None:
     """Error and control after a step of the disturbance, to the full amplitude."""
     d, h = disturbance_weight(design).D[0, 0], 1.0 / design.rate_Hz
-    x, x_k = np.zeros(legs.order), np.zeros(K.order)
-    e, u = [], []
+    x, answers = np.zeros(closed.order), []
     for _ in range(int(STEP_S / h)):
-        y = legs.C @ x
-        demand = K.C @ x_k + K.D @ y[1:]
-        e.append(1e3 * y[0])
-        u.append(demand[0])
-        x, x_k = legs.A @ x + legs.B @ np.array([d, demand[0]]), K.A @ x_k + K.B @ y[1:]
+        answers.append(closed.C @ x + closed.D[:, 0] * d)
+        x = closed.A @ x + closed.B[:, 0] * d
+    e, u = np.array(answers).T
     t = h * np.arange(len(e))
-    axes.plot(t, e)
+    axes.plot(t, 1e3 * e)
     axes.set(xlabel="s", ylabel="error [mm or mrad]", title=f"step of {d:g} m/s$^2$ or rad/s$^2$")
     axes.grid(alpha=0.3)
     other = axes.twinx()

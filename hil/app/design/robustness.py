@@ -1,16 +1,52 @@
 """What a designed loop stands: axes as they were measured, and coupled as a robot's payload couples them."""
 
+from math import isclose
 from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import SynthesisError
-from hil.app.design.robot import eigenvalues, middle, share_of_inertia
+from drivers.errors import ConfigurationError, SynthesisError
+from hil.app.configuration.configuration import load
+from hil.app.stability.subject import Stated, Subject
+from hil.config.axis_model import AxisSpace
 from hil.config.design import Design, DesignAxis
+from hil.config.model import ModelSettings
 from hil.design.synthesis.hinf_design import Designed
 from hil.design.synthesis.multiplicative import Margin, Relative, single, together
 from hil.design.synthesis.sampled import loop_gain, sampled_axis
+
+POSES = 25
+"""Of the reference, at each corner of the payload's ranges."""
+
+
+def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array]:
+    """Return Gamma (6, 6) along a configuration's reference, at each corner of its payload's ranges.
+
+    Raises ConfigurationError: no robot, or another loop than the design's.
+    """
+    c = load(configuration)
+    subject = Subject(c, Stated())
+    for key, given, allowed in (
+        ("plant.model", "six uncoupled legs" if subject.on_bench else None, "a configuration of the robot"),
+        ("loop.rate_Hz", None if c.loop.rate_Hz == rate_Hz else c.loop.rate_Hz, f"the design's, {rate_Hz:g}"),
+        (
+            "controller.axes",
+            None if c.controller.axes in (None, axes) else c.controller.axes,
+            f"the design's, {axes}",
+        ),
+    ):
+        if given is not None:
+            raise ConfigurationError(f"{c.source}: {key}: {given}, allowed with --robot: {allowed}")
+    path = subject.path[:: max(1, len(subject.path) // POSES)]
+    model = c.controller.believed or ModelSettings()
+    return [Gamma for robot in subject.linearised(model, axes) for Gamma in robot.at(path).Gamma]
+
+
+def eigenvalues(Gammas: list[Array]) -> tuple[float, float]:
+    """Return the least and the largest eigenvalue: real, as each Gamma is similar to M^-1 M_believed."""
+    values = np.linalg.eigvals(np.array(Gammas)).real
+    return float(values.min()), float(values.max())
 
 
 def for_the_robot(
@@ -21,8 +57,10 @@ def for_the_robot(
     if keep_gain:  # what was measured with the model's payload, and what the model says
         least, largest = min(least, axis.gain * least), max(largest, axis.gain * largest)
     else:
-        axis = axis.model_copy(update={"gain": middle(least, largest)})
-    share = share_of_inertia(axis.gain, least, largest)
+        gain = least if isclose(least, largest) else 2.0 / (1.0 / least + 1.0 / largest)
+        axis = axis.model_copy(update={"gain": gain})
+    # gain / (1 + share) to gain / (1 - share) holds what lies from least to largest
+    share = max(axis.gain / least - 1.0, 1.0 - axis.gain / largest, 0.0)
     if share >= 1.0:
         raise SynthesisError(
             f"the robot's Gamma has eigenvalues {least:.3g} to {largest:.3g}, allowed: above half the axis' "

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack, matrix_balance, schur
+from scipy.linalg import matrix_balance, solve_continuous_are
 
 from drivers.arrays import Array
 from drivers.errors import SynthesisError
@@ -191,37 +191,21 @@ def _riccati(plant: _Normal, gamma: float) -> _Riccati | None:
 def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -> tuple[Array, Array] | None:
     """Return X >= 0 of A'X + XA + C'C - (XB + C'D) R^-1 (B'X + D'C) = 0 and F = -R^-1 (D'C + B'X).
 
-    R = D'D less gamma^2 on its first `m` entries. X spans the stable subspace of the Hamiltonian, found by
-    an ordered Schur form; eigenvalues on the imaginary axis leave none.
+    R = D'D less gamma^2 on its first `m` entries.
     """
-    n = len(A)
     R = D.T @ D
     R[:m, :m] -= gamma**2 * np.eye(m)
-    if n == 0:
+    if not len(A):
         return np.zeros((0, 0)), np.zeros((B.shape[1], 0))
-    DC = D.T @ C
-    right = np.linalg.solve(R, np.hstack([DC, B.T]))
-    H = np.block([[A, np.zeros((n, n))], [-C.T @ C, -A.T]]) - np.vstack([B, -DC.T]) @ right
-    H, (scale, _) = matrix_balance(H, permute=False, separate=True)
     try:
-        T, U, stable = schur(H, sort="lhp")
-    except np.linalg.LinAlgError:  # an eigenvalue on the axis changed sides when it was moved
-        return None
-    if stable != n or np.abs(np.linalg.eigvals(T).real).min() <= AXIS * np.abs(np.diag(T)).max():
-        return None
-    U1, U2 = scale[:n, None] * U[:n, :n], scale[n:, None] * U[n:, :n]
-    lu, pivots, info = lapack.dgetrf(U1)
-    if info:
-        return None
-    Xt, _ = lapack.dgetrs(lu, pivots, U2.T.copy(), trans=1)
-    X = 0.5 * (Xt + Xt.T)
-    if not np.isfinite(X).all():
+        X = solve_continuous_are(A, B, C.T @ C, R, s=C.T @ D)
+    except np.linalg.LinAlgError:  # eigenvalues on the imaginary axis leave none
         return None
     a, b, c = (float(np.linalg.norm(M)) for M in (A, B, C))
     size = float(np.linalg.norm(X)) + c**2 / max(a, b * c, 1e-300)  # X may be 0 but for rounding
     if np.linalg.eigvalsh(X).min() < -1e-9 * size:
         return None
-    return X, -np.linalg.solve(R, DC + B.T @ X)
+    return X, -np.linalg.solve(R, D.T @ C + B.T @ X)
 
 
 def _central(plant: _Normal, gamma: float) -> LinearSystem | None:

@@ -146,9 +146,6 @@ def _figures(
         "gamma_at_rest": floor_at_rest(design),
         "norm": continuous,
         "norm_sampled": discrete,
-        **described(judged, found.K),
-        "axis": axis.model_dump(mode="json", exclude_none=True),
-        "delay_order": design.delay_order,
+        **described(design, axis, judged, found.K),
         "lump_lag": design.lump_lag,
-        "weights": design.weights.model_dump(mode="json", exclude_none=True),
     }

@@ -24,12 +24,11 @@ from hil.design.synthesis.dk import (
 )
 from hil.design.synthesis.hinf_design import Designed, computable
 from hil.design.synthesis.mu import lower_bound
-from hil.design.synthesis.multiplicative import Relative
+from hil.design.synthesis.multiplicative import CORNER, Relative
 from hil.design.synthesis.norm import norm
-from hil.design.synthesis.reduction import reduced
-from hil.design.synthesis.result import SLOW, Judgement, described, judge
+from hil.design.synthesis.result import SLOW, Judgement, described, judge, reduced
 from hil.design.synthesis.sampled import sampled_problem
-from hil.design.synthesis.structured import CORNER, Structured, structured_plant
+from hil.design.synthesis.structured import Structured, structured_plant
 from hil.design.synthesis.weights import noise_weight
 from hil.mathematics.linear_system import LinearSystem
 
@@ -140,14 +139,11 @@ def _figures(
         "mu_lower": float(lower.max()),
         "mu_peak_rad_s": bounds.peak_rad_s,
         "nominal_performance": float(nominal.max()),
-        **described(judged, K),
+        **described(design, axis, judged, K),
         "mu": {
             "omega_rad_s": [float(w) for w in omega[k]],
             "upper": [float(v) for v in upper[k]],
             "lower": [float(v) for v in lower[k]],
         },
-        "axis": axis.model_dump(mode="json", exclude_none=True),
-        "delay_order": design.delay_order,
         "uncertainty": design.uncertainty.model_dump(mode="json"),
-        "weights": design.weights.model_dump(mode="json", exclude_none=True),
     }

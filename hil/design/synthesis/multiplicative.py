@@ -12,9 +12,10 @@ radius of |w T_6|, element by element, is below 1: the best of all diagonal scal
 and I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, 8.7 and A.3).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import product
 from math import pi
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from hil.config.design import Design, TransferFunction
 from hil.design.synthesis.weights import control_weight, disturbance_weight, rational
 from hil.mathematics.linear_system import LinearSystem
 
+Key = TypeVar("Key")
 SPARE = 1.01
 """A cover is wider by this factor than what it has to cover."""
 CORNER = 0.4
@@ -72,26 +74,35 @@ def frequencies(rate_Hz: float) -> Array:
     return np.asarray(np.geomspace(1e-4, 1.0, 1200) * pi * rate_Hz)
 
 
-def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
-    """Return the tightest k ((s / z + 1) / (s / p + 1))^n above all values.
+def tightest(
+    omega: Array, values: Array, corner: float, shapes: Iterable[tuple[Key, Array]], least: float = 0.0
+) -> tuple[float, Key]:
+    """Return k and which of the shapes (n,) is the tightest above all values, with some to spare.
 
-    n is 1 or 2, z and p are up to `corner`. Tightest is the least mean of log(|W| / value) up to the corner.
+    Tightest is the least mean of log(k shape / value) up to the corner; a later one by more than `least`.
     """
-    s, below = 1j * omega, omega <= corner
-    corners = np.geomspace(max(omega[0], 1e-3 * corner), corner, 60)
-    best: tuple[float, TransferFunction] | None = None
-    for order in (1, 2):
-        for z in corners:
-            for p in corners:
-                shape = np.abs((s / z + 1.0) / (s / p + 1.0)) ** order
-                k = SPARE * float((values / shape).max())
-                excess = float(np.log(k * shape[below] / values[below]).mean())
-                if best is None or excess < best[0] - 1e-6:
-                    factors = [np.array([1.0 / x, 1.0]) for x in (z, p)]
-                    top, bottom = (f if order == 1 else np.convolve(f, f) for f in factors)
-                    best = excess, TransferFunction(numerator=list(k * top), denominator=list(bottom))
+    below = omega <= corner
+    best: tuple[float, float, Key] | None = None
+    for key, shape in shapes:
+        k = SPARE * float((values / shape).max())
+        excess = float(np.log(k * shape[below] / values[below]).mean())
+        if best is None or excess < best[0] - least:
+            best = excess, k, key
     assert best is not None
-    return best[1]
+    return best[1:]
+
+
+def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
+    """Return the tightest k ((s / z + 1) / (s / p + 1))^n above all values, n up to 2, z, p up to `corner`."""
+    s = 1j * omega
+    corners = np.geomspace(max(omega[0], 1e-3 * corner), corner, 60)
+    shapes = (
+        ((n, z, p), np.abs((s / z + 1.0) / (s / p + 1.0)) ** n)
+        for n, z, p in product((1, 2), corners, corners)
+    )
+    k, (n, z, p) = tightest(omega, values, corner, shapes, 1e-6)
+    top, bottom = (np.poly1d([1.0 / x, 1.0]) ** n for x in (z, p))
+    return TransferFunction(numerator=list(k * top.coeffs), denominator=list(bottom.coeffs))
 
 
 def covered(design: Design, measured: Relative, gain: float) -> Design:

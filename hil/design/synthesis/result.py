@@ -4,7 +4,12 @@ from math import pi
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import (
+    matrix_balance,
+    solve_continuous_lyapunov,
+    solve_discrete_are,
+    solve_discrete_lyapunov,
+)
 
 from drivers.arrays import Array, ComplexArray
 from drivers.errors import SynthesisError
@@ -103,16 +108,48 @@ def balanced(K: LinearSystem) -> LinearSystem:
     chosen so that the first column of B is positive. One with a state that is hardly reached or seen has no
     such coordinates and is returned as it is.
     """
-    W_c = solve_discrete_lyapunov(K.A, K.B @ K.B.T)
-    W_o = solve_discrete_lyapunov(K.A.T, K.C.T @ K.C)
-    try:
-        R = np.linalg.cholesky(W_c)
-    except np.linalg.LinAlgError:
+    L_c, L_o = (_factor(solve_discrete_lyapunov(A, B @ B.T)) for A, B in ((K.A, K.B), (K.A.T, K.C.T)))
+    right, left, s = _balancing(L_c, L_o)
+    if not K.order or s[-1] <= 1e-14 * s[0]:
         return K
-    U, s, _ = np.linalg.svd(R.T @ W_o @ R)
-    T = R @ U / s**0.25
-    T = T * np.where(np.linalg.solve(T, K.B)[:, 0] < 0.0, -1.0, 1.0)
-    return LinearSystem(np.linalg.solve(T, K.A @ T), np.linalg.solve(T, K.B), K.C @ T, K.D, K.period_s)
+    sign = np.where((left.T @ K.B)[:, 0] < 0.0, -1.0, 1.0)
+    right, left = right * sign, left * sign
+    return LinearSystem(left.T @ K.A @ right, left.T @ K.B, K.C @ right, K.D, K.period_s)
+
+
+def reduced(K: LinearSystem, inputs: Array, share: float) -> tuple[LinearSystem, float]:
+    """Return a system without the states below `share` of the largest, and how far it is off at most.
+
+    D-K iteration makes controllers whose poles and zeros all but cancel. In balanced coordinates, where a
+    state is as easy to move by the inputs as to see in the outputs, its Hankel singular value says what it is
+    worth. Balanced truncation (B. C. Moore 1981; K. Glover 1984): the response, from inputs of the sizes
+    `inputs` (m,), is off at no frequency by more than twice the sum of the values left out: returned as a
+    share of the largest. An unstable system has no Gramians and is returned as it is.
+    """
+    if not K.is_stable():
+        return K, 0.0
+    A, T = matrix_balance(K.A)
+    B, C = np.linalg.solve(T, K.B) * inputs, K.C @ T
+    L_c = _factor(solve_continuous_lyapunov(A, -B @ B.T))
+    L_o = _factor(solve_continuous_lyapunov(A.T, -C.T @ C))
+    right, left, s = _balancing(L_c, L_o)
+    n = int((s > share * s[0]).sum())
+    right, left = right[:, :n], left[:, :n]
+    kept = LinearSystem(left.T @ A @ right, left.T @ B / inputs, C @ right, K.D)
+    return kept, 2.0 * float(s[n:].sum() / s[0])
+
+
+def _balancing(L_c: Array, L_o: Array) -> tuple[Array, Array, Array]:
+    """Return the maps x = right z, z = left^T x to balanced coordinates, and the Hankel singular values."""
+    U, s, Vt = np.linalg.svd(L_o.T @ L_c)
+    root = np.sqrt(np.maximum(s, 1e-300))
+    return L_c @ Vt.T / root, L_o @ U / root, s
+
+
+def _factor(gramian: Array) -> Array:
+    """Return L with L L' = gramian, also where rounding has made it a little indefinite."""
+    values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def linear_controller(
@@ -137,8 +174,8 @@ def linear_controller(
     )
 
 
-def described(judged: Judgement, K: LinearSystem) -> dict[str, Any]:
-    """Return margins and poles as plain numbers with their units."""
+def described(design: Design, axis: DesignAxis, judged: Judgement, K: LinearSystem) -> dict[str, Any]:
+    """Return the question, and margins and poles as plain numbers with their units."""
     m = judged.margins
     return {
         "crossover_rad_s": m.crossover_rad_s,
@@ -149,6 +186,9 @@ def described(judged: Judgement, K: LinearSystem) -> dict[str, Any]:
         "peak_T": m.peak_T,
         "controller_poles_rad_s": _pairs(K.poles()),
         "closed_loop_poles_rad_s": _pairs(judged.loop_poles),
+        "axis": axis.model_dump(mode="json", exclude_none=True),
+        "delay_order": design.delay_order,
+        "weights": design.weights.model_dump(mode="json", exclude_none=True),
     }
 
 

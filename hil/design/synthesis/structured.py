@@ -20,15 +20,10 @@ from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.design.synthesis.axis import drive, pade
 from hil.design.synthesis.mu import Block
-from hil.design.synthesis.multiplicative import Relative, cover_system
+from hil.design.synthesis.multiplicative import CORNER, Relative, cover_system, tightest
 from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 from hil.design.synthesis.wiring import Sum, well_scaled, wired
 from hil.mathematics.linear_system import LinearSystem
-
-SPARE = 1.01
-"""A cover is wider by this factor than what it has to cover."""
-CORNER = 0.4
-"""Times the Nyquist frequency: the covers' corner. A controller's poles, near it, have to stay below 0.5."""
 
 
 class Structured(NamedTuple):
@@ -84,18 +79,14 @@ def cover(omega: Array, error: Array, corner: float) -> LinearSystem:
     log(|W| / error) below the corner, where the loop acts.
     """
     s = 1j * omega
-    below = omega <= corner
-
-    def gain(z: float) -> tuple[float, float]:
-        shape = np.abs(s * (s / z + 1.0) / (s / corner + 1.0) ** 2)
-        k = SPARE * float((error / shape).max())
-        return k, float(np.log(k * shape[below] / error[below]).mean())
-
-    z = min(np.geomspace(0.1, 0.99, 100) * corner, key=lambda z: gain(float(z))[1])
-    k, c = gain(float(z))[0], corner
+    shapes = (
+        (float(z), np.abs(s * (s / z + 1.0) / (s / corner + 1.0) ** 2))
+        for z in np.geomspace(0.1, 0.99, 100) * corner
+    )
+    (k, z), c = tightest(omega, error, corner, shapes), corner
     # k (c^2 / z) s (s + z) / (s + c)^2, less its feed-through
     A, B = np.array([[-2.0 * c, -c], [c, 0.0]]), np.array([[1.0], [0.0]])
-    end = k * c * c / float(z)
+    end = k * c * c / z
     return LinearSystem(A, B, end * np.array([[z - 2.0 * c, -c]]), np.array([[end]]))
 
 

@@ -7,15 +7,15 @@ solver's tolerance. In doubt a claim is undecided.
 
     door            what is taken, and decimals        signs            definite, semidefinite, positive
     system          the question in exact form         origin, tail     near the equilibrium and far away
-    budget          cells and seconds                  quadratic, convex   forms; Hessians on a box
+    branch_and_bound   cells and seconds               quadratic, convex   forms; Hessians on a box
     cancellation    dV/dt, exactly                     orthant          polynomials of positive parameters
     interval        enclosures                         lasalle, level   where dV/dt = 0; sublevel sets
-    branch_and_bound                                   linearisation, eigenvalues, chetaev   instability
+                                                       linearisation, chetaev   instability
     counterexample  what refutes                       proposal         a V where none was given
     theorems, report
 """
 
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget
 from hil.proof.report import Certificate, Decrease, Equilibrium, Report, Truth
 from hil.proof.theorems import verify
 

@@ -4,18 +4,16 @@ W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. B
 lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W > 0 on one at least.
 """
 
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator
 from itertools import product
 
 import sympy as sp
 from flint import arb
 
 from drivers.errors import ModelError
-from hil.proof.branch_and_bound import covered, faces, positive
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget, faces, positive
 from hil.proof.cancellation import lie_derivative
-from hil.proof.interval import Ball, Cell, Enclosure, ball, unsupported
+from hil.proof.interval import Cell, Enclosure, ball, unsupported
 from hil.proof.origin import RADII, Ray, T
 from hil.proof.signs import Signs, regular
 
@@ -109,13 +107,10 @@ def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -
     for radius in RADII:
         reach = ball(0.0, radius)
         # t stays whole: the two remainders hold for different t' between 0 and t
-        if covered(cells, partial(_one_positive, (down, up), reach), budget, LIMIT):
+        parts_there = [lambda x, g=g, t=reach: g([*x, t]) for g in (down, up)]
+        if positive(parts_there, cells, budget, LIMIT):
             return _somewhere(down, len(states), ranges, (0.0, radius), budget)
     return False
-
-
-def _one_positive(functions: tuple[Enclosure, ...], reach: Ball, u: Sequence[Ball]) -> bool:
-    return any(g([*u, reach]) > 0 for g in functions)
 
 
 def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:

@@ -13,8 +13,7 @@ import numpy as np
 import sympy as sp
 from flint import arb
 
-from hil.proof.branch_and_bound import covered
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.interval import Ball, Cell, Enclosure, ball, unsupported
 
 LONGEST = 2000

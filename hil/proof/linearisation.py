@@ -1,20 +1,141 @@
-"""The linearisation at the equilibrium: eigenvalues located, not computed.
+"""The linearisation at the equilibrium: where its eigenvalues are, without computing one.
 
 States that do not act on each other in a circle are taken apart first. A matrix of fractions is decided
-exactly, one with ranges of parameters cell by cell, one with parameters that may be any positive number by
-polynomials of them. A root on the imaginary axis says nothing.
+exactly: Routh's table over the rationals has no smallest number; what is symmetric about the imaginary axis
+is divided out first, so that a zero in the table means an eigenvalue to the right. Over ranges of parameters
+the theorem of Ostrowski and Schneider counts: where A^T P + P A < 0, A has as many eigenvalues to the right
+as P has negative ones. With parameters that may be any positive number polynomials of them decide. A root on
+the imaginary axis says nothing.
 """
 
+from __future__ import annotations
+
+from collections.abc import Sequence
+from enum import Enum
+from fractions import Fraction
+from itertools import pairwise
+
+import numpy as np
 import sympy as sp
+from flint import arb, fmpq, fmpq_mat, fmpq_poly
 
 from drivers.errors import ModelError
+from hil.proof import quadratic
+from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.cancellation import continuous
-from hil.proof.eigenvalues import Eigenvalues, of_rationals, over_ranges
-from hil.proof.interval import unsupported
+from hil.proof.convex import positive_definite
+from hil.proof.interval import Ball, Enclosure, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import System
 
-__all__ = ["Eigenvalues", "eigenvalues", "jacobian"]
+CELLS = 300
+
+
+class Eigenvalues(Enum):
+    """Where the eigenvalues of the linearisation are shown to be."""
+
+    LEFT = "every eigenvalue has a negative real part"
+    RIGHT = "an eigenvalue has a positive real part"
+    UNKNOWN = "nothing is shown"
+
+
+def of_rationals(A: sp.Matrix) -> Eigenvalues:
+    """Return where the eigenvalues of a rational matrix are; UNKNOWN: on the axis, none to the right."""
+    n = A.rows
+    p = fmpq_mat([[fmpq(int(a.p), int(a.q)) for a in A.row(i)] for i in range(n)]).charpoly()
+    mirrored = fmpq_poly([c if k % 2 == 0 else -c for k, c in enumerate(p.coeffs())])
+    symmetric = p.gcd(mirrored)
+    if not _on_axis(symmetric) or not _routh((p / symmetric).coeffs()):
+        return Eigenvalues.RIGHT
+    return Eigenvalues.UNKNOWN if symmetric.degree() > 0 else Eigenvalues.LEFT
+
+
+def _on_axis(p: fmpq_poly) -> bool:
+    """Tell whether all roots of p, which are symmetric about the imaginary axis, are on it."""
+    coefficients = p.coeffs()
+    while coefficients and coefficients[0] == 0:
+        coefficients.pop(0)
+    h = fmpq_poly(coefficients[0::2])  # p = s^k h(s^2); on the axis are s^2 <= 0
+    h = h / h.gcd(h.derivative()) if h.degree() > 0 else h
+    chain = [h, h.derivative()]
+    while chain[-1].degree() > 0:
+        chain.append(-(chain[-2] % chain[-1]))
+    at_zero = [q[0] for q in chain]
+    far = [q[q.degree()] * (-1) ** q.degree() for q in chain if q.degree() >= 0]
+    return _changes(far) - _changes(at_zero) == h.degree()
+
+
+def _changes(values: Sequence[fmpq]) -> int:
+    signs = [v > 0 for v in values if v != 0]
+    return sum(a != b for a, b in pairwise(signs))
+
+
+def _routh(rising: Sequence[fmpq]) -> bool:
+    """Tell whether all roots have negative real parts: the first column of Routh's table is positive."""
+    falling = list(reversed(rising))
+    if falling[0] < 0:
+        falling = [-c for c in falling]
+    upper, lower = falling[0::2], falling[1::2]
+    while lower:
+        if lower[0] <= 0:
+            return False
+        pad = [*lower, fmpq(0)]
+        ratio = upper[0] / lower[0]
+        upper, lower = lower, [upper[k + 1] - ratio * pad[k + 1] for k in range(len(upper) - 1)]
+    return True
+
+
+def over_ranges(
+    A: sp.Matrix, ranges: Sequence[tuple[sp.Symbol, tuple[float, float]]], budget: Budget
+) -> Eigenvalues:
+    """Return where the eigenvalues of A are for all values of the parameters; UNKNOWN where that differs."""
+    names = tuple(p for p, _ in ranges)
+    entries = [[Enclosure(A[i, j], names) for j in range(A.cols)] for i in range(A.rows)]
+    found: set[Eigenvalues] = set()
+
+    def shown(p: Sequence[Ball]) -> bool:
+        here = _of_balls([[e(p) for e in row] for row in entries])
+        found.update({here} - {Eigenvalues.UNKNOWN})
+        return here is not Eigenvalues.UNKNOWN and len(found) == 1
+
+    cell = tuple(side for _, side in ranges)
+    everywhere = covered([cell], shown, budget, CELLS, lambda _: len(found) > 1)
+    return found.pop() if everywhere else Eigenvalues.UNKNOWN
+
+
+def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
+    n = len(A)
+    if not all(b.is_finite() for row in A for b in row):
+        return Eigenvalues.UNKNOWN
+    middle = np.array([[float(b.mid()) for b in row] for row in A])
+    if not np.isfinite(middle).all():
+        return Eigenvalues.UNKNOWN
+    right = float(np.linalg.eigvals(middle).real.max())
+    for shift in (0.0,) if right <= 0 else (0.0, 0.5 * right, 0.7 * right, 0.3 * right):
+        P = lyapunov_matrix(middle - shift * np.eye(n))
+        if P is None:
+            continue
+        falls = quadratic.falls([[Fraction(float(v)) for v in row] for row in P])
+        if (falls is None) != (right < 0):
+            continue
+        B = [[A[i][j] - (arb(shift) if i == j else 0) for j in range(n)] for i in range(n)]
+        PB = [
+            [sum((arb(float(P[i][k])) * B[k][j] for k in range(n)), arb(0)) for j in range(n)]
+            for i in range(n)
+        ]
+        if positive_definite([[-(PB[i][j] + PB[j][i]) for j in range(n)] for i in range(n)]):
+            return Eigenvalues.LEFT if falls is None else Eigenvalues.RIGHT
+    return Eigenvalues.UNKNOWN
+
+
+def lyapunov_matrix(A: np.ndarray) -> np.ndarray | None:
+    """Return the symmetric P with A^T P + P A = -1, in floating point: a guess, to be proven; or None."""
+    one = np.eye(len(A))
+    try:
+        P = np.linalg.solve(np.kron(A.T, one) + np.kron(one, A.T), -one.reshape(-1)).reshape(one.shape)
+    except np.linalg.LinAlgError:
+        return None
+    return (P + P.T) / 2 if np.isfinite(P).all() else None
 
 
 def jacobian(system: System) -> sp.Matrix | None:
@@ -32,22 +153,10 @@ def jacobian(system: System) -> sp.Matrix | None:
 
 def eigenvalues(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     """Return where the eigenvalues of A are."""
-    found = [_block(A.extract(block, block), signs) for block in _circles(A)]
+    found = [_block(A.extract(block, block), signs) for block in A.strongly_connected_components()]
     if Eigenvalues.RIGHT in found:
         return Eigenvalues.RIGHT
     return Eigenvalues.UNKNOWN if Eigenvalues.UNKNOWN in found else Eigenvalues.LEFT
-
-
-def _circles(A: sp.Matrix) -> list[list[int]]:
-    """Return the sets of states that act on each other: A is block triangular in them."""
-    n = A.rows
-    acts = [[i == j or A[i, j] != 0 for j in range(n)] for i in range(n)]
-    for k in range(n):
-        for i in range(n):
-            for j in range(n):
-                acts[i][j] = acts[i][j] or (acts[i][k] and acts[k][j])
-    blocks = {tuple(j for j in range(n) if acts[i][j] and acts[j][i]) for i in range(n)}
-    return [list(b) for b in sorted(blocks)]
 
 
 def _block(A: sp.Matrix, signs: Signs) -> Eigenvalues:

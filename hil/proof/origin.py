@@ -13,8 +13,7 @@ from math import lcm
 
 import sympy as sp
 
-from hil.proof.branch_and_bound import faces, positive
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget, faces, positive
 from hil.proof.interval import Cell, Enclosure, unsupported
 
 HIGHEST_ORDER = 12

@@ -12,7 +12,7 @@ from typing import Any
 import sympy as sp
 from flint import fmpq, fmpq_mpoly_ctx
 
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget
 
 DEPTH = 10
 LONGEST = 3000

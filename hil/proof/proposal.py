@@ -10,8 +10,7 @@ import numpy as np
 import sympy as sp
 
 from hil.proof import quadratic
-from hil.proof.eigenvalues import lyapunov_matrix
-from hil.proof.linearisation import jacobian
+from hil.proof.linearisation import jacobian, lyapunov_matrix
 from hil.proof.system import System
 
 EXACT = 4

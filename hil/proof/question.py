@@ -16,7 +16,7 @@ from pydantic import AfterValidator, Field, StringConstraints
 
 from drivers.section import Section
 from hil.proof import interval
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget
 from hil.proof.report import Report
 from hil.proof.theorems import verify
 

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping
 import sympy as sp
 
 from hil.proof import convex, origin, orthant, quadratic, tail
-from hil.proof.branch_and_bound import positive, without
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget, positive, without
 from hil.proof.cancellation import factors, half_angles
 from hil.proof.interval import Cell, Enclosure, outward, unsupported
 from hil.proof.system import System

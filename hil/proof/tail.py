@@ -10,8 +10,7 @@ from math import lcm
 
 import sympy as sp
 
-from hil.proof.branch_and_bound import faces, positive
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget, faces, positive
 from hil.proof.interval import Cell, Enclosure
 
 RADII = tuple(2.0**k for k in range(0, 13, 2))

@@ -11,7 +11,7 @@ import sympy as sp
 
 from drivers.errors import ModelError
 from hil.proof import chetaev, counterexample, lasalle, proposal, quadratic, tail
-from hil.proof.budget import Budget
+from hil.proof.branch_and_bound import Budget
 from hil.proof.cancellation import lie_derivative
 from hil.proof.interval import unsupported
 from hil.proof.level import largest_level

@@ -93,7 +93,7 @@ def tightest(
 
 
 def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
-    """Return the tightest k ((s / z + 1) / (s / p + 1))^n above all values, n up to 2, z, p up to `corner`."""
+    """Return the tightest k ((s / z + 1) / (s / p + 1))^n above all values; n up to 2, z, p to `corner`."""
     s = 1j * omega
     corners = np.geomspace(max(omega[0], 1e-3 * corner), corner, 60)
     shapes = (

@@ -9,8 +9,7 @@ import pytest
 import sympy as sp
 
 from hil.proof import Budget, Certificate, Equilibrium, Truth, verify
-from hil.proof.eigenvalues import of_rationals
-from hil.proof.linearisation import Eigenvalues, eigenvalues, jacobian
+from hil.proof.linearisation import Eigenvalues, eigenvalues, jacobian, of_rationals
 from hil.proof.signs import Signs
 from hil.proof.system import make_system
 from tests.broad import broad

@@ -1,6 +1,5 @@
 """Lines and figures of assessed laws that linearise the robot."""
 
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -143,7 +142,7 @@ def reaching_lines(
             "gamma": gamma,
             "surplus_m_s2": found.surplus,
             "layer_m_s": found.layer,
-            "inside_m_s": found.inside if isfinite(found.inside) else None,
+            "inside_m_s": found.inside,
         }
     }
     lines = [
@@ -156,8 +155,7 @@ def reaching_lines(
         seconds = found.time_s(found.layer + 1.0)
         lines.append(f"reach time     {seconds:.3g} s for each m/s of |{name}| outside the layer")
         figures["reaching"]["reach_time_s_per_m_s"] = seconds
-    if found.layer > 0.0:
-        lines.append(f"layer          |{name}| stays below {found.inside:.3g} of {found.layer:.3g} m/s")
+    lines.append(f"layer          |{name}| stays below {found.inside:.3g} of {found.layer:.3g} m/s")
     return lines, figures
 
 

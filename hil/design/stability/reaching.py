@@ -38,14 +38,14 @@ class Reaching(NamedTuple):
     """How much the legs may be off for half of that: any |de| in m/s (sliding mode), the norm of e in m
     (redesign); inf: by anything, for all of it."""
     inside: float
-    """m/s, the largest |s| once inside; inf without a layer."""
+    """m/s, the largest |s| once inside."""
     layer: float
     """m/s."""
 
     @property
     def covered(self) -> bool:
         """Tell whether the layer is reached, and never left."""
-        return self.surplus > 0.0 and (self.layer == 0.0 or self.inside <= self.layer)
+        return self.surplus > 0.0 and self.inside <= self.layer
 
     def time_s(self, s: float) -> float:
         """Return how long it takes at most from |s| m/s to the layer, within that room; inf for ever."""

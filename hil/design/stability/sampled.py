@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, ComplexArray
-from drivers.errors import ModelError
 from hil.design.stability.sampled_loop import Margins, disturbed, margins, sampled_axis
 from hil.mathematics.linear_system import LinearSystem, lag, static
 
@@ -63,44 +62,46 @@ class Sampled(NamedTuple):
             return np.full(4, inf)
         T = self.loop.period_s
         assert T is not None
-        to = np.vstack([self.loop.C, self.loop.C[1] + slope * self.loop.C[0]])
         x = np.zeros((len(self.poles), 2))  # after a period at whose beginning, and end, an impulse acted
         x[0, 0], x[1] = T, 1.0
-        total = np.zeros(4)
-        for _ in range(self.steps):
-            first, last = np.abs(h := to @ x).T
-            both = first + last
-            same = h[:, 0] * h[:, 1] >= 0.0
-            area = np.where(same, both / 2.0, (first**2 + last**2) / (2.0 * np.where(same, 1.0, both)))
-            total += T * area
-            x = self.loop.A @ x
-        return total
+        h = _rows(slope) @ self._answers(x)
+        first, last = np.moveaxis(np.abs(h), 2, 0)
+        both, same = first + last, h[..., 0] * h[..., 1] >= 0.0
+        area = np.where(same, both / 2.0, (first**2 + last**2) / (2.0 * np.where(same, 1.0, both)))
+        return np.asarray(T * area.sum(axis=0), float)
 
     def impulse_responses(self) -> Array:
         """Return what e, de and u (n, 3) are at the samples after d = 1 for one period."""
-        x, found = self.loop.B[:, :1], []
-        for _ in range(self.steps):
-            found.append((self.loop.C @ x)[:, 0])
-            x = self.loop.A @ x
-        return np.array(found)
+        return self._answers(self.loop.B[:, :1])[..., 0]
 
     def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
         """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by.
 
         rate: from what de is measured wrong by.
         """
-        rows, k = np.vstack([np.eye(3), [slope, 1.0, 0.0]]), 1 + rate
-        to, total, x = rows @ self.loop.C, np.abs(rows @ self.loop.D[:, k]), self.loop.B[:, k]
+        k = 1 + rate
+        through = self.loop.D[:, k : k + 1]
+        h = _rows(slope) @ np.concatenate([through[None], self._answers(self.loop.B[:, k : k + 1])])
+        return np.asarray(np.abs(h[..., 0]).sum(axis=0), float)
+
+    def _answers(self, x: Array) -> Array:
+        """Return e, de and u (n, 3, m) at the samples from states x (order, m) on, until they are forgotten."""
+        found = []
         for _ in range(self.steps):
-            total = total + np.abs(to @ x)
+            found.append(self.loop.C @ x)
             x = self.loop.A @ x
-        return np.asarray(total, float)
+        return np.array(found)
 
     @property
     def steps(self) -> int:
         """Periods after which a stable loop has forgotten an impulse, to a hundred thousandth."""
         slowest = -np.log(max(np.abs(self.poles).max(), 1e-300))
         return min(200_000, int(np.ceil(12.0 / slowest)) + len(self.poles))
+
+
+def _rows(slope: float) -> Array:
+    """Return e, de, u and de + slope e of e, de and u."""
+    return np.vstack([np.eye(3), [slope, 1.0, 0.0]])
 
 
 def of_each(loops: Sequence[Sampled], figures: Callable[[Sampled], Array]) -> list[Array]:
@@ -122,13 +123,8 @@ def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
 def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
     """Return what the loop of axis and controller is like; the controller takes [e, de] and gives u.
 
-    Raises ModelError where the controller is none for [e, de] or of another period.
+    Raises ModelError where the controller is of another period.
     """
-    if controller.D.shape != (1, 2):
-        raise ModelError(
-            f"a controller of {controller.D.shape[1]} inputs and {controller.D.shape[0]} outputs,"
-            " allowed: from [e, de] to u"
-        )
     plant = disturbed_axis(axis)
     loop = _closed(plant, controller)
     poles = loop.poles()

@@ -148,7 +148,7 @@ def ultimate(
         before = found
         errors, rates = 1.02 * before.error * shape, 1.02 * before.rate * shape
         tube = linearised.around(samples, errors, rates, late.stale_s)
-        survey = _both(reference, Survey.of(tube, reference.gamma))
+        survey = Survey(*map(np.maximum, reference, Survey.of(tube, reference.gamma)))
         if survey.condition > condition:
             return (
                 f"the bound, {in_words(before.error, linearised.axes)}, reaches poses where the condition of "
@@ -220,16 +220,4 @@ def _too_much(size: float, *, lossy: bool) -> str:
         "no bound: forces computed with another inertia, or for a pose of some time ago, miss by more than "
         f"the gains bear{losses}: small gain {shown}, allowed below 1; {mend}a better model, lower gains or "
         "less delay"
-    )
-
-
-def _both(a: Survey, b: Survey) -> Survey:
-    """Return what covers both surveys, of the same gain."""
-    return Survey(
-        np.maximum(a.d, b.d),
-        a.gamma,
-        np.maximum(a.spread, b.spread),
-        np.maximum(a.by_error, b.by_error),
-        np.maximum(a.by_rate, b.by_rate),
-        max(a.condition, b.condition),
     )

@@ -23,8 +23,6 @@ from hil.mathematics.linear_system import LinearSystem, static
 ROUNDS = 10
 GAIN = 0.003
 """Share by which mu has to fall for another round."""
-ORDER = 1
-"""Of each scale as a rational function; a controller takes up twice the sum."""
 
 
 class Bounds(NamedTuple):
@@ -79,40 +77,29 @@ def with_own(omega: Array, M: LinearSystem) -> Array:
 def fitted_scales(
     M: LinearSystem, found: Bounds, blocks: list[Block], within: tuple[float, float]
 ) -> list[LinearSystem]:
-    """Return for each uncertain block a rational d(s) near the scale that was found best."""
+    """Return for each uncertain block a rational d(s) of order 1 near the scale that was found best."""
     weight = _matters(M.response(found.omega), found, blocks)
     return [
-        minimum_phase(found.omega, found.upper.D[:, i], ORDER, within, weight[:, i])
-        for i in range(len(blocks) - 1)
+        minimum_phase(found.omega, found.upper.D[:, i], within, weight[:, i]) for i in range(len(blocks) - 1)
     ]
 
 
-def minimum_phase(
-    omega: Array, magnitude: Array, order: int, within: tuple[float, float], weight: Array
-) -> LinearSystem:
-    """Return the stable d(s) with stable inverse whose |d(j omega)| is nearest to `magnitude`, in decibels.
+def minimum_phase(omega: Array, magnitude: Array, within: tuple[float, float], weight: Array) -> LinearSystem:
+    """Return g (s + z) / (s + p) whose |d(j omega)| is nearest to `magnitude` in decibels, z and p > 0.
 
-        d = g prod (s + z_i) / (s + p_i),  log|d| = log g + 1/2 sum log (omega^2 + z_i^2) / (omega^2 + p_i^2)
-
-    Zeros and poles stay `within` two frequencies, rad/s. `weight` (N,) of each frequency.
+    They stay `within` two frequencies, rad/s. `weight` (N,) of each frequency.
     """
     target = np.log(magnitude)
     low, high = np.log(within)
 
-    def logarithm(x: Array) -> Array:
-        corners = 0.5 * np.log(omega[:, None] ** 2 + np.exp(2.0 * x[1:]))
-        return np.asarray(x[0] + corners[:, :order].sum(1) - corners[:, order:].sum(1), float)
+    def off(x: Array) -> Array:
+        zero, pole = 0.5 * np.log(omega[:, None] ** 2 + np.exp(2.0 * x[1:])).T
+        return np.asarray(weight * (x[0] + zero - pole - target), float)
 
-    spread = low + (high - low) * (np.arange(order) + 0.5) / order
-    start = np.concatenate([[np.average(target, weights=weight)], spread, spread - 0.05 * (high - low)])
-    bounds = ([-np.inf, *[low] * 2 * order], [np.inf, *[high] * 2 * order])
-    start[1:] = np.clip(start[1:], low, high)
-    x = least_squares(lambda x: weight * (logarithm(x) - target), start, bounds=bounds).x
-    system = static(np.array([[np.exp(x[0])]]))
-    for z, p in zip(np.exp(x[1 : order + 1]), np.exp(x[order + 1 :]), strict=True):
-        A, C = np.array([[-p]]), np.array([[z - p]])
-        system = LinearSystem(A, np.eye(1), C, np.eye(1)).after(system)
-    return system
+    middle = 0.5 * (low + high)
+    start = [np.average(target, weights=weight), middle, middle - 0.05 * (high - low)]
+    g, z, p = np.exp(least_squares(off, start, bounds=([-np.inf, low, low], [np.inf, high, high])).x)
+    return LinearSystem(np.array([[-p]]), np.array([[g]]), np.array([[z - p]]), np.array([[g]]))
 
 
 def inverse(d: LinearSystem) -> LinearSystem:

@@ -14,20 +14,19 @@ from drivers.arrays import Array, ComplexArray
 from drivers.errors import ModelError
 
 ZERO = 1e-6
-"""Share of the first bound below which mu is as good as 0: real blocks may leave nothing of it."""
+"""Share of the first bound below which mu is as good as 0."""
 PATIENCE = 5
 """Rounds of centring without a lower bound after which it is taken as found."""
 
 
 class Block(NamedTuple):
-    """One block of Delta: a full complex matrix (rows, columns), or a real number.
+    """One block of Delta: a full complex matrix (rows, columns).
 
     It feeds `rows` inputs of M from `columns` outputs of M.
     """
 
     rows: int = 1
     columns: int = 1
-    real: bool = False
 
 
 class UpperBound(NamedTuple):
@@ -36,9 +35,7 @@ class UpperBound(NamedTuple):
     bound: Array
     """(N,)."""
     D: Array
-    """(N, blocks), > 0, 1 in the last: bound = largest singular value of D M D^-1 where G is 0."""
-    G: Array
-    """(N, blocks), 0 but for real blocks."""
+    """(N, blocks), > 0, 1 in the last: bound = largest singular value of D M D^-1."""
 
 
 class LowerBound(NamedTuple):
@@ -55,14 +52,10 @@ def upper_bound(
 ) -> UpperBound:
     """Return the least bound on mu that scales of the blocks can prove, a convex problem.
 
-    beta >= mu if there are D > 0 that commute with Delta and Hermitian G, zero but for real blocks, with
-
-        M^H D^2 M + j (G M - M^H G) <= beta^2 D^2
-
-    (Fan, Tits and Doyle 1991). Without G that is the largest singular value of D M D^-1, and equal to mu
-    for up to three complex blocks. Found by the method of centres: Newton's method on the barrier
-    -log det(beta^2 D^2 - M^H D^2 M - j (G M - M^H G)), beta lowered to the bound proven whenever centred.
-    Whatever the number of iterations, what is returned is a bound.
+    beta >= mu if there are D > 0 that commute with Delta with M^H D^2 M <= beta^2 D^2: the largest singular
+    value of D M D^-1, and equal to mu for up to three blocks. Found by the method of centres: Newton's
+    method on the barrier -log det(beta^2 D^2 - M^H D^2 M), beta lowered to the bound proven whenever
+    centred. Whatever the number of iterations, what is returned is a bound.
 
     Parameters
     ----------
@@ -74,28 +67,21 @@ def upper_bound(
     balance = _balanced(M, outputs, inputs)
     A = _scaled(M, balance, outputs, inputs)
     n, N = len(blocks), len(A)
-    real = [k for k, block in enumerate(blocks) if block.real]
     gains = np.stack([_dagger(A[:, o]) @ A[:, o] for o in outputs], 1)  # (N, n, inputs, inputs)
     units = np.zeros((n, A.shape[2], A.shape[2]))
     for k, i in enumerate(inputs):
         units[k, i, i] = np.eye(i.stop - i.start)
-    skew = np.zeros((N, len(real), A.shape[2], A.shape[2]), complex)
-    for j, k in enumerate(real):
-        skew[:, j, inputs[k]] = 1j * A[:, outputs[k]]
-    skew = skew + _dagger(skew)
-    # x = (d_1^2 .. d_(n-1)^2, g ..); d_n = 1
-    x = np.hstack([np.ones((N, n - 1)), np.zeros((N, len(real)))])
-    best, best_x = _proven(x, gains, skew, inputs), x.copy()
+    x = np.ones((N, n - 1))  # d_1^2 .. d_(n-1)^2; d_n = 1
+    best, best_x = _proven(x, gains, inputs), x.copy()
     beta = highest = 1.05 * best + 1e-300
     idle = 0
     for _ in range(iterations):
-        basis = np.concatenate([beta[:, None, None, None] ** 2 * units - gains, -skew], 1)
-        fixed = basis[:, n - 1]
-        basis = np.delete(basis, n - 1, 1)
+        basis = beta[:, None, None, None] ** 2 * units - gains
+        fixed, basis = basis[:, n - 1], basis[:, : n - 1]
         for _ in range(2):
             X = fixed + np.einsum("Nk,Nkij->Nij", x, basis)
-            x = x + _newton_step(X, basis, x, n - 1)
-        proven = _proven(x, gains, skew, inputs)
+            x = x + _newton_step(X, basis, x)
+        proven = _proven(x, gains, inputs)
         better = proven < best
         best = np.where(better, proven, best)
         best_x[better] = x[better]
@@ -105,22 +91,16 @@ def upper_bound(
         idle = 0 if moves.any() else idle + 1
         if idle == PATIENCE:  # centring goes on where beta rests: often it moves again
             break
-    D = np.hstack([np.sqrt(best_x[:, : n - 1]), np.ones((N, 1))])
-    G = np.zeros((N, n))
-    G[:, real] = best_x[:, n - 1 :] * balance[:, real] ** 2 / balance[:, -1:] ** 2
-    return UpperBound(best, D * balance / balance[:, -1:], G)
+    D = np.hstack([np.sqrt(best_x), np.ones((N, 1))])
+    return UpperBound(best, D * balance / balance[:, -1:])
 
 
 def lower_bound(M: ComplexArray, blocks: list[Block], *, iterations: int = 80) -> LowerBound:
-    """Return what perturbations found by the power iteration prove, complex blocks only.
+    """Return what perturbations found by the power iteration prove.
 
     mu(M) is the largest spectral radius of M Delta over all Delta of size 1. The iteration need not converge;
     each Delta that it ends with is a proof (Packard and Doyle 1993, section 7). From three starts.
-
-    Raises ModelError for real blocks: what the iteration finds need not be real.
     """
-    if any(block.real for block in blocks):
-        raise ModelError("the lower bound of mu takes complex blocks, given a real one: state it as complex")
     outputs, inputs = _slices(M, blocks)
     A = _scaled(M, _balanced(M, outputs, inputs), outputs, inputs)
     N, rows, columns = M.shape
@@ -150,8 +130,6 @@ def _slices(M: ComplexArray, blocks: list[Block]) -> tuple[list[slice], list[sli
     outputs, inputs = [], []
     row = column = 0
     for block in blocks:
-        if block.real and (block.rows, block.columns) != (1, 1):
-            raise ModelError(f"a real block is a number, given {block.rows} x {block.columns}")
         outputs.append(slice(row, row := row + block.columns))
         inputs.append(slice(column, column := column + block.rows))
     if M.shape[1:] != (row, column):
@@ -185,33 +163,32 @@ def _each(x: Array, parts: list[slice]) -> Array:
     return np.repeat(x, [part.stop - part.start for part in parts], axis=1)
 
 
-def _proven(x: Array, gains: ComplexArray, skew: ComplexArray, inputs: list[slice]) -> Array:
+def _proven(x: Array, gains: ComplexArray, inputs: list[slice]) -> Array:
     """Return the least beta (N,) for which the scales x satisfy the inequality."""
-    n = len(inputs)
-    d2 = np.hstack([x[:, : n - 1], np.ones((len(x), 1))])
-    left = np.einsum("Nk,Nkij->Nij", d2, gains) + np.einsum("Nk,Nkij->Nij", x[:, n - 1 :], skew)
+    d2 = np.hstack([x, np.ones((len(x), 1))])
+    left = np.einsum("Nk,Nkij->Nij", d2, gains)
     d = np.sqrt(_each(d2, inputs))
     return np.asarray(
         np.sqrt(np.maximum(np.linalg.eigvalsh(left / (d[:, :, None] * d[:, None, :]))[:, -1], 0.0))
     )
 
 
-def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array, positive: int) -> Array:
-    """Return the Newton step of -log det X(x) - sum log x of the positive ones, of the best length."""
+def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array) -> Array:
+    """Return the Newton step of -log det X(x) - sum log x, of the best length."""
     values, vectors = np.linalg.eigh(X)
     S = vectors / np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
     Y = _dagger(S)[:, None] @ basis @ S[:, None]  # X^-1/2 dX X^-1/2
     gradient = -np.einsum("Nkii->Nk", Y).real
     hessian = np.einsum("Nkij,Nlji->Nkl", Y, Y).real
-    p = np.arange(positive)
-    gradient[:, p] -= 1.0 / x[:, p]
-    hessian[:, p, p] += 1.0 / x[:, p] ** 2
+    p = np.arange(x.shape[1])
+    gradient -= 1.0 / x
+    hessian[:, p, p] += 1.0 / x**2
     steepest = np.abs(hessian).max((1, 2), initial=1e-300)
     hessian += 1e-13 * steepest[:, None, None] * np.eye(x.shape[1])  # a scale without effect stays
     step = -np.linalg.solve(hessian, gradient[:, :, None])[:, :, 0]
     # along it the barrier is -sum log(1 + t r), r the eigenvalues of X^-1/2 dX X^-1/2 and the relative steps
     along = np.linalg.eigvalsh(np.einsum("Nk,Nkij->Nij", step, Y))
-    r = np.hstack([along, step[:, :positive] / x[:, :positive]])
+    r = np.hstack([along, step / x])
     decrement = np.sqrt(np.maximum(-(gradient * step).sum(1), 0.0))
     t = 1.0 / (1.0 + decrement)  # inside for certain: the barrier is self-concordant
     room = 1.0 / np.maximum(-r.min(1), 1e-12)

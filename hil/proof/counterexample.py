@@ -90,9 +90,9 @@ def _leading(g: sp.Expr, states: Sequence[sp.Symbol]) -> sp.Expr:
 def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
     states = signs.system.states
     n = len(states)
-    directions = [d for d in product((0, 1, -1), repeat=n) if any(d)] if n <= 4 else _sparse(n)
-    if n == 2:
-        directions += [d for d in product((1, -1, 2, -2, 3, -3), repeat=2) if abs(d[0]) != abs(d[1])]
+    ends = [tuple(s if i == j else 0 for j in range(n)) for i in range(n) for s in (1, -1)]
+    sparse = [*ends, (1,) * n, (-1,) * n]
+    directions = [d for d in product((0, 1, -1), repeat=n) if any(d)] if n <= 4 else sparse
     angles = _ANGLES if g.has(sp.sin, sp.cos, sp.tan) and not signs.system.bounded else ()
     for parameters in _parameters(signs):
         for far in range(len(_LENGTHS)):
@@ -104,34 +104,20 @@ def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
 
 
 def _step(signs: Signs, x: sp.Symbol, k: int, far: int) -> sp.Expr:
-    if k == 0:
-        return sp.S.Zero
-    low, high = signs.system.domain[x]
-    end = high if k > 0 else low
-    if end.is_infinite:
+    end = signs.system.domain[x][k > 0]
+    if k == 0 or end.is_infinite:
         return k * _LENGTHS[far]
-    return abs(sp.Rational(k, 3 if abs(k) > 1 else 1)) * end * _SHARES[min(far, len(_SHARES) - 1)]
-
-
-def _sparse(n: int) -> list[tuple[int, ...]]:
-    ends = [tuple(s if i == j else 0 for j in range(n)) for i in range(n) for s in (1, -1)]
-    return [*ends, (1,) * n, (-1,) * n]
+    return end * _SHARES[min(far, len(_SHARES) - 1)]
 
 
 def _parameters(signs: Signs) -> list[Point]:
+    """Return values of the parameters: all of few, else three of each together."""
     rounded = signs.system.rounded.numbers
-    ranges = {p: side for p, side in signs.system.ranges.items() if p not in rounded}
-    fixed = {p: [(low + high) / 2, low, high] for p, (low, high) in ranges.items()}
-    free = signs.system.positive
-    few = len(free) <= 2
-    positive = (
-        list(product(_PARAMETERS, repeat=len(free))) if few else [(v,) * len(free) for v in _PARAMETERS]
-    )
-    choices: list[Point] = []
-    for values in product(*fixed.values()) if len(fixed) <= 2 else zip(*fixed.values(), strict=True):
-        ranged = dict(zip(fixed, values, strict=True))
-        choices += [ranged | dict(zip(free, some, strict=True)) for some in positive]
-    return choices
+    choices = {
+        p: ((low + high) / 2, low, high) for p, (low, high) in signs.system.ranges.items() if p not in rounded
+    } | dict.fromkeys(signs.system.positive, _PARAMETERS)
+    some = product(*choices.values()) if len(choices) <= 3 else zip(*choices.values(), strict=True)
+    return [dict(zip(choices, values, strict=True)) for values in some]
 
 
 def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:

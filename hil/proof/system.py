@@ -78,9 +78,14 @@ class System:
         there = {x: self.own[x] - self.equilibrium[self.own[x]] for x in self.states}
         return expression.subs(there, simultaneous=True).xreplace(self.own | self.rounded.shown)
 
-    def within(self, domain: Mapping[sp.Symbol, Interval]) -> System:
-        """Return the same system on another domain."""
-        return replace(self, domain=dict(domain))
+    def scaled(self, share: float) -> System:
+        """Return the same system on a share of its domain; of a side without an end, on that share of 1."""
+        s = sp.Rational(share)
+        sides = {
+            x: (-s if low == -sp.oo else low * s, s if high == sp.oo else high * s)
+            for x, (low, high) in self.domain.items()
+        }
+        return replace(self, domain=sides)
 
 
 def make_system(
@@ -93,102 +98,80 @@ def make_system(
     cannot be enclosed; where an option names what f does not know, or a symbol carries an assumption that
     the claim does not.
     """
-    if not isinstance(f, Mapping) or not f:
+    for option in (f, at or {}, box or {}, parameters or {}):
+        if not isinstance(option, Mapping):
+            raise ModelError(f"{option!r} maps no symbols to what is meant of them")
+    if not f:
         raise ModelError("f has no state: it maps each state to its time derivative")
-    at, box, parameters = (_mapping(o, n) for o, n in ((at, "at"), (box, "box"), (parameters, "parameters")))
-    _names(f, at, box, parameters)
+    at, box, parameters = dict(at or {}), dict(box or {}), dict(parameters or {})
+    states_named = f"which is no state: the states are {', '.join(map(str, f))}"
+    _refuse(  # a name that is not understood would change the question unseen
+        ([x for x in (*f, *parameters) if type(x) not in (sp.Symbol, sp.Dummy)], "{} is no symbol of sympy"),
+        (at.keys() - f.keys(), f"`at` names {{}}, {states_named}"),
+        (box.keys() - f.keys(), f"`box` names {{}}, {states_named}"),
+        (parameters.keys() & f.keys(), "`parameters` names {}, which is a state: its range goes into `box`"),
+    )
     ranges = {p: _interval(p, side) for p, side in parameters.items()}
-    if endless := [str(p) for p, side in ranges.items() if any(end.is_infinite for end in side)]:
-        raise ModelError(f"the range of {endless[0]} has no end: leave it out to mean all positive numbers")
     rounded = Rounded()
     f = {x: rounded.apart(read(e, f"d{x}/dt")) for x, e in f.items()}
     of_V = rounded.apart(read(0 if V is None else V, "V")).free_symbols
     everything = set().union(*(e.free_symbols for e in f.values()), of_V) - set(rounded.numbers)
-    free = _free(everything, set(f), ranges)
-    _assumptions(f, free, ranges)
+    free = sorted(everything - set(f) - set(ranges), key=str)
+    positive = [*free, *(p for p, (low, _) in ranges.items() if low > 0)]
+    named = [str(s) for s in (*f, *ranges, *free)]
+    _refuse(
+        (
+            [p for p, (low, high) in ranges.items() if low.is_infinite or high.is_infinite],
+            "the range of {} has no end: leave it out to mean all positive numbers",
+        ),
+        ([s for s in free if str(s) == "t"], "f and V depend on {}, time: a constant needs its `parameters`"),
+        (set(ranges) - everything, "`parameters` names {}, of which neither f nor V speaks"),
+        (
+            [s for s in (*f, *ranges, *free) if not _assumed(s, "positive" if s in positive else "real")],
+            "{} has an assumption that not every number meant here meets: declare it without",
+        ),
+        ({n for n in named if named.count(n) > 1}, "two symbols have the name {}: give each its own"),
+    )
     renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in f}
     renamed |= {p: sp.Symbol(str(p), **_sign(side)) for p, side in ranges.items()}
     renamed |= {p: sp.Symbol(str(p), positive=True) for p in free}
-    if len({str(s) for s in renamed}) != len(renamed):
-        raise ModelError("two symbols have one name: give each state and parameter its own")
     own = {new: old for old, new in renamed.items()}
     states = tuple(renamed[x] for x in f)
     centre = {x: exact(read(at.get(x, 0), f"`at` of {x}")) for x in f}
     for x, value in centre.items():
-        if wrong := sorted(map(str, value.free_symbols - {*free, *ranges})):
-            raise ModelError(f"`at` puts {x} at {value}: {', '.join(wrong)} is no parameter; name a number")
+        _refuse((value.free_symbols - {*free, *ranges}, f"`at` puts {x} at {value}: {{}} is no parameter"))
     equilibrium = {x: value.xreplace(renamed) for x, value in centre.items()}
     shifted = renamed | {x: renamed[x] + equilibrium[x] for x in f}
     rates = {renamed[x]: _field(x, e, shifted) for x, e in f.items()}
+    where = ", ".join(f"{s} = {v}" for s, v in equilibrium.items())
     for x, e in rates.items():
-        _vanishes(x, e, dict.fromkeys(states, sp.S.Zero), equilibrium)
+        if (value := sp.simplify(e.xreplace(dict.fromkeys(states, sp.S.Zero)))) != 0:
+            raise ModelError(
+                f"{where} is not shown to be an equilibrium: d{x}/dt = {value}; name in `at` where f is 0"
+            )
     domain = {renamed[x]: _about(x, box.get(x), equilibrium[x]) for x in f}
     ranged = {renamed[p]: side for p, side in ranges.items()}
     ranged |= {p: around(c) for p, c in rounded.numbers.items()}
-    positive = tuple(renamed[p] for p in free)
-    return System(states, rates, domain, ranged, positive, equilibrium, shifted, own, rounded)
+    free_renamed = tuple(renamed[p] for p in free)
+    return System(states, rates, domain, ranged, free_renamed, equilibrium, shifted, own, rounded)
 
 
-def _mapping(option: Any, name: str) -> dict[Any, Any]:
-    if option is not None and not isinstance(option, Mapping):
-        raise ModelError(f"`{name}` is {option!r}: it maps symbols to what is meant of them")
-    return dict(option or {})
+def _refuse(*checks: tuple[Iterable[Any], str]) -> None:
+    """Raise ModelError with the first message whose names are not empty."""
+    for wrong, message in checks:
+        if names := sorted(map(str, wrong)):
+            raise ModelError(message.format(", ".join(names)))
 
 
-def _free(
-    everything: set[sp.Symbol], states: set[sp.Symbol], ranges: Mapping[sp.Symbol, Interval]
-) -> list[sp.Symbol]:
-    """Return the parameters without a range."""
-    free = sorted(everything - states - set(ranges), key=str)
-    if any(str(s) == "t" for s in free):
-        raise ModelError(
-            "f and V depend on t: only systems dx/dt = f(x) without time can be verified; a constant of that "
-            "name has its range in `parameters`"
-        )
-    if unused := sorted(map(str, set(ranges) - everything)):
-        raise ModelError(f"`parameters` names {', '.join(unused)}, of which neither f nor V speaks")
-    return free
+def _assumed(s: sp.Symbol, meant: str) -> bool:
+    """Tell whether sympy knows no more of a symbol than what is meant of it."""
+    return s.assumptions0.items() <= sp.Symbol("s", **{meant: True}).assumptions0.items()
 
 
 def _sign(side: Interval) -> dict[str, bool]:
     """Return what sympy may know of a parameter with a range."""
     low, high = side
     return {"positive": True} if low > 0 else {"negative": True} if high < 0 else {"real": True}
-
-
-def _names(
-    f: Mapping[Any, Any], at: Mapping[Any, Any], box: Mapping[Any, Any], parameters: Mapping[Any, Any]
-) -> None:
-    """Refuse a name that is not understood: it would change the question unseen."""
-    states = ", ".join(map(str, f))
-    for x in (*f, *parameters):
-        if type(x) not in (sp.Symbol, sp.Dummy):
-            raise ModelError(f"{x!r} is no symbol: states and parameters are made by sympy.Symbol")
-    for option, names in (("at", at), ("box", box)):
-        if wrong := [str(x) for x in names if x not in f]:
-            raise ModelError(
-                f"`{option}` names {', '.join(wrong)}, which is no state: the states are {states}"
-            )
-    if wrong := [str(p) for p in parameters if p in f]:
-        raise ModelError(
-            f"`parameters` names {', '.join(wrong)}, which is a state: its range goes into `box`"
-        )
-
-
-def _assumptions(
-    states: Iterable[sp.Symbol], free: Iterable[sp.Symbol], ranges: Mapping[sp.Symbol, Interval]
-) -> None:
-    """Refuse an assumption that is not part of the claim: sympy has simplified f and V by it."""
-    positive = [*free, *(p for p, (low, _) in ranges.items() if low > 0)]
-    real = [*states, *(p for p in ranges if p not in positive)]
-    for symbols, meant in ((real, "real"), (positive, "positive")):
-        known = sp.Symbol("s", **{meant: True}).assumptions0.items()
-        for s in symbols:
-            if not s.assumptions0.items() <= known:
-                raise ModelError(
-                    f"{s} was declared with an assumption that not every {meant} number meets, and sympy "
-                    f'simplifies by it; every one is meant here: declare it as sympy.Symbol("{s}")'
-                )
 
 
 def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
@@ -207,15 +190,6 @@ def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp
 def _allowed() -> str:
     names = ", ".join(sorted(f.__name__ for f in FUNCTIONS))
     return f"sums, products, rational powers, {names}"
-
-
-def _vanishes(x: sp.Symbol, e: sp.Expr, origin: Point, equilibrium: Point) -> None:
-    value = sp.simplify(e.xreplace(origin))
-    if value != 0:
-        where = ", ".join(f"{s} = {v}" for s, v in equilibrium.items())
-        raise ModelError(
-            f"{where} is not shown to be an equilibrium: d{x}/dt = {value} there; name in `at` where f is 0"
-        )
 
 
 def _interval(x: sp.Symbol, side: tuple[Any, Any]) -> Interval:

@@ -3,7 +3,7 @@
 Here no sign is decided (see signs); a finding names the theorem that it rests on.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -92,7 +92,7 @@ def _question(
 ) -> tuple[sp.Expr | None, Signs, Signs]:
     """Return V, the signs on the domain and those close to the equilibrium."""
     system = make_system(f, V, at, box, parameters)
-    near = Signs(system.within(_scaled(system, 2.0**-SHRINKS)), budget)
+    near = Signs(system.scaled(2.0**-SHRINKS), budget)
     return None if V is None else system.read(V), Signs(system, budget), near
 
 
@@ -199,7 +199,7 @@ def _unstable(by: str) -> EquilibriumFinding:
 
 
 def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
-    if (W := _growing(V, near)) is not None:
+    if regular(near.system.f, near) and (W := chetaev.function(V, near)) is not None:
         return f"by Chetaev's theorem with {near.system.shown(W)}"
     if V is not None and _stable_in_reversed_time(V, near):
         return "by LaSalle's theorem in reversed time: what tends to the equilibrium there leaves it"
@@ -211,11 +211,8 @@ def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
     V = signs.budget.within(0.6, lambda: proposal.lyapunov_function(signs.system), None)
     if V is None:
         return _NO_V, _INDIRECT
-    for k in range(-1, SHRINKS + 1):
-        system = signs.system if k < 0 else signs.system.within(_scaled(signs.system, 2.0**-k))
-        if k == 0 and signs.system.bounded:
-            continue
-        if (found := _proven(V, Signs(system, signs.budget), 0.6 if k < 0 else 0.95)) is not None:
+    for smaller, share in [(signs, 0.6), *((each, 0.95) for each in _shrunk(signs))]:
+        if (found := _proven(V, smaller, share)) is not None:
             return found
     return _NO_V, _INDIRECT
 
@@ -228,10 +225,6 @@ def _proven(V: sp.Expr, signs: Signs, share: float) -> tuple[CertificateFinding,
         return None
     equilibrium = signs.budget.within(1.0, lambda: _stability(proof), _INDIRECT)
     return replace(certificate, V=signs.system.shown(V)), equilibrium
-
-
-def _growing(V: sp.Expr | None, near: Signs) -> sp.Expr | None:
-    return chetaev.function(V, near) if regular(near.system.f, near) else None
 
 
 def _stable_in_reversed_time(V: sp.Expr, near: Signs) -> bool:
@@ -261,8 +254,7 @@ def _stability(proof: _Proof) -> EquilibriumFinding:
 
 
 def _on_smaller_boxes(V: sp.Expr, signs: Signs, best: EquilibriumFinding | None) -> EquilibriumFinding | None:
-    for k in range(0 if not signs.system.bounded else 1, SHRINKS + 1):
-        smaller = Signs(signs.system.within(_scaled(signs.system, 2.0**-k)), signs.budget)
+    for smaller in _shrunk(signs):
         proof, certificate = _certificate(V, smaller)
         if proof is not None:
             found = _stability(proof)
@@ -274,12 +266,10 @@ def _on_smaller_boxes(V: sp.Expr, signs: Signs, best: EquilibriumFinding | None)
     return best
 
 
-def _scaled(system: System, share: float) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]:
-    s = sp.Rational(share)
-    return {
-        x: (-s if low == -sp.oo else low * s, s if high == sp.oo else high * s)
-        for x, (low, high) in system.domain.items()
-    }
+def _shrunk(signs: Signs) -> Iterator[Signs]:
+    """Yield the signs on smaller and smaller domains."""
+    for k in range(int(signs.system.bounded), SHRINKS + 1):
+        yield Signs(signs.system.scaled(2.0**-k), signs.budget)
 
 
 def _named_box(system: System) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]] | None:

@@ -85,7 +85,7 @@ class Sampled(NamedTuple):
         return np.asarray(np.abs(h[..., 0]).sum(axis=0), float)
 
     def _answers(self, x: Array) -> Array:
-        """Return e, de and u (n, 3, m) at the samples from states x (order, m) on, until they are forgotten."""
+        """Return e, de and u (n, 3, m) at the samples from states x (order, m) on, until forgotten."""
         found = []
         for _ in range(self.steps):
             found.append(self.loop.C @ x)

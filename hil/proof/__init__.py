@@ -7,12 +7,11 @@ solver's tolerance. In doubt a claim is undecided.
 
     door            what is taken, and decimals        signs            definite, semidefinite, positive
     system          the question in exact form         origin, tail     near the equilibrium and far away
-    branch_and_bound   cells and seconds               quadratic, convex   forms; Hessians on a box
+    branch_and_bound   cells and seconds               quadratic          forms; Hessians on a box
     cancellation    dV/dt, exactly                     orthant          polynomials of positive parameters
     interval        enclosures                         lasalle, level   where dV/dt = 0; sublevel sets
-                                                       linearisation, chetaev   instability
-    counterexample  what refutes                       proposal         a V where none was given
-    theorems, report
+                                                       linearisation   eigenvalues, a V; chetaev: instability
+    counterexample  what refutes                       theorems, report
 """
 
 from hil.proof.branch_and_bound import Budget

@@ -47,15 +47,9 @@ def read(value: Any, what: str, *, infinite: bool = False) -> sp.Expr:
     return e
 
 
-def exact(expression: sp.Expr) -> sp.Expr:
-    """Return the expression with each decimal number as the fraction that its shortest decimal is."""
-    e = sp.sympify(expression)
-    return e.xreplace({c: _shortest(c) for c in e.atoms(sp.Float)})
-
-
-def _shortest(c: sp.Float) -> sp.Expr:
-    as_float = float(c) if abs(int(c._mpf_[2]) + int(c._mpf_[3])) < 1000 else 0.0
-    return sp.Rational(repr(as_float)) if as_float and sp.Float(as_float) == c else sp.Rational(str(c))
+def exact(e: sp.Expr) -> sp.Expr:
+    """Return the expression with each decimal number as the fraction that is printed."""
+    return e.xreplace({c: sp.Rational(str(c)) for c in e.atoms(sp.Float)})
 
 
 class Rounded:
@@ -90,7 +84,7 @@ class Rounded:
 
 def around(c: sp.Float) -> tuple[sp.Expr, sp.Expr]:
     """Return the ends of what a rounded number may have been."""
-    middle = _shortest(c)
+    middle = sp.Rational(str(c))
     share = max(ROUNDING, sp.Rational(10) ** -max(_digits(c) - 3, 1))
     reach = share * max(abs(middle), sp.S.One)
     return middle - reach, middle + reach

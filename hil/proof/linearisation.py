@@ -6,6 +6,9 @@ is divided out first, so that a zero in the table means an eigenvalue to the rig
 the theorem of Ostrowski and Schneider counts: where A^T P + P A < 0, A has as many eigenvalues to the right
 as P has negative ones. With parameters that may be any positive number polynomials of them decide. A root on
 the imaginary axis says nothing.
+
+Of a system without a V it proposes x^T P x with A^T P + P A = -1: a guess like any other, to be proven for
+the whole f. Ranges of parameters are taken at their middle.
 """
 
 from __future__ import annotations
@@ -23,7 +26,6 @@ from drivers.errors import ModelError
 from hil.proof import quadratic
 from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.cancellation import continuous
-from hil.proof.convex import positive_definite
 from hil.proof.interval import Ball, Enclosure, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import System
@@ -123,7 +125,7 @@ def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
             [sum((arb(float(P[i][k])) * B[k][j] for k in range(n)), arb(0)) for j in range(n)]
             for i in range(n)
         ]
-        if positive_definite([[-(PB[i][j] + PB[j][i]) for j in range(n)] for i in range(n)]):
+        if quadratic.positive_definite([[-(PB[i][j] + PB[j][i]) for j in range(n)] for i in range(n)]):
             return Eigenvalues.LEFT if falls is None else Eigenvalues.RIGHT
     return Eigenvalues.UNKNOWN
 
@@ -201,3 +203,51 @@ def _at_one_point(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     point = {p: (low + high) / 2 for p, (low, high) in signs.system.ranges.items()}
     there = A.subs(point | dict.fromkeys(signs.system.positive, sp.S.One)).applyfunc(sp.expand)
     return of_rationals(there) if all(a.is_Rational for a in there) else over_ranges(there, [], signs.budget)
+
+
+EXACT = 4
+"""States up to which the equation is solved exactly; of more the solution is rounded, and shown again."""
+SYMBOLIC = 3
+"""States up to which it is solved with parameters that may be any positive number."""
+
+
+def lyapunov_function(system: System) -> sp.Expr | None:
+    """Return x^T P x for the linearisation A, or None if the equation has no such solution."""
+    A = jacobian(system)
+    if A is None:
+        return None
+    middle = A.subs({p: (low + high) / 2 for p, (low, high) in system.ranges.items()}).applyfunc(sp.expand)
+    if not (middle.free_symbols or all(a.is_Rational for a in middle)):
+        middle = middle.applyfunc(lambda a: sp.Rational(float(a)).limit_denominator(10**6))
+    if A.rows <= (SYMBOLIC if middle.free_symbols else EXACT):
+        P = _solved(middle)
+    else:
+        P = None if middle.free_symbols else _rounded(middle)
+    if P is None:
+        return None
+    X = sp.Matrix(system.states)
+    top, bottom = sp.fraction(sp.together(sp.expand((X.T * P * X)[0, 0])))
+    return sp.expand(top / bottom) if bottom.is_number else sp.expand(sp.factor(top)) / sp.factor(bottom)
+
+
+def _solved(A: sp.Matrix) -> sp.Matrix | None:
+    n = A.rows
+    unknown = {(i, j): sp.Dummy(f"p{i}{j}") for i in range(n) for j in range(i, n)}
+    P = sp.Matrix(n, n, lambda i, j: unknown[min(i, j), max(i, j)])
+    equations = [(A.T * P + P * A + sp.eye(n))[i, j] for i, j in unknown]
+    found = list(sp.linsolve(equations, *unknown.values()))
+    if not found or not {s for value in found[0] for s in value.free_symbols} <= A.free_symbols:
+        return None
+    return P.subs(dict(zip(unknown.values(), found[0], strict=True)))
+
+
+def _rounded(A: sp.Matrix) -> sp.Matrix | None:
+    P = lyapunov_matrix(np.array(A, float))
+    if P is None:
+        return None
+    for digits in (3, 5, 7, 9, 12, 15):
+        unit = sp.Rational(10) ** (int(np.floor(np.log10(abs(P).max()))) - digits)
+        R = sp.Matrix(A.rows, A.rows, lambda i, j, unit=unit: round(sp.Rational(P[i, j]) / unit) * unit)
+        if all(quadratic.definite(quadratic.fractions(S)) for S in (R, -(A.T * R + R * A))):
+            return R
+    return None

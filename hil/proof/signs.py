@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping
 
 import sympy as sp
 
-from hil.proof import convex, origin, orthant, quadratic, tail
+from hil.proof import origin, orthant, quadratic, tail
 from hil.proof.branch_and_bound import Budget, positive, without
 from hil.proof.cancellation import factors, half_angles
 from hil.proof.interval import Cell, Enclosure, outward, unsupported
@@ -110,7 +110,7 @@ class Signs:
             return True
         ranges = self._ranges(g)
         sides = tuple(self.sides[x] for x in states)
-        if all(math.isfinite(end) for side in sides for end in side) and convex.convex_definite(
+        if all(math.isfinite(end) for side in sides for end in side) and quadratic.convex_definite(
             g, states, sides, ranges, self.budget
         ):
             return True
@@ -130,7 +130,7 @@ class Signs:
         if all(c.is_Rational for row in S for c in row):
             return quadratic.definite(quadratic.fractions(sp.Matrix(S)))
         if self.enclosable(g):
-            return convex.definite_form(S, self._ranges(g), self.budget)
+            return quadratic.definite_form(S, self._ranges(g), self.budget)
         return all(self.sign(minor) == 1 for minor in quadratic.leading_minors(S))
 
     def _definite_by_structure(self, g: sp.Expr, states: tuple[sp.Symbol, ...]) -> bool:

@@ -10,12 +10,12 @@ from typing import Any
 import sympy as sp
 
 from drivers.errors import ModelError
-from hil.proof import chetaev, counterexample, lasalle, proposal, quadratic, tail
+from hil.proof import chetaev, counterexample, lasalle, quadratic, tail
 from hil.proof.branch_and_bound import Budget
 from hil.proof.cancellation import lie_derivative
 from hil.proof.interval import unsupported
 from hil.proof.level import largest_level
-from hil.proof.linearisation import Eigenvalues, eigenvalues, jacobian
+from hil.proof.linearisation import Eigenvalues, eigenvalues, jacobian, lyapunov_function
 from hil.proof.report import (
     Certificate,
     CertificateFinding,
@@ -208,7 +208,7 @@ def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
 
 def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
     """Return what a V of the linearisation proves, on the domain or, if not there, on a smaller box."""
-    V = signs.budget.within(0.6, lambda: proposal.lyapunov_function(signs.system), None)
+    V = signs.budget.within(0.6, lambda: lyapunov_function(signs.system), None)
     if V is None:
         return _NO_V, _INDIRECT
     for smaller, share in [(signs, 0.6), *((each, 0.95) for each in _shrunk(signs))]:

@@ -22,38 +22,30 @@ def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: 
     """Return what controller `name` is and what its loop leaves, and warn of less than `least_deg`."""
     loop = analyse(Axis(*delay), sampled_controller(controller))
     transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
-    radius, left = float(np.abs(loop.poles).max()), loop.margins
-    order = len(controller.A)
+    radius, left, order = float(np.abs(loop.poles).max()), loop.margins, len(controller.A)
     figures = {
-        "order": order,
-        "method": controller.method,
-        "axes": controller.axes,
-        "rate_Hz": controller.rate_Hz,
-        "transport_ms": transport_ms,
-        "lag_ms": lag_ms,
-        "pole_radius": radius,
-    }
+        "order": order, "method": controller.method, "axes": controller.axes, "rate_Hz": controller.rate_Hz,
+        "transport_ms": transport_ms, "lag_ms": lag_ms, "pole_radius": radius,
+    }  # fmt: skip
     what = f"controller {name}: {controller.method}, order {order} on each {controller.axes} axis"
-    delays = f"{transport_ms:.1f} ms of transport and {lag_ms:.1f} ms of lag"
+    delays, trouble = f"{transport_ms:.1f} ms of transport and {lag_ms:.1f} ms of lag", None
     if left is None:
-        warning = (
-            f"controller.controller_file: unstable with {delays}: a pole of the sampled loop at "
-            f"{radius:.4f}, allowed: below 1; design for this delay"
+        line = f"unstable with {delays}"
+        trouble = f"{line}: a pole of the sampled loop at {radius:.4f}, allowed: below 1"
+    else:
+        figures |= {
+            "cross_over_rad_s": left.crossover_rad_s,
+            "phase_margin_deg": left.phase_deg,
+            "sensitivity_peak": left.peak_S,
+        }
+        line = (
+            f"crosses over at {left.crossover_rad_s:.0f} rad/s; {delays} leave {left.phase_deg:.0f} degrees "
+            f"of phase margin, sensitivity at most {left.peak_S:.2f}"
         )
-        return LoopFinding([what, f"unstable with {delays}"], figures, [warning])
-    figures |= {
-        "cross_over_rad_s": left.crossover_rad_s,
-        "phase_margin_deg": left.phase_deg,
-        "sensitivity_peak": left.peak_S,
-    }
-    warnings = []
-    if left.phase_deg < least_deg:
-        warnings.append(
-            f"controller.controller_file: about {left.phase_deg:.0f} degrees of phase margin with {delays}, "
-            f"advised: at least {least_deg:g}; design for this delay"
-        )
-    what_is_left = (
-        f"crosses over at {left.crossover_rad_s:.0f} rad/s; {delays} leave {left.phase_deg:.0f} degrees of "
-        f"phase margin, sensitivity at most {left.peak_S:.2f}"
-    )
-    return LoopFinding([what, what_is_left], figures, warnings)
+        if left.phase_deg < least_deg:
+            trouble = (
+                f"about {left.phase_deg:.0f} degrees of phase margin with {delays}, advised: at least "
+                f"{least_deg:g}"
+            )
+    warnings = [] if trouble is None else [f"controller.controller_file: {trouble}; design for this delay"]
+    return LoopFinding([what, line], figures, warnings)

@@ -12,9 +12,9 @@ from hil.app.stability.subject import Stated, Subject
 from hil.config.axis_model import AxisSpace
 from hil.config.design import Design, DesignAxis
 from hil.config.model import ModelSettings
+from hil.design.synthesis.axis import loop_gain, sampled_axis
 from hil.design.synthesis.hinf_design import Designed
 from hil.design.synthesis.multiplicative import Margin, Relative, single, together
-from hil.design.synthesis.sampled import loop_gain, sampled_axis
 
 POSES = 25
 """Of the reference, at each corner of the payload's ranges."""

@@ -22,8 +22,7 @@ from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
-from hil.design.stability.disturbance import Friction, Inertia, Linearised, Load, Local, Survey
-from hil.design.stability.drives import Drives
+from hil.design.stability.disturbance import Drives, Friction, Inertia, Linearised, Load, Local, Survey
 from hil.design.stability.lateness import Late, late, stale_s
 from hil.design.stability.sampled import Axis, Sampled, of_each
 from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate

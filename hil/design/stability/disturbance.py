@@ -326,3 +326,48 @@ class Linearised:
 def _stacked(path: Sequence[PoseSample]) -> PoseSample:
     """Return samples as one of arrays (n, ...)."""
     return PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))
+
+
+class Disturbed(NamedTuple):
+    """What the axes are disturbed by."""
+
+    d: Array
+    """(6,) m/s^2 or rad/s^2."""
+    lost: Array
+    """(6, 6), share of |u| that is beside it."""
+
+
+class Drives(NamedTuple):
+    """Six drives, each array (6,)."""
+
+    length: Array
+    """m, by which a length may be read wrong: by the drive's steps, the encoder's, and by its age."""
+    rate: Array
+    """m/s, of a rate."""
+    force: Array
+    """N at the leg, by the steps of a command."""
+    loss: Array
+    """rho, share of a force by which losses may be made up for wrongly."""
+    most_N: float
+    """No force is larger."""
+
+    @property
+    def stepped(self) -> bool:
+        """Tell whether what is read or sent has steps."""
+        return bool(np.any([self.length, self.rate, self.force]))
+
+    def disturb(self, linearised: Linearised, path: Sequence[PoseSample], found: Local) -> list[Disturbed]:
+        """Return what the axes are disturbed by along a path, by either bound of the forces they lose.
+
+        found: the robot at each sample of the path.
+        """
+        P = np.abs(found.per_force)
+        steps = (P @ self.force).max(axis=0)
+        if not self.loss.any():
+            return [Disturbed(steps, np.zeros((6, 6)))]
+        tau = np.abs(linearised.along_reference(path)[0])
+        back = np.abs(np.linalg.solve(found.per_force, found.Gamma))
+        by_path = np.einsum("nij,nj->ni", P, self.loss * tau).max(axis=0)
+        by_u = (P @ (self.loss[:, None] * back)).max(axis=0)
+        at_most = (P @ (self.loss * self.most_N)).max(axis=0)
+        return [Disturbed(steps + by_path, by_u), Disturbed(steps + at_most, np.zeros((6, 6)))]

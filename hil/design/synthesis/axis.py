@@ -4,6 +4,8 @@ The model and its feed-forward leave of each leg or pose axis a double integrato
 on it late; what the model does not know, d, acts on it at once:
 
     e'' = -(gain a + d),  a = exp(-T s) / (lag s + 1) u,  T = transport + half a period.
+
+The rational model of the synthesis is judged by the axis as the loop meets it: held, late, exact.
 """
 
 from collections.abc import Sequence
@@ -14,6 +16,8 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
+from hil.design.stability.sampled_loop import disturbed
+from hil.design.stability.sampled_loop import sampled_axis as exact_axis
 from hil.design.synthesis.weights import (
     control_weight,
     disturbance_weight,
@@ -129,3 +133,22 @@ def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
     """
     path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
     return weighted(design, four_block(path, design.inputs))
+
+
+def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> LinearSystem:
+    """Return the axis from [d, u] to [e, measured inputs], d held for a period like u."""
+    behind = exact_axis(1e-3 * axis.transport_ms, drive(axis), 1.0 / rate_Hz, axis.gain)
+    legs = disturbed(behind)
+    rows = {"error": 0, "rate_error": 1}
+    y = -legs.C[[0, *(rows[name] for name in inputs)]]
+    return LinearSystem(legs.A, legs.B[:, [1, 0]], y, np.zeros((len(y), 2)), legs.period_s)
+
+
+def loop_gain(K: LinearSystem, axis: LinearSystem) -> LinearSystem:
+    """Return L, opened at u, of a sampled controller and `sampled_axis`: the loop is closed by 1 + L."""
+    return K.after(axis._replace(B=axis.B[:, 1:], C=-axis.C[1:], D=-axis.D[1:, 1:]))
+
+
+def sampled_problem(design: Design, axis: DesignAxis) -> LinearSystem:
+    """Return the weighted problem of `generalised_plant`, around the sampled axis."""
+    return weighted(design, around(sampled_axis(axis, design.rate_Hz, design.inputs)))

@@ -16,8 +16,7 @@ from drivers.arrays import Array, ComplexArray
 from drivers.errors import SynthesisError
 from hil.design.synthesis.hinf import hinf
 from hil.design.synthesis.mu import Block, UpperBound, upper_bound
-from hil.design.synthesis.structured import Structured
-from hil.design.synthesis.wiring import well_scaled
+from hil.design.synthesis.structured import Structured, well_scaled
 from hil.mathematics.linear_system import LinearSystem, static
 
 ROUNDS = 10

@@ -12,12 +12,11 @@ import numpy as np
 
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
-from hil.design.synthesis.axis import generalised_plant
+from hil.design.synthesis.axis import generalised_plant, sampled_problem
 from hil.design.synthesis.hinf import Synthesis, hinf
 from hil.design.synthesis.multiplicative import Relative, covered
 from hil.design.synthesis.norm import norm
 from hil.design.synthesis.result import Judgement, described, judge
-from hil.design.synthesis.sampled import sampled_problem
 from hil.design.synthesis.weights import error_weight
 from hil.mathematics.linear_system import LinearSystem
 

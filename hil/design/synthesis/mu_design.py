@@ -13,6 +13,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis, UncertaintyRanges
+from hil.design.synthesis.axis import sampled_problem
 from hil.design.synthesis.dk import (
     Bounds,
     bounds_over_frequency,
@@ -27,7 +28,6 @@ from hil.design.synthesis.mu import lower_bound
 from hil.design.synthesis.multiplicative import CORNER, Relative
 from hil.design.synthesis.norm import norm
 from hil.design.synthesis.result import SLOW, Judgement, described, judge, reduced
-from hil.design.synthesis.sampled import sampled_problem
 from hil.design.synthesis.structured import Structured, structured_plant
 from hil.design.synthesis.weights import noise_weight
 from hil.mathematics.linear_system import LinearSystem

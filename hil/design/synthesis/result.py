@@ -16,8 +16,7 @@ from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
 from hil.design.stability.sampled_loop import Margins, margins
-from hil.design.synthesis.axis import actuator, four_block, loop_axis
-from hil.design.synthesis.sampled import loop_gain, sampled_axis
+from hil.design.synthesis.axis import actuator, four_block, loop_axis, loop_gain, sampled_axis
 from hil.mathematics.linear_system import LinearSystem
 
 SLOW = 0.1

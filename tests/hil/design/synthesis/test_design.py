@@ -14,9 +14,8 @@ from hil.app.design.command import METHODS, run_design
 from hil.config.design import Design
 from hil.config.linear_controller import LinearController
 from hil.design.stability.sampled_loop import grid
-from hil.design.synthesis.axis import generalised_plant
+from hil.design.synthesis.axis import generalised_plant, sampled_axis, sampled_problem
 from hil.design.synthesis.norm import gains, norm
-from hil.design.synthesis.sampled import sampled_axis, sampled_problem
 from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
 from hil.mathematics.linear_system import LinearSystem
 

@@ -10,10 +10,9 @@ import pytest
 
 from drivers.errors import SynthesisError
 from hil.config.design import DesignAxis
-from hil.design.synthesis.axis import actuator, four_block, pade
+from hil.design.synthesis.axis import actuator, four_block, pade, sampled_axis
 from hil.design.synthesis.norm import norm
-from hil.design.synthesis.sampled import sampled_axis
-from hil.design.synthesis.wiring import wired
+from hil.design.synthesis.structured import wired
 from hil.mathematics.linear_system import LinearSystem, static
 
 INPUTS = ["error", "rate_error"]

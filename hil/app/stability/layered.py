@@ -37,6 +37,11 @@ class Layered(NamedTuple):
         return "s" if isinstance(self.law, SlidingModeSettings) else "y"
 
     @property
+    def source(self) -> str:
+        """Where what disturbs it is stated."""
+        return "section uncertainty" if self.subject.nothing else "what is given"
+
+    @property
     def k(self) -> float:
         """The largest correction, m/s^2: of a leg, or of all."""
         return self.law.switching_gain if isinstance(self.law, SlidingModeSettings) else self.law.bound
@@ -136,14 +141,27 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     for more, numbers in (describe(judged), bound_lines(judged, judged.bound, "joint")):
         lines, figures = lines + more, {**figures, **numbers}
     if reaching.surplus <= 0.0:
-        return Assessment("not proven", _short(one, figures), conditions, lines, figures)
-    conditions += _room(one, reaching)
+        f = figures["reaching"]
+        short = f"{f['gamma']:.3g} x {one.k:.3g} m/s^2 do not cover {f['disturbance_m_s2']:.3g} m/s^2 of "
+        claim = f"{short}{one.source}: {one.name} need not reach its layer"
+        return Assessment("not proven", claim, conditions, lines, figures)
+    if isfinite(reaching.room):
+        within = f"while no leg is more than {reaching.room:.3g} m/s off its rate"
+        if one.name == "y":
+            within = f"while the root of the legs' summed squares is no more than {reaching.room:.3g} m off"
+        conditions.append(f"from outside its layer: {within}")
     error, claim = judged.bound.error, f"{one.name} reaches its layer"
     if reaching.covered:
         claim += " and stays there"
     else:
-        more, numbers = _beyond_lines(one, alpha)
-        lines, figures = lines + more, {**figures, **numbers}
+        beyond = one.beyond(alpha)
+        line = "nothing is known without that: a wider layer, or more gain"
+        if beyond is not None:
+            bound, most = beyond[0].error, beyond[1]
+            line = f"without taking the law for linear: |{one.name}| below {most:.3g} m/s, errors below "
+            line += f"{1e3 * bound.max():.3g} mm of leg length"
+            figures["beyond"] = {"inside_m_s": most, "ultimate_bound": bound.tolist()}
+        lines.append(f"beyond layer   {line}")
         conditions.append(
             f"{one.name} may leave its layer of {reaching.layer:.3g} m/s up to {reaching.inside:.3g} m/s, by "
             "delay or by what the error of the model makes of the law's linear part: there the law is no "
@@ -155,19 +173,6 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     return Assessment("conditional", claim, [*conditions, SURVEYED], lines, figures)
 
 
-def _beyond_lines(one: Layered, alpha: float) -> tuple[list[str], dict[str, Any]]:
-    """Return what holds without taking the law for linear outside its layer, as lines and figures."""
-    found = one.beyond(alpha)
-    if found is None:
-        return ["beyond layer   nothing is known without that: a wider layer, or more gain"], {}
-    error, most = found[0].error, found[1]
-    line = (
-        f"beyond layer   without taking the law for linear: |{one.name}| below {most:.3g} m/s, errors below "
-        f"{1e3 * error.max():.3g} mm of leg length"
-    )
-    return [line], {"beyond": {"inside_m_s": most, "ultimate_bound": error.tolist()}}
-
-
 def _reaching(
     one: Layered, inertia: Inertia, d: Array, judged: Judged
 ) -> tuple[Reaching, list[str], dict[str, Any]] | str:
@@ -177,7 +182,6 @@ def _reaching(
     """
     law, layer = one.law, one.law.error_dynamics().layer
     inside = one.inside(judged)
-    source = "section uncertainty" if one.subject.nothing else "what is given"
     if isinstance(law, SlidingModeSettings):
         gamma, size = inertia.dominance, float(d.max())
         found = sliding(one.slope, one.k, layer, gamma=gamma, alpha=inertia.alpha, d=size, inside=inside)
@@ -191,23 +195,4 @@ def _reaching(
         found = redesign(
             K_P, K_D, one.k, layer, gamma=gamma, alpha=inertia.alpha_2, d=size, inside=inside
         )  # fmt: skip
-    return found, *reaching_lines(found, one.k, size, gamma, source, one.name)
-
-
-def _short(one: Layered, figures: dict[str, Any]) -> str:
-    f = figures["reaching"]
-    source = "section uncertainty" if one.subject.nothing else "what is given"
-    return (
-        f"{f['gamma']:.3g} x {one.k:.3g} m/s^2 do not cover {f['disturbance_m_s2']:.3g} m/s^2 of {source}: "
-        f"{one.name} need not reach its layer"
-    )
-
-
-def _room(one: Layered, found: Reaching) -> list[str]:
-    """Return the condition under which the layer is reached from outside; none where from anywhere."""
-    if not isfinite(found.room):
-        return []
-    within = f"while no leg is more than {found.room:.3g} m/s off its rate"
-    if one.name == "y":
-        within = f"while the root of the legs' summed squares is no more than {found.room:.3g} m off"
-    return [f"from outside its layer: {within}"]
+    return found, *reaching_lines(found, one.k, size, gamma, one.source, one.name)

@@ -99,35 +99,31 @@ def bound_lines(judged: Judged, bound: Ultimate, axes: AxisSpace) -> tuple[list[
         "late": bound.late.tolist(),
         "condition_max": bound.condition,
     }
-    lines = [
-        f"singularity    condition of J {bound.condition:.2f} at most, along the reference and in the bound"
-    ]
-    if inertia.alpha > 1e-6:
-        lines.append(
-            f"inertia        |Gamma - I| {inertia.alpha:.3g}, the share of an acceleration asked for that is "
-            f"missed, or goes to another axis; Gamma's eigenvalues {least:.3g} to {largest:.3g}"
-        )
-    if bound.late.max() > 0.0:
-        lines.append(f"delay          makes {in_words(bound.late, axes)} of the bound, along the reference")
-    if bound.d.max() > 1e-6:
-        size = f"{bound.d.max():.3g} m/s^2 of a leg"
-        if axes == "pose":
-            size = f"{bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2"
-        lines.append(
-            f"disturbance    {size}: with the rest |e| <= {in_words(bound.error, axes)}{judged.carried}"
-        )
-    unit = "m/s^2" if axes == "joint" else "m/s^2 or rad/s^2"
-    if bound.drives.max() > NEGLIGIBLE * bound.d.max():
-        lines.append(
-            f"drives         {bound.drives.max():.3g} {unit} of the disturbance are the steps of the forces "
-            "sent, and what a transmission may lose where a leg turns round"
-        )
-    if bound.pushed.max() > 1e-6:
-        lines.append(
-            f"pushes         {bound.pushed.max():.3g} {unit} of the disturbance are safety's, of legs that "
-            "stand still while others stray"
-        )
-    return lines, figures
+    size, unit = f"{bound.d.max():.3g} m/s^2 of a leg", "m/s^2"
+    if axes == "pose":
+        size, unit = f"{bound.d[:3].max():.3g} m/s^2, {bound.d[3:].max():.3g} rad/s^2", "m/s^2 or rad/s^2"
+    late, error = in_words(bound.late, axes), in_words(bound.error, axes)
+    alpha, part = inertia.alpha, "of the disturbance are"
+    drives, pushed = f"{bound.drives.max():.3g} {unit} {part}", f"{bound.pushed.max():.3g} {unit} {part}"
+    shown = (
+        (True, f"singularity    condition of J {bound.condition:.2f} at most, in the bound, too"),
+        (
+            alpha > 1e-6,
+            f"inertia        |Gamma - I| {alpha:.3g}: so much of what is asked for is missed, or couples",
+        ),
+        (alpha > 1e-6, f"               eigenvalues of Gamma {least:.3g} to {largest:.3g}"),
+        (bound.late.max() > 0.0, f"delay          makes {late} of the bound, along the reference"),
+        (bound.d.max() > 1e-6, f"disturbance    {size}: with the rest |e| <= {error}{judged.carried}"),
+        (
+            bound.drives.max() > NEGLIGIBLE * bound.d.max(),
+            f"drives         {drives} steps of forces sent, and what a transmission may lose on turning",
+        ),
+        (
+            bound.pushed.max() > 1e-6,
+            f"pushes         {pushed} safety's, of legs that stand while others stray",
+        ),
+    )
+    return [line for counts, line in shown if counts], figures
 
 
 def reaching_lines(

@@ -1,21 +1,15 @@
 """Energy as a Lyapunov function: PD laws that hold a pose (Takegaki and Arimoto, 1981; LaSalle).
 
-Springs and gravity together are one potential S of the pose: of the control law the springs of K_p and what
-it compensates, of the robot its weight. With the robot's kinetic energy
+Springs of K_p, what the law compensates, and the robot's weight are one potential S of the pose. With the
+robot's kinetic energy
 
 ::
 
     V = t^T M t / 2 + S,     dV/dt = -dq^T K_v dq  (friction only adds to that)
 
-because t^T (M_dot t / 2 - H) = 0. V falls, or rests where dq = 0, which J regular turns into t = 0; staying
-there takes dS = 0 (LaSalle). Hence, for a reference at rest:
-
-- a pose where dS = 0 and the stiffness d^2 S is positive definite is asymptotically stable;
-- from every start with V < c it is reached, if c is the lowest S on the edge of a region around that pose in
-  which J is regular, legs are within their stroke, and no other pose has dS = 0.
-
-PD with exact gravity compensation has S = e^T K_p e / 2: there dS = -J^T K_p e vanishes for e = 0 alone, in
-the whole region. PD without it, or with a wrong weight, sags to where its springs carry what is left.
+For a reference at rest a pose where dS = 0 and d^2 S is positive definite is asymptotically stable; from
+every start with V < c it is reached, if c is the lowest S on the edge of a region around that pose in which J
+is regular, legs are within their stroke, and no other pose has dS = 0.
 """
 
 from collections.abc import Callable

@@ -1,27 +1,15 @@
 """Reaching and boundary layers: what sliding mode and the Lyapunov redesign promise, with the figures stated.
 
-Under what the model does not know (hil.design.stability.disturbance: Gamma, |d|) the sliding variables
-s = de + lambda e of the legs obey
+Under what the model does not know (module disturbance) s = de + lambda e of the legs, and y = de + K_D / 2 e
+over all legs at once, obey
 
 ::
 
     ds/dt = (I - Gamma) lambda de - k Gamma sat(s / phi) - d
-
-- Outside the layer the largest |s| falls by gamma k - |d| at least, gamma the least of Gamma_ii less the rest
-  of its row, and by alpha lambda |de| less, alpha = |Gamma - I| by rows: the layer is reached. Half of it is
-  left where the legs are off by no more than takes the other half.
-- Inside, the law is linear, K_P = lambda k / phi and K_D = lambda + k / phi, and so is the loop. |s| stays
-  below its peak gain from d times |d|, sampled and late (module sampled): where that is no more than
-  phi the layer is never left, and the ultimate bound of the linear loop holds. With gamma = 1 and without
-  sampling both conditions are one, k >= |d|.
-- Where it may be left, the loop is a weaker linear one with a rest that disturbs it (`Sector`).
-
-The Lyapunov redesign has y = de + K_D / 2 e over all legs at once, rho for k, epsilon for phi, and a linear
-part of its own that helps; gamma is the least eigenvalue of Gamma's symmetric part, alpha its norm less I:
-
-::
-
     dy/dt = -(Gamma - I/2) K_D y + ((Gamma - I/2) K_D^2 / 2 - Gamma K_P) e - rho Gamma y / |y| - d
+
+Outside the layer |s| falls by gamma k - |d| at least, and by alpha lambda |de| less; inside, the law is
+linear, and where its |s| stays below phi the layer is never left. Derived in docs/theory/stability.md.
 """
 
 from math import inf

@@ -3,23 +3,13 @@
 ::
 
     e'' + Gamma u = -d      (module disturbance), u = controller([e, de]), sampled, held and late
+    d' <= d + S |u| + T (S_e |de| + S_v (|u| + d')),   |u| <= g_u d' + u of being late, likewise de
 
-- Gamma = gamma I: six axes, each with the loop that runs (module sampled), |e_i| <= g_e,i max |d_i|
-  with the peak gain g_e of that loop, which some disturbance attains.
-- What Gamma differs from gamma I by is a disturbance of its own, S |u|, S = max |Gamma - gamma I|; Gamma is
-  that of the pose which the force meets, by the law's model at the pose for which it was computed, T ago.
-- The forces that hold the reference are those of T ago, too. What that costs along the reference is known
-  (hil.design.stability.lateness). Off the reference they miss by what place and rate change within T,
-  T (S_e |de| + S_v |e''|), S_e and S_v the derivatives of the acceleration under constant forces.
-- So d' <= d + S |u| + T (S_e |de| + S_v (|u| + d')) with |u| <= g_u d' + u of being late, and likewise de.
-  Of non-negative matrices whose eigenvalues are below 1 that has a least solution, which bounds d' (small
-  gain; C. A. Desoer and M. Vidyasagar, Feedback Systems, 1975).
-- d and Gamma are those of where the robot is, not of where it should be. So they are taken in a tube around
-  the reference, too, which is enlarged until the bound that follows is no larger than the tube: what begins
-  without error can then not leave it. The errors that occur are convolutions of the disturbances that
-  occur. Where all axes have the same gains, they are in the gain times the convex hull of these, and its
-  extremes along the reference are the tube; else it is the box |e_i| <= bound_i. Both are looked at in
-  their corners at the worst instants, to first order: a survey, no enclosure.
+g: peak gains of the sampled loop with the gain gamma; S = max |Gamma - gamma I|; T: how old the forces are;
+S_e, S_v: how accelerations change with place and rate under constant forces. The least solution bounds d'
+(small gain; C. A. Desoer and M. Vidyasagar, Feedback Systems, 1975). d and Gamma are taken in a tube around
+the reference that is enlarged until the bound fits into it, at its corners and worst instants, to first
+order: a survey, no enclosure. Derived in docs/theory/stability.md.
 """
 
 from collections.abc import Sequence

@@ -1,15 +1,10 @@
 """Axes that were measured: by how much they differ from the nominal one, and what a loop makes of that.
 
 |P / P0 - 1| <= w(omega) of each axis. One axis is stable whatever P is if and only if |w T| < 1 everywhere, T
-of the nominal loop (J. C. Doyle, B. A. Francis, A. R. Tannenbaum, *Feedback Control Theory*, 1992, 4.2).
-
-Six axes with one controller each that a wrong inertia couples have, opened at the controls, L Gamma, and
-
-    T_6 = L Gamma (I + L Gamma)^-1
-
-Each axis differs by a factor of its own. Whatever these are, the six together are stable if the spectral
-radius of |w T_6|, element by element, is below 1: the best of all diagonal scalings of its norm (S. Skogestad
-and I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, 8.7 and A.3).
+of the nominal loop (J. C. Doyle, B. A. Francis, A. R. Tannenbaum, *Feedback Control Theory*, 1992, 4.2). Six
+that a wrong inertia Gamma couples are if the spectral radius of |w T_6| is below 1, element by element,
+T_6 = L Gamma (I + L Gamma)^-1 (S. Skogestad and I. Postlethwaite, *Multivariable Feedback Control*, 2nd
+edition, 2005, 8.7 and A.3).
 """
 
 from collections.abc import Iterable, Sequence

@@ -26,7 +26,7 @@ from drivers.errors import ModelError
 from hil.proof import quadratic
 from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.cancellation import continuous
-from hil.proof.interval import Ball, Enclosure, unsupported
+from hil.proof.interval import Ball, Enclosure, Ranges, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import System
 
@@ -87,9 +87,7 @@ def _routh(rising: Sequence[fmpq]) -> bool:
     return True
 
 
-def over_ranges(
-    A: sp.Matrix, ranges: Sequence[tuple[sp.Symbol, tuple[float, float]]], budget: Budget
-) -> Eigenvalues:
+def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
     """Return where the eigenvalues of A are for all values of the parameters; UNKNOWN where that differs."""
     names = tuple(p for p, _ in ranges)
     entries = [[Enclosure(A[i, j], names) for j in range(A.cols)] for i in range(A.rows)]

@@ -14,7 +14,7 @@ from math import lcm
 import sympy as sp
 
 from hil.proof.branch_and_bound import Budget, faces, positive
-from hil.proof.interval import Cell, Enclosure, unsupported
+from hil.proof.interval import Cell, Enclosure, Ranges, unsupported
 
 HIGHEST_ORDER = 12
 LONGEST = 400
@@ -117,7 +117,7 @@ def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
 
 
 def definite_near(
-    g: sp.Expr, states: Sequence[sp.Symbol], parameters: Sequence[tuple[sp.Symbol, tuple[float, float]]],
+    g: sp.Expr, states: Sequence[sp.Symbol], parameters: Ranges,
     budget: Budget, limit: int = 1500, side: int = 0,
 ) -> tuple[Cell, Weights] | None:  # fmt: skip
     """Return a cell about the origin in which g > 0 but at the origin, or None.

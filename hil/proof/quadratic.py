@@ -16,7 +16,7 @@ from flint import arb
 from sympy.polys.matrices import DomainMatrix
 
 from hil.proof.branch_and_bound import Budget, covered
-from hil.proof.interval import Ball, Cell, Enclosure, ball, unsupported
+from hil.proof.interval import Ball, Cell, Enclosure, Ranges, ball, unsupported
 
 Matrix = list[list[Fraction]]
 
@@ -154,9 +154,7 @@ def positive_definite(H: Sequence[Sequence[Ball]]) -> bool:
     return all(D[i][i] > sum((D[i][j].abs_upper() for j in range(n) if j != i), arb(0)) for i in range(n))
 
 
-def definite_form(
-    S: Sequence[Sequence[sp.Expr]], ranges: Sequence[tuple[sp.Symbol, tuple[float, float]]], budget: Budget
-) -> bool:
+def definite_form(S: Sequence[Sequence[sp.Expr]], ranges: Ranges, budget: Budget) -> bool:
     """Tell whether x^T S x is positive definite for all values of the parameters in S."""
     names = tuple(p for p, _ in ranges)
     entries = [[Enclosure(c, names) for c in row] for row in S]
@@ -170,7 +168,7 @@ def definite_form(
 
 def convex_definite(
     g: sp.Expr, states: Sequence[sp.Symbol], sides: Cell,
-    ranges: Sequence[tuple[sp.Symbol, tuple[float, float]]], budget: Budget,
+    ranges: Ranges, budget: Budget,
 ) -> bool:  # fmt: skip
     """Tell whether g, zero at the origin, is shown to be positive elsewhere in the box by its Hessian."""
     if g.count_ops() > LONGEST:

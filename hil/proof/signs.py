@@ -12,7 +12,7 @@ import sympy as sp
 from hil.proof import origin, orthant, quadratic, tail
 from hil.proof.branch_and_bound import Budget, positive, without
 from hil.proof.cancellation import factors, half_angles
-from hil.proof.interval import Cell, Enclosure, outward, unsupported
+from hil.proof.interval import Cell, Enclosure, Ranges, outward, unsupported
 from hil.proof.system import System
 
 Zeros = tuple[tuple[sp.Expr, ...], ...]
@@ -137,12 +137,10 @@ class Signs:
         zeros = self._structure(g)
         return zeros is not None and all(set(states) <= {_root(e) for e in branch} for branch in zeros)
 
-    def _ranges(self, g: sp.Expr) -> list[tuple[sp.Symbol, tuple[float, float]]]:
+    def _ranges(self, g: sp.Expr) -> Ranges:
         return [(p, self.sides[p]) for p in self.system.ranges if p in g.free_symbols]
 
-    def _outer(
-        self, g: sp.Expr, states: tuple[sp.Symbol, ...], ranges: list[tuple[sp.Symbol, tuple[float, float]]]
-    ) -> Cell | None:
+    def _outer(self, g: sp.Expr, states: tuple[sp.Symbol, ...], ranges: Ranges) -> Cell | None:
         """Return the domain, or the part of it beyond which the tail bound holds."""
         far = tuple(x for x in states if not all(map(math.isfinite, self.sides[x])))
         sides = {x: self.sides[x] for x in states}

@@ -3,13 +3,12 @@
 from drivers.arrays import Array
 from hil.app.configuration.controller_file import controller_of
 from hil.app.stability.subject import SURVEYED, Subject
-from hil.app.stability.wording import bound_lines, certificate_lines, describe, unstable
+from hil.app.stability.wording import Assessment, bound_lines, certificate_lines, describe, unstable
 from hil.config.axis_model import AxisSpace
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control.law import ErrorDynamics, LawSettings
 from hil.control.state_space import StateSpaceSettings
-from hil.design.stability.assessment import Assessment, unless
 from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import Sampled, analyse, gains
 from hil.design.stability.sampled_loop import sampled_controller
@@ -74,7 +73,7 @@ def _verdict(subject: Subject, judged: Judged, axes: AxisSpace, conditions: list
     lines, figures = more + lines, numbers | figures
     if subject.undisturbed(bound):
         claim = f"at the reference's pose small errors die out, the slowest as exp(-{loop.decay_rate:.3g} t)"
-        return Assessment(unless(conditions), claim, conditions, lines, figures)
+        return Assessment("conditional" if conditions else "proven", claim, conditions, lines, figures)
     claim = f"errors stay below {in_words(bound.error, axes)} along the reference"
     return Assessment("conditional", claim, [*conditions, SURVEYED], lines, figures)
 

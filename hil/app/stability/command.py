@@ -8,11 +8,11 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import shown_ranges
 from hil.app.stability import axes, layered, payloads, springs
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
+from hil.app.stability.wording import Assessment
 from hil.control.pd import PDSettings
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
 from hil.control.state_space import StateSpaceSettings
-from hil.design.stability.assessment import Assessment
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 

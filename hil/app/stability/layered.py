@@ -8,10 +8,9 @@ import numpy as np
 from drivers.arrays import Array
 from hil.app.stability.axes import assumed, bounded
 from hil.app.stability.subject import SURVEYED, Subject
-from hil.app.stability.wording import bound_lines, describe, reaching_lines, unstable
+from hil.app.stability.wording import Assessment, bound_lines, describe, reaching_lines, unstable
 from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
 from hil.control.sliding_mode import SlidingModeSettings
-from hil.design.stability.assessment import Assessment
 from hil.design.stability.disturbance import Inertia
 from hil.design.stability.reaching import Reaching, Sector, redesign, sliding
 from hil.design.stability.sampled import of_each

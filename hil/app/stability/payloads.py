@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.design.stability.assessment import Assessment
+from hil.app.stability.wording import Assessment
 
 WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
 FIGURES = (

@@ -14,6 +14,7 @@ from drivers.arrays import ZERO6, Array
 from drivers.errors import ModelError
 from drivers.tick_columns import TICK
 from hil.app.stability.subject import NO_PAYLOAD, Subject
+from hil.app.stability.wording import Assessment
 from hil.config.model import ModelSettings
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.feedforward_pd import FeedforwardPDSettings
@@ -21,7 +22,6 @@ from hil.control.law import Law, LawContext, per_leg
 from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
-from hil.design.stability.assessment import Assessment
 from hil.design.stability.energy import (
     Potential,
     basin,

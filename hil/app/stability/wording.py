@@ -1,6 +1,6 @@
-"""Lines and figures of assessed laws that linearise the robot."""
+"""What is known of the stability of a law, and lines and figures of laws that linearise the robot."""
 
-from typing import Any
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -11,6 +11,28 @@ from hil.design.stability.error_dynamics import certificate, decay_rate
 from hil.design.stability.reaching import Reaching
 from hil.design.stability.sampled import Sampled
 from hil.design.stability.ultimate import Judged, Ultimate, in_words
+
+Status = Literal["proven", "conditional", "not proven", "unstable"]
+
+
+class Assessment(NamedTuple):
+    """The answer for one law and configuration."""
+
+    status: Status
+    """`conditional`: proven where all of `conditions` hold, which are not checked. `unstable`: refuted."""
+    claim: str
+    """What is proven; what is not, where nothing is."""
+    conditions: list[str]
+    lines: list[str]
+    """Figures with their units, for people."""
+    figures: dict[str, Any]
+    """The same as plain values."""
+
+    @property
+    def line(self) -> str:
+        """Status and claim in one line."""
+        return f"{self.status}: {self.claim}"
+
 
 NEGLIGIBLE = 0.01
 """Share of a disturbance that is not worth a line."""

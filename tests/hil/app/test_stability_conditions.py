@@ -11,8 +11,8 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.stability.command import judge
 from hil.app.stability.subject import SURVEYED, Stated, Subject
+from hil.app.stability.wording import Assessment
 from hil.config.model import ModelSettings
-from hil.design.stability.assessment import Assessment
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 
 FUSED = {"sensors": {"tracker": {}}, "estimation": {"pose": "fused"}}

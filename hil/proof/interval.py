@@ -18,8 +18,8 @@ Ball = Any
 """flint.arb."""
 Cell = tuple[tuple[float, float], ...]
 """One pair (lower, upper) for each variable: floats are exact."""
-Ranges = Sequence[tuple[sp.Symbol, tuple[float, float]]]
-"""Parameters, and ends of theirs."""
+Ranges = Mapping[sp.Symbol, tuple[float, float]]
+"""Parameters, and the ends of each."""
 
 _UNARY: dict[Any, Callable[[Ball], Ball]] = {
     sp.sin: lambda x: x.sin(),

@@ -89,7 +89,7 @@ def _routh(rising: Sequence[fmpq]) -> bool:
 
 def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
     """Return where the eigenvalues of A are for all values of the parameters; UNKNOWN where that differs."""
-    names = tuple(p for p, _ in ranges)
+    names = tuple(ranges)
     entries = [[Enclosure(A[i, j], names) for j in range(A.cols)] for i in range(A.rows)]
     found: set[Eigenvalues] = set()
 
@@ -98,7 +98,7 @@ def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
         found.update({here} - {Eigenvalues.UNKNOWN})
         return here is not Eigenvalues.UNKNOWN and len(found) == 1
 
-    cell = tuple(side for _, side in ranges)
+    cell = tuple(ranges.values())
     everywhere = covered([cell], shown, budget, CELLS, lambda _: len(found) > 1)
     return found.pop() if everywhere else Eigenvalues.UNKNOWN
 
@@ -163,7 +163,7 @@ def _block(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     if all(a.is_Rational for a in A):
         return of_rationals(A)
     if A.free_symbols.isdisjoint(signs.system.positive):
-        ranges = [(p, signs.sides[p]) for p in signs.system.ranges if p in A.free_symbols]
+        ranges = {p: signs.sides[p] for p in signs.system.ranges if p in A.free_symbols}
         found = over_ranges(A, ranges, signs.budget)
         if found is not Eigenvalues.UNKNOWN:
             return found
@@ -200,7 +200,7 @@ def _hurwitz(coefficients: list[sp.Expr], k: int) -> sp.Expr:
 def _at_one_point(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     point = {p: (low + high) / 2 for p, (low, high) in signs.system.ranges.items()}
     there = A.subs(point | dict.fromkeys(signs.system.positive, sp.S.One)).applyfunc(sp.expand)
-    return of_rationals(there) if all(a.is_Rational for a in there) else over_ranges(there, [], signs.budget)
+    return of_rationals(there) if all(a.is_Rational for a in there) else over_ranges(there, {}, signs.budget)
 
 
 EXACT = 4

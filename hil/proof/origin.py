@@ -131,9 +131,9 @@ def definite_near(
     k = ray.order()
     if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
         return None
-    c = Enclosure(ray.remainder(k), (*ray.u, *(p for p, _ in parameters), T))
-    leading = Enclosure(ray.at_zero(k), (*ray.u, *(p for p, _ in parameters)))
-    ranges = tuple(r for _, r in parameters)
+    c = Enclosure(ray.remainder(k), (*ray.u, *parameters, T))
+    leading = Enclosure(ray.at_zero(k), (*ray.u, *parameters))
+    ranges = tuple(parameters.values())
     sides: Cell = ((-1.0, 1.0),) * len(states)
     cells = faces(sides, range(len(states))) if side == 0 else [((float(side), float(side)),)]
     if not positive([leading], [(*u, *ranges) for u in cells], budget, limit):

@@ -156,10 +156,10 @@ def positive_definite(H: Sequence[Sequence[Ball]]) -> bool:
 
 def definite_form(S: Sequence[Sequence[sp.Expr]], ranges: Ranges, budget: Budget) -> bool:
     """Tell whether x^T S x is positive definite for all values of the parameters in S."""
-    names = tuple(p for p, _ in ranges)
+    names = tuple(ranges)
     entries = [[Enclosure(c, names) for c in row] for row in S]
     return covered(
-        [tuple(r for _, r in ranges)],
+        [tuple(ranges.values())],
         lambda p: positive_definite([[c(p) for c in row] for row in entries]),
         budget,
         500,
@@ -180,7 +180,7 @@ def convex_definite(
     hessian = [[sp.diff(d, x) for x in states[: k + 1]] for k, d in enumerate(gradient)]
     if any(unsupported(h) for row in hessian for h in row):
         return False
-    names = (*states, *(p for p, _ in ranges))
+    names = (*states, *ranges)
     rows = [[Enclosure(h, names) for h in row] for row in hessian]
     box = [ball(*side) for side in sides]
 
@@ -189,4 +189,4 @@ def convex_definite(
         n = len(half)
         return positive_definite([[half[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)])
 
-    return covered([tuple(r for _, r in ranges)], holds, budget, 200)
+    return covered([tuple(ranges.values())], holds, budget, 200)

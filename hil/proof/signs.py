@@ -121,8 +121,8 @@ class Signs:
             if (trimmed := self._open(g, states[0], outer[0])) is None:
                 return False
             outer = (trimmed,)
-        names = (*states, *(p for p, _ in ranges))
-        cells = [(*c, *(r for _, r in ranges)) for c in without(outer, near[0])]
+        names = (*states, *ranges)
+        cells = [(*c, *ranges.values()) for c in without(outer, near[0])]
         return positive([Enclosure(g, names)], cells, self.budget)
 
     def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
@@ -138,7 +138,7 @@ class Signs:
         return zeros is not None and all(set(states) <= {_root(e) for e in branch} for branch in zeros)
 
     def _ranges(self, g: sp.Expr) -> Ranges:
-        return [(p, self.sides[p]) for p in self.system.ranges if p in g.free_symbols]
+        return {p: self.sides[p] for p in self.system.ranges if p in g.free_symbols}
 
     def _outer(self, g: sp.Expr, states: tuple[sp.Symbol, ...], ranges: Ranges) -> Cell | None:
         """Return the domain, or the part of it beyond which the tail bound holds."""
@@ -171,13 +171,13 @@ class Signs:
 
     def _positive_everywhere(self, g: sp.Expr) -> bool:
         states, ranges = self.own(g), self._ranges(g)
-        whole = {v: self.sides[v] for v in (*states, *(p for p, _ in ranges))}
+        whole = {v: self.sides[v] for v in (*states, *ranges)}
         if Enclosure(g, tuple(whole)).on(tuple(whole.values())) > 0:
             return True
         outer = self._outer(g, states, ranges)
-        names = (*states, *(p for p, _ in ranges))
+        names = (*states, *ranges)
         return outer is not None and positive(
-            [Enclosure(g, names)], [(*outer, *(r for _, r in ranges))], self.budget, 3000
+            [Enclosure(g, names)], [(*outer, *ranges.values())], self.budget, 3000
         )
 
     def _nonnegative(self, g: sp.Expr) -> Zeros | None:

@@ -57,16 +57,16 @@ def test_a_jump_is_told_from_a_kink():
 
 
 def test_the_lowest_order_form_sees_a_minimum_that_an_enclosure_cannot():
-    assert definite_near(1 - sp.cos(x) + y**2, (x, y), [], Budget())
+    assert definite_near(1 - sp.cos(x) + y**2, (x, y), {}, Budget())
     assert weights_of(y**2 + x**4, (x, y)) == (1, 2)
-    assert definite_near(y**2 + x**4 - x**2 * y, (x, y), [], Budget())
-    assert definite_near(y**2 + x**4 - 2 * x**2 * y, (x, y), [], Budget()) is None  # (y - x^2)^2
-    assert definite_near(x**2 - y**2, (x, y), [], Budget()) is None
-    assert definite_near(x**3, (x,), [], Budget()) is None
-    assert definite_near(x - sp.sin(x), (x,), [], Budget(), side=1)  # x^3 / 6
-    assert definite_near(sp.Abs(x) ** 3 + y**2, (x, y), [], Budget())
-    assert definite_near(sp.sqrt(1 + x**2) - 1, (x,), [], Budget())
-    assert definite_near(sp.sqrt(sp.Abs(x)), (x,), [], Budget()) is None
+    assert definite_near(y**2 + x**4 - x**2 * y, (x, y), {}, Budget())
+    assert definite_near(y**2 + x**4 - 2 * x**2 * y, (x, y), {}, Budget()) is None  # (y - x^2)^2
+    assert definite_near(x**2 - y**2, (x, y), {}, Budget()) is None
+    assert definite_near(x**3, (x,), {}, Budget()) is None
+    assert definite_near(x - sp.sin(x), (x,), {}, Budget(), side=1)  # x^3 / 6
+    assert definite_near(sp.Abs(x) ** 3 + y**2, (x, y), {}, Budget())
+    assert definite_near(sp.sqrt(1 + x**2) - 1, (x,), {}, Budget())
+    assert definite_near(sp.sqrt(sp.Abs(x)), (x,), {}, Budget()) is None
 
 
 def test_the_tail_bound_is_a_radius_beyond_which_it_is_true():
@@ -98,7 +98,7 @@ def test_powers_beside_a_sine_hold_at_the_place_where_its_derivative_is_taken(di
     at = direction * x
     e = at**2 - 100 * at**3 - R(9, 5) * (1 - sp.cos(at)) + R(100, 3) * sp.sin(at) ** 3
     assert sp.N(e.subs(x, direction * R(16, 10**4))) < 0
-    near = definite_near(e, (x,), [], Budget())
+    near = definite_near(e, (x,), {}, Budget())
     assert near is not None
     assert near[0][0][1] < 0.0015
 

@@ -49,11 +49,10 @@ class Signs:
             return True
         if not self.enclosable(g):
             return not self.own(g) and self._for_all_positive(g)
-        names = tuple(v for v in self.sides if v in g.free_symbols)
-        cell = tuple(self.sides[v] for v in names)
-        if not all(map(math.isfinite, (end for side in cell for end in side))):
+        cell = tuple(self.sides[x] for x in self.own(g))
+        if not all(math.isfinite(end) for side in cell for end in side):
             return self._positive_everywhere(g)
-        return positive([Enclosure(g, names)], [cell], self.budget, 3000)
+        return self._covered(g, self.own(g), [cell], 3000)
 
     def sign(self, c: sp.Expr) -> int:
         """Return 1 or -1 of what is positive or negative for all parameters, 0 where neither is shown."""
@@ -121,9 +120,7 @@ class Signs:
             if (trimmed := self._open(g, states[0], outer[0])) is None:
                 return False
             outer = (trimmed,)
-        names = (*states, *ranges)
-        cells = [(*c, *ranges.values()) for c in without(outer, near[0])]
-        return positive([Enclosure(g, names)], cells, self.budget)
+        return self._covered(g, states, without(outer, near[0]), 10_000)
 
     def _definite_form(self, S: list[list[sp.Expr]], g: sp.Expr) -> bool:
         """Judge a quadratic form: exactly, over ranges, or by leading minors for all parameters."""
@@ -175,10 +172,13 @@ class Signs:
         if Enclosure(g, tuple(whole)).on(tuple(whole.values())) > 0:
             return True
         outer = self._outer(g, states, ranges)
-        names = (*states, *ranges)
-        return outer is not None and positive(
-            [Enclosure(g, names)], [(*outer, *ranges.values())], self.budget, 3000
-        )
+        return outer is not None and self._covered(g, states, [outer], 3000)
+
+    def _covered(self, g: sp.Expr, states: tuple[sp.Symbol, ...], cells: list[Cell], limit: int) -> bool:
+        """Tell whether g > 0 on cells of its states, for all values of its parameters."""
+        ranges = self._ranges(g)
+        there = [(*cell, *ranges.values()) for cell in cells]
+        return positive([Enclosure(g, (*states, *ranges))], there, self.budget, limit)
 
     def _nonnegative(self, g: sp.Expr) -> Zeros | None:
         if g == 0:

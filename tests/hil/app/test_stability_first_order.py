@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from scipy.optimize import root
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.stability.command import judge
+from hil.app.stability.springs import law_forces
 from hil.app.stability.subject import Stated, Subject
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.kinematics import jacobian, leg_lengths
@@ -100,38 +100,10 @@ def test_springs_softer_than_the_weight_are_not_called_stable(stiffness, error):
     assert "die out" not in found.claim
 
 
-def forces(c: Configuration) -> Callable[[Array, Array, Array], Array]:
-    """Return the leg forces that the law sends at p, R and a twist, the reference at rest."""
-    subject, law = Subject(c, Stated()), c.controller
-    p_d, R_d = subject.path[0].p, subject.path[0].R
-    q_d = leg_lengths(subject.platform, p_d, R_d)
-    believed = getattr(law, "model", None)
-    model = None if believed is None else subject.believed(believed)
-
-    def of_pose(p: Array, R: Array, twist: Array) -> Array:
-        K_p, K_v = law.gains()  # type: ignore[attr-defined]
-        differs = law.rotation_error == "vector_difference"  # type: ignore[attr-defined]
-        e_R = vector_of(R_d) - vector_of(R) if differs else vector_of(R_d @ R.T)
-        pull = K_p * np.concatenate([p_d - p, e_R]) - K_v * twist
-        if model is None:
-            return np.asarray(np.linalg.solve(jacobian(subject.platform, p, R).T, pull), float)
-        return model.inverse_dynamics(p, R, STILL, STILL, -pull)
-
-    def of_legs(p: Array, R: Array, twist: Array) -> Array:
-        rates = jacobian(subject.platform, p, R) @ twist
-        e = q_d - leg_lengths(subject.platform, p, R)
-        at_p, at_R = (p_d, R_d) if law.law == "feedforward_pd" else (p, R)
-        more = STILL if model is None else model.inverse_dynamics(at_p, at_R, STILL, STILL)
-        K_p, K_v = np.array(law.kp_N_m), np.array(law.kv_N_s_m)  # type: ignore[attr-defined]
-        return np.asarray(K_p * e - K_v * rates + more, float)
-
-    return of_pose if law.law == "cartesian_pd" else of_legs
-
-
-def rest_of(c: Configuration) -> tuple[Array, Array]:
-    """Return the pose at which these forces hold the weight."""
-    subject, tau = Subject(c, Stated()), forces(c)
-    start = subject.path[0]
+def sag_mm(c: Configuration) -> float:
+    """Return how far the leg lengths are off where the forces of the law that runs hold the weight."""
+    subject = Subject(c, Stated())
+    start, tau = subject.path[0], law_forces(subject, c.controller)  # type: ignore[arg-type]
 
     def pose(x: Array) -> tuple[Array, Array]:
         return start.p + x[:3], rotation_from_vector(x[3:]) @ start.R
@@ -142,22 +114,8 @@ def rest_of(c: Configuration) -> tuple[Array, Array]:
 
     x = root(left, STILL, tol=1e-13).x
     assert np.abs(left(x)).max() < 1e-4
-    return pose(x)
-
-
-def sag_mm(c: Configuration) -> float:
-    """Return how far the leg lengths are off there."""
-    subject = Subject(c, Stated())
-    start = subject.path[0]
-    off = leg_lengths(subject.platform, *rest_of(c)) - leg_lengths(subject.platform, start.p, start.R)
+    off = leg_lengths(subject.platform, *pose(x)) - leg_lengths(subject.platform, start.p, start.R)
     return 1e3 * float(np.abs(off).max())
-
-
-def vector_of(R: Array) -> Array:
-    """Return the rotation vector of a turn below 180 deg."""
-    axis = 0.5 * np.array([R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
-    size = float(np.linalg.norm(axis))
-    return axis if size == 0.0 else axis / size * np.arctan2(size, 0.5 * (np.trace(R) - 1.0))
 
 
 @pytest.mark.parametrize("variant", ["constant", "constant_MG"])

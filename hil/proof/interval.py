@@ -2,7 +2,7 @@
 
 Python-flint's arb rounds outward, so what an enclosure excludes is excluded. Where an expression is not
 defined on a ball (a pole, the logarithm of zero) the enclosure is not finite, and no comparison with it is
-true. arb's own power gives no enclosure for negative bases: powers are made here.
+true. arb's own power gives no enclosure of a ball with negative numbers: it is made of those of its ends.
 """
 
 import math
@@ -35,6 +35,7 @@ _UNARY: dict[Any, Callable[[Ball], Ball]] = {
 }
 """What may stand in f and V beside sums, products and powers."""
 FUNCTIONS = frozenset(_UNARY)
+ALLOWED = f"sums, products, rational powers, {', '.join(sorted(f.__name__ for f in FUNCTIONS))}"
 _NODES = (sp.Symbol, sp.Rational, sp.Add, sp.Mul)
 
 
@@ -87,15 +88,17 @@ def number(value: sp.Expr) -> Ball:
 
 
 def outward(lower: sp.Expr, upper: sp.Expr) -> tuple[float, float]:
-    """Return floats that enclose [lower, upper]; a finite end stays a float that is not inside."""
-    low = -math.inf if lower == -sp.oo else math.nextafter(float(number(lower).lower()), -math.inf)
-    high = math.inf if upper == sp.oo else math.nextafter(float(number(upper).upper()), math.inf)
-    exact_low, exact_high = float(lower), float(upper)
-    if lower.is_Rational and sp.Rational(exact_low) == lower:
-        low = exact_low
-    if upper.is_Rational and sp.Rational(exact_high) == upper:
-        high = exact_high
-    return low, high
+    """Return floats that enclose [lower, upper]; an end that is a float stays what it is."""
+    return _outside(lower, -math.inf), _outside(upper, math.inf)
+
+
+def _outside(end: sp.Expr, towards: float) -> float:
+    if end.is_infinite:
+        return towards
+    if end.is_Rational and sp.Rational(float(end)) == end:
+        return float(end)
+    there = number(end)
+    return math.nextafter(float(there.lower() if towards < 0 else there.upper()), towards)
 
 
 def unsupported(e: sp.Expr) -> set[str]:
@@ -126,11 +129,7 @@ def _action(e: sp.Expr) -> tuple[Callable[..., Ball], tuple[sp.Expr, ...]]:
         return _power(e)
     if e.func in _UNARY:
         return _UNARY[e.func], e.args
-    raise ModelError(f"no enclosure of {e}: sums, products, rational powers, {_names()} have one")
-
-
-def _names() -> str:
-    return ", ".join(sorted(f.__name__ for f in FUNCTIONS))
+    raise ModelError(f"no enclosure of {e}: {ALLOWED} have one")
 
 
 def _sum(*terms: Ball) -> Ball:
@@ -150,23 +149,14 @@ def _power(e: sp.Pow) -> tuple[Callable[..., Ball], tuple[sp.Expr, ...]]:
         if inner is not None:
             return (lambda x, q=p: _root_power(x.abs_lower(), x.abs_upper(), q)), (inner,)
         return (lambda x, q=p: _root_power(x.lower(), x.upper(), q)), (base,)
-    raise ModelError(f"no enclosure of {e}: the exponent of a power must be a rational number")
+    raise ModelError(f"no enclosure of {e}: {ALLOWED} have one")
 
 
 def _integer_power(x: Ball, n: int) -> Ball:
     if n < 0:
         return 1 / _integer_power(x, -n)
     low, high = (x.abs_lower(), x.abs_upper()) if n % 2 == 0 else (x.lower(), x.upper())
-    return _times(low, n).union(_times(high, n))
-
-
-def _times(x: Ball, n: int) -> Ball:
-    result = arb(1)
-    for bit in f"{n:b}":
-        result = result * result
-        if bit == "1":
-            result = result * x
-    return result
+    return (low**n).union(high**n)
 
 
 def _root_power(low: Ball, high: Ball, p: sp.Rational) -> Ball:

@@ -15,7 +15,7 @@ import sympy as sp
 from drivers.errors import ModelError
 from hil.proof.cancellation import continuous
 from hil.proof.door import Rounded, around, exact, read
-from hil.proof.interval import FUNCTIONS, number, unsupported
+from hil.proof.interval import ALLOWED, FUNCTIONS, number, unsupported
 
 Interval = tuple[sp.Expr, sp.Expr]
 Point = dict[sp.Symbol, sp.Expr]
@@ -175,21 +175,15 @@ def _sign(side: Interval) -> dict[str, bool]:
 
 
 def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    jumps = {str(a) for a in e.atoms(sp.Function) if a.func not in FUNCTIONS | {sp.sign}}
-    if jumps:
-        raise ModelError(f"d{x}/dt holds {', '.join(sorted(jumps))}: only {_allowed()} can be enclosed")
+    """Return dx/dt about the equilibrium, continuous and of what can be enclosed."""
+    enclosed = f"d{x}/dt holds {{}}: only {ALLOWED} can be enclosed"
+    _refuse(({a for a in e.atoms(sp.Function) if a.func not in FUNCTIONS | {sp.sign}}, enclosed))
     try:
         smooth = continuous(sp.expand(e.xreplace(shifted)) if e.has(sp.sign) else e.xreplace(shifted))
     except ModelError as error:
         raise ModelError(f"d{x}/dt must be continuous: {error}") from None
-    if wrong := unsupported(smooth):
-        raise ModelError(f"d{x}/dt holds {', '.join(sorted(wrong))}: only {_allowed()} can be enclosed")
+    _refuse((unsupported(smooth), enclosed))
     return smooth
-
-
-def _allowed() -> str:
-    names = ", ".join(sorted(f.__name__ for f in FUNCTIONS))
-    return f"sums, products, rational powers, {names}"
 
 
 def _interval(x: sp.Symbol, side: tuple[Any, Any]) -> Interval:

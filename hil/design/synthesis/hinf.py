@@ -2,7 +2,7 @@
 
 State-space solution of Doyle, Glover, Khargonekar and Francis (1989), in the general form of Glover and
 Doyle (1988), here in the notation of Zhou, Doyle and Glover, *Robust and Optimal Control* (1996), section
-17.1: D12 and D21 are brought to [0; I] and [0 I] by scaling, D22 is taken out and put back.
+17.1: D12 and D21 are brought to [0; I] and [0 I] by scaling; D22 is 0.
 """
 
 from collections.abc import Callable
@@ -48,7 +48,6 @@ class _Normal(NamedTuple):
     """u = of_u u' """
     to_y: Array
     """y' = to_y y."""
-    D22: Array
 
 
 def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
@@ -78,14 +77,12 @@ def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
     if not all(np.isfinite(matrix).all() for matrix in P[:4]):
         raise SynthesisError("the plant holds numbers that are not finite")
     n_z, n_w = P.C.shape[0] - n_y, P.B.shape[1] - n_u
-    if min(n_y, n_u, n_z, n_w) < 1:
-        raise SynthesisError(
-            f"{P.B.shape[1]} inputs and {P.C.shape[0]} outputs leave none for w or z beside {n_u} u, {n_y} y"
-        )
-    A, T = matrix_balance(P.A) if P.order else (P.A, P.A)
-    B, C = np.linalg.solve(T, P.B) if P.order else P.B, P.C @ T
+    A, T = matrix_balance(P.A)
+    B, C = np.linalg.solve(T, P.B), P.C @ T
     B1, B2, C1, C2 = B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:]
-    D11, D12, D21, D22 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w], P.D[n_z:, n_w:]
+    D11, D12, D21 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w]
+    if P.D[n_z:, n_w:].any():
+        raise SynthesisError("u acts on y at once, allowed: through the axis")
     _require(A, B2, lambda real: real > -AXIS, "does not decay and cannot be moved by u")
     unseen = "does not decay and is not seen in y; is it a weight that integrates?"
     _require(A.T, C2.T, lambda real: real > -AXIS, unseen)
@@ -105,7 +102,7 @@ def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
         )
     Wt = np.vstack([Wt[n_y:], Wt[:n_y]])  # w' = Wt w, D21 = V diag(t) [0 I] Wt
     to_y = (V / t).T
-    plant = _Normal(A, B1 @ Wt.T, B2 @ of_u, U.T @ C1, to_y @ C2, U.T @ D11 @ Wt.T, of_u, to_y, D22)
+    plant = _Normal(A, B1 @ Wt.T, B2 @ of_u, U.T @ C1, to_y @ C2, U.T @ D11 @ Wt.T, of_u, to_y)
     _well_posed(plant, n_z - n_u, n_w - n_y)
     return plant
 
@@ -159,16 +156,9 @@ def _optimum(plant: _Normal) -> float:
     return high
 
 
-class _Riccati(NamedTuple):
-    X: Array
-    Y: Array
-    F: Array
-    L: Array
-
-
-def _riccati(plant: _Normal, gamma: float) -> _Riccati | None:
-    """Solve both equations; None where one has no solution >= 0, or they do not fit together."""
-    A, B1, B2, C1, C2, D11, of_u, to_y, _ = plant
+def _riccati(plant: _Normal, gamma: float) -> tuple[Array, Array, Array, Array] | None:
+    """Return X, Y, F, L of both equations; None where one has no solution >= 0, or they do not fit."""
+    A, B1, B2, C1, C2, D11, of_u, to_y = plant
     m2, p2 = len(of_u), len(to_y)
     p1, m1 = D11.shape
     top, left = D11[: p1 - m2], D11[:, : m1 - p2]
@@ -183,9 +173,9 @@ def _riccati(plant: _Normal, gamma: float) -> _Riccati | None:
     if X_F is None or Y_L is None:
         return None
     (X, F), (Y, Lt) = X_F, Y_L
-    if A.size and np.abs(np.linalg.eigvals(X @ Y)).max() >= gamma**2:
+    if np.abs(np.linalg.eigvals(X @ Y)).max() >= gamma**2:
         return None
-    return _Riccati(X, Y, F, Lt.T)
+    return X, Y, F, Lt.T
 
 
 def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -> tuple[Array, Array] | None:
@@ -195,8 +185,6 @@ def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -
     """
     R = D.T @ D
     R[:m, :m] -= gamma**2 * np.eye(m)
-    if not len(A):
-        return np.zeros((0, 0)), np.zeros((B.shape[1], 0))
     try:
         X = solve_continuous_are(A, B, C.T @ C, R, s=C.T @ D)
     except np.linalg.LinAlgError:  # eigenvalues on the imaginary axis leave none
@@ -212,7 +200,7 @@ def _central(plant: _Normal, gamma: float) -> LinearSystem | None:
     found = _riccati(plant, gamma)
     if found is None:
         return None
-    A, B1, B2, _, C2, D11, of_u, to_y, D22 = plant
+    A, B1, B2, _, C2, D11, of_u, to_y = plant
     X, Y, F, L = found
     m2, p2 = len(of_u), len(to_y)
     p1, m1 = D11.shape
@@ -227,9 +215,5 @@ def _central(plant: _Normal, gamma: float) -> LinearSystem | None:
     B_1 = -Z @ L2 + Z @ (B2 + L12) @ D_11
     C_1 = F2 + D_11 @ through
     A_ = A + np.hstack([B1, B2]) @ F + B_1 @ through
-    A_, T = matrix_balance(A_) if len(A_) else (A_, A_)
-    K = LinearSystem(A_, np.linalg.solve(T, B_1 @ to_y), of_u @ C_1 @ T, of_u @ D_11 @ to_y)
-    if not D22.any():
-        return K
-    E = np.linalg.inv(np.eye(m2) + K.D @ D22)  # u = K (y - D22 u)
-    return LinearSystem(K.A - K.B @ D22 @ E @ K.C, K.B - K.B @ D22 @ E @ K.D, E @ K.C, E @ K.D)
+    A_, T = matrix_balance(A_)
+    return LinearSystem(A_, np.linalg.solve(T, B_1 @ to_y), of_u @ C_1 @ T, of_u @ D_11 @ to_y)

@@ -50,14 +50,10 @@ def definite_far(
         sum(w * d for w, d in zip(weights, degree, strict=True)) > D for degree in degrees
     ):
         return None
-    s = sp.Dummy("s", nonnegative=True)
+    s = sp.Dummy("s", positive=True)
     u = tuple(sp.Dummy(f"u_{x}", real=True) for x in states)
-    scaled = sp.S.Zero
-    for monomial, degree, c in zip(form.monoms(), degrees, form.coeffs(), strict=True):
-        power = D - sum(w * d for w, d in zip(weights, degree, strict=True))
-        scaled += c * s**power * sp.Mul(
-            *(v ** monomial[i] * sp.Abs(v) ** monomial[n + i] for i, v in enumerate(u))
-        )  # fmt: skip
+    there = {x: v / s**w for x, v, w in zip(states, u, weights, strict=True)}
+    scaled = sp.expand(s**D * sp.expand(masked.xreplace(there)))
     variables = (*u, *masks.values(), *others, s)
     sides: Cell = (*(((-1.0, 1.0),) * n), *(((-1.0, 1.0),) * len(masks)), *others.values())
     h = Enclosure(scaled, variables)

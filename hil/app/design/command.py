@@ -16,8 +16,7 @@ from hil.app.files import printable
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, DesignAxis
 from hil.config.linear_controller import LinearController
-from hil.design.synthesis.hinf_design import Designed, design_hinf
-from hil.design.synthesis.mu_design import NOTHING, design_mu
+from hil.design.synthesis.methods import NOTHING, Designed, design_hinf, design_mu
 from hil.design.synthesis.multiplicative import Relative, relative
 from hil.design.synthesis.result import linear_controller
 

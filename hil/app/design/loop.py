@@ -2,8 +2,6 @@
 
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from hil.app.loop_delay import LoopDelay
 from hil.config.linear_controller import LinearController
 from hil.design.stability.sampled import Axis, analyse
@@ -22,7 +20,7 @@ def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: 
     """Return what controller `name` is and what its loop leaves, and warn of less than `least_deg`."""
     loop = analyse(Axis(*delay), sampled_controller(controller))
     transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
-    radius, left, order = float(np.abs(loop.poles).max()), loop.margins, len(controller.A)
+    radius, left, order = loop.largest, loop.margins, len(controller.A)
     figures = {
         "order": order, "method": controller.method, "axes": controller.axes, "rate_Hz": controller.rate_Hz,
         "transport_ms": transport_ms, "lag_ms": lag_ms, "pole_radius": radius,

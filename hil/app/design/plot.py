@@ -11,7 +11,7 @@ from hil.app.files import printable
 from hil.config.design import Design, DesignAxis
 from hil.design.stability.sampled_loop import grid
 from hil.design.synthesis.axis import around, loop_gain, sampled_axis, sampled_problem
-from hil.design.synthesis.hinf_design import Designed
+from hil.design.synthesis.methods import Designed
 from hil.design.synthesis.weights import control_weight, disturbance_weight
 from hil.mathematics.linear_system import LinearSystem
 

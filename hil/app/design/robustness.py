@@ -13,7 +13,7 @@ from hil.config.axis_model import AxisSpace
 from hil.config.design import Design, DesignAxis
 from hil.config.model import ModelSettings
 from hil.design.synthesis.axis import loop_gain, sampled_axis
-from hil.design.synthesis.hinf_design import Designed
+from hil.design.synthesis.methods import Designed
 from hil.design.synthesis.multiplicative import Margin, Relative, single, together
 
 POSES = 25

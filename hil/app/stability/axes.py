@@ -66,7 +66,7 @@ def _verdict(subject: Subject, judged: Judged, axes: AxisSpace, conditions: list
     loop, bound = judged.slowest, judged.bound
     lines, figures = describe(judged)
     if not loop.stable:
-        return Assessment("unstable", unstable(subject, loop), [], lines, figures)
+        return Assessment("unstable", unstable(subject, loop.largest), [], lines, figures)
     if not isinstance(bound, Ultimate):
         return Assessment("not proven", bound, conditions, lines, figures)
     more, numbers = bound_lines(judged, bound, axes)

@@ -125,7 +125,7 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
         return Assessment("not proven", claim, conditions, [], {})
     judged = one.bounded()
     if not judged.slowest.stable:
-        return Assessment("unstable", unstable(subject, judged.slowest), [], *describe(judged))
+        return Assessment("unstable", unstable(subject, judged.slowest.largest), [], *describe(judged))
     if isinstance(judged.bound, str):
         return Assessment("not proven", f"with what is stated: {judged.bound}", conditions, [], {})
     if subject.nothing:

@@ -14,7 +14,7 @@ from drivers.arrays import ZERO6, Array
 from drivers.errors import ModelError
 from drivers.tick_columns import TICK
 from hil.app.stability.subject import NO_PAYLOAD, Subject
-from hil.app.stability.wording import Assessment
+from hil.app.stability.wording import Assessment, unstable
 from hil.config.model import ModelSettings
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.feedforward_pd import FeedforwardPDSettings
@@ -22,16 +22,19 @@ from hil.control.law import Law, LawContext, per_leg
 from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
-from hil.design.stability.energy import (
+from hil.design.stability.springs import (
+    Forces,
     Potential,
+    Springs,
     basin,
+    cubic_rest,
     leg_springs,
     pose_springs,
+    rest,
     same_weight,
     total,
     weight,
 )
-from hil.design.stability.springs import Forces, Springs, cubic_rest, rest
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.trajectory.holding import HoldTrajectory
@@ -188,13 +191,6 @@ def sampled_loop(subject: Subject, found: Springs, where: str) -> tuple[list[str
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
         line += f"; bears {1e3 * margin:.3g} ms of further delay"
     return [line], figures, radius
-
-
-def unstable(subject: Subject, radius: float) -> str:
-    """Say that the sampled loop is not stable."""
-    return (
-        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains"
-    )
 
 
 def _energy(subject: Subject, law: SpringSettings) -> Energy | str:

@@ -2,14 +2,11 @@
 
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
-
 from drivers.arrays import Array
 from hil.app.stability.subject import Subject
 from hil.config.axis_model import AxisSpace
 from hil.design.stability.error_dynamics import certificate, decay_rate
 from hil.design.stability.reaching import Reaching
-from hil.design.stability.sampled import Sampled
 from hil.design.stability.ultimate import Judged, Ultimate, in_words
 
 Status = Literal["proven", "conditional", "not proven", "unstable"]
@@ -41,7 +38,7 @@ NEGLIGIBLE = 0.01
 def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
     """Return the sampled loops of the axes as lines and figures, of each figure the worst of all axes."""
     slowest, loops = judged.slowest, judged.every
-    largest, rate = float(np.abs(slowest.poles).max()), float(slowest.decay_rate)
+    largest, rate = slowest.largest, float(slowest.decay_rate)
     figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": rate}}
     margins = [loop.margins for loop in loops if loop.margins is not None]
     if not slowest.stable or not margins:
@@ -65,11 +62,11 @@ def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
     ], figures
 
 
-def unstable(subject: Subject, loop: Sampled) -> str:
+def unstable(subject: Subject, radius: float) -> str:
     """Say that the sampled loop is not stable."""
     return (
-        f"the sampled loop has an eigenvalue of magnitude {np.abs(loop.poles).max():.4g} with "
-        f"{subject.delay}: lower the gains or the delay"
+        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains "
+        "or the delay"
     )
 
 

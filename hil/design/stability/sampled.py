@@ -43,6 +43,11 @@ class Sampled(NamedTuple):
     measured wrong by at each sample."""
 
     @property
+    def largest(self) -> float:
+        """The largest |z|."""
+        return float(np.abs(self.poles).max())
+
+    @property
     def stable(self) -> bool:
         """Tell whether all modes decay."""
         return bool((np.abs(self.poles) < 1.0).all())

@@ -6,8 +6,7 @@ from scipy.optimize import minimize
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.design.stability.energy import basin, displaced, leg_springs, total, weight
-from hil.design.stability.springs import rest
+from hil.design.stability.springs import basin, displaced, leg_springs, rest, total, weight
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths

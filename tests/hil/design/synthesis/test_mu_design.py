@@ -15,8 +15,8 @@ from hil.app.design.command import load_design, run_design
 from hil.app.stability.subject import Stated, Subject
 from hil.config.design import DesignAxis, UncertaintyRanges
 from hil.config.linear_controller import LinearController
+from hil.design.synthesis.methods import sampled_corners
 from hil.design.synthesis.mu import Block, upper_bound
-from hil.design.synthesis.mu_design import sampled_corners
 from hil.design.synthesis.structured import covers, lag_error, structured_plant, transport_error
 from hil.mathematics.linear_system import LinearSystem
 from hil.robot.kinematics import jacobian

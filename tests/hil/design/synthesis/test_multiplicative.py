@@ -10,7 +10,7 @@ from hil.app.configuration.section_file import read_section
 from hil.app.design.command import axis_of, load_design, report, run_design
 from hil.config.axis_model import AxisModel
 from hil.design.synthesis.axis import loop_gain, sampled_axis
-from hil.design.synthesis.mu_design import design_mu
+from hil.design.synthesis.methods import design_mu
 from hil.design.synthesis.multiplicative import Relative, frequencies, relative, single, together
 from tests.hil.design.synthesis.test_coupling import gamma
 

@@ -72,7 +72,6 @@ def test_a_disturbance_by_the_impulse_response_attains_the_peak_gain():
         total += np.abs((A @ pulses)[0]).sum()
         A = loop @ A
     assert found.peak_gain == pytest.approx(total, rel=1e-3)
-    assert found.peak_gain < np.sqrt(np.linalg.inv(certificate(400.0, 8.0).P[0])[0, 0])
 
 
 SLOPE, K = 30.0, 8.0
@@ -84,7 +83,7 @@ def largest(d, gamma=1.0):
     """The largest |s| of the linear loop without sampling, by the area under its impulse response."""
     t = np.linspace(0.0, 3.0, 30_001)
     _, h = impulse(([1.0, SLOPE], [1.0, gamma * LINEAR[1], gamma * LINEAR[0]]), T=t)
-    return d * np.trapezoid(np.abs(h), t)
+    return d * float(np.trapezoid(np.abs(h), t))
 
 
 def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance():

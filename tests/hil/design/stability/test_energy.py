@@ -50,9 +50,8 @@ def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
     np.testing.assert_allclose(
         jacobian(PLATFORM, p, R).T @ tau(p, R, NOTHING), MODEL.gravity(p, R), atol=0.05
     )
-    np.testing.assert_allclose(
-        found.damping, jacobian(PLATFORM, p, R).T @ np.diag(K_V) @ jacobian(PLATFORM, p, R)
-    )
+    J = jacobian(PLATFORM, p, R)
+    np.testing.assert_allclose(found.damping, J.T @ np.diag(K_V) @ J, atol=1e-5)
 
 
 def test_the_basin_of_a_bowl_is_known():

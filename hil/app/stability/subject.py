@@ -275,10 +275,10 @@ class Subject:
         known = Extra(np.full(6, d), pushed, alpha, length + error, speed, effort, ZERO6, np.zeros((6, 6)))
         bounds = [
             ultimate(
-                end, self.path, found, loops, late, known._replace(drives=by.d, lost=by.lost),
+                end, self.path, found, loops, late, known._replace(drives=drives, lost=lost),
                 condition=self.c.limits.condition,
             )
-            for by in self.drives.disturb(end, self.path, found)
+            for drives, lost in self.drives.disturb(found)
         ]  # fmt: skip
         found_bounds = [bound for bound in bounds if not isinstance(bound, str)]
         return min(found_bounds, key=lambda bound: float(bound.error.max()), default=bounds[0])

@@ -79,6 +79,8 @@ class Local(NamedTuple):
     """(n, 6, 6) 1/s, likewise per rate."""
     condition: Array
     """(n,) of J, lengths made comparable; inf where it is singular."""
+    tau: Array
+    """(n, 6) N, the law's forces at u = 0."""
 
 
 class Survey(NamedTuple):
@@ -278,6 +280,7 @@ class Linearised:
             extremes,
             *self._by_state(p, R, twist, tau, here),
             np.array(condition),
+            tau,
         )
 
     def _extremes(self, mobility: Array, error: Array) -> tuple[Array, Array]:
@@ -328,15 +331,6 @@ def _stacked(path: Sequence[PoseSample]) -> PoseSample:
     return PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))
 
 
-class Disturbed(NamedTuple):
-    """What the axes are disturbed by."""
-
-    d: Array
-    """(6,) m/s^2 or rad/s^2."""
-    lost: Array
-    """(6, 6), share of |u| that is beside it."""
-
-
 class Drives(NamedTuple):
     """Six drives, each array (6,)."""
 
@@ -356,18 +350,17 @@ class Drives(NamedTuple):
         """Tell whether what is read or sent has steps."""
         return bool(np.any([self.length, self.rate, self.force]))
 
-    def disturb(self, linearised: Linearised, path: Sequence[PoseSample], found: Local) -> list[Disturbed]:
-        """Return what the axes are disturbed by along a path, by either bound of the forces they lose.
+    def disturb(self, found: Local) -> list[tuple[Array, Array]]:
+        """Return what the axes are disturbed by, by either bound of the forces that the drives lose.
 
-        found: the robot at each sample of the path.
+        (6,) m/s^2 or rad/s^2, and (6, 6), the share of |u| that is beside it.
         """
-        P = np.abs(found.per_force)
+        P, nothing = np.abs(found.per_force), np.zeros((6, 6))
         steps = (P @ self.force).max(axis=0)
         if not self.loss.any():
-            return [Disturbed(steps, np.zeros((6, 6)))]
-        tau = np.abs(linearised.along_reference(path)[0])
+            return [(steps, nothing)]
         back = np.abs(np.linalg.solve(found.per_force, found.Gamma))
-        by_path = np.einsum("nij,nj->ni", P, self.loss * tau).max(axis=0)
+        by_path = _times(P, self.loss * np.abs(found.tau)).max(axis=0)
         by_u = (P @ (self.loss[:, None] * back)).max(axis=0)
         at_most = (P @ (self.loss * self.most_N)).max(axis=0)
-        return [Disturbed(steps + by_path, by_u), Disturbed(steps + at_most, np.zeros((6, 6)))]
+        return [(steps + by_path, by_u), (steps + at_most, nothing)]

@@ -99,8 +99,8 @@ def design_hinf(
         reasons = judged.reasons
         if reasons:
             continue
-        continuous = norm(P.closed_with(found.K)).value
-        discrete = norm(sampled.closed_with(judged.sampled)).value
+        continuous = norm(P.closed_with(found.K))
+        discrete = norm(sampled.closed_with(judged.sampled))
         if max(continuous, discrete) <= CLOSE * found.gamma:
             return Designed(found.K, judged, _hinf_figures(design, axis, found, judged, continuous, discrete))
         reason = (
@@ -118,7 +118,7 @@ def channels(closed: LinearSystem, inputs: Sequence[str]) -> dict[str, float]:
     for i, effect in enumerate(("error", "control")):
         for j, cause in enumerate(causes):
             one = closed._replace(B=closed.B[:, [j]], C=closed.C[[i]], D=closed.D[[i]][:, [j]])
-            found[f"{cause} to {effect}"] = norm(one).value
+            found[f"{cause} to {effect}"] = norm(one)
     return found
 
 
@@ -215,7 +215,7 @@ def design_mu(
     M = problem.plant.closed_with(K)
     bounds = bounds_over_frequency(M, problem.blocks, with_own(mu_grid(design.rate_Hz), M))
     scales = fitted_scales(M, bounds, problem.blocks, within)
-    proven = norm(scaled(problem, scales).closed_with(K)).value
+    proven = norm(scaled(problem, scales).closed_with(K))
     corners = sampled_corners(design, axis, design.uncertainty, judged.sampled)
     if max(proven, corners) >= 1.0:
         raise SynthesisError(
@@ -247,7 +247,7 @@ def sampled_corners(design: Design, axis: DesignAxis, ranges: UncertaintyRanges,
         B, D = problem.B.copy(), problem.D.copy()
         B[:, 0], D[:, 0] = B[:, 0] / share, D[:, 0] / share
         loop = problem._replace(B=B, D=D).closed_with(K)
-        worst = max(worst, norm(loop).value if loop.is_stable() else inf)
+        worst = max(worst, norm(loop) if loop.is_stable() else inf)
     return worst
 
 

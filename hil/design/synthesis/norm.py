@@ -1,7 +1,5 @@
 """The H-infinity norm, independently of any synthesis."""
 
-from typing import NamedTuple
-
 import numpy as np
 
 from drivers.arrays import Array
@@ -14,15 +12,7 @@ AXIS = 1e-8
 """Real part, relative to the modulus, below which an eigenvalue is taken to lie on the imaginary axis."""
 
 
-class Norm(NamedTuple):
-    """The largest gain, and where."""
-
-    value: float
-    omega: float
-    """rad/s; inf where the gain is largest at no finite frequency."""
-
-
-def norm(system: LinearSystem) -> Norm:
+def norm(system: LinearSystem) -> float:
     """Return the supremum over frequency of the largest singular value of the response.
 
     N. A. Bruinsma and M. Steinbuch (1990): where gamma lies below the norm, the Hamiltonian of gamma has
@@ -34,48 +24,33 @@ def norm(system: LinearSystem) -> Norm:
     """
     if not system.is_stable():
         raise SynthesisError("the system is not stable, so it has no H-infinity norm")
-    if system.period_s is None:
-        return _continuous(system)
-    found = _continuous(_bilinear(system))
-    return Norm(found.value, 2.0 * float(np.arctan(found.omega)) / system.period_s)
-
-
-def gains(system: LinearSystem, omega: Array) -> Array:
-    """Return the largest singular value of the response at each omega, rad/s."""
-    return np.asarray(np.linalg.svd(system.response(omega), compute_uv=False)[:, 0])
-
-
-def _bilinear(system: LinearSystem) -> LinearSystem:
-    inverse = np.linalg.inv(system.A + np.eye(system.order))
-    A = inverse @ (system.A - np.eye(system.order))
-    B, C = np.sqrt(2.0) * inverse @ system.B, np.sqrt(2.0) * system.C @ inverse
-    return LinearSystem(A, B, C, system.D - system.C @ inverse @ system.B)
-
-
-def _continuous(system: LinearSystem) -> Norm:
-    at_infinity = float(np.linalg.norm(system.D, 2))
+    if system.period_s is not None:
+        inverse = np.linalg.inv(system.A + np.eye(system.order))
+        A, C = inverse @ (system.A - np.eye(system.order)), system.C @ inverse
+        B = np.sqrt(2.0) * inverse @ system.B
+        system = LinearSystem(A, B, np.sqrt(2.0) * C, system.D - C @ system.B)
+    best = float(np.linalg.norm(system.D, 2))  # at infinity
     if not system.order:
-        return Norm(at_infinity, float("inf"))
-    omega = np.unique(np.concatenate([[0.0], np.abs(system.poles())]))
-    found = gains(system, omega)
-    best = Norm(float(found.max()), float(omega[found.argmax()]))
-    if at_infinity > best.value:
-        best = Norm(at_infinity, float("inf"))
-    for _ in range(60):
-        gamma = (1.0 + TOLERANCE) * best.value
-        if gamma == 0.0:
-            return best
+        return best
+    best = max(best, float(gains(system, np.concatenate([[0.0], np.abs(system.poles())])).max()))
+    for _ in range(60 if best > 0.0 else 0):
+        gamma = (1.0 + TOLERANCE) * best
         eigenvalues = np.linalg.eigvals(_hamiltonian(system, gamma))
         near = np.abs(eigenvalues.real) <= AXIS * np.abs(eigenvalues).max() + 1e-6 * np.abs(eigenvalues)
         crossings = np.unique(np.abs(eigenvalues[near].imag))
         if len(crossings) == 0:
             return best
         middles = np.concatenate([crossings, 0.5 * (crossings[1:] + crossings[:-1])])
-        found = gains(system, middles)
-        if found.max() <= gamma:
+        largest = float(gains(system, middles).max())
+        if largest <= gamma:
             return best
-        best = Norm(float(found.max()), float(middles[found.argmax()]))
+        best = largest
     return best
+
+
+def gains(system: LinearSystem, omega: Array) -> Array:
+    """Return the largest singular value of the response at each omega, rad/s."""
+    return np.asarray(np.linalg.svd(system.response(omega), compute_uv=False)[:, 0])
 
 
 def _hamiltonian(system: LinearSystem, gamma: float) -> Array:

@@ -72,7 +72,7 @@ def test_the_norm_of_the_continuous_loop_is_below_gamma(made):
     _, controller, designed, design, axis = made
     closed = generalised_plant(design, axis).closed_with(designed.K)
     top = gains(closed, np.geomspace(1e-3, 1e6, 6_000)).max()
-    assert top / (1 + 3e-6) <= norm(closed).value < controller.design["gamma"]
+    assert top / (1 + 3e-6) <= norm(closed) < controller.design["gamma"]
 
 
 def test_the_norm_of_the_sampled_loop_is_within_a_hundredth_of_gamma(made):

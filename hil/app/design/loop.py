@@ -11,7 +11,7 @@ from hil.design.stability.sampled_loop import sampled_controller
 def judge(
     name: str, controller: LinearController, delay: LoopDelay, least_deg: float
 ) -> tuple[list[str], dict[str, Any], list[str]]:
-    """Return what controller `name` is and its loop leaves: lines, figures, warnings of less than `least_deg`."""
+    """Return what controller `name` is and its loop leaves: lines, figures, warnings below `least_deg`."""
     loop = analyse(Axis(*delay), sampled_controller(controller))
     transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
     radius, left, order = loop.largest, loop.margins, len(controller.A)

@@ -202,16 +202,6 @@ def test_dry_friction_counts_even_where_the_law_compensates_it():
     assert found.figures["ultimate_bound"][0] > 3.5e-3, "250 N hold a leg against its spring of wn^2 m"
 
 
-def test_a_live_reference_is_proven_only_at_rest():
-    text = bench("  law: inverse_dynamics\n  wn_rad_s: 20\n", rest=True).text
-    a, b = text.index("\nreference:") + 1, text.index("\nlimits:") + 1
-    limits = "velocity_m_s: 0.5, velocity_deg_s: 30, acceleration_m_s2: 5, acceleration_deg_s2: 300"
-    live = f"reference: {{type: live, limits: {{{limits}, jerk_m_s3: 100, jerk_deg_s3: 3000}}}}\n\n"
-    found = judge(loads(text[:a] + live + text[b:], "live.yaml", Path()))
-    assert found.status == "conditional"
-    assert any("live" in one or "rests" in one for one in found.conditions)
-
-
 @pytest.mark.parametrize(
     "given", ["heavy", "-1kg", "230kg@0,0", "230kg@0,0,nan", "inf", "1e300", "230@0,1e300,0", ""]
 )

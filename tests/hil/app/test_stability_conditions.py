@@ -109,6 +109,12 @@ def test_springs_on_a_live_reference_are_proven_only_at_rest(name):
     assert not among(found, "the bound"), "of these laws there is none"
 
 
+def test_a_bound_on_a_live_reference_is_that_of_its_rest():
+    found = judge(held(LINEAR, FINE, {"reference": LIVE}))
+    assert found.status == "conditional"
+    assert among(found, "the reference rests at home")
+
+
 @pytest.mark.parametrize("plant", [REAL, FMU])
 def test_an_unknown_robot_has_the_reflected_masses_of_the_law(plant):
     """Half a tonne in each leg triples the inertia: without it nothing would be left of an exact model."""

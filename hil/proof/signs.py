@@ -5,7 +5,7 @@ proven. False means only that no proof was found.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 
 import sympy as sp
 
@@ -208,11 +208,11 @@ class Signs:
         if isinstance(g, sp.Pow):
             return self._power(g)
         if isinstance(g, sp.Mul):
-            zeros = _union([self._structure(e) for e in g.args])
+            zeros = _union(self._structure(e) for e in g.args)
             signed = sp.Mul(*(e.args[0] if isinstance(e, _ODD) else e for e in g.args))
             return self._structure(signed) if zeros is None and signed != g else zeros
         if isinstance(g, sp.Add):
-            return _meet([self._structure(e) for e in g.args])
+            return _meet(self._structure(e) for e in g.args)
         return None
 
     def _power(self, g: sp.Pow) -> Zeros | None:
@@ -227,7 +227,11 @@ class Signs:
     def _by_factors(self, g: sp.Expr) -> Zeros | None:
         """Judge the factors, those with states in common together: definite, positive or squares."""
         groups: list[tuple[set[sp.Symbol], sp.Expr]] = []
+        number = sp.S.One
         for base, p in factors(g):
+            if base.is_number:
+                number *= base**p
+                continue
             names, factor = set(self.own(base)), base**p
             if p.is_Integer and p % 2 == 0:
                 groups.append((set(), factor))
@@ -236,17 +240,13 @@ class Signs:
                 groups.remove(group)
                 names, factor = names | group[0], factor * group[1]
             groups.append((names, factor))
-        sign = sp.Mul(*(h for names, h in groups if not names and h.is_number and not h.is_positive))
-        if sign != 1:
-            if not sign.is_negative:
+        if not number.is_positive:
+            first = next((k for k, (names, _) in enumerate(groups) if names), None)
+            if first is None or not number.is_negative:
                 return None
-            groups = [h for h in groups if h[0] or not h[1].is_number]
-            others = [h for h in groups if h[0]]
-            if not others:
-                return None
-            groups.remove(others[0])
-            groups.append((others[0][0], sp.expand(-others[0][1]) if others[0][1].is_Add else -others[0][1]))
-        return _union([self._factor(h) for _, h in groups])
+            names, h = groups[first]
+            groups[first] = (names, sp.expand(-h) if h.is_Add else -h)
+        return _union(self._factor(h) for _, h in groups)
 
     def _factor(self, h: sp.Expr) -> Zeros | None:
         if (zeros := self._structure(h)) is not None:
@@ -261,15 +261,7 @@ class Signs:
     def _term_by_term(self, h: sp.Expr) -> Zeros | None:
         """Judge a sum term by term, each of which must nowhere be negative."""
         terms = sp.Add.make_args(sp.expand(h))
-        if len(terms) < 2:
-            return None
-        results: list[Zeros | None] = []
-        for term in terms:
-            zeros = self._structure(term) or self._by_factors(term)
-            if zeros is None:
-                return None
-            results.append(zeros)
-        return _meet(results)
+        return _meet(self._structure(t) or self._by_factors(t) for t in terms) if len(terms) > 1 else None
 
     def freed(self, g: sp.Expr) -> sp.Expr | None:
         """Return a function without parameters that has the zeros of g >= 0; None if g may be < 0.
@@ -298,20 +290,23 @@ def _root(e: sp.Expr) -> sp.Expr:
     return e
 
 
-def _union(parts: list[Zeros | None]) -> Zeros | None:
+def _union(parts: Iterable[Zeros | None]) -> Zeros | None:
     """Of a product: zero where a factor is."""
-    if any(p is None for p in parts):
-        return None
-    return tuple(branch for p in parts if p is not None for branch in p)
+    result: Zeros = ()
+    for p in parts:
+        if p is None:
+            return None
+        result += p
+    return result
 
 
-def _meet(parts: list[Zeros | None]) -> Zeros | None:
+def _meet(parts: Iterable[Zeros | None]) -> Zeros | None:
     """Of a sum: zero where all terms are."""
-    if any(p is None for p in parts):
-        return None
     result: Zeros = ((),)
     for p in parts:
-        result = tuple((*a, *b) for a in result for b in p or ())
+        if p is None:
+            return None
+        result = tuple((*a, *b) for a in result for b in p)
         if len(result) > BRANCHES:
             return None
     return result

@@ -78,7 +78,7 @@ def verify(
     if claim is None and spectrum is Eigenvalues.LEFT:
         certificate, equilibrium = _proposed(signs)
         return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
-    late = _undecided("the time ended before a proof was found")
+    late = CertificateFinding(Certificate.UNDECIDED, reason="the time ended before a proof was found")
     otherwise: _Shown = (None, late)
     proof, certificate = budget.within(0.65, lambda: _certificate(claim, signs), otherwise)
     if certificate.status is Certificate.UNDECIDED and system.rounded.numbers:
@@ -118,53 +118,47 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
     """Lyapunov's conditions on the domain (6.0, local and global theorem)."""
     if V is None:
         return None, CertificateFinding(Certificate.NONE)
-    system = signs.system
-    origin = dict.fromkeys(system.states, sp.S.Zero)
+    system, shown = signs.system, None
+
+    def undecided(reason: str) -> _Shown:
+        return None, CertificateFinding(Certificate.UNDECIDED, shown, reason=reason)
+
+    def refuted(status: Certificate, g: sp.Expr, point: Point, reason: str = "") -> _Shown:
+        value = g.subs(point).xreplace(system.rounded.numbers)
+        return None, CertificateFinding(status, shown, None, system.in_own_symbols(point), value, reason)
+
     if wrong := unsupported(V):
-        return None, _undecided(f"V holds {', '.join(sorted(wrong))}, of which no enclosure is known")
+        return undecided(f"V holds {', '.join(sorted(wrong))}, of which no enclosure is known")
+    origin = dict.fromkeys(system.states, sp.S.Zero)
     at_origin = sp.simplify(V.xreplace(origin))
     if at_origin != 0:
         if not (at_origin.is_finite is False or signs.positive(at_origin) or signs.positive(-at_origin)):
-            return None, _undecided(f"V(0) = {at_origin} is not shown to be 0")
-        at, refuted = system.in_own_symbols(origin), Certificate.NOT_POSITIVE_DEFINITE
-        return None, CertificateFinding(refuted, at=at, value=at_origin, reason="V(0) must be 0")
+            return undecided(f"V(0) = {at_origin} is not shown to be 0")
+        return refuted(Certificate.NOT_POSITIVE_DEFINITE, at_origin, origin, "V(0) must be 0")
     if not regular(system.f, signs) or not regular({system.states[0]: V}, signs):
-        return None, _undecided("f or V is not shown to be finite and locally Lipschitz on the whole box")
+        return undecided("f or V is not shown to be finite and locally Lipschitz on the whole box")
     V_dot, why = None, ""
     try:
         V_dot = lie_derivative(V, system.f)
+        shown = system.shown(V_dot)
     except ModelError as error:
         why = f"V is not shown to be continuously differentiable: {error}"
-    shown = None if V_dot is None else system.shown(V_dot)
     if (point := counterexample.not_above_zero(V, signs)) is not None:
-        at, refuted = system.in_own_symbols(point), Certificate.NOT_POSITIVE_DEFINITE
-        return None, CertificateFinding(
-            refuted, shown, None, at, _value(V, point, system), "V must be > 0 there"
-        )
+        return refuted(Certificate.NOT_POSITIVE_DEFINITE, V, point, "V must be > 0 there")
     if V_dot is None:
-        return None, _undecided(why)
+        return undecided(why)
     if (point := counterexample.above_zero(V_dot, signs)) is not None:
-        return None, CertificateFinding(
-            Certificate.GROWS, shown, None, system.in_own_symbols(point), _value(V_dot, point, system)
-        )
+        return refuted(Certificate.GROWS, V_dot, point)
     if set(signs.own(V)) != set(system.states) or not signs.definite(V):
-        return None, replace(_undecided(_why(signs, "V is not shown to be positive definite")), V_dot=shown)
+        return undecided(_why(signs, "V is not shown to be positive definite"))
     fall = sp.expand(-V_dot)
     zeros = signs.nonnegative(fall)
     strict = set(signs.own(fall)) == set(system.states) and signs.definite(fall)
     if zeros is None and not strict:
-        return None, replace(_undecided(_why(signs, "dV/dt <= 0 is not shown")), V_dot=shown)
+        return undecided(_why(signs, "dV/dt <= 0 is not shown"))
     decrease = Decrease.CONSERVED if V_dot == 0 else Decrease.STRICT if strict else Decrease.WEAK
     proof = _Proof(V, decrease, zeros or (), signs)
     return proof, CertificateFinding(Certificate.VALID, shown, decrease)
-
-
-def _value(g: sp.Expr, point: Point, system: System) -> sp.Expr:
-    return g.subs(point).xreplace(system.rounded.numbers)
-
-
-def _undecided(reason: str) -> CertificateFinding:
-    return CertificateFinding(Certificate.UNDECIDED, reason=reason)
 
 
 def _why(signs: Signs, what: str) -> str:

@@ -20,7 +20,7 @@ from itertools import pairwise
 
 import numpy as np
 import sympy as sp
-from flint import arb, fmpq, fmpq_mat, fmpq_poly
+from flint import arb_mat, fmpq, fmpq_mat, fmpq_poly
 
 from drivers.errors import ModelError
 from hil.proof import quadratic
@@ -104,26 +104,20 @@ def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
 
 
 def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
-    n = len(A)
-    if not all(b.is_finite() for row in A for b in row):
+    middle = quadratic.middle_of(A)
+    if middle is None:
         return Eigenvalues.UNKNOWN
-    middle = np.array([[float(b.mid()) for b in row] for row in A])
-    if not np.isfinite(middle).all():
-        return Eigenvalues.UNKNOWN
+    one = np.eye(len(A))
     right = float(np.linalg.eigvals(middle).real.max())
     for shift in (0.0,) if right <= 0 else (0.0, 0.5 * right, 0.7 * right, 0.3 * right):
-        P = lyapunov_matrix(middle - shift * np.eye(n))
+        P = lyapunov_matrix(middle - shift * one)
         if P is None:
             continue
         falls = quadratic.falls([[Fraction(float(v)) for v in row] for row in P])
         if (falls is None) != (right < 0):
             continue
-        B = [[A[i][j] - (arb(shift) if i == j else 0) for j in range(n)] for i in range(n)]
-        PB = [
-            [sum((arb(float(P[i][k])) * B[k][j] for k in range(n)), arb(0)) for j in range(n)]
-            for i in range(n)
-        ]
-        if quadratic.positive_definite([[-(PB[i][j] + PB[j][i]) for j in range(n)] for i in range(n)]):
+        PB = arb_mat(P.tolist()) * (arb_mat(A) - arb_mat((shift * one).tolist()))
+        if quadratic.positive_definite((-(PB + PB.transpose())).tolist()):
             return Eigenvalues.LEFT if falls is None else Eigenvalues.RIGHT
     return Eigenvalues.UNKNOWN
 

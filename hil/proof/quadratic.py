@@ -12,7 +12,7 @@ from fractions import Fraction
 
 import numpy as np
 import sympy as sp
-from flint import arb
+from flint import arb, arb_mat
 from sympy.polys.matrices import DomainMatrix
 
 from hil.proof.branch_and_bound import Budget, covered
@@ -139,19 +139,23 @@ def positive_definite(H: Sequence[Sequence[Ball]]) -> bool:
 
     T^T H T is, T diagonalising the middle of H, if its diagonal dominates; then H is.
     """
-    n = len(H)
-    if not all(b.is_finite() for row in H for b in row):
-        return False
-    middle = np.array([[float(b.mid()) for b in row] for row in H])
-    if not np.isfinite(middle).all():
+    middle = middle_of(H)
+    if middle is None:
         return False
     values, vectors = np.linalg.eigh((middle + middle.T) / 2)
     if not values.min() > 0:
         return False
-    T = [[arb(float(v)) for v in row] for row in vectors / np.sqrt(values)]
-    HT = [[sum((H[i][k] * T[k][j] for k in range(n)), arb(0)) for j in range(n)] for i in range(n)]
-    D = [[sum((T[k][i] * HT[k][j] for k in range(n)), arb(0)) for j in range(n)] for i in range(n)]
-    return all(D[i][i] > sum((D[i][j].abs_upper() for j in range(n) if j != i), arb(0)) for i in range(n))
+    T = arb_mat((vectors / np.sqrt(values)).tolist())
+    D = (T.transpose() * arb_mat(H) * T).tolist()
+    return all(
+        row[i] > sum((b.abs_upper() for j, b in enumerate(row) if j != i), arb(0)) for i, row in enumerate(D)
+    )
+
+
+def middle_of(H: Sequence[Sequence[Ball]]) -> np.ndarray | None:
+    """Return the middles of balls, if all are finite."""
+    middle = np.array([[float(b.mid()) if b.is_finite() else np.inf for b in row] for row in H])
+    return middle if np.isfinite(middle).all() else None
 
 
 def definite_form(S: Sequence[Sequence[sp.Expr]], ranges: Ranges, budget: Budget) -> bool:

@@ -26,7 +26,7 @@ from drivers.errors import ModelError
 from hil.proof import quadratic
 from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.cancellation import continuous
-from hil.proof.interval import Ball, Enclosure, Ranges, unsupported
+from hil.proof.interval import Ball, Ranges, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import System
 
@@ -89,12 +89,11 @@ def _routh(rising: Sequence[fmpq]) -> bool:
 
 def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
     """Return where the eigenvalues of A are for all values of the parameters; UNKNOWN where that differs."""
-    names = tuple(ranges)
-    entries = [[Enclosure(A[i, j], names) for j in range(A.cols)] for i in range(A.rows)]
+    entries = quadratic.enclosures(A.tolist(), tuple(ranges))
     found: set[Eigenvalues] = set()
 
     def shown(p: Sequence[Ball]) -> bool:
-        here = _of_balls([[e(p) for e in row] for row in entries])
+        here = _of_balls(entries(p))
         found.update({here} - {Eigenvalues.UNKNOWN})
         return here is not Eigenvalues.UNKNOWN and len(found) == 1
 

@@ -7,7 +7,7 @@ are zero at the origin, so a Hessian H that is positive definite all over the bo
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -158,16 +158,18 @@ def middle_of(H: Sequence[Sequence[Ball]]) -> np.ndarray | None:
     return middle if np.isfinite(middle).all() else None
 
 
+def enclosures(
+    rows: Sequence[Sequence[sp.Expr]], names: Sequence[sp.Symbol]
+) -> Callable[[Sequence[Ball]], list[list[Ball]]]:
+    """Return the enclosures of the entries of a matrix, as a function of the balls of the variables."""
+    entries = [[Enclosure(c, names) for c in row] for row in rows]
+    return lambda balls: [[e(balls) for e in row] for row in entries]
+
+
 def definite_form(S: Sequence[Sequence[sp.Expr]], ranges: Ranges, budget: Budget) -> bool:
     """Tell whether x^T S x is positive definite for all values of the parameters in S."""
-    names = tuple(ranges)
-    entries = [[Enclosure(c, names) for c in row] for row in S]
-    return covered(
-        [tuple(ranges.values())],
-        lambda p: positive_definite([[c(p) for c in row] for row in entries]),
-        budget,
-        500,
-    )
+    entries = enclosures(S, tuple(ranges))
+    return covered([tuple(ranges.values())], lambda p: positive_definite(entries(p)), budget, 500)
 
 
 def convex_definite(
@@ -181,16 +183,10 @@ def convex_definite(
     origin = dict.fromkeys(states, sp.S.Zero)
     if any(unsupported(d) for d in gradient) or any(sp.expand(d.subs(origin)) != 0 for d in gradient):
         return False
-    hessian = [[sp.diff(d, x) for x in states[: k + 1]] for k, d in enumerate(gradient)]
+    hessian = [[sp.diff(d, x) for x in states] for d in gradient]
     if any(unsupported(h) for row in hessian for h in row):
         return False
-    names = (*states, *ranges)
-    rows = [[Enclosure(h, names) for h in row] for row in hessian]
-    box = [ball(*side) for side in sides]
-
-    def holds(p: Sequence[Ball]) -> bool:
-        half = [[h([*box, *p]) for h in row] for row in rows]
-        n = len(half)
-        return positive_definite([[half[max(i, j)][min(i, j)] for j in range(n)] for i in range(n)])
-
-    return covered([tuple(ranges.values())], holds, budget, 200)
+    entries, box = enclosures(hessian, (*states, *ranges)), [ball(*side) for side in sides]
+    return covered(
+        [tuple(ranges.values())], lambda p: positive_definite(entries([*box, *p])), budget, 200
+    )  # fmt: skip

@@ -27,17 +27,18 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
     """
     c = load(configuration)
     subject = Subject(c, Stated())
-    for key, given, allowed in (
-        ("plant.model", "six uncoupled legs" if subject.on_bench else None, "a configuration of the robot"),
-        ("loop.rate_Hz", None if c.loop.rate_Hz == rate_Hz else c.loop.rate_Hz, f"the design's, {rate_Hz:g}"),
+    same = c.loop.rate_Hz == rate_Hz, c.controller.axes in (None, axes)
+    for fits, found, allowed in (
+        (not subject.on_bench, "plant.model: six uncoupled legs", "a configuration of the robot"),
+        (same[0], f"loop.rate_Hz: {c.loop.rate_Hz:g}", f"that of the design, {rate_Hz:g}"),
         (
-            "controller.axes",
-            None if c.controller.axes in (None, axes) else c.controller.axes,
-            f"the design's, {axes}",
+            same[1],
+            f"controller.law {c.controller.law}: axes {c.controller.axes}",
+            f"those of the design, {axes}",
         ),
     ):
-        if given is not None:
-            raise ConfigurationError(f"{c.source}: {key}: {given}, allowed with --robot: {allowed}")
+        if not fits:
+            raise ConfigurationError(f"{c.source}: {found}, allowed: {allowed}")
     path = subject.path[:: max(1, len(subject.path) // POSES)]
     model = c.controller.believed or ModelSettings()
     return [Gamma for robot in subject.linearised(model, axes) for Gamma in robot.at(path).Gamma]

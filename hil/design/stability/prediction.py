@@ -7,7 +7,8 @@ from math import floor
 
 import numpy as np
 
-from hil.mathematics.linear_system import LinearSystem, held
+from drivers.arrays import Array
+from hil.mathematics.linear_system import LinearSystem, exponential
 
 
 def predicting(
@@ -23,38 +24,30 @@ def predicting(
     m = floor(bus_s / T + 1e-9)
     r = max(bus_s - m * T, 0.0)
     n = 3 if lag_s > 0.0 else 2
-    F, g = np.zeros((n, n)), np.zeros((n, 1))
-    F[0, 1] = 1.0
+    size = n + m + 2  # e, de, a, u[k], u[k-1], ..., u[k-m-1]
+
+    def moved(acting: list[tuple[int, float]]) -> Array:
+        """Return what time makes of these, while u[k-j] acts for so long, one after the other."""
+        Phi = np.eye(size)
+        for j, time_s in acting:
+            F = np.zeros((size, size))
+            F[0, 1] = 1.0
+            if lag_s > 0.0:
+                F[1, 2], F[2, 2], F[2, n + j] = -1.0, -1.0 / lag_s, 1.0 / lag_s
+            else:
+                F[1, n + j] = -1.0
+            Phi = exponential(F * time_s) @ Phi
+        return Phi
+
+    ends = np.minimum([0.0, *(r + j * T for j in range(m)), horizon], horizon)
+    ahead = moved([(m + 1 - j, float(time_s)) for j, time_s in enumerate(np.diff(ends))])
+    K = np.array([K_P, K_D]) @ ahead[:2]
+    C, D = np.delete(K, n)[None, 2:], K[None, :2]
+    count = C.shape[1]
+    A, B = np.eye(count, k=-1), np.zeros((count, 2))
+    A[n - 2], B[n - 2] = C[0], D[0]
     if lag_s > 0.0:
-        F[1, 2], F[2, 2], g[2, 0] = -1.0, -1.0 / lag_s, 1.0 / lag_s
-    else:
-        g[1, 0] = -1.0
-    count = m + 1
-    first = n - 2  # of the commands among the states
-    # x ahead = ahead [e, de, a] + by_command [u[k-1], ..., u[k-m-1]]
-    ahead, by_command, t = np.eye(n), np.zeros((n, count)), 0.0
-    ends = [r + j * T for j in range(m)] + [horizon]
-    for j, end in enumerate(ends):
-        Phi, push = held(F, g, max(min(end, horizon) - t, 0.0))
-        ahead, by_command = Phi @ ahead, Phi @ by_command
-        by_command[:, m - j] += push[:, 0]
-        t = min(end, horizon)
-    K = np.array([[K_P, K_D]])
-    C = np.hstack([K @ ahead[:2, 2:], K @ by_command[:2]])
-    D = K @ ahead[:2, :2]
-    size = first + count
-    A, B = np.zeros((size, size)), np.zeros((size, 2))
-    if lag_s > 0.0:
-        late, rest = np.exp(-r / lag_s), np.exp(-(T - r) / lag_s)
-        A[0, 0] = late * rest
-        A[0, first + m] += rest * (1.0 - late)
-        if m > 0:
-            A[0, first + m - 1] += 1.0 - rest
-        else:
-            A[0] += (1.0 - rest) * C[0]
-            B[0] += (1.0 - rest) * D[0]
-    A[first] += C[0]
-    B[first] += D[0]
-    for j in range(1, count):
-        A[first + j, first + j - 1] = 1.0
+        late = moved([(m + 1, r), (m, T - r)])[2]
+        A[0] = np.delete(late, n)[2:] + late[n] * C[0]
+        B[0] = late[n] * D[0]
     return LinearSystem(A, B, C, D, T)

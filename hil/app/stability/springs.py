@@ -15,7 +15,6 @@ from drivers.errors import ModelError
 from drivers.tick_columns import TICK
 from hil.app.stability.subject import NO_PAYLOAD, Subject
 from hil.app.stability.wording import Assessment, unstable
-from hil.config.model import ModelSettings
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.law import Law, LawContext, per_leg
@@ -23,19 +22,15 @@ from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
 from hil.design.stability.springs import (
+    Basin,
     Forces,
-    Potential,
     Springs,
     basin,
     cubic_rest,
-    leg_springs,
-    pose_springs,
+    potential,
     rest,
     same_weight,
-    total,
-    weight,
 )
-from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.trajectory.holding import HoldTrajectory
 from plant_fmu.config import BenchPlant
@@ -49,14 +44,13 @@ FROZEN = "a weight that is frozen while the robot moves has no potential"
 
 
 class Energy(NamedTuple):
-    """The potential of a law at the reference's start, at rest."""
+    """That a law has a potential S at the reference's start, at rest."""
 
-    S: Potential
-    exact: bool = False
+    exact: bool
     """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
-    damping: str = "dq^T K_v dq"
+    damping: str
     """By which V falls."""
-    stiffness: float | None = None
+    stiffness: float | None
     """N/m, of all legs' springs together where S is theirs alone: the level is a length."""
 
 
@@ -122,7 +116,9 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
     where = "the set-point" if exact else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
     if isinstance(energy, Energy):
         if not quick:
-            _basin(subject, energy, (p, R, found), lines, figures)
+            S = potential(subject.robot, tau, p, R)
+            K, radius = found.law + found.own, subject.platform.radius
+            _show(basin(S, p, R, K, radius, subject.outside), energy, lines, figures)
         claim = f"V = t^T M t / 2 + S falls by {energy.damping}: {where} is asymptotically stable (LaSalle)"
         conditions.append(AT_ONCE)
         if not energy.exact:
@@ -194,47 +190,29 @@ def sampled_loop(subject: Subject, found: Springs, where: str) -> tuple[list[str
 
 
 def _energy(subject: Subject, law: SpringSettings) -> Energy | str:
-    """Return the potential of a law, or why it has none."""
-    p, R = subject.path[0].p, subject.path[0].R
+    """Return what is known of the potential of a law, or why it has none."""
     model = law.believed
     if isinstance(law, PIDSettings):
         return "an integral"
     frozen = {"constant_MG"} if isinstance(law, PDGravitySettings) else {"constant", "constant_MG"}
     if model is not None and model.variant in frozen and not isinstance(law, FeedforwardPDSettings):
         return FROZEN
-    # the same forces wherever the robot is, or those that carry it where it is
-    steady = isinstance(law, FeedforwardPDSettings) or (model is not None and model.variant == "constant")
-    compensated = None if model is None or steady else _weighing(subject, model)
-    left = weight(subject.robot, compensated)
-    exact = compensated is not None and same_weight(subject.robot, compensated)
-    if isinstance(law, CartesianPDSettings):
-        K_p, _ = law.gains()
-        if law.rotation_error == "vector_difference":
-            return "the stiffness of vector_difference is not symmetric"
-        if len(set(K_p[3:])) > 1:
-            return "three stiffnesses of rotation have an energy to first order only"
-        return Energy(total(pose_springs(p, R, K_p), left), exact, "t^T K_v t")
-    K_p = per_leg(law.kp_N_m)
-    tau = (
-        subject.believed(model).inverse_dynamics(p, R, ZERO6, ZERO6)
-        if model is not None and steady
-        else ZERO6
-    )
-    S = total(leg_springs(subject.platform, leg_lengths(subject.platform, p, R), K_p, tau), left)
-    return Energy(S, exact, stiffness=float(K_p.sum()) if exact else None)
+    exact = False  # the same forces wherever the robot is, or those that carry it where it is
+    if model is not None and model.variant != "constant" and not isinstance(law, FeedforwardPDSettings):
+        variant = "massless_legs" if model.variant == "massless_legs" else "full"
+        there = model.model_copy(update={"variant": variant, "frozen_at": None})
+        exact = same_weight(subject.robot, subject.believed(there))
+    if not isinstance(law, CartesianPDSettings):
+        return Energy(exact, "dq^T K_v dq", float(per_leg(law.kp_N_m).sum()) if exact else None)
+    if law.rotation_error == "vector_difference":
+        return "the stiffness of vector_difference is not symmetric"
+    if len(set(law.gains()[0][3:])) > 1:
+        return "three stiffnesses of rotation have an energy to first order only"
+    return Energy(exact, "t^T K_v t", None)
 
 
-def _basin(
-    subject: Subject,
-    energy: Energy,
-    at: tuple[Array, Array, Springs],
-    lines: list[str],
-    figures: dict[str, Any],
-) -> None:
-    p, R, found = at
-    level_J, edge_p, reason = basin(
-        energy.S, p, R, found.law + found.own, subject.platform.radius, subject.outside
-    )
+def _show(found: Basin, energy: Energy, lines: list[str], figures: dict[str, Any]) -> None:
+    level_J, edge_p, reason = found
     start_mm = None if energy.stiffness is None else 1e3 * float(np.sqrt(2.0 * level_J / energy.stiffness))
     starts = f": every start at rest with all legs up to {start_mm:.3g} mm off, in this assembly"
     lines.append(
@@ -244,9 +222,3 @@ def _basin(
     figures["energy"] |= {
         "level_J": level_J, "edge": reason, "edge_position_m": edge_p.tolist(), "start_mm": start_mm,
     }  # fmt: skip
-
-
-def _weighing(subject: Subject, settings: ModelSettings) -> Model:
-    """Return what a law believes that compensates the weight where the robot is: no frozen variant."""
-    variant = "massless_legs" if settings.variant == "massless_legs" else "full"
-    return subject.believed(settings.model_copy(update={"variant": variant, "frozen_at": None}))

@@ -35,14 +35,14 @@ from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.mathematics.rotations import relative_rotation, rotation_from_vector
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
-from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian
-from hil.robot.kinematics_kernels import leg_lengths_kernel
 
 Forces = Callable[[Array, Array, Array], Array]
 """Leg forces (6,) N of a law at p, R and a twist, its reference at rest."""
 STEP = 1e-5
 """m and rad, of the differences that derivatives are taken by; m/s and rad/s of rates."""
+NODES = 10
+"""Of Gauss and Legendre, on the way of a potential."""
 NEAR = 0.5
 """m and rad, the largest step to the pose of rest."""
 NOTHING = np.zeros((6, 6))
@@ -170,36 +170,17 @@ class Basin(NamedTuple):
     """What is met there."""
 
 
-def leg_springs(platform: Platform, q_d: Array, K_p: Array, tau: Array) -> Potential:
-    """Return S = e^T K_p e / 2 - tau^T q of springs (6,) N/m and constant forces (6,) N of the legs."""
-    a, b = platform.base_joints, platform.platform_joints
+def potential(robot: Model, tau: Forces, p: Array, R: Array) -> Potential:
+    """Return S of a law that has an energy, and of the weight, above p and R: their work on the way there."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
 
-    def S(p: Array, R: Array) -> float:
-        q = leg_lengths_kernel(a, b, p, R)
-        e = q_d - q
-        return float(0.5 * e @ (K_p * e) - tau @ q)
-
-    return S
-
-
-def pose_springs(p_d: Array, R_d: Array, K_p: Array) -> Potential:
-    """Return the energy, J, of springs K_p (6,) N/m and N m/rad to a pose, one stiffness of all rotations."""
-
-    def S(p: Array, R: Array) -> float:
-        r, e = relative_rotation(R, R_d), p_d - p
-        return float(0.5 * e @ (K_p[:3] * e) + 0.5 * K_p[3] * r @ r)
+    def S(at_p: Array, at_R: Array) -> float:
+        x = np.concatenate([at_p - p, relative_rotation(R, at_R)])
+        poses = [displaced(p, R, 0.5 * (1.0 + t) * x) for t in nodes]
+        work = [x @ _wrench(robot, *pose, tau(*pose, ZERO6)) for pose in poses]
+        return float(-0.5 * weights @ work)
 
     return S
-
-
-def weight(robot: Model, compensated: Model | None = None) -> Potential:
-    """Return what the robot weighs less what a law compensates of it, J."""
-
-    def U(p: Array, R: Array) -> float:
-        left = robot.potential_energy(p, R)
-        return left if compensated is None else left - compensated.potential_energy(p, R)
-
-    return U
 
 
 def same_weight(one: Model, other: Model) -> bool:
@@ -214,11 +195,6 @@ def _moments(model: Model) -> Array:
     along = cylinder * c[kernels.CYLINDER_COM] - rod * c[kernels.ROD_COM]
     parts = np.array([mass, *(mass * c[kernels.COM : kernels.COM + 3]), rod, along])
     return np.asarray(np.linalg.norm(c[kernels.GRAVITY : kernels.GRAVITY + 3]) * parts, np.float64)
-
-
-def total(*parts: Potential) -> Potential:
-    """Return the sum of potentials."""
-    return lambda p, R: sum(part(p, R) for part in parts)
 
 
 def displaced(p: Array, R: Array, x: Array) -> tuple[Array, Array]:

@@ -6,7 +6,7 @@ from scipy.optimize import minimize
 
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.design.stability.springs import basin, displaced, leg_springs, rest, total, weight
+from hil.design.stability.springs import basin, displaced, potential, rest
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian, leg_lengths
@@ -23,12 +23,18 @@ def test_the_energy_falls_by_what_the_dampers_take():
     """Forces of the law, acceleration of the model, V by its definition a step later and earlier."""
     p_d, R_d = HOME
     q_d = leg_lengths(PLATFORM, p_d, R_d)
-    S = total(leg_springs(PLATFORM, q_d, K_P, NOTHING), weight(MODEL, MODEL))
+
+    def law(p, R, twist):
+        J = jacobian(PLATFORM, p, R)
+        spring = K_P * (q_d - leg_lengths(PLATFORM, p, R)) - K_V * (J @ twist)
+        return spring + np.linalg.solve(J.T, MODEL.gravity(p, R))
+
+    S = potential(MODEL, law, p_d, R_d)
     p, R = displaced(p_d, R_d, np.array([0.05, -0.03, 0.02, 0.06, -0.04, 0.05]))
     twist = np.array([0.3, -0.2, 0.1, 0.2, 0.3, -0.25])
     J = jacobian(PLATFORM, p, R)
     dq = J @ twist
-    tau = K_P * (q_d - leg_lengths(PLATFORM, p, R)) - K_V * dq + np.linalg.solve(J.T, MODEL.gravity(p, R))
+    tau = law(p, R, twist)
     dtwist = MODEL.forward_dynamics(p, R, twist, tau)
 
     def V(t):
@@ -37,6 +43,8 @@ def test_the_energy_falls_by_what_the_dampers_take():
 
     h = 1e-6
     assert (V(h) - V(-h)) / (2 * h) == pytest.approx(-dq @ (K_V * dq), rel=1e-4)
+    e = q_d - leg_lengths(PLATFORM, p, R)
+    assert S(p, R) == pytest.approx(0.5 * e @ (K_P * e), rel=1e-9)
 
 
 def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
@@ -80,7 +88,10 @@ def condition_of(p, R):
 def shallow():
     """The book's platform within 0.75 to 2.2 m and a condition of 50."""
     q_d = leg_lengths(PLATFORM, *HOME)
-    S = leg_springs(PLATFORM, q_d, K_P, NOTHING)
+
+    def S(p, R):
+        e = q_d - leg_lengths(PLATFORM, p, R)
+        return 0.5 * e @ (K_P * e)
 
     def outside(p, R):
         q = leg_lengths_kernel(PLATFORM.base_joints, PLATFORM.platform_joints, p, R)

@@ -72,7 +72,6 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
     """Judge a PD or PID by its energy, or to first order where it has none."""
     start, conditions, energy = subject.path[0], at_rest(subject), _energy(subject, law)
     tau = law_forces(subject, law)
-    held = subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
     try:
         p, R, found = rest(subject.robot, tau, start.p, start.R)
     except (ModelError, np.linalg.LinAlgError):
@@ -83,18 +82,16 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
         found = found._replace(integral=J.T @ (per_leg(law.ki_N_m_s)[:, None] * J))
     sag = leg_lengths(subject.platform, p, R) - leg_lengths(subject.platform, start.p, start.R)
     sag_mm = 1e3 * float(np.abs(sag).max())
-    lines, figures, radius = sampled_loop(subject, found, "where it comes to rest")
-    not_proven = (
-        None if (met := subject.outside(p, R)) is None else f"it comes to rest outside its limits: {met}"
-    )
+    lines, figures, radius = sampled_loop(subject, found)
+    met = subject.outside(p, R)
+    not_proven = None if met is None else f"it comes to rest outside its limits: {met}"
     grows = None if radius < 1.0 else unstable(subject, radius)
     if isinstance(energy, Energy):
         stiffness = found.stiffness(subject.platform.radius)
-        lines.insert(
-            0, f"stiffness      {stiffness[0]:.4g} to {stiffness[-1]:.4g} N/m where it comes to rest"
-        )
+        softest, stiffest = stiffness[0], stiffness[-1]
+        lines.insert(0, f"stiffness      {softest:.4g} to {stiffest:.4g} N/m where it comes to rest")
         figures["energy"] = {"stiffness_N_m": stiffness.tolist(), "sag_mm": sag_mm}
-        if not stiffness[0] > 0.0:
+        if not softest > 0.0:
             not_proven = "the weight is stiffer than the springs: it falls over"
     else:
         slowest, count = found.slowest(), 18 if found.integral.any() else 12
@@ -103,11 +100,10 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
         figures |= {"slowest_eigenvalue_1_s": slowest, "sag_mm": sag_mm}
         if slowest >= 0.0:
             grows = f"{energy}: no energy function; an eigenvalue grows as exp({slowest:.3g} t)"
-    if (
-        isinstance(law, PIDSettings)
-        and (short := float((np.abs(held) / per_leg(law.integral_limit_N)).max())) > 1.0
-    ):
-        not_proven = f"the integral cannot carry the weight: {100 * short:.0f} % of integral_limit_N"
+    if grows is None and isinstance(law, PIDSettings):
+        held = subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
+        if (short := float((np.abs(held) / per_leg(law.integral_limit_N)).max())) > 1.0:
+            not_proven = f"the integral cannot carry the weight: {100 * short:.0f} % of integral_limit_N"
     if not_proven is not None:
         return Assessment("not proven", not_proven, conditions, lines, figures)
     if grows is not None:
@@ -140,7 +136,7 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
     x = cubic_rest(q - plant.rest_length_m, K_p, linear, cubic)
     own = np.diag(linear + 3.0 * cubic * x * x)
     found = Springs(np.eye(6) / plant.mass_kg, np.diag(K_p), np.diag(K_v), own)
-    lines, figures, radius = sampled_loop(subject, found, "where it comes to rest")
+    lines, figures, radius = sampled_loop(subject, found)
     if radius >= 1.0:
         return Assessment("unstable", unstable(subject, radius), [], lines, figures)
     claim = (
@@ -178,11 +174,11 @@ def law_forces(subject: Subject, law: SpringSettings) -> Forces:
     return tau
 
 
-def sampled_loop(subject: Subject, found: Springs, where: str) -> tuple[list[str], dict[str, Any], float]:
+def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str, Any], float]:
     """Return the loop that runs as lines, figures, and its largest |z|."""
     radius = found.growth(subject.axis)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
-    line = f"sampled loop   largest |z| {radius:.4f} {where}, all axes together"
+    line = f"sampled loop   largest |z| {radius:.4f} where it comes to rest, all axes together"
     if radius < 1.0 and (margin := found.delay_margin_s(subject.axis)) is not None:
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
         line += f"; bears {1e3 * margin:.3g} ms of further delay"

@@ -209,11 +209,13 @@ def _energy(subject: Subject, law: SpringSettings) -> Energy | str:
 
 def _show(found: Basin, energy: Energy, lines: list[str], figures: dict[str, Any]) -> None:
     level_J, edge_p, reason = found
-    start_mm = None if energy.stiffness is None else 1e3 * float(np.sqrt(2.0 * level_J / energy.stiffness))
-    starts = f": every start at rest with all legs up to {start_mm:.3g} mm off, in this assembly"
+    start_mm, starts = None, ""
+    if energy.stiffness is not None:
+        start_mm = 1e3 * float(np.sqrt(2.0 * level_J / energy.stiffness))
+        starts = f": every start at rest with all legs up to {start_mm:.3g} mm off, in this assembly"
     lines.append(
         f"sublevel set   V < {level_J:.4g} J stays within stroke and regular J (by search; its edge: "
-        f"{reason}){'' if start_mm is None else starts}"
+        f"{reason}){starts}"
     )
     figures["energy"] |= {
         "level_J": level_J, "edge": reason, "edge_position_m": edge_p.tolist(), "start_mm": start_mm,

@@ -85,6 +85,17 @@ def test_the_verdict_on_a_law(law, rest, status, because):
         assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
 
 
+@pytest.mark.long
+@pytest.mark.parametrize(("law", "level_J", "start_mm"), [("pd", None, None), ("pd_gravity", 9020.0, 87.0)])
+def test_the_sublevel_set_of_a_pd_is_that_of_the_page(law, level_J, start_mm):
+    """docs/theory/stability.md; without compensation the springs are not alone, so no length says how far."""
+    verdict = judge(bench(f"  law: {law}\n{LEGS}", rest=True))
+    energy = verdict.figures["energy"]
+    assert any("sublevel set" in line for line in verdict.lines)
+    assert energy["start_mm"] == (start_mm and pytest.approx(start_mm, abs=0.5))
+    assert level_J is None or energy["level_J"] == pytest.approx(level_J, rel=2e-3)
+
+
 def test_a_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
     """200 kg, pure damping, h = T kv / m, a period late behind its hold: z^2 - z + h = 0, so stable below h = 1."""
     text = load("bench").text.replace("force_bandwidth_Hz: 200", "force_bandwidth_Hz: 0")

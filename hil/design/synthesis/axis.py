@@ -86,13 +86,11 @@ def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
 
 def around(axis: LinearSystem) -> LinearSystem:
     """Return the problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
-    n, h = len(axis.C) - 1, axis.period_s
-    # [d, noise, u] -> [d, u, noise, u] -> [e, y without noise, noise, u] -> [e, u, y]
-    order = static(np.eye(n + 2)[[0, n + 1, *range(1, n + 2)]], h)
-    out = np.zeros((n + 2, 2 * n + 2))
-    out[0, 0] = out[1, -1] = 1.0
-    out[2:, 1 : n + 1] = out[2:, n + 1 : 2 * n + 1] = np.eye(n)
-    return static(out, h).after(axis.beside(static(np.eye(n + 1), h))).after(order)
+    noise = [1] * (len(axis.C) - 1)
+    B, C = np.insert(axis.B, noise, 0.0, axis=1), np.insert(axis.C, 1, 0.0, axis=0)
+    D = np.insert(np.insert(axis.D, 1, 0.0, axis=0), noise, 0.0, axis=1)
+    D[1, -1], D[2:, 1:-1] = 1.0, np.eye(len(noise))
+    return LinearSystem(axis.A, B, C, D, axis.period_s)
 
 
 def weighted(design: Design, core: LinearSystem) -> LinearSystem:
@@ -113,14 +111,11 @@ def weighted(design: Design, core: LinearSystem) -> LinearSystem:
     return out.beside(static(np.eye(len(design.inputs)), h)).after(core).after(into)
 
 
-def lumped(axis: DesignAxis) -> DesignAxis:
-    """Return the axis with its lag as further dead time: of the same phase up to 1 / lag."""
-    return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
-
-
 def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:
-    """Return the axis as the synthesis takes it."""
-    return lumped(axis) if design.lump_lag else axis
+    """Return the axis as the synthesis takes it: with `lump_lag` its lag as dead time, of the same phase."""
+    if not design.lump_lag:
+        return axis
+    return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
 
 
 def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:

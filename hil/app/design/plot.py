@@ -12,7 +12,7 @@ from hil.config.design import Design, DesignAxis
 from hil.design.stability.sampled_loop import grid
 from hil.design.synthesis.axis import around, loop_gain, sampled_axis, sampled_problem
 from hil.design.synthesis.methods import Designed
-from hil.design.synthesis.weights import control_weight, disturbance_weight
+from hil.design.synthesis.weights import control_weight
 from hil.mathematics.linear_system import LinearSystem
 
 STEP_S = 0.3
@@ -42,7 +42,7 @@ def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: st
 def _closed(axes: Any, design: Design, omega: Array, L: ComplexArray) -> None:
     weights = design.weights
     limit = 1.0 / np.abs(control_weight(weights.control, design.rate_Hz).response(omega)[:, 0, 0])
-    limit /= disturbance_weight(design).D[0, 0]
+    limit /= design.weights.disturbance.amplitude_m_s2
     axes.loglog(omega, np.abs(1.0 / (1.0 + L)), label="S")
     axes.loglog(omega, np.abs(L / (1.0 + L)), label="T, control over disturbance")
     axes.loglog(omega, limit, "k--", linewidth=0.8, label="control allowed over disturbance")
@@ -89,7 +89,7 @@ def _open(axes: Any, omega: Array, L: ComplexArray, figures: dict[str, Any]) -> 
 
 def _step(axes: Any, design: Design, closed: LinearSystem) -> None:
     """Error and control after a step of the disturbance, to the full amplitude."""
-    d, h = disturbance_weight(design).D[0, 0], 1.0 / design.rate_Hz
+    d, h = design.weights.disturbance.amplitude_m_s2, 1.0 / design.rate_Hz
     x, answers = np.zeros(closed.order), []
     for _ in range(int(STEP_S / h)):
         answers.append(closed.C @ x + closed.D[:, 0] * d)

@@ -18,13 +18,7 @@ from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.design.stability.sampled_loop import disturbed
 from hil.design.stability.sampled_loop import sampled_axis as exact_axis
-from hil.design.synthesis.weights import (
-    control_weight,
-    disturbance_weight,
-    error_weight,
-    noise_weight,
-    rational,
-)
+from hil.design.synthesis.weights import control_weight, error_weight, noise, rational
 from hil.mathematics.linear_system import LinearSystem, lag, static
 
 
@@ -106,9 +100,10 @@ def weighted(design: Design, core: LinearSystem) -> LinearSystem:
         return weight.sampled(h, "bilinear") if h and weight.order else weight._replace(period_s=h)
 
     error, control = design.weights.error, design.weights.control
-    into = at(disturbance_weight(design)).beside(at(noise_weight(design))).beside(static(np.eye(1), h))
+    into = np.array([design.weights.disturbance.amplitude_m_s2, *noise(design), 1.0])
     out = at(error_weight(error)).beside(at(control_weight(control, design.rate_Hz)))
-    return out.beside(static(np.eye(len(design.inputs)), h)).after(core).after(into)
+    core = core._replace(B=core.B * into, D=core.D * into)
+    return out.beside(static(np.eye(len(design.inputs)), h)).after(core)
 
 
 def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:

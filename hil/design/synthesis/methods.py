@@ -31,7 +31,7 @@ from hil.design.synthesis.multiplicative import CORNER, Relative, covered
 from hil.design.synthesis.norm import norm
 from hil.design.synthesis.result import SLOW, Judgement, described, judge, reduced
 from hil.design.synthesis.structured import Structured, structured_plant
-from hil.design.synthesis.weights import error_weight, noise_weight
+from hil.design.synthesis.weights import error_weight, noise
 from hil.mathematics.linear_system import LinearSystem
 
 RATIOS = tuple(1.0 + 0.01 * k for k in range(1, 11))
@@ -205,7 +205,7 @@ def design_mu(
     slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
     found = dk_iteration(problem, start, mu_grid(design.rate_Hz), within, progress)
-    K, _ = reduced(found.K, np.diag(noise_weight(design).D), NOTHING)
+    K, _ = reduced(found.K, noise(design), NOTHING)
     judged = judge(design, axis, K)
     if judged.reasons:
         raise SynthesisError(

@@ -17,7 +17,7 @@ import numpy as np
 from drivers.arrays import Array, ComplexArray
 from hil.config.axis_model import AxisModel
 from hil.config.design import Design, TransferFunction
-from hil.design.synthesis.weights import control_weight, disturbance_weight, rational
+from hil.design.synthesis.weights import control_weight, rational
 from hil.mathematics.linear_system import LinearSystem
 
 Key = TypeVar("Key")
@@ -107,7 +107,7 @@ def covered(design: Design, measured: Relative, gain: float) -> Design:
     where gamma is below 1, so is |w T|.
     """
     omega = frequencies(design.rate_Hz)
-    amplitude = float(disturbance_weight(design).D[0, 0])
+    amplitude = design.weights.disturbance.amplitude_m_s2
     asked = np.abs(control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0])
     least = gain * measured.at(omega) / amplitude
     if (asked >= least).all():

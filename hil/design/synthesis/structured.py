@@ -21,7 +21,7 @@ from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.design.synthesis.axis import drive, pade
 from hil.design.synthesis.mu import Block
 from hil.design.synthesis.multiplicative import CORNER, Relative, cover_system, tightest
-from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
+from hil.design.synthesis.weights import control_weight, error_weight, noise
 from hil.mathematics.linear_system import LinearSystem, static
 
 Sum = dict[str, float]
@@ -120,7 +120,7 @@ def structured_plant(
     Raises SynthesisError for an axis or a weight that cannot be used.
     """
     W_delay, W_lag = covers(design, axis, ranges)
-    W_d, W_n = float(disturbance_weight(design).D[0, 0]), np.diag(noise_weight(design).D)
+    W_d, W_n = design.weights.disturbance.amplitude_m_s2, noise(design)
     weights, names = design.weights, list(design.inputs)
     integrator = LinearSystem(np.zeros((1, 1)), np.eye(1), np.eye(1), np.zeros((1, 1)))
     acceleration: Sum = {"v": axis.gain, "w_lag": axis.gain, "d": W_d, "w_inertia": -ranges.inertia}

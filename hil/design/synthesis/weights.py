@@ -5,6 +5,7 @@ from math import pi
 import numpy as np
 from scipy.signal import tf2ss
 
+from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import ControlWeight, Design, ErrorWeight, TransferFunction
 from hil.mathematics.linear_system import LinearSystem, static
@@ -69,16 +70,11 @@ def control_weight(section: ControlWeight | TransferFunction, rate_Hz: float) ->
     return shelf(1.0 / section.limit_m_s2, BEYOND * rate_Hz / corner / section.limit_m_s2, corner)
 
 
-def disturbance_weight(design: Design) -> LinearSystem:
-    """Return W_d: the amplitude, at every frequency."""
-    return static(np.array([[design.weights.disturbance.amplitude_m_s2]]))
-
-
-def noise_weight(design: Design) -> LinearSystem:
-    """Return W_n, diagonal: the amplitude of the noise of each input, at every frequency."""
-    noise = design.weights.noise
-    amplitudes = {"error": noise.error_m, "rate_error": noise.rate_error_m_s or 0.0}
-    return static(np.diag([amplitudes[name] for name in design.inputs]))
+def noise(design: Design) -> Array:
+    """Return the amplitude of the noise of each input (n,), at every frequency."""
+    given = design.weights.noise
+    amplitudes = {"error": given.error_m, "rate_error": given.rate_error_m_s or 0.0}
+    return np.array([amplitudes[name] for name in design.inputs])
 
 
 def _checked(section: TransferFunction, what: str, *, biproper: bool = False) -> LinearSystem:

@@ -16,7 +16,7 @@ from hil.config.linear_controller import LinearController
 from hil.design.stability.sampled_loop import grid
 from hil.design.synthesis.axis import generalised_plant, sampled_axis, sampled_problem
 from hil.design.synthesis.norm import gains, norm
-from hil.design.synthesis.weights import control_weight, disturbance_weight, error_weight, noise_weight
+from hil.design.synthesis.weights import control_weight, error_weight, noise
 from hil.mathematics.linear_system import LinearSystem
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -93,7 +93,7 @@ def test_the_norm_of_the_sampled_loop_is_within_a_hundredth_of_gamma(made):
     e = P[:, None] * u + np.stack([of_d[:, 0], 0 * s, 0 * s], axis=1)
     W_e = error_weight(design.weights.error).response(omega)[:, 0]
     W_u = control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0]
-    into = np.concatenate([np.diag(disturbance_weight(design).D), np.diag(noise_weight(design).D)])
+    into = np.array([design.weights.disturbance.amplitude_m_s2, *noise(design)])
     M = np.stack([W_e * e, W_u * u], axis=1) * into
     assert np.linalg.svd(M, compute_uv=False).max() <= 1.01 * shipped(name).design["gamma"]
     assert legs.closed_with(K).is_stable()

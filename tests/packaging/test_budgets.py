@@ -15,7 +15,7 @@ BUDGETS = {
     "hil/robot hil/control hil/trajectory hil/mathematics": (6_100, 44_000),
     "hil/record": (5_600, 41_500),
     "hil/config hil/app/configuration": (4_350, 28_000),
-    "hil/design hil/proof": (7_350, 67_500),
+    "hil/design hil/proof": (6_700, 61_000),
     "hil/lab": (8_900, 71_500),
     "hil/study": (10_000, 80_000),
     "hil/app": (12_150, 86_500),

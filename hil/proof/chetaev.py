@@ -14,7 +14,7 @@ from drivers.errors import ModelError
 from hil.proof.branch_and_bound import Budget, faces, positive
 from hil.proof.cancellation import lie_derivative
 from hil.proof.interval import Cell, Enclosure, ball, unsupported
-from hil.proof.origin import RADII, Ray, T
+from hil.proof.origin import RADII, blown_up
 from hil.proof.signs import Signs, regular
 
 LIMIT = 400
@@ -83,33 +83,18 @@ def _weights(n: int) -> list[tuple[int, ...]]:
 
 
 def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -> bool:
-    states, budget = signs.system.states, signs.budget
-    parts = []
-    for g in (W, W_dot):
-        ray = Ray(g, states, weights)
-        k = ray.order()
-        if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
-            return False
-        parts.append((ray, k))
-    names = tuple(signs.system.ranges)
+    states, budget, names = signs.system.states, signs.budget, tuple(signs.system.ranges)
     ranges = tuple(signs.sides[p] for p in names)
-    u = parts[0][0].u
-    (down, up) = (
-        Enclosure(sign * ray.at_zero(k), (*u, *names)) for sign, (ray, k) in zip((-1, 1), parts, strict=True)
-    )
+    down, up = blown_up(-W, states, weights, names), blown_up(W_dot, states, weights, names)
     cells = [(*c, *ranges) for c in faces(((-1.0, 1.0),) * len(states), range(len(states)))]
-    if not positive([down, up], cells, budget, LIMIT):
+    if down is None or up is None or not positive([down[0], up[0]], cells, budget, LIMIT):
         return False
-    down, up = (
-        Enclosure(sign * ray.remainder(k), (*u, *names, T))
-        for sign, (ray, k) in zip((-1, 1), parts, strict=True)
-    )
     for radius in RADII:
         reach = ball(0.0, radius)
         # t stays whole: the two remainders hold for different t' between 0 and t
-        parts_there = [lambda x, g=g, t=reach: g([*x, t]) for g in (down, up)]
-        if positive(parts_there, cells, budget, LIMIT):
-            return _somewhere(down, len(states), ranges, (0.0, radius), budget)
+        there = [lambda x, g=g, t=reach: g([*x, t]) for g in (down[1], up[1])]
+        if positive(there, cells, budget, LIMIT):
+            return _somewhere(down[1], len(states), ranges, (0.0, radius), budget)
     return False
 
 

@@ -116,6 +116,21 @@ def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
     return tuple(D // e for e in orders) if D <= HIGHEST_ORDER else None
 
 
+def blown_up(
+    g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights, names: Sequence[sp.Symbol]
+) -> tuple[Enclosure, Enclosure] | None:
+    """Return the lowest-order form of g, of u and the named, and what is divided by its power, of t as well.
+
+    None where g is not shown to be smooth, or has no enclosure.
+    """
+    ray = Ray(g, states, weights)
+    k = ray.order()
+    if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
+        return None
+    of_u = (*ray.u, *names)
+    return Enclosure(ray.at_zero(k), of_u), Enclosure(ray.remainder(k), (*of_u, T))
+
+
 def definite_near(
     g: sp.Expr, states: Sequence[sp.Symbol], parameters: Ranges,
     budget: Budget, limit: int = 1500, side: int = 0,
@@ -127,12 +142,10 @@ def definite_near(
     weights = weights_of(g, states)
     if weights is None:
         return None
-    ray = Ray(g, states, weights)
-    k = ray.order()
-    if k is None or unsupported(ray.remainder(k)) or unsupported(ray.at_zero(k)):
+    forms = blown_up(g, states, weights, tuple(parameters))
+    if forms is None:
         return None
-    c = Enclosure(ray.remainder(k), (*ray.u, *parameters, T))
-    leading = Enclosure(ray.at_zero(k), (*ray.u, *parameters))
+    leading, c = forms
     ranges = tuple(parameters.values())
     sides: Cell = ((-1.0, 1.0),) * len(states)
     cells = faces(sides, range(len(states))) if side == 0 else [((float(side), float(side)),)]

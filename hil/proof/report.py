@@ -119,12 +119,10 @@ class Report:
             "equilibrium": e.status.value,
             "by": e.by,
             "asymptotic_stability": e.asymptotic.value,
-            "box": None
-            if e.box is None
-            else {str(x): [str(end) for end in side] for x, side in e.box.items()},
+            "box": None if e.box is None else _sides(e.box),
             "level": _text(e.level),
             "linearisation": self.linearisation.value,
-            "parameters": {str(p): [str(end) for end in side] for p, side in self.parameters.items()},
+            "parameters": _sides(self.parameters),
             "boxes": self.boxes,
         }
 
@@ -155,6 +153,10 @@ class Report:
 
 def _text(e: sp.Expr | None) -> str | None:
     return None if e is None else str(e)
+
+
+def _sides(box: Box) -> dict[str, list[str]]:
+    return {str(x): [str(end) for end in side] for x, side in box.items()}
 
 
 def _range(p: sp.Symbol, low: sp.Expr, high: sp.Expr) -> str:

@@ -31,19 +31,16 @@ def _leaves_branch(
         return True
     if not todo or left == 0:
         return False
-    if (equation := _put(todo[0], solved)).count_ops() > LONGEST:
+    if (equation := todo[0].subs(solved, simultaneous=True)).count_ops() > LONGEST:
         return False
     h = cancelled(equation)
     rest = todo[1:]
     if h == 0:
         return _leaves_branch(rest, solved, kept, signs, left)
-    ways = _ways(h, signs)
-    if ways is None:
-        return False
-    return all(_follow(way, rest, solved, kept, signs, left) for way in ways)
+    return all(_follow(way, rest, solved, kept, signs, left) for way in _ways(h, signs))
 
 
-def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr] | None:
+def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr]:
     """Return expressions on one of which being zero h = 0 depends; none: h is nowhere zero."""
     top = sp.fraction(sp.together(h))[0]
     ways = []
@@ -70,7 +67,7 @@ def _follow(
 ) -> bool:
     f = signs.system.f
     try:
-        derivative = _put(lie_derivative(h, f), solved)
+        derivative = lie_derivative(h, f).subs(solved, simultaneous=True)
     except ModelError:
         return False
     todo = [*rest, derivative]
@@ -80,7 +77,11 @@ def _follow(
     value = sp.expand(x - h / sp.expand(h).coeff(x, 1))
     now = {y: sp.expand(e.subs(x, value)) for y, e in solved.items()} | {x: value}
     return _leaves_branch(
-        [*[k.subs(x, value) for k in kept], *(_put(t, now) for t in todo)], now, [], signs, left - 1
+        [*[k.subs(x, value) for k in kept], *(t.subs(now, simultaneous=True) for t in todo)],
+        now,
+        [],
+        signs,
+        left - 1,
     )
 
 
@@ -98,10 +99,6 @@ def _solvable(h: sp.Expr, signs: Signs) -> sp.Symbol | None:
     return None
 
 
-def _put(e: sp.Expr, solved: dict[sp.Symbol, sp.Expr]) -> sp.Expr:
-    return e.subs(solved, simultaneous=True) if solved else e
-
-
 def _only_equilibrium(solved: dict[sp.Symbol, sp.Expr], kept: list[sp.Expr], signs: Signs) -> bool:
     free = [x for x in signs.system.states if x not in solved]
     if not free:
@@ -112,11 +109,8 @@ def _only_equilibrium(solved: dict[sp.Symbol, sp.Expr], kept: list[sp.Expr], sig
     if any(sp.expand(e.subs(at_origin)) != 0 for e in (*kept, *solved.values())):
         return False
     total = sp.expand(sum((h**2 for h in kept), sp.S.Zero))
-    return signs.definite(total, open_ends=len(free) == 1) or (
-        len(kept) == 1 and len(free) == 1 and _single(kept[0], free[0], signs)
-    )
-
-
-def _single(h: sp.Expr, x: sp.Symbol, signs: Signs) -> bool:
-    """Tell whether x h or -x h is definite, h being of one state and of parameters."""
-    return any(signs.definite(sp.expand(sign * x * h)) for sign in (1, -1))
+    if signs.definite(total, open_ends=len(free) == 1):
+        return True
+    if len(kept) != 1 or len(free) != 1:
+        return False
+    return any(signs.definite(sp.expand(sign * free[0] * kept[0])) for sign in (1, -1))

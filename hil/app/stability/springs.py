@@ -32,6 +32,7 @@ from hil.design.stability.springs import (
     same_weight,
 )
 from hil.robot.kinematics import jacobian, leg_lengths
+from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.trajectory.holding import HoldTrajectory
 from plant_fmu.config import BenchPlant
 
@@ -87,7 +88,7 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
     not_proven = None if met is None else f"it comes to rest outside its limits: {met}"
     grows = None if radius < 1.0 else unstable(subject, radius)
     if isinstance(energy, Energy):
-        stiffness = found.stiffness(subject.platform.radius)
+        stiffness = found.stiffness(subject.radius)
         softest, stiffest = stiffness[0], stiffness[-1]
         lines.insert(0, f"stiffness      {softest:.4g} to {stiffest:.4g} N/m where it comes to rest")
         figures["energy"] = {"stiffness_N_m": stiffness.tolist(), "sag_mm": sag_mm}
@@ -113,7 +114,7 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
     if isinstance(energy, Energy):
         if not quick:
             S = potential(subject.robot, tau, p, R)
-            K, radius = found.law + found.own, subject.platform.radius
+            K, radius = found.law + found.own, subject.radius
             _show(basin(S, p, R, K, radius, subject.outside), energy, lines, figures)
         claim = f"V = t^T M t / 2 + S falls by {energy.damping}: {where} is asymptotically stable (LaSalle)"
         conditions.append(AT_ONCE)
@@ -163,11 +164,13 @@ def law_forces(subject: Subject, law: SpringSettings) -> Forces:
     tick["p_d"], tick["R_d"], tick["t_d"] = start.p, start.R, np.nan
     tick["q_d"] = leg_lengths(platform, start.p, start.R)
 
+    joints = platform.base_joints, platform.platform_joints
+
     def tau(p: Array, R: Array, twist: Array) -> Array:
-        J = jacobian(platform, p, R)
+        J = jacobian_kernel(*joints, p, R)
         for name, value in (("p", p), ("R", R), ("twist", twist), ("J", J), ("dq", J @ twist)):
             tick[name] = value
-        tick["q"] = leg_lengths(platform, p, R)
+        tick["q"] = leg_lengths_kernel(*joints, p, R)
         built.effort(tick)
         return held + tick["tau_law"]
 

@@ -88,6 +88,7 @@ class Subject:
         self.stated = stated
         self.tell = tell
         self.platform = build_platform(c.platform)
+        self.radius = self.platform.radius
         plant = c.plant.model if c.plant is not None else None
         self.plant = plant if isinstance(plant, StewartPlant) else None
         self.on_bench = isinstance(plant, BenchPlant)
@@ -298,7 +299,7 @@ class Subject:
             return f"leg {int(np.argmin(q))} at its lower soft end"
         if q.max() > s.length_max_m - limits.stroke_margin_m:
             return f"leg {int(np.argmax(q))} at its upper soft end"
-        number = condition_kernel(jacobian_kernel(a, b, p, R), self.platform.radius)
+        number = condition_kernel(jacobian_kernel(a, b, p, R), self.radius)
         return None if number <= limits.condition else f"condition of J {limits.condition:g}"
 
 

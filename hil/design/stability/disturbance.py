@@ -271,7 +271,8 @@ class Linearised:
         d, extremes = self._extremes(mobility, error)
         rates = np.abs(_times(here.J, twist))
         lost = self.friction.viscous_N_s_m * rates + self.friction.coulomb_N
-        condition = [condition_kernel(J, self.robot.platform.radius) for J in here.J]
+        radius = self.robot.platform.radius
+        condition = [condition_kernel(J, radius) for J in here.J]
         return Local(
             Gamma,
             stale,

@@ -35,13 +35,13 @@ from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.mathematics.rotations import relative_rotation, rotation_from_vector
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
-from hil.robot.kinematics import jacobian
+from hil.robot.kinematics_kernels import jacobian_kernel
 
 Forces = Callable[[Array, Array, Array], Array]
 """Leg forces (6,) N of a law at p, R and a twist, its reference at rest."""
 STEP = 1e-5
 """m and rad, of the differences that derivatives are taken by; m/s and rad/s of rates."""
-NODES = 10
+NODES = 8
 """Of Gauss and Legendre, on the way of a potential."""
 NEAR = 0.5
 """m and rad, the largest step to the pose of rest."""
@@ -129,7 +129,7 @@ def rest(robot: Model, tau: Forces, p: Array, R: Array) -> tuple[Array, Array, S
 
 
 def _springs(robot: Model, tau: Forces, p: Array, R: Array) -> Springs:
-    J, held = jacobian(robot.platform, p, R), tau(p, R, ZERO6)
+    J, held = _jacobian(robot, p, R), tau(p, R, ZERO6)
     mobility = np.asarray(np.linalg.inv(robot.mass_matrix(p, R)), float)
     law = -J.T @ _slopes(lambda x: tau(*displaced(p, R, x), ZERO6))
     damping = -J.T @ _slopes(lambda x: tau(p, R, x))
@@ -143,7 +143,11 @@ def _slopes(of: Callable[[Array], Array]) -> Array:
 
 def _wrench(robot: Model, p: Array, R: Array, tau: Array) -> Array:
     """Return what is left of leg forces beside the weight, (6,) N and N m."""
-    return jacobian(robot.platform, p, R).T @ tau - robot.gravity(p, R)
+    return _jacobian(robot, p, R).T @ tau - kernels.gravity_kernel(robot.constants, p, R)
+
+
+def _jacobian(robot: Model, p: Array, R: Array) -> Array:
+    return jacobian_kernel(robot.platform.base_joints, robot.platform.platform_joints, p, R)
 
 
 def cubic_rest(x_d: Array, K_p: Array, linear: Array, cubic: Array) -> Array:

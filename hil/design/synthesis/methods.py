@@ -17,7 +17,6 @@ from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.design.synthesis.axis import generalised_plant, sampled_problem
 from hil.design.synthesis.dk import (
-    Bounds,
     bounds_over_frequency,
     dk_iteration,
     fitted_scales,
@@ -30,7 +29,7 @@ from hil.design.synthesis.mu import lower_bound
 from hil.design.synthesis.multiplicative import CORNER, Relative, covered
 from hil.design.synthesis.norm import norm
 from hil.design.synthesis.result import SLOW, Judgement, described, judge, reduced
-from hil.design.synthesis.structured import Structured, structured_plant
+from hil.design.synthesis.structured import structured_plant
 from hil.design.synthesis.weights import error_weight, noise
 from hil.mathematics.linear_system import LinearSystem
 
@@ -102,24 +101,24 @@ def design_hinf(
         continuous = norm(P.closed_with(found.K))
         discrete = norm(sampled.closed_with(judged.sampled))
         if max(continuous, discrete) <= CLOSE * found.gamma:
-            return Designed(found.K, judged, _hinf_figures(design, axis, found, judged, continuous, discrete))
+            # at rest a double integrator in a stable loop follows its measurement, whatever the controller
+            at_rest = abs(error_weight(design.weights.error).response(np.zeros(1))[0, 0, 0])
+            figures = {
+                "gamma": found.gamma,
+                "gamma_opt": found.gamma_opt,
+                "gamma_at_rest": float(at_rest) * design.weights.noise.error_m,
+                "norm": continuous,
+                "norm_sampled": discrete,
+                **described(design, axis, judged, found.K),
+                "lump_lag": design.lump_lag,
+            }
+            return Designed(found.K, judged, figures)
         reason = (
             f"the norm is {continuous:.4g}, of the sampled loop {discrete:.4g}, allowed: {CLOSE:g} gamma, "
             f"{CLOSE * found.gamma:.4g}; delay and hold cost too much, raise delay_order, or ask for less"
         )
         reasons = (reason,)
     raise SynthesisError(f"no controller within 1.1 of the optimum can be used: {'; '.join(reasons)}")
-
-
-def channels(closed: LinearSystem, inputs: Sequence[str]) -> dict[str, float]:
-    """Return the norm of each weighted path of a closed four-block problem, by name."""
-    causes = ["disturbance", *(f"noise of {name}" for name in inputs)]
-    found = {}
-    for i, effect in enumerate(("error", "control")):
-        for j, cause in enumerate(causes):
-            one = closed._replace(B=closed.B[:, [j]], C=closed.C[[i]], D=closed.D[[i]][:, [j]])
-            found[f"{cause} to {effect}"] = norm(one)
-    return found
 
 
 def _refuse_weights(
@@ -132,36 +131,20 @@ def _refuse_weights(
             + "; ".join(reasons)
         )
     best = found.gamma_opt if found.gamma_opt >= 1.0 else found.gamma  # the first tried, a hundredth above
-    shares = channels(closed, inputs) if closed.is_stable() else {}
+    causes = ["disturbance", *(f"noise of {name}" for name in inputs)] if closed.is_stable() else []
+    shares = {
+        f"{cause} to {effect}": norm(
+            closed._replace(B=closed.B[:, [j]], C=closed.C[[i]], D=closed.D[[i]][:, [j]])
+        )
+        for i, effect in enumerate(("error", "control"))
+        for j, cause in enumerate(causes)
+    }
     named = ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5) or "all of them"
     raise SynthesisError(
         f"no controller does what the weights ask: gamma is {best:.3g} at best, allowed: below 1. "
         f"Of 1 take: {named}. Allow more error or more control, or state less disturbance, noise or delay"
         f"{raised}"
     )
-
-
-def floor_at_rest(design: Design) -> float:
-    """Return what gamma cannot get below, whatever the controller: |W_e| of the noise of error, at rest.
-
-    A double integrator in a stable loop follows its measurement there: T = 1.
-    """
-    at_rest = error_weight(design.weights.error).response(np.zeros(1))[0, 0, 0]
-    return float(abs(at_rest)) * design.weights.noise.error_m
-
-
-def _hinf_figures(
-    design: Design, axis: DesignAxis, found: Synthesis, judged: Judgement, continuous: float, discrete: float
-) -> dict[str, Any]:
-    return {
-        "gamma": found.gamma,
-        "gamma_opt": found.gamma_opt,
-        "gamma_at_rest": floor_at_rest(design),
-        "norm": continuous,
-        "norm_sampled": discrete,
-        **described(design, axis, judged, found.K),
-        "lump_lag": design.lump_lag,
-    }
 
 
 POINTS = 80
@@ -205,7 +188,7 @@ def design_mu(
     slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
     found = dk_iteration(problem, start, mu_grid(design.rate_Hz), within, progress)
-    K, _ = reduced(found.K, noise(design), NOTHING)
+    K = reduced(found.K, noise(design), NOTHING)
     judged = judge(design, axis, K)
     if judged.reasons:
         raise SynthesisError(
@@ -223,13 +206,27 @@ def design_mu(
             f"where nothing was looked at, the norm of the sampled loop {corners:.4g} at the corners of the "
             "uncertainty, allowed: all below 1; ask for less, or raise delay_order"
         )
+    omega, upper, n = bounds.omega, bounds.upper.bound, problem.uncertain
+    response = M.response(omega)
+    lower = lower_bound(response, problem.blocks).bound
+    k = np.unique(np.append(np.linspace(0, len(omega) - 1, LISTED).astype(int), upper.argmax()))
     figures = {
         "mu_proven": proven,
         "norm_sampled_corners": corners,
         "rounds": found.history,
         "states_left_out": found.K.order - K.order,
+        "mu_upper": bounds.peak,
+        "mu_lower": float(lower.max()),
+        "mu_peak_rad_s": bounds.peak_rad_s,
+        "nominal_performance": float(np.linalg.svd(response[:, n:, n:], compute_uv=False).max()),
+        **described(design, axis, judged, K),
+        "mu": {
+            name: [float(value) for value in values[k]]
+            for name, values in (("omega_rad_s", omega), ("upper", upper), ("lower", lower))
+        },
+        "uncertainty": design.uncertainty.model_dump(mode="json"),
     }
-    return Designed(K, judged, figures | _mu_figures(design, axis, problem, K, bounds, judged))
+    return Designed(K, judged, figures)
 
 
 def sampled_corners(design: Design, axis: DesignAxis, ranges: UncertaintyRanges, K: LinearSystem) -> float:
@@ -249,33 +246,3 @@ def sampled_corners(design: Design, axis: DesignAxis, ranges: UncertaintyRanges,
         loop = problem._replace(B=B, D=D).closed_with(K)
         worst = max(worst, norm(loop) if loop.is_stable() else inf)
     return worst
-
-
-def over_frequency(problem: Structured, K: LinearSystem, omega: Array) -> tuple[Array, Array]:
-    """Return the lower bound of mu and the largest gain of the loop without uncertainty, (N,) each."""
-    M = problem.plant.closed_with(K).response(omega)
-    n = problem.uncertain
-    gain = np.linalg.svd(M[:, n:, n:], compute_uv=False)[:, 0]
-    return lower_bound(M, problem.blocks).bound, np.asarray(gain, float)
-
-
-def _mu_figures(
-    design: Design, axis: DesignAxis, problem: Structured, K: LinearSystem, bounds: Bounds, judged: Judgement
-) -> dict[str, Any]:
-    assert design.uncertainty is not None
-    omega, upper = bounds.omega, bounds.upper.bound
-    lower, nominal = over_frequency(problem, K, omega)
-    k = np.unique(np.append(np.linspace(0, len(omega) - 1, LISTED).astype(int), upper.argmax()))
-    return {
-        "mu_upper": bounds.peak,
-        "mu_lower": float(lower.max()),
-        "mu_peak_rad_s": bounds.peak_rad_s,
-        "nominal_performance": float(nominal.max()),
-        **described(design, axis, judged, K),
-        "mu": {
-            "omega_rad_s": [float(w) for w in omega[k]],
-            "upper": [float(v) for v in upper[k]],
-            "lower": [float(v) for v in lower[k]],
-        },
-        "uncertainty": design.uncertainty.model_dump(mode="json"),
-    }

@@ -116,17 +116,17 @@ def balanced(K: LinearSystem) -> LinearSystem:
     return LinearSystem(left.T @ K.A @ right, left.T @ K.B, K.C @ right, K.D, K.period_s)
 
 
-def reduced(K: LinearSystem, inputs: Array, share: float) -> tuple[LinearSystem, float]:
-    """Return a system without the states below `share` of the largest, and how far it is off at most.
+def reduced(K: LinearSystem, inputs: Array, share: float) -> LinearSystem:
+    """Return a system without the states below `share` of the largest.
 
     D-K iteration makes controllers whose poles and zeros all but cancel. In balanced coordinates, where a
     state is as easy to move by the inputs as to see in the outputs, its Hankel singular value says what it is
     worth. Balanced truncation (B. C. Moore 1981; K. Glover 1984): the response, from inputs of the sizes
-    `inputs` (m,), is off at no frequency by more than twice the sum of the values left out: returned as a
-    share of the largest. An unstable system has no Gramians and is returned as it is.
+    `inputs` (m,), is off at no frequency by more than twice the sum of the values left out. An unstable
+    system has no Gramians and is returned as it is.
     """
     if not K.is_stable():
-        return K, 0.0
+        return K
     A, T = matrix_balance(K.A)
     B, C = np.linalg.solve(T, K.B) * inputs, K.C @ T
     L_c = _factor(solve_continuous_lyapunov(A, -B @ B.T))
@@ -134,8 +134,7 @@ def reduced(K: LinearSystem, inputs: Array, share: float) -> tuple[LinearSystem,
     right, left, s = _balancing(L_c, L_o)
     n = int((s > share * s[0]).sum())
     right, left = right[:, :n], left[:, :n]
-    kept = LinearSystem(left.T @ A @ right, left.T @ B / inputs, C @ right, K.D)
-    return kept, 2.0 * float(s[n:].sum() / s[0])
+    return LinearSystem(left.T @ A @ right, left.T @ B / inputs, C @ right, K.D)
 
 
 def _balancing(L_c: Array, L_o: Array) -> tuple[Array, Array, Array]:

@@ -67,14 +67,9 @@ def _without(sign: sp.Expr, expression: sp.Expr) -> sp.Expr:
         odd += coefficient if power % 2 else 0
         even += coefficient if power and power % 2 == 0 else 0
     quotients = [sp.cancel(sp.together(part) / u) for part in (odd, even)]
-    if any(q != 0 and _divides_by(q, u) for q in quotients):
+    if any(not sp.denom(sp.together(q)).free_symbols.isdisjoint(u.free_symbols) for q in quotients):
         raise ModelError(f"{expression} jumps at {u} = 0, or is not shown not to")
     return without + even + quotients[0] * sp.Abs(u)
-
-
-def _divides_by(quotient: sp.Expr, u: sp.Expr) -> bool:
-    bottom = sp.denom(sp.together(quotient))
-    return bool(bottom.free_symbols) and not bottom.free_symbols.isdisjoint(u.free_symbols)
 
 
 def lie_derivative(

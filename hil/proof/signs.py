@@ -105,7 +105,8 @@ class Signs:
         if not self.enclosable(g):
             freed = self.freed(g)
             return freed is not None and self.own(freed) == states and self.definite(freed)
-        if self._definite_by_structure(g, states):
+        zeros = self._structure(g)
+        if zeros is not None and all(set(states) <= {_root(e) for e in branch} for branch in zeros):
             return True
         ranges = self._ranges(g)
         sides = tuple(self.sides[x] for x in states)
@@ -129,10 +130,6 @@ class Signs:
         if self.enclosable(g):
             return quadratic.definite_form(S, self._ranges(g), self.budget)
         return all(self.sign(minor) == 1 for minor in quadratic.leading_minors(S))
-
-    def _definite_by_structure(self, g: sp.Expr, states: tuple[sp.Symbol, ...]) -> bool:
-        zeros = self._structure(g)
-        return zeros is not None and all(set(states) <= {_root(e) for e in branch} for branch in zeros)
 
     def _ranges(self, g: sp.Expr) -> Ranges:
         return {p: self.sides[p] for p in self.system.ranges if p in g.free_symbols}

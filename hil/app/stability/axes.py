@@ -9,6 +9,7 @@ from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control.law import ErrorDynamics, LawSettings
 from hil.control.state_space import StateSpaceSettings
+from hil.design.stability.monitor import horizon_s
 from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import Sampled, analyse, gains
 from hil.design.stability.sampled_loop import sampled_controller
@@ -89,13 +90,11 @@ def bounded(
 ) -> Judged:
     """Return the loop of a law with these gains, and its bound. d, m/s^2, and alpha: of its uncertainty."""
     assert law.believed is not None
-    delay = law.lookahead
-    ahead_s = 0.0 if delay is None else 1e-3 * (delay.bus_ms + delay.drive_lag_ms + delay.hold_ms)
 
     def loops(gain: float) -> list[Sampled]:
         return sampled(subject, law, K_P, K_D, gain)
 
-    return subject.judged(law.believed, axes, loops, ahead_s, d, alpha)
+    return subject.judged(law.believed, axes, loops, horizon_s(law.lookahead), d, alpha)
 
 
 def sampled(subject: Subject, law: LawSettings, K_P: Array, K_D: Array, gain: float) -> list[Sampled]:

@@ -66,7 +66,7 @@ def build_watch(
         J = jacobian(platform, *home)
         columns = [np.abs(solve(J, leg)) for leg in np.eye(6)]
         noise = columns[0] + columns[1] + columns[2] + columns[3] + columns[4] + columns[5]
-    h = _horizon_s(controller.lookahead)
+    h = horizon_s(controller.lookahead)
     disturbance *= 1.0 + h * (K_D + K_P * h / 2.0)
     g = np.sqrt(P[:, 1, 1])
     constants = np.zeros((rule.CONSTANTS, 6))
@@ -91,7 +91,7 @@ def build_watch(
     return Watch(constants, held + ceil(lag_s * LAGS / period_s))
 
 
-def _horizon_s(delay: DelayCompensation | None) -> float:
+def horizon_s(delay: DelayCompensation | None) -> float:
     """Return how far the law looks ahead, s: what disturbs it until then it does not see coming."""
     return 0.0 if delay is None else 1e-3 * (delay.bus_ms + delay.drive_lag_ms + delay.hold_ms)
 

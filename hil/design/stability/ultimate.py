@@ -126,6 +126,8 @@ def ultimate(
     samples = [path[k] for k in _worst(found_along.d)]
     every = max(1, len(path) // INSTANTS)
     extremes = np.vstack(found_along.extremes[::every])
+    largest = np.abs(extremes).max(axis=0)
+    hull = np.divide(extremes, largest, out=np.zeros_like(extremes), where=largest > ROUNDING)
     gains = np.column_stack(of_each(loops, lambda loop: loop.peak_gains()[:3]))
     found = _bound(reference, gains, late, extra)
     equal = bool(np.ptp(gains, axis=1).max() == 0.0) and not extra.d.any()
@@ -134,7 +136,7 @@ def ultimate(
     for _ in range(ROUNDS):
         if isinstance(found, str) or not found.d.max() > ROUNDING:
             return found
-        shape = _normalised(extremes) if equal else _SIGNS
+        shape = hull if equal else _SIGNS
         before = found
         errors, rates = 1.02 * before.error * shape, 1.02 * before.rate * shape
         tube = linearised.around(samples, errors, rates, late.stale_s)
@@ -159,13 +161,6 @@ def _worst(d: Array) -> list[int]:
         else:  # of equal ones the last
             chosen.add(int(np.flatnonzero(~(of_axis < of_axis.max() - ROUNDING))[-1]))
     return sorted(chosen)
-
-
-def _normalised(extremes: Array) -> Array:
-    """Return each column over its largest magnitude; zero where nothing disturbs."""
-    largest = np.abs(extremes).max(axis=0)
-    shape = np.divide(extremes, largest, out=np.zeros_like(extremes), where=largest > ROUNDING)
-    return np.asarray(shape, float)
 
 
 def _bound(s: Survey, gains: Array, late: Late, extra: Extra) -> Ultimate | str:

@@ -158,10 +158,8 @@ def _convolved(x: Array, h: Array) -> Array:
 
 def _between(t: Array, times: Array, values: Array) -> Array:
     """Return values (n, ...) at rising `times` (n,) for other times t, in proportion; beyond, the nearest."""
-    k = np.clip(np.searchsorted(times, t, side="right") - 1, 0, len(times) - 2)
-    share = np.clip((t - times[k]) / (times[k + 1] - times[k]), 0.0, 1.0)
-    share = share.reshape(-1, *[1] * (values.ndim - 1))
-    return np.asarray((1.0 - share) * values[k] + share * values[k + 1], float)
+    columns = [np.interp(t, times, column) for column in values.reshape(len(times), -1).T]
+    return np.stack(columns, axis=-1).reshape(len(t), *values.shape[1:])
 
 
 def _lagged(x: Array, lag_s: float, step_s: float) -> Array:

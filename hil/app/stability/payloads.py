@@ -3,7 +3,7 @@
 No payload is the worst in everything: the lightest leaves the least delay to spare, the heaviest sags most.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import inf
 from typing import Any
 
@@ -12,7 +12,7 @@ import numpy as np
 from hil.app.stability.wording import Assessment
 
 WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
-FIGURES = (
+FIGURES: tuple[tuple[str, str, Callable[..., int]], ...] = (
     ("largest_pole", "largest |z| {:.4f}", max),
     ("delay_margin_ms", "further delay {:.3g} ms", min),
     ("sag_mm", "sag {:.3g} mm", max),

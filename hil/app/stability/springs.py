@@ -172,7 +172,7 @@ def law_forces(subject: Subject, law: SpringSettings) -> Forces:
             tick[name] = value
         tick["q"] = leg_lengths_kernel(*joints, p, R)
         built.effort(tick)
-        return held + tick["tau_law"]
+        return np.asarray(held + tick["tau_law"], float)
 
     return tau
 

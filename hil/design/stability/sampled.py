@@ -77,7 +77,7 @@ class Sampled(NamedTuple):
 
     def impulse_responses(self) -> Array:
         """Return what e, de and u (n, 3) are at the samples after d = 1 for one period."""
-        return self._answers(self.loop.B[:, :1])[..., 0]
+        return np.asarray(self._answers(self.loop.B[:, :1])[..., 0], float)
 
     def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
         """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by.

@@ -141,7 +141,7 @@ def margins(loop: LinearSystem) -> Margins:
     assert loop.period_s is not None
 
     def L(omega: Array) -> ComplexArray:
-        return loop.response(omega)[:, :, 0]
+        return np.asarray(loop.response(omega)[:, :, 0], np.complex128)
 
     omega = grid(loop.period_s)
     value = L(omega)[:, 0]

@@ -104,7 +104,8 @@ class Springs(NamedTuple):
         def loci(omega: Array) -> ComplexArray:
             """Return the eigenvalues (n, 6), the largest first."""
             values = np.linalg.eigvals(law.response(omega) @ robot.response(omega))
-            return np.take_along_axis(values, np.argsort(-np.abs(values), axis=1), axis=1)
+            order = np.argsort(-np.abs(values), axis=1)
+            return np.asarray(np.take_along_axis(values, order, axis=1), np.complex128)
 
         grid = np.geomspace(1e-4, 1.0, 1500) * top
         near = np.sort(np.concatenate([grid, peaks * (1.0 - 1e-7), peaks * (1.0 + 1e-7)]))  # narrow peaks

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import click
 import numpy as np
+from mcap.reader import make_reader
 
 from drivers.frame_array import NO_FRAMES
 from hil.app.compose import build_cycle, build_nodes, record
@@ -26,7 +27,6 @@ from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.tick_row import Given, Ticks
 from hil.record.log import Log
-from hil.record.mcap_read import read_summary
 from tools.benchmarks.benchmark import patient
 from tools.benchmarks.figures import Figure, Mark, lines
 from tools.benchmarks.live import live_run
@@ -119,7 +119,7 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
     lost = closed.dropped + closed.lost
     trouble = ", ".join(filter(None, (ending.trouble, closed.error, f"{lost} ticks lost" if lost else "")))
     different = 0 if closed.error else differences(c, first, log)
-    chunks = 0 if closed.error else read_summary(log)[0].chunk_count
+    chunks = 0 if closed.error else _chunks(log)
     loop, recorder = (b - a for a, b in zip(seen[0], seen[-1], strict=True)) if seen else (0.0, 0.0)
     if not (trouble or different):
         log.unlink()
@@ -129,6 +129,13 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
     grown = loop, recorder - (1.0 - SETTLED) * chunks * CHUNK_MB
     held = resident_MB(os.getpid()), len(list(Path("/proc/self/fd").iterdir()))
     return Shift(first, closed.ticks, crossed, wall_s, trouble, different, grown, held)
+
+
+def _chunks(path: Path) -> int:
+    """Count the chunks of a log by its index."""
+    with path.open("rb") as file:
+        summary = make_reader(file).get_summary()
+    return len(summary.chunk_indexes) if summary else 0
 
 
 def differences(c: Configuration, first: int, path: Path) -> int:

@@ -7,16 +7,16 @@ The only importer of pandas, which is an extra.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from enum import IntFlag
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drivers.arrays import Ints, Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
+from hil.record.log_file import LogFile
 from hil.record.schema import CONFIGURATION, IDENTITY, RUN
 from hil.record.selection import Component, components, name_of
 
@@ -33,35 +33,21 @@ CLOCK_NS = 10_000_000_000
 """The clocks of two logs of one run started at UTC instants that differ by less."""
 
 
-class Readable(Protocol):
-    """What a table is made of: `hil.record.log.Log`."""
-
-    path: Path
-    columns: tuple[Column, ...]
-    epoch_ns: int
-    lockstep: bool
-    metadata: dict[str, dict[str, str]]
-    attachments: dict[str, bytes]
-
-    @property
-    def origin_ns(self) -> int:
-        """`t_ns` of the first row."""
-
-    @property
-    def plant(self) -> Readable:
-        """The plant's log of the same run."""
-
-    def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
-        """Return rows in tick order."""
-
-
-def pandas() -> Any:
-    """Return pandas.
+def data_frame(
+    log: LogFile,
+    plant: Callable[[], LogFile],
+    names: Sequence[str],
+    start_s: float | None,
+    stop_s: float | None,
+    *,
+    numbers: bool,
+) -> pd.DataFrame:
+    """Return columns of a log, and of its plant's, as `hil.record.log.Log.frame` describes it.
 
     Raises
     ------
     LogError
-        It is not installed.
+        No such column, pandas is not installed, or the plant's log is missing or of another run.
 
     """
     try:
@@ -71,14 +57,6 @@ def pandas() -> Any:
             f"a DataFrame needs pandas, which is not installed ({error}): "
             'pip install "hexapod-hil[analysis]"; Log.rows() gives NumPy arrays without it'
         ) from error
-    return pd
-
-
-def data_frame(
-    log: Readable, names: Sequence[str], start_s: float | None, stop_s: float | None, *, numbers: bool
-) -> pd.DataFrame:
-    """Return columns of a log, and of its plant's, as `hil.record.log.Log.frame` describes it."""
-    pd = pandas()
     theirs = [name for name in names if name.split(".")[0] == PLANT]
     own = [name for name in names if name not in theirs]
     parts = components(log.columns, own, str(log.path)) if own or not theirs else []
@@ -87,41 +65,36 @@ def data_frame(
     values: dict[str, Any] = {part.label: part.of(rows) for part in parts}
     if theirs:
         whole = start_s is None and stop_s is None
-        more, added = _of_plant(log, rows, [name.partition(".")[2] for name in theirs], whole=whole)
+        more, added = _of_plant(log, plant(), rows, [name.partition(".")[2] for name in theirs], whole=whole)
         values |= added
         parts += more
-    if not numbers:
-        values |= {part.label: named(part.column, values[part.label]) for part in parts if part.column.names}
+    for part in parts:
+        if part.column.names and not numbers:
+            values[part.label] = pd.Categorical.from_codes(*_categories(part.column, values[part.label]))
     t_s = pd.Index((rows["t_ns"] - log.origin_ns) * 1e-9, name="t_s")
     frame = pd.DataFrame(values, index=t_s, copy=False)
-    frame.attrs = attributes(parts) | {"epoch_ns": log.epoch_ns, "log": str(log.path)}
-    assert isinstance(frame, pd.DataFrame)
+    frame.attrs = {
+        "units": {part.label: part.unit for part in parts},
+        "meanings": {part.label: part.column.meaning for part in parts},
+        "epoch_ns": log.epoch_ns,
+        "log": str(log.path),
+    }
     return frame
 
 
-def attributes(parts: Sequence[Component]) -> dict[str, dict[str, str]]:
-    """Return units and meanings by column."""
-    return {
-        "units": {part.label: part.unit for part in parts},
-        "meanings": {part.label: part.column.meaning for part in parts},
-    }
+def _categories(column: Column, values: Ints) -> tuple[Ints, list[str]]:
+    """Return the place of each number (n,) among the names of a column, and these names.
 
-
-def named(column: Column, values: Ints) -> Any:
-    """Return numbers (n,) of a column by name: a pandas Categorical.
-
-    Names of an enumeration stand in their order; flags are joined by `|`, `NONE` where none is set; a number
-    without a name stands as itself. Missing values, nan, stay missing.
+    Names of an enumeration stand in their order; a number without a name stands as itself. Missing values,
+    nan, have the place -1.
     """
-    pd = pandas()
     there = np.isfinite(values)
     found, places = np.unique(values[there].astype(np.int64), return_inverse=True)
     names = [name_of(column, number) for number in found.tolist()]
     categories = names if issubclass(column.type, IntFlag) else list(dict.fromkeys([*column.names, *names]))
-    order = {name: k for k, name in enumerate(categories)}
     codes = np.full(len(values), -1, np.int64)
-    codes[there] = np.array([order[name] for name in names], np.int64)[places]
-    return pd.Categorical.from_codes(codes, categories)
+    codes[there] = np.array([categories.index(name) for name in names], np.int64)[places]
+    return codes, categories
 
 
 def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> Ints:
@@ -157,7 +130,7 @@ def _nearest(there: Ints, wanted: Ints) -> Ints:
     return nearest
 
 
-def require_one_run(log: Readable, plant: Readable, places: Ints) -> None:
+def require_one_run(log: LogFile, plant: LogFile, places: Ints) -> None:
     """Refuse two logs whose clocks, ticks or configurations do not fit each other.
 
     In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, both ends
@@ -186,29 +159,25 @@ def require_one_run(log: Readable, plant: Readable, places: Ints) -> None:
         )
 
 
-def _period_ns(log: Readable) -> float | None:
-    """Return the period of the loop; None where the log does not say it."""
-    try:
-        return 1e9 / float(log.metadata[IDENTITY]["rate_Hz"])
-    except (KeyError, ValueError, ZeroDivisionError):
-        return None
-
-
 def _of_plant(
-    log: Readable, rows: Rows, names: Sequence[str], *, whole: bool
+    log: LogFile, plant: LogFile, rows: Rows, names: Sequence[str], *, whole: bool
 ) -> tuple[list[Component], dict[str, Any]]:
     """Return the plant's components that are named ("": all), and their values at the ticks of `rows`.
 
     whole: the rows are all of the log, of which the plant has to have heard one.
     """
-    plant = log.plant
     chosen = components(plant.columns, [] if "" in names else names, str(plant.path))
     truth = plant.rows(*({part.column.name for part in chosen} | set(SYNC)))
-    places = plant_rows_of(rows, truth, _period_ns(log))
+    try:
+        period_ns = 1e9 / float(log.metadata[IDENTITY]["rate_Hz"])
+    except (KeyError, ValueError, ZeroDivisionError):
+        period_ns = None
+    places = plant_rows_of(rows, truth, period_ns)
     require_one_run(log, plant, places if whole else places[:0])
-    values = {}
+    parts, values, there = [], {}, places >= 0
     for part in chosen:
-        there = np.full(len(rows), np.nan)
-        there[places >= 0] = part.of(truth)[places[places >= 0]]
-        values[f"{PLANT}.{part.label}"] = there
-    return [part._replace(label=f"{PLANT}.{part.label}") for part in chosen], values
+        found = np.full(len(rows), np.nan)
+        found[there] = part.of(truth)[places[there]]
+        parts.append(part._replace(label=f"{PLANT}.{part.label}"))
+        values[parts[-1].label] = found
+    return parts, values

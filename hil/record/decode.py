@@ -4,8 +4,7 @@ Rows and frames are taken apart in whole batches, as our recorder lays them out;
 encoded in another way is refused. Commands and events are read by protobuf.
 """
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator
 from functools import cached_property
 from typing import Any
 
@@ -18,18 +17,29 @@ from numpy.typing import NDArray
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.frame_array import FRAME
-from drivers.tick_columns import Column
+from hil.record.entries import Command, Event
 from hil.record.layout import RECORD_HEADER, frame_table
 from hil.record.mcap_read import MessageTable
-from hil.record.row import RowCodec
-from hil.record.schema import CAN_TOPIC, EVENTS_TOPIC, OPERATOR_TOPIC, message_class, operator_schema
-from hil.record.unpack import ITEM_WORDS, Kernels, constants_of, kernels_for, words_of
+from hil.record.row import RowCodec, Run, Table, completed
+from hil.record.schema import (
+    CAN_TOPIC,
+    EVENTS_TOPIC,
+    LEVEL_NAMES,
+    OPERATOR_TOPIC,
+    message_class,
+    operator_schema,
+)
+from hil.record.unpack import ITEM_WORDS, Kernels, constants_of, kernels_for, unpack_rows, words_of
+from hil.signals import NUMBERS, Operator
 
 ITEM = np.dtype([("frame", FRAME), ("tick", "<i8"), ("index", "<i8")])
 """A frame as the recorder has it, and its place: its tick, and its number in it."""
 REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 """What protobuf, NumPy and Python raise of tables and messages of unknown making."""
 
+_OPERATORS = frozenset(map(int, Operator))
+_SEQUENCE = 0xFFFFFFFF
+"""A message has this part of its tick in its head."""
 _OTHER_LAYOUT = "its layout is not that of the recorder"
 
 
@@ -43,8 +53,7 @@ def why(error: Exception) -> str:
 class Decoder:
     """Decodes the messages of one log. State: the channels met so far, and what to expect."""
 
-    def __init__(self, name: str, log_bytes: int = 0) -> None:
-        self._name = name
+    def __init__(self, log_bytes: int = 0) -> None:
         self._log_bytes = log_bytes
         self._topics: dict[int, str] = {}
         self._classes = {OPERATOR_TOPIC: message_class(operator_schema()), EVENTS_TOPIC: Log}
@@ -53,16 +62,15 @@ class Decoder:
         """Take note of a channel."""
         self._topics[channel.id] = channel.topic
 
-    def expect(
-        self, topic: str, columns: Sequence[Column], can_channels: Sequence[str], epoch_ns: int
-    ) -> None:
-        """Set the topic and columns of the rows, the names of the buses and the UTC of t_ns = 0."""
-        self._topic = topic
-        frames, table = frame_table([name.encode() for name in can_channels])
-        self._frame = epoch_ns, *constants_of(frames), table
-        row = RowCodec(columns)
-        self.dtype, self._size = row.dtype, row.layout.template.size
-        self._row = *constants_of(row.layout), row.read
+    def expect(self, run: Run) -> None:
+        """Set what the log says of its rows and frames; columns of LATER that it lacks are nan."""
+        self._topic = run.topic
+        frames, table = frame_table([name.encode() for name in run.can_channels])
+        self._frame = run.epoch_ns, *constants_of(frames), table
+        row = RowCodec(run.columns)
+        self._size, self._tick = row.layout.template.size, row.read[_word_of(row.dtype, "tick")]
+        self._row = row.layout, row.read
+        self.dtype = Table(run.topic, completed(run.columns)).dtype
 
     @cached_property
     def kernels(self) -> Kernels:
@@ -71,52 +79,98 @@ class Decoder:
 
     def messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
         """Return which messages of a table are of a topic."""
-        found = np.zeros(len(table.channel), np.bool_)
-        for number, each in self._topics.items():
-            if each == topic:
-                found |= table.channel == number
-        return np.flatnonzero(found)
+        numbers = [number for number, each in self._topics.items() if each == topic]
+        return np.flatnonzero(np.isin(table.channel, numbers))
 
-    def messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
+    def require_order(self, data: bytes, table: MessageTable, last: int) -> int:
+        """Return the tick of the last row of a buffer; `last` is that of the one before.
+
+        A recorder writes a tick as its row and behind it its frames and commands.
+
+        Raises
+        ------
+        LogError
+            Rows are not in the order of their ticks, or something stands elsewhere than behind its row.
+
+        """
+        rows = self.messages_of(table, self._topic)
+        if (table.length[rows] != self._size).any():
+            raise _other(self._topic, _OTHER_LAYOUT)
+        ticks = np.concatenate(([last], words_of(data)[table.offset[rows] + self._tick]))
+        wrong = (np.diff(ticks) <= 0).any() or (ticks[1:] & _SEQUENCE != table.sequence[rows]).any()
+        for topic in (CAN_TOPIC, OPERATOR_TOPIC):
+            mine = self.messages_of(table, topic)
+            own = ticks[np.searchsorted(rows, mine)]
+            wrong |= (own & _SEQUENCE != table.sequence[mine]).any()
+        if wrong:
+            raise LogError(
+                f"its messages are not in the order of a recorder, near tick {max(ticks[-1], 0)}: another "
+                "program has sorted or changed them"
+            )
+        return int(ticks[-1])
+
+    def counts(self, _: bytes, table: MessageTable) -> tuple[int, int]:
+        """Return the rows and frames in a buffer."""
+        return len(self.messages_of(table, self._topic)), len(self.messages_of(table, CAN_TOPIC))
+
+    def _messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
         """Yield the commands or events in a buffer."""
         for i in self.messages_of(table, topic).tolist():
-            start = int(table.offset[i])
-            with self.understood(topic):
-                yield self._classes[topic].FromString(
-                    data[start + RECORD_HEADER : start + int(table.length[i])]
+            start, stop = int(table.offset[i]) + RECORD_HEADER, int(table.offset[i] + table.length[i])
+            try:
+                yield self._classes[topic].FromString(data[start:stop])
+            except REFUSED as error:
+                raise _other(topic, why(error)) from None
+
+    def events(self, data: bytes, table: MessageTable) -> list[Event]:
+        """Return the events in a buffer."""
+        found = []
+        for message in self._messages(data, table, EVENTS_TOPIC):
+            t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self._frame[0]
+            found.append(Event(t_ns, LEVEL_NAMES.get(message.level, "info"), message.message))
+        return found
+
+    def commands(self, data: bytes, table: MessageTable) -> list[Command]:
+        """Return the operator's commands in a buffer."""
+        found = []
+        for message in self._messages(data, table, OPERATOR_TOPIC):
+            each = Command(message.tick, message.index, message.command, tuple(message.setpoint))
+            if each.operator not in _OPERATORS:
+                raise _other(OPERATOR_TOPIC, f"there is no command {each.operator}")
+            wanted = NUMBERS.get(each.operator, len(each.numbers))
+            if len(each.numbers) != wanted:
+                raise LogError(
+                    f"the operator's command of tick {each.tick} has {len(each.numbers)} numbers, "
+                    f"allowed: {wanted}"
                 )
-
-    @contextmanager
-    def understood(self, topic: str) -> Iterator[None]:
-        """Turn what a message of unknown making can raise into a LogError."""
-        try:
-            yield
-        except REFUSED as error:
-            raise self._other(topic, why(error)) from None
-
-    def _other(self, topic: str, what: str) -> LogError:
-        return LogError(f"{self._name}: a message of {topic} is damaged or of another kind: {what}")
+            found.append(each)
+        return found
 
     def rows(self, data: bytes, table: MessageTable) -> Rows:
         """Return the rows in a buffer, in its order."""
         mine = self.messages_of(table, self._topic)
-        if (table.length[mine] != self._size).any():
-            raise self._other(self._topic, _OTHER_LAYOUT)
-        rows = np.empty(len(mine), self.dtype)
-        matrix = rows.view(np.int64).reshape(len(mine), self.dtype.itemsize // 8)
-        if not self.kernels.rows(words_of(data), table.offset[mine], *self._row, matrix):
-            raise self._other(self._topic, _OTHER_LAYOUT)
-        return rows
+        matrix = np.full((len(mine), self.dtype.itemsize // 8), np.nan).view(np.int64)
+        if not unpack_rows(data, table.offset[mine], *self._row, matrix):
+            raise _other(self._topic, _OTHER_LAYOUT)
+        return matrix.view(self.dtype)[:, 0]
 
     def frames(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
         mine = self.messages_of(table, CAN_TOPIC)
         items = np.zeros(len(mine), ITEM)
         matrix = items.view(np.int64).reshape(len(mine), ITEM_WORDS)
+        where = table.offset[mine], table.length[mine]
         with np.errstate(over="ignore"):  # of damaged times
-            read = self.kernels.frames(
-                words_of(data), table.offset[mine], table.length[mine], *self._frame, matrix
-            )
-        if read < len(mine):
-            raise self._other(CAN_TOPIC, _OTHER_LAYOUT)
+            read = self.kernels.frames(words_of(data), *where, *self._frame, matrix)
+        if read < len(mine) or (items["tick"] & _SEQUENCE != table.sequence[mine]).any():
+            raise _other(CAN_TOPIC, _OTHER_LAYOUT)
         return items
+
+
+def _other(topic: str, what: str) -> LogError:
+    return LogError(f"a message of {topic} is damaged or of another kind: {what}")
+
+
+def _word_of(dtype: np.dtype[np.void], name: str) -> int:
+    """Return which word of a row a column begins with."""
+    return dtype.fields[name][1] // 8  # type: ignore[index]

@@ -20,6 +20,8 @@ class Tolerance(NamedTuple):
 
 
 EXACT = Tolerance()
+named = name_of
+"""A value as text."""
 
 
 class Place(NamedTuple):
@@ -151,8 +153,3 @@ def _difference(a: Array, b: Array) -> Array:
         difference = np.maximum(difference, 1.0)  # of large whole numbers that one float64 stands for
     found: Array = np.where(same, 0.0, np.nan_to_num(difference, nan=np.inf, posinf=np.inf))
     return found
-
-
-def named(column: Column, value: float) -> str:
-    """Return a value as text: by its name, flags joined, where the column has names."""
-    return name_of(column, int(value)) if column.names else repr(value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -15,17 +15,16 @@ from hil.record.ring import SENT
 from hil.record.selection import as_bytes
 from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
-Commands = dict[int, list[tuple[int, int, tuple[float, ...]]]]
-"""By tick: index, command and its numbers."""
-
 
 class Tick:
-    """One recorded tick."""
-
-    _fields = ("row", "received", "sent", "operator", "setpoints", "orders")
+    """One recorded tick, made of frames as tuples or as elements of FRAME."""
 
     row: np.void
     """One element of `hil.record.log.Log.dtype`."""
+    received_items: Rows
+    """The frames received as elements of FRAME."""
+    sent_items: Rows
+    """The frames sent, the same."""
     operator: tuple[int, ...]
     """Commands of the operator, numbers of `hil.signals.Operator`."""
     setpoints: tuple[SetPoint, ...]
@@ -43,14 +42,8 @@ class Tick:
         orders: tuple[Order, ...] = (),
     ) -> None:
         self.row, self.operator, self.setpoints, self.orders = row, operator, setpoints, orders
-        if isinstance(received, tuple):
-            self.received = received
-        else:
-            self.received_items = received
-        if isinstance(sent, tuple):
-            self.sent = sent
-        else:
-            self.sent_items = sent
+        self.received_items = received_array(received) if isinstance(received, tuple) else received
+        self.sent_items = sent_array(sent) if isinstance(sent, tuple) else sent
 
     @cached_property
     def received(self) -> tuple[Received, ...]:
@@ -62,35 +55,21 @@ class Tick:
         """In the order sent, SYNC first."""
         return sent_frames(self.sent_items)
 
-    @cached_property
-    def received_items(self) -> Rows:
-        """The frames received as elements of FRAME, read-only."""
-        return received_array(self.received)
-
-    @cached_property
-    def sent_items(self) -> Rows:
-        """The frames sent, the same."""
-        return sent_array(self.sent)
-
-    def __iter__(self) -> Iterator[Any]:
-        return (getattr(self, name) for name in self._fields)
-
-    def __len__(self) -> int:
-        return len(self._fields)
-
-    def __getitem__(self, place: Any) -> Any:
-        return tuple(self)[place]
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Tick | tuple) and tuple(self) == tuple(other)
-
-    __hash__ = None  # type: ignore[assignment]
-
-    def __repr__(self) -> str:
-        return f"Tick({', '.join(f'{name}={getattr(self, name)!r}' for name in self._fields)})"
-
     def _replace(self, **changes: Any) -> Tick:
-        return Tick(**dict(zip(self._fields, self, strict=True)) | changes)
+        given = {"received": self.received_items, "sent": self.sent_items}
+        given |= {name: getattr(self, name) for name in ("row", "operator", "setpoints", "orders")}
+        return Tick(**given | changes)
+
+
+class Command(NamedTuple):
+    """One recorded command of the operator."""
+
+    tick: int
+    index: int
+    """Its place in the tick."""
+    operator: int
+    """Number of `hil.signals.Operator`."""
+    numbers: tuple[float, ...]
 
 
 class Event(NamedTuple):
@@ -130,23 +109,24 @@ def logged(items: Rows) -> Iterator[LoggedFrame]:
         yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)
 
 
-def assemble(rows: Rows, items: Rows, commands: Commands) -> Iterator[Tick]:
-    """Yield the ticks of `rows`, with their items."""
+def assemble(rows: Rows, items: Rows, commands: Iterable[Command]) -> Iterator[Tick]:
+    """Yield the ticks of `rows`, with their items and commands."""
     key = items["tick"] * 2 + (items["frame"]["kind"] == SENT)
     order = np.lexsort((items["index"], key))
     key, frames = key[order], as_bytes(items["frame"])[order].view(FRAME)
     frames.flags.writeable = False
     wanted = rows["tick"] * 2
     first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in range(3))
+    said: dict[int, list[Command]] = {}
+    for command in sorted(commands):
+        said.setdefault(command.tick, []).append(command)
     for row, tick, a, b, c in zip(rows, rows["tick"].tolist(), first, middle, last, strict=True):
-        received, sent = frames[a:b], frames[b:c]
-        if tick not in commands:
-            yield Tick(row, received, sent, ())
-            continue
-        given = sorted(commands[tick])
-        operator = tuple(command for _, command, _ in given if command not in NUMBERS)
-        setpoints = tuple(SetPoint(*pose) for _, command, pose in given if command == Operator.SETPOINT)
-        orders = tuple(
-            Order(Operator(command), numbers) for _, command, numbers in given if command in ORDERS
+        given = said.get(tick, ())
+        yield Tick(
+            row,
+            frames[a:b],
+            frames[b:c],
+            tuple(each.operator for each in given if each.operator not in NUMBERS),
+            tuple(SetPoint(*each.numbers) for each in given if each.operator == Operator.SETPOINT),
+            tuple(Order(Operator(each.operator), each.numbers) for each in given if each.operator in ORDERS),
         )
-        yield Tick(row, received, sent, operator, setpoints, orders)

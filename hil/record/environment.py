@@ -2,6 +2,7 @@
 
 import os
 import platform
+import re
 import subprocess
 import sys
 from functools import cache
@@ -21,16 +22,16 @@ PACKAGES = (
     "zstandard",
 )
 _POLICIES = {os.SCHED_OTHER: "other", os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr", os.SCHED_BATCH: "batch"}
-_CLOCKSOURCE = Path("/sys/devices/system/clocksource/clocksource0/current_clocksource")
 
 
 def product_version() -> str:
-    """Return the version of this product."""
+    """Version of this product."""
     return _version("hexapod-hil") or "unknown"
 
 
 def environment() -> dict[str, str]:
-    """Return versions, git state, kernel, CPU and clock of this process."""
+    """Versions, git state, kernel, CPU and clock of this process."""
+    cpu = re.search(r"^model name\s*:\s*(.*)", _read("/proc/cpuinfo"), re.MULTILINE)
     found = {
         "version": product_version(),
         "python": f"{platform.python_implementation()} {platform.python_version()}",
@@ -38,9 +39,9 @@ def environment() -> dict[str, str]:
         "system": platform.system(),
         "kernel": f"{platform.release()} {platform.version()}",
         "machine": platform.machine(),
-        "cpu": _cpu(),
+        "cpu": cpu[1].strip() if cpu else platform.processor(),
         "cpus": str(os.cpu_count() or ""),
-        "clock": _clock(),
+        "clock": _read("/sys/devices/system/clocksource/clocksource0/current_clocksource").strip(),
         "byte_order": sys.byteorder,
     }
     found |= {f"package.{name}": _version(name) for name in PACKAGES}
@@ -48,8 +49,11 @@ def environment() -> dict[str, str]:
 
 
 def scheduling() -> dict[str, str]:
-    """Return scheduler and processors of this process: those of a loop only while it runs."""
-    return {"scheduler": _scheduler(), "affinity": ",".join(map(str, sorted(os.sched_getaffinity(0))))}
+    """Scheduler and processors of this process: those of a loop only while it runs."""
+    policy = os.sched_getscheduler(0)
+    name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
+    processors = ",".join(map(str, sorted(os.sched_getaffinity(0))))
+    return {"scheduler": f"{name} {os.sched_getparam(0).sched_priority}", "affinity": processors}
 
 
 @cache
@@ -64,41 +68,19 @@ def _version(name: str) -> str:
 
 @cache
 def _git() -> str:
-    """Return commit (and -dirty) when the sources lie in a repository of their own."""
+    """Commit (and -dirty) where the sources lie in a repository of their own."""
     root = Path(__file__).resolve().parents[2]
+    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     if not (root / ".git").exists():
         return ""
     try:
-        done = subprocess.run(
-            ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"],
-            capture_output=True,
-            text=True,
-            timeout=2.0,
-            check=True,
-        )
+        return subprocess.run(command, capture_output=True, text=True, timeout=2.0, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
-    return done.stdout.strip()
 
 
-def _cpu() -> str:
-    lines = _read(Path("/proc/cpuinfo")).splitlines()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
-
-
-def _scheduler() -> str:
-    policy = os.sched_getscheduler(0)
-    name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
-    return f"{name} {os.sched_getparam(0).sched_priority}"
-
-
-def _clock() -> str:
-    return _read(_CLOCKSOURCE).strip()
-
-
-def _read(path: Path) -> str:
+def _read(path: str) -> str:
     try:
-        return path.read_text(errors="replace")
+        return Path(path).read_text(errors="replace")
     except OSError:
         return ""

@@ -1,11 +1,10 @@
 """What a run was like: figures and a picture from its recorded rows."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from drivers.files import whole_file
@@ -24,12 +23,14 @@ def figures(rows: Rows) -> dict[str, Any]:
     tracking = rows["mode"] == Mode.TRACKING
     held = rows["mode"] == Mode.HELD
     powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING) | held
+    faults = int(np.bitwise_or.reduce(rows["faults"]))
     result: dict[str, Any] = {
         "ticks": len(rows),
         "duration_s": float((rows["t_ns"][-1] - rows["t_ns"][0]) * 1e-9) if len(rows) else 0.0,
         "final_mode": name_of(COLUMNS["mode"], int(rows["mode"][-1])) if len(rows) else None,
-        "faults": _names(Fault, np.bitwise_or.reduce(rows["faults"])) if len(rows) else [],
-        "tracking": {"ticks": int(tracking.sum())} | errors(_only(rows, tracking, FOLLOWED)),
+        "faults": [str(fault.name) for fault in Fault if faults & fault],
+        "tracking": {"ticks": int(tracking.sum())}
+        | errors({name: rows[name][tracking] for name in FOLLOWED}),
         "peak_force_N": float(np.abs(rows["tau"]).max(initial=0.0)),
         "limited_ticks": limited_ticks(rows),
         "pushes": pushes(rows),
@@ -63,20 +64,15 @@ def bus_troubles(rows: Rows) -> dict[str, int]:
     """
     state = rows["bus_state"]
     before = np.concatenate([[BusState.UNKNOWN], state])[:-1]
-    entered = {
-        name: int(np.count_nonzero((state == level) & (before < level)))
-        for name, level in (
-            ("error_warning", BusState.WARNING),
-            ("error_passive", BusState.PASSIVE),
-            ("bus_off", BusState.OFF),
-        )
-    }
+    levels = {"error_warning": BusState.WARNING, "error_passive": BusState.PASSIVE, "bus_off": BusState.OFF}
     return {
         "error_frames": int(rows["bus_errors"].sum()),
         "frames_not_taken": int(rows["sends_failed"].sum()),
         "receptions_lost": int(rows["bus_overflow"].sum()),
         "off_ticks": int(np.count_nonzero(rows["bus_off"])),
-        **entered,
+        **{
+            name: int(np.count_nonzero((state == level) & (before < level))) for name, level in levels.items()
+        },
     }
 
 
@@ -117,7 +113,7 @@ def certificate(rows: Rows) -> dict[str, Any]:
     return result | {"alarms": int(np.count_nonzero(alarm[1:] & ~alarm[:-1]) + alarm[0])}
 
 
-def pose_errors(rows: Rows) -> tuple[Array, Array]:
+def pose_errors(rows: Rows | Mapping[str, Array]) -> tuple[Array, Array]:
     """Return the errors of position (n, 3) in mm and of rotation, a rotation vector (n, 3) in deg."""
     return 1e3 * (rows["p_d"] - rows["p"]), np.rad2deg(rotation_errors(rows["R_d"], rows["R"]))
 
@@ -126,9 +122,9 @@ FOLLOWED = ("q_d", "q", "p_d", "p", "R_d", "R", "tau", "dq")
 """Columns of `errors`."""
 
 
-def errors(rows: Rows) -> dict[str, float]:
+def errors(rows: Rows | Mapping[str, Array]) -> dict[str, float]:
     """Return the figures of rows that follow a reference: leg error, distance, angle; empty without rows."""
-    if not len(rows):
+    if not len(rows["q"]):
         return {}
     e_mm = (rows["q_d"] - rows["q"]) * 1e3
     p_mm, r_deg = pose_errors(rows)
@@ -142,23 +138,11 @@ def errors(rows: Rows) -> dict[str, float]:
     }
 
 
-def _only(rows: Rows, where: NDArray[np.bool_], names: Sequence[str]) -> Rows:
-    """Return some columns of some rows: a long run has no room for a copy of all of them."""
-    found = np.empty(int(where.sum()), [(name, rows.dtype[name]) for name in names])
-    for name in names:
-        found[name] = rows[name][where]
-    return found
-
-
 def _percentiles(values: Array) -> dict[str, float]:
     if not len(values):
         return {}
     p50, p99 = np.percentile(values, [50, 99])
     return {"p50": float(p50), "p99": float(p99), "max": float(values.max())}
-
-
-def _names(kind: type[Fault], bits: int) -> list[str]:
-    return [str(member.name) for member in kind if int(bits) & member]
 
 
 def picture(rows: Rows, path: Path, title: str) -> Path:

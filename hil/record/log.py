@@ -3,33 +3,26 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cached_property
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
 from hil.record.decode import ITEM
-from hil.record.entries import Commands, Event, LoggedFrame, Tick, assemble, logged
+from hil.record.entries import Command, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
-from hil.record.mcap_read import MessageTable, read_summary
-from hil.record.row import Table
-from hil.record.schema import CAN_TOPIC, EVENTS_TOPIC, LEVEL_NAMES, OPERATOR_TOPIC, SUMMARY
-from hil.record.selection import Selection, together
-from hil.signals import NUMBERS, Operator
+from hil.record.schema import SUMMARY
+from hil.record.selection import together
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"]
 
-_BATCH, _LOOKAHEAD = 256, 64
-"""Ticks read before any is handed out, and how far other writers may have moved a message."""
 _SETTLED_NS = 1_000_000_000
 """A frame is handed out when one so much later has been read."""
 
@@ -86,7 +79,7 @@ class Log(LogFile):
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Log:
-        """Open a log that has to be whole: all of it is read once, and its checksum compared.
+        """Open a log that has to be whole: all of it is read once, and its checksums compared.
 
         Raises
         ------
@@ -97,29 +90,8 @@ class Log(LogFile):
         log = cls(path)
         if log.cut:
             raise LogError(f"{path}: {log.cut}")
-        log.verify()
+        _ = log.summary
         return log
-
-    @property
-    def dtype(self) -> np.dtype[np.void]:
-        """Type of the rows."""
-        return Table(self.topic, self.columns).dtype
-
-    def _rows_of(self, data: bytes, table: MessageTable) -> Rows:
-        """Return the rows in a buffer, nan in columns that the log lacks."""
-        rows = self._decoder.rows(data, table)
-        if rows.dtype.itemsize == self.dtype.itemsize:
-            return rows
-        whole = np.full((len(rows), self.dtype.itemsize // 8), np.nan)
-        whole[:, : rows.dtype.itemsize // 8] = rows.view(np.float64).reshape(
-            len(rows), rows.dtype.itemsize // 8
-        )
-        return whole.view(self.dtype)[:, 0]
-
-    @cached_property
-    def origin_ns(self) -> int:
-        """Where the time `t_s` of a frame begins, the `t_ns` of the first row; 0 without a row."""
-        return next((int(block["t_ns"][0]) for block in self.blocks("t_ns")), 0)
 
     @property
     def plant(self) -> Log:
@@ -141,40 +113,27 @@ class Log(LogFile):
             raise LogError(f"{log.path}: holds {log.topic}, allowed: a log of a plant, {PLANT_TOPIC}")
         return log
 
-    @property
+    @cached_property
     def summary(self) -> LogStatistics:
-        """What is in the log, from its index, or counted where it is cut.
+        """Counts of the whole log; all of it is read once for them, and every checksum compared.
 
         Raises
         ------
         LogError
-            The index is damaged.
+            The file is damaged.
 
         """
-        if self.cut:
-            return self._counted()
-        with self._reading():
-            statistics, topics = read_summary(self.path)
-        counts = {topic: statistics.channel_message_counts.get(i, 0) for i, topic in topics.items()}
-        closing = self.metadata.get(SUMMARY, {})
-        dropped = closing.get("dropped", "0")
+        count, times, end = np.zeros(2, np.int64), np.zeros(0, np.int64), self.metadata.get(SUMMARY, {})
+        for found, more in self._decoded(self._decoder.counts, lambda _, table: table.log_time):
+            count += found
+            times = np.sort(np.append(times, more))[[0, -1]] if len(more) else times
+        dropped = end.get("dropped", "")
         return LogStatistics(
-            ticks=counts.get(self.topic, 0),
-            frames=counts.get(CAN_TOPIC, 0),
-            duration_s=(statistics.message_end_time - statistics.message_start_time) * 1e-9,
+            *count.tolist(),
+            duration_s=float(np.ptp(times)) * 1e-9 if len(times) else 0.0,
             dropped=int(dropped) if dropped.isdecimal() and len(dropped) < 19 else 0,
-            closed=closing.get("closed", "unknown"),
+            closed="cut" if self.cut else end.get("closed", "unknown"),
         )
-
-    def _counted(self) -> LogStatistics:
-        ticks = frames = 0
-        first, last = 1 << 64, 0
-        for _, table in self._buffers():
-            ticks += len(self._decoder.messages_of(table, self.topic))
-            frames += len(self._decoder.messages_of(table, CAN_TOPIC))
-            if len(table.log_time):
-                first, last = min(first, int(table.log_time.min())), max(last, int(table.log_time.max()))
-        return LogStatistics(ticks, frames, max(last - first, 0) * 1e-9, 0, "cut")
 
     def figures(self) -> dict[str, Any]:
         """Return the run's figures as its summary has them: errors, forces, wake-ups, faults.
@@ -229,68 +188,11 @@ class Log(LogFile):
         """
         from hil.record.data_frame import data_frame  # noqa: PLC0415 - pandas: an extra
 
-        return data_frame(self, names, start_s, stop_s, numbers=numbers)
-
-    def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
-        """Return rows in tick order: a structured array (n,), ``rows["tau"]`` is (n, 6).
-
-        Parameters
-        ----------
-        names
-            Columns to read; all where none is given.
-        start_s, stop_s
-            First and last time, s from the first row.
-
-        Raises
-        ------
-        LogError
-            No such column, or the file is damaged.
-
-        """
-        selection = self._selection(names, start_s, stop_s)
-        parts, ticks = [np.zeros(0, selection.dtype)], [np.zeros(0, np.int64)]
-        for data, table in self._buffers():
-            part = selection.within(self._rows_of(data, table))
-            ticks.append(part["tick"].copy())  # a view would keep the whole rows
-            parts.append(selection.of_rows(part))
-        rows, order = together(parts), np.concatenate(ticks)
-        if (np.diff(order) >= 0).all():
-            return rows
-        return rows.take(np.argsort(order, kind="stable"))
-
-    def blocks(
-        self, *names: str, start_s: float | None = None, stop_s: float | None = None
-    ) -> Iterator[Rows]:
-        """Yield what `rows` returns in pieces, reading as it goes: for logs that do not fit into memory.
-
-        Raises
-        ------
-        LogError
-            As `rows`; or another program has moved rows too far from their place.
-
-        """
-        selection = self._selection(names, start_s, stop_s)
-        for ready, _ in self._in_order():
-            within = selection.within(ready)
-            if len(within):
-                yield selection.of_rows(within)
-
-    def _selection(self, names: Sequence[str], start_s: float | None, stop_s: float | None) -> Selection:
-        selection = Selection.of(self.columns, names, str(self.path))
-        if start_s is not None:
-            selection = selection._replace(first_ns=self.origin_ns + start_s * 1e9)
-        if stop_s is not None:
-            selection = selection._replace(last_ns=self.origin_ns + stop_s * 1e9)
-        return selection
+        return data_frame(self, lambda: self.plant, names, start_s, stop_s, numbers=numbers)
 
     def events(self) -> list[Event]:
         """Return all events, in the order of the file."""
-        found = []
-        for data, table in self._buffers():
-            for message in self._decoder.messages(data, table, EVENTS_TOPIC):
-                t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
-                found.append(Event(t_ns, LEVEL_NAMES.get(message.level, "info"), message.message))
-        return found
+        return [event for (events,) in self._decoded(self._decoder.events) for event in events]
 
     def can_frames(self) -> Iterator[LoggedFrame]:
         """Yield the CAN frames in the order of their times, reading as it goes.
@@ -305,8 +207,8 @@ class Log(LogFile):
 
         """
         pending = np.zeros(0, ITEM)
-        for data, table in self._buffers():
-            pending = together((pending, self._decoder.frames(data, table)))
+        for (items,) in self._decoded(self._decoder.frames):
+            pending = together((pending, items))
             if not len(pending):
                 continue
             pending = pending.take(np.argsort(pending["frame"]["t_ns"], kind="stable"))
@@ -322,50 +224,16 @@ class Log(LogFile):
         Raises
         ------
         LogError
-            The file is damaged, or another program has moved messages too far from their tick.
+            The file is damaged.
 
         """
-        commands: Commands = {}
-        for rows, frames in self._in_order(commands):
-            yield from assemble(rows, frames, commands)
-
-    def _in_order(self, commands: Commands | None = None) -> Iterator[tuple[Rows, Rows]]:
-        """Yield rows in tick order, reading as it goes; with `commands`, which it fills, their frames, too.
-
-        Raises LogError for what belongs to ticks that were already handed out.
-        """
-        rows, items, done = np.zeros(0, self.dtype), np.zeros(0, ITEM), -1
-        for buffer in chain(self._buffers(), (None,)):
-            if buffer is not None:
-                rows = together((rows, self._rows_of(*buffer)))
-                if commands is not None:
-                    items = together((items, self._decoder.frames(*buffer)))
-                    self._read_commands(*buffer, commands)
-                if len(rows) < _BATCH:
-                    continue
-            ticks = np.concatenate((rows["tick"], items["tick"]))
-            if len(ticks) and int(ticks.min()) <= done:
-                raise LogError(f"{self.path}: messages stand more than {_LOOKAHEAD} ticks out of order")
-            order = rows["tick"]
-            if (order[1:] < order[:-1]).any():
-                rows = rows.take(np.argsort(order, kind="stable"))
-            settled = len(rows) if buffer is None else len(rows) - _LOOKAHEAD
-            ready, rows = rows[:settled], rows[settled:]
-            done = int(ready["tick"][-1]) if len(ready) else done
-            mine = items["tick"] <= done
-            yield ready, items.compress(mine)
-            items = items.compress(~mine)
-
-    def _read_commands(self, data: bytes, table: MessageTable, commands: Commands) -> None:
-        """Add the operator's commands in a buffer to those found before."""
-        for message in self._decoder.messages(data, table, OPERATOR_TOPIC):
-            with self._decoder.understood(OPERATOR_TOPIC):
-                tick, command = int(message.tick), Operator(message.command)
-                numbers = tuple(map(float, message.setpoint))
-                commands.setdefault(tick, []).append((int(message.index), command, numbers))
-            wanted = NUMBERS.get(command)
-            if wanted is not None and len(numbers) != wanted:
-                raise LogError(
-                    f"{self.path}: the operator's command of tick {tick} has {len(numbers)} numbers, "
-                    f"allowed: {wanted}"
-                )
+        rows, items = np.zeros(0, self.dtype), np.zeros(0, ITEM)
+        commands: list[Command] = []
+        decoder = self._decoder
+        for more, frames, said in self._decoded(decoder.rows, decoder.frames, decoder.commands):
+            rows, items, commands = together((rows, more)), together((items, frames)), commands + said
+            yield from assemble(rows[:-1], items, commands)
+            rows = rows[-1:]  # what belongs to it may go on in the next chunk
+            items = items[np.isin(items["tick"], rows["tick"])]
+            commands = [each for each in commands if each.tick in rows["tick"]]
+        yield from assemble(rows, items, commands)

@@ -1,25 +1,26 @@
-"""The container of a log: what stands beside its messages, and the messages in buffers, in the file's order.
-
-A log that was cut, or is still being written, is read as far as it goes.
-"""
+"""The container of a log: what stands beside its messages, and its messages decoded, chunk by chunk."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 from mcap.opcode import Opcode
 
+from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.files import open_regular
 from drivers.tick_columns import Column
 from hil.record.decode import REFUSED, Decoder, why
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import (
-    NOTHING,
     Allowance,
+    DamageError,
     MessageTable,
     Record,
     messages_in,
@@ -27,6 +28,7 @@ from hil.record.mcap_read import (
 )
 from hil.record.row import OLD, Run, completed
 from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
+from hil.record.selection import no_column, together
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
@@ -53,6 +55,8 @@ class LogFile:
     """Why the file ends too early; empty for a whole one."""
     columns: tuple[Column, ...]
     """Of the rows."""
+    dtype: np.dtype[np.void]
+    """Type of the rows."""
     topic: str
     """Topic of the rows, `/tick` or `/plant`."""
     can_channel: str
@@ -67,30 +71,31 @@ class LogFile:
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
         self.metadata, self.attachments = {}, {}
-        self.cut, size = self._check_file()
-        self._decoder = Decoder(str(path), size)
-        for record in self._records(skip=_MESSAGES):
-            self._learn(record)
+        self.cut, self._size = self._check_file()
+        self._decoder = Decoder(self._size)
+        with self._reading():
+            for record in records(self.path, _MESSAGES, cut=bool(self.cut)):
+                self._learn(record)
         identity = self.metadata.get(IDENTITY, {})
         if "dtype" in identity:
             raise LogError(f"{path}: {OLD}")
         if "columns" not in identity:
-            reason = (
-                self.cut or f"an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"
-            )
-            raise LogError(f"{path}: {reason}")
+            reason = f"an MCAP file, but not a log of this product (no metadata record {IDENTITY!r})"
+            raise LogError(f"{path}: {self.cut or reason}")
         try:
-            self.topic, self.columns, self.epoch_ns, self.can_channels, self.lockstep = Run.of(identity)
-            self.can_channel = self.can_channels[0]
-            self._decoder.expect(self.topic, self.columns, self.can_channels, self.epoch_ns)
-            self.columns = completed(self.columns)
+            run = Run.of(identity)
+            self._decoder.expect(run)
         except REFUSED as error:
             raise LogError(
-                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self.mend}"
+                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self._mend}"
             ) from None
+        self.dtype = self._decoder.dtype
+        self.topic, self.epoch_ns, self.lockstep = run.topic, run.epoch_ns, run.lockstep
+        self.columns, self.can_channels = completed(run.columns), run.can_channels
+        self.can_channel = self.can_channels[0]
 
     @property
-    def mend(self) -> str:
+    def _mend(self) -> str:
         """What may be done about damage: salvage, once."""
         return SALVAGED if SALVAGE in self.metadata else MEND
 
@@ -137,79 +142,100 @@ class LogFile:
             ), size
         return "", size
 
-    def verify(self) -> None:
-        """Compare the checksum of the whole file.
-
-        Raises
-        ------
-        LogError
-            It differs, or the file does not go on to its end.
-
-        """
-        try:
-            for _ in self._records():
-                pass
-        except LogError:
-            for _ in self._buffers():  # a damaged chunk says where it is
-                pass
-            raise
-
     @contextmanager
     def _reading(self) -> Iterator[None]:
         """Name the file in what goes wrong while it is read, and what may be done about damage."""
         try:
             yield
         except LogError as error:
-            raise LogError(f"{self.path}: {error}; {self.mend}") from None
+            mend = f"; {self._mend}" if isinstance(error, DamageError) else ""
+            raise LogError(f"{self.path}: {error}{mend}") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
-    def _records(self, skip: frozenset[int] = frozenset()) -> Iterator[Record]:
-        """Yield the records as far as they go; refuse a file that is not cut and stops making sense."""
-        with self._reading():
-            for record in records(self.path, skip):
-                if not (record.complete or self.cut):
-                    what = "no record" if record.opcode == NOTHING else "a record that ends behind the file"
-                    raise LogError(f"damaged at byte {record.offset}: {what}")
-                yield record
-
     def _learn(self, record: Record) -> None:
-        """Keep what is whole and not a message."""
-        if not record.complete:
-            return
-        try:
-            found = record.parse()
-        except LogError as error:
-            raise self._damaged(record, error) from None
+        """Keep what is whole and not a message; of two of one name the first, which is the recorder's."""
+        found = record.parse() if record.complete else None
         match type(found).__name__:
             case "Metadata":
-                self.metadata[found.name] = dict(found.metadata)
+                self.metadata.setdefault(found.name, dict(found.metadata))
             case "Attachment":
-                self.attachments[found.name] = bytes(found.data)
+                self.attachments.setdefault(found.name, bytes(found.data))
             case "Channel":
                 self._decoder.learn(found)
 
-    def _damaged(self, record: Record, error: LogError) -> LogError:
-        return LogError(f"{self.path}: damaged at byte {record.offset}: {error}; {self.mend}")
+    def _decoded(self, *decode: Callable[[bytes, MessageTable], Any]) -> Iterator[list[Any]]:
+        """Yield what functions of the decoder make of each chunk; of one that is cut, of its whole ticks.
 
-    def _buffers(self) -> Iterator[tuple[bytes, MessageTable]]:
-        """Yield buffers of messages: the chunks."""
+        Raises LogError where the file is damaged, or its messages are not in the order of a recorder.
+        """
         with self._reading():
-            allowance = Allowance(self.path.stat().st_size)
-        for record in self._records():
-            if record.opcode == Opcode.MESSAGE:
-                raise self._damaged(record, LogError("a message outside a chunk, which no recorder writes"))
-            if record.opcode == Opcode.CHUNK:
-                yield self._chunk(record, allowance)
+            allowance, last = Allowance(self._size), -1
+            for record in records(self.path, cut=bool(self.cut)):
+                if record.opcode == Opcode.MESSAGE:
+                    raise record.damaged("a message outside a chunk, which no recorder writes")
+                if record.opcode != Opcode.CHUNK:
+                    continue
+                data, table, channels = messages_in(record, allowance, self._decoder.kernels.scan)
+                for channel in channels:
+                    self._decoder.learn(channel)
+                if not record.complete:
+                    table = table.before(self._decoder.messages_of(table, self.topic))
+                last = self._decoder.require_order(data, table, last)
+                yield [each(data, table) for each in decode]
 
-    def _chunk(self, record: Record, allowance: Allowance) -> tuple[bytes, MessageTable]:
-        """Return the messages of a chunk; of the one where a log is cut, those of whole ticks."""
-        try:
-            data, table, others = messages_in(record, allowance, self._decoder.kernels.scan)
-        except LogError as error:
-            raise self._damaged(record, error) from None
-        for other in others:
-            self._learn(other._replace(offset=record.offset))
-        if not record.complete:
-            table = table.before(self._decoder.messages_of(table, self.topic))
-        return data, table
+    @cached_property
+    def origin_ns(self) -> int:
+        """Where the time `t_s` of a frame begins, the `t_ns` of the first row; 0 without a row."""
+        return next((int(block["t_ns"][0]) for block in self.blocks("t_ns")), 0)
+
+    def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
+        """Return rows in tick order: a structured array (n,), ``rows["tau"]`` is (n, 6).
+
+        Parameters
+        ----------
+        names
+            Columns to read; all where none is given.
+        start_s, stop_s
+            First and last time, s from the first row.
+
+        Raises
+        ------
+        LogError
+            No such column, or the file is damaged.
+
+        """
+        found = np.zeros(0, self._chosen(names))
+        return together((found, *self.blocks(*names, start_s=start_s, stop_s=stop_s)))
+
+    def blocks(
+        self, *names: str, start_s: float | None = None, stop_s: float | None = None
+    ) -> Iterator[Rows]:
+        """Yield what `rows` returns in pieces, reading as it goes: for logs that do not fit into memory.
+
+        Raises
+        ------
+        LogError
+            As `rows`.
+
+        """
+        dtype, first_ns, last_ns = self._chosen(names), -np.inf, np.inf
+        if start_s is not None:
+            first_ns = self.origin_ns + start_s * 1e9
+        if stop_s is not None:
+            last_ns = self.origin_ns + stop_s * 1e9
+        for (rows,) in self._decoded(self._decoder.rows):
+            t = rows["t_ns"]
+            inside = np.flatnonzero((t >= first_ns) & (t <= last_ns))
+            chosen = rows if len(inside) == len(rows) else rows.take(inside)
+            if len(inside):
+                yield chosen if chosen.dtype == dtype else chosen[list(dtype.names or ())].astype(dtype)
+
+    def _chosen(self, names: Sequence[str]) -> np.dtype[np.void]:
+        """Return the type of rows of the columns named, of all without a name. Raises LogError."""
+        there = {c.name: c for c in self.columns}
+        unknown = [name for name in names if name not in there]
+        if unknown:
+            raise LogError(f"{self.path}: {no_column(unknown[0], tuple(there))}")
+        chosen = [there[name] for name in dict.fromkeys(names or there)]
+        return np.dtype([(c.name, c.kind, c.shape) for c in chosen])

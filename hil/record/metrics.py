@@ -82,15 +82,12 @@ def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
     """Return the frequency at which the closed loop passes 1 / sqrt(2) of its low-frequency gain, in Hz.
 
     t (n,) s, at equal distances after a step of the set-point at t = 0; y (n,) the answer, `initial` before.
-    The answer to a step is the integral of the impulse response, so the frequency response is the Fourier
-    transform of its increments, G(f) = sum (y_k - y_{k-1}) exp(-2 pi i f t_k); where in its sampling period
-    an increment is placed turns the phase alone. The bandwidth is the first frequency where
-    |G(f)| < |G(0)| / sqrt(2).
+    The frequency response is the Fourier transform of the increments, G(f) = sum (y_k - y_{k-1})
+    exp(-2 pi i f t_k). The bandwidth is the first frequency where |G(f)| < |G(0)| / sqrt(2).
 
-    It is the bandwidth of the *feedback* for a set-point that jumps without rates to feed forward: a law with
-    an exact feed-forward follows a smooth reference far beyond it. The law may be nonlinear: then it is a
-    figure of this size of step. nan where the record shows no such frequency below that of its samples / 2,
-    and inaccurate where the answer has not come to rest within it.
+    It is the bandwidth of the *feedback* for a set-point that jumps; of a nonlinear law for a step of this
+    size. nan where the record shows no such frequency below that of its samples / 2, and inaccurate where the
+    answer has not come to rest within it.
     """
     increments = np.diff(y, prepend=initial)
     gain = abs(float(increments.sum()))
@@ -101,15 +98,14 @@ def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
     def response(f: float) -> float:
         return float(abs((increments * np.exp(-2j * np.pi * f * t)).sum())) / gain
 
-    lowest = 0.01 / (len(t) * period)
-    grid = np.geomspace(lowest, 0.5 / period, 600)
+    grid = np.geomspace(0.01 / (len(t) * period), 0.5 / period, 600)
     below = next((k for k, f in enumerate(grid) if response(f) < np.sqrt(0.5)), None)
     if not below:
         return float("nan")
     low, high = grid[below - 1], grid[below]
     for _ in range(40):
-        middle_f = (low + high) / 2
-        low, high = (low, middle_f) if response(middle_f) < np.sqrt(0.5) else (middle_f, high)
+        middle = (low + high) / 2
+        low, high = (low, middle) if response(middle) < np.sqrt(0.5) else (middle, high)
     return float(high)
 
 

@@ -7,7 +7,7 @@ that is read back.
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from enum import IntEnum, IntFlag
 from functools import lru_cache
 from typing import Any, NamedTuple, Self, cast
@@ -54,22 +54,31 @@ class Table(NamedTuple):
         Raises
         ------
         ValueError
-            No scalar integer `tick` or `t_ns`; flags, elements or values that do not fit.
+            No scalar integer `tick` or `t_ns`; a column that is too large, or whose names do not fit.
 
         """
         for name in ("tick", "t_ns"):
             if not any(c.name == name and c.kind == "<i8" and not c.shape for c in self.columns):
                 raise ValueError(f"the row needs a scalar integer column {name}")
+        size = 0
         for c in self.columns:
-            values = c.names
-            if len(c.elements) > _MOST_ELEMENTS or (
-                issubclass(c.type, IntFlag) and len(values) > _MOST_ELEMENTS
+            size += 8 * c.size
+            names, count = list(c.names.values()), len(c.elements)
+            flags = issubclass(c.type, IntFlag)
+            named = not names or flags or (0 in names and max(names) < UNNAMED)
+            scalar = not flags or (not c.shape and len(names) <= _MOST_ELEMENTS)
+            for kept, allowed in (
+                (size <= MOST_ROW_BYTES, f"rows of {MOST_ROW_BYTES} bytes"),
+                (len(c.shape) <= _MOST_AXES and 0 not in c.shape, f"{_MOST_AXES} axes, none of length 0"),
+                (
+                    count in {0, c.size} and count <= _MOST_ELEMENTS,
+                    f"at most {_MOST_ELEMENTS} names, one an element",
+                ),
+                (scalar, f"scalar flags of {_MOST_ELEMENTS} bits"),
+                (named, f"an enumeration with a 0, below {UNNAMED}"),
             ):
-                raise ValueError(f"column {c.name} of the row: at most {_MOST_ELEMENTS} elements or flags")
-            if issubclass(c.type, IntFlag) and c.shape:
-                raise ValueError(f"column {c.name} of the row: flags are scalar")
-            if issubclass(c.type, IntEnum) and not (0 in values.values() and max(values.values()) < UNNAMED):
-                raise ValueError(f"column {c.name} of the row: its enumeration lacks 0, or reaches {UNNAMED}")
+                if not kept:
+                    raise ValueError(f"column {c.name} of the row: allowed: {allowed}")
 
 
 @lru_cache(_TABLES)
@@ -122,10 +131,13 @@ def columns_of(description: str) -> tuple[Column, ...]:
         kind = {"int": int, "float": float}.get(entry["type"])
         if kind is None:
             named = cast("Any", IntFlag if entry["flags"] else IntEnum)
-            kind = named(_text(entry["type"]), _names(entry["names"]))
-        elements, shape = tuple(map(_text, entry["elements"])), tuple(map(_length, entry["shape"]))
+            names = {_name(key): _number(value) for key, value in entry["names"].items()}
+            kind = named(_text(entry["type"]), names)
+        elements, shape = tuple(map(_text, entry["elements"])), tuple(map(_number, entry["shape"]))
         columns.append(Column("output", name, kind, unit, meaning, elements, shape))
-    return _checked(columns)
+    table = Table("", tuple(columns))
+    table.check()
+    return table.columns
 
 
 OLD = "a log of version 0.1.0: read and replay it with that version"
@@ -150,46 +162,31 @@ class Run(NamedTuple):
         epoch_ns = int(identity["epoch_ns"])
         if not 0 <= epoch_ns < 1 << 63:
             raise ValueError(f"epoch_ns {epoch_ns}")
-        if len(buses) > _MOST_BUSES or any(len(each) > _LONGEST_BUS for each in buses):
-            raise ValueError(f"{len(buses)} names of buses, allowed: {_MOST_BUSES} of {_LONGEST_BUS} signs")
-        if not "".join(buses).isprintable():
-            raise ValueError(f"can_channels {buses!r}")
+        fit = max(map(len, buses)) <= _LONGEST_BUS and "".join(buses).isprintable()
+        if len(buses) > _MOST_BUSES or not fit:
+            raise ValueError(
+                f"{len(buses)} buses, allowed: {_MOST_BUSES} with names of {_LONGEST_BUS} characters"
+            )
         lockstep = identity["mode"] == "lockstep"
         return cls(identity["topic"], columns_of(identity["columns"]), epoch_ns, buses, lockstep)
 
 
 def _text(value: Any) -> str:
     if not isinstance(value, str) or not value.isprintable() or len(value) > _LONGEST_TEXT:
-        raise ValueError(f"{value!r:.60}: allowed: a printable text of at most {_LONGEST_TEXT} signs")
+        raise ValueError(f"{value!r:.60}: allowed: a printable text of at most {_LONGEST_TEXT} characters")
     return value
 
 
-def _length(value: Any) -> int:
-    if type(value) is not int or not 0 < value <= MOST_ROW_BYTES:
-        raise ValueError(f"{value!r:.60} in a shape, allowed: 1 to {MOST_ROW_BYTES}")
+def _number(value: Any) -> int:
+    if type(value) is not int or not 0 <= value < 1 << 63:
+        raise ValueError(f"{value!r:.60}: allowed: a whole number from 0 on, of 63 bits")
     return value
 
 
-def _names(values: Any) -> dict[str, int]:
-    """Return the names of an enumeration or of flags."""
-    for name, number in values.items():
-        if not _NAME.fullmatch(name) or type(number) is not int or not 0 <= number < 1 << 63:
-            raise ValueError(f"{name!r:.60}: {number!r:.60}: allowed: a plain name and a number from 0 on")
-    return dict(values)
-
-
-def _checked(columns: Iterable[Column]) -> tuple[Column, ...]:
-    """Return the columns of a log; refuse what `Table.check` does, and rows that are too large."""
-    checked, size = tuple(columns), 0
-    for c in checked:
-        size += 8 * c.size
-        if size > MOST_ROW_BYTES or len(c.shape) > _MOST_AXES or len(c.elements) not in {0, c.size}:
-            raise ValueError(
-                f"column {c.name}: shape {c.shape}, {len(c.elements)} names, allowed: rows of "
-                f"{MOST_ROW_BYTES} bytes, {_MOST_AXES} axes, a name for each element or none"
-            )
-    Table("", checked).check()
-    return checked
+def _name(value: Any) -> str:
+    if not _NAME.fullmatch(value):
+        raise ValueError(f"{value!r:.60}: allowed: a plain name")
+    return str(value)
 
 
 def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:

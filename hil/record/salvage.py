@@ -1,10 +1,8 @@
 """Makes a valid log of one that was cut or damaged: power loss, full disk, recorder killed, bits turned over.
 
-The original is read, never touched; the result is a new file. Complete chunks are copied as they are; of a
-chunk that is cut, the ticks that are complete. Schemas and channels are those of our own code.
-
-A record counts where a sound one follows, or where its own checksum holds. Else the next place is looked for
-at which two sound records stand behind each other.
+The original is read, never touched; the result is a new file. Chunks whose checksum holds are copied as they
+are; of a chunk that is cut, the ticks that are complete. Schemas and channels are those of our own code.
+Where a length is damaged, the next chunk is looked for, or the description of the run.
 """
 
 import contextlib
@@ -17,29 +15,30 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Schema
+from mcap.records import Channel, Chunk, Schema
 
 from drivers.errors import LogError
-from drivers.files import open_regular
+from drivers.files import open_regular, whole_file
 from hil.record.decode import REFUSED, why
 from hil.record.encode import channels_of
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
 from hil.record.mcap_read import (
-    HEAD,
-    OPCODES,
+    NOTHING,
     Allowance,
     Record,
-    decompress,
-    longest,
     messages_in,
+    record_at,
     records,
 )
-from hil.record.row import OLD, TICKS, Run, Table, describe
+from hil.record.row import OLD, Run, Table
 from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 
-_BEGIN = re.compile(rb"(?=[\x01-\x0f][\s\S]{4}\x00{4})")
-"""A known opcode and a length below 4 GiB."""
+_BEGIN = re.compile(
+    rb"(?=\x06[\s\S]{36}(?:\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0c[\s\S]{8}\x03\0\0\0" + IDENTITY.encode() + b")"
+)
+"""A chunk, or the metadata record of the run."""
+_BEGIN_BYTES = 45
 _WINDOW = 1 << 20
 _REMARKS = 20
 """Written into the log and reported; of more damage the number is."""
@@ -55,68 +54,49 @@ class Lost(NamedTuple):
 def surviving(path: Path) -> Iterator[Record | Lost]:
     """Yield the records of the data section in their order, and what lies between them.
 
-    A record whose end is cut off comes last and is not complete.
+    A record counts where what follows it may be one, where it is whole by itself, or where nothing better
+    follows. One whose end is cut off comes last and is not complete.
 
-    Raises OSError.
+    Raises LogError: there is more to unpack than allowed; OSError.
     """
     with open_regular(path) as file:
-        size = file.seek(0, os.SEEK_END)
-        at = len(MAGIC)
+        at, size = len(MAGIC), file.seek(0, os.SEEK_END)
+        allowance = Allowance(size)
         while at < size:
-            record, further = _record(file, at), None
-            end = size if record is None else at + len(record.whole)
-            if record is None or not (record.complete and (_sound(file, end, size) or _verified(record))):
-                further = _next(file, at + 1, end, size)
-            if record is not None and further is None:
-                if record.opcode == Opcode.DATA_END and (len(record.content) == 4 or not record.complete):
-                    return
-                yield record
+            record = record_at(file, at)
+            sound = record.complete and (
+                record.end == size or record_at(file, record.end).complete or _is_whole(record, allowance)
+            )
+            further = None if sound else _next(file, at + 1, size, allowance)
+            if further is not None or record.opcode == NOTHING:
+                yield Lost(at, further or size)
+                at = further or size
+            elif record.opcode == Opcode.DATA_END and record.length == 4:
+                return
             else:
-                end = size if further is None else further
-                yield Lost(at, end)
-            at = end
+                yield record
+                at = record.end
 
 
-def _record(file: BinaryIO, at: int) -> Record | None:
-    """Return what may be a record, complete or not."""
-    file.seek(at)
-    head = file.read(HEAD.size)
-    if len(head) < HEAD.size:
-        return None
-    opcode, length = HEAD.unpack(head)
-    if opcode not in OPCODES or length > longest(opcode):
-        return None
-    content = file.read(length)
-    return Record(opcode, at, content, len(content) == length)
-
-
-def _sound(file: BinaryIO, at: int, size: int) -> bool:
-    """Return whether the file ends there, or something stands there that may be a record within it."""
-    record = _record(file, at)
-    return at + HEAD.size > size if record is None else record.complete
-
-
-def _verified(record: Record) -> bool:
-    """Return whether a record's own checksum says that it is whole."""
-    try:
+def _is_whole(record: Record, allowance: Allowance) -> bool:
+    """Return whether a complete record has no byte too many or too few, and its checksum holds."""
+    allowance.spend(len(record.content))
+    with contextlib.suppress(LogError):
         found = record.parse()
         if isinstance(found, Chunk):
-            decompress(found)
-            return bool(found.uncompressed_crc) and record_bytes(found) == record.whole
-        return isinstance(found, Attachment) and record_bytes(found) == record.whole
-    except LogError:
-        return False
+            messages_in(record, allowance)
+        return found is not None and record_bytes(found) == record.whole
+    return False
 
 
-def _next(file: BinaryIO, start: int, stop: int, size: int) -> int | None:
-    """Return the first place from `start` to before `stop` at which two sound records begin; None without."""
-    for at in range(start, stop, _WINDOW):
+def _next(file: BinaryIO, start: int, size: int, allowance: Allowance) -> int | None:
+    """Return the next place at which a whole chunk or the run's description begins."""
+    for at in range(start, size, _WINDOW):
         file.seek(at)
-        for found in _BEGIN.finditer(file.read(_WINDOW + HEAD.size - 1)):
-            place = at + found.start()
-            record = _record(file, place) if place < stop else None
-            if record is not None and record.complete and _sound(file, place + len(record.whole), size):
-                return place
+        for found in _BEGIN.finditer(file.read(_WINDOW + _BEGIN_BYTES)):
+            record = record_at(file, at + found.start())
+            if record.complete and _is_whole(record, allowance):
+                return record.offset
     return None
 
 
@@ -131,36 +111,37 @@ class SalvageReport:
     messages: int = 0
     chunks: int = 0
     """Complete chunks."""
-    partial_messages: int = 0
-    """Messages recovered from a chunk that was cut."""
     bytes_lost: int = 0
     """Bytes of the original that gave nothing."""
+    ticks_lost: int = 0
+    """Ticks of damaged chunks, as far as the index behind them counts them."""
     complete: bool = False
     """Nothing but the index at the end was missing."""
     remarks: tuple[str, ...] = ()
-    ticks_lost: int = 0
-    """Ticks of damaged chunks, as far as the index behind them counts them."""
 
 
 def _described(path: Path) -> tuple[dict[str, str], dict[int, str]]:
-    """Return what a log says of its run, and the topics of its channels by number.
+    """Return what a log says of its run, and the topics of the channels in front of its messages by number.
 
     Raises LogError where nothing says that it is a log of this product; OSError.
     """
     identity: dict[str, str] = {}
     topics: dict[int, str] = {}
     for record in surviving(path):
-        if isinstance(record, Record) and record.opcode in {Opcode.METADATA, Opcode.CHANNEL}:
-            with contextlib.suppress(LogError):
-                found = record.parse()
-                if isinstance(found, Channel):
-                    topics.setdefault(found.id, found.topic)
-                elif found.name == IDENTITY and {"columns", "dtype"} & found.metadata.keys():
-                    identity = identity or dict(found.metadata)
-    if not identity:
-        raise LogError(f"{path}: no log of this product, or cut within its first bytes: nothing to salvage")
+        if isinstance(record, Lost) or record.opcode not in {Opcode.METADATA, Opcode.CHANNEL, Opcode.CHUNK}:
+            continue
+        if record.opcode == Opcode.CHUNK and identity:
+            break
+        with contextlib.suppress(LogError):
+            found = record.parse()
+            if isinstance(found, Channel):
+                topics.setdefault(found.id, found.topic)
+            elif record.opcode == Opcode.METADATA and found.name == IDENTITY:
+                identity = identity or dict(found.metadata)
     if "dtype" in identity:
         raise LogError(f"{path}: {OLD}")
+    if "columns" not in identity:
+        raise LogError(f"{path}: no log of this product, or cut within its first bytes: nothing to salvage")
     return identity, topics
 
 
@@ -170,12 +151,11 @@ class _Salvage:
     Raises OSError.
     """
 
-    def __init__(self, source: Path, out: Path, size: int, rows: Collection[int]) -> None:
-        """Open the new file; rows: the channels of rows."""
-        self.file = McapFile(out, f"{LIBRARY}/{product_version()}")
-        self.report = SalvageReport(source, out, size)
+    def __init__(self, file: McapFile, report: SalvageReport, rows: Collection[int]) -> None:
+        """rows: the channels of rows."""
+        self.file, self.report = file, report
         self.remarks: list[str] = []
-        self._allowance, self._rows = Allowance(size), list(rows)
+        self._allowance, self._rows = Allowance(report.bytes_read), list(rows)
         self._end: dict[str, str] | None = None
         """What the run has said of its end."""
         self._damaged = False
@@ -183,25 +163,19 @@ class _Salvage:
 
     def work(self) -> None:
         """Take over what survives of the original."""
-        report = self.report
-        for record in surviving(report.path):
+        for record in surviving(self.report.path):
             if isinstance(record, Lost):
-                self._lose(
-                    record.stop - record.start,
-                    f"bytes {record.start} to {record.stop} are damaged and left out",
-                )
+                start, stop = record
+                self._lose(stop - start, f"bytes {start} to {stop} are damaged and left out")
                 continue
             try:
                 self._add(record)
-                self._damaged = self._damaged and record.opcode == Opcode.MESSAGE_INDEX
             except LogError as error:
                 self._damaged = record.opcode == Opcode.CHUNK
-                what = "the chunk" if self._damaged else "the record"
-                remark = f"{what} at byte {record.offset} is damaged and left out: {error}"
-                self._lose(len(record.whole), remark)
-        if not report.bytes_lost and not self.remarks:
-            try:  # metadata and the names of schemas and channels have no checksum of their own
-                for _ in records(report.path):
+                self._lose(len(record.whole), f"left out: {error}")
+        if not self.remarks:
+            try:  # metadata have no checksum of their own
+                for _ in records(self.report.path, cut=True):
                     pass
             except LogError as error:
                 self.remarks.append(f"{error}: what was taken over may hold the damage")
@@ -217,7 +191,7 @@ class _Salvage:
         elif not record.complete:
             self._lose(len(record.whole), f"the file ends inside a record at byte {record.offset}")
         elif record.opcode == Opcode.MESSAGE:
-            raise LogError("a message outside a chunk, which no recorder writes")
+            raise record.damaged("a message outside a chunk, which no recorder writes")
         elif record.opcode == Opcode.MESSAGE_INDEX:
             if self._damaged and int.from_bytes(record.content[:2], "little") in self._rows:
                 self.report.ticks_lost += (len(record.content) - 6) // 16
@@ -236,6 +210,7 @@ class _Salvage:
             self.file.add_compressed(record.parse(), table.channel, table.log_time, table.offset)
             self.report.chunks += 1
             self.report.ticks += len(begun)
+            self._damaged = False
             return
         table = table.before(begun)
         count = len(table.channel)
@@ -243,11 +218,10 @@ class _Salvage:
             end = int(table.offset[-1] + table.length[-1])
             self.file.add_chunk(data[:end], table.channel, table.log_time, table.offset)
             self.report.ticks += len(begun) - 1
-        self.report.partial_messages = count
         what = f"the file ends inside the chunk at byte {record.offset}"
         self._lose(len(record.whole), f"{what}: {count} messages of it recovered")
 
-    def close(self) -> SalvageReport:
+    def close(self) -> None:
         """Write what was lost and how the run ended, and close the file."""
         report, end, remarks = self.report, self._end or {}, self.remarks[:_REMARKS]
         if len(self.remarks) > _REMARKS:
@@ -256,7 +230,7 @@ class _Salvage:
         if not remarks and told.isdecimal() and told != str(report.ticks):
             remarks.append(f"its end counts {told:.20} ticks, {report.ticks} are there")
         report.messages, report.remarks = self.file.messages, tuple(remarks)
-        report.complete = self._end is not None and not report.bytes_lost and not remarks
+        report.complete = self._end is not None and not remarks
         self.file.add_metadata(
             SALVAGE,
             {
@@ -273,18 +247,6 @@ class _Salvage:
                 end["closed"] = "salvaged"
         self.file.add_metadata(SUMMARY, end)
         self.file.finish()
-        return report
-
-
-def _run_of(identity: dict[str, str]) -> tuple[Run, list[str]]:
-    """Return what a log says of its run, and a remark where its table of columns had to be replaced."""
-    try:
-        return Run.of(identity), []
-    except REFUSED:
-        if identity.get("topic") != TICKS.topic:
-            raise
-        identity["columns"] = describe(TICKS.columns)
-        return Run.of(identity), ["the table of columns is damaged; that of this version takes its place"]
 
 
 def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> SalvageReport:
@@ -293,63 +255,45 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     Raises
     ------
     LogError
-        `path` is missing or no log of ours, cut before its first record; or `out` exists, or cannot be
-        written.
+        `path` is missing or no log of ours, cut before its first record, or its table of columns is damaged;
+        or `out` exists, or cannot be written.
 
     """
     source, target = Path(path), Path(out)
     try:
-        with open_regular(source) as file:
-            head, size = file.read(len(MAGIC)), file.seek(0, os.SEEK_END)
+        with open_regular(source) as opened:
+            head, size = opened.read(len(MAGIC)), opened.seek(0, os.SEEK_END)
         if head != MAGIC:
             raise LogError(f"{source}: not an MCAP file: nothing to salvage")
         identity, topics = _described(source)
-        run, remarks = _run_of(identity)
+        run = Run.of(identity)
     except OSError as error:
         raise LogError(f"{source}: cannot be read: {error.strerror}") from error
     except REFUSED as error:
         raise LogError(
             f"{source}: what it says of its run is damaged: nothing to salvage: {why(error)}"
         ) from None
+    if os.path.lexists(target):
+        raise LogError(f"{target}: exists and is never overwritten: choose another name")
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
-    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
-    taken = LogError(f"{target}: exists and is never overwritten: choose another name")
-    if os.path.lexists(target):
-        raise taken
+    report = SalvageReport(source, target, size)
     try:
-        temporary.unlink(missing_ok=True)
-        rows = [n for n, k in numbers.items() if k == known[run.topic]]
-        work = _Salvage(source, temporary, size, rows)
-        work.remarks += remarks
-        try:
-            work.file.add_metadata(IDENTITY, identity)
-            for number, (_, schema, _) in own.items():
-                work.file.add_schema(Schema(number, schema.descriptors, "protobuf", schema.name))
-            for number, k in numbers.items():
-                work.file.add_channel(Channel(number, own[k][0], "protobuf", own[k][2], k))
-            work.work()
-            report = work.close()
-            _give_name(temporary, target)
-            report.out = target
-            return report
-        finally:
-            work.file.close()
-            temporary.unlink(missing_ok=True)
-    except FileExistsError:
-        raise taken from None
+        with whole_file(target) as temporary:
+            temporary.unlink()
+            file = McapFile(temporary, f"{LIBRARY}/{product_version()}")
+            try:
+                file.add_metadata(IDENTITY, identity)
+                for number, (_, schema, _) in own.items():
+                    file.add_schema(Schema(number, schema.descriptors, "protobuf", schema.name))
+                for number, k in numbers.items():
+                    file.add_channel(Channel(number, own[k][0], "protobuf", own[k][2], k))
+                work = _Salvage(file, report, [n for n, k in numbers.items() if k == known[run.topic]])
+                work.work()
+                work.close()
+            finally:
+                file.close()
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-
-
-def _give_name(temporary: Path, target: Path) -> None:
-    """Give a file its name without taking it from one that came to be meanwhile."""
-    try:
-        os.link(temporary, target)
-    except FileExistsError:
-        raise
-    except OSError:  # a file system without links
-        if os.path.lexists(target):
-            raise FileExistsError from None
-        temporary.rename(target)
+    return report

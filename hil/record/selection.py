@@ -1,11 +1,11 @@
-"""Which rows and columns of a log are wanted, and what the numbers in them are called."""
+"""Components of columns, rows behind each other, and what the numbers in them are called."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from difflib import get_close_matches
 from enum import IntFlag
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,49 +28,6 @@ class Component(NamedTuple):
         """Return its values (n,) in rows; those of the other elements are not kept with them."""
         values = rows[self.column.name].reshape(len(rows), self.column.size)
         return np.ascontiguousarray(values[:, self.element])
-
-
-class Selection(NamedTuple):
-    """Columns, and a span of time."""
-
-    names: tuple[str, ...]
-    """Of the columns; all of them where nothing else is asked for."""
-    dtype: np.dtype[np.void]
-    first_ns: float = -np.inf
-    last_ns: float = np.inf
-
-    @classmethod
-    def of(cls, columns: Sequence[Column], names: Sequence[str], log: str) -> Self:
-        """Return the selection of columns by name, at all times.
-
-        Raises
-        ------
-        LogError
-            No such column; `log` is named in the message.
-
-        """
-        there = {c.name: c for c in columns}
-        unknown = [name for name in names if name not in there]
-        if unknown:
-            raise LogError(f"{log}: {no_column(unknown[0], tuple(there))}")
-        chosen = tuple(dict.fromkeys(names)) or tuple(there)
-        return cls(chosen, np.dtype([(name, there[name].kind, there[name].shape) for name in chosen]))
-
-    def within(self, rows: Rows) -> Rows:
-        """Return the rows of the span."""
-        if self.first_ns == -np.inf and self.last_ns == np.inf:
-            return rows
-        t = rows["t_ns"]
-        return rows.take(np.flatnonzero((t >= self.first_ns) & (t <= self.last_ns)))
-
-    def of_rows(self, rows: Rows) -> Rows:
-        """Return rows with these columns alone."""
-        if rows.dtype.names == self.names:
-            return rows
-        found = np.empty(len(rows), self.dtype)
-        for name in self.names:
-            found[name] = rows[name]
-        return found
 
 
 def as_bytes(rows: Rows) -> Rows:
@@ -109,13 +66,16 @@ def components(columns: Sequence[Column], names: Sequence[str], log: str) -> lis
     return found
 
 
-def name_of(column: Column, number: int) -> str:
-    """Return the name of a number of a column that has names.
+def name_of(column: Column, value: float) -> str:
+    """Text of a value of a column, by its name where the column has names.
 
     Flags are joined by `|`, with `NONE` where none is set; what has no name stands as a number.
     """
+    if not column.names:
+        return repr(value)
+    number = int(value)
     if not issubclass(column.type, IntFlag):
-        return next((name for name, value in column.names.items() if value == number), str(number))
+        return next((name for name, each in column.names.items() if each == number), str(number))
     found = [name for name, bit in column.names.items() if bit and number & bit == bit]
     rest = number & ~sum(column.names.values())
     return "|".join(found + ([str(rest)] if rest else [])) or "NONE"

@@ -1,7 +1,7 @@
 """From the bytes of a chunk to arrays: where its messages are, and what rows and frames of our own hold.
 
-Pure functions. They run as they are written, or compiled, which pays where a log is not short. All look at
-the buffer through its `words`; a message of a table lies within the buffer, whatever it says.
+Pure functions. Two run as they are written, or compiled, which pays where a log is not short: they look at
+the buffer through its `words`. A message of a table lies within the buffer, whatever it says.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from hil.record.layout import (
 )
 from hil.record.schema import RX, TX
 
-SHORTEST = RECORD_HEADER - 9
-"""Bytes of a message's record before its data, without opcode and length."""
+SHORTEST = 23
+"""Bytes of the shortest record that a chunk may hold, an empty schema."""
 _SHORT = 1 << 20
 """Bytes of a log that is read in the time in which the compiler is loaded."""
 _WORD = 8
@@ -44,20 +44,23 @@ def words_of(data: bytes) -> Ints:
     return np.ndarray((max(len(data) - _WORD + 1, 0),), "<i8", data, strides=(1,))
 
 
-def scan(words: Ints, size: int, position: int, table: Ints, n: int) -> tuple[int, int]:
-    """Go through the whole messages of a buffer of `size` bytes, from a position on to the first other thing.
+def scan(words: Ints, size: int, table: Ints) -> tuple[int, int]:
+    """Find the whole records in a buffer of `size` bytes.
 
-    Fills `table` (4, m) from its column n on: channel, log time, offset and length of each record. Returns
-    the position behind the last one and the columns that are filled.
+    Fills table (6, m): opcode, of messages channel, sequence and log time, offset and length of each. Returns
+    the position behind the last one and how many there are.
     """
-    while position + RECORD_HEADER <= size:
+    position = n = 0
+    while position + SHORTEST <= size:
         count = words[position + 1]
-        if words[position] & _BYTE != 5 or count < SHORTEST or count > size - position - 9:
+        if count < SHORTEST - 9 or count > size - position - 9:
             break
-        table[0, n] = words[position + 9] & _TWO_BYTES
-        table[1, n] = words[position + 15]
-        table[2, n] = position
-        table[3, n] = count + 9
+        table[0, n] = words[position] & _BYTE
+        table[1, n] = words[position + 9] & _TWO_BYTES
+        table[2, n] = words[position + 11] & _FOUR_BYTES
+        table[3, n] = words[position + 15]
+        table[4, n] = position
+        table[5, n] = count + 9
         position += count + 9
         n += 1
     return position, n
@@ -69,32 +72,18 @@ def constants_of(layout: Layout) -> tuple[Ints, Ints]:
     return template, mask
 
 
-def unpack_rows(words: Ints, starts: Ints, template: Ints, mask: Ints, places: Ints, rows: Ints) -> bool:
-    """Fill rows (n, m) from records that start at `starts` (n,); return whether all have the layout.
+def unpack_rows(data: bytes, starts: Ints, layout: Layout, places: Ints, rows: Ints) -> bool:
+    """Fill rows (n, m or more) from records that start at `starts` (n,); return whether all have the layout.
 
-    template, mask : as `constants_of`; places : (m,) where a record has the words of a row. Without a
-    compiler `gather_rows` is faster.
+    places : (m,) where a record has the words of a row.
     """
-    last = len(template) - 1
-    for i in range(len(starts)):
-        at, other = starts[i], 0
-        for k in range(RECORD_HEADER, last + _WORD, _WORD):
-            place = min(k, last)
-            other |= (words[at + place] ^ template[place]) & mask[place]
-        if other:
-            return False
-        for k in range(len(places)):
-            rows[i, k] = words[at + places[k]]
-    return True
-
-
-def gather_rows(words: Ints, starts: Ints, template: Ints, mask: Ints, places: Ints, rows: Ints) -> bool:
-    """Do the same by NumPy."""
-    at, last = starts[:, None], len(template) - 1
-    k = np.minimum(np.arange(RECORD_HEADER, last + _WORD, _WORD), last)
-    if ((words[at + k] ^ template[k]) & mask[k]).any():
+    size = len(layout.template)
+    packed = b"".join([data[start : start + size] for start in starts.tolist()])
+    records = np.frombuffer(packed, np.uint8).reshape(len(starts), size)
+    if ((records ^ layout.template) & layout.mask).any():
         return False
-    rows[:] = words[at + places]
+    words = np.ndarray((len(starts), size - _WORD + 1), "<i8", packed, strides=(size, 1))
+    rows[:, : len(places)] = words[:, places]
     return True
 
 
@@ -160,12 +149,8 @@ def unpack_frames(
 class Kernels(NamedTuple):
     """The functions as they are called."""
 
-    scan: Callable[..., tuple[int, int]]
-    rows: Callable[..., bool]
-    frames: Callable[..., int]
-
-
-PLAIN = Kernels(scan, gather_rows, unpack_frames)
+    scan: Callable[..., tuple[int, int]] = scan
+    frames: Callable[..., int] = unpack_frames
 
 
 @cache
@@ -176,13 +161,11 @@ def compiled() -> Kernels:
     words, numbers, filled = c.WORDS, c.INTEGERS, c.OUT_INTEGER_MATRIX
     of_frames = words, numbers, numbers, c.INTEGER, numbers, numbers, c.MATRIX_OF_INTEGERS, filled
     return Kernels(
-        c.kernel(words, c.INTEGER, c.INTEGER, filled, c.INTEGER)(scan),
-        c.kernel(words, numbers, numbers, numbers, numbers, filled)(unpack_rows),
+        c.kernel(words, c.INTEGER, filled)(scan),
         c.kernel(*of_frames)(unpack_frames),
     )
 
 
 def kernels_for(size: int) -> Kernels:
     """Return the functions for a log of so many bytes."""
-    there = "drivers.compiled.compiler" in sys.modules
-    return compiled() if there or size > _SHORT else PLAIN
+    return compiled() if "drivers.compiled.compiler" in sys.modules or size > _SHORT else Kernels()

@@ -15,10 +15,18 @@ def mcap_summary(path):
     return summary
 
 
-def rewrite_log(src, dst, edit=lambda topic, data, sequence: data, *, log_time_order=False, **options):
+def rewrite_log(
+    src,
+    dst,
+    edit=lambda topic, data, sequence: data,
+    *,
+    sequence=lambda topic, number: number,
+    log_time_order=False,
+    **options,
+):
     """Copy `src` to `dst`; `edit(topic, data, sequence)` returns the new data, or None to leave a message out.
 
-    `options` go to mcap.writer.Writer (compression, chunk_size, use_chunking).
+    `sequence(topic, number)` is the new number of a message; `options` go to mcap.writer.Writer (compression, chunk_size, use_chunking).
     """
     with Path(src).open("rb") as source, Path(dst).open("xb") as target:
         reader = make_reader(source, validate_crcs=True)
@@ -38,7 +46,6 @@ def rewrite_log(src, dst, edit=lambda topic, data, sequence: data, *, log_time_o
                 )
             data = edit(channel.topic, message.data, message.sequence)
             if data is not None:
-                writer.add_message(
-                    channels[channel.id], message.log_time, data, message.publish_time, message.sequence
-                )
+                number = sequence(channel.topic, message.sequence)
+                writer.add_message(channels[channel.id], message.log_time, data, message.publish_time, number)
         writer.finish()

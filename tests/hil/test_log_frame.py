@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from drivers.tick_columns import RECORDED, ROW, Column
+from drivers.tick_columns import ROW, Column
 from hil.app.plant_columns import PLANT
 from hil.record import Recording
 from hil.record.data_frame import plant_rows_of, require_one_run
 from hil.record.log import Log
 from hil.record.schema import CONFIGURATION, IDENTITY, RUN
-from hil.record.selection import Selection, name_of, together
+from hil.record.selection import name_of
 from tests.hil.samples import log_of, random_ticks
 
 COUNT = 900
@@ -103,10 +103,8 @@ def test_columns_are_chosen_by_name_and_wrong_names_get_near_ones(path):
 
 
 @pytest.mark.parametrize("names", [("q", "t_ns", "tick"), ("t_ns", "tick"), ("q", "tick", "q")])
-def test_columns_come_once_in_the_order_requested_with_their_values(names):
-    columns = tuple(c for c in RECORDED if c.name in {"tick", "t_ns", "q"})
-    selection = Selection.of(columns, names, "a.mcap")
-    found = together([selection.of_rows(ROWS[:3]), selection.of_rows(ROWS[3:])])
+def test_columns_come_once_in_the_order_requested_with_their_values(path, names):
+    found = Log(path).rows(*names)
     assert found.dtype.names == tuple(dict.fromkeys(names))
     for name in names:
         assert found[name].tobytes() == np.ascontiguousarray(ROWS[name]).tobytes()

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Message
+from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers.errors import LogError
@@ -15,17 +15,26 @@ from drivers.frame_array import FRAME
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record.decode import ITEM as PLACED
-from hil.record.decode import Decoder
-from hil.record.entries import assemble
+from hil.record.entries import Command, assemble
 from hil.record.layout import FRAME_FLAGS, frame_table
 from hil.record.log import Log, Tick
 from hil.record.mcap_file import record_bytes
-from hil.record.mcap_read import decompress, split
+from hil.record.mcap_read import Allowance, Record, messages_in
 from hil.record.ring import RECEIVED, SENT
 from hil.record.row import TICKS, RowCodec
 from hil.record.schema import Schema, message_class
-from hil.record.unpack import ITEM_WORDS, PLAIN, compiled, constants_of, kernels_for, words_of
+from hil.record.unpack import (
+    ITEM_WORDS,
+    SHORTEST,
+    Kernels,
+    compiled,
+    constants_of,
+    kernels_for,
+    unpack_rows,
+    words_of,
+)
 from hil.signals import Operator, Order, SetPoint
+from tests.hil.rewrite import rewrite_log
 from tests.hil.samples import assert_same, log_of, packed_rows, random_rows, random_ticks
 
 BUSES = ["can0", "the_second_can"]
@@ -36,7 +45,7 @@ ITEM = struct.Struct("<qIBBH64s")
 
 @pytest.fixture(scope="module", params=["plain", "compiled"])
 def kernels(request):
-    return PLAIN if request.param == "plain" else compiled()
+    return Kernels() if request.param == "plain" else compiled()
 
 
 @pytest.fixture(scope="module")
@@ -68,14 +77,16 @@ def test_a_chunk_has_the_messages_that_the_library_finds(path, kernels):
     with path.open("rb") as file:
         chunks = [each for each in StreamReader(file, emit_chunks=True).records if isinstance(each, Chunk)]
     for chunk in chunks:
-        data = decompress(chunk)
-        table, others = split(data, scan=kernels.scan)
+        content = record_bytes(chunk)[9:]
+        record = Record(6, 0, len(content), content)
+        data, table, channels = messages_in(record, Allowance(0), kernels.scan)
         theirs = [each for each in breakup_chunk(chunk) if isinstance(each, Message)]
         assert table.channel.tolist() == [each.channel_id for each in theirs]
+        assert table.sequence.tolist() == [each.sequence for each in theirs]
         assert table.log_time.tolist() == [each.log_time for each in theirs]
         starts, stops = table.offset + 31, table.offset + table.length
         assert [data[a:b] for a, b in zip(starts, stops, strict=True)] == [each.data for each in theirs]
-        assert others == []
+        assert channels == []
     assert len(chunks) > 1
 
 
@@ -128,10 +139,10 @@ def test_a_tick_made_of_tuples_has_items_and_takes_changes():
     assert other.received_items.tobytes() == ITEM.pack(7, 0x123, RECEIVED, 2, 0x302, frame.data)
     assert other.sent_items.tobytes() == ITEM.pack(0, 0x123, SENT, 2, 0x302, frame.data)
     assert Tick(tick.row, other.received_items, other.sent_items, ()).received == other.received
-    row, received, sent, *commands = other
-    assert (row, received, sent, commands) == (tick.row, other.received, other.sent, list(tick[3:]))
-    assert other == Tick(tick.row, other.received, (frame,), *other[3:]) != tick
-    assert (len(other), repr(other).partition("=")[0]) == (6, "Tick(row")
+    assert (other.received, other.sent) == ((Received(7, frame),), (frame,))
+    assert (other.row, other.operator, other.setpoints, other.orders) == (
+        tick.row, tick.operator, tick.setpoints, tick.orders,
+    )  # fmt: skip
 
 
 def laid_out(name, length):
@@ -189,7 +200,7 @@ def test_a_frame_with_a_changed_constant_byte_is_refused(kernels, length, name):
     ), "protobuf takes each number but 0 for true"
 
 
-def test_row_with_a_changed_constant_byte_is_refused(kernels):
+def test_a_row_with_a_changed_constant_byte_is_refused():
     codec = RowCodec(TICKS.columns)
     rows = random_rows(3)
     records = np.array([[0] * 31 + list(payload) for payload in packed_rows(TICKS, rows)], np.uint8)
@@ -198,28 +209,30 @@ def test_row_with_a_changed_constant_byte_is_refused(kernels):
         data = records.copy()
         if at is not None:
             data[1, at] ^= 1
-        given = words_of(data.tobytes()), starts, *constants_of(codec.layout), codec.read, found
-        assert bool(kernels.rows(*given)) == (at is None)
+        assert unpack_rows(data.tobytes(), starts, codec.layout, codec.read, found) == (at is None)
         assert at is not None or found.tobytes() == rows.tobytes()
 
 
 WHOLE = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
 
 
+def scanned(kernels, data):
+    """Return where the records of a buffer begin, and where they end."""
+    table = np.empty((6, len(data) // SHORTEST), np.int64)
+    end, count = kernels.scan(words_of(data), len(data), table)
+    return table[4, :count].tolist(), end
+
+
 @pytest.mark.parametrize(
     "count", [23, 31, 1 << 31, 1 << 32, (1 << 63) - 1, 1 << 63, (1 << 64) - 9, (1 << 64) - 1]
 )
-def test_a_message_that_reaches_past_the_end_is_refused(kernels, count):
-    data = WHOLE + struct.pack("<BQHIQQ", 5, count, 1, 0, 0, 0)
-    assert split(data, part=True, scan=kernels.scan)[0].offset.tolist() == [0]
-    with pytest.raises(LogError, match="31 bytes of 62 are no record"):
-        split(data, scan=kernels.scan)
+def test_a_message_that_reaches_past_the_end_is_not_taken(kernels, count):
+    assert scanned(kernels, WHOLE + struct.pack("<BQHIQQ", 5, count, 1, 0, 0, 0)) == ([0], 31)
 
 
 @pytest.mark.parametrize("size", range(32))
 def test_a_rest_behind_the_last_message_is_not_read(kernels, size):
-    table, _ = split(WHOLE + WHOLE[:size], part=True, scan=kernels.scan)
-    assert table.offset.tolist() == ([0, 31] if size == 31 else [0])
+    assert scanned(kernels, WHOLE + WHOLE[:size]) == (([0, 31], 62) if size == 31 else ([0], 31))
 
 
 def test_frames_of_any_bytes_are_read_alike_plain_and_compiled():
@@ -236,7 +249,8 @@ def test_frames_of_any_bytes_are_read_alike_plain_and_compiled():
         data[direction] = 1 + k % 2
         records.append(data.tobytes())
     found = [
-        frames_of(each, records, [name.encode() for name in BUSES], 1 << 60) for each in (PLAIN, compiled())
+        frames_of(each, records, [name.encode() for name in BUSES], 1 << 60)
+        for each in (Kernels(), compiled())
     ]
     assert [taken for taken, _ in found] == [200, 200]
     assert found[0][1].tobytes() == found[1][1].tobytes()
@@ -257,15 +271,28 @@ def test_a_long_log_is_read_by_what_is_compiled():
         ("/events", b"\xff"),
     ],
 )
-def test_a_message_in_another_layout_is_refused_with_its_topic(topic, payload):
-    decoder = Decoder("a.mcap")
-    decoder.learn(Channel(id=7, topic=topic, message_encoding="", metadata={}, schema_id=1))
-    decoder.expect("/tick", TICKS.columns, BUSES, 5_000_000_000)
-    data = record_bytes(Message(channel_id=7, log_time=0, publish_time=0, sequence=0, data=payload))
-    reads: dict[str, Any] = {"/can": decoder.frames, "/tick": decoder.rows}
-    read = reads.get(topic, lambda data, table: list(decoder.messages(data, table, topic)))
-    with pytest.raises(LogError, match=rf"^a\.mcap: a message of {topic} is damaged or of another kind: "):
-        read(data, split(data)[0])
+def test_a_message_in_another_layout_is_refused_with_its_topic(path, tmp_path, topic, payload):
+    changed = []
+
+    def edit(kind, data, _):
+        if kind != topic or changed:
+            return data
+        changed.append(kind)
+        return payload
+
+    rewrite_log(path, tmp_path / "a.mcap", edit)
+    log = Log(tmp_path / "a.mcap")
+    assert changed
+    reads: dict[str, Any] = {"/can": lambda: list(log.can_frames()), "/events": log.events}
+    with pytest.raises(LogError, match=rf"a\.mcap: a message of {topic} is damaged or of another kind: "):
+        reads.get(topic, lambda: list(log.ticks()))()
+
+
+@pytest.mark.parametrize("topic", ["/tick", "/can"])
+def test_a_row_or_frame_whose_tick_is_not_that_of_its_message_is_refused(path, tmp_path, topic):
+    rewrite_log(path, tmp_path / "a.mcap", sequence=lambda kind, tick: tick + (kind == topic and tick == 50))
+    with pytest.raises(LogError, match="not in the order of a recorder, near tick"):
+        Log(tmp_path / "a.mcap").rows()
 
 
 def items_of(*entries):
@@ -283,7 +310,7 @@ def test_frames_of_a_tick_stand_in_the_order_of_their_index():
     frames = items["frame"]
     frames["length"], frames["bus"] = [1, 2, 3, 64, 0], [0, 5, 1, 0, 255]
     frames["data"] = np.arange(5 * 64).reshape(5, 64) % 250
-    (tick,) = assemble(random_rows(1), items, {})
+    (tick,) = assemble(random_rows(1), items, [])
     data = [bytes((64 * k + b) % 250 for b in range(n)) for k, n in enumerate([1, 2, 3, 64, 0])]
     assert tick.received == (
         Received(40, Frame(4, data[3], 0)),
@@ -295,16 +322,15 @@ def test_frames_of_a_tick_stand_in_the_order_of_their_index():
 
 def test_commands_of_a_tick_stand_in_the_order_of_their_index():
     pose = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
-    commands = {
-        1: [
-            (9, int(Operator.HOLD), ()),
-            (2, int(Operator.STOP), ()),
-            (8, int(Operator.SETPOINT), pose[::-1]),
-            (1, int(Operator.RESET), ()),
-            (4, int(Operator.SPEED), (0.5,)),
-            (3, int(Operator.SETPOINT), pose),
-        ]
-    }
+    given: list[tuple[int, Operator, tuple[float, ...]]] = [
+        (9, Operator.HOLD, ()),
+        (2, Operator.STOP, ()),
+        (8, Operator.SETPOINT, pose[::-1]),
+        (1, Operator.RESET, ()),
+        (4, Operator.SPEED, (0.5,)),
+        (3, Operator.SETPOINT, pose),
+    ]
+    commands = [Command(1, *each) for each in given]
     before, tick = assemble(random_rows(2), items_of(), commands)
     assert (before.operator, before.setpoints, before.orders) == ((), (), ())
     assert tick.operator == (Operator.RESET, Operator.STOP)

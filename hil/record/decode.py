@@ -5,7 +5,6 @@ encoded in another way is refused. Commands and events are read by protobuf.
 """
 
 from collections.abc import Iterator
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,6 @@ from numpy.typing import NDArray
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
-from drivers.frame_array import FRAME
 from hil.record.entries import Command, Event
 from hil.record.layout import RECORD_HEADER, frame_table
 from hil.record.mcap_read import MessageTable
@@ -29,11 +27,9 @@ from hil.record.schema import (
     message_class,
     operator_schema,
 )
-from hil.record.unpack import ITEM_WORDS, Kernels, constants_of, kernels_for, unpack_rows, words_of
+from hil.record.unpack import ITEM, unpack_frames, unpack_rows, words_of
 from hil.signals import NUMBERS, Operator
 
-ITEM = np.dtype([("frame", FRAME), ("tick", "<i8"), ("index", "<i8")])
-"""A frame as the recorder has it, and its place: its tick, and its number in it."""
 REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
 """What protobuf, NumPy and Python raise of tables and messages of unknown making."""
 
@@ -53,8 +49,7 @@ def why(error: Exception) -> str:
 class Decoder:
     """Decodes the messages of one log. State: the channels met so far, and what to expect."""
 
-    def __init__(self, log_bytes: int = 0) -> None:
-        self._log_bytes = log_bytes
+    def __init__(self) -> None:
         self._topics: dict[int, str] = {}
         self._classes = {OPERATOR_TOPIC: message_class(operator_schema()), EVENTS_TOPIC: Log}
 
@@ -66,16 +61,11 @@ class Decoder:
         """Set what the log says of its rows and frames; columns of LATER that it lacks are nan."""
         self._topic = run.topic
         frames, table = frame_table([name.encode() for name in run.can_channels])
-        self._frame = run.epoch_ns, *constants_of(frames), table
+        self._frame = run.epoch_ns, frames, table
         row = RowCodec(run.columns)
         self._size, self._tick = row.layout.template.size, row.read[_word_of(row.dtype, "tick")]
         self._row = row.layout, row.read
         self.dtype = Table(run.topic, completed(run.columns)).dtype
-
-    @cached_property
-    def kernels(self) -> Kernels:
-        """What takes the buffers of this log apart."""
-        return kernels_for(self._log_bytes)
 
     def messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
         """Return which messages of a table are of a topic."""
@@ -157,12 +147,9 @@ class Decoder:
     def frames(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
         mine = self.messages_of(table, CAN_TOPIC)
-        items = np.zeros(len(mine), ITEM)
-        matrix = items.view(np.int64).reshape(len(mine), ITEM_WORDS)
-        where = table.offset[mine], table.length[mine]
-        with np.errstate(over="ignore"):  # of damaged times
-            read = self.kernels.frames(words_of(data), *where, *self._frame, matrix)
-        if read < len(mine) or (items["tick"] & _SEQUENCE != table.sequence[mine]).any():
+        items, where = np.zeros(len(mine), ITEM), (table.offset[mine], table.length[mine])
+        good = unpack_frames(data, *where, *self._frame, items)
+        if not good or (items["tick"] & _SEQUENCE != table.sequence[mine]).any():
             raise _other(CAN_TOPIC, _OTHER_LAYOUT)
         return items
 

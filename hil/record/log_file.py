@@ -72,7 +72,7 @@ class LogFile:
         self.path = Path(path)
         self.metadata, self.attachments = {}, {}
         self.cut, self._size = self._check_file()
-        self._decoder = Decoder(self._size)
+        self._decoder = Decoder()
         with self._reading():
             for record in records(self.path, _MESSAGES, cut=bool(self.cut)):
                 self._learn(record)
@@ -176,7 +176,7 @@ class LogFile:
                     raise record.damaged("a message outside a chunk, which no recorder writes")
                 if record.opcode != Opcode.CHUNK:
                     continue
-                data, table, channels = messages_in(record, allowance, self._decoder.kernels.scan)
+                data, table, channels = messages_in(record, allowance)
                 for channel in channels:
                     self._decoder.learn(channel)
                 if not record.complete:

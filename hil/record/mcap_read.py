@@ -8,7 +8,7 @@ messages of a chunk are places in one buffer.
 import os
 import struct
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, NamedTuple
@@ -27,7 +27,7 @@ from drivers.errors import LogError
 from drivers.files import open_regular
 from hil.record.layout import RECORD_HEADER
 from hil.record.mcap_file import MAGIC
-from hil.record.unpack import SHORTEST, scan, words_of
+from hil.record.unpack import scan, words_of
 
 HEAD = struct.Struct("<BQ")
 _KINDS: dict[int, Any] = {
@@ -213,13 +213,10 @@ def _unpacked(record: Record, allowance: Allowance) -> bytes:
     return data[:size]
 
 
-def messages_in(
-    record: Record, allowance: Allowance, scan: Callable[..., tuple[int, int]] = scan
-) -> tuple[bytes, MessageTable, list[Channel]]:
+def messages_in(record: Record, allowance: Allowance) -> tuple[bytes, MessageTable, list[Channel]]:
     """Return the bytes in a chunk, its messages, and the channels that stand between them.
 
-    Of a chunk that is cut, those that are whole; none where it is damaged, too. scan: the function of
-    `hil.record.unpack`, or what was compiled of it.
+    Of a chunk that is cut, those that are whole; none where it is damaged, too.
 
     Raises
     ------
@@ -229,32 +226,31 @@ def messages_in(
     """
     try:
         data = _unpacked(record, allowance)
-        return data, *_split(record, data, allowance, scan)
+        return data, *_split(record, data, allowance)
     except LogError:
         if record.complete:
             raise
         return b"", MessageTable(*np.zeros((5, 0), np.int64)), []
 
 
-def _split(
-    record: Record, data: bytes, allowance: Allowance, scan: Callable[..., tuple[int, int]]
-) -> tuple[MessageTable, list[Channel]]:
+def _split(record: Record, data: bytes, allowance: Allowance) -> tuple[MessageTable, list[Channel]]:
     """Find the whole records in a chunk's buffer."""
-    size, table = len(data), np.empty((6, len(data) // SHORTEST), np.int64)
-    position, count = scan(words_of(data), size, table)
-    if position < size and record.complete:
-        raise record.damaged(f"the last {size - position} bytes of a chunk are no record")
-    allowance.spend(MESSAGE_BYTES * count)
-    opcode = table[0, :count]
-    others = np.flatnonzero(opcode != Opcode.MESSAGE).tolist()
-    if not set(opcode[others].tolist()) <= {Opcode.SCHEMA, Opcode.CHANNEL}:
-        raise record.damaged("a record in a chunk that is no message, schema or channel")
+    starts, end = scan(data)
+    if end < len(data) and record.complete:
+        raise record.damaged(f"the last {len(data) - end} bytes of a chunk are no record")
+    allowance.spend(MESSAGE_BYTES * len(starts))
+    words = words_of(data)
+    opcode, length = words[starts] & 0xFF, words[starts + 1] + HEAD.size
     channels = []
-    for k in others:
-        start, length = table[4:, k].tolist()
-        content = data[start + HEAD.size : start + length]
+    for k in np.flatnonzero(opcode != Opcode.MESSAGE).tolist():
+        if opcode[k] not in {Opcode.SCHEMA, Opcode.CHANNEL}:
+            raise record.damaged("a record in a chunk that is no message, schema or channel")
+        content = data[starts[k] + HEAD.size : starts[k] + length[k]]
         channels.append(Record(int(opcode[k]), record.offset, len(content), content).parse())
-    messages = MessageTable(*(np.delete(table[1:, :count], others, axis=1) if others else table[1:, :count]))
+    mine = opcode == Opcode.MESSAGE
+    at = starts[mine]
+    columns = words[at + 9] & 0xFFFF, words[at + 11] & 0xFFFFFFFF, words[at + 15], at, length[mine]
+    messages = MessageTable(*columns)
     if (messages.log_time < 0).any() or (messages.length < RECORD_HEADER).any():
         raise record.damaged("a message of less than 22 bytes, or of a time after the year 2262")
     return messages, [each for each in channels if each is not None]

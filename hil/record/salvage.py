@@ -1,7 +1,7 @@
 """Makes a valid log of one that was cut or damaged: power loss, full disk, recorder killed, bits turned over.
 
-The original is read, never touched; the result is a new file. Chunks whose checksum holds are copied as they
-are; of a chunk that is cut, the ticks that are complete. Schemas and channels are those of our own code.
+The original is read, never touched; the result is a new file. The messages of chunks whose checksum holds are
+taken over; of a chunk that is cut, the ticks that are complete. Schemas and channels are those of our own code.
 Where a length is damaged, the next chunk is looked for, or the description of the run.
 """
 
@@ -203,23 +203,21 @@ class _Salvage:
             self.file.add_metadata(found.name, found.metadata)
 
     def _chunk(self, record: Record) -> None:
-        """Copy a chunk; of one that is cut, the whole ticks, which are what replay needs."""
+        """Take over a chunk; of one that is cut, the whole ticks, which are what replay needs."""
         data, table, _ = messages_in(record, self._allowance)
         begun = np.flatnonzero(np.isin(table.channel, self._rows))
-        if record.complete:
-            self.file.add_compressed(record.parse(), table.channel, table.log_time, table.offset)
-            self.report.chunks += 1
-            self.report.ticks += len(begun)
-            self._damaged = False
-            return
-        table = table.before(begun)
-        count = len(table.channel)
-        if count:
+        if not record.complete:
+            table, begun = table.before(begun), begun[:-1]
+        if count := len(table.channel):
             end = int(table.offset[-1] + table.length[-1])
             self.file.add_chunk(data[:end], table.channel, table.log_time, table.offset)
-            self.report.ticks += len(begun) - 1
-        what = f"the file ends inside the chunk at byte {record.offset}"
-        self._lose(len(record.whole), f"{what}: {count} messages of it recovered")
+        self.report.ticks += len(begun)
+        if record.complete:
+            self.report.chunks += 1
+            self._damaged = False
+        else:
+            where = f"the file ends inside the chunk at byte {record.offset}"
+            self._lose(len(record.whole), f"{where}: {count} messages of it recovered")
 
     def close(self) -> None:
         """Write what was lost and how the run ended, and close the file."""

@@ -1,75 +1,41 @@
-"""From the bytes of a chunk to arrays: where its messages are, and what rows and frames of our own hold.
+"""From the bytes of a chunk to arrays: where its records are, and what rows and frames of our own hold.
 
-Pure functions. Two run as they are written, or compiled, which pays where a log is not short: they look at
-the buffer through its `words`. A message of a table lies within the buffer, whatever it says.
+Pure functions. A record that is given by its start and size lies within the buffer, whatever it says.
 """
 
-from __future__ import annotations
-
-import sys
-from collections.abc import Callable
-from functools import cache
-from typing import NamedTuple
+import struct
 
 import numpy as np
+from numpy.typing import NDArray
 
-from drivers.arrays import Ints
-from hil.record.layout import (
-    DIRECTION,
-    FLAGS,
-    FRAME_FLAGS,
-    ID,
-    MAX_DATA,
-    NANOS,
-    RECORD_HEADER,
-    SECONDS,
-    TICK,
-    Layout,
-)
+from drivers.arrays import Bytes, Ints, Rows
+from drivers.frame_array import FRAME
+from hil.record.layout import FRAME_FLAGS, MAX_DATA, Layout
 from hil.record.schema import RX, TX
 
+ITEM = np.dtype([("frame", FRAME), ("tick", "<i8"), ("index", "<i8")])
+"""A frame as the recorder has it, and its place: its tick, and its number in it."""
 SHORTEST = 23
 """Bytes of the shortest record that a chunk may hold, an empty schema."""
-_SHORT = 1 << 20
-"""Bytes of a log that is read in the time in which the compiler is loaded."""
-_WORD = 8
-_BYTE, _TWO_BYTES, _FOUR_BYTES, _FIVE_BYTES = 0xFF, 0xFFFF, 0xFFFFFFFF, 0xFFFFFFFFFF
-_BITS = tuple(FRAME_FLAGS.values())
-ITEM_WORDS = 4 + MAX_DATA // _WORD
-"""Words of one element of `hil.record.decode.ITEM`."""
+_LENGTH = struct.Struct("<Q")
+_SEVEN_BITS = 1 << 7 * np.arange(5)
+
+
+def scan(data: bytes) -> tuple[Ints, int]:
+    """Return where the whole records of a buffer begin, and where the last of them ends."""
+    starts, at, size = [], 0, len(data)
+    while at + SHORTEST <= size:
+        end = at + 9 + _LENGTH.unpack_from(data, at + 1)[0]
+        if not at + SHORTEST <= end <= size:
+            break
+        starts.append(at)
+        at = end
+    return np.array(starts, np.int64), at
 
 
 def words_of(data: bytes) -> Ints:
     """Return the eight bytes from each position of a buffer on, as integers (n - 7,): views of it."""
-    return np.ndarray((max(len(data) - _WORD + 1, 0),), "<i8", data, strides=(1,))
-
-
-def scan(words: Ints, size: int, table: Ints) -> tuple[int, int]:
-    """Find the whole records in a buffer of `size` bytes.
-
-    Fills table (6, m): opcode, of messages channel, sequence and log time, offset and length of each. Returns
-    the position behind the last one and how many there are.
-    """
-    position = n = 0
-    while position + SHORTEST <= size:
-        count = words[position + 1]
-        if count < SHORTEST - 9 or count > size - position - 9:
-            break
-        table[0, n] = words[position] & _BYTE
-        table[1, n] = words[position + 9] & _TWO_BYTES
-        table[2, n] = words[position + 11] & _FOUR_BYTES
-        table[3, n] = words[position + 15]
-        table[4, n] = position
-        table[5, n] = count + 9
-        position += count + 9
-        n += 1
-    return position, n
-
-
-def constants_of(layout: Layout) -> tuple[Ints, Ints]:
-    """Return the values and the masks of the words of a layout, from each of its bytes on."""
-    template, mask = (words_of(each.tobytes()).copy() for each in layout)
-    return template, mask
+    return np.ndarray((max(len(data) - 7, 0),), "<i8", data, strides=(1,))
 
 
 def unpack_rows(data: bytes, starts: Ints, layout: Layout, places: Ints, rows: Ints) -> bool:
@@ -77,95 +43,68 @@ def unpack_rows(data: bytes, starts: Ints, layout: Layout, places: Ints, rows: I
 
     places : (m,) where a record has the words of a row.
     """
-    size = len(layout.template)
-    packed = b"".join([data[start : start + size] for start in starts.tolist()])
-    records = np.frombuffer(packed, np.uint8).reshape(len(starts), size)
+    records = _stacked(data, starts, len(layout.template))
     if ((records ^ layout.template) & layout.mask).any():
         return False
-    words = np.ndarray((len(starts), size - _WORD + 1), "<i8", packed, strides=(size, 1))
+    size = records.shape[1]
+    words = np.ndarray((len(starts), size - 7), "<i8", records, strides=(size, 1))
     rows[:, : len(places)] = words[:, places]
     return True
 
 
 def unpack_frames(
-    words: Ints,
-    starts: Ints,
-    sizes: Ints,
-    epoch_ns: int,
-    template: Ints,
-    mask: Ints,
-    table: Ints,
-    items: Ints,
-) -> int:
-    """Fill items (n, ITEM_WORDS), which are 0, from records that start at `starts`, of `sizes` bytes, (n,).
+    data: bytes, starts: Ints, sizes: Ints, epoch_ns: int, layout: Layout, table: Ints, items: Rows
+) -> bool:
+    """Fill items (n,) of ITEM, which are 0, from records that start at `starts`, of `sizes` bytes, (n,).
 
-    Returns how many of them, from the first one on, have the layout of a bus. template, mask : as
-    `constants_of`; table : as `hil.record.layout.frame_table`.
+    Returns whether each has the layout of a bus. layout, table : of `hil.record.layout.frame_table`.
     """
-    for i in range(len(starts)):
-        at, end = starts[i], starts[i] + sizes[i]
-        bus = length = data = 0
-        fits = False
-        while not fits and bus < len(table):
-            start, size, data = table[bus, 0], table[bus, 1], table[bus, 2]
-            length = sizes[i] - size
-            fits = 0 <= length <= MAX_DATA and words[at + data - _WORD] >> 56 & _BYTE == length
-            k = RECORD_HEADER
-            while fits and k < size:
-                place = min(k, (data if k < data else size) - _WORD)
-                word = words[at + place + (0 if k < data else length)]
-                fits = (word ^ template[start + place]) & mask[start + place] == 0
-                k = place + _WORD
-            bus += 1
-        bus -= 1
-        behind = at + length
-        direction = words[behind + table[bus, DIRECTION]] & _BYTE
-        if not fits or not RX <= direction <= TX:
-            return i
-        stamp = 0
-        for field, unit in ((SECONDS, 1_000_000_000), (NANOS, 1)):
-            varint = words[at + table[bus, field]] & _FIVE_BYTES
-            for k in range(5):
-                stamp += (varint >> 8 * k & 0x7F) * unit << 7 * k
-        flags = 0
-        for k in range(len(_BITS)):
-            place = table[bus, FLAGS + k]
-            if words[(behind if place > data else at) + place] & _BYTE:
-                flags |= _BITS[k]
-        last = words[end - _WORD]
-        items[i, 0] = stamp - epoch_ns
-        items[i, 1] = words[at + table[bus, ID]] & _FOUR_BYTES | (direction - RX) << 32 | length << 40
-        items[i, 1] |= flags << 48 | (last >> 56 & _BYTE) << 56
-        for k in range(length // _WORD):
-            items[i, 2 + k] = words[at + data + k * _WORD]
-        if length % _WORD:
-            rest = words[at + data + length // _WORD * _WORD]
-            items[i, 2 + length // _WORD] = rest & (1 << 8 * (length % _WORD)) - 1
-        items[i, ITEM_WORDS - 2] = words[behind + table[bus, TICK]]
-        items[i, ITEM_WORDS - 1] = last >> 16 & _FOUR_BYTES
-    return len(starts)
+    left = np.ones(len(starts), np.bool_)
+    for first, size, at, *places in table.tolist():
+        template, mask = layout.template[first : first + size], layout.mask[first : first + size]
+        for length in {*(sizes[left] - size).tolist()} & {*range(MAX_DATA + 1)}:
+            mine = np.flatnonzero(left & (sizes == size + length))
+            records = _stacked(data, starts[mine], size + length)
+            constant = np.delete(records, np.s_[at : at + length], axis=1)
+            found = _frames(constant, places, epoch_ns)
+            found["frame"]["length"], found["frame"]["data"][:, :length] = (
+                length,
+                records[:, at : at + length],
+            )
+            good = ~((constant ^ template) & mask).any(axis=1) & (constant[:, at - 1] == length)
+            good &= found["frame"]["kind"] <= TX - RX
+            items[mine[good]] = found[good]
+            left[mine[good]] = False
+    return not left.any()
 
 
-class Kernels(NamedTuple):
-    """The functions as they are called."""
+def _stacked(data: bytes, starts: Ints, size: int) -> Bytes:
+    """Return records of one size (n, size)."""
+    packed = b"".join([data[start : start + size] for start in starts.tolist()])
+    return np.frombuffer(packed, np.uint8).reshape(len(starts), size)
 
-    scan: Callable[..., tuple[int, int]] = scan
-    frames: Callable[..., int] = unpack_frames
 
+def _frames(records: Bytes, places: list[int], epoch_ns: int) -> Rows:
+    """Return what records of frames hold beside their data; places : as in a row of a `frame_table`."""
+    seconds, nanos, can_id, _, direction, tick, index, bus, *flags = places
 
-@cache
-def compiled() -> Kernels:
-    """Return the functions compiled."""
-    from drivers.compiled import compiler as c  # noqa: PLC0415 - it takes a quarter of a second
+    def number(place: int, kind: str) -> NDArray[np.integer]:
+        size = np.dtype(kind).itemsize
+        return np.ascontiguousarray(records[:, place : place + size]).view(kind)[:, 0]
 
-    words, numbers, filled = c.WORDS, c.INTEGERS, c.OUT_INTEGER_MATRIX
-    of_frames = words, numbers, numbers, c.INTEGER, numbers, numbers, c.MATRIX_OF_INTEGERS, filled
-    return Kernels(
-        c.kernel(words, c.INTEGER, filled)(scan),
-        c.kernel(*of_frames)(unpack_frames),
+    def varint(place: int) -> Ints:
+        found: Ints = (records[:, place : place + 5] & 0x7F) @ _SEVEN_BITS
+        return found
+
+    items = np.zeros(len(records), ITEM)
+    frames = items["frame"]
+    frames["t_ns"] = varint(seconds) * 1_000_000_000 + varint(nanos) - epoch_ns
+    frames["id"], frames["kind"], frames["bus"] = (
+        number(can_id, "<u4"),
+        records[:, direction] - RX,
+        records[:, bus],
     )
-
-
-def kernels_for(size: int) -> Kernels:
-    """Return the functions for a log of so many bytes."""
-    return compiled() if "drivers.compiled.compiler" in sys.modules or size > _SHORT else Kernels()
+    bits = zip(flags, FRAME_FLAGS.values(), strict=True)
+    frames["flags"] = sum(np.where(records[:, place] != 0, bit, 0) for place, bit in bits)
+    items["tick"], items["index"] = number(tick, "<i8"), number(index, "<u4")
+    return items

@@ -120,21 +120,12 @@ class LogFile:
 
     def _check_file(self) -> tuple[str, int]:
         """Return why the file is cut, or nothing, and its bytes; refuse what is no log at all."""
-        path = self.path
-        try:
-            with open_regular(path) as file:
-                head = file.read(len(MAGIC))
-                size = file.seek(0, os.SEEK_END)
-                file.seek(max(size - len(MAGIC), 0))
-                tail = file.read()
-        except FileNotFoundError:
-            raise LogError(f"{path}: no such file") from None
-        except OSError as error:
-            raise LogError(f"{path}: cannot be read: {error.strerror}") from error
-        if not head:
-            raise LogError(f"{path}: the file is empty")
-        if not MAGIC.startswith(head):
-            raise LogError(f"{path}: not an MCAP file")
+        with self._reading(), open_regular(self.path) as file:
+            head, size = file.read(len(MAGIC)), file.seek(0, os.SEEK_END)
+            file.seek(max(size - len(MAGIC), 0))
+            tail = file.read()
+        if not head or not MAGIC.startswith(head):
+            raise LogError(f"{self.path}: {'not an MCAP file' if head else 'the file is empty'}")
         if size < len(MAGIC) + _FOOTER or tail != MAGIC:
             return (
                 f"cut at {size} bytes, the end is missing (power loss, the recorder was killed, or the run "
@@ -150,6 +141,8 @@ class LogFile:
         except LogError as error:
             mend = f"; {self._mend}" if isinstance(error, DamageError) else ""
             raise LogError(f"{self.path}: {error}{mend}") from None
+        except FileNotFoundError:
+            raise LogError(f"{self.path}: no such file") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 

@@ -98,14 +98,15 @@ def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
     def response(f: float) -> float:
         return float(abs((increments * np.exp(-2j * np.pi * f * t)).sum())) / gain
 
-    grid = np.geomspace(0.01 / (len(t) * period), 0.5 / period, 600)
+    lowest = 0.01 / (len(t) * period)
+    grid = np.geomspace(lowest, 0.5 / period, 600)
     below = next((k for k, f in enumerate(grid) if response(f) < np.sqrt(0.5)), None)
     if not below:
         return float("nan")
     low, high = grid[below - 1], grid[below]
     for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (low, middle) if response(middle) < np.sqrt(0.5) else (middle, high)
+        middle_f = (low + high) / 2
+        low, high = (low, middle_f) if response(middle_f) < np.sqrt(0.5) else (middle_f, high)
     return float(high)
 
 

@@ -1,8 +1,8 @@
 """Makes a valid log of one that was cut or damaged: power loss, full disk, recorder killed, bits turned over.
 
-The original is read, never touched; the result is a new file. The messages of chunks whose checksum holds are
-taken over; of a chunk that is cut, the ticks that are complete. Schemas and channels are those of our own code.
-Where a length is damaged, the next chunk is looked for, or the description of the run.
+The original is read, never touched; the result is a new file. It has the messages of each chunk whose
+checksum holds, and the whole ticks of one that is cut; schemas and channels are those of our own code. Behind
+a damaged length the next chunk is looked for, or the description of the run.
 """
 
 import contextlib

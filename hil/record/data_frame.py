@@ -142,17 +142,16 @@ def require_one_run(log: LogFile, plant: LogFile, places: Ints) -> None:
         They are not of one run.
 
     """
-    far = abs(log.epoch_ns - plant.epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any())
     texts = [each.attachments.get(CONFIGURATION) for each in (log, plant)]
-    differ = None not in texts and texts[0] != texts[1]
-    other = log.lockstep != plant.lockstep or (log.lockstep and differ)
     runs = [each.metadata[IDENTITY].get(RUN) for each in (log, plant)]
-    if far or other or (None not in runs and runs[0] != runs[1]):
+    why = ""
+    if None not in runs and runs[0] != runs[1]:
+        why = "set-points, commands or faults were others"
+    if log.lockstep != plant.lockstep or (log.lockstep and None not in texts and texts[0] != texts[1]):
+        why = "its configuration is another one"
+    if abs(log.epoch_ns - plant.epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any()):
         why = f"no tick of {log.path} is in it"
-        if not far:
-            why = (
-                "its configuration is another one" if other else "set-points, commands or faults were others"
-            )
+    if why:
         raise LogError(
             f"{log.path}: the plant's log {plant.path} is of another run: {why}; name the right one with "
             "Log(path, plant=FILE)"

@@ -63,7 +63,8 @@ class Decoder:
         frames, table = frame_table([name.encode() for name in run.can_channels])
         self._frame = run.epoch_ns, frames, table
         row = RowCodec(run.columns)
-        self._size, self._tick = row.layout.template.size, row.read[_word_of(row.dtype, "tick")]
+        at = row.dtype.fields["tick"][1] // 8  # type: ignore[index]
+        self._size, self._tick = len(row.layout.template), row.read[at]
         self._row = row.layout, row.read
         self.dtype = Table(run.topic, completed(run.columns)).dtype
 
@@ -156,8 +157,3 @@ class Decoder:
 
 def _other(topic: str, what: str) -> LogError:
     return LogError(f"a message of {topic} is damaged or of another kind: {what}")
-
-
-def _word_of(dtype: np.dtype[np.void], name: str) -> int:
-    """Return which word of a row a column begins with."""
-    return dtype.fields[name][1] // 8  # type: ignore[index]

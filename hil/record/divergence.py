@@ -127,10 +127,8 @@ class Divergence:
     @property
     def first(self) -> list[ColumnDivergence]:
         """Columns that diverge in the first tick in which any does."""
-        found = self.diverging
-        return [
-            each for each in found if each.first and found[0].first and each.first.tick == found[0].first.tick
-        ]
+        ticks = [each.first.tick for each in self.diverging if each.first]
+        return [each for each in self.diverging if each.first and each.first.tick == ticks[0]]
 
 
 def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> Tolerance:

@@ -20,8 +20,7 @@ CONFIGURATION = "config.yaml"
 CAN_TOPIC, OPERATOR_TOPIC, EVENTS_TOPIC = "/can", "/operator", "/events"
 LEVELS = {"debug": 1, "info": 2, "warning": 3, "error": 4}
 """Levels of events, as foxglove.Log counts them."""
-LEVEL_NAMES = {number: name for name, number in LEVELS.items()} | {5: "error"}
-"""The fatal errors of others are errors."""
+LEVEL_NAMES = {number: name for name, number in LEVELS.items()}
 PACKAGE = "hil"
 FRAME = "hil.Frame"
 OPERATOR = "hil.OperatorCommand"

@@ -67,8 +67,7 @@ class Command(NamedTuple):
     tick: int
     index: int
     """Its place in the tick."""
-    operator: int
-    """Number of `hil.signals.Operator`."""
+    operator: Operator
     numbers: tuple[float, ...]
 
 
@@ -103,7 +102,7 @@ class LoggedFrame(NamedTuple):
 
 
 def logged(items: Rows) -> Iterator[LoggedFrame]:
-    """Yield the frames of `items` (elements of `hil.record.decode.FRAME`) one by one."""
+    """Yield the frames of `items` of `hil.record.unpack.ITEM` one by one."""
     frames = unpack_frames(items["frame"].tobytes())
     for (t_ns, can_id, kind, length, flags, data), tick in zip(frames, items["tick"].tolist(), strict=True):
         yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)
@@ -128,5 +127,5 @@ def assemble(rows: Rows, items: Rows, commands: Iterable[Command]) -> Iterator[T
             frames[b:c],
             tuple(each.operator for each in given if each.operator not in NUMBERS),
             tuple(SetPoint(*each.numbers) for each in given if each.operator == Operator.SETPOINT),
-            tuple(Order(Operator(each.operator), each.numbers) for each in given if each.operator in ORDERS),
+            tuple(Order(each.operator, each.numbers) for each in given if each.operator in ORDERS),
         )

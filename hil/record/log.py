@@ -14,7 +14,7 @@ from drivers.errors import LogError
 from drivers.tick_columns import RECORDED
 from hil.record.entries import Command, Event, LoggedFrame, Tick, assemble, logged
 from hil.record.log_file import LogFile
-from hil.record.schema import SUMMARY
+from hil.record.schema import CAN_TOPIC, SUMMARY
 from hil.record.selection import together
 from hil.record.unpack import ITEM
 
@@ -123,13 +123,15 @@ class Log(LogFile):
             The file is damaged.
 
         """
-        count, times, end = np.zeros(2, np.int64), np.zeros(0, np.int64), self.metadata.get(SUMMARY, {})
-        for found, more in self._decoded(self._decoder.counts, lambda _, table: table.log_time):
-            count += found
-            times = np.sort(np.append(times, more))[[0, -1]] if len(more) else times
+        ticks, frames, times, end = 0, 0, np.zeros(0, np.int64), self.metadata.get(SUMMARY, {})
+        for (table,) in self._decoded(lambda _, table: table):
+            ticks += len(self._messages_of(table, self.topic))
+            frames += len(self._messages_of(table, CAN_TOPIC))
+            times = np.sort(np.append(times, table.log_time))[[0, -1][: len(table.log_time) + len(times)]]
         dropped = end.get("dropped", "")
         return LogStatistics(
-            *count.tolist(),
+            ticks,
+            frames,
             duration_s=float(np.ptp(times)) * 1e-9 if len(times) else 0.0,
             dropped=int(dropped) if dropped.isdecimal() and len(dropped) < 19 else 0,
             closed="cut" if self.cut else end.get("closed", "unknown"),
@@ -192,7 +194,7 @@ class Log(LogFile):
 
     def events(self) -> list[Event]:
         """Return all events, in the order of the file."""
-        return [event for (events,) in self._decoded(self._decoder.events) for event in events]
+        return [event for (events,) in self._decoded(self._events_in) for event in events]
 
     def can_frames(self) -> Iterator[LoggedFrame]:
         """Yield the CAN frames in the order of their times, reading as it goes.
@@ -207,7 +209,7 @@ class Log(LogFile):
 
         """
         pending = np.zeros(0, ITEM)
-        for (items,) in self._decoded(self._decoder.frames):
+        for (items,) in self._decoded(self._frames_in):
             pending = together((pending, items))
             if not len(pending):
                 continue
@@ -229,8 +231,7 @@ class Log(LogFile):
         """
         rows, items = np.zeros(0, self.dtype), np.zeros(0, ITEM)
         commands: list[Command] = []
-        decoder = self._decoder
-        for more, frames, said in self._decoded(decoder.rows, decoder.frames, decoder.commands):
+        for more, frames, said in self._decoded(self._rows_in, self._frames_in, self._commands_in):
             rows, items, commands = together((rows, more)), together((items, frames)), commands + said
             yield from assemble(rows[:-1], items, commands)
             rows = rows[-1:]  # what belongs to it may go on in the next chunk

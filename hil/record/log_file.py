@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 from mcap.opcode import Opcode
+from numpy.typing import NDArray
 
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.files import open_regular
 from drivers.tick_columns import Column
-from hil.record.decode import REFUSED, Decoder, why
+from hil.record.entries import Command, Event
+from hil.record.layout import RECORD_HEADER, frame_table
 from hil.record.mcap_file import MAGIC
 from hil.record.mcap_read import (
     Allowance,
@@ -26,12 +29,29 @@ from hil.record.mcap_read import (
     messages_in,
     records,
 )
-from hil.record.row import OLD, Run, completed
-from hil.record.schema import CONFIGURATION, IDENTITY, SALVAGE
+from hil.record.row import OLD, REFUSED, RowCodec, Run, Table, completed, why
+from hil.record.schema import (
+    CAN_TOPIC,
+    CONFIGURATION,
+    EVENTS_TOPIC,
+    IDENTITY,
+    LEVEL_NAMES,
+    OPERATOR_TOPIC,
+    SALVAGE,
+    message_class,
+    operator_schema,
+)
 from hil.record.selection import no_column, together
+from hil.record.unpack import ITEM, unpack_frames, unpack_rows, words_of
+from hil.signals import NUMBERS, Operator
 
 _MESSAGES = frozenset({Opcode.MESSAGE, Opcode.CHUNK, Opcode.MESSAGE_INDEX})
 _FOOTER = 9 + 20 + len(MAGIC)
+_CLASSES = {OPERATOR_TOPIC: message_class(operator_schema()), EVENTS_TOPIC: LogMessage}
+_OPERATORS = frozenset(map(int, Operator))
+_SEQUENCE = 0xFFFFFFFF
+"""A message has this part of its tick in its head."""
+_OTHER_LAYOUT = "its layout is not that of the recorder"
 MEND, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, and no more can be had of it"
 """What to do about a damaged log."""
 
@@ -72,7 +92,7 @@ class LogFile:
         self.path = Path(path)
         self.metadata, self.attachments = {}, {}
         self.cut, self._size = self._check_file()
-        self._decoder = Decoder()
+        self._topics: dict[int, str] = {}
         with self._reading():
             for record in records(self.path, _MESSAGES, cut=bool(self.cut)):
                 self._learn(record)
@@ -84,15 +104,16 @@ class LogFile:
             raise LogError(f"{path}: {self.cut or reason}")
         try:
             run = Run.of(identity)
-            self._decoder.expect(run)
+            row, frames = RowCodec(run.columns), frame_table([name.encode() for name in run.can_channels])
         except REFUSED as error:
             raise LogError(
                 f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self._mend}"
             ) from None
-        self.dtype = self._decoder.dtype
         self.topic, self.epoch_ns, self.lockstep = run.topic, run.epoch_ns, run.lockstep
         self.columns, self.can_channels = completed(run.columns), run.can_channels
-        self.can_channel = self.can_channels[0]
+        self.can_channel, self.dtype = self.can_channels[0], Table(self.topic, self.columns).dtype
+        self._row, self._frame = (row.layout, row.read), (self.epoch_ns, *frames)
+        self._tick = row.read[row.dtype.fields["tick"][1] // 8]  # type: ignore[index]
 
     @property
     def _mend(self) -> str:
@@ -155,10 +176,10 @@ class LogFile:
             case "Attachment":
                 self.attachments.setdefault(found.name, bytes(found.data))
             case "Channel":
-                self._decoder.learn(found)
+                self._topics[found.id] = found.topic
 
     def _decoded(self, *decode: Callable[[bytes, MessageTable], Any]) -> Iterator[list[Any]]:
-        """Yield what functions of the decoder make of each chunk; of one that is cut, of its whole ticks.
+        """Yield what functions make of the messages of each chunk; of one that is cut, of its whole ticks.
 
         Raises LogError where the file is damaged, or its messages are not in the order of a recorder.
         """
@@ -171,11 +192,94 @@ class LogFile:
                     continue
                 data, table, channels = messages_in(record, allowance)
                 for channel in channels:
-                    self._decoder.learn(channel)
+                    self._topics[channel.id] = channel.topic
                 if not record.complete:
-                    table = table.before(self._decoder.messages_of(table, self.topic))
-                last = self._decoder.require_order(data, table, last)
+                    table = table.before(self._messages_of(table, self.topic))
+                last = self._require_order(data, table, last)
                 yield [each(data, table) for each in decode]
+
+    def _messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
+        """Return which messages of a table are of a topic."""
+        numbers = [number for number, each in self._topics.items() if each == topic]
+        return np.flatnonzero(np.isin(table.channel, numbers))
+
+    def _require_order(self, data: bytes, table: MessageTable, last: int) -> int:
+        """Return the tick of the last row of a buffer; `last` is that of the one before.
+
+        A recorder writes a tick as its row and behind it its frames and commands.
+
+        Raises
+        ------
+        LogError
+            Rows are not in the order of their ticks, or something stands elsewhere than behind its row.
+
+        """
+        rows = self._messages_of(table, self.topic)
+        if (table.length[rows] != len(self._row[0].template)).any():
+            raise _other(self._topic, _OTHER_LAYOUT)
+        ticks = np.concatenate(([last], words_of(data)[table.offset[rows] + self._tick]))
+        wrong = (np.diff(ticks) <= 0).any() or (ticks[1:] & _SEQUENCE != table.sequence[rows]).any()
+        for topic in (CAN_TOPIC, OPERATOR_TOPIC):
+            mine = self._messages_of(table, topic)
+            own = ticks[np.searchsorted(rows, mine)]
+            wrong |= (own & _SEQUENCE != table.sequence[mine]).any()
+        if wrong:
+            raise LogError(
+                f"its messages are not in the order of a recorder, near tick {max(ticks[-1], 0)}: another "
+                "program has sorted or changed them"
+            )
+        return int(ticks[-1])
+
+    def _messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
+        """Yield the commands or events in a buffer."""
+        for i in self._messages_of(table, topic).tolist():
+            start, stop = int(table.offset[i]) + RECORD_HEADER, int(table.offset[i] + table.length[i])
+            try:
+                yield _CLASSES[topic].FromString(data[start:stop])
+            except REFUSED as error:
+                raise _other(topic, why(error)) from None
+
+    def _events_in(self, data: bytes, table: MessageTable) -> list[Event]:
+        """Return the events in a buffer."""
+        found = []
+        for message in self._messages(data, table, EVENTS_TOPIC):
+            t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
+            found.append(Event(t_ns, LEVEL_NAMES.get(message.level, "info"), message.message))
+        return found
+
+    def _commands_in(self, data: bytes, table: MessageTable) -> list[Command]:
+        """Return the operator's commands in a buffer."""
+        found = []
+        for message in self._messages(data, table, OPERATOR_TOPIC):
+            if message.command not in _OPERATORS:
+                raise _other(OPERATOR_TOPIC, f"there is no command {message.command}")
+            operator, numbers = Operator(message.command), tuple(message.setpoint)
+            each = Command(message.tick, message.index, operator, numbers)
+            wanted = NUMBERS.get(operator, len(numbers))
+            if len(numbers) != wanted:
+                raise LogError(
+                    f"the operator's command of tick {each.tick} has {len(numbers)} numbers, "
+                    f"allowed: {wanted}"
+                )
+            found.append(each)
+        return found
+
+    def _rows_in(self, data: bytes, table: MessageTable) -> Rows:
+        """Return the rows in a buffer, in its order."""
+        mine = self._messages_of(table, self.topic)
+        matrix = np.full((len(mine), self.dtype.itemsize // 8), np.nan).view(np.int64)
+        if not unpack_rows(data, table.offset[mine], *self._row, matrix):
+            raise _other(self._topic, _OTHER_LAYOUT)
+        return matrix.view(self.dtype)[:, 0]
+
+    def _frames_in(self, data: bytes, table: MessageTable) -> Rows:
+        """Return the frames in a buffer as elements of ITEM, in its order."""
+        mine = self._messages_of(table, CAN_TOPIC)
+        items, where = np.zeros(len(mine), ITEM), (table.offset[mine], table.length[mine])
+        good = unpack_frames(data, *where, *self._frame, items)
+        if not good or (items["tick"] & _SEQUENCE != table.sequence[mine]).any():
+            raise _other(CAN_TOPIC, _OTHER_LAYOUT)
+        return items
 
     @cached_property
     def origin_ns(self) -> int:
@@ -217,7 +321,7 @@ class LogFile:
             first_ns = self.origin_ns + start_s * 1e9
         if stop_s is not None:
             last_ns = self.origin_ns + stop_s * 1e9
-        for (rows,) in self._decoded(self._decoder.rows):
+        for (rows,) in self._decoded(self._rows_in):
             t = rows["t_ns"]
             inside = np.flatnonzero((t >= first_ns) & (t <= last_ns))
             chosen = rows if len(inside) == len(rows) else rows.take(inside)
@@ -232,3 +336,7 @@ class LogFile:
             raise LogError(f"{self.path}: {no_column(unknown[0], tuple(there))}")
         chosen = [there[name] for name in dict.fromkeys(names or there)]
         return np.dtype([(c.name, c.kind, c.shape) for c in chosen])
+
+
+def _other(topic: str, what: str) -> LogError:
+    return LogError(f"a message of {topic} is damaged or of another kind: {what}")

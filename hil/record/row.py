@@ -13,6 +13,7 @@ from functools import lru_cache
 from typing import Any, NamedTuple, Self, cast
 
 import numpy as np
+from google.protobuf.message import DecodeError
 
 from drivers.arrays import Ints
 from drivers.tick_columns import LATER, RECORDED, ROW, Column
@@ -140,7 +141,16 @@ def columns_of(description: str) -> tuple[Column, ...]:
     return table.columns
 
 
+REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
+"""What protobuf, NumPy and Python raise of tables and messages of unknown making."""
 OLD = "a log of version 0.1.0: read and replay it with that version"
+
+
+def why(error: Exception) -> str:
+    """Say in words what was met in data of unknown making; REFUSED are what it raises."""
+    if isinstance(error, KeyError):
+        return f"it has no {error.args[0]!r}" if error.args else "something is missing"
+    return str(error) or type(error).__name__
 
 
 class Run(NamedTuple):

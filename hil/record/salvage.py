@@ -19,7 +19,6 @@ from mcap.records import Channel, Chunk, Schema
 
 from drivers.errors import LogError
 from drivers.files import open_regular, whole_file
-from hil.record.decode import REFUSED, why
 from hil.record.encode import channels_of
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
@@ -31,7 +30,7 @@ from hil.record.mcap_read import (
     record_at,
     records,
 )
-from hil.record.row import OLD, Run, Table
+from hil.record.row import OLD, REFUSED, Run, Table, why
 from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 
 _BEGIN = re.compile(

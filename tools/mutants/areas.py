@@ -196,7 +196,7 @@ AREAS = {
             f"hil/record/{name}.py"
             for name in (
                 *("log", "log_file", "mcap_file", "mcap_read"),
-                *("data_frame", "decode", "entries", "selection", "unpack"),
+                *("data_frame", "entries", "selection", "unpack"),
             )
         ),
         (

@@ -68,18 +68,17 @@ class Table(NamedTuple):
             flags = issubclass(c.type, IntFlag)
             named = not names or flags or (0 in names and max(names) < UNNAMED)
             scalar = not flags or (not c.shape and len(names) <= _MOST_ELEMENTS)
-            for kept, allowed in (
-                (size <= MOST_ROW_BYTES, f"rows of {MOST_ROW_BYTES} bytes"),
-                (len(c.shape) <= _MOST_AXES and 0 not in c.shape, f"{_MOST_AXES} axes, none of length 0"),
-                (
-                    count in {0, c.size} and count <= _MOST_ELEMENTS,
-                    f"at most {_MOST_ELEMENTS} names, one an element",
-                ),
-                (scalar, f"scalar flags of {_MOST_ELEMENTS} bits"),
-                (named, f"an enumeration with a 0, below {UNNAMED}"),
-            ):
-                if not kept:
-                    raise ValueError(f"column {c.name} of the row: allowed: {allowed}")
+            rules = {
+                f"rows of {MOST_ROW_BYTES} bytes": size <= MOST_ROW_BYTES,
+                f"{_MOST_AXES} axes, none of length 0": len(c.shape) <= _MOST_AXES and 0 not in c.shape,
+                f"{_MOST_ELEMENTS} elements, all or none with a name": count
+                in {0, min(c.size, _MOST_ELEMENTS)},
+                f"scalar flags of {_MOST_ELEMENTS} bits": scalar,
+                f"an enumeration with a 0, below {UNNAMED}": named,
+            }
+            broken = [allowed for allowed, kept in rules.items() if not kept]
+            if broken:
+                raise ValueError(f"column {c.name} of the row: allowed: {broken[0]}")
 
 
 @lru_cache(_TABLES)

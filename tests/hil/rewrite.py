@@ -1,9 +1,25 @@
-"""Rewrites a log with the mcap library's own reader and writer, message by message."""
+"""Logs rewritten with the mcap library's own reader and writer, and files of its records."""
 
+from itertools import accumulate
 from pathlib import Path
 
 from mcap.reader import make_reader
+from mcap.records import Metadata
 from mcap.writer import Writer
+
+from hil.record.mcap_file import MAGIC, record_bytes
+
+
+def metadata(name, **values):
+    return record_bytes(Metadata(name=name, metadata=values))
+
+
+def placed(tmp_path, *records):
+    """A file of these records, and where each begins."""
+    starts = list(accumulate(map(len, records), initial=len(MAGIC)))
+    file = tmp_path / "records.mcap"
+    file.write_bytes(MAGIC + b"".join(records))
+    return file, starts
 
 
 def mcap_summary(path):

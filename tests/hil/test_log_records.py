@@ -21,7 +21,7 @@ from hil.record.mcap_read import (
     messages_in,
     records,
 )
-from tests.hil.mcap_records import metadata, placed
+from tests.hil.rewrite import metadata, placed
 
 MiB = 1024 * 1024
 

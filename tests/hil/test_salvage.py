@@ -12,8 +12,7 @@ from hil.record.log import Log
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
 from hil.record.salvage import salvage
 from hil.record.schema import CLEAN, DISK_FULL, PRODUCER_DIED, SALVAGE
-from tests.hil.mcap_records import metadata, placed
-from tests.hil.rewrite import mcap_summary
+from tests.hil.rewrite import mcap_summary, metadata, placed
 from tests.hil.samples import assert_same, log_of, random_ticks
 
 COUNT = 900

@@ -97,7 +97,7 @@ def _categories(column: Column, values: Ints) -> tuple[Ints, list[str]]:
     return codes, categories
 
 
-def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> Ints:
+def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float) -> Ints:
     """Return the place of each tick's row in the plant's log, -1 where it has none: (n,).
 
     A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The row of that SYNC is the nearest one
@@ -105,7 +105,7 @@ def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> I
     own. A plant that counts no SYNC is read at its nearest row.
 
     ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order;
-    period_ns : of the loop; None: the usual distance of the ticks.
+    period_ns : of the loop.
     """
     none = np.full(len(ticks), -1, np.int64)
     rises = np.flatnonzero(np.diff(plant["syncs"], prepend=0) > 0)
@@ -115,8 +115,6 @@ def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float | None = None) -> I
     sent = ticks["t_ns"] + ticks["lateness_ns"]
     t = plant["t_ns"][candidates]
     row, tick = _nearest(t, sent), _nearest(sent, t)
-    if period_ns is None:
-        period_ns = float(np.median(np.diff(ticks["t_ns"]))) if len(ticks) > 1 else np.inf
     own = (np.abs(t[row] - sent) <= period_ns / 2) & (tick[row] == np.arange(len(ticks)))
     found: Ints = np.where(own, candidates[row], none)
     return found
@@ -170,7 +168,7 @@ def _of_plant(
     try:
         period_ns = 1e9 / float(log.metadata[IDENTITY]["rate_Hz"])
     except (KeyError, ValueError, ZeroDivisionError):
-        period_ns = None
+        period_ns = np.inf
     places = plant_rows_of(rows, truth, period_ns)
     require_one_run(log, plant, places if whole else places[:0])
     parts, values, there = [], {}, places >= 0

@@ -191,24 +191,12 @@ def test_a_tick_has_the_row_of_its_own_sync_or_none(ticks, late, times, syncs, p
     assert plant_rows_of(tick_rows(ticks, late), plant_rows(times, syncs), MS).tolist() == places
 
 
-@pytest.mark.parametrize("gap", [0, 3, 7], ids=["first", "middle", "last"])
-def test_without_a_period_the_usual_distance_of_the_ticks_counts(gap):
-    plant = plant_rows([0, 900_000, 3_100_000, 5_000_000], [1, 2, 3, 4])
-    assert plant_rows_of(tick_rows([0, MS, 2 * MS, 5 * MS]), plant).tolist() == [0, 1, -1, 3]
-    assert plant_rows_of(tick_rows([2 * MS]), plant).tolist() == [2], "a single one has its nearest row"
-    steps = np.full(8, MS)
-    steps[gap] = 10 * MS
-    t_ns = np.concatenate(([0], np.cumsum(steps)))
-    far = plant_rows([t_ns[gap] + 3 * MS // 4], [1])
-    assert plant_rows_of(tick_rows(t_ns), far).tolist() == [-1] * len(t_ns)
-
-
 @pytest.mark.parametrize(
     ("rate_Hz", "found"),
     [("1000.0", [0.0, np.nan]), ("500.0", [0.0, 1.0]), ("0", [0.0, 1.0]), ("fast", [0.0, 1.0])],
 )
 def test_half_a_period_is_that_of_the_rate_in_the_log(tmp_path, rate_Hz, found):
-    """Without a rate it is the usual distance of the ticks."""
+    """Without a rate each tick has its nearest row."""
     ticks = written(tmp_path / "a.mcap", tick_rows([0, 2 * MS]), metadata={"rate_Hz": rate_Hz})
     written(tmp_path / "a-plant.mcap", plant_rows([500_000, 2_500_001], [1, 2]), table=PLANT)
     np.testing.assert_array_equal(Log(ticks).frame("plant.p.z")["plant.p.z"], found)
@@ -288,7 +276,7 @@ def test_logs_of_two_runs_are_refused_with_what_differs(log, plant, places, why)
 
 def test_a_plant_of_another_run_and_a_missing_one_are_refused(tmp_path):
     for name, text, t_ns in (("a", "a: 1\n", 0), ("b", "a: 2\n", 0), ("c", "a: 1\n", 9_000_000_000)):
-        written(tmp_path / f"{name}.mcap", tick_rows([0, MS]), text)
+        written(tmp_path / f"{name}.mcap", tick_rows([0, MS]), text, metadata={"rate_Hz": 1000.0})
         if name != "a":
             written(tmp_path / f"{name}-plant.mcap", plant_rows([t_ns, t_ns + MS], [1, 2]), text, table=PLANT)
     a = tmp_path / "a.mcap"

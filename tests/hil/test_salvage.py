@@ -1,9 +1,6 @@
 """Salvage of a cut or damaged log: what it recovers, what it counts as lost, and what the new log reports."""
 
-import struct
-
 import pytest
-import zstandard
 from mcap.reader import make_reader
 from mcap.records import Attachment, MessageIndex
 
@@ -102,27 +99,6 @@ def test_every_byte_around_the_borders_of_records_can_be_the_last(path, chunks, 
             assert Log.open(out).metadata[SALVAGE]["bytes_lost"] == str(size - middle)
 
 
-@pytest.mark.parametrize("missing", [200, 2000, 6000])
-def test_a_cut_chunk_gives_every_tick_that_another_one_follows(path, chunks, tmp_path, out, missing):
-    last = max(chunks, key=lambda c: c.chunk_length)
-    size = last.chunk_start_offset + last.chunk_length - missing
-    content = path.read_bytes()[last.chunk_start_offset + 9 : size]
-    # MCAP: start, end and uncompressed size of 8 bytes, CRC, name of the compression, size; then the records
-    (name,) = struct.unpack_from("<I", content, 28)
-    left = zstandard.ZstdDecompressor().decompressobj().decompress(content[32 + name + 8 :])
-    (tick,) = (n for n, c in mcap_summary(path).channels.items() if c.topic == "/tick")
-    at, begun = 0, 0
-    while at + 9 <= len(left):
-        opcode, length = struct.unpack_from("<BQ", left, at)
-        at += 9 + length
-        begun += opcode == 5 and at <= len(left) and struct.unpack_from("<H", left, at - length)[0] == tick
-    report = salvage(cut(path, tmp_path, size), out)
-    assert begun > 1
-    assert report.ticks == ticks_before(path, last.chunk_start_offset) + begun - 1
-    assert "inside the chunk" in report.remarks[0]
-    assert_same(Log.open(out).ticks(), TICKS[: report.ticks])
-
-
 def test_without_its_index_alone_nothing_is_lost(path, tmp_path, out):
     report = salvage(cut(path, tmp_path, path.stat().st_size - 30), out)
     assert (report.complete, report.ticks, report.bytes_lost) == (True, COUNT, 0)
@@ -133,23 +109,6 @@ def test_zeros_at_the_end_as_a_file_system_leaves_them_are_passed_over(path, chu
     report = salvage(cut(path, tmp_path, chunks[1].chunk_start_offset, bytes(5000)), out)
     assert (report.bytes_lost, report.chunks) == (5000, 1)
     assert_same(Log.open(out).ticks(), TICKS[: report.ticks])
-
-
-@pytest.mark.parametrize("behind", [0, 300])
-@pytest.mark.parametrize("compression", ["", "zstd"])
-def test_a_cut_chunk_whose_rest_is_damaged_is_lost_once(path, chunks, tmp_path, out, compression, behind):
-    """It has a message of 5 bytes; it claims to be longer than what is left of it."""
-    first = chunks[0].chunk_start_offset + chunks[0].chunk_length
-    records = struct.pack("<BQ", 5, 5) + bytes(5 + behind)
-    if compression:
-        records = zstandard.ZstdCompressor().compress(records)
-    name = compression.encode()
-    content = struct.pack("<QQQII", 0, 0, 5000, 0, len(name)) + name + struct.pack("<Q", 5000) + records
-    tail = struct.pack("<BQ", 6, len(content) + 1000) + content
-    report = salvage(cut(path, tmp_path, first, tail), out)
-    assert report.remarks == (f"the file ends inside the chunk at byte {first}: 0 messages of it recovered",)
-    assert report.bytes_lost == len(tail)
-    assert Log.open(out).metadata[SALVAGE]["bytes_lost"] == str(len(tail))
 
 
 # -- damaged ---------------------------------------------------------------------------------------------------

@@ -216,7 +216,7 @@ class LogFile:
         """
         rows = self._messages_of(table, self.topic)
         if (table.length[rows] != len(self._row[0].template)).any():
-            raise _other(self._topic, _OTHER_LAYOUT)
+            raise _other(self.topic, _OTHER_LAYOUT)
         ticks = np.concatenate(([last], words_of(data)[table.offset[rows] + self._tick]))
         wrong = (np.diff(ticks) <= 0).any() or (ticks[1:] & _SEQUENCE != table.sequence[rows]).any()
         for topic in (CAN_TOPIC, OPERATOR_TOPIC):
@@ -269,7 +269,7 @@ class LogFile:
         mine = self._messages_of(table, self.topic)
         matrix = np.full((len(mine), self.dtype.itemsize // 8), np.nan).view(np.int64)
         if not unpack_rows(data, table.offset[mine], *self._row, matrix):
-            raise _other(self._topic, _OTHER_LAYOUT)
+            raise _other(self.topic, _OTHER_LAYOUT)
         return matrix.view(self.dtype)[:, 0]
 
     def _frames_in(self, data: bytes, table: MessageTable) -> Rows:

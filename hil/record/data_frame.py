@@ -171,7 +171,9 @@ def _of_plant(
         period_ns = np.inf
     places = plant_rows_of(rows, truth, period_ns)
     require_one_run(log, plant, places if whole else places[:0])
-    parts, values, there = [], {}, places >= 0
+    parts: list[Component] = []
+    values: dict[str, Any] = {}
+    there = places >= 0
     for part in chosen:
         found = np.full(len(rows), np.nan)
         found[there] = part.of(truth)[places[there]]

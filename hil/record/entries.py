@@ -56,7 +56,7 @@ class Tick:
         return sent_frames(self.sent_items)
 
     def _replace(self, **changes: Any) -> Tick:
-        given = {"received": self.received_items, "sent": self.sent_items}
+        given: dict[str, Any] = {"received": self.received_items, "sent": self.sent_items}
         given |= {name: getattr(self, name) for name in ("row", "operator", "setpoints", "orders")}
         return Tick(**given | changes)
 

@@ -218,12 +218,12 @@ class LogFile:
         if (table.length[rows] != len(self._row[0].template)).any():
             raise _other(self.topic, _OTHER_LAYOUT)
         ticks = np.concatenate(([last], words_of(data)[table.offset[rows] + self._tick]))
-        wrong = (np.diff(ticks) <= 0).any() or (ticks[1:] & _SEQUENCE != table.sequence[rows]).any()
+        wrong = [np.diff(ticks) <= 0, ticks[1:] & _SEQUENCE != table.sequence[rows]]
         for topic in (CAN_TOPIC, OPERATOR_TOPIC):
             mine = self._messages_of(table, topic)
             own = ticks[np.searchsorted(rows, mine)]
-            wrong |= (own & _SEQUENCE != table.sequence[mine]).any()
-        if wrong:
+            wrong.append(own & _SEQUENCE != table.sequence[mine])
+        if any(each.any() for each in wrong):
             raise LogError(
                 f"its messages are not in the order of a recorder, near tick {max(ticks[-1], 0)}: another "
                 "program has sorted or changed them"

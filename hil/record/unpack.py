@@ -6,7 +6,6 @@ Pure functions. A record that is given by its start and size lies within the buf
 import struct
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arrays import Bytes, Ints, Rows
 from drivers.frame_array import FRAME
@@ -23,7 +22,8 @@ _SEVEN_BITS = 1 << 7 * np.arange(5)
 
 def scan(data: bytes) -> tuple[Ints, int]:
     """Return where the whole records of a buffer begin, and where the last of them ends."""
-    starts, at, size = [], 0, len(data)
+    starts: list[int] = []
+    at, size = 0, len(data)
     while at + SHORTEST <= size:
         end = at + 9 + _LENGTH.unpack_from(data, at + 1)[0]
         if not at + SHORTEST <= end <= size:
@@ -88,9 +88,10 @@ def _frames(records: Bytes, places: list[int], epoch_ns: int) -> Rows:
     """Return what records of frames hold beside their data; places : as in a row of a `frame_table`."""
     seconds, nanos, can_id, _, direction, tick, index, bus, *flags = places
 
-    def number(place: int, kind: str) -> NDArray[np.integer]:
+    def number(place: int, kind: str) -> Ints:
         size = np.dtype(kind).itemsize
-        return np.ascontiguousarray(records[:, place : place + size]).view(kind)[:, 0]
+        found: Ints = np.ascontiguousarray(records[:, place : place + size]).view(kind)[:, 0]
+        return found
 
     def varint(place: int) -> Ints:
         found: Ints = (records[:, place : place + 5] & 0x7F) @ _SEVEN_BITS

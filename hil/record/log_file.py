@@ -254,14 +254,12 @@ class LogFile:
             if message.command not in _OPERATORS:
                 raise _other(OPERATOR_TOPIC, f"there is no command {message.command}")
             operator, numbers = Operator(message.command), tuple(message.setpoint)
-            each = Command(message.tick, message.index, operator, numbers)
-            wanted = NUMBERS.get(operator, len(numbers))
-            if len(numbers) != wanted:
+            if len(numbers) != NUMBERS.get(operator, len(numbers)):
                 raise LogError(
-                    f"the operator's command of tick {each.tick} has {len(numbers)} numbers, "
-                    f"allowed: {wanted}"
+                    f"the operator's command of tick {message.tick} has {len(numbers)} numbers, "
+                    f"allowed: {NUMBERS[operator]}"
                 )
-            found.append(each)
+            found.append(Command(message.tick, message.index, operator, numbers))
         return found
 
     def _rows_in(self, data: bytes, table: MessageTable) -> Rows:

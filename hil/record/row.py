@@ -174,7 +174,7 @@ class Run(NamedTuple):
         fit = max(map(len, buses)) <= _LONGEST_BUS and "".join(buses).isprintable()
         if len(buses) > _MOST_BUSES or not fit:
             raise ValueError(
-                f"{len(buses)} buses, allowed: {_MOST_BUSES} with names of {_LONGEST_BUS} characters"
+                f"can_channels: allowed: {_MOST_BUSES} printable names of {_LONGEST_BUS} characters"
             )
         lockstep = identity["mode"] == "lockstep"
         return cls(identity["topic"], columns_of(identity["columns"]), epoch_ns, buses, lockstep)

@@ -19,6 +19,7 @@ from drivers.child_process import start
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.run_description import run_description
 from hil.operate.client import socket_path
+from hil.record.environment import product_version
 from hil.record.mirror import FIGURES, Mirror, mirror_path
 from hil.record.row import TICKS, describe
 
@@ -34,7 +35,8 @@ class LiveRun:
 
     def __init__(self, rows: Any, name: str = "virtual") -> None:
         about = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
-        self.mirror = Mirror(mirror_path(*BUS), {**about, "name": name, "columns": describe(TICKS.columns)})
+        about |= {"name": name, "version": product_version(), "columns": describe(TICKS.columns)}
+        self.mirror = Mirror(mirror_path(*BUS), about)
         self._rows, self._going = rows, True
         self.shown = 0
         self._thread = threading.Thread(target=self._play)

@@ -1,15 +1,15 @@
-"""The newest tick of a run in shared memory, for any process of this user that wants to look.
+"""The newest tick of a run in a file of memory, for any process of this user that wants to look.
 
-The recorder writes; others map the file read-only and copy from it: they cannot hold it up, and it does not
-know of them. A file in the runtime folder, mode 0600: a head, a description that never changes, and SLOTS
-places that are filled in turn. A place carries its number and the CRC of its content: what a reader returns
-was written as one piece.
+The recorder writes; others open the file read-only and copy from it: they cannot hold it up, and it does not
+know of them. The file lies in the runtime folder, mode 0600: a description that never changes, and behind it
+one piece, which the next one overwrites. Its CRC tells a reader whether it was written as one.
 """
 
 import contextlib
 import json
 import mmap
 import os
+import struct
 import zlib
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,23 +20,15 @@ import numpy as np
 from drivers.arrays import Rows
 from drivers.can.runtime_folder import runtime_folder, safe_name
 from drivers.errors import LogError
-from hil.record.ring import fence
+from hil.record.environment import product_version
 from hil.record.row import Table, columns_of
 
-MAGIC = int.from_bytes(b"HILMIR01", "little")
-"""Format and its version."""
-SLOTS = 4
-SLOT_BYTES = 32768
-"""Room for one piece, its three words included."""
-HEAD_BYTES = 65536
-"""Room for the four words of the head and the description."""
-_MAGIC, _LENGTH, _NEWEST, _ENDED = range(4)
-"""Words of the head."""
-_NUMBER, _SIZE, _CRC = range(3)
-"""Words of a place."""
-_WORDS = 32
-"""Bytes before the content, of head and place."""
-_ATTEMPTS = 1000
+_ABOUT = struct.Struct("<Q")
+"""Bytes of the description, which follows."""
+_PIECE = struct.Struct("<QQQQ")
+"""Number, whether nothing follows, bytes of the content, which stands behind, and its CRC."""
+_LARGEST = 1 << 18
+"""Bytes of a piece, for which there is room."""
 
 FIGURES = np.dtype(
     [
@@ -67,6 +59,8 @@ class Piece(NamedTuple):
 
     number: int
     """Counts what has been written."""
+    ended: bool
+    """Whether nothing follows."""
     row: np.void
     """Of the table's dtype."""
     figures: np.void
@@ -76,136 +70,76 @@ class Piece(NamedTuple):
 
 
 class Mirror:
-    """The writer's end. Mutable state: the mapping and how many pieces were written.
+    """The writer's end. Mutable state: the file, how many pieces were written, and the last one.
 
     Raises OSError where the file cannot be made.
     """
 
     def __init__(self, path: Path, about: Mapping[str, object]) -> None:
-        """Make the file; `about` is its description, with `columns` as `hil.record.row.describe` gives it."""
+        """Make the file; `about` describes the run, with `version` of hil and `columns` as JSON."""
         text = json.dumps(about).encode()
-        if len(text) > HEAD_BYTES - _WORDS:
-            raise OSError(0, f"a description of {len(text)} bytes; allowed: {HEAD_BYTES - _WORDS}", str(path))
-        self._path = path
-        size = HEAD_BYTES + SLOTS * SLOT_BYTES
+        self._path, self._at = path, _ABOUT.size + len(text)
+        self._number, self._content = 0, b""
         new = path.with_name(f"{path.name}.{os.getpid()}")
-        new.unlink(missing_ok=True)
-        fd = os.open(new, os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
-        try:
-            os.posix_fallocate(fd, 0, size)  # a full memory is refused here, not by a signal later
-            self._inode = os.fstat(fd).st_ino
-            self._map = mmap.mmap(fd, size)
-        except BaseException:
-            new.unlink()
-            raise
-        finally:
-            os.close(fd)
-        self._words = memoryview(self._map).cast("q")
-        self._words[_LENGTH] = len(text)
-        self._map[_WORDS : _WORDS + len(text)] = text
-        self._words[_MAGIC] = MAGIC
-        self._number = 0
+        self._fd = os.open(new, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
+        os.pwrite(self._fd, _ABOUT.pack(len(text)) + text, 0)
+        os.posix_fallocate(self._fd, self._at, _LARGEST)  # a full memory is refused here and not later
         new.replace(path)  # readers of an earlier run keep theirs
 
     def write(self, row: np.void | Rows, figures: Rows, events: bytes = b"[]") -> None:
-        """Show a row of the table, figures () of FIGURES and events, a JSON list that fits a place."""
-        data = row.tobytes() + figures.tobytes() + events
-        if len(data) > SLOT_BYTES - _WORDS:
-            raise ValueError(f"a piece of {len(data)} bytes; allowed: {SLOT_BYTES - _WORDS}")
-        self._number += 1
-        at = _place(self._number)
-        words, word = self._words, at // 8
-        words[word + _NUMBER] = -1
-        fence()
-        self._map[at + _WORDS : at + _WORDS + len(data)] = data
-        words[word + _SIZE] = len(data)
-        words[word + _CRC] = zlib.crc32(data)
-        fence()
-        words[word + _NUMBER] = self._number
-        fence()
-        words[_NEWEST] = self._number
+        """Show a row of the table, figures () of FIGURES and events, a JSON list."""
+        self._number, self._content = self._number + 1, row.tobytes() + figures.tobytes() + events
+        self._put(ended=False)
 
     def close(self) -> None:
-        """Say that nothing follows, and remove the file; who has mapped it keeps what was shown last."""
-        self._words[_ENDED] = 1
+        """Mark the last piece as such and remove the file; who has opened it keeps what was shown last."""
+        self._put(ended=True)
         with contextlib.suppress(OSError):
-            if self._path.stat().st_ino == self._inode:  # not that of a run that has followed
+            if self._path.stat().st_ino == os.fstat(self._fd).st_ino:  # not that of a run that has followed
                 self._path.unlink()
+        os.close(self._fd)
+
+    def _put(self, *, ended: bool) -> None:
+        content = self._content
+        head = _PIECE.pack(self._number, ended, len(content), zlib.crc32(content))
+        os.pwrite(self._fd, head + content, self._at)
 
 
 class MirrorReader:
-    """The reader's end, read-only. Mutable state: the mapping."""
+    """The reader's end, read-only. State: the mapping.
+
+    Raises FileNotFoundError where nothing runs, LogError where another version of this program does.
+    """
 
     def __init__(self, path: Path) -> None:
-        """Map the file.
-
-        Raises
-        ------
-        FileNotFoundError
-            Nothing runs there.
-        LogError
-            It is no mirror, or that of another version of this program.
-
-        """
-        fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+        with path.open("rb") as file:
+            self.inode = os.fstat(file.fileno()).st_ino
+            self._map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         try:
-            status = os.fstat(fd)
-            self.inode = status.st_ino
-            if status.st_size != HEAD_BYTES + SLOTS * SLOT_BYTES:
-                raise foreign(path)
-            self._map = mmap.mmap(fd, status.st_size, access=mmap.ACCESS_READ)
-        finally:
-            os.close(fd)
-        self._words = memoryview(self._map).cast("q")
-        if self._words[_MAGIC] != MAGIC:
-            raise foreign(path)
-        try:
-            self.about: dict[str, Any] = json.loads(self._map[_WORDS : _WORDS + self._words[_LENGTH]])
-            self.dtype = Table("", columns_of(self.about["columns"])).dtype
-        except (ValueError, KeyError, TypeError) as error:
-            raise foreign(path) from error
-
-    @property
-    def ended(self) -> bool:
-        """Whether the writer has closed it."""
-        return bool(self._words[_ENDED])
+            (size,) = _ABOUT.unpack_from(self._map)
+            self._at = _ABOUT.size + size
+            self.about: dict[str, Any] = json.loads(self._map[_ABOUT.size : self._at])
+            known = self.about["version"] == product_version()
+        except (struct.error, ValueError, KeyError, TypeError):
+            known = False
+        if not known:
+            raise LogError(f"{path} is of another version of hil: use the version that runs there")
+        self.dtype = Table("", columns_of(self.about["columns"])).dtype
 
     @property
     def newest(self) -> int:
         """Number of the newest piece; 0 while there is none."""
-        return int(self._words[_NEWEST])
+        number, *_ = _PIECE.unpack_from(self._map, self._at)
+        return int(number)
 
     def read(self) -> Piece | None:
-        """Return the newest piece; None while there is none, or the writer was too fast a thousand times.
-
-        Raises ValueError or LookupError where the writer, of another version, has figures of another size.
-        """
-        for _ in range(_ATTEMPTS):
-            number = self._words[_NEWEST]
-            if number == 0:
-                return None
-            fence()
-            at = _place(number)
-            word = at // 8
-            before, size, crc = (self._words[word + each] for each in (_NUMBER, _SIZE, _CRC))
-            fence()
-            data = self._map[at + _WORDS : at + _WORDS + max(0, min(size, SLOT_BYTES - _WORDS))]
-            fence()
-            if before == number == self._words[word + _NUMBER] and zlib.crc32(data) == crc:
-                return self._piece(number, data)
-        return None
-
-    def _piece(self, number: int, data: bytes) -> Piece:
+        """Return the newest piece; None while there is none, or where it is being written just now."""
+        number, ended, size, crc = _PIECE.unpack_from(self._map, self._at)
+        start = self._at + _PIECE.size
+        content = self._map[start : start + size]
+        if not number or zlib.crc32(content) != crc:
+            return None
         first, second = self.dtype.itemsize, self.dtype.itemsize + FIGURES.itemsize
-        row = np.frombuffer(data[:first], self.dtype)[0]
-        figures = np.frombuffer(data[first:second], FIGURES)[0]
-        return Piece(number, row, figures, json.loads(data[second:]))
-
-
-def _place(number: int) -> int:
-    return HEAD_BYTES + number % SLOTS * SLOT_BYTES
-
-
-def foreign(path: Path) -> LogError:
-    """Return the error for a file that is no mirror, or that of another version."""
-    return LogError(f"{path} is not what this version of hil shows of a run: use the version that runs there")
+        row = np.frombuffer(content[:first], self.dtype)[0]
+        figures = np.frombuffer(content[first:second], FIGURES)[0]
+        return Piece(number, bool(ended), row, figures, json.loads(content[second:]))

@@ -5,6 +5,7 @@ It looks at the ring and copies; the ring is drained as it would be without it.
 
 import json
 import time
+from collections import deque
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,6 @@ from hil.record.schema import LEVEL_NAMES
 LAST_EVENTS = 40
 LONGEST_EVENT = 600
 """Characters that are shown of one; all are in the log."""
-_EVENTS_BYTES = 24000
 _WINDOW_NS = 1_000_000_000
 _PEAKS = {"late_ns": "lateness_ns", "compute_ns": "compute_ns"}
 
@@ -35,7 +35,7 @@ class Publisher:
         self._counted = 0
         self._figures: Rows = np.zeros((), FIGURES)
         self._figures["capacity"] = ring.capacity
-        self._events: list[dict[str, Any]] = []
+        self._events: deque[dict[str, Any]] = deque(maxlen=LAST_EVENTS)
         self._text = b"[]"
         self._heard = 0
         self._window_ns = 0
@@ -59,23 +59,18 @@ class Publisher:
         self._count(batch.rows[max(0, self._counted - first) :])
         found = np.flatnonzero((batch.items["kind"] == EVENT) & (batch.items["id"] == 0)).tolist()
         for i in found:
-            item = batch.items[i]
-            text = event_text(batch.items, i)
+            t_ns, level, text = batch.items[i]["t_ns"], batch.items[i]["flags"], event_text(batch.items, i)
             self._heard += 1
             self._events.append(
                 {
                     "number": self._heard,
-                    "t_ns": int(item["t_ns"]),
-                    "level": LEVEL_NAMES.get(int(item["flags"]), "info"),
+                    "t_ns": int(t_ns),
+                    "level": LEVEL_NAMES[int(level)],
                     "text": text if len(text) <= LONGEST_EVENT else f"{text[:LONGEST_EVENT]} …",
                 }
             )
         if found:
-            del self._events[:-LAST_EVENTS]
-            self._text = json.dumps(self._events).encode()
-            while len(self._text) > _EVENTS_BYTES:
-                del self._events[0]
-                self._text = json.dumps(self._events).encode()
+            self._text = json.dumps(list(self._events)).encode()
 
     def close(self) -> None:
         """Show the last events, and that nothing follows."""

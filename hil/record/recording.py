@@ -21,7 +21,7 @@ from drivers.errors import LogError
 from drivers.frame_array import FRAME, frame_bytes, received_array, sent_array, sent_at
 from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, send, spawn
-from hil.record.environment import environment, scheduling
+from hil.record.environment import environment, product_version, scheduling
 from hil.record.layout import MAX_DATA
 from hil.record.machine_code import machine_code
 from hil.record.ring import (
@@ -150,19 +150,20 @@ class Recording:
         table.check()
         file = Path(path).absolute()
         created_ns = LOCKSTEP_EPOCH_NS if lockstep else time.time_ns()
+        columns = describe(table.columns)
         setup = {
             "path": str(file),
             "ring_ticks": ring_ticks,
             "created_ns": created_ns,
             "scene": scene,
             "live": live,
-            "mirror": mirror and (mirror[0], {**mirror[1], "columns": describe(table.columns)}),
+            "mirror": mirror and (mirror[0], {**mirror[1], "version": product_version(), "columns": columns}),
             "attachments": [(CONFIGURATION, configuration.encode()), *attachments],
             "environment": environment() | (scheduling() if lockstep else {}),
             "identity": {
                 **_texts(metadata or {}),
                 "topic": table.topic,
-                "columns": describe(table.columns),
+                "columns": columns,
                 "epoch_ns": str(created_ns if lockstep else created_ns - clock.now()),
                 **_channels(can_channel),
                 "mode": "lockstep" if lockstep else "realtime",

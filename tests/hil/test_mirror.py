@@ -5,9 +5,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import stat
-import struct
 import time
-import zlib
 
 import numpy as np
 import pytest
@@ -16,13 +14,13 @@ from drivers.errors import LogError
 from drivers.signals import Warn
 from drivers.tick_columns import ROW, Column
 from hil.record import Recording
+from hil.record.environment import product_version
 from hil.record.mirror import FIGURES, Mirror, MirrorReader, mirror_path
 from hil.record.row import TICKS, Table, describe
 from tests.hil.samples import random_rows
 
-ABOUT = {"name": "test", "columns": describe(TICKS.columns)}
+ABOUT = {"name": "test", "version": product_version(), "columns": describe(TICKS.columns)}
 SMALL = tuple(Column("output", name, int, "", "", (), ()) for name in ("tick", "t_ns"))
-HEAD, SLOT, WORDS = 65536, 32768, 32
 
 
 def until(found, seconds=10.0):
@@ -74,72 +72,44 @@ def test_a_reader_beside_a_writer_that_never_rests_sees_whole_pieces(tmp_path):
     writer.join()
     assert writer.exitcode == 0
     assert torn == []
-    assert len(seen) > 50, "the reader kept up with a part of them"
+    assert len(seen) > 20, "the reader kept up with a part of them"
 
 
-@pytest.fixture
-def shown(tmp_path):
-    """A mirror of rows of two numbers, its path, and a function that writes a piece with this number."""
-    path, mirror = tmp_path / "m", Mirror(tmp_path / "m", {"name": "täst", "columns": describe(SMALL)})
-
-    def write(number, events=b"[]"):
-        row, figures = np.zeros((), Table("", SMALL).dtype), np.zeros((), FIGURES)
-        row["tick"], row["t_ns"], figures["ticks"], figures["log_bytes"] = number, -number, 10 * number, 7
-        mirror.write(row, figures, events)
-
-    yield path, write
-    mirror.close()
+def show(mirror, number, events=b"[]"):
+    row, figures = np.zeros((), Table("", SMALL).dtype), np.zeros((), FIGURES)
+    row["tick"], row["t_ns"], figures["ticks"], figures["log_bytes"] = number, -number, 10 * number, 7
+    mirror.write(row, figures, events)
 
 
-def patched(path, at, data):
-    with path.open("r+b") as file:
-        file.seek(at)
-        file.write(data)
-
-
-def test_pieces_are_read_as_they_were_written_in_today_s_layout(shown):
-    path, write = shown
+def test_pieces_are_read_as_they_were_written_and_never_half(tmp_path):
+    path = tmp_path / "m"
+    mirror = Mirror(path, ABOUT | {"name": "täst", "columns": describe(SMALL)})
     reader = MirrorReader(path)
-    assert (reader.newest, reader.ended, reader.read(), reader.about["name"]) == (0, False, None, "täst")
+    assert (reader.newest, reader.read(), reader.about["name"]) == (0, None, "täst")
     for number in range(1, 7):
-        write(number, json.dumps([{"number": number}]).encode())
+        show(mirror, number, json.dumps([{"number": number}]).encode() + b" " * (7 - number))
         found = newest(reader)
         assert (found.number, int(found.row["tick"]), int(found.row["t_ns"])) == (number, number, -number)
         assert (int(found.figures["ticks"]), int(found.figures["log_bytes"])) == (10 * number, 7)
-        assert (found.events, reader.newest) == ([{"number": number}], number)
-        data, at = path.read_bytes(), HEAD + number % 4 * SLOT
-        assert (data[:8], struct.unpack_from("<q", data, 16)) == (b"HILMIR01", (number,))
-        stored, size, crc = struct.unpack_from("<3q", data, at)
-        assert (stored, crc) == (number, zlib.crc32(data[at + WORDS : at + WORDS + size]))
-    assert len(path.read_bytes()) == HEAD + 4 * SLOT
-    with pytest.raises(ValueError, match="allowed"):
-        write(7, b" " * SLOT)
-
-
-@pytest.mark.parametrize("word", [0, 1, 2], ids=["number", "size", "crc"])
-def test_a_place_that_is_half_written_is_not_read(shown, word):
-    path, write = shown
-    write(1)
-    reader, at = MirrorReader(path), HEAD + SLOT + 8 * word
-    assert reader.read() is not None
-    (value,) = struct.unpack_from("<q", path.read_bytes(), at)
-    patched(path, at, struct.pack("<q", value + 1))
+        assert (found.events, found.ended, reader.newest) == ([{"number": number}], False, number)
+    data = path.read_bytes()
+    place = data.rindex(b'[{"number": 6}]')
+    with path.open("r+b") as file:
+        file.seek(place)
+        file.write(b" ")
     assert reader.read() is None
+    mirror.close()
+    assert newest(reader).ended
 
 
-@pytest.mark.parametrize(
-    ("at", "data"),
-    [
-        (0, bytes(8)),
-        *((8, struct.pack("<q", n)) for n in (0, -1, 1 << 62)),
-        (WORDS, b"{,"),
-        (HEAD + 4 * SLOT, b"\0"),
-    ],
-)
-def test_another_head_description_or_size_is_refused(shown, at, data):
-    patched(shown[0], at, data)
-    with pytest.raises(LogError, match="not what this version"):
-        MirrorReader(shown[0])
+@pytest.mark.parametrize("data", [b"", b"x", bytes(64), b"\3" + bytes(7) + b"[1]", b"\2" + bytes(7) + b"{}"])
+def test_another_file_or_version_is_refused(tmp_path, data):
+    (tmp_path / "m").write_bytes(data + bytes(1))
+    with pytest.raises(LogError, match="another version"):
+        MirrorReader(tmp_path / "m")
+    Mirror(tmp_path / "m", ABOUT | {"version": "0.0.1"}).write(np.zeros((), ROW), np.zeros((), FIGURES))
+    with pytest.raises(LogError, match="another version"):
+        MirrorReader(tmp_path / "m")
 
 
 def test_the_file_is_of_this_user_alone_and_is_removed_with_the_run(tmp_path):
@@ -149,12 +119,10 @@ def test_the_file_is_of_this_user_alone_and_is_removed_with_the_run(tmp_path):
     assert mirror_path("localcan", "a/b").parent.stat().st_mode & 0o077 == 0
     assert mirror_path("localcan", "a/b").name == "localcan.a%2Fb.mirror"
     reader = MirrorReader(path)
-    with pytest.raises(TypeError):
-        reader._map[0] = 1
     mirror.write(np.zeros((), ROW), np.zeros((), FIGURES), b'[{"text": "last"}]')
     mirror.close()
     assert not path.exists()
-    assert reader.ended
+    assert newest(reader).ended
     assert newest(reader).events == [{"text": "last"}], "who has mapped it keeps what was shown last"
     with pytest.raises(FileNotFoundError):
         MirrorReader(path)
@@ -203,7 +171,7 @@ def test_the_recorder_shows_the_newest_row_fifty_times_a_second(tmp_path):
         assert second["text"].startswith("yyy")
         assert len(second["text"]) < 700
     assert recording.close().complete
-    assert reader.ended
+    assert newest(reader).ended
     assert not shown.exists()
     assert 20 <= len(numbers) / seconds <= 51, "every 20 ms on a machine that is not too busy"
 
@@ -225,6 +193,6 @@ def test_a_killed_recorder_leaves_what_was_shown_last(tmp_path):
     until(reader.read)
     recording._process.kill()
     recording.close()
-    assert not reader.ended
+    assert not newest(reader).ended
     assert int(newest(reader).row["tick"]) == 0
     assert reader.about["columns"] == describe(TICKS.columns)

@@ -22,7 +22,7 @@ class Shown:
     """A mirror that keeps what was written last, and whether it was closed after that."""
 
     def __init__(self) -> None:
-        self.tick, self.closed, self.size = -1, False, 0
+        self.tick, self.closed = -1, False
         self.events: list[dict[str, Any]] = []
         self.figures: dict[str, int] = {}
 
@@ -30,7 +30,7 @@ class Shown:
         assert not self.closed
         self.tick = int(row["tick"])
         self.figures = {name: int(figures[name]) for name in figures.dtype.names}
-        self.events, self.size = json.loads(text), len(text)
+        self.events = json.loads(text)
 
     def close(self):
         self.closed = True

@@ -10,11 +10,35 @@ import re
 import secrets
 from dataclasses import dataclass
 from http import HTTPStatus
-
-from hil.app.watch.http import Refused, Request
+from typing import NamedTuple
 
 HTTP_PORT = 80
 _PORT = re.compile(r":\d+$")
+
+
+class Refused(Exception):  # noqa: N818 - an answer, not an error of the program
+    """A request that gets no more than a status and a sentence."""
+
+    def __init__(self, status: HTTPStatus, why: str) -> None:
+        super().__init__(why)
+        self.status, self.why = status, why
+
+
+class Request(NamedTuple):
+    """A request whose form is right."""
+
+    method: str
+    path: str
+    query: dict[str, str]
+    """The last value of each name."""
+    headers: dict[str, str]
+    """Names in lower case; none of them came twice."""
+
+    @property
+    def cookies(self) -> dict[str, str]:
+        """Names and values of the header Cookie, those of other servers of the host among them."""
+        pairs = (each.strip().partition("=") for each in self.headers.get("cookie", "").split(";"))
+        return {name: value for name, _, value in pairs}
 
 
 @dataclass(frozen=True)
@@ -40,10 +64,8 @@ class Access:
             request.headers.get("sec-fetch-mode") != "navigate" or request.method != "GET"
         ):
             raise Refused(HTTPStatus.FORBIDDEN, "the request comes from a page of another site")
-        if self.beyond and not self.knows(request):
-            raise Refused(
-                HTTPStatus.UNAUTHORIZED, "open the link with the token that `hil watch` has printed"
-            )
+        if self.beyond:
+            self._check_token(request)
 
     def check_operate(self, request: Request) -> None:
         """Refuse a request that may not act."""
@@ -52,10 +74,7 @@ class Access:
             raise Refused(
                 HTTPStatus.FORBIDDEN, "the configuration does not allow the page to operate (watch.operate)"
             )
-        if not self.knows(request):
-            raise Refused(
-                HTTPStatus.UNAUTHORIZED, "open the link with the token that `hil watch` has printed"
-            )
+        self._check_token(request)
         if "origin" not in request.headers or request.headers.get("content-type") != "application/json":
             raise Refused(HTTPStatus.FORBIDDEN, "allowed: JSON from the page itself, with its Origin")
 
@@ -70,6 +89,12 @@ class Access:
     def cookie(self) -> str:
         """Name of the cookie; cookies do not tell ports apart by themselves."""
         return f"hil-watch-{self.port}"
+
+    def _check_token(self, request: Request) -> None:
+        if not self.knows(request):
+            raise Refused(
+                HTTPStatus.UNAUTHORIZED, "open the link with the token that `hil watch` has printed"
+            )
 
     def _check_host(self, host: str) -> None:
         if self.port == HTTP_PORT and not _PORT.search(host):

@@ -1,13 +1,14 @@
 """`hil watch`: finds the run on the bus of a configuration and serves its page."""
 
-import asyncio
 import contextlib
 import importlib.resources
 import ipaddress
 import os
 import secrets
+import select
 import signal
 import socket
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -65,13 +66,14 @@ def watch(
     names = {host.lower(), "localhost", LOOPBACK, "::1", socket.gethostname().lower()}
     access = Access(secrets.token_urlsafe(24), port, frozenset(names), beyond, c.watch.operate)
     operating = Operating(c.bus.interface, c.bus.channel) if c.watch.operate else None
-    server = Server(Feed(mirror_path(c.bus.interface, c.bus.channel)), access, assets(), operating)
+    feed = Feed(mirror_path(c.bus.interface, c.bus.channel))
+    server = Server(listening, feed, access, assets(), operating)
     _step_back(c)
-    shown = _reachable(address) if address.is_unspecified else host
+    shown = _reachable(listening.family) if address.is_unspecified else host
     link = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
-    with listening:
-        announce(f"{link}?token={access.token}")  # of a full house, those with it stay
-        asyncio.run(_serve(server, listening, alive))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    announce(f"{link}?token={access.token}")  # of a full house, those with it stay
+    _wait(alive)
     return {
         "success": True,
         "kind": "watch",
@@ -81,13 +83,14 @@ def watch(
     }
 
 
-async def _serve(server: Server, listening: socket.socket, alive: int | None) -> None:
-    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+def _wait(alive: int | None) -> None:
+    """Wait for a signal to end, or for the end of file of `alive`."""
+    woken, wake = os.pipe()
+    os.set_blocking(wake, False)
+    signal.set_wakeup_fd(wake)  # whichever thread gets the signal
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        loop.add_signal_handler(number, stopped.set)
-    if alive is not None:
-        loop.add_reader(alive, stopped.set)
-    await server.run([listening], stopped)
+        signal.signal(number, lambda *_: None)
+    select.select([woken] if alive is None else [woken, alive], [], [])
 
 
 def _listen(host: str, port: int | None) -> socket.socket:
@@ -98,10 +101,8 @@ def _listen(host: str, port: int | None) -> socket.socket:
         try:
             family, _, _, _, address = socket.getaddrinfo(host, each, type=socket.SOCK_STREAM)[0]
             return socket.create_server((str(address[0]), each), family=family, backlog=64)
-        except UnicodeError:  # of Python's own check, before anybody is asked
-            trouble = "such a name no host can have"
-        except OSError as error:
-            trouble = error.strerror or str(error)
+        except (OSError, UnicodeError) as error:  # the latter of a name that no host can have
+            trouble = str(error)
     raise RunError(
         f"cannot listen on {host} port {tried[0]}: {trouble}; allowed: an address of this machine for "
         "--host, a free port for --port (0 takes any)"
@@ -117,12 +118,11 @@ def _step_back(c: Configuration) -> None:
         os.sched_setaffinity(0, others)
 
 
-def _reachable(address: ipaddress.IPv4Address | ipaddress.IPv6Address) -> str:
+def _reachable(family: int) -> str:
     """Return the address of this machine that others see, as far as its routes tell; nothing is sent."""
-    family, far = (socket.AF_INET, "192.0.2.1") if address.version == 4 else (socket.AF_INET6, "2001:db8::1")
     with socket.socket(family, socket.SOCK_DGRAM) as probe:
         try:
-            probe.connect((far, 9))
+            probe.connect(("192.0.2.1" if family == socket.AF_INET else "2001:db8::1", 9))
         except OSError:
             return socket.gethostname()
         return str(probe.getsockname()[0])

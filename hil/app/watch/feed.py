@@ -7,9 +7,11 @@ from typing import Any
 
 from drivers.errors import LogError
 from hil.app.watch.state import state
-from hil.record.mirror import MirrorReader, foreign
+from hil.record.mirror import MirrorReader
 
-LOOK_S = 0.5
+PERIOD_S = 0.01
+"""Between two looks at the mirror, which the recorder fills every 20 ms."""
+FOLLOW_S = 0.5
 """Between two looks for a run that has followed."""
 REPEAT_S = 0.25
 """A state that does not change is repeated so often: its age grows."""
@@ -18,80 +20,59 @@ REPEAT_S = 0.25
 class Feed:
     """Follows the runs on one bus, each by its own mirror.
 
-    Mutable state: the mirror that is read, the last of what was made of it, and when.
+    Mutable state: the mirror that is read, what was made of it (new objects where it changes), and when.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._reader: MirrorReader | None = None
-        self._foreign = False
-        """What is there cannot be shown. It stays mapped, so that no other file gets its inode."""
-        self._looked = self._made = float("-inf")
+        self._looked = self._followed = self._made = float("-inf")
         self._number = 0
         self._events: list[dict[str, Any]] = []
-        self._trouble = ""
         self.said: dict[str, Any] | None = None
         """What the controller says of itself, where it is asked."""
-        self.run = 0
-        """Counts the runs that were found, and what else changes the description."""
         self.about = event("about", {"trouble": "nothing runs on this bus yet"})
-        self.heard = 0
-        """Counts the changes of the events."""
         self.events = event("events", [])
         self.state = b""
 
-    def look(self, now: float) -> bool:
-        """Take in what is new; return whether `state` is. now: CLOCK_MONOTONIC, s."""
-        if now - self._looked >= LOOK_S:
-            self._looked = now
+    def look(self, now: float) -> None:
+        """Take in what is new. now: CLOCK_MONOTONIC, s."""
+        if now - self._looked < PERIOD_S:
+            return
+        self._looked = now
+        if now - self._followed >= FOLLOW_S:
+            self._followed = now
             self._follow()
         reader = self._reader
-        if reader is None or self._foreign or (reader.newest == self._number and now - self._made < REPEAT_S):
-            return False
-        try:
-            piece = reader.read()
-            if piece is None:
-                return False
-            shown = state(piece, reader.about, time.monotonic_ns())
-            told = [_told(each) for each in piece.events] if piece.events != self._events else None
-            self.state = event("state", shown | {"run": self.run, "ended": reader.ended, "said": self.said})
-            if told is not None:
-                self.events = event("events", told)
-        except (AttributeError, LookupError, TypeError, ValueError):  # other names, shapes or sizes
-            self._foreign, self.state = True, b""
-            self._complain(str(foreign(self._path)))
-            return False
-        self._number, self._made = piece.number, now
-        if told is not None:
+        if reader is None or (reader.newest == self._number and now - self._made < REPEAT_S):
+            return
+        piece = reader.read()
+        if piece is None:
+            return
+        if piece.events != self._events:
             self._events = piece.events
-            self.heard += 1
-        return True
+            self.events = event("events", [_told(each) for each in piece.events])
+        shown = state(piece, reader.about, time.monotonic_ns())
+        self.state = event("state", shown | {"ended": piece.ended, "said": self.said})
+        self._number, self._made = piece.number, now
 
     def _follow(self) -> None:
         """Attach to the run that is there now, if it is another one."""
         try:
-            inode = self._path.stat().st_ino
-            if self._reader is not None and self._reader.inode == inode:
+            if self._reader is not None and self._reader.inode == self._path.stat().st_ino:
                 return
             reader = MirrorReader(self._path)
         except FileNotFoundError:
             return  # what was shown last stays
-        except (LogError, OSError) as error:
-            self._complain(str(error))
+        except LogError as error:
+            trouble = event("about", {"trouble": str(error)})
+            if trouble != self.about:
+                self.about = trouble
             return
-        self._reader, self._number, self._events, self._trouble = reader, 0, [], ""
-        self._foreign = False
-        self.run += 1
-        self.heard += 1
+        self._reader, self._number, self._events = reader, 0, []
         self.state, self.events = b"", event("events", [])
         about = {name: value for name, value in reader.about.items() if name != "columns"}
-        self.about = event("about", {**about, "run": self.run})
-
-    def _complain(self, trouble: str) -> None:
-        if trouble != self._trouble:
-            self._trouble = trouble
-            self.run += 1
-            self.about = event("about", {"trouble": trouble, "run": self.run})
+        self.about = event("about", about)
 
 
 def event(name: str, data: Any) -> bytes:

@@ -1,258 +1,286 @@
 """The server of the live page: bounded in everything that others decide.
 
-So many connections, so many streams, so many bytes and seconds for a request; a watcher that does not read is
-left out until it does, and cut off when it has not for long. No queue grows.
+A connection has one request and a thread of its own, so none waits for another. So many connections, so many
+streams, so many bytes and seconds for a request; a watcher that does not read misses ticks, and is cut off
+when it has not for long. No queue grows.
 """
 
-import asyncio
 import contextlib
+import io
 import json
+import select
 import socket
+import threading
 import time
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from contextlib import contextmanager
 from http import HTTPStatus
-from typing import Any, Protocol
+from http.server import BaseHTTPRequestHandler
+from socketserver import TCPServer, ThreadingMixIn
+from typing import Any, NoReturn
+from urllib.parse import parse_qs
 
-from hil.app.watch.access import Access
-from hil.app.watch.feed import Feed, event
-from hil.app.watch.http import HEAD_BYTES, Refused, Request, read_request, refusal, response, stream_head
-from hil.app.watch.operating import line_of
+from hil.app.watch.access import Access, Refused, Request
+from hil.app.watch.feed import PERIOD_S, Feed, event
+from hil.app.watch.operating import Operating, line_of
 
-PERIOD_S = 0.01
-"""Between two looks at the mirror, which the recorder fills every 20 ms."""
+REQUEST_BYTES = 8192
+"""Of a request, its body included."""
+BODY_BYTES = 512
+REQUEST_S = 10.0
+"""For a whole request, once a connection is open."""
 MOST_CONNECTIONS = 160
 MOST_STREAMS = 24
 MOST_COMMANDS = 8
-"""Under way at once; an emergency stop has a place of its own."""
+"""Under way at once, beside emergency stops."""
 BEHIND_BYTES = 32768
-"""A watcher with so much unread gets no further state until it has read."""
+"""So much may be unread of a watcher before it misses ticks."""
 PATIENCE_S = 15.0
 """A watcher that has read nothing for so long is cut off."""
 STATUS_S = 0.25
 ESTOP = "estop"
+_HEADERS = {
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; "
+    "img-src 'self' data:; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+    "X-Content-Type-Options": "nosniff",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cache-Control": "no-store",
+    "Connection": "close",
+}
 
 
-class Operates(Protocol):
-    """Who passes commands to the controller; both calls may block for a second."""
+class Server(ThreadingMixIn, TCPServer):
+    """Serves one feed on a socket that listens. Mutable state: connections, streams, commands under way."""
 
-    def say(self, line: str) -> tuple[bool, str]:
-        """Return whether a line was taken, and else why not."""
-        ...
-
-    def status(self) -> dict[str, Any] | None:
-        """Return what the controller says of itself; None where none answers."""
-        ...
-
-
-class Watcher:
-    """One open stream. Mutable state: what it has been sent, and since when it does not read."""
-
-    def __init__(self, writer: asyncio.StreamWriter, *, ours: bool = False) -> None:
-        """Take whether it was opened with the token."""
-        self._writer, self.ours = writer, ours
-        self._run = self._heard = -1
-        self._behind_since: float | None = None
-
-    @property
-    def behind(self) -> bool:
-        """Whether it does not read."""
-        return self._behind_since is not None
-
-    def leave(self) -> None:
-        """Close the stream; a page opens a new one by itself."""
-        self._writer.transport.abort()
-
-    def send(self, feed: Feed, now: float, *, fresh: bool) -> None:
-        """Send what is new, or nothing to one that is behind."""
-        transport = self._writer.transport
-        if transport.is_closing():
-            return
-        if transport.get_write_buffer_size() > BEHIND_BYTES:
-            self._behind_since = now if self._behind_since is None else self._behind_since
-            if now - self._behind_since > PATIENCE_S:
-                transport.abort()
-            return
-        self._behind_since = None
-        parts = []
-        if self._run != feed.run:
-            parts.append(feed.about)
-        if self._heard != feed.heard:
-            parts.append(feed.events)
-        if feed.state and (fresh or self._run != feed.run):
-            parts.append(feed.state)
-        self._run, self._heard = feed.run, feed.heard
-        if parts:
-            transport.write(b"".join(parts))
-
-
-class Server:
-    """Serves one feed. Mutable state: connections, watchers, commands under way."""
+    daemon_threads = True
+    block_on_close = False
 
     def __init__(
-        self, feed: Feed, access: Access, assets: dict[str, tuple[bytes, str]], operating: Operates | None
+        self,
+        listening: socket.socket,
+        feed: Feed,
+        access: Access,
+        assets: dict[str, tuple[bytes, str]],
+        operating: Operating | None,
     ) -> None:
-        self._feed, self._access, self._assets = feed, access, assets
-        self._operating = operating
-        self._connections: set[asyncio.StreamWriter] = set()
-        self._waiting: dict[asyncio.StreamWriter, None] = {}
-        """Connections on which no whole request has come yet, the longest wait first."""
-        self._watchers: dict[Watcher, None] = {}
-        """The longest open first."""
-        self._commands = 0
-        self._workers = ThreadPoolExecutor(MOST_COMMANDS + 1, "command")
-        self._estop = ThreadPoolExecutor(2, "estop")
+        super().__init__(("", 0), Handler, bind_and_activate=False)
+        self.socket.close()
+        self.socket = listening
+        self.feed, self.access, self.assets, self.operating = feed, access, assets, operating
+        self.lock = threading.Lock()
+        """Of the feed, connections and streams."""
+        self.waiting: dict[socket.socket, bool] = {}
+        """Connections, the oldest first: whether a whole request has not come yet."""
+        self._streams: dict[socket.socket, bool] = {}
+        """Streams, the longest open first: whether it was opened with the token."""
+        self.commands = threading.BoundedSemaphore(MOST_COMMANDS)
         self.served = 0
         """Streams that were opened."""
+        if operating is not None:
+            threading.Thread(target=self._ask, args=(operating,), daemon=True).start()
 
-    async def run(self, listening: list[socket.socket], stopped: asyncio.Event) -> None:
-        """Serve on sockets until `stopped`."""
-        pump = asyncio.create_task(self._pump())
-        asking = asyncio.create_task(self._ask(self._operating.status)) if self._operating else None
-        servers = [await asyncio.start_server(self._connected, sock=s, limit=HEAD_BYTES) for s in listening]
-        try:
-            waiting = asyncio.create_task(stopped.wait())
-            await asyncio.wait({pump, waiting}, return_when=asyncio.FIRST_COMPLETED)
-            waiting.cancel()
-            if pump.done():
-                pump.result()
-        finally:
-            for task in (pump, asking):
-                if task is not None:
-                    task.cancel()
-            for server in servers:
-                server.close()
-            for writer in list(self._connections):
-                writer.transport.abort()
-            self._workers.shutdown(wait=False, cancel_futures=True)
-            self._estop.shutdown(wait=False)
-
-    async def _pump(self) -> None:
-        loop = asyncio.get_running_loop()
-        due = loop.time()
+    def _ask(self, operating: Operating) -> None:
         while True:
-            now = time.monotonic()
-            if self._watchers:
-                fresh = self._feed.look(now)
-                for watcher in list(self._watchers):
-                    watcher.send(self._feed, now, fresh=fresh)
-            due = max(due + PERIOD_S, loop.time())
-            await asyncio.sleep(due - loop.time())
+            if self._streams:
+                self.feed.said = operating.status()
+            time.sleep(STATUS_S)
 
-    async def _ask(self, status: Callable[[], dict[str, Any] | None]) -> None:
-        while True:
-            if self._watchers:
-                loop = asyncio.get_running_loop()
-                self._feed.said = await loop.run_in_executor(self._workers, status)
-            await asyncio.sleep(STATUS_S)
+    def verify_request(self, request: Any, client_address: Any) -> bool:  # noqa: ARG002 - of the base class
+        """Take a connection in. Of too many, one that only waits makes room."""
+        with self.lock:
+            if len(self.waiting) >= MOST_CONNECTIONS:
+                first = next((each for each, waits in self.waiting.items() if waits), None)
+                if first is None:
+                    return False
+                _end(first)
+                del self.waiting[first]
+            self.waiting[request] = True
+        return True
 
-    async def _connected(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        if len(self._connections) >= MOST_CONNECTIONS:
-            first = next(iter(self._waiting), None)
-            if first is None:
-                writer.transport.abort()
-                return
-            first.transport.abort()  # those who only wait keep nobody out
-            self._waiting.pop(first)
-            self._connections.discard(first)
-        self._connections.add(writer)
-        try:
-            await self._serve(reader, writer)
-        except Refused as refused:
-            writer.write(refusal(refused))
-            with contextlib.suppress(OSError, TimeoutError):
-                async with asyncio.timeout(1.0):
-                    await writer.drain()
-        except (OSError, asyncio.CancelledError):
-            pass
-        finally:
-            self._waiting.pop(writer, None)
-            self._connections.discard(writer)
-            writer.close()
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        with self.lock:
+            self.waiting.pop(request, None)
+            super().shutdown_request(request)
 
-    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        while True:
-            self._waiting[writer] = None
-            request = await read_request(reader)
-            self._waiting.pop(writer, None)
-            if request is None:
-                return
-            if request.path == "/stream" and request.method == "GET":
-                self._access.check(request)
-                await self._stream(request, reader, writer)
-                return
-            writer.write(await self._answer(request))
-            async with asyncio.timeout(PATIENCE_S):
-                await writer.drain()
-            if request.headers.get("connection", "").lower() == "close":
-                return
+    @contextmanager
+    def stream(self, connection: socket.socket, *, ours: bool) -> Iterator[None]:
+        """Hold the place of a stream. Of too many, the oldest without the token makes room for one with it.
 
-    async def _answer(self, request: Request) -> bytes:
-        if request.path == "/operate":
-            return await self._operate(request)
-        self._access.check(request)
-        if request.method == "POST":
-            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "allowed here: GET")
-        if request.path not in self._assets:
-            raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
-        body, media = self._assets[request.path]
-        cookie = []
-        if request.path == "/" and "token" in request.query and self._access.knows(request):
-            name = self._access.cookie
-            cookie = [f"Set-Cookie: {name}={self._access.token}; HttpOnly; SameSite=Strict; Path=/"]
-        whole = response(HTTPStatus.OK, body, media, *cookie)
-        return whole[: len(whole) - len(body)] if request.method == "HEAD" else whole
-
-    async def _stream(
-        self, request: Request, reader: asyncio.StreamReader, writer: asyncio.StreamWriter
-    ) -> None:
-        ours = self._access.knows(request)
-        if len(self._watchers) >= MOST_STREAMS:
-            self._make_room(ours=ours)
-        sock = writer.get_extra_info("socket")
-        sock.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # what waits is old
-        may = self._operating is not None and self._access.operate and ours
-        hello = {"operate": may, "allowed": self._access.operate}
-        writer.write(stream_head() + event("hello", hello))
-        watcher = Watcher(writer, ours=ours)
-        self._watchers[watcher] = None
-        self.served += 1
-        try:
-            await reader.read(1)  # the end, or words that nobody has asked for
-        finally:
-            self._watchers.pop(watcher, None)
-
-    def _make_room(self, *, ours: bool) -> None:
-        """Close a stream for a new one: one that does not read, else the oldest without the token, or of all.
-
-        ours: the new one has the token. Raises Refused where only streams with it are open, and it has not.
+        Raises Refused where there is no place.
         """
-        others = [each for each in self._watchers if ours or not each.ours]
-        if not others:
-            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_STREAMS} pages are open: close one of them")
-        silent = (each for each in others if each.behind)
-        strangers = (each for each in others if not each.ours)
-        first = next(silent, None) or next(strangers, None) or others[0]
-        self._watchers.pop(first)
-        first.leave()
-
-    async def _operate(self, request: Request) -> bytes:
-        self._access.check_operate(request)
-        if request.method != "POST" or self._operating is None:
-            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "allowed here: POST")
+        with self.lock:
+            if len(self._streams) >= MOST_STREAMS:
+                first = next((each for each, theirs in self._streams.items() if ours and not theirs), None)
+                if first is None:
+                    raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_STREAMS} pages are open: close one")
+                _end(first)
+                del self._streams[first]
+            self._streams[connection] = ours
+            self.served += 1
         try:
-            line = line_of(request.body)
+            yield
+        finally:
+            with self.lock:
+                self._streams.pop(connection, None)
+
+    def parts(self) -> tuple[bytes, bytes, bytes]:
+        """Return what is to be seen now: description, events, state. Each is a new object when it changes."""
+        with self.lock:
+            feed = self.feed
+            feed.look(time.monotonic())
+            return feed.about, feed.events, feed.state
+
+
+class _Bounded(io.RawIOBase):
+    """What a connection sends, for so long and up to so many bytes. Raises Refused or OSError."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection, self._left = connection, REQUEST_BYTES
+        self._until = time.monotonic() + REQUEST_S
+
+    def readable(self) -> bool:
+        """Return that it is."""
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        """Fill a part of the buffer."""
+        remaining_s = self._until - time.monotonic()
+        if remaining_s <= 0.0:
+            raise Refused(HTTPStatus.REQUEST_TIMEOUT, f"no whole request within {REQUEST_S:g} s")
+        if not self._left:
+            raise Refused(
+                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, f"allowed: a request of {REQUEST_BYTES} bytes"
+            )
+        self._connection.settimeout(remaining_s)
+        count = self._connection.recv_into(memoryview(buffer)[: self._left])
+        if not count:
+            raise ConnectionAbortedError
+        self._left -= count
+        return count
+
+
+class Handler(BaseHTTPRequestHandler):
+    """One request: its form, who sends it, the answer."""
+
+    server: Server
+    default_request_version = "HTTP/1.0"
+    command = ""
+
+    def setup(self) -> None:
+        """Read within bounds."""
+        super().setup()
+        self.rfile.close()
+        self.rfile = io.BufferedReader(_Bounded(self.connection))
+
+    def handle(self) -> None:
+        """Answer the request. One that breaks off or is not read is forgotten."""
+        with contextlib.suppress(OSError):
+            try:
+                self.handle_one_request()
+            except Refused as refused:
+                self._answer(refused.status, f"{refused.why}\n".encode(), "text/plain; charset=utf-8")
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> NoReturn:  # noqa: ARG002
+        """Refuse what is no request."""
+        raise Refused(HTTPStatus(code), message or "no request of HTTP/1.1")
+
+    def log_message(self, *_: object) -> None:
+        """Keep no log."""
+
+    def do_GET(self) -> None:
+        """Give a part of the page, or the stream."""
+        request = self._request()
+        self.server.access.check(request)
+        if request.path == "/stream" and self.command == "GET":
+            self._stream(request)
+            return
+        if request.path not in self.server.assets:
+            raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
+        more, access = {}, self.server.access
+        if request.path == "/" and "token" in request.query and access.knows(request):
+            more["Set-Cookie"] = f"{access.cookie}={access.token}; HttpOnly; SameSite=Strict; Path=/"
+        self._answer(HTTPStatus.OK, *self.server.assets[request.path], **more)
+
+    do_HEAD = do_GET
+
+    def do_POST(self) -> None:
+        """Pass a command on and answer as the controller does."""
+        request, operating = self._request(), self.server.operating
+        self.server.access.check_operate(request)
+        if request.path != "/operate" or operating is None:
+            raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "allowed here: GET")
+        length = request.headers.get("content-length", "")
+        if not (length.isascii() and length.isdigit() and int(length[:9]) <= BODY_BYTES):
+            raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"allowed: a body of {BODY_BYTES} bytes")
+        try:
+            line = line_of(self.rfile.read(int(length)))
         except ValueError as error:
             raise Refused(HTTPStatus.BAD_REQUEST, str(error)) from None
-        loop = asyncio.get_running_loop()
+        self._arrived()
         if line == ESTOP:
-            taken, why = await loop.run_in_executor(self._estop, self._operating.say, line)
-        elif self._commands >= MOST_COMMANDS:
-            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_COMMANDS} commands wait for an answer")
-        else:
-            self._commands += 1
+            taken, why = operating.say(line)
+        elif self.server.commands.acquire(blocking=False):
             try:
-                taken, why = await loop.run_in_executor(self._workers, self._operating.say, line)
+                taken, why = operating.say(line)
             finally:
-                self._commands -= 1
-        return response(HTTPStatus.OK, json.dumps({"taken": taken, "why": why}).encode(), "application/json")
+                self.server.commands.release()
+        else:
+            raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_COMMANDS} commands wait for an answer")
+        self._answer(HTTPStatus.OK, json.dumps({"taken": taken, "why": why}).encode(), "application/json")
+
+    def _request(self) -> Request:
+        names = [name.lower() for name in self.headers]
+        if self.headers.defects or len(set(names)) < len(names):
+            raise Refused(HTTPStatus.BAD_REQUEST, "a header that is malformed or comes twice")
+        path, _, query = self.path.partition("?")
+        try:
+            values = parse_qs(query, max_num_fields=8)
+        except ValueError:
+            raise Refused(HTTPStatus.BAD_REQUEST, "too many fields in the query") from None
+        headers = dict(zip(names, self.headers.values(), strict=True))
+        return Request(self.command, path, {name: each[-1] for name, each in values.items()}, headers)
+
+    def _arrived(self) -> None:
+        """Take note that the whole request has come: an answer may take its time."""
+        self.connection.settimeout(PATIENCE_S)
+        with self.server.lock:
+            if self.connection in self.server.waiting:
+                self.server.waiting[self.connection] = False
+
+    def _head(self, status: HTTPStatus, **headers: str) -> None:
+        self.send_response_only(status)
+        for name, value in {**_HEADERS, **headers}.items():
+            self.send_header(name, value)
+        self.end_headers()
+
+    def _answer(self, status: HTTPStatus, body: bytes, media: str, **more: str) -> None:
+        self._arrived()
+        self._head(status, **{"Content-Type": media, "Content-Length": str(len(body)), **more})
+        if self.command != "HEAD":
+            self.wfile.write(body)
+
+    def _stream(self, request: Request) -> None:
+        access = self.server.access
+        ours = access.knows(request)
+        with self.server.stream(self.connection, ours=ours):
+            self._arrived()
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # what waits is old
+            self._head(HTTPStatus.OK, **{"Content-Type": "text/event-stream"})
+            hello = {"operate": access.operate and ours, "allowed": access.operate}
+            self.wfile.write(event("hello", hello))
+            sent = (b"", b"", b"")
+            while not select.select([self.connection], [], [], PERIOD_S)[0]:  # a watcher has nothing to say
+                parts = self.server.parts()
+                self.wfile.write(
+                    b"".join(new for new, old in zip(parts, sent, strict=True) if new is not old)
+                )
+                sent = parts
+
+
+def _end(connection: socket.socket) -> None:
+    """Wake the thread of a connection, which closes it."""
+    with contextlib.suppress(OSError):
+        connection.shutdown(socket.SHUT_RDWR)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import asyncio
+import socket
 import threading
-from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from http import HTTPStatus
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,10 @@ from drivers.signals import DriveFault
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
 from hil.app.run_description import run_description
-from hil.app.watch.access import Access
+from hil.app.watch.access import Access, Refused, Request
 from hil.app.watch.feed import Feed
-from hil.app.watch.http import BODY_BYTES, HEAD_BYTES, Refused, Request, read_request, refusal
 from hil.app.watch.operating import WORDS, line_of
-from hil.app.watch.server import MOST_COMMANDS, Server, Watcher
+from hil.app.watch.server import MOST_COMMANDS, Server
 from hil.app.watch.state import state
 from hil.record.mirror import FIGURES, Piece
 
@@ -30,22 +29,11 @@ BEYOND = Access(TOKEN, 8642, frozenset({"robot"}), beyond=True, operate=True)
 HOST = "127.0.0.1:8642"
 
 
-def read(data, *, ends=True):
-    async def feed():
-        reader = asyncio.StreamReader(limit=HEAD_BYTES)
-        reader.feed_data(data)
-        if ends:
-            reader.feed_eof()
-        return await read_request(reader)
-
-    return asyncio.run(feed())
-
-
 def request(path="/", method="GET", cookie=None, query=None, **headers):
     given = {"host": HOST, **{name.replace("_", "-"): value for name, value in headers.items()}}
     if cookie is not None:
         given["cookie"] = f"other=1; hil-watch-8642={cookie}"
-    return Request(method, path, query or {}, {k: v for k, v in given.items() if v is not None}, b"")
+    return Request(method, path, query or {}, {k: v for k, v in given.items() if v is not None})
 
 
 def status_of(check, *arguments):
@@ -56,53 +44,118 @@ def status_of(check, *arguments):
     return HTTPStatus.OK
 
 
-def test_a_request_is_read_with_its_body_and_no_more():
-    data = b"POST /operate?a=1&a=%3d HTTP/1.1\r\nHost: x\r\nContent-Length: 3\r\n\r\nabcGET"
-    found = read(data)
-    assert found is not None
-    assert (found.method, found.path, found.query, found.body) == ("POST", "/operate", {"a": "="}, b"abc")
-    assert found.headers == {"host": "x", "content-length": "3"}
-    assert read(b"") is None
+class Deaf:
+    """A controller that answers nothing until it is `free`, but for the emergency stop."""
+
+    def __init__(self):
+        self.stops = 0
+        self.asked, self.free = threading.Semaphore(0), threading.Event()
+
+    def say(self, line):
+        if line == "estop":
+            self.stops += 1
+        else:
+            self.asked.release()
+            self.free.wait()
+        return True, ""
+
+    def status(self):
+        return None
+
+
+@pytest.fixture
+def deaf():
+    found = Deaf()
+    yield found
+    found.free.set()
+
+
+@pytest.fixture
+def port(tmp_path, deaf):
+    """A server of one page in a thread of this process."""
+    listening = socket.create_server(("127.0.0.1", 0))
+    port = listening.getsockname()[1]
+    access = replace(LOCAL, port=port)
+    with Server(listening, Feed(tmp_path / "none"), access, {"/": (b"page", "text/html")}, deaf) as server:
+        serving = threading.Thread(target=server.serve_forever, args=(0.01,))
+        serving.start()
+        yield port
+        server.shutdown()
+        serving.join()
+
+
+def opened(port, data):
+    connection = socket.create_connection(("127.0.0.1", port), timeout=10.0)
+    connection.sendall(data.replace(b"HOST", b"Host: 127.0.0.1:%d\r\n" % port))
+    return connection
+
+
+def answered(connection):
+    """Return all that is sent, and the number of its status; 0 where the connection is closed without."""
+    with connection, connection.makefile("rb") as file:
+        found = file.read()
+    return found, int(found[9:12] or 0)
+
+
+def test_a_page_is_given_once_and_the_connection_closed(port):
+    found, status = answered(opened(port, b"GET /?a=1&a=%3d HTTP/1.1\r\nHOST\r\nGET / HTTP/1.1\r\nHOST\r\n"))
+    assert status == HTTPStatus.OK
+    assert found.count(b"page") == 1
+    assert b"\r\nConnection: close\r\n" in found
+    found, status = answered(opened(port, b"HEAD / HTTP/1.1\r\nHOST\r\n"))
+    assert (status, found[-4:]) == (HTTPStatus.OK, b"\r\n\r\n")
 
 
 @pytest.mark.parametrize(
     ("data", "status"),
     [
         (b"\x16\x03\x01\x02\x00\x01\x00\x01\xfc\x03\x03\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET /\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET / HTTP/2\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET http://evil/ HTTP/1.1\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"TRACE / HTTP/1.1\r\n\r\n", HTTPStatus.METHOD_NOT_ALLOWED),
+        (b"GET / HTTP/2\r\nHOST\r\n", HTTPStatus.BAD_REQUEST),
+        (b"GET http://evil/ HTTP/1.1\r\nHOST\r\n", HTTPStatus.NOT_FOUND),
+        (b"TRACE / HTTP/1.1\r\nHOST\r\n", HTTPStatus.NOT_IMPLEMENTED),
+        (b"GET / HTTP/1.1\r\n\r\n", HTTPStatus.FORBIDDEN),
         (b"GET / HTTP/1.1\r\nHost x\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET / HTTP/1.1\r\nHost : x\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET / HTTP/1.1\r\nHost: a\r\nhost: b\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET / HTTP/1.1\r\nX: a\nb\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET / HTTP/1.1\r\nHost: x", HTTPStatus.BAD_REQUEST),
-        (b"GET /?" + b"&".join([b"a=1"] * 9) + b" HTTP/1.1\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"GET /" + b"a" * HEAD_BYTES + b" HTTP/1.1\r\n\r\n", HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),
-        (b"a" * (2 * HEAD_BYTES), HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),
-        (b"POST / HTTP/1.1\r\nContent-Length: 9\r\n\r\nshort", HTTPStatus.BAD_REQUEST),
-        (b"POST / HTTP/1.1\r\nContent-Length: -1\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"POST / HTTP/1.1\r\nContent-Length: 1_0\r\n\r\n", HTTPStatus.BAD_REQUEST),
-        (b"POST / HTTP/1.1\r\nContent-Length: 99999999999999999999\r\n\r\n", HTTPStatus.REQUEST_ENTITY_TOO_LARGE),
-        (b"POST / HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % (BODY_BYTES + 1), HTTPStatus.REQUEST_ENTITY_TOO_LARGE),
-        (b"POST / HTTP/1.1\r\nTransfer-Encoding: chunked\r\n\r\n", HTTPStatus.BAD_REQUEST),
+        (b"GET / HTTP/1.1\r\nHost: evil\r\nHOST\r\n", HTTPStatus.BAD_REQUEST),
+        (b"GET / HTTP/1.1\r\nHOSTX: a\nb\r\n\r\n", HTTPStatus.BAD_REQUEST),
+        (b"GET / HTTP/1.1\r\nHOSTX: " + b"a" * 8192 + b"\r\n\r\n", HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE),
+        (b"GET /?" + b"&".join([b"a=1"] * 9) + b" HTTP/1.1\r\nHOST\r\n", HTTPStatus.BAD_REQUEST),
+        (b"POST / HTTP/1.1\r\nHOSTContent-Length: 1\r\n\r\n1", HTTPStatus.UNAUTHORIZED),
     ],
 )  # fmt: skip
-def test_a_malformed_or_too_large_request_is_refused(data, status):
-    with pytest.raises(Refused) as refused:
-        read(data)
-    assert refused.value.status is status
-    answer = refusal(refused.value)
-    assert answer.startswith(f"HTTP/1.1 {status.value} ".encode())
-    assert b"\r\nConnection: close\r\n" in answer
+def test_a_malformed_or_too_large_request_is_refused(data, status, port):
+    found, given = answered(opened(port, data))
+    assert given == status
+    assert b"\r\nConnection: close\r\n" in found
+    assert b"page" not in found
 
 
-def test_a_request_that_never_ends_is_given_up(monkeypatch):
-    monkeypatch.setattr("hil.app.watch.http.PATIENCE_S", 0.05)
-    with pytest.raises(Refused) as refused:
-        read(b"GET / HTTP/1.1\r\n", ends=False)
-    assert refused.value.status is HTTPStatus.REQUEST_TIMEOUT
+def test_a_request_that_never_ends_is_given_up(port, monkeypatch):
+    monkeypatch.setattr("hil.app.watch.server.REQUEST_S", 0.1)
+    assert answered(opened(port, b"GET / HTTP/1.1\r\n"))[1] in {0, HTTPStatus.REQUEST_TIMEOUT}
+    assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
+
+
+def test_one_that_only_waits_makes_room_for_a_new_connection(port, monkeypatch):
+    monkeypatch.setattr("hil.app.watch.server.MOST_CONNECTIONS", 3)
+    waiting = [opened(port, b"GET") for _ in range(4)]
+    assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
+    assert [answered(each)[1] for each in waiting[:2]] == [0, 0]
+    for each in waiting[2:]:
+        each.close()
+
+
+def test_of_too_many_pages_the_oldest_without_the_token_makes_room_for_one_with_it(port, monkeypatch):
+    def stream(cookie=b""):
+        connection = opened(port, b"GET /stream HTTP/1.1\r\n%sHOST\r\n" % cookie)
+        return connection, connection.recv(17)[9:12]
+
+    monkeypatch.setattr("hil.app.watch.server.MOST_STREAMS", 2)
+    token = b"Cookie: hil-watch-%d=%s\r\n" % (port, TOKEN.encode())
+    streams = [stream(), stream(token), stream(), stream(token), stream(token)]
+    assert [status for _, status in streams] == [b"200", b"200", b"503", b"200", b"503"]
+    assert b"event: hello" in answered(streams[0][0])[0], "it was closed"
+    for connection, _ in streams[1:]:
+        connection.close()
 
 
 @pytest.mark.parametrize(
@@ -196,60 +249,35 @@ def test_the_words_of_the_page_are_passed_on_and_no_others():
             line_of(body)
 
 
-class Deaf:
-    """A controller that answers nothing until it is `free`, but for the emergency stop."""
-
-    def __init__(self):
-        self.stops = 0
-        self.asked, self.free = threading.Semaphore(0), threading.Event()
-
-    def say(self, line):
-        if line == "estop":
-            self.stops += 1
-        else:
-            self.status()
-        return True, ""
-
-    def status(self):
-        self.asked.release()
-        self.free.wait()
+def operate(port, line, length=None):
+    body = b'{"line": "%s"}' % line
+    return opened(
+        port,
+        b"POST /operate HTTP/1.1\r\nOrigin: http://127.0.0.1:%d\r\nContent-Type: application/json\r\n"
+        b"Cookie: other=\xe9; hil-watch-%d=%s\r\nContent-Length: %s\r\nHOST\r\n%s"
+        % (port, port, TOKEN.encode(), length or b"%d" % len(body), body),
+    )
 
 
-def operate(line):
-    return request("/operate", "POST", TOKEN, **GOOD)._replace(body=b'{"line": "%s"}' % line.encode())
+@pytest.mark.parametrize("length", [b"-1", b"1_0", b"513", b"9" * 20, b""])
+def test_a_command_of_wrong_or_excessive_length_is_refused(length, port, deaf):
+    assert answered(operate(port, b"estop", b" " + length))[1] == HTTPStatus.REQUEST_ENTITY_TOO_LARGE
+    assert deaf.stops == 0
 
 
-def test_an_emergency_stop_passes_where_other_commands_wait(tmp_path):
-    """Eight commands and a question for the state wait; further ones get 503, but each emergency stop is passed on."""
-    deaf, watcher = Deaf(), Watcher(object())  # type: ignore[arg-type]
-    server = Server(Feed(tmp_path / "none"), LOCAL, {}, deaf)
-    server._watchers[watcher] = None
-
-    async def scene(elsewhere):
-        loop = asyncio.get_running_loop()
-        asking = asyncio.create_task(server._ask(deaf.status))
-        waiting = [asyncio.create_task(server._operate(operate("hold"))) for _ in range(MOST_COMMANDS)]
-        for _ in range(MOST_COMMANDS + 1):
-            await loop.run_in_executor(elsewhere, deaf.asked.acquire)
-        try:
-            for line in ("hold", "stop", "key"):
-                with pytest.raises(Refused) as refused:
-                    await server._operate(operate(line))
-                assert refused.value.status is HTTPStatus.SERVICE_UNAVAILABLE
-            for count in (1, 2, 3):
-                async with asyncio.timeout(10.0):
-                    answer = await server._operate(operate("estop"))
-                assert b'{"taken": true, "why": ""}' in answer
-                assert deaf.stops == count
-            assert not any(task.done() for task in waiting)
-        finally:
-            deaf.free.set()
-            asking.cancel()
-        assert len(await asyncio.gather(*waiting)) == MOST_COMMANDS
-        assert b'"taken": true' in await server._operate(operate("hold")), "there is room again"
-
-    with ThreadPoolExecutor(1) as elsewhere:
-        asyncio.run(scene(elsewhere))
+def test_an_emergency_stop_passes_where_other_commands_wait(port, deaf):
+    """Eight commands wait; further ones get 503, but each emergency stop is passed on."""
+    waiting = [operate(port, b"hold") for _ in range(MOST_COMMANDS)]
+    for _ in range(MOST_COMMANDS):
+        deaf.asked.acquire()
+    for line in (b"hold", b"stop", b"key"):
+        assert answered(operate(port, line))[1] == HTTPStatus.SERVICE_UNAVAILABLE
+    for count in (1, 2, 3):
+        assert b'{"taken": true, "why": ""}' in answered(operate(port, b"estop"))[0]
+        assert deaf.stops == count
+    deaf.free.set()
+    assert all(b'"taken": true' in answered(each)[0] for each in waiting)
+    assert b'"taken": true' in answered(operate(port, b"hold"))[0], "there is room again"
 
 
 ABOUT = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
@@ -264,7 +292,7 @@ def legs_of(**columns):
         row[name] = value
     there: Any = row[()]
     figures: Any = np.zeros((), FIGURES)[()]
-    return state(Piece(1, there, figures, []), ABOUT, 0)["legs"]
+    return state(Piece(1, False, there, figures, []), ABOUT, 0)["legs"]
 
 
 def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():

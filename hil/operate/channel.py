@@ -7,22 +7,23 @@ other's line, and one that does not read its answers is dropped before it costs 
 
 import select
 import socket
+from collections import deque
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 from drivers.errors import RunError
-from hil.operate.answers import REFUSED, TAKEN
-from hil.operate.client import socket_path
-from hil.operate.words import LONGEST, parse, split
+from hil.operate.client import REFUSED, TAKEN, socket_path
+from hil.operate.words import Said, parse, split
 from hil.signals import Operator, Order, SetPoint
 
 AT_MOST = 8
 """Lines read in one tick."""
 MOST_CLIENTS = 128
 """At once; the one that has said nothing for the longest makes room."""
-_LONGEST = LONGEST + 18
-"""With a tag."""
-_Waiting = list[tuple[str, socket.socket]]
+_READ = 4096
+"""Bytes of a line that are read; allowed are far fewer."""
+_STATUS = len(Said._fields)
+"""What a line is of: a field of `Said`, or this."""
 
 
 class Heard(NamedTuple):
@@ -52,6 +53,8 @@ class OperatorChannel:
         self._old: set[int] = set()
         self.old: frozenset[int] = frozenset()
         """Places, in the commands heard last, of what may have waited since before the last `anew`."""
+        self._waiting: list[tuple[int, str, socket.socket]] = []
+        """What was said, the tag, and the client of each line that has no answer yet."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         try:
             self.path.unlink(missing_ok=True)  # left by a controller that was killed: we hold its role now
@@ -64,9 +67,11 @@ class OperatorChannel:
         self._socket.setblocking(False)
         self._ready = select.epoll()
         self._ready.register(self._socket, select.EPOLLIN)
-        self.waited_for = False
+
+    @property
+    def waited_for(self) -> bool:
         """Whether somebody waits for an answer."""
-        self._forget()
+        return bool(self._waiting)
 
     def take(self, at_most: int = AT_MOST, *, anew: bool = False) -> Heard:
         """Return what has come since the last call; what is no word is answered at once.
@@ -74,86 +79,73 @@ class OperatorChannel:
         anew: what waits now is old, also where it is read in a later tick. A client that has more waiting at
         each tick until then says nothing new.
         """
-        if self.waited_for:
-            self._forget()
-        if anew or self._old:
-            waiting = {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
-            self._old = waiting if anew else self._old & waiting
-        lines = self._lines(at_most)
+        self._waiting.clear()
         self.old = frozenset()
-        if not lines:
+        ready = {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
+        self._old = ready if anew else self._old & ready
+        if not ready:
             return SILENCE
-        operator: list[Operator] = []
-        orders: list[Order] = []
-        setpoints: list[SetPoint] = []
+        heard: list[list[Any]] = [[], [], []]
         old: set[int] = set()
-        for data, client, is_old in lines:
+        for data, client, is_old in self._lines(at_most, ready):
             tag, line = split(data.decode("ascii", "replace"))
-            if len(data) > _LONGEST:  # cut off, maybe within a number
-                line = data.decode("ascii", "replace")
             try:
                 said = parse(line)
             except ValueError as error:
                 self.malformed += 1
-                self._reply((tag, client), f"{REFUSED}{error}")
+                self._reply(client, f"{tag}{REFUSED}{error}")
                 continue
-            if said.operator is not None:
-                if is_old:
-                    old.add(len(operator))
-                operator.append(said.operator)
-                self._operator.append((tag, client))
-            elif said.order is not None:
-                orders.append(said.order)
-                self._orders.append((tag, client))
-            elif said.setpoint is not None:
-                setpoints.append(said.setpoint)
-                self._setpoints.append((tag, client))
-            else:
-                self._status.append((tag, client))
-            self.waited_for = True
+            kind = next((k for k, each in enumerate(said) if each is not None), _STATUS)
+            self._waiting.append((kind, tag, client))
+            if kind == 0 and is_old:
+                old.add(len(heard[kind]))
+            if kind != _STATUS:
+                heard[kind].append(said[kind])
         self.old = frozenset(old)
-        return Heard(tuple(operator), tuple(orders), tuple(setpoints))
+        return Heard(*map(tuple, heard))
 
-    def _lines(self, at_most: int) -> list[tuple[bytes, socket.socket, bool]]:
+    def _lines(self, at_most: int, ready: set[int]) -> list[tuple[bytes, socket.socket, bool]]:
         """Return lines with their clients and whether they may be old, one of each client in turn."""
+        if self._socket.fileno() in ready:
+            ready |= self._welcome(at_most)
+        turns = deque(number for number in self._clients if number in ready)
         lines: list[tuple[bytes, socket.socket, bool]] = []
-        looks = 2 * at_most  # those who come and go are no lines, and bounded too
-        while looks > 0 and (ready := self._ready.poll(0.0, min(at_most - len(lines), MOST_CLIENTS))):
-            looks -= len(ready)
-            for number, _ in ready:
-                client = self._clients.get(number)
-                if client is None:
-                    if number == self._socket.fileno():
-                        self._welcome()
-                    continue
-                try:
-                    data = client.recv(_LONGEST + 1)
-                except (BlockingIOError, ConnectionResetError):
-                    continue  # another one by now; or gone without its answers: what it said is still there
-                except OSError:
-                    data = b""
-                if data:
-                    self._clients[number] = self._clients.pop(number)
-                    lines.append((data, client, number in self._old))
-                else:
-                    self._drop(client)
-            if len(lines) >= at_most:
+        for _ in range(2 * at_most):  # those who come and go are no lines, and bounded too
+            if not turns or len(lines) == at_most:
                 break
+            number = turns.popleft()
+            client = self._clients[number]
+            try:
+                data = client.recv(_READ)
+            except (BlockingIOError, ConnectionResetError):
+                continue  # no more; or gone without its answers: what it said is still there
+            except OSError:
+                data = b""
+            if data:
+                self._clients[number] = self._clients.pop(number)
+                lines.append((data, client, number in self._old))
+                turns.append(number)
+            else:
+                self._drop(client)
         return lines
 
-    def _welcome(self) -> None:
-        """Take the next client in."""
-        try:
-            client, _ = self._socket.accept()
-        except OSError:  # it has gone again
-            return
-        client.setblocking(False)
-        if len(self._clients) >= MOST_CLIENTS:
-            self._drop(next(iter(self._clients.values())))
-        self._clients[client.fileno()] = client
-        if self._socket.fileno() in self._old and _has_spoken(client):
-            self._old.add(client.fileno())
-        self._ready.register(client, select.EPOLLIN)
+    def _welcome(self, at_most: int) -> set[int]:
+        """Take the next clients in; return their numbers. Where others were old, they are, too."""
+        found: set[int] = set()
+        for _ in range(at_most):
+            try:
+                client, _ = self._socket.accept()
+            except OSError:  # no more, or gone again
+                break
+            client.setblocking(False)
+            if len(self._clients) >= MOST_CLIENTS:
+                self._drop(next(iter(self._clients.values())))
+            self._clients[client.fileno()] = client
+            self._ready.register(client, select.EPOLLIN)
+            found.add(client.fileno())
+        if self._socket.fileno() in self._old:
+            self._old |= found
+        return found
 
     def _drop(self, client: socket.socket) -> None:
         """Let a client go, if it is still there."""
@@ -172,18 +164,15 @@ class OperatorChannel:
 
         `status` gives the answer to who asked for it.
         """
-        for waiting, refusals in (
-            (self._operator, operator),
-            (self._orders, orders),
-            (self._setpoints, setpoints),
-        ):
-            for asking, refusal in zip(waiting, refusals, strict=True):
-                self._reply(asking, f"{REFUSED}{refusal}" if refusal else TAKEN)
-        if self._status:
-            text = status()
-            for asking in self._status:
-                self._reply(asking, text)
-        self._forget()
+        refusals = [iter(each) for each in (operator, orders, setpoints)]
+        for kind, tag, client in self._waiting:
+            if kind == _STATUS:
+                text = status()
+            else:
+                why = next(refusals[kind])
+                text = f"{REFUSED}{why}" if why else TAKEN
+            self._reply(client, tag + text)
+        self._waiting.clear()
 
     def close(self) -> None:
         """Stop listening and remove the socket."""
@@ -194,17 +183,9 @@ class OperatorChannel:
         self._socket.close()
         self.path.unlink(missing_ok=True)
 
-    def _forget(self) -> None:
-        self.waited_for = False
-        self._operator: _Waiting = []
-        self._orders: _Waiting = []
-        self._setpoints: _Waiting = []
-        self._status: _Waiting = []
-
-    def _reply(self, to: tuple[str, socket.socket], answer: str) -> None:
-        tag, client = to
+    def _reply(self, client: socket.socket, answer: str) -> None:
         try:
-            client.send(f"{tag}{answer}".encode())
+            client.send(answer.encode())
         except OSError:  # gone, or it does not read its answers
             self._drop(client)
 
@@ -213,13 +194,3 @@ class OperatorChannel:
 
     def __exit__(self, *error: object) -> None:
         self.close()
-
-
-def _has_spoken(client: socket.socket) -> bool:
-    try:
-        client.recv(1, socket.MSG_PEEK)
-    except BlockingIOError:
-        return False
-    except OSError:  # gone, maybe with words that are still there
-        return True
-    return True

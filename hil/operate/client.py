@@ -11,14 +11,14 @@ from typing import Any, Self
 
 from drivers.can.runtime_folder import role_holder, runtime_folder, safe_name
 from drivers.errors import RunError
-from hil.operate.answers import REFUSED, TAKEN
 
+TAKEN = "taken"
+REFUSED = "refused: "
+"""What the controller answers to a line; behind the latter stands the reason."""
 ANSWER_S = 1.0
 """How long an answer is waited for."""
-ANSWER_LONGEST = 4096
-"""Bytes of an answer."""
-SENT_LONGEST = 4096
-"""Bytes of a line that are sent. The controller refuses far shorter ones as too long, unread."""
+_LONGEST = 4096
+"""Bytes of an answer, and of a line that is sent; the controller refuses far shorter ones as too long."""
 
 
 def socket_path(interface: str, channel: str) -> Path:
@@ -84,13 +84,14 @@ class OperatorClient:
             self._socket.connect(str(path))
         except OSError:
             self._socket.close()
+            why = f"no controller runs on {self._where}: start `hil run` there first"
             if role_holder(interface, channel, "controller") is not None:
-                raise RunError(
+                why = (
                     f"{self._where} has a controller, but none that listens here: it runs as another user or "
                     "with another XDG_RUNTIME_DIR (sudo, a service, a session that has ended), is starting, "
                     "or is no `hil run`; speak to it from where it was started"
-                ) from None
-            raise RunError(f"no controller runs on {self._where}: start `hil run` there first") from None
+                )
+            raise RunError(why) from None
 
     def arm(self) -> Answer:
         """Let the platform move: as Enter in the terminal of `hil run`, or its option --arm."""
@@ -205,7 +206,7 @@ class OperatorClient:
         self._number += 1
         tag = f"#{self._number}"
         try:
-            self._socket.send(f"{tag} {line}".encode(errors="replace")[:SENT_LONGEST])
+            self._socket.send(f"{tag} {line}".encode(errors="replace")[:_LONGEST])
         except OSError:
             raise RunError(
                 f"the controller on {self._where} does not listen any more: has it ended?"
@@ -214,17 +215,11 @@ class OperatorClient:
 
     def _ask(self, line: str) -> str:
         tag = self._send(line)
-        until = time.monotonic() + ANSWER_S
-        while time.monotonic() < until:
-            try:
-                data = self._socket.recv(ANSWER_LONGEST)
-            except OSError:
-                break
-            if not data:
-                break
-            found, _, answer = data.decode().partition(" ")
-            if found == tag:  # an older one answers what was given up
-                return answer
+        with contextlib.suppress(OSError):
+            while data := self._socket.recv(_LONGEST):
+                found, _, answer = data.decode().partition(" ")
+                if found == tag:  # an older one answers what was given up
+                    return answer
         raise RunError(f"the controller on {self._where} did not answer within {ANSWER_S:g} s: has it ended?")
 
     def _arrived(self) -> list[str]:
@@ -232,7 +227,7 @@ class OperatorClient:
         answers = []
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):
-            while data := self._socket.recv(ANSWER_LONGEST):
+            while data := self._socket.recv(_LONGEST):
                 answers.append(data.decode().partition(" ")[2])
         self._socket.settimeout(ANSWER_S)
         return answers

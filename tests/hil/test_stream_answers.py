@@ -3,8 +3,7 @@
 import pytest
 
 from hil.operate import client
-from hil.operate.answers import REFUSED, TAKEN
-from hil.operate.client import OperatorClient
+from hil.operate.client import REFUSED, TAKEN, OperatorClient
 
 NO = f"{REFUSED}out of reach"
 

@@ -6,10 +6,8 @@ given a name of its own is never touched.
 
 import re
 import shutil
-import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
 
 from drivers.errors import HilError, LogError
 from hil.app.configuration.configuration import Configuration
@@ -20,14 +18,6 @@ from hil.record.schema import SUMMARY
 TICK_BYTES = 2000
 """What a tick takes in a log at most: 0.8 to 1.1 kB were measured on the shipped configurations."""
 GB = 1_000_000_000
-
-
-class Dated(NamedTuple):
-    """One log of a configuration."""
-
-    stamp: str
-    path: Path
-    size: int
 
 
 def needed_bytes(c: Configuration, path_s: float | None, duration_s: float | None) -> int:
@@ -55,17 +45,15 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
                 f"recording.budget_GB {c.recording.budget_GB:g}: this run may write {needed / GB:.3g} GB; "
                 "raise it, or end the run earlier with --duration"
             )
-        logs = dated_logs(folder, c.name)
-        total = sum(log.size for log in logs)
-        for log in _going(logs):
+        runs = dated_logs(folder, c.name)
+        sizes = {path: path.stat().st_size for logs in runs.values() for path in logs}
+        total = sum(sizes.values())
+        for path in _going(list(runs.values())):
             if total + needed <= budget and shutil.disk_usage(folder).free >= needed:
                 break
-            try:
-                log.path.unlink(missing_ok=True)  # another run may have made room meanwhile
-            except OSError as error:
-                raise LogError(f"{log.path}: cannot be removed for recording.budget_GB: {error}") from None
-            total -= log.size
-            removed.append(str(log.path))
+            path.unlink(missing_ok=True)  # another run may have made room meanwhile
+            total -= sizes[path]
+            removed.append(str(path))
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise LogError(
@@ -75,38 +63,24 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
     return removed
 
 
-def dated_logs(folder: Path, name: str) -> list[Dated]:
-    """Return the logs of a configuration that got their names from its runs, the oldest first."""
-    pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6}(?:-\d+)?)(?:-plant)?\.mcap")
-    found = ((pattern.fullmatch(path.name), path) for path in folder.glob("*.mcap"))
-    sizes = ((m[1], path, _size(path)) for m, path in found if m)
-    logs = [Dated(stamp, path, size) for stamp, path, size in sizes if size is not None]
-    return sorted(logs, key=lambda log: (log.stamp.split("-")[0], int(log.stamp.partition("-")[2] or 1)))
+def dated_logs(folder: Path, name: str) -> dict[tuple[str, int], list[Path]]:
+    """Return the logs of the runs of a configuration that got their names from them, the oldest run first.
+
+    A run is its date and its number on it; it has its own log, its plant's, or both.
+    """
+    pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6})(?:-(\d+))?(?:-plant)?\.mcap")
+    runs: dict[tuple[str, int], list[Path]] = {}
+    for path in sorted(folder.glob("*.mcap"), key=lambda path: path.stem):
+        if found := pattern.fullmatch(path.name):
+            runs.setdefault((found[1], int(found[2] or 1)), []).append(path)
+    return dict(sorted(runs.items()))
 
 
-def _size(path: Path) -> int | None:
-    """Return the bytes of a regular file; None of what is none, or is gone meanwhile."""
-    try:
-        found = path.stat()
-    except OSError:
-        return None
-    return found.st_size if stat.S_ISREG(found.st_mode) else None
-
-
-def _going(logs: list[Dated]) -> Iterator[Dated]:
+def _going(runs: list[list[Path]]) -> Iterator[Path]:
     """Yield what may go, in its order: a run's own log and its plant's go and stay together."""
-    staying = {log.stamp for log in logs[-1:]} | {log.stamp for log in logs if _under_way(log.path)}
-    old = [log for log in logs if log.stamp not in staying]
-    troubled = {log.stamp for log in old if _had_trouble(log.path)}
-    yield from (log for log in old if log.stamp not in troubled)
-    yield from (log for log in old if log.stamp in troubled)
-
-
-def _under_way(path: Path) -> bool:
-    try:
-        return being_written(path)
-    except OSError:  # gone meanwhile, or not ours to read
-        return False
+    old = [logs for logs in runs[:-1] if not any(map(being_written, logs))]
+    for logs in sorted(old, key=lambda logs: any(map(_had_trouble, logs))):
+        yield from logs
 
 
 def _had_trouble(path: Path) -> bool:

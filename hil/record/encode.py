@@ -14,8 +14,8 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from mcap.opcode import Opcode
 
 from drivers.arrays import Bytes, Ints, Rows
+from hil.record.child import loaded
 from hil.record.layout import MAX_DATA, RECORD_HEADER, frame_table
-from hil.record.machine_code import loaded
 from hil.record.recording import VIEW_EVERY, Scene
 from hil.record.ring import EVENT, OPERATOR, SENT, Batch, unpack_numbers
 from hil.record.row import RowCodec, Table, row_schema
@@ -88,7 +88,7 @@ class Encoder:
         epoch_ns: int,
         can_channels: Sequence[str],
         scene: Scene | None,
-        packer: Sequence[str] | None = None,
+        packer: tuple[str, bytes] | None = None,
     ) -> None:
         """Take the columns, UTC of t_ns = 0, the names of the buses, what is drawn.
 
@@ -111,7 +111,7 @@ class Encoder:
     @cached_property
     def _pack(self) -> Callable[..., int]:
         if self._packer is not None:
-            return loaded(self._packer)
+            return loaded(*self._packer)
         from hil.record.packer import pack  # noqa: PLC0415 - Numba
 
         return pack

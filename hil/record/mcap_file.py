@@ -13,7 +13,6 @@ import zlib
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import zstandard
@@ -50,19 +49,10 @@ _SUMMARY_ORDER = (
     Opcode.METADATA_INDEX,
 )
 
-
 _MOST_TAKEN_BACK = 256
-
-
-class _Place(NamedTuple):
-    """A place in the file to which it can be taken back."""
-
-    position: int
-    crc: int
-    summarised: dict[Opcode, int]
-    """Records of each kind."""
-    counts: dict[int, int]
-    span: tuple[int, int] | None
+"""Chunks that may make room for the end of the file on a full disk."""
+_Place = tuple[int, int, tuple[int, int] | None, dict[int, int], dict[Opcode, int]]
+"""Where the file can be taken back to: position, CRC, span, messages by channel, records by kind."""
 
 
 def record_bytes(record: McapRecord) -> bytes:
@@ -75,15 +65,11 @@ def record_bytes(record: McapRecord) -> bytes:
 
 def being_written(path: Path) -> bool:
     """Tell whether a process is writing a file right now. Raises OSError where it cannot be opened."""
-    fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
-    try:
-        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:  # a file system without locks
-        return False
-    finally:
-        os.close(fd)
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
     return False
 
 
@@ -106,7 +92,8 @@ class McapFile:
         self._counts: dict[int, int] = {}
         self._span: tuple[int, int] | None = None
         self._compressor = zstandard.ZstdCompressor(level=1)
-        self._chunks: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
+        self._places: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
+        """Before each of the last chunks."""
         try:
             self._write(MAGIC + record_bytes(Header("", library)))
         except OSError:
@@ -161,7 +148,8 @@ class McapFile:
 
     def add_compressed(self, chunk: Chunk, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Write a chunk as it is, with the message index that the arrays give."""
-        self._chunks.append(self._place())
+        kinds = {kind: len(records) for kind, records in self._summary.items()}
+        self._places.append((self.position, self._crc, self._span, dict(self._counts), kinds))
         record = record_bytes(chunk)
         index_start = self.position + len(record)
         parts = [record]
@@ -180,7 +168,7 @@ class McapFile:
             )
             offsets[channel_id] = position
             position += len(parts[-1])
-            self._counts[channel_id] = self._counts.get(channel_id, 0) + last - first
+            self._counts[channel_id] = self.messages_of(channel_id) + last - first
         index = ChunkIndex(
             message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time,
@@ -232,36 +220,33 @@ class McapFile:
     def finish_within(self, name: str, metadata: Callable[[], Mapping[str, str]]) -> None:
         """Finish where the disk is full: the last chunks, one at least, make room for the end.
 
-        `metadata` of the end is asked anew as chunks go. Without a chunk nothing is done. Raises OSError
+        `metadata` of the end is made again as chunks go. Without a chunk nothing is done. Raises OSError
         where their room is not enough.
         """
-        while self._chunks:
-            self._take_back(self._chunks.pop())
+        while self._places:
+            self._take_back(*self._places.pop())
             try:
                 self.add_metadata(name, metadata())
                 self.finish()
             except OSError:
-                if not self._chunks:
+                if not self._places:
                     raise
             else:
                 return
 
-    def _place(self) -> _Place:
-        return _Place(
-            self.position,
-            self._crc,
-            {kind: len(records) for kind, records in self._summary.items()},
-            dict(self._counts),
-            self._span,
-        )
-
-    def _take_back(self, place: _Place) -> None:
-        os.ftruncate(self._fd, place.position)
-        os.lseek(self._fd, place.position, os.SEEK_SET)
-        self.position, self._crc, self._counts = place.position, place.crc, dict(place.counts)
-        self._span = place.span
+    def _take_back(
+        self,
+        position: int,
+        crc: int,
+        span: tuple[int, int] | None,
+        counts: dict[int, int],
+        kinds: dict[Opcode, int],
+    ) -> None:
+        os.ftruncate(self._fd, position)
+        os.lseek(self._fd, position, os.SEEK_SET)
+        self.position, self._crc, self._span, self._counts = position, crc, span, counts
         for kind, records in self._summary.items():
-            del records[place.summarised[kind] :]
+            del records[kinds[kind] :]
 
     def close(self) -> None:
         """Close the file as it is."""

@@ -117,11 +117,14 @@ class Recorder:
     def run(self, control: _Control) -> None:
         """Drain until the producer closes or dies, and show no more, also where something fails."""
         try:
-            self._run(control)
+            self._drain_while(control)
         finally:
-            self._stop_showing()
+            if self._live is not None:
+                self._live.end()
+            if self._publisher is not None:
+                self._publisher.close()
 
-    def _run(self, control: _Control) -> None:
+    def _drain_while(self, control: _Control) -> None:
         flushed = synced = due = time.monotonic()
         while not control.ended(_LOCKSTEP_POLL_S if self._lockstep else max(0.0, due - time.monotonic())):
             now = time.monotonic()
@@ -145,17 +148,13 @@ class Recorder:
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
         if self._lateness is not None:
             counts["wake_up_us"] = json.dumps(self._lateness.table())
-        self.file.add_metadata(
-            SUMMARY, {**(summary or {}), **{name: str(value) for name, value in counts.items()}}
-        )
+        self.file.add_metadata(SUMMARY, {**(summary or {}), **_texts(counts)})
         self.file.finish()
         return self._told(counts)
 
     def close_full(self, error: OSError) -> dict[str, object]:
         """Close the file where it cannot grow any more, with what fits; return what the producer is told."""
-        self.file.finish_within(
-            SUMMARY, lambda: {name: str(value) for name, value in self._counts(DISK_FULL).items()}
-        )
+        self.file.finish_within(SUMMARY, lambda: _texts(self._counts(DISK_FULL)))
         return {
             **self._told(self._counts(DISK_FULL)),
             "error": f"{DISK_FULL}: {error.strerror}; the log is closed and holds the first "
@@ -174,14 +173,6 @@ class Recorder:
             "messages": self.file.messages,
             "dropped": self._ring.counters[DROPPED],
         }
-
-    def _stop_showing(self) -> None:
-        if self._live is not None:
-            self._live.end()
-            self._live = None
-        if self._publisher is not None:
-            self._publisher.close()
-            self._publisher = None
 
     def _drain(self, limit: int) -> bool:
         """Write up to `limit` ticks; return whether there was anything."""
@@ -218,6 +209,10 @@ class Recorder:
             )
 
 
+def _texts(counts: Mapping[str, object]) -> dict[str, str]:
+    return {name: str(value) for name, value in counts.items()}
+
+
 def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> Publisher | None:
     """Return what shows the run to watchers. A run that cannot be shown is recorded all the same."""
     if mirror is None:
@@ -239,7 +234,7 @@ class _Control:
         self._poll.register(pipe, select.POLLIN)
         self._pidfd = -1
         # the pipe alone could be held open by a child of the producer that outlives it
-        with contextlib.suppress(OSError, AttributeError):
+        with contextlib.suppress(OSError):
             self._pidfd = os.pidfd_open(producer)
             self._poll.register(self._pidfd, select.POLLIN)
         self._orphan = os.getppid() != producer
@@ -291,22 +286,17 @@ def main(arguments: list[str]) -> int:
         answer(_recorded(recorder, control))
         if recorder.socket is not None and not recorder.socket.close():
             os._exit(0)  # the log is closed; a client that does not read would hold the process
-    except LogError as error:
-        answer({"error": str(error)})
-        return 1
-    except ValueError as error:  # what no log may say of its run
-        answer({"error": f"{setup['path']}: {error}"})
-        return 1
     except FileExistsError as error:
-        answer(
-            {"error": f"{error.filename} exists and is never overwritten: choose another name for the log"}
-        )
-        return 1
+        trouble = f"{error.filename} exists and is never overwritten: choose another name for the log"
     except OSError as error:
         written = f" after {file.position} bytes" if file else ""
         why = f"{DISK_FULL}: {error.strerror}" if error.errno in _FULL else error.strerror
         if file is not None and not file.messages:
             file.discard()
-        answer({"error": f"the log cannot be written{written}: {why}: {setup['path']}"})
-        return 1
-    return 0
+        trouble = f"the log cannot be written{written}: {why}: {setup['path']}"
+    except (LogError, ValueError) as error:
+        trouble = f"{setup['path']}: {error}"
+    else:
+        return 0
+    answer({"error": trouble})
+    return 1

@@ -23,7 +23,6 @@ from drivers.protocol import Frame, Received
 from hil.record.child import answer, finish, send, spawn
 from hil.record.environment import environment, product_version, scheduling
 from hil.record.layout import MAX_DATA
-from hil.record.machine_code import machine_code
 from hil.record.ring import (
     DROPPED,
     EVENT,
@@ -169,13 +168,7 @@ class Recording:
                 "mode": "lockstep" if lockstep else "realtime",
             },
         }
-        try:
-            ring = Ring.create(table.dtype, ring_ticks)
-        except OSError as error:
-            raise LogError(
-                f"{file}: no shared memory for its recorder: {error.strerror}; lower recording.ring_ticks or "
-                "raise what this process may have (ulimit -f, -n, -v)"
-            ) from None
+        ring = Ring.create(table.dtype, ring_ticks)
         return cls(ring, _start(ring, setup), file, lockstep=lockstep)
 
     @property
@@ -204,11 +197,6 @@ class Recording:
         Raises LogError for a frame of more than 64 bytes, and in lockstep where one tick has more frames than
         the ring, RecorderEndedError where the recorder has ended.
         """
-        for can_id, data, _ in (*(frame for _, frame in received), *sent):
-            if len(data) > MAX_DATA:
-                raise LogError(
-                    f"frame 0x{can_id:X} has {len(data)} data bytes: CAN FD carries at most {MAX_DATA}"
-                )
         outgoing = sent_at(int(row["t_ns"]), sent_array(sent))
         self.tick_of_items(row, received_array(received), outgoing, operator, setpoints, orders)
 
@@ -343,7 +331,7 @@ def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
     try:
         from hil.record.packer import pack  # noqa: PLC0415 - Numba; the process starts meanwhile
 
-        send(process, {**setup, "packer": machine_code(pack)})
+        send(process, {**setup, "packer": pack.machine_code})
         reply = answer(process, _START_S)
     except OSError:
         reply = answer(process, 1.0)
@@ -365,5 +353,4 @@ def _channels(names: str | Sequence[str]) -> dict[str, str]:
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:
-    texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
-    return {key: text.encode(errors="replace").decode() for key, text in texts.items()}
+    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import mmap
 import os
-import platform
 import struct
 from collections.abc import Sequence
 from threading import Lock
@@ -48,19 +47,12 @@ Scalar = TypeVar("Scalar", bound=np.generic)
 _lock = Lock()
 
 
-def _no_fence() -> None:
-    """x86 keeps the order of stores and of loads."""
-
-
-def _lock_fence() -> None:
+def fence() -> None:
     """Order memory accesses by two lock round trips: release, then acquire."""
     with _lock:
         pass
     with _lock:
         pass
-
-
-fence = _no_fence if platform.machine() in {"x86_64", "AMD64", "i686"} else _lock_fence
 
 
 class Batch(NamedTuple):
@@ -86,7 +78,7 @@ class Ring:
         if os.fstat(fd).st_size < size:
             os.ftruncate(fd, size)
         # all pages mapped now: a first touch in the loop would cost a fault each
-        self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | getattr(mmap, "MAP_POPULATE", 0))
+        self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
         self._view = memoryview(self._map)
         self.counters = self._view[:_HEADER].cast("q")
         self.ends = self._view[ends : ends + 8 * capacity].cast("q")

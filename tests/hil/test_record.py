@@ -134,15 +134,6 @@ def test_two_lockstep_recordings_are_equal_byte_for_byte_up_to_the_summary(tmp_p
     assert recording._process.returncode == 0
 
 
-def test_lockstep_waits_for_room_and_loses_nothing(path):
-    ticks = random_ticks(3000)
-    recording = Recording.start(path, configuration="", lockstep=True, ring_ticks=256)
-    record(recording, ticks)
-    summary = recording.close()
-    assert (summary.ticks, summary.dropped, summary.lost, summary.complete) == (3000, 0, 0, True)
-    assert_same(Log.open(path).ticks(), ticks)
-
-
 def test_lockstep_does_not_stall_when_frames_fill_the_ring_before_rows_do(path):
     burst = tuple(Received(k, Frame(k, bytes([k % 256]))) for k in range(700))
     with Recording.start(path, configuration="", lockstep=True, ring_ticks=256) as recording:
@@ -155,7 +146,7 @@ def test_lockstep_does_not_stall_when_frames_fill_the_ring_before_rows_do(path):
     assert (log.summary.ticks, len(log.events())) == (60, 5000)
 
 
-@pytest.mark.parametrize("frames", [0, 1, 31, 33, 60, 700])
+@pytest.mark.parametrize("frames", [0, 1, 33, 700])
 def test_many_ticks_at_once_pass_through_the_smallest_ring_as_one_by_one(tmp_path, frames):
     rows = random_rows(512)
     burst = received_array([Received(k, Frame(k, bytes([k % 256]))) for k in range(frames)])

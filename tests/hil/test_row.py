@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pickle
 import subprocess
 import sys
 from enum import IntEnum, IntFlag
@@ -20,7 +21,6 @@ from drivers.tick_columns import RECORDED, ROW, Column
 from hil.record import Recording
 from hil.record.encode import CAN, TICK, Encoder
 from hil.record.layout import RECORD_HEADER
-from hil.record.machine_code import machine_code
 from hil.record.packer import pack
 from hil.record.ring import Batch, Ring
 from hil.record.row import TICKS, Table, columns_of, describe
@@ -263,15 +263,15 @@ def test_one_kernel_packs_whatever_columns_a_table_has(columns):
 # -- in a process without Numba ------------------------------------------------------------------------------
 
 OTHER = """
-import hashlib, json, sys
+import hashlib, pickle, sys
 import numpy as np
 from hil.record.encode import Encoder
 from hil.record.ring import FRAME, Batch
 from hil.record.row import TICKS
 import hil.record.recorder
-code, rows, items = json.load(sys.stdin)
-rows = np.frombuffer(bytes.fromhex(rows), TICKS.dtype)
-items = np.frombuffer(bytes.fromhex(items), FRAME)
+code, rows, items = pickle.load(sys.stdin.buffer)
+rows = np.frombuffer(rows, TICKS.dtype)
+items = np.frombuffer(items, FRAME)
 batch = Batch(rows, items, np.arange(5))
 encoder = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None, packer=code)
 print(hashlib.sha256(encoder.encode(batch).data).hexdigest(), "numba" in sys.modules)
@@ -286,10 +286,10 @@ def test_machine_code_alone_and_plain_python_pack_the_same(plain):
     items["t_ns"] = np.arange(5) * S
     here = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None)
     expected = here.encode(Batch(rows, items, np.arange(5))).data
-    given = [None if plain else machine_code(pack), rows.tobytes().hex(), items.tobytes().hex()]
+    given = pickle.dumps((None if plain else pack.machine_code, rows.tobytes(), items.tobytes()))
     environment = {**os.environ, **({"NUMBA_DISABLE_JIT": "1"} if plain else {})}
     done = subprocess.run(
-        [sys.executable, "-c", OTHER], input=json.dumps(given), capture_output=True, text=True,
+        [sys.executable, "-c", OTHER], input=given, capture_output=True,
         env=environment, check=True, timeout=60,
     )  # fmt: skip
-    assert done.stdout.split() == [hashlib.sha256(expected.tobytes()).hexdigest(), str(plain)]
+    assert done.stdout.decode().split() == [hashlib.sha256(expected.tobytes()).hexdigest(), str(plain)]

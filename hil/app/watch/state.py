@@ -1,16 +1,17 @@
 """One row of a run as the page shows it: plain values in the units of the screen, all of them finite."""
 
-from enum import IntFlag
 from math import isfinite
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drivers.signals import NEVER, DriveFault, DriveState, Fault, Mode, Warn
+from drivers.signals import NEVER, Mode
+from drivers.tick_columns import COLUMNS
 from hil.mathematics.rotations import rotation_vector
 from hil.record.metrics import rotation_errors
 from hil.record.mirror import Piece
+from hil.record.selection import name_of
 
 WAITS = {
     Mode.WAITING: "waits for six drives that are heard, set up and off",
@@ -36,18 +37,10 @@ def numbers(values: ArrayLike, digits: int) -> list[float | None]:
     return [round(x, digits) if isfinite(x) else None for x in flat]
 
 
-def flags(kind: type[IntFlag], value: int) -> list[str]:
-    """Return the names of the bits that are set, and the number of those that have none."""
-    named = [str(bit.name) for bit in kind if bit & value]
-    rest = value & ~sum(int(bit) for bit in kind)
-    return [*named, *([str(rest)] if rest else [])]
-
-
 def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
     """Return what the page shows of a piece. about: `hil.app.run_description`; now_ns: CLOCK_MONOTONIC."""
     row, figures = piece.row, piece.figures
-    mode = int(row["mode"])
-    known = mode in {int(m) for m in Mode}
+    mode = Mode(int(row["mode"]))
     follows = mode in _FOLLOWS
     posed, led = _posed(row["p"], row["R"]), follows and _posed(row["p_d"], row["R_d"])
     heard = row["age"] < NEVER
@@ -57,11 +50,11 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
         "age": round((now_ns - int(figures["seen_ns"])) * 1e-9, 3),
         "t": round(int(row["t_ns"]) * 1e-9, 4),
         "tick": int(row["tick"]),
-        "mode": Mode(mode).name if known else str(mode),
-        "waits": WAITS[Mode(mode)] if known else "",
+        "mode": mode.name,
+        "waits": WAITS[mode],
         "path": numbers(row["reference_time_s"], 3)[0],
-        "faults": flags(Fault, int(row["faults"])),
-        "warnings": flags(Warn, int(row["warnings"])),
+        "faults": [each for each in _name("faults", row["faults"]).split("|") if each != "NONE"],
+        "warnings": [each for each in _name("warnings", row["warnings"]).split("|") if each != "NONE"],
         "posed": posed,
         "led": led,
         "p": numbers(row["p"], 6),
@@ -78,8 +71,8 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
             "tau": numbers(row["tau"], 3),
             "share": numbers(row["tau"] / limit, 4),
             "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
-            "state": [_name(DriveState, x) for x in row["drive_state"].tolist()],
-            "fault": [_name(DriveFault, x) if x else "" for x in row["drive_fault"].tolist()],
+            "state": [_name("drive_state", x) for x in row["drive_state"]],
+            "fault": [_name("drive_fault", x) if x else "" for x in row["drive_fault"]],
             "age": [x if x < NEVER else None for x in row["age"].tolist()],
             "marked": _marked(row, about),
         },
@@ -96,8 +89,8 @@ def _posed(p: ArrayLike, R: ArrayLike) -> bool:
     return bool(np.isfinite(p).all() and np.isfinite(R).all() and np.any(R))
 
 
-def _name(kind: Any, value: int) -> str:
-    return str(kind(value).name) if value in {int(each) for each in kind} else str(value)
+def _name(column: str, value: Any) -> str:
+    return name_of(COLUMNS[column], int(value))
 
 
 def _margins(row: np.void, heard: Any, about: dict[str, Any]) -> list[float | None]:
@@ -112,9 +105,9 @@ def _marked(row: np.void, about: dict[str, Any]) -> list[str]:
     for leg in range(6):
         bit = 1 << leg
         names = [text for name, text in _BITS.items() if int(row[name]) & bit]
-        age = int(row["age"][leg])
-        if int(row["drive_fault"][leg]):
-            names.append(_name(DriveFault, int(row["drive_fault"][leg])).lower())
+        age, fault = row["age"][leg], row["drive_fault"][leg]
+        if fault:
+            names.append(_name("drive_fault", fault).lower())
         if NEVER > age >= about["stale_fault_ticks"]:
             names.append("silent")
         found.append(", ".join(names))

@@ -24,25 +24,15 @@ LOOPBACK = "127.0.0.1"
 PORT = 8642
 NICE = 10
 """A tenth of the share of those who compute for the run; at 19 the page starves on a busy machine."""
-_HTML, _CSS, _JS = (f"text/{kind}; charset=utf-8" for kind in ("html", "css", "javascript"))
-_ASSETS = {
-    "/": ("watch.html", _HTML),
-    "/watch.css": ("watch.css", _CSS),
-    "/watch.js": ("watch.js", _JS),
-    "/rolling.js": ("rolling.js", _JS),
-    "/operate.js": ("operate.js", _JS),
-    "/scene.js": ("scene.js", _JS),
-    "/uPlot.js": ("uPlot.iife.min.js", _JS),
-    "/uPlot.css": ("uPlot.min.css", _CSS),
-    "/uPlot-licence.txt": ("uPlot-LICENSE.txt", "text/plain; charset=utf-8"),
-}
-"""Path -> file, media type."""
+_MEDIA = {"html": "text/html", "css": "text/css", "js": "text/javascript", "txt": "text/plain"}
 
 
 def assets() -> dict[str, tuple[bytes, str]]:
     """All that the page is made of: path -> content, media type."""
     folder = importlib.resources.files("hil.app.watch").joinpath("assets")
-    return {path: (folder.joinpath(name).read_bytes(), media) for path, (name, media) in _ASSETS.items()}
+    files = ((each, _MEDIA.get(each.name.rpartition(".")[2])) for each in folder.iterdir())
+    found = {f"/{each.name}": (each.read_bytes(), f"{kind}; charset=utf-8") for each, kind in files if kind}
+    return found | {"/": found["/watch.html"]}
 
 
 def watch(

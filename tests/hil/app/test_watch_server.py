@@ -15,7 +15,8 @@ from tests.live_run import Listening, LiveRun, Watch
 
 pytestmark = pytest.mark.usefixtures("meeting_place")
 ASSETS = (
-    "/", "/watch.css", "/watch.js", "/rolling.js", "/operate.js", "/scene.js", "/uPlot.js", "/uPlot.css", "/stream",
+    "/", "/watch.css", "/watch.js", "/rolling.js", "/operate.js", "/scene.js", "/uPlot.iife.min.js", "/uPlot.min.css",
+    "/stream",
 )  # fmt: skip
 
 

@@ -4,14 +4,13 @@ Pure: no socket, no clock. A line is `[#tag] word [numbers]`; the answer repeats
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 from hil.signals import JOG_NAMES, Operator, Order, SetPoint
 
 LONGEST = 512
 """Bytes of a line."""
-STATUS = "status"
 SETPOINT_FORM = "six numbers, x y z in m and the rotation vector rx ry rz in deg"
 
 
@@ -38,16 +37,11 @@ def _numbers(words: Sequence[str], form: str) -> list[float]:
     return numbers
 
 
-def parse_setpoint(words: Sequence[str]) -> SetPoint:
-    """Return the set-point of the words x y z [rx ry rz], m and deg. Raises ValueError with what is wrong."""
+def _setpoint(words: Sequence[str]) -> Said:
     if len(words) not in {3, 6}:
         raise ValueError(f"{len(words)} words; allowed: {SETPOINT_FORM} (or x y z alone)")
     x, y, z, rx, ry, rz = [*_numbers(words, SETPOINT_FORM), 0.0, 0.0, 0.0][:6]
-    return SetPoint(x, y, z, math.radians(rx), math.radians(ry), math.radians(rz))
-
-
-def _setpoint(words: Sequence[str]) -> Said:
-    return Said(setpoint=parse_setpoint(words))
+    return Said(setpoint=SetPoint(x, y, z, math.radians(rx), math.radians(ry), math.radians(rz)))
 
 
 def _speed(words: Sequence[str]) -> Said:
@@ -72,16 +66,7 @@ def _jog(words: Sequence[str]) -> Said:
     return Said(order=Order(Operator.JOG, (float(JOG_NAMES.index(words[0])), fraction)))
 
 
-def _alone(name: str, said: Said) -> Callable[[Sequence[str]], Said]:
-    def parse(words: Sequence[str]) -> Said:
-        if words:
-            raise ValueError(f"{name}: takes no further words, given: {' '.join(words)!r}")
-        return said
-
-    return parse
-
-
-_PLAIN = {
+_COMMANDS = {
     "arm": Operator.ENGAGE,
     "stop": Operator.STOP,
     "reset": Operator.RESET,
@@ -90,14 +75,13 @@ _PLAIN = {
     "end": Operator.END,
 }
 _ORDERS = {"start": Operator.START, "hold": Operator.HOLD, "park": Operator.PARK, "key": Operator.KEY}
-WORDS: dict[str, Callable[[Sequence[str]], Said]] = {
-    **{name: _alone(name, Said(operator=operator)) for name, operator in _PLAIN.items()},
-    **{name: _alone(name, Said(order=Order(operator))) for name, operator in _ORDERS.items()},
-    "speed": _speed,
-    "jog": _jog,
-    "setpoint": _setpoint,
-    STATUS: _alone(STATUS, Said()),
+_ALONE: dict[str, Said] = {
+    **{name: Said(operator=operator) for name, operator in _COMMANDS.items()},
+    **{name: Said(order=Order(operator)) for name, operator in _ORDERS.items()},
+    "status": Said(),
 }
+"""Words that stand alone."""
+_NUMBERED = {"speed": _speed, "jog": _jog, "setpoint": _setpoint}
 """Word -> what reads the words after it."""
 
 
@@ -113,8 +97,13 @@ def parse(text: str) -> Said:
     """Return what a line without its tag says. Raises ValueError with what is wrong and what is allowed."""
     if len(text) > LONGEST:  # what has been cut off could change what it means
         raise ValueError(f"longer than {LONGEST} bytes")
-    words = text.replace(",", " ").split()
-    if not words or words[0] not in WORDS:
-        given = words[0][:40] if words else ""
-        raise ValueError(f"{given!r} is no word of the operator; allowed: {', '.join(WORDS)}")
-    return WORDS[words[0]](words[1:])
+    word, *rest = text.replace(",", " ").split() or [""]
+    if word in _NUMBERED:
+        return _NUMBERED[word](rest)
+    if word not in _ALONE:
+        raise ValueError(
+            f"{word[:40]!r} is no word of the operator; allowed: {', '.join([*_ALONE, *_NUMBERED])}"
+        )
+    if rest:
+        raise ValueError(f"{word}: takes no further words, given: {' '.join(rest)!r}")
+    return _ALONE[word]

@@ -8,11 +8,9 @@ from typing import Any
 
 import numpy as np
 from foxglove_schemas_protobuf.Color_pb2 import Color
-from foxglove_schemas_protobuf.CylinderPrimitive_pb2 import CylinderPrimitive
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
 from foxglove_schemas_protobuf.Point3_pb2 import Point3
-from foxglove_schemas_protobuf.Pose_pb2 import Pose
 from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
 from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
@@ -69,24 +67,13 @@ def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
 
 
 class SceneDrawer:
-    """Draws platform and legs. Mutable state: the message, in which what moves is set for each picture."""
+    """Draws base, platform and legs as lines."""
 
     def __init__(self, scene: Scene) -> None:
         self._a = np.array(scene.base_joints, float)
         self._b = np.array(scene.platform_joints, float)
-        base, self._top = around(self._a), around(self._b)
+        self._base, self._top = around(self._a), around(self._b)
         self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
-        self._update = SceneUpdate(
-            entities=[
-                _entity("base", lines=[self._outline(self._a[base], _GREY)]),
-                _entity("platform", lines=[self._outline(self._b[self._top], _BLUE)]),
-                _entity("legs", cylinders=[self._leg() for _ in self._a]),
-            ]
-        )
-        _, platform, legs = self._update.entities
-        self._stamps = [entity.timestamp for entity in self._update.entities]
-        self._corners = list(platform.lines[0].points)
-        self._legs = [(leg.pose.position, leg.pose.orientation, leg.size) for leg in legs.cylinders]
 
     def update(self, row: Rows, stamp: Timestamp) -> bytes | None:
         """Return a serialised SceneUpdate, or None while there is no pose."""
@@ -95,47 +82,19 @@ class SceneDrawer:
             return None
         p, R = pose
         with np.errstate(all="ignore"):  # a pose that makes no sense makes a picture that makes none
-            return self._draw(p, R, stamp)
+            tops = p + self._b @ R.T
+        legs = np.stack((self._a, tops), axis=1).reshape(-1, 3)
+        entities = [
+            self._entity("base", LinePrimitive.LINE_LOOP, self._a[self._base], _GREY, stamp),
+            self._entity("platform", LinePrimitive.LINE_LOOP, tops[self._top], _BLUE, stamp),
+            self._entity("legs", LinePrimitive.LINE_LIST, legs, _ORANGE, stamp),
+        ]
+        return bytes(SceneUpdate(entities=entities).SerializeToString(deterministic=True))
 
-    def _draw(self, p: Array, R: Array, stamp: Timestamp) -> bytes:
-        for each in self._stamps:
-            each.CopyFrom(stamp)
-        tops = p + self._b @ R.T
-        for corner, top in zip(self._corners, tops[self._top].tolist(), strict=True):
-            corner.x, corner.y, corner.z = top
-        axes = tops - self._a
-        lengths = [sqrt(axis.dot(axis)) for axis in axes]
-        directions, middles = axes / np.array(lengths)[:, None], (self._a + tops) / 2.0
-        for (position, turn, size), (x, y, z), middle, length in zip(
-            self._legs, directions.tolist(), middles.tolist(), lengths, strict=True
-        ):
-            # the rotation that takes the z axis to the leg, about z cross leg
-            w = sqrt(max((1.0 + z) / 2.0, 0.0))
-            turn.x, turn.y, turn.w = (1.0, 0.0, 0.0) if w < 1e-9 else (-y / (2.0 * w), x / (2.0 * w), w)
-            position.x, position.y, position.z = middle
-            size.z = length
-        return bytes(self._update.SerializeToString(deterministic=True))
-
-    def _outline(self, joints: Array, color: Any) -> Any:
-        return LinePrimitive(
-            type=LinePrimitive.LINE_LOOP,
-            thickness=self._thickness,
-            points=[Point3(x=x, y=y, z=z) for x, y, z in joints.tolist()],
-            color=color,
-        )
-
-    def _leg(self) -> Any:
-        return CylinderPrimitive(
-            pose=Pose(position=Vector3(), orientation=Quaternion()),
-            size=Vector3(x=self._thickness, y=self._thickness),
-            bottom_scale=1.5,
-            top_scale=1.0,
-            color=_ORANGE,
-        )
-
-
-def _entity(name: str, **primitives: Any) -> Any:
-    return SceneEntity(frame_id=BASE, id=name, frame_locked=True, **primitives)
+    def _entity(self, name: str, kind: Any, points: Array, color: Any, stamp: Timestamp) -> Any:
+        corners = [Point3(x=x, y=y, z=z) for x, y, z in points.tolist()]
+        line = LinePrimitive(type=kind, thickness=self._thickness, points=corners, color=color)
+        return SceneEntity(timestamp=stamp, frame_id=BASE, id=name, frame_locked=True, lines=[line])
 
 
 def _pose(row: Rows, p_column: str, R_column: str) -> tuple[Array, Array] | None:

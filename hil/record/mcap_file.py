@@ -16,46 +16,31 @@ from pathlib import Path
 
 import numpy as np
 import zstandard
+from mcap import records as mcap
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Footer,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 
 from drivers.arrays import Ints
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_SIZE = 256 * 1024
 _INDEX_ENTRY = np.dtype([("log_time", "<u8"), ("offset", "<u8")])
-_SUMMARY_ORDER = (
-    Opcode.SCHEMA,
-    Opcode.CHANNEL,
-    Opcode.STATISTICS,
-    Opcode.CHUNK_INDEX,
-    Opcode.ATTACHMENT_INDEX,
-    Opcode.METADATA_INDEX,
+_SUMMARY = (
+    mcap.Schema,
+    mcap.Channel,
+    mcap.Statistics,
+    mcap.ChunkIndex,
+    mcap.AttachmentIndex,
+    mcap.MetadataIndex,
 )
-
+"""Kinds of records in the summary, in their order."""
 _MOST_TAKEN_BACK = 256
 """Chunks that may make room for the end of the file on a full disk."""
-_Place = tuple[int, int, tuple[int, int] | None, dict[int, int], dict[Opcode, int]]
+_Place = tuple[int, int, tuple[int, int] | None, dict[int, int], dict[type, int]]
 """Where the file can be taken back to: position, CRC, span, messages by channel, records by kind."""
 
 
-def record_bytes(record: McapRecord) -> bytes:
+def record_bytes(record: mcap.McapRecord) -> bytes:
     """Return one record as it stands in the file."""
     builder = RecordBuilder()
     record.write(builder)
@@ -88,55 +73,42 @@ class McapFile:
             fcntl.flock(self._fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         self.position = 0
         self._crc = 0
-        self._summary: dict[Opcode, list[bytes]] = {opcode: [] for opcode in _SUMMARY_ORDER}
+        self._summary: dict[type, list[bytes]] = {kind: [] for kind in _SUMMARY}
         self._counts: dict[int, int] = {}
         self._span: tuple[int, int] | None = None
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._places: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
         """Before each of the last chunks."""
         try:
-            self._write(MAGIC + record_bytes(Header("", library)))
+            self._write(MAGIC + record_bytes(mcap.Header("", library)))
         except OSError:
             self.discard()
             raise
 
-    def add_schema(self, schema: Schema) -> None:
+    def add_schema(self, schema: mcap.Schema) -> None:
         """Write a schema."""
-        self._summary[Opcode.SCHEMA].append(record_bytes(schema))
-        self._write(record_bytes(schema))
+        self._write(self._summarise(schema))
 
-    def add_channel(self, channel: Channel) -> None:
+    def add_channel(self, channel: mcap.Channel) -> None:
         """Write a channel."""
-        self._summary[Opcode.CHANNEL].append(record_bytes(channel))
-        self._write(record_bytes(channel))
+        self._write(self._summarise(channel))
 
     def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
         """Write a metadata record."""
-        record = record_bytes(Metadata(name=name, metadata=dict(data)))
-        index = MetadataIndex(offset=self.position, length=len(record), name=name)
-        self._summary[Opcode.METADATA_INDEX].append(record_bytes(index))
+        record = record_bytes(mcap.Metadata(name=name, metadata=dict(data)))
+        self._summarise(mcap.MetadataIndex(self.position, len(record), name))
         self._write(record)
 
     def add_attachment(self, name: str, data: bytes, time_ns: int, media_type: str) -> None:
         """Write an attachment."""
-        record = record_bytes(
-            Attachment(create_time=time_ns, log_time=time_ns, name=name, media_type=media_type, data=data)
-        )
-        index = AttachmentIndex(
-            offset=self.position,
-            length=len(record),
-            log_time=time_ns,
-            create_time=time_ns,
-            data_size=len(data),
-            name=name,
-            media_type=media_type,
-        )
-        self._summary[Opcode.ATTACHMENT_INDEX].append(record_bytes(index))
+        record = record_bytes(mcap.Attachment(time_ns, time_ns, name, media_type, data))
+        place = self.position, len(record)
+        self._summarise(mcap.AttachmentIndex(*place, time_ns, time_ns, len(data), name, media_type))
         self._write(record)
 
     def add_chunk(self, data: bytes | memoryview, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Compress and write the Message records in `data`; the arrays (n,) describe them in order."""
-        chunk = Chunk(
+        chunk = mcap.Chunk(
             compression="zstd",
             data=self._compressor.compress(data),
             message_start_time=int(log_time.min()),
@@ -146,7 +118,7 @@ class McapFile:
         )
         self.add_compressed(chunk, channel, log_time, offset)
 
-    def add_compressed(self, chunk: Chunk, channel: Ints, log_time: Ints, offset: Ints) -> None:
+    def add_compressed(self, chunk: mcap.Chunk, channel: Ints, log_time: Ints, offset: Ints) -> None:
         """Write a chunk as it is, with the message index that the arrays give."""
         kinds = {kind: len(records) for kind, records in self._summary.items()}
         self._places.append((self.position, self._crc, self._span, dict(self._counts), kinds))
@@ -169,7 +141,7 @@ class McapFile:
             offsets[channel_id] = position
             position += len(parts[-1])
             self._counts[channel_id] = self.messages_of(channel_id) + last - first
-        index = ChunkIndex(
+        index = mcap.ChunkIndex(
             message_start_time=chunk.message_start_time,
             message_end_time=chunk.message_end_time,
             chunk_start_offset=self.position,
@@ -180,7 +152,7 @@ class McapFile:
             compressed_size=len(chunk.data),
             uncompressed_size=chunk.uncompressed_size,
         )
-        self._summary[Opcode.CHUNK_INDEX].append(record_bytes(index))
+        self._summarise(index)
         if len(channel):
             start, stop = self._span or (chunk.message_start_time, chunk.message_end_time)
             self._span = min(start, chunk.message_start_time), max(stop, chunk.message_end_time)
@@ -201,18 +173,18 @@ class McapFile:
 
     def finish(self) -> None:
         """Write summary and footer, put all onto the disk and close."""
-        self._write(record_bytes(DataEnd(self._crc)))
-        self._summary[Opcode.STATISTICS].append(record_bytes(self._statistics()))
+        self._write(record_bytes(mcap.DataEnd(self._crc)))
+        self._summarise(self._statistics())
         summary_start, crc, groups = self.position, 0, b""
-        for opcode, records in self._summary.items():
+        for records in self._summary.values():
             if records:
                 data = b"".join(records)
-                groups += record_bytes(SummaryOffset(opcode, self.position, len(data)))
+                groups += record_bytes(mcap.SummaryOffset(data[0], self.position, len(data)))
                 crc = zlib.crc32(data, crc)
                 self._write(data)
         offset_start = self.position
-        head = struct.pack("<BQQQ", Opcode.FOOTER, 20, summary_start, offset_start)
-        footer = Footer(summary_start, offset_start, zlib.crc32(head, zlib.crc32(groups, crc)))
+        head = record_bytes(mcap.Footer(summary_start, offset_start, 0))[:-4]
+        footer = mcap.Footer(summary_start, offset_start, zlib.crc32(head, zlib.crc32(groups, crc)))
         self._write(groups + record_bytes(footer) + MAGIC)
         os.fsync(self._fd)
         self.close()
@@ -240,7 +212,7 @@ class McapFile:
         crc: int,
         span: tuple[int, int] | None,
         counts: dict[int, int],
-        kinds: dict[Opcode, int],
+        kinds: dict[type, int],
     ) -> None:
         os.ftruncate(self._fd, position)
         os.lseek(self._fd, position, os.SEEK_SET)
@@ -259,20 +231,26 @@ class McapFile:
         self.close()
         self.path.unlink()
 
-    def _statistics(self) -> Statistics:
+    def _statistics(self) -> mcap.Statistics:
         counts = {kind: len(records) for kind, records in self._summary.items()}
         start, stop = self._span or (0, 0)
-        return Statistics(
-            attachment_count=counts[Opcode.ATTACHMENT_INDEX],
-            channel_count=counts[Opcode.CHANNEL],
+        return mcap.Statistics(
+            attachment_count=counts[mcap.AttachmentIndex],
+            channel_count=counts[mcap.Channel],
             channel_message_counts=dict(self._counts),
-            chunk_count=counts[Opcode.CHUNK_INDEX],
+            chunk_count=counts[mcap.ChunkIndex],
             message_count=self.messages,
             message_end_time=stop,
             message_start_time=start,
-            metadata_count=counts[Opcode.METADATA_INDEX],
-            schema_count=counts[Opcode.SCHEMA],
+            metadata_count=counts[mcap.MetadataIndex],
+            schema_count=counts[mcap.Schema],
         )
+
+    def _summarise(self, record: mcap.McapRecord) -> bytes:
+        """Put a record into the summary; return it as it stands in the file."""
+        data = record_bytes(record)
+        self._summary[type(record)].append(data)
+        return data
 
     def _write(self, data: bytes) -> None:
         view = memoryview(data)

@@ -128,28 +128,16 @@ def pack(
 ) -> int:
     """Write the records of a batch in the order of the file: of each tick its row, its items, its views.
 
-    Parameters
-    ----------
-    sizes
-        Rows, items and rare messages of the batch; words in a row, places in its record and bytes of it;
-        buses; UTC of t_ns = 0, ns. The first becomes the number of messages.
-    when
-        (rows + 1,) number of each row and of the row to come, (rows + 1,) their UTC, ns, and (items,) the row
-        of each item.
-    rows, items
-        As in the ring, in words of eight bytes.
-    row_template, row_table
-        The record of a row, and the places in it: `hil.record.row.RowCodec.places`.
-    frame_template, frame_table
-        Of `hil.record.layout.frame_table`.
-    rare, rare_table
-        Records that are complete, one behind the other; of each (5,) its row, the item in front of which it
-        stands, its bytes, its channel, its log time. Items that are no frames have no other record.
-    out
-        Filled: the records; there is room for eight bytes more.
-    index
-        Filled, (messages + 1, 4): start in `out`, channel, log time, row; of the last one the start alone.
-
+    sizes : rows, items and rare messages; words of a row, places in its record and bytes of it; buses; UTC of
+    t_ns = 0, ns. The first becomes the number of messages.
+    when : (rows + 1,) ticks, of the row to come, too; (rows + 1,) their UTC, ns; (items,) each item's row.
+    rows, items : as in the ring, in words of eight bytes.
+    row_template, row_table : the record of a row and `hil.record.row.RowCodec.places`.
+    frame_template, frame_table : of `hil.record.layout.frame_table`.
+    rare, rare_table : complete records one behind the other; (5,) of each: its row, the item in front of
+    which it stands, its bytes, channel, log time. Items that are no frames have no other record.
+    out : the records; there is room for eight bytes more. index : (messages + 1, 4), start in `out`, channel,
+    log time, row; of the last one the start alone.
     """
     count, total, rares, words = sizes[0], sizes[1], sizes[2], sizes[3]
     placed, row_size, buses, epoch = sizes[4], sizes[5], sizes[6], sizes[7]

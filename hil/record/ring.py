@@ -13,7 +13,7 @@ import os
 import struct
 from collections.abc import Sequence
 from threading import Lock
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,20 +100,13 @@ class Ring:
 
     def put(self, number: int, data: bytes) -> None:
         """Copy bytes of items to their places from `number` on; there is room for them."""
-        first = number % self.item_capacity * FRAME.itemsize
-        here = min(len(data), len(self.item_bytes) - first)
-        self.item_bytes[first : first + here] = data[:here]
-        self.item_bytes[: len(data) - here] = data[here:]
+        _put(self.item_bytes, number % self.item_capacity * FRAME.itemsize, data)
 
     def put_rows(self, number: int, rows: Rows, ends: Ints) -> None:
         """Copy rows, and where the items of each end, to their places from `number` on."""
-        first = number % self.capacity
-        here = min(len(rows), self.capacity - first)
-        for ring, given in ((self.rows, rows), (self._ends_array, ends)):
-            ring[first : first + here] = given[:here]
-            ring[: len(given) - here] = given[here:]
+        _put(self.rows, number % self.capacity, rows)
+        _put(self._ends_array, number % self.capacity, ends)
 
-    # consumer
     def ready(self, limit: int) -> bool:
         """Return whether `limit` rows wait, or a quarter of the room for items is taken."""
         events = self.counters[EVENTS]
@@ -163,6 +156,12 @@ class Ring:
 
 def _aligned(size: int) -> int:
     return (size + 4095) // 4096 * 4096
+
+
+def _put(ring: Any, first: int, values: Any) -> None:
+    here = min(len(values), len(ring) - first)
+    ring[first : first + here] = values[:here]
+    ring[: len(values) - here] = values[here:]
 
 
 def _span(ring: NDArray[Scalar], start: int, stop: int) -> NDArray[Scalar]:

@@ -30,20 +30,8 @@ _PIECE = struct.Struct("<QQQQ")
 _LARGEST = 1 << 18
 """Bytes of a piece, for which there is room."""
 
-FIGURES = np.dtype(
-    [
-        ("seen_ns", "<i8"),
-        ("ticks", "<i8"),
-        ("stale", "<i8"),
-        ("skipped", "<i8"),
-        ("late_ns", "<i8"),
-        ("compute_ns", "<i8"),
-        ("dropped", "<i8"),
-        ("waiting", "<i8"),
-        ("capacity", "<i8"),
-        ("log_bytes", "<i8"),
-    ]
-)
+_FIGURES = "seen_ns ticks stale skipped late_ns compute_ns dropped waiting capacity log_bytes"
+FIGURES = np.dtype([(name, "<i8") for name in _FIGURES.split()])
 """Of the recorder: when the newest tick was first seen (CLOCK_MONOTONIC, ns); ticks, stale ticks and skipped
 periods so far; largest lateness and step time of the last one to two seconds; ticks lost, ticks that wait in
 the ring, its room; bytes in the log."""

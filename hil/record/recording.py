@@ -134,14 +134,12 @@ class Recording:
     ) -> Self:
         """Start a recorder process and open the log `path`, which is never overwritten.
 
-        Call it before the process is pinned or made real-time: the recorder inherits the affinity. Text of
-        the configuration and further (name, content) are attached; `metadata` goes into the metadata record
-        `hil`, as JSON where it is not text. `table` has scalar columns `tick` and `t_ns`; `can_channel` is
-        the name of the bus in the frames, or those of several in their order. In `lockstep` time is
-        simulated: wait where the ring of `ring_ticks` is full, a fixed epoch, reproducible messages. `live`
-        is what is shown meanwhile.
-        `clock` is that of the rows' and frames' times. `mirror`: where the newest row is
-        shown while it runs, and what of the run is said there (rows of TICKS only).
+        Call it before the process is pinned or made real-time: the recorder inherits the affinity. The text
+        of the configuration and further (name, content) are attached; `metadata` goes into the metadata
+        record `hil`, as JSON where it is not text. `can_channel` names the bus in the frames, or several in
+        their order. In `lockstep` time is simulated: wait where the ring of `ring_ticks` is full, a fixed
+        epoch, reproducible messages; else `clock` is that of the times. `mirror`: where the newest row of
+        TICKS is shown, and what of the run is said there.
 
         Raises LogError where the log exists, cannot be written, or the recorder does not start; ValueError
         where the table cannot be recorded.
@@ -150,6 +148,7 @@ class Recording:
         file = Path(path).absolute()
         created_ns = LOCKSTEP_EPOCH_NS if lockstep else time.time_ns()
         columns = describe(table.columns)
+        buses = [can_channel] if isinstance(can_channel, str) else [*can_channel]
         setup = {
             "path": str(file),
             "ring_ticks": ring_ticks,
@@ -164,7 +163,8 @@ class Recording:
                 "topic": table.topic,
                 "columns": columns,
                 "epoch_ns": str(created_ns if lockstep else created_ns - clock.now()),
-                **_channels(can_channel),
+                "can_channel": buses[0],
+                **({"can_channels": json.dumps(buses)} if len(buses) > 1 else {}),
                 "mode": "lockstep" if lockstep else "realtime",
             },
         }
@@ -192,10 +192,8 @@ class Recording:
     ) -> None:
         """Record one tick: its row, frames consumed and sent in their order, commands, set-points, orders.
 
-        A 0-d array as `row` is fastest.
-
-        Raises LogError for a frame of more than 64 bytes, and in lockstep where one tick has more frames than
-        the ring, RecorderEndedError where the recorder has ended.
+        Raises, in lockstep, LogError where one tick has more frames than the ring, RecorderEndedError where
+        the recorder has ended.
         """
         outgoing = sent_at(int(row["t_ns"]), sent_array(sent))
         self.tick_of_items(row, received_array(received), outgoing, operator, setpoints, orders)
@@ -219,17 +217,13 @@ class Recording:
                 data += frame_bytes(now, command, OPERATOR, len(content), 0, content)
         count, ring = len(data) // FRAME.itemsize, self._ring
         if not self._has_room(count):
-            self.dropped += 1
-            self._counters[DROPPED] = self.dropped
+            self._drop(1)
             return
         place = self.ticks % ring.capacity
         ring.rows[place] = row
         ring.put(self._items, data)
-        self._items += count
-        ring.ends[place] = self._items
-        fence()
-        self.ticks += 1
-        self._counters[WRITTEN] = self.ticks
+        ring.ends[place] = self._items + count
+        self._publish(1, count)
 
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
         """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
@@ -242,13 +236,20 @@ class Recording:
         elif self._has_room(len(items), count):
             ring.put_rows(self.ticks, rows, ends + self._items)
             ring.put(self._items, items.tobytes())
-            self._items += len(items)
-            fence()
-            self.ticks += count
-            self._counters[WRITTEN] = self.ticks
+            self._publish(count, len(items))
         else:
-            self.dropped += count
-            self._counters[DROPPED] = self.dropped
+            self._drop(count)
+
+    def _publish(self, ticks: int, items: int) -> None:
+        """Let the recorder see ticks that were put into the ring, and their items."""
+        self._items += items
+        fence()
+        self.ticks += ticks
+        self._counters[WRITTEN] = self.ticks
+
+    def _drop(self, ticks: int) -> None:
+        self.dropped += ticks
+        self._counters[DROPPED] = self.dropped
 
     def event(self, t_ns: int, level: str, text: str) -> None:
         """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
@@ -343,13 +344,6 @@ def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
         finish(process)
         raise LogError(str(reply.get("error", f"{setup['path']}: the recorder process did not start")))
     return process
-
-
-def _channels(names: str | Sequence[str]) -> dict[str, str]:
-    """Return what the log says of its buses."""
-    if isinstance(names, str):
-        return {"can_channel": names}
-    return {"can_channel": names[0]} | ({"can_channels": json.dumps(list(names))} if len(names) > 1 else {})
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:

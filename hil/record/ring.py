@@ -84,6 +84,7 @@ class Ring:
         self.ends = self._view[ends : ends + 8 * capacity].cast("q")
         self._ends_array: Ints = np.ndarray(capacity, np.int64, self._map, ends)
         self.rows: Rows = np.ndarray(capacity, dtype, self._map, rows)
+        self._row_bytes = self._view[rows : rows + dtype.itemsize * capacity]
         self._items: Rows = np.ndarray(self.item_capacity, FRAME, self._map, items)
         self.item_bytes = self._view[items:size]
 
@@ -104,8 +105,11 @@ class Ring:
 
     def put_rows(self, number: int, rows: Rows, ends: Ints) -> None:
         """Copy rows, and where the items of each end, to their places from `number` on."""
-        _put(self.rows, number % self.capacity, rows)
-        _put(self._ends_array, number % self.capacity, ends)
+        place = number % self.capacity
+        if rows.dtype is not self.rows.dtype:
+            rows = rows.astype(self.rows.dtype)
+        _put(self._row_bytes, place * rows.dtype.itemsize, rows.tobytes())  # far faster than by fields
+        _put(self._ends_array, place, ends)
 
     def ready(self, limit: int) -> bool:
         """Return whether `limit` rows wait, or a quarter of the room for items is taken."""

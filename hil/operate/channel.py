@@ -81,10 +81,15 @@ class OperatorChannel:
         """
         self._waiting.clear()
         self.old = frozenset()
-        ready = {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
-        self._old = ready if anew else self._old & ready
+        ready = self._polled()
         if not ready:
+            self._old.clear()
             return SILENCE
+        self._old = ready if anew else self._old & ready
+        if self._socket.fileno() in ready:
+            new, ready = self._welcome(at_most), self._polled()
+            if self._socket.fileno() in self._old:
+                self._old |= new & ready
         heard: list[list[Any]] = [[], [], []]
         old: set[int] = set()
         for data, client, is_old in self._lines(at_most, ready):
@@ -104,10 +109,12 @@ class OperatorChannel:
         self.old = frozenset(old)
         return Heard(*map(tuple, heard))
 
+    def _polled(self) -> set[int]:
+        """Who has something to read, the socket on which clients are let in among them."""
+        return {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
+
     def _lines(self, at_most: int, ready: set[int]) -> list[tuple[bytes, socket.socket, bool]]:
         """Return lines with their clients and whether they may be old, one of each client in turn."""
-        if self._socket.fileno() in ready:
-            ready |= self._welcome(at_most)
         turns = deque(number for number in self._clients if number in ready)
         lines: list[tuple[bytes, socket.socket, bool]] = []
         for _ in range(2 * at_most):  # those who come and go are no lines, and bounded too
@@ -130,7 +137,7 @@ class OperatorChannel:
         return lines
 
     def _welcome(self, at_most: int) -> set[int]:
-        """Take the next clients in; return their numbers. Where others were old, they are, too."""
+        """Take the next clients in; return their numbers."""
         found: set[int] = set()
         for _ in range(at_most):
             try:
@@ -143,8 +150,6 @@ class OperatorChannel:
             self._clients[client.fileno()] = client
             self._ready.register(client, select.EPOLLIN)
             found.add(client.fileno())
-        if self._socket.fileno() in self._old:
-            self._old |= found
         return found
 
     def _drop(self, client: socket.socket) -> None:

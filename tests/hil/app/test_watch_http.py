@@ -126,7 +126,7 @@ def test_a_malformed_or_too_large_request_is_refused(data, status, port):
     found, given = answered(opened(port, data))
     assert given == status
     assert b"\r\nConnection: close\r\n" in found
-    assert b"page" not in found
+    assert not found.endswith(b"page")
 
 
 def test_a_request_that_never_ends_is_given_up(port, monkeypatch):
@@ -153,8 +153,9 @@ def test_of_too_many_pages_the_oldest_without_the_token_makes_room_for_one_with_
     token = b"Cookie: hil-watch-%d=%s\r\n" % (port, TOKEN.encode())
     streams = [stream(), stream(token), stream(), stream(token), stream(token)]
     assert [status for _, status in streams] == [b"200", b"200", b"503", b"200", b"503"]
-    assert b"event: hello" in answered(streams[0][0])[0], "it was closed"
-    for connection, _ in streams[1:]:
+    while streams[0][0].recv(4096):
+        pass  # until it is closed
+    for connection, _ in streams:
         connection.close()
 
 

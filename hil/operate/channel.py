@@ -1,8 +1,7 @@
 """The loop's end of the operator channel: clients of this user on a socket, read between two ticks.
 
-Bounded work in a tick, whoever sends how much: at most AT_MOST lines are read and answered, none is waited
-for, and none raises. Each client has a connection of its own, and takes its turn: one that floods delays no
-other's line, and one that does not read its answers is dropped before it costs the others theirs.
+The work in a tick is bounded: at most AT_MOST lines are read and answered, none is waited for, none raises.
+Clients take turns: one that floods delays no other's line, and one that does not read its answers is dropped.
 """
 
 import select

@@ -1,8 +1,7 @@
 """The wire layout of the log's own messages: protobuf in which every field has a fixed size.
 
 Fields are fixed64, fixed32, double, one-byte varints, or varints padded to five bytes: a message is a
-template in which `hil.record.packer` fills the places of a table, and `hil.record.unpack` reads them. Any
-protobuf parser reads them, too.
+template in which `hil.record.packer` fills the places of a table, and `hil.record.unpack` reads them.
 """
 
 from collections.abc import Sequence

@@ -1,8 +1,7 @@
 """The newest tick of a run in a file of memory, for any process of this user that wants to look.
 
-The recorder writes; others open the file read-only and copy from it: they cannot hold it up, and it does not
-know of them. The file lies in the runtime folder, mode 0600: a description that never changes, and behind it
-one piece, which the next one overwrites. Its CRC tells a reader whether it was written as one.
+The recorder writes; others copy from it and cannot hold it up. The file lies in the runtime folder: a
+description, and behind it one piece, which the next one overwrites; its CRC shows whether it is whole.
 """
 
 import contextlib

@@ -1,9 +1,7 @@
-"""The recorder process: drains the ring and writes the log.
+"""The recorder process: drains the ring and writes the log until its producer closes or dies.
 
-The only process that writes log files. It lives as long as its producer does and ignores signals that ask it
-to end earlier: when the producer closes or dies it drains the ring, closes the file and leaves. Started as
-`python -m hil.record RING_FD PRODUCER_PID`; orders come on standard input (the set-up, then the summary),
-answers go to standard output, all of them as `hil.record.child` sends and receives them.
+Signals do not end it. Started as `python -m hil.record RING_FD PRODUCER_PID`; the set-up, then the summary
+come on standard input, answers go to standard output, as `hil.record.child` sends and receives them.
 """
 
 from __future__ import annotations
@@ -41,9 +39,9 @@ from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, 
 from hil.record.websocket import LiveSocket
 
 FLUSH_S = 0.1
-"""Real time: a chunk at least this often; half of what may be lost when all is killed at once."""
+"""Between two chunks in real time; half of what may be lost when all is killed at once."""
 _POLL_S = 0.02
-"""Real time: the newest row is shown so often."""
+"""Between two looks for the newest row in real time."""
 _LOCKSTEP_POLL_S = 0.004
 _SYNC_S = 1.0
 _MOST_TICKS = 2048

@@ -1,9 +1,8 @@
 """One-producer one-consumer ring in shared memory: rows of ticks, and what belongs to them.
 
-Memory only; no files, no waiting, no clock. Two rings side by side: `rows`, one element per tick, and
-`items`, one element per frame, operator command or piece of an event's text; `ends` says where a tick's items
-end. Each side stores only its own counters, as aligned eight-byte words, after the data they speak of; a
-producer that dies in the middle of a tick leaves it unpublished.
+Two rings side by side: `rows`, one element per tick, and `items`, one per frame, operator command or piece of
+an event's text; `ends` has where a tick's items end. Each side stores its own counters alone, as aligned
+eight-byte words, after the data they speak of: a tick that its producer did not finish is not seen.
 """
 
 from __future__ import annotations

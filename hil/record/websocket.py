@@ -1,7 +1,6 @@
 """The log's messages to Foxglove and Lichtblick while they are written, over a websocket.
 
-In the recorder's process, after a batch is in the file: the loop never sees it. The SDK sends in threads of
-its own; of a client that reads too slowly the oldest messages are dropped, there and nowhere else.
+The SDK sends in threads of its own; a client that reads too slowly loses the oldest messages.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from hil.record.schema import LIBRARY, Schema
 
 BACKLOG = 8192
 """Messages that wait for one client, at most; a batch of 0.1 s at 1 kHz has some 1,600."""
-
 GOODBYE_S = 1.0
 """Time that the clients have at the end of a run."""
 

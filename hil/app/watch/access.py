@@ -1,8 +1,7 @@
 """Who may see the page and who may operate: rules on one request, without any state.
 
-The loopback address is no protection against pages of other sites in the same browser, nor against a name
-that an attacker lets point to it. So Host must be one of ours, Origin must be that of the page, and whatever
-acts carries the token.
+The loopback is no protection against pages of other sites in the same browser, nor against a name that an
+attacker lets point to it. So Host must be ours, Origin that of the page, and whatever acts carries the token.
 """
 
 import ipaddress

@@ -1,8 +1,7 @@
 """The server of the live page: bounded in everything that others decide.
 
-A connection has one request and a thread of its own, so none waits for another. So many connections, so many
-streams, so many bytes and seconds for a request; a watcher that does not read misses ticks, and is cut off
-when it has not for long. No queue grows.
+A connection has one request and a thread of its own, so none waits for another. A watcher that does not read
+misses ticks, and is cut off when it has not for long.
 """
 
 import contextlib

@@ -159,6 +159,17 @@ def test_a_stream_sends_at_its_rate_and_counts_the_answers(channel):
     assert [each.z for one in loop.heard for each in one.setpoints] == [z for _, _, z in poses]
 
 
+def test_set_points_that_are_refused_or_never_answered_are_counted_apart(channel, monkeypatch):
+    poses = [(0.0, 0.0, 1.0)] * 4
+    with Loop(channel, "out of reach"), OperatorClient("localcan", "hil/0") as client:
+        found = client.stream(poses, 500.0)
+    assert (found.sent, found.taken, found.refused, found.why) == (4, 0, 4, "out of reach")
+    monkeypatch.setattr("hil.operate.client.ANSWER_S", 0.1)
+    with OperatorClient("localcan", "hil/0") as client:
+        found = client.stream(poses, 500.0)
+    assert (found.sent, found.taken, found.refused, found.why) == (4, 0, 0, "")
+
+
 MALFORMED = (
     *(b" ", b"\0", b"\xff\xfe\x00", b"#", b"# ", b"#1", b"#" * 400, b"9" * 4000, "start １".encode()),
     *(b"#" + b"t" * 20 + b" setpoint 0 0 1." + b"0" * 497 + b"12", b"#1 speed " + b" " * 600 + b"50"),

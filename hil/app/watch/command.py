@@ -58,7 +58,10 @@ def watch(
     operating = Operating(c.bus.interface, c.bus.channel) if c.watch.operate else None
     feed = Feed(mirror_path(c.bus.interface, c.bus.channel))
     server = Server(listening, feed, access, assets(), operating)
-    _step_back(c)
+    with contextlib.suppress(OSError):
+        os.nice(NICE)
+    if elsewhere := os.sched_getaffinity(0) - {c.loop.cpu}:
+        os.sched_setaffinity(0, elsewhere)
     shown = _reachable(listening.family) if address.is_unspecified else host
     link = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -97,15 +100,6 @@ def _listen(host: str, port: int | None) -> socket.socket:
         f"cannot listen on {host} port {tried[0]}: {trouble}; allowed: an address of this machine for "
         "--host, a free port for --port (0 takes any)"
     )
-
-
-def _step_back(c: Configuration) -> None:
-    """Leave the processor to the run: at a lower priority, and not where the loop is pinned."""
-    with contextlib.suppress(OSError):
-        os.nice(NICE)
-    others = os.sched_getaffinity(0) - {c.loop.cpu}
-    if others:
-        os.sched_setaffinity(0, others)
 
 
 def _reachable(family: int) -> str:

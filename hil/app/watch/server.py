@@ -7,6 +7,7 @@ misses ticks, and is cut off when it has not for long.
 import contextlib
 import io
 import json
+import re
 import select
 import socket
 import threading
@@ -70,7 +71,7 @@ class Server(ThreadingMixIn, TCPServer):
         self.feed, self.access, self.assets, self.operating = feed, access, assets, operating
         self.lock = threading.Lock()
         """Of the feed, connections and streams."""
-        self.waiting: dict[socket.socket, bool] = {}
+        self.waits: dict[socket.socket, bool] = {}
         """Connections, the oldest first: whether a whole request has not come yet."""
         self._streams: dict[socket.socket, bool] = {}
         """Streams, the longest open first: whether it was opened with the token."""
@@ -89,32 +90,32 @@ class Server(ThreadingMixIn, TCPServer):
     def verify_request(self, request: Any, client_address: Any) -> bool:  # noqa: ARG002 - of the base class
         """Take a connection in. Of too many, one that only waits makes room."""
         with self.lock:
-            if len(self.waiting) >= MOST_CONNECTIONS:
-                first = next((each for each, waits in self.waiting.items() if waits), None)
+            if len(self.waits) >= MOST_CONNECTIONS:
+                first = next((each for each, waits in self.waits.items() if waits), None)
                 if first is None:
                     return False
                 _end(first)
-                del self.waiting[first]
-            self.waiting[request] = True
+                del self.waits[first]
+            self.waits[request] = True
         return True
 
     def shutdown_request(self, request: Any) -> None:
         """Close a connection."""
         with self.lock:
-            self.waiting.pop(request, None)
+            self.waits.pop(request, None)
             super().shutdown_request(request)
 
     @contextmanager
     def stream(self, connection: socket.socket, *, ours: bool) -> Iterator[None]:
-        """Hold the place of a stream. Of too many, the oldest without the token makes room for one with it.
+        """Hold the place of a stream. Of too many, the oldest makes room for one with the token.
 
-        Raises Refused where there is no place.
+        Those without it go first. Raises Refused where there is no place.
         """
         with self.lock:
             if len(self._streams) >= MOST_STREAMS:
-                first = next((each for each, theirs in self._streams.items() if ours and not theirs), None)
-                if first is None:
+                if not ours:
                     raise Refused(HTTPStatus.SERVICE_UNAVAILABLE, f"{MOST_STREAMS} pages are open: close one")
+                first = min(self._streams, key=self._streams.__getitem__)
                 _end(first)
                 del self._streams[first]
             self._streams[connection] = ours
@@ -148,7 +149,7 @@ class _Bounded(io.RawIOBase):
         """Fill a part of the buffer."""
         remaining_s = self._until - time.monotonic()
         if remaining_s <= 0.0:
-            raise Refused(HTTPStatus.REQUEST_TIMEOUT, f"no whole request within {REQUEST_S:g} s")
+            raise TimeoutError
         if not self._left:
             raise Refused(
                 HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, f"allowed: a request of {REQUEST_BYTES} bytes"
@@ -198,7 +199,8 @@ class Handler(BaseHTTPRequestHandler):
             return
         if request.path not in self.server.assets:
             raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
-        more, access = {}, self.server.access
+        access = self.server.access
+        more: dict[str, str] = {}
         if request.path == "/" and "token" in request.query and access.knows(request):
             more["Set-Cookie"] = f"{access.cookie}={access.token}; HttpOnly; SameSite=Strict; Path=/"
         self._answer(HTTPStatus.OK, *self.server.assets[request.path], **more)
@@ -212,7 +214,7 @@ class Handler(BaseHTTPRequestHandler):
         if request.path != "/operate" or operating is None:
             raise Refused(HTTPStatus.METHOD_NOT_ALLOWED, "allowed here: GET")
         length = request.headers.get("content-length", "")
-        if not (length.isascii() and length.isdigit() and int(length[:9]) <= BODY_BYTES):
+        if not re.fullmatch("[0-9]{1,3}", length) or int(length) > BODY_BYTES:
             raise Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"allowed: a body of {BODY_BYTES} bytes")
         try:
             line = line_of(self.rfile.read(int(length)))
@@ -246,8 +248,8 @@ class Handler(BaseHTTPRequestHandler):
         """Take note that the whole request has come: an answer may take its time."""
         self.connection.settimeout(PATIENCE_S)
         with self.server.lock:
-            if self.connection in self.server.waiting:
-                self.server.waiting[self.connection] = False
+            if self.connection in self.server.waits:
+                self.server.waits[self.connection] = False
 
     def _head(self, status: HTTPStatus, **headers: str) -> None:
         self.send_response_only(status)

@@ -131,7 +131,7 @@ def test_a_malformed_or_too_large_request_is_refused(data, status, port):
 
 def test_a_request_that_never_ends_is_given_up(port, monkeypatch):
     monkeypatch.setattr("hil.app.watch.server.REQUEST_S", 0.1)
-    assert answered(opened(port, b"GET / HTTP/1.1\r\n"))[1] in {0, HTTPStatus.REQUEST_TIMEOUT}
+    assert answered(opened(port, b"GET / HTTP/1.1\r\n"))[1] == 0
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
 
 
@@ -144,7 +144,7 @@ def test_one_that_only_waits_makes_room_for_a_new_connection(port, monkeypatch):
         each.close()
 
 
-def test_of_too_many_pages_the_oldest_without_the_token_makes_room_for_one_with_it(port, monkeypatch):
+def test_of_too_many_pages_the_oldest_makes_room_for_one_with_the_token(port, monkeypatch):
     def stream(cookie=b""):
         connection = opened(port, b"GET /stream HTTP/1.1\r\n%sHOST\r\n" % cookie)
         return connection, connection.recv(17)[9:12]
@@ -152,9 +152,10 @@ def test_of_too_many_pages_the_oldest_without_the_token_makes_room_for_one_with_
     monkeypatch.setattr("hil.app.watch.server.MOST_STREAMS", 2)
     token = b"Cookie: hil-watch-%d=%s\r\n" % (port, TOKEN.encode())
     streams = [stream(), stream(token), stream(), stream(token), stream(token)]
-    assert [status for _, status in streams] == [b"200", b"200", b"503", b"200", b"503"]
-    while streams[0][0].recv(4096):
-        pass  # until it is closed
+    assert [status for _, status in streams] == [b"200", b"200", b"503", b"200", b"200"]
+    for k in (0, 1):  # the one without it, then the oldest
+        while streams[k][0].recv(4096):
+            pass  # until it is closed
     for connection, _ in streams:
         connection.close()
 

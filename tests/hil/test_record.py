@@ -26,7 +26,6 @@ from hil.app.sim import command
 from hil.record import Recording, Scene
 from hil.record.log import Log
 from hil.record.mcap_file import being_written
-from hil.record.recording import RecorderEndedError
 from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary
 from tests.hil.samples import assert_same, random_rows, random_ticks, record
@@ -316,14 +315,6 @@ def test_a_disk_without_room_for_one_tick_leaves_no_log(tmp_path):
     assert "disk_full" in summary.error
     assert (summary.ticks, summary.gave_up) == (0, True)
     assert not any(tmp_path.iterdir())
-
-
-def test_in_lockstep_the_producer_gets_the_reason(tmp_path):
-    recording = Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True, ring_ticks=256)
-    lessen(recording)
-    with pytest.raises(RecorderEndedError, match=r"a\.mcap: disk_full: "):
-        record(recording, random_ticks(3000))
-    assert recording.close().gave_up
 
 
 def test_a_simulation_on_a_full_disk_fails_and_its_log_replays(tmp_path, monkeypatch):

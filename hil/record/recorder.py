@@ -96,7 +96,7 @@ class Recorder:
         self.file = McapFile(Path(setup["path"]), f"{LIBRARY}/{version}")
         try:
             self._open(setup)
-        except OSError:
+        except (OSError, ValueError):
             self.file.discard()  # no tick is in it
             raise
         self._publisher = _publisher(ring, setup["mirror"])  # last: a run that never was is not shown

@@ -28,7 +28,6 @@ WHOLE, NAMED = -1, -2
 MOST_ROW_BYTES = 1 << 16
 """Of a log; ours take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
-_ALLOWED = f"allowed: rows of {MOST_ROW_BYTES} bytes, {_MOST_AXES} axes, a name for each element or none"
 _MOST_BUSES, _LONGEST_BUS = 16, 4096
 """Most buses in a log, and most characters in a bus name: a layout of frames is made for each name."""
 _TABLES = 16
@@ -53,7 +52,11 @@ class Table(NamedTuple):
     def check(self) -> None:
         """Refuse a table that has not the constant layout, or whose enumerations protobuf cannot name.
 
-        Raises ValueError: no scalar integer `tick` or `t_ns`; flags, elements, values or sizes do not fit.
+        Raises
+        ------
+        ValueError
+            No scalar integer `tick` or `t_ns`; a column that is too large, or whose names do not fit.
+
         """
         for name in ("tick", "t_ns"):
             if not any(c.name == name and c.kind == "<i8" and not c.shape for c in self.columns):
@@ -61,18 +64,21 @@ class Table(NamedTuple):
         size = 0
         for c in self.columns:
             size += 8 * c.size
-            elements, values, flags = len(c.elements), c.names.values(), issubclass(c.type, IntFlag)
-            shape = size > MOST_ROW_BYTES or len(c.shape) > _MOST_AXES or elements not in {0, c.size}
-            many = elements > _MOST_ELEMENTS or (flags and len(values) > _MOST_ELEMENTS)
-            names = issubclass(c.type, IntEnum) and not (0 in values and max(values) < UNNAMED)
-            for wrong, text in (
-                (shape, f"shape {c.shape}, {elements} names, {_ALLOWED}"),
-                (many, f"at most {_MOST_ELEMENTS} elements or flags"),
-                (flags and c.shape, "flags are scalar"),
-                (names, f"its enumeration lacks 0, or reaches {UNNAMED}"),
-            ):
-                if wrong:
-                    raise ValueError(f"column {c.name}: {text}")
+            names, count = list(c.names.values()), len(c.elements)
+            flags = issubclass(c.type, IntFlag)
+            named = not names or flags or (0 in names and max(names) < UNNAMED)
+            scalar = not flags or (not c.shape and len(names) <= _MOST_ELEMENTS)
+            rules = {
+                f"rows of {MOST_ROW_BYTES} bytes": size <= MOST_ROW_BYTES,
+                f"{_MOST_AXES} axes, none of length 0": len(c.shape) <= _MOST_AXES and 0 not in c.shape,
+                f"{_MOST_ELEMENTS} elements, all or none with a name": count
+                in {0, min(c.size, _MOST_ELEMENTS)},
+                f"scalar flags of {_MOST_ELEMENTS} bits": scalar,
+                f"an enumeration with a 0, below {UNNAMED}": named,
+            }
+            broken = [allowed for allowed, kept in rules.items() if not kept]
+            if broken:
+                raise ValueError(f"column {c.name} of the row: allowed: {broken[0]}")
 
 
 @lru_cache(_TABLES)
@@ -129,8 +135,9 @@ def columns_of(description: str) -> tuple[Column, ...]:
             kind = named(_text(entry["type"]), names)
         elements, shape = tuple(map(_text, entry["elements"])), tuple(map(_number, entry["shape"]))
         columns.append(Column("output", name, kind, unit, meaning, elements, shape))
-    Table("", tuple(columns)).check()
-    return tuple(columns)
+    table = Table("", tuple(columns))
+    table.check()
+    return table.columns
 
 
 REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
@@ -185,12 +192,10 @@ def _number(value: Any) -> int:
     return value
 
 
-def _names(values: Any) -> dict[str, int]:
-    """Return the names of an enumeration or of flags."""
-    for name, number in values.items():
-        if not _NAME.fullmatch(name) or type(number) is not int or not 0 <= number < 1 << 63:
-            raise ValueError(f"{name!r:.60}: {number!r:.60}: allowed: a plain name and a number from 0 on")
-    return dict(values)
+def _name(value: Any) -> str:
+    if not _NAME.fullmatch(value):
+        raise ValueError(f"{value!r:.60}: allowed: a plain name")
+    return str(value)
 
 
 def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:

@@ -1,7 +1,6 @@
 """The checklist of a bring-up: what was measured of each leg, by step, as lines."""
 
 from collections.abc import Iterable
-from typing import Any
 
 from drivers.signals import LEGS
 from hil.lab.bringup.context import Context
@@ -11,19 +10,15 @@ from hil.lab.bringup.steps.gauge import WITHIN, gains
 
 def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
     """Return the lines: a line a step with its verdict, below it the figures of each leg."""
-    lines = []
-    done, gaps = set(outcome.passed), dict(outcome.gaps)
+    lines, gaps = [], dict(outcome.gaps)
     for step in STEPS:
-        figures = _figures(c, step.name)
-        mark = "x" if step.name in done else "!" if figures and outcome.findings else " "
-        mark = "-" if step.name in gaps else mark
-        lines.append(f"[{mark}] {step.name}: {step.title}")
+        figures, gap = _figures(c, step.name), gaps.get(step.name)
+        mark = "x" if step.name in outcome.passed else "!" if figures and outcome.findings else " "
+        lines.append(f"[{'-' if gap else mark}] {step.name}: {step.title}")
+        if gap:
+            figures.append(f"{gap.line}; taken over by the operator")
         lines += [f"      {line}" for line in figures]
-        if step.name in gaps:
-            lines.append(f"      {gaps[step.name].line}; taken over by the operator")
-    lines += [f"    ! {finding.line}" for finding in outcome.findings]
-    lines += list(together)
-    return lines
+    return [*lines, *(f"    ! {finding.line}" for finding in outcome.findings), *together]
 
 
 def _figures(c: Context, step: str) -> list[str]:
@@ -49,13 +44,11 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
                 f"{heard}, {c.machine.protocol}{said}, {fact['state']}; {fact['lacks'] or 'set-up confirmed'}"
             )
         case "watchdog":
-            since, until = fact["since_s"], fact["until_s"]
-            set_ms = 1e3 * c.machine.watchdog_s
-            if until is None:
-                return f"no reaction, set {set_ms:g} ms"
-            return (
-                f"reacts {1e3 * (since or 0.0):.4g} to {1e3 * until:.4g} ms after silence, set {set_ms:g} ms"
+            since_ms, until = 1e3 * (fact["since_s"] or 0.0), fact["until_s"]
+            reacts = (
+                "no reaction" if until is None else f"reacts {since_ms:.4g} to {1e3 * until:.4g} ms after"
             )
+            return f"{reacts}, set {1e3 * c.machine.watchdog_s:g} ms"
         case "ids":
             return f"counted by drive {', '.join(map(str, fact['drives'])) or 'none'}"
         case "encoder":
@@ -65,16 +58,16 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
                 f"{1e3 * fact['offset_m']:+.2f} mm"
             )
         case "brakes":
-            gives = ", ".join(map(str, fact["legs"])) or "none"
-            at = "" if fact["hand_N"] is None else f" at {fact['hand_N']:.4g} N"
-            held = c.known("held", leg)
-            shut = "" if held is None else "; shut: " + _shut(held)
-            share = fact["rate_share"]
-            rate = "" if share is None else f"; its rate is {share:.2f} of what its reading changes by"
-            return f"its drive's brake frees leg {gives}{at}{shut}{rate}"
+            text = f"its drive's brake frees leg {', '.join(map(str, fact['legs'])) or 'none'}"
+            if fact["hand_N"] is not None:
+                text += f" at {fact['hand_N']:.4g} N"
+            if (held := c.known("held", leg)) is not None:
+                text += "; shut: " + ("gives way" if held["moved"] else f"holds {held['hand_N']:.4g} N")
+            if fact["rate_share"] is not None:
+                text += f"; its rate is {fact['rate_share']:.2f} of what its reading changes by"
+            return text
         case "force":
-            parts = (f"{way} {_force(fact[way])}" for way in ("plus", "minus"))
-            return "; ".join(parts)
+            return "; ".join(f"{way} {_force(fact[way])}" for way in ("plus", "minus"))
         case "gauge":
             g = gains(c).get(leg)
             if g is None:
@@ -82,10 +75,6 @@ def _of_leg(c: Context, step: str, leg: int) -> str:
             within = WITHIN + g.error + c.machine.losses
             return f"{g.value:.3f} N a commanded N; what is right is within {100.0 * within:.2g} % of 1"
     return ""
-
-
-def _shut(held: dict[str, Any]) -> str:
-    return "gives way" if held["moved"] else f"holds {held['hand_N']:.4g} N by hand"
 
 
 def _force(found: dict[str, float | None]) -> str:

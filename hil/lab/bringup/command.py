@@ -81,18 +81,16 @@ def run_bringup(
     yes: agree to all steps, on a bench only. again: begin anew, whatever the state file holds.
     Raises ConfigurationError, BusError, RunError before anything moves.
     """
-    rehearsal = mistakes is not None
-    words = tuple(mistakes or ())
-    served = not rehearsal and asked(hands_socket(c.bus.interface, c.bus.channel))
-    rehearsed = rehearsal or served
-    if not rehearsal:
+    served = mistakes is None and asked(hands_socket(c.bus.interface, c.bus.channel))
+    rehearsed = mistakes is not None or served
+    if mistakes is None:
         c.require("run")
-        if yes and not rehearsed:
-            raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
+    if yes and not rehearsed:
+        raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
     protocol = build_protocol(c)
-    wiring = wiring_of(words, protocol) if rehearsal else None
-    files = files_of(configuration, c, state, rehearsal=rehearsal)
-    store = Store(files.state, identity(c, (*words, *[_SERVED] * served)), again=again)
+    bench = None if mistakes is None else build_bench(c, wiring_of(mistakes, protocol))
+    files = files_of(configuration, c, state, rehearsal=bench is not None)
+    store = Store(files.state, identity(c, [_SERVED] if served else mistakes or ()), again=again)
     if store.changed:
         say(f"other hardware than in {files.state} ({store.changed}): everything is measured again")
     elif store.facts:
@@ -100,25 +98,20 @@ def run_bringup(
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
     with contextlib.ExitStack() as outer:
         steps = outer.enter_context(contextlib.ExitStack())
-        bus = None if rehearsal else steps.enter_context(Bus.open(c.bus, role="controller"))
+        bus = None if bench is not None else steps.enter_context(Bus.open(c.bus, role="controller"))
         recording = outer.enter_context(_log(c, path, None if bus is None else bus.clock))
         said = _Said(say, recording)
         terminal = Terminal(said)
-        agree = _agreed if yes else terminal.consent
-        bench = None if wiring is None else build_bench(c, wiring)
+        agree: Agree = (lambda *_: True) if yes else terminal.consent
         with steps:
-            if bus is None:
-                assert bench is not None
+            if bench is not None:
                 end = rehearsed_end(c, bench, agree, said)
+            elif served and bus is not None:
+                end = steps.enter_context(served_end(c, bus, protocol, terminal, agree, said))
             else:
-                if not served:
-                    mark_moved(c, said)
-                ends = (
-                    served_end(c, bus, protocol, terminal, agree, said)
-                    if served
-                    else machine_end(c, bus, protocol, terminal)
-                )
-                end = steps.enter_context(ends)
+                assert bus is not None
+                mark_moved(c, said)
+                end = steps.enter_context(machine_end(c, bus, protocol, terminal))
             outcome, context, reason = _proceed(c, protocol, end, store, said, hang=bench is None)
         bench_time = stretches(np.array(said.stood_ns, np.int64))
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
@@ -129,20 +122,23 @@ def run_bringup(
             found = loads(text, str(files.found), c.folder)
             together = _release(found, bench, context, said, agree, served=served)
             if together.success:
-                text = found_text(c, context, (), released=True, rehearsed=rehearsed)
                 with further(unwritten):
-                    write_whole(files.found, text)
+                    write_whole(files.found, found_text(c, context, (), released=True, rehearsed=rehearsed))
             if together.brake_failed:
                 store.forget_brakes()
-        lines = [*checklist(context, outcome, together.lines), *filter(None, [stood_still_line(bench_time)])]
+        lines = checklist(context, outcome, together.lines)
+        lines += filter(None, [stood_still_line(bench_time)])
         if outcome.findings:
             with further(unwritten):
-                lines += _write_mended(
-                    c, context, files.found, text, outcome.findings, said, rehearsal=rehearsal
-                )
+                next_ = _write_mended(c, context, files.found, text, outcome.findings)
+                said(next_)
+                lines.append(next_)
+        stamp = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
+        head = [f"bring-up of {c.name}, {stamp}", f"configuration {c.source}, log {path}", ""]
+        if rehearsed:
+            head.insert(0, "REHEARSAL on an emulated bench, no machine was measured:")
         with further(unwritten):
-            page = "\n".join([*_head(c, path, rehearsed=rehearsed), *lines])
-            write_whole(files.checklist, f"{page}\n")
+            write_whole(files.checklist, "\n".join([*head, *lines, ""]))
         for line in lines:
             said.event(line)
         store.forget(outcome.findings)
@@ -150,47 +146,8 @@ def run_bringup(
     if closed.error:
         cut = f"{closed.error}: {closed.dropped + closed.lost} ticks are not in the log"
         reason = "; ".join(filter(None, (reason, cut)))
-    summary = _summary(c, outcome, files, path, reason, success=together.success and not closed.error)
-    summary |= unwritten
-    return summary | ({"bench_time": bench_time} if bench_time["stretches"] else {})
-
-
-def _write_mended(
-    c: Configuration,
-    context: Context,
-    file: Path,
-    text: str,
-    findings: Sequence[Finding],
-    said: "_Said",
-    *,
-    rehearsal: bool,
-) -> list[str]:
-    """Write what was found with findings, where it can be loaded; say and return what is next, or why not."""
-    try:
-        loads(text, c.name, c.folder)
-    except ConfigurationError as error:
-        refusal = str(error).replace(f"{c.name}:", "line ", 1)
-        line = f"no configuration is written, since with what was found it is refused: {refusal}"
-        said(line)
-        return [line]
-    write_whole(file, text)
-    done = [finding.name for finding in mended(c, context, findings)]
-    line = f"next: hil bringup {file}{' --rehearse' if rehearsal else ''}"
-    if len(done) < len(findings):
-        line += ", once what was found at the machine is mended"
-    if done:
-        line += (
-            f"; that file makes up for {', '.join(dict.fromkeys(done))}: do not mend it at the machine, too"
-        )
-    said(line)
-    return [line]
-
-
-def _summary(
-    c: Configuration, outcome: Outcome, files: Files, log: Path, reason: str, *, success: bool
-) -> dict[str, Any]:
-    return {
-        "success": success,
+    summary = {
+        "success": together.success and not closed.error,
         "kind": "bringup",
         "trouble": reason or None,
         "configuration": c.source,
@@ -200,14 +157,32 @@ def _summary(
         "checklist": str(files.checklist),
         **({"found": str(files.found)} if files.found.exists() else {}),
         "state": str(files.state),
-        "log": str(log),
+        "log": str(path),
+        **unwritten,
     }
+    return summary | ({"bench_time": bench_time} if bench_time["stretches"] else {})
+
+
+def _write_mended(
+    c: Configuration, context: Context, file: Path, text: str, findings: Sequence[Finding]
+) -> str:
+    """Write what was found with findings, where it can be loaded; return what is next, or why not."""
+    try:
+        loads(text, "found", c.folder)
+    except ConfigurationError as error:
+        return f"no configuration is written, since with what was found it is refused: {error}"
+    write_whole(file, text)
+    done = dict.fromkeys(finding.name for finding in mended(c, context, findings))
+    line = f"next: hil bringup {file}{' --rehearse' if '.rehearsal' in file.name else ''}"
+    if any(finding.name not in done for finding in findings):
+        line += ", once what was found at the machine is mended"
+    return f"{line}; that file makes up for {', '.join(done)}: do not mend it there, too" if done else line
 
 
 class _Said:
     """Says texts to the operator and into the log.
 
-    Mutable state: the time of the last tick, why the log was cut, and for how long bench time stood still.
+    Mutable state: the time of the last tick, and the attributes.
     """
 
     def __init__(self, say: Callable[[str], None], recording: Recording) -> None:
@@ -228,7 +203,7 @@ class _Said:
             self._recording.event(self.t_ns, "info", text)
 
     def _recorded(self) -> bool:
-        """Tell whether the recorder lives; say once why not."""
+        """Whether the recorder lives; say once why not."""
         if not self.trouble:
             self.trouble = self._recording.trouble
             if self.trouble:
@@ -280,16 +255,16 @@ def _release(
 
     Not with a log that was cut; the homing file is written once the operator has consented.
     """
-    if said.trouble:
-        return Together(success=False, lines=["[ ] together: not begun, since the log is not whole"])
-    said("together: six legs at reduced limits")
-    will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
-    try:
-        agree("six legs together", will, "Ctrl-C parks, twice stops")
-    except RefusedError as refusal:
-        return Together(success=False, lines=[f"[ ] together: {refusal}"])
-    except KeyboardInterrupt:
-        return Together(success=False, lines=["[ ] together: interrupted before it began"])
+    why = "not begun, since the log is not whole" if said.trouble else ""
+    if not why:
+        said("together: six legs at reduced limits")
+        will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
+        try:
+            agree("six legs together", will, "Ctrl-C parks, twice stops")
+        except (RefusedError, KeyboardInterrupt) as refusal:
+            why = str(refusal) or "interrupted before it began"
+    if why:
+        return Together(success=False, lines=[f"[ ] together: {why}"])
     if bench is None:
         if not served:
             state_lengths(found, context, said)
@@ -297,7 +272,7 @@ def _release(
         success, faults = summary["success"], summary.get("faults", ())
         stood = stood_still_line(summary["bench_time"]) if "bench_time" in summary else ""
         lines = lines_of(success, summary["trouble"] or f"log {summary['log']}", stood)
-        together = Together(success, lines, str(Fault.BRAKE.name) in faults)
+        together = Together(success, lines, "BRAKE" in faults)
     else:
         ending = six_legs(found, bench)
         lines = lines_of(ending.success, ending.trouble)
@@ -305,17 +280,6 @@ def _release(
     for line in together.lines:
         said(line)
     return together
-
-
-def _agreed(*_: str) -> bool:
-    """Agree to a step of a rehearsal."""
-    return True
-
-
-def _head(c: Configuration, log: Path, *, rehearsed: bool) -> list[str]:
-    stamp = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
-    kind = "REHEARSAL on an emulated bench, no machine was measured: bring-up" if rehearsed else "bring-up"
-    return [f"{kind} of {c.name}, {stamp}", f"configuration {c.source}, log {log}", ""]
 
 
 @contextlib.contextmanager

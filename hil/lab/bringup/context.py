@@ -1,9 +1,9 @@
 """What the steps of a bring-up share: the machine, the drives, the operator, the facts found so far."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -20,33 +20,15 @@ OLD_TICKS = 3
 """A reading of more ticks ago says nothing of a leg whose brake is open."""
 MOVED_M = 1e-4
 """A leg has moved; a driven one is let go there."""
-
-Act = Literal[
-    "move",
-    "place",
-    "measure",
-    "push",
-    "push_others",
-    "read_push",
-    "read_held",
-    "let_go",
-    "let_go_all",
-    "clamp",
-    "free",
-    "read_gauge",
-    "weigh",
-    "read_way",
-    "hang",
-    "take_down",
-    "accept",
-    "mount",
-]
+TAPE_M = 2e-4
+"""Standard deviation of a length that the operator measures."""
 
 
 class Request(NamedTuple):
     """What the operator is asked to do with his hands, or to read."""
 
-    act: Act
+    act: str
+    """What the hands of a rehearsal bench know it by."""
     leg: int = -1
     value: float = 0.0
     """`move`: by so many m. `place`: share of the stroke. `hang`: which of the known poses."""
@@ -55,7 +37,7 @@ class Request(NamedTuple):
     word: str = ""
     """What he types for it to count as done; empty: Enter."""
     within: tuple[float, float] | None = None
-    """Readings outside are asked for again: another unit, or a slip. None: any number may be."""
+    """Readings outside are asked for again: another unit, or a slip."""
 
 
 class Gap(NamedTuple):
@@ -85,7 +67,7 @@ class Finding(NamedTuple):
     @property
     def line(self) -> str:
         """As it is read: which leg, what, how to mend it."""
-        which = "" if not self.legs else f"leg{'s' * (len(self.legs) > 1)} {_listed(self.legs)}: "
+        which = f"leg{'s' * (len(self.legs) > 1)} {', '.join(map(str, self.legs))}: " if self.legs else ""
         return f"{self.name}: {which}{self.text}. {self.mend}"
 
 
@@ -110,7 +92,7 @@ class Operator(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """What the configuration says of the machine; lengths m, forces N."""
+    """The machine as it is configured; lengths m, forces N."""
 
     node_ids: tuple[int, ...]
     protocol: str
@@ -131,17 +113,13 @@ class Machine:
     unasked_identifiers: frozenset[int] = frozenset()
     """Of what drives send by themselves: heartbeats, emergencies."""
     platform_kg: float = 0.0
-    """Mass of the platform."""
     presses: float = 0.0
     """Cosine between gravity and the way from platform to base, > 0: its weight presses the legs."""
     losses: float = 0.0
     """Share of a force that may be lost between motor and leg."""
     heartbeat_s: float = 0.1
-    """Period of each drive's heartbeat."""
     forgotten_m: Array | None = None
     """(6,) m, of which a drive forgets whole multiples at power-off; None: it forgets nothing."""
-    tape_m: float = 2e-4
-    """Standard deviation of a length that the operator measures."""
 
     @property
     def stroke(self) -> float:
@@ -150,10 +128,8 @@ class Machine:
 
     def turns_m(self, drive: int, off_m: float) -> float:
         """Return what of a reading that is so far off, m, a drive may have forgotten: whole turns."""
-        if self.forgotten_m is None:
-            return 0.0
-        step = float(self.forgotten_m[drive])
-        return step * round(off_m / step)
+        step = 0.0 if self.forgotten_m is None else float(self.forgotten_m[drive])
+        return step * round(off_m / step) if step else 0.0
 
     @property
     def force_N(self) -> float:
@@ -175,7 +151,7 @@ class StoppedError(HilError):
 
 @dataclass
 class Context:
-    """One bring-up. Mutable state: the facts, by step and leg, JSON values; and the drives."""
+    """One bring-up. Mutable state: the facts, by step and leg, as JSON values; the drives."""
 
     machine: Machine
     drives: Drives
@@ -199,29 +175,20 @@ class Context:
 
     def lengths(self) -> Array:
         """Return what the drives read now, (6,) m. Raises StoppedError where one is not heard."""
-        silent = [leg for leg in range(LEGS) if int(self.drives.record["age"][leg]) > OLD_TICKS]
+        record = self.drives.record
+        silent = np.flatnonzero(record["age"] > OLD_TICKS).tolist()
         if silent:
-            text = f"not heard for {int(self.drives.record['age'][silent[0]])} ticks, so what it reads is old"
-            mend = "Look at bus cable, supply and encoder, and give the command again."
-            if self.drives.record["blind"][silent].all():
-                text = (
-                    "it answers, and calls its length of no use, or has left the range that its frames carry"
-                )
-                mend = "Look at encoder, counts a turn, lead and gear, and give the command again."
+            blind = record["blind"][silent].all()
+            why = "it answers without a length" if blind else "it is silent"
+            text = f"no reading for {int(record['age'][silent[0]])} ticks: {why}"
+            mend = "Look at cable, supply, encoder, counts a turn and gear, and give the command again."
             raise StoppedError(Finding("not_heard", tuple(silent), text, mend))
-        return np.array(self.drives.record["length"])
-
-    def hung(self) -> None:
-        """Keep that the platform is on its legs: no brake of a single leg opens before it is off."""
-        self.keep("platform", "hung", fact=True)
+        return np.array(record["length"])
 
     def take_down(self) -> None:
         """Have the platform taken off the legs if it was hung, in this or an earlier run."""
         if self.facts.get("platform", {}).get("hung"):
-            text = (
-                "The platform was hung on these legs, and one brake is to open alone. Take the platform off "
-                "and lay the legs on their trestles"
-            )
+            text = "One brake is to open alone. Take the platform off and lay the legs on their trestles"
             self.ask(Request("take_down", text=text, word="down"))
             self.facts.pop("platform")
             self.facts.pop("mounted", None)
@@ -243,14 +210,11 @@ class Context:
             low, high = request.within or (answer, answer)
             if low <= answer <= high:
                 return answer
-            text = f"    {answer:g} cannot be: {low:g} to {high:g} are allowed, in m, N and kg, not mm or kN"
-            self.operator.tell(text)
+            why = f"{answer:g} cannot be: {low:g} to {high:g} are allowed, in m, N and kg, not mm or kN"
             refused += 1
             if refused >= self.operator.patience:
-                raise RefusedError(
-                    f"ended: {request.text}: {refused} readings refused, the last one {answer:g}, "
-                    f"allowed: {low:g} to {high:g}; look at what the bench is wired with"
-                )
+                raise RefusedError(f"ended: {request.text}: {refused} readings refused: {why}")
+            self.operator.tell(f"    {why}")
             self.operator.ask(request)
 
     def rest(self, seconds: float) -> None:
@@ -308,13 +272,10 @@ class Context:
         return known
 
     def _heard(self, drive: int) -> None:
-        """Raise StoppedError where a drive's last reading is old."""
         age = int(self.drives.record["age"][drive])
         if age > OLD_TICKS:
-            text = f"it has not been heard for {age} ticks"
-            raise StoppedError(
-                Finding("lost_power", (drive,), text, "Look at the drive's supply and its bus.")
-            )
+            text, mend = f"it has not been heard for {age} ticks", "Look at the drive's supply and its bus."
+            raise StoppedError(Finding("lost_power", (drive,), text, mend))
 
     def travelled(self, since: Array) -> dict[int, float]:
         """Return how far each leg has moved since readings (6,), m by tape, > 0 longer.
@@ -329,13 +290,25 @@ class Context:
         }
 
 
-def _listed(legs: tuple[int, ...]) -> str:
-    return ", ".join(map(str, legs))
+_OTHERS = {
+    "ids": "drives", "encoder": "drive", "opens": "legs", "held": "", "force": "", "gauge": "", "watchdog": ""
+}  # fmt: skip
+"""Steps whose facts are about one leg or its drive, and the key that names the other of them."""
 
 
-def no_gap(_c: Context) -> Gap | None:
-    """Return None: all of the step is proven."""
-    return None
+def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None:
+    """Drop the facts about legs or their drives, those about the platform, and that steps have passed.
+
+    Behind exchanged numbers a fact's own leg is another: what names a leg or its drive goes, too.
+    """
+    for step, key in _OTHERS.items():
+        table = facts.get(step, {})
+        for name, fact in list(table.items()):
+            others = fact.get(key, [])
+            if not {int(name), *(others if isinstance(others, list) else [others])}.isdisjoint(legs):
+                del table[name]
+    for step in ("mounted", "load", "passed"):
+        facts.pop(step, None)
 
 
 class Step(NamedTuple):
@@ -357,16 +330,16 @@ class Step(NamedTuple):
     """A finding ends the bring-up here; else the next steps still look for its cause."""
     by_drive: bool = False
     """It finds a fact of each drive."""
-    gap: Callable[[Context], Gap | None] = no_gap
+    gap: Callable[[Context], Gap | None] = lambda _: None
     """What it cannot prove with these drives, by the facts; it has not passed then."""
     tables: tuple[str, ...] = ()
     """Where it keeps its facts, if not under its own name."""
 
     def measured(self, c: Context) -> bool:
-        """Tell whether all that the step is to find has been found."""
+        """Whether all that the step is to find has been found."""
         return not self.by_drive or len(c.facts.get(self.name, {})) == LEGS
 
     def kept_whole(self, c: Context, many: int) -> bool:
-        """Tell whether it has passed before, and none of its facts, `many` in each table, is lost since."""
+        """Whether it has passed before, and none of its facts, `many` in each table, is lost since."""
         passed = self.kept and self.name in c.facts.get("passed", {})
         return passed and all(len(c.facts.get(table, {})) == many for table in self.tables or (self.name,))

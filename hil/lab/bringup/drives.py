@@ -64,26 +64,20 @@ class Drives:
     """
 
     def __init__(self, protocol: Family, line: Line, watchdog_s: float, sink: Sink = lambda *_: None) -> None:
-        self.protocol, self.line = protocol, line
-        self.watchdog_s = watchdog_s
-        self._sink = sink
+        self.protocol, self.line, self._sink = protocol, line, sink
         can = protocol.traits.reactions
-        reaction = Reaction.BRAKE if Reaction.BRAKE in can else can[0]
-        self.locks = shares_commands(protocol, DriveSetup(watchdog_s, reaction, line.rate_Hz))
+        setup = DriveSetup(watchdog_s, Reaction.BRAKE if Reaction.BRAKE in can else can[0], line.rate_Hz)
+        self.locks = shares_commands(protocol, setup)
         """One command goes to several drives."""
-        lock_s = LOCK_S if self.locks else watchdog_s
-        self._setups = (
-            DriveSetup(watchdog_s, reaction, line.rate_Hz),
-            DriveSetup(lock_s, reaction, line.rate_Hz),
-        )
-        self._live, self._rest = (protocol.controller_end(setup) for setup in self._setups)
+        locked = DriveSetup(LOCK_S, setup.reaction, line.rate_Hz) if self.locks else setup
+        self._live, self._rest = protocol.controller_end(setup), protocol.controller_end(locked)
         self.tick = -1
         self.record = new_record()
         """Of the last tick; states of locked drives are theirs."""
         self.heard: tuple[Received, ...] = ()
         """Frames of the last tick."""
-        self.spoken: tuple[set[int], ...] | None = None
-        """Identifiers of all frames that each drive has sent; None: nobody asks."""
+        self.spoken: set[tuple[int, int]] | None = None
+        """Drive, -1 for nobody, and identifier of all frames that came; None: nobody asks."""
         self.serials: tuple[set[int], ...] = ()
         """Serial numbers that each node told when it was asked last: two of them are two drives."""
         self._records = self.record, copy_of(self.record)
@@ -126,13 +120,9 @@ class Drives:
             opening = self._chosen(*starts, self._commanded if delayed else leg)
         self._commanded = leg
         heard = self.line.exchange(opening)
-        self.heard = heard.frames
+        self.heard, received = heard.frames, received_array(heard.frames)
         if self.spoken is not None:
-            for _, frame in heard.frames:
-                sender = self.protocol.sender(frame)
-                if sender >= 0:
-                    self.spoken[sender].add(frame.id)
-        received = received_array(heard.frames)
+            self.spoken.update((self.protocol.sender(frame), frame.id) for _, frame in heard.frames)
         live, rest = new_record(), new_record()
         for record in (live, rest):
             record["tick"], record["t_ns"] = tick, heard.since_ns
@@ -143,22 +133,23 @@ class Drives:
             rest = live
         else:
             self._rest.take(received, before[1], rest, heard.since_ns)
-        self._records = live, rest
-        self.record = self._seen(live, rest, leg)
+        self._records, self.record = (live, rest), copy_of(live)
+        if leg is not None and not self.locks:
+            others = np.arange(LEGS) != leg
+            for name in ("drive_state", "drive_fault"):
+                self.record[name][others] = rest[name][others]
         tau = np.zeros(LEGS)
         if leg is not None:
             tau[leg] = force
+        self.record["q"], self.record["dq"] = self.record["length"], self.record["rate"]
         self.record["tau"], self.record["command_mode"] = tau, mode
         frames = sent_frames(self._live.give(Command(mode, tau), tick))
         if not self.locks and leg is not None:
             shut = Command(DriveMode.OFF, np.zeros(LEGS))
             frames = self._chosen(frames, sent_frames(self._rest.give(shut, tick)), leg)
-        sent: tuple[Frame, ...] = () if silent else frames
-        if set_up:
-            sent += self._set_up_frames()
+        sent = (() if silent else frames) + (self._set_up_frames() if set_up else ()) + asked
         if alike:
             self._rest.remember(self._live.remembered())
-        sent += asked
         self.line.send(sent)
         self._sink(self.record, heard.frames, (*opening, *sent))
         return self.record
@@ -172,15 +163,6 @@ class Drives:
         addressed = self.protocol.addressed
         mine = tuple(frame for frame in frames if leg in addressed(frame))
         return mine + tuple(frame for frame in others if leg not in addressed(frame))
-
-    def _seen(self, live: Record, rest: Record, leg: int | None) -> Record:
-        record = copy_of(live)
-        if leg is not None and not self.locks:
-            others = np.arange(LEGS) != leg
-            for name in ("drive_state", "drive_fault"):
-                record[name][others] = rest[name][others]
-        record["q"], record["dq"] = record["length"], record["rate"]
-        return record
 
     # set-up
 
@@ -228,28 +210,21 @@ class Drives:
         self.serials = tuple(set() for _ in range(LEGS))
         requests = self.protocol.traits.identity_requests
         for asked in requests * ASKED_TIMES:
-            lacking = {leg for leg in legs if len(answers[leg]) < len(requests)}
-            if not lacking:
+            waited = {leg for leg in legs if len(answers[leg]) < len(requests)}
+            if not waited:
                 break
-            self._ask(tuple(asked[leg] for leg in sorted(lacking)), answers, lacking)
-        return tuple({what: s.value for what, s in each.items() if s.tells} for each in answers)
-
-    def _ask(self, asked: tuple[Frame, ...], answers: tuple[dict[str, Said], ...], lacking: set[int]) -> None:
-        """Ask once, and keep what is answered for ANSWER_S, or until a tick after all that lack it have."""
-        self.step(asked=asked)
-        waited = set(lacking)
-        for _ in range(self.ticks(ANSWER_S)):
-            last = not waited  # a second drive of the same number answers behind the first one
-            self.step()
-            for _, frame in self.heard:
-                answer = self.protocol.identity(frame)
-                if answer is not None:
+            self.step(asked=tuple(asked[leg] for leg in sorted(waited)))
+            for _ in range(self.ticks(ANSWER_S)):
+                last = not waited  # a second drive of the same number answers behind the first one
+                self.step()
+                for answer in filter(None, (self.protocol.identity(frame) for _, frame in self.heard)):
                     answers[answer.leg][answer.what] = answer
                     waited.discard(answer.leg)
                     if answer.what == SERIAL and answer.tells:
                         self.serials[answer.leg].add(answer.value)
-            if last:
-                break
+                if last:
+                    break
+        return tuple({what: s.value for what, s in each.items() if s.tells} for each in answers)
 
     # one brake
 
@@ -267,16 +242,14 @@ class Drives:
         for _ in range(self.ticks(READY_S) + self.told_ticks):
             self.step(DriveMode.READY, leg)
             states = self.record["drive_state"]
-            out = [k for k in range(LEGS) if k != leg and not self._locked(int(states[k]))]
+            locked = states == DriveState.FAULT if self.locks else states != DriveState.RUN
+            out = [k for k in range(LEGS) if k != leg and not locked[k]]
             if states[leg] == DriveState.READY and not out:
                 return ""
         self.off()
         if out:
             return f"legs {out} did not latch the fault of their watchdog of {1e6 * LOCK_S:g} us"
         return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
-
-    def _locked(self, state: int) -> bool:
-        return state == DriveState.FAULT if self.locks else state != DriveState.RUN
 
     def carried(self, leg: int, force: float) -> float:
         """Return what a command of force N to drive `leg` gives a leg at rest: a coarse field takes of it."""

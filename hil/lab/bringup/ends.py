@@ -1,12 +1,11 @@
 """The other end of a bring-up: a machine, a bench that another process serves, or one in this process."""
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
-from drivers.can.localcan.bench_clock import BenchClock
 from drivers.errors import BusError
 from drivers.family import Family
 from drivers.frame_array import joined, received_frames, sent_array
@@ -18,31 +17,22 @@ from hil.lab.bringup.context import Operator
 from hil.lab.bringup.drives import Heard, Line
 from hil.lab.bringup.hands import RemoteHands
 from hil.lab.bringup.machine import WINDOW, bringup_rate, known_poses
-from hil.lab.bringup.rehearsal import BenchHands, BenchLine
+from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, Say
 from hil.loop.clock import Deadlines, real_time
 from hil.loop.report import NO_WATCHDOG
 from plant_fmu.rehearsal.bench import RehearsalBench
 
-Agree = Callable[[str, str, str], bool]
-"""Called with a step's title, what it will do and how to stop it."""
-Say = Callable[[str], None]
-
 
 class BusLine:
-    """Ticks on an open bus.
-
-    Mutable state: the deadlines, the bus, and for how long its time has stood still.
-    """
+    """Ticks on an open bus. Mutable state: the deadlines, the bus, for how long its time has stood still."""
 
     def __init__(self, bus: Bus, rate_Hz: float, window_s: float, *, watched: bool) -> None:
-        """Take the open bus, the tick rate in Hz, and whether the drives have a watchdog of their own.
+        """Take an open bus; window_s: for so long answers are waited for in a tick.
 
-        window_s: for so long answers are waited for in a tick; later ones say nothing of a drive's state.
+        watched: the drives have watchdogs of their own.
         """
-        self.rate_Hz = rate_Hz
-        self._bus = bus
-        shut = "the drives' watchdogs shut their brakes"
-        self._left = shut if watched else f"the drives {NO_WATCHDOG}"
+        self.rate_Hz, self._bus = rate_Hz, bus
+        self._left = "the drives' watchdogs shut their brakes" if watched else f"the drives {NO_WATCHDOG}"
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)
         self._window_ns = round(1e9 * window_s)
         self._rest_ns = self._deadlines.period_ns - self._window_ns
@@ -51,10 +41,7 @@ class BusLine:
         bus.drain_now()
 
     def exchange(self, opening: Sequence[Frame]) -> Heard:
-        """Wait for the next tick, send, and collect what comes within the window.
-
-        Raises BusError where the bus is down.
-        """
+        """Wait for the next tick, send, and collect what comes within the window. Raises BusError."""
         _, t_ns, lateness_ns, _ = self._deadlines.wait()
         began = t_ns + lateness_ns
         before_ns, self._stood_ns = self._stood_ns, self._bus.clock.stretched()
@@ -95,9 +82,16 @@ def served_end(
     """Yield the ends of a bench that another process serves on a bus; its time stands still where it may."""
     say("a rehearsal bench is served on this bus: its hands do what you are asked")
     clock, rate = bench_clock(c, bus), bringup_rate(c)
-    if clock is not None:
-        agree = _unheld(clock, agree)
-    hands = RemoteHands(BusAddress(c.bus.interface, c.bus.channel), beside, agree)
+
+    def unheld(title: str, will: str, stop: str) -> bool:  # a person may think: nobody's time is held
+        bus.clock.leave()
+        try:
+            return agree(title, will, stop)
+        finally:
+            if clock is not None:
+                clock.holds = True
+
+    hands = RemoteHands(BusAddress(c.bus.interface, c.bus.channel), unheld, beside.tell)
     with contextlib.closing(hands), real_time(c.loop.priority, c.loop.cpu):
         if clock is not None:
             opening = protocol.controller_end(drive_setup(c, rate)).begin(0)
@@ -120,16 +114,3 @@ def machine_end(c: Configuration, bus: Bus, protocol: Family, operator: Operator
 def _line(c: Configuration, bus: Bus, protocol: Family) -> BusLine:
     rate = bringup_rate(c)
     return BusLine(bus, rate, WINDOW / rate, watched=protocol.traits.has_watchdog)
-
-
-def _unheld(clock: BenchClock, agree: Agree) -> Agree:
-    """Return `agree` with nobody's time held up meanwhile: a person may think."""
-
-    def freely(title: str, will: str, stop: str) -> bool:
-        clock.leave()
-        try:
-            return agree(title, will, stop)
-        finally:
-            clock.holds = True
-
-    return freely

@@ -12,7 +12,6 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration
 from hil.config.reference import WaypointReference
 from hil.lab.bringup.context import Context, Finding
-from hil.lab.bringup.steps.gauge import gains
 
 SPEED_SHARE = 0.25
 """Of the configured limit of leg speed, for the first runs."""
@@ -32,29 +31,25 @@ def found_text(
 ) -> str:
     """Return the given configuration with what was found, at reduced limits, and where it comes from.
 
-    released: the six legs have moved together; before, the text says that they have not. rehearsed: what was
-    measured is an emulated bench.
+    released: the six legs have moved together. rehearsed: an emulated bench was measured.
     """
     changes, comments = _changes(c, context, findings)
-    text = with_changes(c.text, changes)
     head = [
-        f"# {c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs:",
-        "# raise them as trust grows. Comments of the given file are not repeated.",
+        f"{c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs:",
+        "raise them as trust grows. Comments of the given file are not repeated.",
     ]
     if rehearsed:
-        head.append("# REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
+        head.append("REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
     if findings:
         done = mended(c, context, findings)
-        left = [finding for finding in findings if finding not in done]
-        first = "mend what follows, and give" if left else "give"
-        head.append(f"# NOT RELEASED: {first} this file to `hil bringup` again.")
-        head += [f"#   {finding.line}" for finding in left]
+        head.append("NOT RELEASED: mend what follows, if any, and give this file to `hil bringup` again.")
+        head += [f"  {finding.line}" for finding in findings if finding not in done]
         if done:
-            head.append("# This file makes up for what follows: do not mend it at the machine, too.")
-        head += [f"#   {finding._replace(mend='').line.rstrip(' .')}" for finding in done]
+            head.append("This file makes up for what follows: do not mend it at the machine, too.")
+        head += [f"  {finding._replace(mend='').line.rstrip(' .')}" for finding in done]
     elif not released:
-        head.append("# NOT RELEASED: the step together has not passed. Give the command again.")
-    return "\n".join(head) + "\n" + commented(text, comments)
+        head.append("NOT RELEASED: the step together has not passed. Give the command again.")
+    return "".join(f"# {line}\n" for line in head) + commented(with_changes(c.text, changes), comments)
 
 
 def mended(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[Finding]:
@@ -66,14 +61,15 @@ def mended(c: Configuration, context: Context, findings: Sequence[Finding]) -> l
     names = {"stroke"}
     if _order(c, context, findings) is not None:
         names |= {"ids"}
-    if c.drives.transmission is not None and not _misread(findings):
+    if _has_gear(c, findings):
         names |= {"wrong_lead", "drive_reversed", "offset"}
     return [finding for finding in findings if finding.name in names]
 
 
-def _misread(findings: Sequence[Finding]) -> bool:
-    """Tell whether some drive counts another leg than its own."""
-    return any(finding.name in {"ids", "encoder_crossed"} for finding in findings)
+def _has_gear(c: Configuration, findings: Sequence[Finding]) -> bool:
+    """Whether there is a transmission to correct, and each drive counts its own leg."""
+    misread = any(finding.name in {"ids", "encoder_crossed"} for finding in findings)
+    return c.drives.transmission is not None and not misread
 
 
 def _changes(
@@ -87,21 +83,21 @@ def _changes(
         for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
     ]
     first = {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points}
-    # a file that a bring-up has written: its limits are reduced already
-    reduced = WaypointReference.model_validate(first) == c.reference
-    if not reduced:
+    was = ""
+    # the limits of a file that a bring-up has written are reduced already
+    if WaypointReference.model_validate(first) != c.reference:
+        was = f", {speed:g} m/s and {following:g} m were configured"
         speed *= SPEED_SHARE
-    slower = min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M))
+        following = min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M))
     changes: dict[str, Any] = {
-        "limits": {"speed_m_s": speed, "following_error_m": following if reduced else slower},
+        "limits": {"speed_m_s": speed, "following_error_m": following},
         "engage": {"approach_speed_m_s": min(c.engage.approach_speed_m_s, 0.5 * speed)},
         "reference": first,
         "drives": {"node_ids": _order(c, context, findings) or list(c.drives.node_ids)},
     }
-    was = "" if reduced else ", {:g} was configured"
     comments = {
-        ("limits", "speed_m_s"): [f"reduced by the bring-up{was.format(c.limits.speed_m_s)}"],
-        ("limits", "following_error_m"): [f"reduced by the bring-up{was.format(following)}"],
+        ("limits", "speed_m_s"): [f"reduced by the bring-up{was}"],
+        ("limits", "following_error_m"): ["reduced by the bring-up"],
         ("reference", "type"): ["first motion of all six legs, by the bring-up; then your own"],
         ("drives", "node_ids"): ["each leg moved by hand and by its drive"],
         ("drives", "watchdog_ms"): _watchdogs(context),
@@ -113,7 +109,7 @@ def _changes(
             "length_min_m": round(float(ends[:, 0].max()) + 1e-3, 4),
             "length_max_m": round(float(ends[:, 1].min()) - 1e-3, 4),
         }
-    if c.drives.transmission is not None and not _misread(findings):
+    if _has_gear(c, findings):
         changes["drives"]["transmission"] = _transmission(c, context, findings)
         comments["drives", "transmission"] = ["signs, leads and zeros by tape; see the checklist"]
     return changes, comments
@@ -143,16 +139,15 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
     for finding in findings:
         for leg in finding.legs:
             fact = context.known("encoder", leg)
-            if fact is None:
-                continue
             if finding.name == "wrong_lead":
                 lead[leg] /= abs(fact["scale"])
-                offset[leg] += _shift(fact, gear, leg)
             elif finding.name == "drive_reversed":
                 sign[leg] *= -1.0
-                offset[leg] += _shift(fact, gear, leg)
             elif finding.name == "offset":
                 offset[leg] -= fact["offset_m"]
+            if finding.name in {"wrong_lead", "drive_reversed"}:  # about the middle of the stroke
+                middle, zero = 0.5 * float(sum(fact["tape_m"])), float(gear.offset_m[leg])
+                offset[leg] += middle + (zero - middle - fact["offset_m"]) / fact["scale"] - zero
     changes: dict[str, Any] = {
         "sign": [int(s) for s in sign],
         "offset_m": [round(float(x), 5) for x in offset],
@@ -161,14 +156,6 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
         key, share = ("lead_m", 1.0) if settings.lead_m is not None else ("pulley_radius_m", 0.5 / np.pi)
         changes[key] = [float(f"{share * x:.6g}") for x in lead]
     return changes
-
-
-def _shift(fact: Mapping[str, Any], gear: Transmission, leg: int) -> float:
-    """Return what the zero moves by as the reading about the middle of the stroke is scaled right, m."""
-    middle = 0.5 * float(sum(fact["tape_m"]))
-    at_zero = float(gear.offset_m[leg])
-    true_at_zero = middle + (at_zero - middle - float(fact["offset_m"])) / float(fact["scale"])
-    return true_at_zero - at_zero
 
 
 def _watchdogs(context: Context) -> list[str]:
@@ -180,21 +167,14 @@ def _watchdogs(context: Context) -> list[str]:
 
 
 def _strokes(context: Context) -> list[str]:
-    facts = [context.known("encoder", leg) for leg in range(LEGS)]
-    ends: Array = np.array([fact["tape_m"] for fact in facts if fact is not None])
-    if not len(ends):
+    facts = [fact for leg in range(LEGS) if (fact := context.known("encoder", leg)) is not None]
+    if not facts:
         return []
-    lines = [f"by tape, shortest {ends[:, 0].max():.4f} m and longest {ends[:, 1].min():.4f} m of the legs"]
-    scales = [fact["scale"] for fact in facts if fact is not None]
-    lines.append("encoders, m a m by tape: " + ", ".join(f"{s:.4f}" for s in scales))
-    force = gains(context)
-    if force:
-        lines.append(
-            "forces, N a commanded N by gauge: " + ", ".join(f"{force[d].value:.3f}" for d in sorted(force))
-        )
-    hands = [context.known("opens", leg) for leg in range(LEGS)]
-    known = [f"{fact['hand_N']:.3g}" for fact in hands if fact is not None and fact["hand_N"] is not None]
-    return [*lines, "friction by hand, N: " + ", ".join(known)] if known else lines
+    ends: Array = np.array([fact["tape_m"] for fact in facts])
+    return [
+        f"by tape, shortest {ends[:, 0].max():.4f} m and longest {ends[:, 1].min():.4f} m of the legs",
+        "encoders, m a m by tape: " + ", ".join(f"{fact['scale']:.4f}" for fact in facts),
+    ]
 
 
 def commented(text: str, comments: Mapping[tuple[str, str], Sequence[str]]) -> str:

@@ -61,15 +61,13 @@ def _known(c: Configuration) -> list[Pose]:
 
 
 def _words(pose: Pose) -> str:
-    place, turn = (
-        ", ".join(f"{x:.6g}" for x in values) for values in (pose.position_m, pose.rotation_vector_deg)
-    )
+    place, turn = (", ".join(f"{x:.6g}" for x in v) for v in (pose.position_m, pose.rotation_vector_deg))
     return f"position {place} m, rotation vector {turn} deg"
 
 
 def build_machine(c: Configuration, protocol: Family) -> Machine:
     """Return the machine of a configuration."""
-    platform = build_platform(c.platform)
+    platform, gear, homing = build_platform(c.platform), c.drives.transmission, c.drives.homing
     poses = known_poses(c)
     joints = [
         np.linalg.norm(
@@ -77,6 +75,7 @@ def build_machine(c: Configuration, protocol: Family) -> Machine:
         )
         for p, R in poses
     ]
+    unasked = unasked_identifiers(protocol)
     return Machine(
         node_ids=tuple(c.drives.node_ids),
         protocol=c.drives.protocol,
@@ -89,12 +88,14 @@ def build_machine(c: Configuration, protocol: Family) -> Machine:
         pose_lengths=np.array([leg_lengths(platform, p, R) for p, R in poses]),
         joint_distances=np.array(joints),
         pose_words=tuple(map(_words, _known(c))),
-        known_identifiers=known_identifiers(protocol),
-        unasked_identifiers=unasked_identifiers(protocol),
+        known_identifiers=unasked | {frame.id for frame in protocol.traits.cyclic_frames},
+        unasked_identifiers=unasked,
         platform_kg=float(platform.platform.mass),
         presses=presses(platform, *poses[0]),
-        losses=_losses(c),
-        forgotten_m=_forgotten(c),
+        losses=0.0 if gear is None else 1.0 - float(np.min(gear.efficiency)),
+        forgotten_m=None
+        if homing is None or gear is None
+        else forgotten_length(gear, homing.forgotten_turns),
         heartbeat_s=1e-3 * c.drives.heartbeat_ms,
     )
 
@@ -105,23 +106,6 @@ def presses(platform: Platform, p: Array, R: Array) -> float:
     way = platform.base_joints.mean(axis=0) - p - R @ platform.platform_joints.mean(axis=0)
     sizes = float(np.linalg.norm(g) * np.linalg.norm(way))
     return float(g @ way) / sizes if sizes > 0.0 else 0.0
-
-
-def _forgotten(c: Configuration) -> Array | None:
-    homing, transmission = c.drives.homing, c.drives.transmission
-    if homing is None or transmission is None:
-        return None
-    return forgotten_length(transmission, homing.forgotten_turns)
-
-
-def _losses(c: Configuration) -> float:
-    gear = c.drives.transmission
-    return 0.0 if gear is None else 1.0 - float(np.min(gear.efficiency))
-
-
-def known_identifiers(protocol: Family) -> frozenset[int]:
-    """Return the identifiers that frames of a protocol's drives have."""
-    return unasked_identifiers(protocol) | {frame.id for frame in protocol.traits.cyclic_frames}
 
 
 def unasked_identifiers(protocol: Family) -> frozenset[int]:

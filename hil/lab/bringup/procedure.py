@@ -9,15 +9,8 @@ from drivers.signals import LEGS
 from hil.lab.bringup.context import Context, Finding, Gap, RefusedError, Request, Step, StoppedError
 from hil.lab.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
 
-STEPS: tuple[Step, ...] = (
-    scan.STEP,
-    silence.STEP,
-    ids.STEP,
-    encoder.STEP,
-    brakes.STEP,
-    force.STEP,
-    gauge.STEP,
-    mounted.STEP,
+STEPS: tuple[Step, ...] = tuple(
+    module.STEP for module in (scan, silence, ids, encoder, brakes, force, gauge, mounted)
 )
 """In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
 
@@ -61,30 +54,33 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
     passed: list[str] = []
     findings: list[Finding] = []
     gaps: list[tuple[str, Gap]] = []
-
-    def outcome(stopped: str = "") -> Outcome:
-        return Outcome(tuple(passed), tuple(merged(findings)), tuple(gaps), stopped)
-
+    stopped = ""
     for step in steps:
         if findings and step.gate:
-            return outcome(step.name)
+            stopped = step.name
+            break
         known, found = _proceed(c, step)
+        findings += found
         for finding in found:
             c.operator.tell(f"  {finding.line}")
-        findings += found
         if found and (step.gate or not ENDS.isdisjoint(each.name for each in found)):
-            return outcome(step.name)
-        gap = None if found else step.gap(c)
-        if gap is not None:
-            _accept(c, step, gap)
+            stopped = step.name
+            break
+        if found:
+            continue
+        gap = step.gap(c)
+        if gap is not None:  # taken over at every start: the operator may be another
+            c.operator.tell(f"  {gap.line}")
+            text = f"{step.name} is not proven: take it over by typing `accept`"
+            c.ask(Request("accept", text=text, word="accept"))
             gaps.append((step.name, gap))
-        elif not found and not step.measured(c):
+        elif not step.measured(c):
             c.operator.tell("  not measured: see the findings above")
-        elif not found:
+        else:
             passed.append(step.name)
             c.keep("passed", step.name, fact=True)
             c.operator.tell("  passed before" if known else "  passed")
-    return outcome()
+    return Outcome(tuple(passed), tuple(merged(findings)), tuple(gaps), stopped)
 
 
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
@@ -101,35 +97,17 @@ def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
         return known, [stop.finding]
 
 
-def _accept(c: Context, step: Step, gap: Gap) -> None:
-    """Have the operator take over what a step cannot prove: at every start, since he may be another."""
-    c.operator.tell(f"  {gap.line}")
-    text = f"{step.name} is not proven: take it over by typing `accept`"
-    c.ask(Request("accept", text=text, word="accept"))
-
-
 def merged(findings: list[Finding]) -> list[Finding]:
     """Return the findings with one cause for what has one: a wrong lead, a drive the other way round."""
-    leads = {f.legs for f in findings if f.name in ("wrong_lead", "scale_or_lead")}
-    signs = {f.legs for f in findings if f.name == "encoder_sign"}
-    reversed_ = {f.legs for f in findings if f.name == "force_sign" and f.legs in signs}
-    kept = [
-        f
-        for f in findings
-        if not (f.name == "encoder_scale" and f.legs in leads)
-        and not (f.name in ("encoder_sign", "force_sign") and f.legs in reversed_)
-    ]
-    friction: set[tuple[int, ...]] = set()
-    for finding in [f for f in kept if f.name == "friction"]:
-        if finding.legs in friction:
-            kept.remove(finding)
-        friction.add(finding.legs)
-    return kept + [
-        Finding(
-            "drive_reversed",
-            legs,
-            "its reading falls as it grows, and a force that should extend it shortens it",
-            "Turn the drive's direction of rotation.",
-        )
-        for legs in sorted(reversed_)
-    ]
+    named: dict[tuple[str, tuple[int, ...]], Finding] = {}
+    for finding in findings:
+        named.setdefault((finding.name, finding.legs), finding)
+    for legs in sorted({finding.legs for finding in findings}):
+        if ("wrong_lead", legs) in named or ("scale_or_lead", legs) in named:
+            named.pop(("encoder_scale", legs), None)
+        if ("encoder_sign", legs) in named and ("force_sign", legs) in named:
+            del named["encoder_sign", legs], named["force_sign", legs]
+            text = "its reading falls as it grows, and a force that should extend it shortens it"
+            mend = "Turn the drive's direction of rotation."
+            named["drive_reversed", legs] = Finding("drive_reversed", legs, text, mend)
+    return list(named.values())

@@ -4,12 +4,12 @@ Its mistakes come in words: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1
 """
 
 from collections.abc import Callable, Sequence
-from math import isfinite
+from math import nan
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import ConfigurationError, PlantError
+from drivers.errors import ConfigurationError
 from drivers.family import Family
 from drivers.protocol import Frame, Received
 from hil.app.compose import build_protocol
@@ -30,6 +30,9 @@ COMMAND_SHARE = 0.4
 """When in a tick its command arrives, as a share of the period."""
 PATIENCE = 5
 """Readings that are refused before a rehearsal ends: a bench reads the same again."""
+Agree = Callable[[str, str, str], bool]
+"""Called with a step's title, what it will do and how to stop it."""
+Say = Callable[[str], None]
 UNLOADED = 0.5
 """Share of its friction that a leg without load has."""
 
@@ -92,37 +95,40 @@ class BenchLine:
         self._pending += [Received(t, frame) for t, frame in sent]
 
 
-def _not_mounted() -> Plant:
-    raise PlantError("rehearsal: this bench has no platform to mount")
-
-
-class BenchHands:
-    """The operator of a rehearsal: the bench's own truth, measured by tape and gauge.
-
-    Consent is asked of `agree`. Mutable state: the answer that has not been fetched.
-    """
+class Hands:
+    """An operator without a terminal: consent is asked of `agree`, and what is found is said."""
 
     patience: float = PATIENCE
 
-    def __init__(
-        self,
-        bench: RehearsalBench,
-        poses: Sequence[tuple[Array, Array]],
-        agree: Callable[[str, str, str], bool] = lambda *_: True,
-        say: Callable[[str], None] = lambda _: None,
-        mounted: Callable[[], Plant] = _not_mounted,
-    ) -> None:
-        self._bench, self._poses, self._mounted = bench, poses, mounted
+    def __init__(self, agree: Agree, say: Say) -> None:
         self._agree, self._say = agree, say
-        self._answer: float | None = None
 
     def consent(self, title: str, will: str, stop: str) -> bool:
         """Ask who rehearses."""
         return self._agree(title, will, stop)
 
     def tell(self, text: str) -> None:
-        """Say it."""
+        """Say what was found."""
         self._say(text)
+
+
+class BenchHands(Hands):
+    """The hands of a rehearsal: the bench's own truth, measured by tape and gauge.
+
+    Mutable state: the answer that has not been fetched.
+    """
+
+    def __init__(
+        self,
+        bench: RehearsalBench,
+        poses: Sequence[tuple[Array, Array]],
+        agree: Agree = lambda *_: True,
+        say: Say = lambda _: None,
+        platform: Plant | None = None,
+    ) -> None:
+        super().__init__(agree, say)
+        self._bench, self._poses, self._platform = bench, poses, platform
+        self._answer: float | None = None
 
     def ask(self, request: Request) -> None:
         """Do at the bench what is asked."""
@@ -131,7 +137,8 @@ class BenchHands:
             case "hang":
                 bench.hang(*self._poses[round(request.value)])
             case "mount":
-                bench.cables.exchange(self._mounted())
+                assert self._platform is not None
+                bench.cables.exchange(self._platform)
             case act:
                 self._answer = bench.do(act, request.leg, request.value)
         if request.text:
@@ -170,55 +177,29 @@ def mounted(c: Configuration, wiring: Wiring) -> Plant:
     )
 
 
-_KEYS = ("leg", "other", "third", "value")
+_LEG_KEYS = ("leg", "other", "third")
 
 
 def mistake_of(words: str) -> Mistake:
-    """Return a mistake. Raises ConfigurationError for an unknown mistake."""
+    """Return a mistake. Raises ConfigurationError for words that are none, with those that are allowed."""
     name, *rest = words.split() or [""]
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
-    given = _given(words, rest)
-    legs = {key: int(given[key]) for key in _KEYS[:3] if key in given}
-    needed = _KEYS[: legs_of(name)]
-    lacks = [key for key in needed if key not in given]
-    more = [key for key in legs if key not in needed]
-    if lacks or more or any(given[key] != leg for key, leg in legs.items()):
-        wrong = f"without {', '.join(lacks)}" if lacks else f"given: {' '.join(rest)}"
-        legs_words = f" with {', '.join(needed)}, legs 0 to 5" if needed else " without legs"
-        raise ConfigurationError(f"--mistake {words!r}: {wrong}, allowed: {name}{legs_words}")
-    value = given.get("value")
-    if value is not None:
-        _refuse_size(words, name, value)
+    keys = _LEG_KEYS[: legs_of(name)]
+    low, high = RANGES.get(name, (0.0, 0.0))
+    given = dict(word.split("=", 1) for word in rest if "=" in word)
+    size = given.pop("value", None) if name in RANGES else None
+    try:
+        value = None if size is None else float(size)
+        legs = {key: int(text) for key, text in given.items()}
+    except ValueError:
+        legs, value = {}, nan
+    many = len(legs) + (size is not None)
+    if legs.keys() != set(keys) or many != len(rest) or not low <= (low if value is None else value) <= high:
+        sizes = f" value={low:g} to {high:g}, {MISTAKES[name][3]}" if name in RANGES else ""
+        allowed = " ".join([name, *(f"{key}=0 to 5" for key in keys)])
+        raise ConfigurationError(f"--mistake {words!r}: allowed: {allowed}{sizes}")
     return Mistake(name, **{"leg": 0, **legs}, value=value)
-
-
-def _given(words: str, rest: Sequence[str]) -> dict[str, float]:
-    """Numbers by their keys. Raises ConfigurationError for the first word that is not one."""
-    given: dict[str, float] = {}
-    for word in rest:
-        key, _, text = word.partition("=")
-        if key not in _KEYS:
-            raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {', '.join(_KEYS)} = a number")
-        if key in given:
-            raise ConfigurationError(f"--mistake {words!r}: {word!r}: {key} is given twice, allowed: once")
-        try:
-            given[key] = float(text)
-        except ValueError:
-            given[key] = float("nan")
-        if not isfinite(given[key]):
-            raise ConfigurationError(f"--mistake {words!r}: {word!r}, allowed: {key}= a finite number")
-    return given
-
-
-def _refuse_size(words: str, name: str, value: float) -> None:
-    if name not in RANGES:
-        raise ConfigurationError(f"--mistake {words!r}: {name} has no size, allowed: no value=")
-    low, high = RANGES[name]
-    if not low <= value <= high:
-        raise ConfigurationError(
-            f"--mistake {words!r}: value={value:g}, allowed: {low:g} to {high:g} ({MISTAKES[name][3]})"
-        )
 
 
 def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
@@ -228,19 +209,15 @@ def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
     wire everything as it should be.
     """
     known = [mistake_of(words) for words in mistakes]
-    for words, mistake in zip(mistakes, known, strict=True):
-        if mistake.name in OF_WATCHDOG and not protocol.traits.has_watchdog:
-            raise ConfigurationError(
-                f"--mistake {words!r}: these drives have no watchdog that is set from here, "
-                f"allowed: all but {', '.join(sorted(OF_WATCHDOG))}"
-            )
+    if not protocol.traits.has_watchdog and not OF_WATCHDOG.isdisjoint(each.name for each in known):
+        raise ConfigurationError(
+            "--mistake: these drives have no watchdog that is set from here, allowed: all but "
+            + ", ".join(sorted(OF_WATCHDOG))
+        )
     try:
         wiring = wired(*known)
     except ValueError as error:
         raise ConfigurationError(f"--mistake: {error}") from None
     if known and wiring == Wiring():
-        raise ConfigurationError(
-            f"--mistake {'; '.join(mistakes)!r}: nothing is wired wrongly by that, "
-            "allowed: a size, or a set of mistakes, that changes something"
-        )
+        raise ConfigurationError(f"--mistake {'; '.join(mistakes)!r}: allowed: what changes something")
     return wiring

@@ -52,10 +52,9 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
 
 def lines_of(success: bool, *words: str) -> list[str]:
     """Return how the six legs ran, as lines of the checklist; `words`: what else is said, some empty."""
-    mark = "x" if success else "!"
     done = "brakes carried the platform, first motion done, parked" if success else "ended early"
-    figures = ": ".join(filter(None, (done, "; ".join(filter(None, words)))))
-    return [f"[{mark}] together: six legs at reduced limits", f"      {figures}"]
+    figures = "; ".join(filter(None, (done, *words)))
+    return [f"[{'x' if success else '!'}] together: six legs at reduced limits", f"      {figures}"]
 
 
 def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:

@@ -3,6 +3,7 @@
 `no`, or the end of the input, ends. What was typed ahead waits its turn.
 """
 
+import contextlib
 import math
 import os
 import select
@@ -14,6 +15,12 @@ from hil.lab.bringup.context import RefusedError, Request
 
 READINGS = frozenset({"measure", "read_gauge", "read_push", "read_held", "weigh", "read_way"})
 _CHUNK = 4096
+
+
+def _how(request: Request) -> str:
+    if request.act in READINGS:
+        return "type the number"
+    return f"type `{request.word}`" if request.word else "then Enter"
 
 
 class Terminal:
@@ -37,18 +44,16 @@ class Terminal:
 
     def consent(self, title: str, will: str, stop: str) -> bool:
         """Ask for Enter before a step, until it is given; nothing is powered meanwhile."""
-        self._write(f"  it {will}\n  to stop it: {stop}\n  Enter begins {title}, `no` ends")
-        while (typed := self._line()) != "":
-            self._write(f"  {typed!r} is no answer: Enter begins {title}, `no` ends")
+        how = f"Enter begins {title}, `no` ends"
+        self._write(f"  it {will}\n  to stop it: {stop}\n  {how}")
+        while typed := self._line():
+            self._write(f"  {typed!r} is no answer: {how}")
         return True
 
     def ask(self, request: Request) -> None:
         """Show what is to be done or read."""
         self._open = request
-        how = f"type `{request.word}`" if request.word else "then Enter"
-        if request.act in READINGS:
-            how = "type the number"
-        self._write(f"    {request.text}; {how}")
+        self._write(f"    {request.text}; {_how(request)}")
 
     def answer(self) -> float | None:
         """Return the number typed, 0 for what is done; None as long as there is no answer.
@@ -58,29 +63,21 @@ class Terminal:
         if not self._has_line():
             return None
         assert self._open is not None
-        typed = self._line()
+        typed, value = self._line(), math.nan
         if self._open.act not in READINGS:
-            if typed == self._open.word:
-                return 0.0
-            self._write(
-                f"    {typed!r} is no answer; type `{self._open.word}`"
-                if self._open.word
-                else f"    {typed!r} is no answer; Enter when it is done"
-            )
-            return None
-        try:
-            value = float(typed.replace(",", ".") if "." not in typed else typed)
-        except ValueError:
-            value = math.nan
+            value = 0.0 if typed == self._open.word else math.nan
+        else:
+            with contextlib.suppress(ValueError):
+                value = float(typed.replace(",", ".") if "." not in typed else typed)
         if not math.isfinite(value):
-            self._write(f"    {typed!r} is no number; {self._open.text}")
+            self._write(f"    {typed!r} is no answer; {self._open.text}; {_how(self._open)}")
             return None
         if "," in typed:
             self._write(f"    read as {value:g}")
         return value
 
     def _has_line(self) -> bool:
-        """Take what has been typed, and tell whether a line is whole or the input has ended."""
+        """Take what has been typed; return whether a line is whole or the input has ended."""
         while b"\n" not in self._typed and not self._ended:
             if not select.select([self._source], [], [], 0.0)[0]:
                 return False

@@ -3,7 +3,7 @@
 The hand has a force gauge: what it reads as a leg gives way is the leg's friction, whatever its drive does.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from math import nan
 from statistics import median
@@ -33,18 +33,16 @@ def find(c: Context) -> None:
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     for drive in c.missing("opens"):
         firm = [leg for leg in range(LEGS) if not c.known("held", leg)["moved"]]
-        likely = list(dict.fromkeys([drive, counts.get(drive, drive), *firm]))
         fact: dict[str, Any] = {"legs": [], "hand_N": None, "rate_share": None}
         with c.opened(drive):
-            for leg in likely:
+            for leg in dict.fromkeys([drive, counts.get(drive, drive), *firm]):
                 by = next((d for d, counted in counts.items() if counted == leg), drive)
                 steps = Steps(c, by, partial(c.drive, drive))
                 moved, hand_N = gives_way(c, leg, steps.keep)
                 if moved:
-                    others = [other for other in firm if other != leg]
-                    legs = [leg, *give_way_too(c, drive, leg, others)]
+                    others = give_way_too(c, drive, leg, [other for other in firm if other != leg])
                     share = steps.share() if by == drive else None
-                    fact = {"legs": legs, "hand_N": hand_N, "rate_share": share}
+                    fact = {"legs": [leg, *others], "hand_N": hand_N, "rate_share": share}
                     break
         c.keep("opens", drive, fact)
 
@@ -135,63 +133,56 @@ def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[in
 
 def judge(c: Context) -> list[Finding]:
     """Name brakes that do not hold, do not open or belong to another drive, and exchanged drives."""
-    found = []
+    found: list[Finding] = []
+
+    def name(finding: str, legs: Iterable[int], text: str, mend: str) -> None:
+        found.append(Finding(finding, tuple(sorted(legs)), text, mend))
+
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     opens = {drive: c.known("opens", drive)["legs"] for drive in range(LEGS)}
-    inverted = {
-        counts.get(d, d): d
-        for d in range(LEGS)
-        if not opens[d] and c.known("held", counts.get(d, d))["moved"]
-    }
+    loose = [leg for leg in range(LEGS) if c.known("held", leg)["moved"]]
+    inverted = {counts.get(d, d): d for d in range(LEGS) if not opens[d] and counts.get(d, d) in loose}
     for leg, drive in inverted.items():
-        text = (
-            f"leg {leg}, behind drive {drive}, gives way to a hand while its brake should be shut, and holds "
-            "while that should be open"
-        )
+        text = f"leg {leg}, behind drive {drive}, gives way to a hand on a shut brake, holds on an open one"
         mend = "Turn the output or the brake's relay round: without power this leg falls; do not load it."
-        found.append(Finding("brake_inverted", tuple(sorted({leg, drive})), text, mend))
-    for leg in range(LEGS):
-        if c.known("held", leg)["moved"] and leg not in inverted:
-            text = "it gives way to a hand with its brake commanded shut"
-            mend = "Look at brake, its supply and its air gap; do not load this leg."
-            found.append(Finding("brake_stuck_open", (leg,), text, mend))
+        name("brake_inverted", {leg, drive}, text, mend)
+    for leg in set(loose) - inverted.keys():
+        mend = "Look at brake, its supply and its air gap; do not load this leg."
+        name("brake_stuck_open", [leg], "it gives way to a hand with its brake commanded shut", mend)
     crossed = {d: j for d, j in counts.items() if j != d and has_crossed_encoder(d, counts, opens)}
     exchanged = {d: j for d, j in counts.items() if j != d and d not in crossed}
     if exchanged:
         nodes = c.machine.node_ids
-        text = "; ".join(f"node {nodes[d]} is the drive of leg {j}, not {d}" for d, j in exchanged.items())
         order = list(nodes)
         for drive, leg in exchanged.items():
             order[leg] = nodes[drive]
+        text = "; ".join(f"node {nodes[d]} is the drive of leg {j}, not {d}" for d, j in exchanged.items())
         mend = f"Write drives.node_ids: {order}, or give the drives the numbers of their legs."
         if len(set(order)) < LEGS:
             mend = "Mend the rest first: which number is whose will be seen then."
-        found.append(Finding("ids", tuple(sorted(exchanged)), text, mend))
+        name("ids", exchanged, text, mend)
     if crossed:
-        text = "; ".join(
-            f"drive {d} counts leg {j}, its brake is that of leg {d}"
-            if d in opens[d]
-            else f"drive {d} counts leg {j}"
-            for d, j in crossed.items()
-        )
-        mend = "Exchange these drives' encoder cables."
-        found.append(Finding("encoder_crossed", tuple(sorted(crossed)), text, mend))
-    stuck = [d for d in range(LEGS) if not opens[d] and d not in inverted.values()]
-    for drive in stuck:
-        text = "its brake does not open: no leg gives way"
-        mend = "Look at the brake, its cable, its supply. More friction than the push looks the same."
-        found.append(Finding("brake_stuck_shut", (drive,), text, mend))
+        text = "; ".join(f"drive {d} counts leg {j}" for d, j in crossed.items())
+        name("encoder_crossed", crossed, text, "Exchange these drives' encoder cables.")
     for drive, legs in opens.items():
-        if len(legs) > 1:
+        if not legs and drive not in inverted.values():
+            mend = "Look at the brake, its cable, its supply. More friction than the push looks the same."
+            name("brake_stuck_shut", [drive], "its brake does not open: no leg gives way", mend)
+        elif len(legs) > 1:
             text = f"drive {drive} opens the brakes of legs {', '.join(map(str, sorted(legs)))} at once"
             mend = "Give each brake an output of its own; do not load these legs."
-            found.append(Finding("brake_crossed", tuple(sorted({drive, *legs})), text, mend))
-    alone = {d: legs[0] for d, legs in opens.items() if len(legs) == 1}
-    wrong = {d: leg for d, leg in alone.items() if leg != d and d not in exchanged}
+            name("brake_crossed", {drive, *legs}, text, mend)
+    wrong = {d: legs[0] for d, legs in opens.items() if len(legs) == 1 and legs != [d] and d not in exchanged}
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
-        found.append(Finding("brake_crossed", tuple(sorted(wrong)), text, "Exchange the brakes' cables."))
-    return found + rates(c) + friction(c)
+        name("brake_crossed", wrong, text, "Exchange the brakes' cables.")
+    for drive in range(LEGS):
+        share = c.known("opens", drive)["rate_share"]
+        if share is not None and not RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
+            finding = "rate_sign" if share < -RATE_WITHIN[0] else "rate_scale"
+            text = f"as it moves its rate is {share:.3g} times what its reading changes by"
+            name(finding, [drive], text, "Look at sign and unit of the speed in the drive.")
+    return found + friction(c)
 
 
 def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[int, list[int]]) -> bool:
@@ -207,34 +198,17 @@ def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[in
     return any(each in opens[each] for each in round_with_it)
 
 
-def rates(c: Context) -> list[Finding]:
-    """Name drives whose rate is not that of what they read: what should damp the platform would drive it."""
-    found = []
-    for drive in range(LEGS):
-        share = c.known("opens", drive)["rate_share"]
-        if share is None or RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
-            continue
-        name = "rate_sign" if share < -RATE_WITHIN[0] else "rate_scale"
-        text = f"as it moves its rate is {share:.3g} times what its reading changes by"
-        found.append(Finding(name, (drive,), text, "Look at sign and unit of the speed in the drive."))
-    return found
-
-
 def friction(c: Context) -> list[Finding]:
     """Name legs that need more force than the others to give way to a hand."""
-    values = {d: c.known("opens", d)["hand_N"] for d in range(LEGS) if c.known("opens", d)["legs"]}
-    if len(values) < FEWEST:
+    facts = [fact for drive in range(LEGS) if (fact := c.known("opens", drive))["legs"]]
+    if len(facts) < FEWEST:
         return []
-    usual, rated = median(values.values()), c.machine.rated_N
+    usual = median(fact["hand_N"] for fact in facts)
+    mend = "Look at guide, nut, seals, and a brake that drags."
     return [
-        Finding(
-            "friction",
-            (c.known("opens", drive)["legs"][0],),
-            f"it gives way at {value:.4g} N, the median of the legs is {usual:.4g} N",
-            "Look at guide, nut, seals, and a brake that drags.",
-        )
-        for drive, value in values.items()
-        if value > HIGH * usual and value > usual + HIGH_SHARE * rated
+        Finding("friction", (legs[0],), f"it gives way at {N:.4g} N, the median is {usual:.4g} N", mend)
+        for legs, N in ((fact["legs"], fact["hand_N"]) for fact in facts)
+        if max(HIGH * usual, usual + HIGH_SHARE * c.machine.rated_N) < N
     ]
 
 

@@ -4,7 +4,7 @@ from math import sqrt
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Request, Step
+from hil.lab.bringup.context import TAPE_M, Context, Finding, Request, Step
 from hil.lab.bringup.steps.ids import drive_of
 
 ENDS_M = 2e-3
@@ -25,8 +25,9 @@ def find(c: Context) -> None:
         tape, reads = [], []
         within = c.machine.length_min / FAR, c.machine.length_max * FAR
         for share, word in ((0.0, "shortest"), (1.0, "longest"), (0.5, "middle")):
-            where = f"its {word}, {1e3 * (c.machine.length_min + share * c.machine.stroke):.0f} mm"
-            c.ask(Request("place", leg, share, f"Move leg {leg} by hand to {where}, or as far as it goes"))
+            mm = 1e3 * (c.machine.length_min + share * c.machine.stroke)
+            text = f"Move leg {leg} by hand to its {word}, {mm:.0f} mm, or as far as it goes"
+            c.ask(Request("place", leg, share, text))
             text = f"Measure leg {leg}, joint centre to joint centre, m"
             tape.append(c.ask(Request("measure", leg, 0.0, text, within=within)))
             c.rest(0.02)
@@ -39,38 +40,45 @@ def find(c: Context) -> None:
             offset = 0.5 * (reads[0][drive] + reads[1][drive]) - middle
             bent = reads[2][drive] - (middle + offset + scale * (tape[2] - middle))
             offset -= c.machine.turns_m(drive, offset)
-        fact = {"drive": drive, "tape_m": tape[:2], "scale": scale, "offset_m": offset}
-        c.keep("encoder", leg, fact | {"bent_m": bent})
+        fact = {"drive": drive, "tape_m": tape[:2], "scale": scale, "offset_m": offset, "bent_m": bent}
+        c.keep("encoder", leg, fact)
 
 
-def tolerance(c: Context, spread: float) -> float:
+def tolerance(spread: float) -> float:
     """Return the error of a scale that two lengths by tape allow, at least 0.3 %."""
-    return max(SIGMAS * sqrt(2.0) * c.machine.tape_m / spread, 3e-3)
+    return max(SIGMAS * sqrt(2.0) * TAPE_M / spread, 3e-3)
 
 
 def judge(c: Context) -> list[Finding]:
     """Name strokes that are not reached, and encoders that count otherwise than the tape."""
-    m, found = c.machine, []
-    short: list[tuple[int, float]] = []
+    m, found, ends = c.machine, [], {}
     for leg in range(LEGS):
         fact = c.known("encoder", leg)
         low, high = fact["tape_m"]
         if low > m.length_min + ENDS_M or high < m.length_max - ENDS_M:
-            short.append((leg, high - low))
-        drive, spread = fact["drive"], high - low
-        if drive is None or spread < 0.05 * m.stroke:
-            continue
-        found += _encoder(c, drive, fact, spread)
-    return found + _stroke(c, short)
+            ends[leg] = low, high
+        if fact["drive"] is not None and high - low >= 0.05 * m.stroke:
+            found += _encoder(fact["drive"], fact, high - low)
+    configured = f"configured are {m.length_min:g} and {m.length_max:g}"
+    if len(ends) == LEGS:
+        lows, highs = zip(*ends.values(), strict=True)
+        text = f"all end at {max(lows):.4f} and {min(highs):.4f} m, {configured}"
+        mend = "Write the stroke into platform.length_min_m and platform.length_max_m."
+        return [*found, Finding("stroke", tuple(range(LEGS)), text, mend)]
+    mend = "Take the end stop out of the way, or shorten the configured stroke."
+    return found + [
+        Finding("end_stop", (leg,), f"it ends at {low:.4f} and {high:.4f} m, {configured}", mend)
+        for leg, (low, high) in ends.items()
+    ]
 
 
-def _encoder(c: Context, drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:
+def _encoder(drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:
     scale, offset, bent = fact["scale"], fact["offset_m"], fact["bent_m"]
-    found, within = [], tolerance(c, spread)
+    found, within = [], tolerance(spread)
     if abs(scale) < 0.05:
         text = "its encoder stands still while its leg moves"
         return [Finding("encoder_frozen", (drive,), text, "Look at encoder, coupling and cable.")]
-    if abs(bent) > max(1.0, abs(scale)) * max(ZERO_M, SIGMAS * sqrt(1.5) * c.machine.tape_m):
+    if abs(bent) > max(1.0, abs(scale)) * max(ZERO_M, SIGMAS * sqrt(1.5) * TAPE_M):
         text = f"at mid-stroke it reads {1e3 * bent:+.2f} mm off the straight line between its ends"
         mend = "Look at coupling, belt, play and signal: it jumps, stops half way, or slips."
         return [Finding("encoder_jumps", (drive,), text, mend)]
@@ -81,29 +89,10 @@ def _encoder(c: Context, drive: int, fact: dict[str, Any], spread: float) -> lis
         text = f"it reads {abs(scale):.4f} m a m by tape, +- {within:.4f}"
         mend = f"Multiply counts per m in the drive by {abs(scale):.4f}; look at lead and gear, too."
         found.append(Finding("encoder_scale", (drive,), text, mend))
-    if not found and abs(offset) > max(ZERO_M, SIGMAS * c.machine.tape_m):
-        way, mend = ("more", "take {} off its zero") if offset > 0.0 else ("less", "add {} to its zero")
-        off = f"{1e3 * abs(offset):.2f} mm"
-        text = f"it reads {off} {way} than the tape"
-        mend = f"Home the drive again, or {mend.format(off)}."
+    if not found and abs(offset) > max(ZERO_M, SIGMAS * TAPE_M):
+        text = f"it reads {1e3 * offset:+.2f} mm off the tape"
+        mend = f"Home the drive again, or move its zero by {-1e3 * offset:+.2f} mm."
         found.append(Finding("offset", (drive,), text, mend))
-    return found
-
-
-def _stroke(c: Context, short: list[tuple[int, float]]) -> list[Finding]:
-    m = c.machine
-    if len(short) == LEGS:
-        low = max(c.known("encoder", leg)["tape_m"][0] for leg in range(LEGS))
-        high = min(c.known("encoder", leg)["tape_m"][1] for leg in range(LEGS))
-        text = f"all end at {low:.4f} and {high:.4f} m, configured are {m.length_min:g} and {m.length_max:g}"
-        mend = "Write the stroke into platform.length_min_m and platform.length_max_m."
-        return [Finding("stroke", tuple(range(LEGS)), text, mend)]
-    found = []
-    for leg, _ in short:
-        low, high = c.known("encoder", leg)["tape_m"]
-        text = f"it ends at {low:.4f} and {high:.4f} m, configured are {m.length_min:g} and {m.length_max:g}"
-        mend = "Take the end stop out of the way, or shorten the configured stroke."
-        found.append(Finding("end_stop", (leg,), text, mend))
     return found
 
 

@@ -40,33 +40,30 @@ def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
     The brake opens for one ramp alone: a leg that a code of zero moves is at rest again before the next.
     """
     found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
+    ticks, watched = c.drives.ticks(RAMP_S), c.drives.ticks(WATCH_S)
     high = c.machine.force_N
     low = min(START_STEPS * step_of(c, drive), high)
     with c.opened(drive):
         origin = c.lengths()
-        drift, before, ticks = _drift(c, drive, origin), c.lengths(), c.drives.ticks(RAMP_S)
+        _watch(c, drive, origin, watched)
+        drift, before = c.travelled(origin), c.lengths()
         for n in range(1, ticks + 1):
             force = sign * (low + (high - low) * n / ticks)
             c.drive(drive, force)
-            guard(c, drive, before, origin)
-            moves = {leg: by_m - n * drift[leg] for leg, by_m in c.travelled(before).items()}
+            guard(c, drive, origin)
+            moves = {leg: by_m - n * drift[leg] / watched for leg, by_m in c.travelled(before).items()}
             leg = max(moves, key=lambda k: abs(moves[k]))
             if abs(moves[leg]) > MOVED_M:
                 found = {"force_N": abs(force), "leg": leg, "way": 1 if moves[leg] > 0.0 else -1}
                 break
-        for _ in range(c.drives.ticks(SETTLE_S)):
-            c.drive(drive)
-            guard(c, drive, before, origin)
+        _watch(c, drive, origin, c.drives.ticks(SETTLE_S))
     return found
 
 
-def _drift(c: Context, drive: int, origin: Array) -> dict[int, float]:
-    """Return how far each leg moves in a tick without a command, m."""
-    before, ticks = c.lengths(), c.drives.ticks(WATCH_S)
+def _watch(c: Context, drive: int, origin: Array, ticks: int) -> None:
     for _ in range(ticks):
         c.drive(drive)
-        guard(c, drive, before, origin)
-    return {leg: by_m / ticks for leg, by_m in c.travelled(before).items()}
+        guard(c, drive, origin)
 
 
 def step_of(c: Context, drive: int) -> float:
@@ -74,11 +71,8 @@ def step_of(c: Context, drive: int) -> float:
     return float(c.drives.protocol.traits.resolution.force[drive])
 
 
-def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, float]:
-    """Return which leg has moved most since `before`, and by how much.
-
-    Raises StoppedError where a leg is further than TRAVEL_M from `origin`.
-    """
+def guard(c: Context, drive: int, origin: Array) -> None:
+    """Raise StoppedError, with all drives off, where a leg is further than TRAVEL_M from `origin`."""
     away = c.travelled(origin)
     leg = max(away, key=lambda k: abs(away[k]))
     if abs(away[leg]) > TRAVEL_M:
@@ -88,9 +82,6 @@ def guard(c: Context, drive: int, before: Array, origin: Array) -> tuple[int, fl
         if leg != own:
             mend = f"Look at the encoder of leg {leg}, whose brake was shut, and at what drive {drive} moves."
         raise StoppedError(Finding("runaway", (drive,) if leg == own else (drive, leg), text, mend))
-    moves = c.travelled(before)
-    most = max(moves, key=lambda k: abs(moves[k]))
-    return most, moves[most]
 
 
 def breakaway(fact: dict[str, Any]) -> float | None:
@@ -113,52 +104,31 @@ def judge(c: Context) -> list[Finding]:
             mend = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
             found.append(Finding("force_sign", (drive,), text, mend))
         elif plus < 0 or minus > 0:
-            found.append(_one_way(c, drive, "shorter" if plus < 0 else "longer"))
-        elif (plus == 0) != (minus == 0):
-            does, lacks = ("extends", "shorten") if plus else ("shortens", "extend")
-            text = f"its drive {does} it, and does not {lacks} it with {limit}"
-            if _stiff(c, drive):
-                found.append(_friction(c, drive, text))
-                continue
+            text = f"it moves {'shorter' if plus < 0 else 'longer'}, one way under either sign of force"
             mend = (
-                "Lay the leg level on its trestle; look at motor phases, supply, a limit of the drive that "
-                "works one way, and end stops."
+                "Lay the leg level on its trestle, look for play, and try again; one code of torque, "
+                f"{step_of(c, drive):.3g} N, may be more than its friction."
             )
-            found.append(Finding("force_one_way", (drive,), text, mend))
-        elif breakaway(fact) is None:
-            still.append(drive)
-    found += [_friction(c, d, f"it does not move with {limit}") for d in still if _stiff(c, d)]
-    weak = [d for d in still if not _stiff(c, d)]
-    if len(weak) > 1:
-        text = f"none moves under its own drive with {limit}, but each by hand"
-        mend = "Look whether their motor cables are exchanged; else whether these motors give force at all."
-        found.append(Finding("motor_crossed", tuple(weak), text, mend))
-    elif weak:
-        text = f"it does not move with {limit}, but by hand"
-        found.append(
-            Finding("no_force", tuple(weak), text, "Look at the motor's cable and the drive's scale.")
-        )
+            found.append(Finding("one_way", (drive,), text, mend))
+        elif plus and minus:
+            continue
+        else:
+            does = "extends it alone" if plus else "shortens it alone" if minus else "does not move it"
+            opens, text = c.known("opens", drive), f"its drive {does}, with {limit}"
+            if opens["hand_N"] > MOVES * c.machine.force_N:
+                text += f"; a hand needs {opens['hand_N']:.4g} N"
+                mend = "Look at guide, nut, seals, a brake that drags."
+                found.append(Finding("friction", (opens["legs"][0],), text, mend))
+            elif plus or minus:
+                mend = "Lay the leg level on its trestle; look at motor phases, supply, limits and end stops."
+                found.append(Finding("force_one_way", (drive,), text, mend))
+            else:
+                still.append(drive)
+    if still:
+        name = "no_force" if len(still) == 1 else "motor_crossed"
+        mend = "Look at motor cables, whether any are exchanged, and at the scale of the drive's torque."
+        found.append(Finding(name, tuple(still), f"moved by hand, and not by its drive with {limit}", mend))
     return found
-
-
-def _stiff(c: Context, drive: int) -> bool:
-    """Tell whether friction alone may keep a drive from moving its leg."""
-    return bool(c.known("opens", drive)["hand_N"] > MOVES * c.machine.force_N)
-
-
-def _friction(c: Context, drive: int, text: str) -> Finding:
-    opens = c.known("opens", drive)
-    text = f"{text}; a hand needs {opens['hand_N']:.4g} N"
-    return Finding("friction", (opens["legs"][0],), text, "Look at guide, nut, seals, a brake that drags.")
-
-
-def _one_way(c: Context, drive: int, way: str) -> Finding:
-    step = step_of(c, drive)
-    code = f", or one code of torque ({step:.3g} N) is more than its friction" if step > 0.0 else ""
-    text = f"it moves {way}, one way under either sign of force: slope, play{code}"
-    return Finding(
-        "one_way", (drive,), text, "Lay the leg level on its trestle, look for play, and try again."
-    )
 
 
 STEP = Step(

@@ -39,19 +39,16 @@ def find(c: Context) -> None:
 
             def hold(force: float, drive: int = drive, origin: Array = origin) -> None:
                 c.drive(drive, force)
-                guard(c, drive, origin, origin)
+                guard(c, drive, origin)
 
             for level in LEVELS:
-                before, aim = force, level * c.machine.force_N
-                for n in range(1, c.drives.ticks(RAMP_S) + 1):
-                    force = before + (aim - before) * n / c.drives.ticks(RAMP_S)
-                    hold(force)
-                for _ in range(c.drives.ticks(HOLD_S)):
+                aim, ticks = level * c.machine.force_N, c.drives.ticks(RAMP_S)
+                ramp = np.linspace(force, aim, ticks + 1)[1:].tolist()
+                for force in [*ramp, *[aim] * c.drives.ticks(HOLD_S)]:
                     hold(force)
                 within = -c.machine.rated_N, c.machine.rated_N
                 text = f"Read the gauge at leg {leg}, N, > 0 pushing"
-                ask = Request("read_gauge", leg, 0.0, text, within=within)
-                read = c.ask(ask, partial(hold, force))
+                read = c.ask(Request("read_gauge", leg, 0.0, text, within=within), partial(hold, force))
                 pairs.append([c.drives.carried(drive, force), read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})
@@ -84,18 +81,14 @@ def gains(c: Context) -> dict[int, Gain]:
 
 def judge(c: Context) -> list[Finding]:
     """Name forces of the wrong scale, and a wrong lead."""
-    gain, found = gains(c), []
-    read = c.reads()
+    gain, found, read = gains(c), [], c.reads()
+    set_scale = "Set torque constant, current scale or rated force of the drive"
     stiff = {leg for finding in friction(c) for leg in finding.legs}
     for drive in range(LEGS):
-        if c.known("gauge", drive) is None or drive in gain:
-            continue
-        if c.known("opens", drive)["legs"][0] not in stiff:
+        measured = c.known("gauge", drive) is not None and drive not in gain
+        if measured and c.known("opens", drive)["legs"][0] not in stiff:
             text = "its forces are too close to its friction, or to each other, to tell their scale"
-            mend = (
-                "Set torque constant, current scale or rated force of the drive; look at friction, and at "
-                "the steps of its torque."
-            )
+            mend = f"{set_scale}; look at friction, and at the steps of its torque."
             found.append(Finding("force_scale", (drive,), text, mend))
     for drive, (g, error) in gain.items():
         leg, scale = read.get(drive, (drive, 0.0))
@@ -108,7 +101,7 @@ def judge(c: Context) -> list[Finding]:
         if scale <= 0.0:
             continue  # the drive takes its losses the wrong way round, or no encoder says how long its leg is
         low, high = c.known("encoder", leg)["tape_m"]
-        off = abs(abs(scale) - 1.0) > tolerance(c, high - low)
+        off = abs(abs(scale) - 1.0) > tolerance(high - low)
         right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)
         if right and same and abs(abs(scale) - 1.0) > SAME:
             found.append(_scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses)))
@@ -116,13 +109,11 @@ def judge(c: Context) -> list[Finding]:
             continue
         elif same:
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
-            where = "in the drive or in drives.transmission"
-            mend = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, {where}."
+            mend = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, in drive or configuration."
             found.append(Finding("wrong_lead", (drive,), text, mend))
         else:
             text = f"it gives {abs(g):.3f} N for each N commanded"
-            mend = "Set torque constant, current scale or rated force of the drive."
-            found.append(Finding("force_scale", (drive,), text, mend))
+            found.append(Finding("force_scale", (drive,), text, f"{set_scale}."))
     return found
 
 
@@ -153,13 +144,12 @@ def _fits(gain: float, scale: float | None, error: float, losses: float) -> tupl
 def _scale_or_lead(drive: int, scale: float, gain: Gain) -> Finding:
     """Name both causes of a length that is wrong where the force fits either."""
     text = (
-        f"its lengths are {scale:.4f} times what they should be; its forces, {gain.value:.2f} times with an "
-        f"error of {gain.error:.2f}, fit an encoder scale that is wrong, and a lead or gear, too"
+        f"its lengths are {scale:.4f} times what they should be; its forces, {gain.value:.2f} +- "
+        f"{gain.error:.2f} times, fit a wrong encoder scale, and a wrong lead or gear, too"
     )
     mend = (
-        "Turn the shaft that the drive reports by one turn, by hand, and measure by tape how far the leg "
-        f"goes: if that is the configured way, multiply counts a turn in the drive by {scale:.4f}; else mend "
-        "lead or gear."
+        "Turn its shaft by one turn, by hand, and measure by tape how far the leg goes: if that is the "
+        f"configured way, multiply counts a turn in the drive by {scale:.4f}; else mend lead or gear."
     )
     return Finding("scale_or_lead", (drive,), text, mend)
 

@@ -29,43 +29,28 @@ def find(c: Context) -> None:
 
 
 def drive_of(c: Context) -> dict[int, int]:
-    """Return for each leg that exactly one encoder counts the drive of that encoder."""
-    found = {}
-    for leg in range(LEGS):
-        drives = c.known("ids", leg)["drives"]
-        own = [d for d in drives if d == leg] or drives
-        if own:
-            found[leg] = own[0]
-    return found
+    """Return for each leg that an encoder counts the drive of that encoder: its own, if that does."""
+    drives = {leg: c.known("ids", leg)["drives"] for leg in range(LEGS)}
+    return {leg: leg if leg in counted else counted[0] for leg, counted in drives.items() if counted}
 
 
 def judge(c: Context) -> list[Finding]:
     """Name encoders that stand still or count a second leg; exchanged ones need motor and brake to name."""
-    found = []
-    counted: dict[int, list[int]] = {drive: [] for drive in range(LEGS)}
-    for leg in range(LEGS):
-        for drive in c.known("ids", leg)["drives"]:
-            counted[drive].append(leg)
-    unseen = {leg for leg in range(LEGS) if not c.known("ids", leg)["drives"]}
-    several = {
-        leg: c.known("ids", leg)["drives"] for leg in range(LEGS) if len(c.known("ids", leg)["drives"]) > 1
-    }
-    for leg, drives in several.items():
-        for drive in drives:
-            if drive != leg:
-                text = f"the encoder of its drive counts leg {leg}, as that leg's own does"
-                found.append(
-                    Finding("encoder_counts_another", (drive, leg), text, "Mend the encoder's cable.")
-                )
-    for drive, legs in counted.items():
-        if not legs:
-            found.append(_unmoved(c, drive))
-    named = {f.legs[0] for f in found}
-    found += [
-        Finding("encoder_unseen", (leg,), "no encoder counts it", "Look at encoder, coupling and cable.")
-        for leg in sorted(unseen - named)
+    drives = {leg: c.known("ids", leg)["drives"] for leg in range(LEGS)}
+    text, mend = "the encoder of its drive counts leg {}, as that leg's own does", "Mend the encoder's cable."
+    found = [
+        Finding("encoder_counts_another", (drive, leg), text.format(leg), mend)
+        for leg, counted in drives.items()
+        for drive in counted
+        if len(counted) > 1 and drive != leg
     ]
-    return found
+    found += [_unmoved(c, k) for k in range(LEGS) if not any(k in counted for counted in drives.values())]
+    named, mend = {f.legs[0] for f in found}, "Look at encoder, coupling and cable."
+    return found + [
+        Finding("encoder_unseen", (leg,), "no encoder counts it", mend)
+        for leg, counted in drives.items()
+        if not counted and leg not in named
+    ]
 
 
 def _unmoved(c: Context, drive: int) -> Finding:
@@ -76,10 +61,8 @@ def _unmoved(c: Context, drive: int) -> Finding:
         text = f"its reading changes by {1e3 * most:.2f} mm as a leg is moved by about {1e3 * by_m:.0f} mm"
         mend = "Look at counts per m in the drive, lead and gear; and whether the leg went so far."
         return Finding("encoder_scale", (drive,), text, mend)
-    text = "its encoder stands still while its leg moves"
-    return Finding(
-        "encoder_frozen", (drive,), text, "Look at encoder, coupling and cable, and that the leg can move."
-    )
+    text, mend = "its encoder stands still while its leg moves", "Look at encoder, coupling, cable and leg."
+    return Finding("encoder_frozen", (drive,), text, mend)
 
 
 STEP = Step(

@@ -14,10 +14,7 @@ SAME_M = 1e-3
 
 MANY = 4
 """Lengths of so many legs that are off at once, and fit no other joints, have one cause: the pose."""
-AFTER = (
-    "Take the platform off the legs first: what is mended is measured again, one brake open at a time, on "
-    "legs that carry nothing."
-)
+AFTER = "Take the platform off the legs first: what is mended is measured again on legs that carry nothing."
 MEND = f"Mount it at its joints, or mend the geometry. {AFTER}"
 
 
@@ -32,20 +29,19 @@ WAYS = {1: "presses the legs", 0: "neither presses the legs nor pulls at them", 
 
 def find(c: Context) -> None:
     """Have the platform weighed, hung at the known poses, and read the legs, all drives off."""
-    load, m = c.facts.get("load", {}), c.machine
-    if load.get("mass_kg") is None:
-        text = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
-        ask = Request("weigh", -1, 0.0, text, within=(0.0, HEAVIEST * m.platform_kg))
-        c.keep("load", "mass_kg", c.ask(ask))
-    if load.get("presses") is None:
-        text = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
-        c.keep("load", "presses", c.ask(Request("read_way", -1, 0.0, text, within=(-1.0, 1.0))))
-    for pose in range(len(c.machine.pose_lengths)):
-        if c.facts.get("mounted", {}).get(str(pose)) is None:
-            where = f"known pose {pose}: {c.machine.pose_words[pose]}"
-            text = f"Mount the legs, levers on the brakes, and hang the platform at {where}"
-            c.hung()
-            c.ask(Request("hang", -1, float(pose), text))
+    weigh = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
+    way = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
+    for name, act, text, least, most in (
+        ("mass_kg", "weigh", weigh, 0.0, HEAVIEST * c.machine.platform_kg),
+        ("presses", "read_way", way, -1.0, 1.0),
+    ):
+        if c.facts.get("load", {}).get(name) is None:
+            c.keep("load", name, c.ask(Request(act, text=text, within=(least, most))))
+    for pose, words in enumerate(c.machine.pose_words):
+        if c.known("mounted", pose) is None:
+            text = "Mount the legs, levers on the brakes, and hang the platform at known pose"
+            c.keep("platform", "hung", fact=True)
+            c.ask(Request("hang", -1, float(pose), f"{text} {pose}: {words}"))
             c.rest(0.02)
             c.keep("mounted", pose, {"q_m": c.lengths().tolist()})
 
@@ -53,54 +49,44 @@ def find(c: Context) -> None:
 def judge(c: Context) -> list[Finding]:
     """Name legs whose lengths fit other joints, or none."""
     m, found = c.machine, _load(c)
-    q = np.array([c.facts["mounted"][str(k)]["q_m"] for k in range(len(m.pose_lengths))])
+    q = np.array([c.known("mounted", k)["q_m"] for k in range(len(m.pose_lengths))])
     for leg in range(LEGS):
         q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
     away = q - m.pose_lengths
+    off_mm = [", ".join(f"{1e3 * x:+.1f}" for x in off) + " mm" for off in away.T]
     wrong = [leg for leg in range(LEGS) if np.abs(away[:, leg]).max() > FIT_M]
     joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
     if len(wrong) >= MANY and not any(joints.values()):
-        return [*found, _hangs_elsewhere(away, wrong)]
-    mends = f"See that the platform hangs at the known poses, not tilted. {MEND}" if len(wrong) > 1 else MEND
+        legs = "; ".join(f"leg {leg} {off_mm[leg]}" for leg in wrong)
+        text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({legs})"
+        mend = f"Hang it at the known poses, or mend platform.home and the joints. {AFTER}"
+        return [*found, Finding("wrong_home", (), text, mend)]
+    tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
     for leg in wrong:
-        off, fits = away[:, leg], joints[leg]
-        if fits is None and np.ptp(off) < SAME_M:
-            text = f"at the known poses it reads {1e3 * off.mean():+.1f} mm off, the same at each"
-            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {mends}"
-            found.append(Finding("slipped", (leg,), text, mend))
-            continue
-        text = f"at the known poses it is {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm off"
-        if fits is None:
-            text += ", and fits no pair of joints"
-        else:
+        text, fits = f"at the known poses it is {off_mm[leg]} off", joints[leg]
+        name, mend = "mounted_elsewhere", tilted + MEND
+        if fits is not None:
             text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
-        found.append(Finding("mounted_elsewhere", (leg,), text, mends))
+        elif np.ptp(away[:, leg]) < SAME_M:
+            name = "slipped"
+            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {mend}"
+        found.append(Finding(name, (leg,), text, mend))
     return found
 
 
 def _load(c: Context) -> list[Finding]:
     """Name a weight, or a way of gravity, that the controller would be wrong about as the brakes open."""
-    m, found = c.machine, []
-    mass, presses = (c.facts["load"][key] for key in ("mass_kg", "presses"))
+    m, load = c.machine, c.facts["load"]
+    found, mass = [], load["mass_kg"]
     if mass > 0.0 and abs(mass / m.platform_kg - 1.0) > LOAD_WITHIN:
         text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
         mend = f"Write what it weighs into platform, or take off what is not part of it. {AFTER}"
         found.append(Finding("payload", (), text, mend))
-    seen, configured = round(presses), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
+    seen, configured = round(load["presses"]), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
     if seen != configured:
         text = f"the platform's weight {WAYS[seen]}; by the configuration it {WAYS[configured]}"
         found.append(Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}"))
     return found
-
-
-def _hangs_elsewhere(away: Array, wrong: list[int]) -> Finding:
-    """Name a platform that hangs elsewhere than it should, since so many legs are off at once."""
-    poses = "; ".join(
-        f"pose {k}: {', '.join(f'{1e3 * x:+.1f}' for x in off)} mm" for k, off in enumerate(away)
-    )
-    text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({poses})"
-    mend = f"Hang it at the known poses, or mend platform.home and the joints of the configuration. {AFTER}"
-    return Finding("wrong_home", (), f"legs {', '.join(map(str, wrong))}: {text}", mend)
 
 
 def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
@@ -112,17 +98,16 @@ def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
 
 def gap(c: Context) -> Gap | None:
     """Say where drives that forget their turns read alike at other joints, and that nothing was weighed."""
-    step, texts, instead = c.machine.forgotten_m, [], []
-    if step is not None and float(step.min()) <= 4.0 * FIT_M:
-        texts.append(
-            f"they forget multiples of {1e3 * float(step.min()):.3g} mm, so a leg that is mounted elsewhere, "
-            "or has slipped, may read the length that it should have"
-        )
-        instead.append("Compare the length of each leg at both poses by tape")
+    gaps, forgotten = [], c.machine.forgotten_m
+    least_m = np.inf if forgotten is None else float(forgotten.min())
+    if least_m <= 4.0 * FIT_M:
+        text = f"they forget multiples of {1e3 * least_m:.3g} mm, so a leg elsewhere may read as it should"
+        gaps.append(Gap(text, "Compare the length of each leg at both poses by tape"))
     if c.facts["load"]["mass_kg"] == 0.0:
-        texts.append("the platform was not weighed, so it may drop or leap as the brakes open")
-        instead.append(f"See that it weighs {c.machine.platform_kg:.4g} kg with all that is fixed to it")
-    return Gap("; ".join(texts), ". ".join(instead)) if texts else None
+        text = "the platform was not weighed, so it may drop or leap as the brakes open"
+        gaps.append(Gap(text, f"See that all of it weighs {c.machine.platform_kg:.4g} kg"))
+    texts, instead = zip(*gaps, strict=True) if gaps else ((), ())
+    return Gap("; ".join(texts), ". ".join(instead)) if gaps else None
 
 
 STEP = Step(

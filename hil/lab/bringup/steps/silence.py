@@ -6,7 +6,6 @@ SYNC that does not feed its watchdog, is watched; other drives are asked before 
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from math import ceil, floor
 from typing import Any
 
@@ -36,29 +35,22 @@ def find(c: Context) -> None:
     Times are the clock's, between ticks as they were. What does not tell since a tick came late is measured
     again.
     """
-    protocol = c.drives.protocol
-    if not _observable(c) or not list(c.missing("watchdog")):
-        return
-    if protocol.traits.force_on_brakes:
-        _keep(c, range(LEGS), partial(_find_shut, c))
-        return
-    find_one = _find_asked if _is_asked(c) else _find_watched
-    for leg in c.missing("watchdog"):
-        _keep(c, [leg], partial(find_one, c, leg))
-
-
-def _keep(c: Context, legs: Sequence[int], measure: Callable[[], list[Fact]]) -> None:
-    """Measure, again and again where it does not tell, and keep what was found of some legs."""
-    for _ in range(TRIES):
-        facts = measure()
-        if all(_tells(c, fact) for fact in facts):
-            break
-    for leg, fact in zip(legs, facts, strict=True):
-        c.keep("watchdog", leg, fact)
+    traits = c.drives.protocol.traits
+    missing = list(c.missing("watchdog")) if _observable(c) else []
+    asked = traits.command_delay_ticks > 0 or traits.power_told == "heartbeat"
+    find_some = _find_shut if traits.force_on_brakes else _find_asked if asked else _find_watched
+    together = [list(range(LEGS))] if missing else []
+    for legs in together if traits.force_on_brakes else [[leg] for leg in missing]:
+        for _ in range(TRIES):
+            facts = find_some(c, legs)
+            if all(_tells(c, fact) for fact in facts):
+                break
+        for leg, fact in zip(legs, facts, strict=True):
+            c.keep("watchdog", leg, fact)
 
 
 def _tells(c: Context, fact: Fact) -> bool:
-    """Tell whether a watchdog is known to be right, or not to be."""
+    """Whether a watchdog is known to be right, or not to be."""
     until, since = fact["until_s"], fact["since_s"]
     if not fact["powered"] or until is None:
         return True
@@ -75,11 +67,6 @@ def _observable(c: Context) -> bool:
     return c.drives.protocol.traits.power_told != "never"
 
 
-def _is_asked(c: Context) -> bool:
-    protocol = c.drives.protocol
-    return protocol.traits.command_delay_ticks > 0 or protocol.traits.power_told == "heartbeat"
-
-
 def _powered(c: Context, leg: int) -> bool:
     return int(c.drives.record["drive_state"][leg]) in _POWERED
 
@@ -88,24 +75,24 @@ def _wait_s(c: Context) -> float:
     return max(WAIT * c.machine.watchdog_s, WAIT_S)
 
 
-def _find_shut(c: Context) -> list[Fact]:
+def _find_shut(c: Context, legs: Sequence[int]) -> list[Fact]:
     """Power all drives on shut brakes, fall silent, and watch what they answer to SYNC."""
     drives = c.drives
     drives.prepare(None)
     for _ in range(drives.ticks(POWER_S)):
         drives.step(DriveMode.READY)
-        if all(_powered(c, leg) for leg in range(LEGS)):
+        if all(_powered(c, leg) for leg in legs):
             break
     try:
-        return _watched(c, range(LEGS), lambda: drives.step(DriveMode.READY, silent=True))
+        return _watched(c, legs, lambda: drives.step(DriveMode.READY, silent=True))
     finally:
         drives.off()
 
 
-def _find_watched(c: Context, leg: int) -> list[Fact]:
+def _find_watched(c: Context, legs: Sequence[int]) -> list[Fact]:
     """Enable a drive alone, fall silent, and watch what it answers to SYNC."""
-    with c.opened(leg):
-        return _watched(c, [leg], lambda: c.drives.step(DriveMode.RUN, leg, silent=True))
+    with c.opened(legs[0]):
+        return _watched(c, legs, lambda: c.drives.step(DriveMode.RUN, legs[0], silent=True))
 
 
 def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> list[Fact]:
@@ -128,13 +115,13 @@ def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> l
     return facts
 
 
-def _find_asked(c: Context, leg: int) -> list[Fact]:
+def _find_asked(c: Context, legs: Sequence[int]) -> list[Fact]:
     """Ask a drive alone before and after its time: commands feed the watchdog, and bring no power back.
 
     Where the heartbeat tells, commands go on until the next one. What a watchdog outlasts, or not, is the
     longest time between two commands.
     """
-    rate, wait = c.drives.line.rate_Hz, c.machine.watchdog_s
+    leg, rate, wait = legs[0], c.drives.line.rate_Hz, c.machine.watchdog_s
     late_s = c.machine.heartbeat_s if c.drives.protocol.traits.power_told == "heartbeat" else 0.0
     early = max(1, floor(EARLY * wait * rate) - 1)
     bounds: list[float | None] = [None, None]
@@ -156,52 +143,41 @@ def _find_asked(c: Context, leg: int) -> list[Fact]:
 
 def judge(c: Context) -> list[Finding]:
     """Name drives whose watchdog is missing, too slow or too fast."""
-    if not _observable(c):
-        return []
-    found = []
-    wait, protocol = c.machine.watchdog_s, c.drives.protocol
-    for leg in range(LEGS):
+    found, wait = [], c.machine.watchdog_s
+    for leg in range(LEGS) if _observable(c) else ():
         fact = c.known("watchdog", leg)
-        until = fact["until_s"]
+        until, since_ms = fact["until_s"], 1e3 * (fact["since_s"] or 0.0)
+        mend = "Set the drive's watchdog, or its unit."
         if not fact["powered"]:
-            text = "the drive does not take power, or does not keep it"
+            name, text = "not_powered", "the drive does not take power, or does not keep it"
             mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
-            found.append(Finding("not_powered", (leg,), text, mend))
         elif until is None:
-            if not protocol.traits.has_watchdog:
-                continue
-            text = f"it is still powered after {1e3 * _wait_s(c):g} ms of silence, set were {1e3 * wait:g} ms"
+            name, text = "watchdog_missing", f"it is still powered after {1e3 * _wait_s(c):g} ms of silence"
             mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
-            found.append(Finding("watchdog_missing", (leg,), text, mend))
-        elif not _tells(c, fact):
-            since_ms, until_ms = 1e3 * (fact["since_s"] or 0.0), 1e3 * until
-            text = (
-                f"it reacts within {since_ms:g} to {until_ms:g} ms of silence: ticks were late {TRIES} times"
-            )
-            mend = "End what else works on this machine, and give the command again."
-            found.append(Finding("watchdog_unmeasured", (leg,), text, mend))
-        elif until > _latest_s(c):
-            text = f"it reacts {1e3 * until:g} ms after the last command, set were {1e3 * wait:g} ms"
-            found.append(Finding("watchdog_long", (leg,), text, "Set the drive's watchdog, or its unit."))
-        elif until < SEEN_EARLY * wait:
-            text = f"it reacts within {1e3 * until:g} ms of silence, set were {1e3 * wait:g} ms"
-            found.append(Finding("watchdog_short", (leg,), text, "Set the drive's watchdog, or its unit."))
+        else:
+            text = f"it reacts within {since_ms:g} to {1e3 * until:g} ms of silence"
+            if not _tells(c, fact):
+                name = "watchdog_unmeasured"
+                mend = f"Ticks were late {TRIES} times: end what else works here, and give the command again."
+            elif until > _latest_s(c):
+                name = "watchdog_long"
+            elif until < SEEN_EARLY * wait:
+                name = "watchdog_short"
+            else:
+                continue
+        if until is not None or not fact["powered"] or c.drives.protocol.traits.has_watchdog:
+            found.append(Finding(name, (leg,), f"{text}, set were {1e3 * wait:g} ms", mend))
     return found
 
 
 def gap(c: Context) -> Gap | None:
     """Say which drives have no watchdog that can be proven, if they are of a family without one."""
-    if c.drives.protocol.traits.has_watchdog:
-        return None
     legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
-    if not legs:
+    if c.drives.protocol.traits.has_watchdog or not legs:
         return None
-    which = ", ".join(map(str, legs))
-    shown = (
-        f"those of legs {which} stay enabled in silence"
-        if _observable(c)
-        else "their answers do not tell whether they are enabled"
-    )
+    shown = f"those of legs {', '.join(map(str, legs))} stay enabled in silence"
+    if not _observable(c):
+        shown = "their answers do not tell whether they are enabled"
     return Gap(
         f"they have no watchdog that is set from here, and {shown}",
         "When the program dies a drive keeps its last torque. See that something independent of program and "

@@ -12,7 +12,6 @@ from hil.app.configuration.configuration import load, loads
 from hil.lab.bringup.context import Finding, RefusedError
 from hil.lab.bringup.procedure import STEPS, merged
 from hil.lab.bringup.steps import scan
-from hil.lab.bringup.store import refuse_malformed
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.broad import broad
 from tests.hil.lab.bringup.families import FAMILIES, family
@@ -250,7 +249,6 @@ def test_killed_after_any_fact_it_goes_on_from_there_and_ends_well():
     asked = len(rehearsal.hands.requests)
     for moment in moments[1::6]:
         facts = json.loads(moment)
-        refuse_malformed(facts)
         resumed = Rehearsal("virtual", Wiring(), facts=facts)
         resumed.bench.hung = "platform" in facts
         outcome = resumed.run()

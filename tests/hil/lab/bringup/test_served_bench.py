@@ -44,12 +44,11 @@ def test_fault_that_would_never_strike_at_a_bench_is_refused(fault: str) -> None
 
 def test_hands_of_a_served_bench_are_asked_by_a_socket(folder):
     c = load("virtual")
-    beside = Terminal(lambda _: None, io.StringIO(""))
     address = BusAddress(c.bus.interface, c.bus.channel)
     with pytest.raises(RunError, match="nobody serves a bench"):
-        RemoteHands(address, beside, lambda *_: True)
+        RemoteHands(address, lambda *_: True, lambda _: None)
     with served_bench(c, ["end_stop leg=2 value=0.5"]) as bench:
-        with contextlib.closing(RemoteHands(address, beside, lambda *_: True)) as hands:
+        with contextlib.closing(RemoteHands(address, lambda *_: True, lambda _: None)) as hands:
             lengths = []
             for request in (Request("place", 2, 1.0), Request("measure", 2)):
                 hands.ask(request)
@@ -58,7 +57,7 @@ def test_hands_of_a_served_bench_are_asked_by_a_socket(folder):
                 lengths.append(hands.answer())
         with pytest.raises(RunError, match="another bench"), served_bench(c, []):
             pass
-        hands = RemoteHands(address, beside, lambda *_: True)
+        hands = RemoteHands(address, lambda *_: True, lambda _: None)
     with contextlib.closing(hands), pytest.raises(RunError, match="the bench has ended"):
         hands.answer()
     # stroke 0.75 to 2.2 m, and 2 % beyond it, less half of it

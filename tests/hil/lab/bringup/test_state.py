@@ -10,51 +10,40 @@ import pytest
 from drivers.errors import RunError
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
-from hil.lab.bringup.context import Finding
-from hil.lab.bringup.facts import forget_legs
+from hil.lab.bringup.context import Finding, forget_legs
 from hil.lab.bringup.procedure import STEPS
 from hil.lab.bringup.steps import gauge
 from hil.lab.bringup.store import Store, identity
 from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal
 
-
-def state_with(facts: object, **changes: object) -> dict[str, object]:
-    return {"version": 5, "identity": {}, "facts": facts, **changes}
-
-
-ENCODER = {"drive": 0, "tape_m": [0.55, 0.85], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
-
-
-WAY = {"force_N": 1.0, "leg": 0, "way": 1}
-
-
+STATE = json.dumps({"version": 6, "identity": {}, "facts": {"held": {"0": {"moved": True}}}, "check": ""})
 DAMAGED = {
-    "empty": "",
-    "half": "{",
-    "another file": "{}",
-    "too deep": "[" * 100_000,
-    "no facts": json.dumps(state_with([])),
-    "no identity": json.dumps(state_with({}, identity=[1])),
-    "unknown step": json.dumps(state_with({"nonsense": {}})),
-    "unknown leg": json.dumps(state_with({"held": {"6": {"moved": True}}})),
-    "a word for a flag": json.dumps(state_with({"held": {"0": {"moved": "no"}}})),
-    "five legs": json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5}}})),
-    "not a number": json.dumps(state_with({"mounted": {"0": {"q_m": [0.3] * 5 + [float("nan")]}}})),
-    "no such drive": json.dumps(state_with({"encoder": {"0": ENCODER | {"drive": 99}}})),
-    "no such way": json.dumps(state_with({"force": {"0": {"plus": WAY, "minus": WAY | {"way": 2}}}})),
+    "empty": lambda _: "",
+    "half": lambda text: text[: len(text) // 2],
+    "another file": lambda _: "{}",
+    "too deep": lambda _: "[" * 100_000,
+    "another version": lambda text: text.replace('"version": 6', '"version": 5'),
+    "no check": lambda _: STATE,
+    "a fact by hand": lambda text: text.replace('"moved": true', '"moved": false'),
+    "hardware by hand": lambda text: text.replace('"stroke": 1', '"stroke": 2'),
 }
 
 
 @pytest.mark.parametrize("case", DAMAGED)
 def test_damaged_state_is_refused_in_one_line_and_stays_as_it_is(tmp_path, case):
     path = tmp_path / "state.json"
-    path.write_text(DAMAGED[case])
+    store = Store(path, {"stroke": 1})
+    store.facts["held"] = {"0": {"moved": True, "hand_N": None}}
+    store.save()
+    assert Store(path, {"stroke": 1}).facts == store.facts
+    damaged = DAMAGED[case](path.read_text())
+    path.write_text(damaged)
     with pytest.raises(RunError) as caught:
-        Store(path, {})
+        Store(path, {"stroke": 1})
     assert str(path) in str(caught.value)
     assert "\n" not in str(caught.value)
-    assert path.read_text() == DAMAGED[case]
+    assert path.read_text() == damaged
 
 
 def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):

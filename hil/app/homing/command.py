@@ -9,9 +9,8 @@ from drivers.can.runtime_folder import RoleLock
 from drivers.errors import ConfigurationError, RunError
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_moved, write_homing
-from hil.robot.kinematics import leg_lengths
+from hil.app.homing.last_pose import home_lengths
 
 
 def state_homing(
@@ -31,32 +30,37 @@ def state_homing(
     path = homing_path(c, emulated=emulated)
     if path is None:
         raise ConfigurationError(f"{c.source}: plant.homing_file: missing, and --emulated means that file")
-    legs, by_hand = dict(legs_m or {}), list(range(LEGS))
+    legs, by_hand, given = dict(legs_m or {}), list(range(LEGS)), list(lengths_m)
     if at_home:
-        given = leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home)).tolist()
-    elif lengths_m:
-        given = list(lengths_m)
-    elif legs:
+        given = home_lengths(c).tolist()
+    elif legs and not given:
         file = read_homing(c, path)
         if len(legs) < LEGS:
             refuse_moved(c, path, file)
         given = list(file.lengths_m)
         before = [] if file.state == "parked" else file.stated_legs
         by_hand = by_hand if before is None else sorted({*before, *legs})
-    else:
-        return {"success": True, "kind": "homing", "file": str(path)} | _shown(c, path)
-    for leg, length in legs.items():
-        given[leg] = length
-    low, high = c.platform.length_min_m, c.platform.length_max_m
-    wrong = [f"leg {leg}: {q:g} m" for leg, q in enumerate(given) if not low <= q <= high]
-    if wrong:
-        raise ConfigurationError(
-            f"{'; '.join(wrong)}: outside the stroke, allowed: {low:g} to {high:g} m, joint centre to joint "
-            "centre"
-        )
-    with _no_run(c, path):
-        write_homing(c, path, homing_file(c, "stated", given, None, by_hand))
-    return {"success": True, "kind": "homing", "file": str(path)} | _shown(c, path)
+    if given:
+        for leg, length in legs.items():
+            given[leg] = length
+        low, high = c.platform.length_min_m, c.platform.length_max_m
+        wrong = [f"leg {leg}: {q:g} m" for leg, q in enumerate(given) if not low <= q <= high]
+        if wrong:
+            raise ConfigurationError(
+                f"{'; '.join(wrong)}: outside the stroke, allowed: {low:g} to {high:g} m"
+            )
+        with _no_run(c, path):
+            write_homing(c, path, homing_file(c, "stated", given, None, by_hand))
+    file = read_homing(c, path)
+    return {
+        "success": True,
+        "kind": "homing",
+        "file": str(path),
+        "state": file.state,
+        "date": file.date,
+        "lengths_m": ", ".join(f"{q:.6f}" for q in file.lengths_m),
+        "motor_turns": "not read" if file.turns is None else ", ".join(f"{n:.4f}" for n in file.turns),
+    }
 
 
 @contextmanager
@@ -75,14 +79,3 @@ def _no_run(c: Configuration, path: Path) -> Iterator[None]:
                 ) from None
             stack.callback(lock.close)
         yield
-
-
-def _shown(c: Configuration, path: Any) -> dict[str, Any]:
-    file = read_homing(c, path)
-    turns = "not read" if file.turns is None else ", ".join(f"{n:.4f}" for n in file.turns)
-    return {
-        "state": file.state,
-        "date": file.date,
-        "lengths_m": ", ".join(f"{q:.6f}" for q in file.lengths_m),
-        "motor_turns": turns,
-    }

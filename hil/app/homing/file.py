@@ -41,11 +41,6 @@ class HomingFile(Section):
     null: all."""
 
 
-def now() -> str:
-    """Return the present date and time for a file."""
-    return datetime.now(UTC).isoformat(timespec="seconds")
-
-
 def robot_hash(c: Configuration) -> str:
     """Return what changes where legs, drives or their transmission do."""
     drives = c.drives.model_dump(
@@ -77,8 +72,9 @@ def command(c: Configuration, *, emulated: bool) -> str:
     return f"hil homing {c.source}{' --emulated' if emulated else ''}"
 
 
-def _command(c: Configuration, path: Path) -> str:
-    return command(c, emulated=path != homing_path(c, emulated=False))
+def _remedy(c: Configuration, path: Path) -> str:
+    own = command(c, emulated=path != homing_path(c, emulated=False))
+    return f"say where the legs stand with `{own}` --at-home or --lengths"
 
 
 def read_homing(c: Configuration, path: Path) -> HomingFile:
@@ -86,46 +82,36 @@ def read_homing(c: Configuration, path: Path) -> HomingFile:
 
     Raises ConfigurationError: it is not there, not whole, of another version or another robot.
     """
-    mend = f"say where the legs stand with `{_command(c, path)}` --at-home or --lengths"
+    mend = _remedy(c, path)
     if not path.exists():
-        raise ConfigurationError(
-            f"{path}: no such file, and without it nobody knows in which turn each motor is (drives.homing): "
-            f"{mend}"
-        )
+        raise ConfigurationError(f"{path}: no such file: nobody knows in which turn each motor is: {mend}")
     try:
         file, _ = read_section(path, HomingFile)
     except ConfigurationError as error:
-        raise ConfigurationError(
-            *error.problems, f"{path}: is no whole homing file, as this version writes it: {mend}"
-        ) from None
+        raise ConfigurationError(*error.problems, f"{path}: is no whole homing file: {mend}") from None
     if file.version != VERSION:
-        raise ConfigurationError(
-            f"{path}: version {file.version}, allowed: {VERSION}: written by another version of hil: {mend}"
-        )
+        raise ConfigurationError(f"{path}: version {file.version}, allowed: {VERSION}: {mend}")
     if file.robot != robot_hash(c):
         raise ConfigurationError(
-            f"{path}: written {file.date} for another robot, configuration {file.configuration!r} with hash "
-            f"{file.robot}, allowed: {robot_hash(c)}: sections platform and drives of {c.source} are others "
-            f"now; name another drives.homing.file, or {mend}"
+            f"{path}: written {file.date} for another robot, configuration {file.configuration!r}: sections "
+            f"platform and drives of {c.source} are others; name another drives.homing.file, or {mend}"
         )
     return file
 
 
-def refuse_moved(c: Configuration, path: Path, file: HomingFile) -> None:
-    """Raise ConfigurationError for a file whose run has not said where it left the legs."""
+def refuse_moved(c: Configuration, path: Path, file: HomingFile) -> HomingFile:
+    """Return the file. Raises ConfigurationError if its run has not said where it left the legs."""
     if file.state == "moved":
         raise ConfigurationError(
             f"{path}: the run of {file.date} opened the brakes and did not end at rest with all legs "
-            "measured (killed, a power cut, a lost encoder), or it runs still: nobody knows in which turn "
-            "each motor is. Measure the legs, or bring the platform home, and say so with "
-            f"`{_command(c, path)}` --lengths or --at-home"
+            "measured, or it runs still: nobody knows in which turn each motor is: "
+            f"{_remedy(c, path)}"
         )
+    return file
 
 
 def write_homing(c: Configuration, path: Path, file: HomingFile) -> None:
     """Write the file, whole or not at all. Raises ConfigurationError if it cannot be written."""
-    if not path.parent.is_dir():
-        raise ConfigurationError(f"{path}: there is no folder {path.parent}; make it first")
     write_section(path, file, f"{_REMARK} {c.source}")
 
 
@@ -141,7 +127,7 @@ def homing_file(
         kind="homing",
         version=VERSION,
         state=state,
-        date=now(),
+        date=datetime.now(UTC).isoformat(timespec="seconds"),
         configuration=c.name,
         robot=robot_hash(c),
         lengths_m=lengths_m,

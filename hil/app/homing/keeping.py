@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 from drivers.errors import ConfigurationError
 from drivers.signals import Mode
 from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.homing.file import HomingFile, homing_file, homing_path, read_homing, refuse_moved, write_homing
-from hil.app.homing.last_pose import last_pose_of
+from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_moved, write_homing
+from hil.app.homing.last_pose import home_lengths, last_pose_of
 from hil.loop import modes
 from hil.loop.cycle import Cycle
 from hil.loop.drives_say import any_powered
 from hil.loop.homing import LastPose, unwrapped_turns
-from hil.robot.kinematics import leg_lengths
 from hil.safety.motion import REST_m_s
 
 _RESTING = frozenset({Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})
@@ -38,23 +35,16 @@ class Keeper:
         self._c = c
         without = c.drives.homing is None or on_bench
         self._path = None if without else homing_path(c, emulated=emulated)
-        self._file = None
+        self._file = None if self._path is None else refuse_moved(c, self._path, read_homing(c, self._path))
         self._cycle: Cycle | None = None
         self.trouble = ""
         """Why the file does not say where the legs came to rest; empty where it does, or they did not."""
-        if self._path is not None:
-            self._file = read_homing(c, self._path)
-            refuse_moved(c, self._path, self._file)
         self.last_pose: LastPose | None = last_pose_of(c, self._file, emulated=emulated or on_bench)
         if on_bench and self.last_pose is not None:
-            home = leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home))
-            self.last_pose = self.last_pose._replace(length=home)
+            self.last_pose = self.last_pose._replace(length=home_lengths(c))
 
     def begin(self, cycle: Cycle) -> None:
-        """Mark the file: who dies from here on has not said where the legs are.
-
-        An interrupt may come before the file is marked or behind: have `close` called in any case.
-        """
+        """Mark the file: who dies from here on has not said where the legs are. Have `close` called then."""
         if self._path is not None and self._file is not None:
             self._cycle = cycle
             marked = homing_file(self._c, "moved", self._file.lengths_m, self._file.turns)
@@ -63,37 +53,21 @@ class Keeper:
     def close(self) -> None:
         """Say where the legs are; the same as before if the brakes have not been open. Once.
 
-        A file that cannot be written stays marked, and `trouble` says why: the run that is over is told.
+        A file that cannot be written stays marked, and `trouble` says why.
         """
-        try:
-            self._say()
-        except KeyboardInterrupt:
-            self._say()  # no further press disturbs it
-            raise
-
-    def _write(self, path: Path, file: HomingFile) -> None:
-        try:
-            write_homing(self._c, path, file)
-        except ConfigurationError as error:
-            self.trouble = (
-                f"{error}; it still says that the legs have moved: say where they are with `hil homing`"
-            )
-
-    def _say(self) -> None:
-        cycle = self._cycle
-        if cycle is None:
+        cycle, self._cycle, file = self._cycle, None, self._file
+        if cycle is None or self._path is None or file is None:
             return
-        assert self._path is not None
-        assert self._file is not None
-        if _at_rest(cycle):
-            gear = self._c.drives.transmission
-            assert gear is not None
+        gear = self._c.drives.transmission
+        if _at_rest(cycle) and gear is not None:
             turns = Transmission(gear).turns(cycle.homing.raw).tolist()
-            parked = homing_file(self._c, "parked", cycle.tick["length"].tolist(), turns)
-            self._write(self._path, parked)
-        elif not cycle.homing.opened:
-            self._write(self._path, self._file)
-        self._cycle = None
+            file = homing_file(self._c, "parked", cycle.tick["length"].tolist(), turns)
+        elif cycle.homing.opened:
+            return
+        try:
+            write_homing(self._c, self._path, file)
+        except ConfigurationError as error:
+            self.trouble = f"{error}; it still says `moved`: say where the legs are with `hil homing`"
 
     def summary(self, cycle: Cycle) -> dict[str, Any]:
         """Return what a run's summary says of it; nothing where no drive forgets."""
@@ -105,7 +79,7 @@ class Keeper:
 
 
 def _at_rest(cycle: Cycle) -> bool:
-    """Tell whether the drives are off, and all legs measured, believed and at rest."""
+    """Whether the drives are off, and all legs measured, believed and at rest."""
     tick = cycle.tick
     believed = cycle.homing.known and not cycle.faults & modes.NOT_MEASURED
     measured = int(tick["age"].max()) <= _LATELY and float(abs(tick["rate"]).max()) < REST_m_s

@@ -41,6 +41,11 @@ def start_lengths(c: Configuration) -> Array:
     return leg_lengths(build_platform(c.platform), *pose_arrays(start_pose(c)))
 
 
+def home_lengths(c: Configuration) -> Array:
+    """Return the lengths (6,) m at `platform.home`."""
+    return leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home))
+
+
 def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = True) -> LastPose | None:
     """Return where the legs stand by a file, without one as the plant begins; None: no drive forgets."""
     homing, transmission = c.drives.homing, c.drives.transmission
@@ -75,20 +80,14 @@ def recorded(path: object, text: bytes | None) -> LastPose | None:
         return None
     try:
         fields = json.loads(text)
-        length, limit_m, step_m, m_per_turn = (np.array(fields[name], float) for name in _ARRAYS)
-        words = str(fields["origin"]), str(fields["command"])
-        pose: LastPose | None = LastPose(length, limit_m, step_m, m_per_turn, *words)
+        length, limit_m, step_m, m_per_turn = arrays = [np.array(fields[name], float) for name in _ARRAYS]
+        origin, said = str(fields["origin"]), str(fields["command"])
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        pose = None
-    if pose is None or not _good(pose):
+        arrays = []
+    finite = all(each.shape == (6,) and np.isfinite(each).all() for each in arrays)
+    if not arrays or not finite or not (step_m > 0.0).all() or not m_per_turn.all():
         raise LogError(
             f"{path}: attachment {HOMING_JSON}: not what a run writes, allowed: six finite numbers each for "
             f"{', '.join(_ARRAYS)}"
         )
-    return pose
-
-
-def _good(pose: LastPose) -> bool:
-    arrays = (pose.length, pose.limit_m, pose.step_m, pose.m_per_turn)
-    finite = all(each.shape == (6,) and np.isfinite(each).all() for each in arrays)
-    return finite and bool((pose.step_m > 0.0).all() and pose.m_per_turn.all())
+    return LastPose(length, limit_m, step_m, m_per_turn, origin, said)

@@ -157,12 +157,7 @@ def _rehearse(
         believed = c.controller.believed
     with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, console.status("run 0") as status:
         made = rehearse(
-            c,
-            runs,
-            known,
-            logs or Path(folder),
-            lambda s: status.update(f"run {s.run.number + 1}"),
-            kept=logs is not None,
+            c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
         )
     unwritten: dict[str, Any] = {}
     if made.best and out is not None:

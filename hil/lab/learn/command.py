@@ -78,30 +78,21 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
     model = learner(c, belief_of(c, known.axes, known.gain_error, known.delay_error_s), samples)
     noise = leg_errors(c)
     first_rms_m = runs[0].trial.rms_m if runs[0].head is None else 1e-3 * runs[0].head.first_rms_error_mm
-    steps = [_step(None, runs[0], model, first_rms_m, noise.length_std_m)]
-    for before, now in pairwise(runs):
-        steps.append(_step(before, now, model, first_rms_m, noise.length_std_m))
+    steps = [
+        _step(before, now, model, first_rms_m, noise.length_std_m)
+        for before, now in pairwise([None, *runs])
+        if now is not None
+    ]
     unexplained = None if len(runs) == 1 else last.trial.tracked - expected(runs[-2], last, model)
-    loops, Q = model.loops, model.choice.Q
-    least = floor(
-        last.trial,
-        unexplained,
-        loops,
-        Q,
-        model.f_Hz,
-        length_m=noise.length_std_m,
-        rate_m_s=noise.rate_std_m_s,
-    )
-    newest = steps[-1]
+    loops, Q, newest = model.loops, model.choice.Q, steps[-1]
+    least = floor(last.trial, unexplained, loops, Q, model.f_Hz, noise.length_std_m, noise.rate_std_m_s)
     measured_m = float(np.hypot(least.encoder_m, least.rate_m))
     goes = state(newest.contradicted is not None, 1e-3 * newest.in_band_mm, newest.contraction, measured_m)
     a = updated(last.trial, loops, Q, model.f_Hz, FIRST_STEP if last.number == 0 else 1.0)
     tau = np.einsum("nij,nj->ni", last.force_per_acceleration, a)
     limit_N = limit_of(last, known)
-    cut = int((np.abs(tau) > limit_N).any(axis=1).sum())
-    most = largest_written(limit_N)
+    cut, most, text = int((np.abs(tau) > limit_N).any(axis=1).sum()), largest_written(limit_N), ""
     tau = np.clip(tau, -most, most)
-    text = ""
     if goes == "learned":
         head = _head(last, model, first_rms_m, tau)
         text = feedforward_text(head, tau, -last.trial.lead, last.trial.period_s)
@@ -154,22 +145,18 @@ def _require_consecutive(runs: Sequence[LearningRun]) -> None:
             "too, so that the error can be compared with what had been predicted"
         )
     for before, now in pairwise(runs):
-        for what in MadeFor.model_fields:
-            if getattr(before.made_for, what) != getattr(now.made_for, what):
+        same = {
+            what: (getattr(before.made_for, what), getattr(now.made_for, what))
+            for what in MadeFor.model_fields
+        }
+        same["rate"] = 1.0 / before.trial.period_s, 1.0 / now.trial.period_s
+        same["number of ticks"] = len(before.trial.e), len(now.trial.e)
+        for what, (there, here) in same.items():
+            if here != there:
                 raise LogError(
-                    f"{now.path}: has another {what} than {before.path}: nothing is learned across"
+                    f"{now.path}: has another {what} than {before.path}, {here} and {there}: nothing is "
+                    "learned across"
                 )
-        if now.trial.period_s != before.trial.period_s:
-            here, there = (1.0 / run.trial.period_s for run in (now, before))
-            raise LogError(
-                f"{now.path}: its loop ran at {here:.9g} Hz, that of {before.path} at {there:.9g} Hz: "
-                "nothing is learned across"
-            )
-        if len(now.trial.e) != len(before.trial.e):
-            raise LogError(
-                f"{now.path}: {len(now.trial.e)} ticks of it teach, of {before.path} "
-                f"{len(before.trial.e)}: nothing is learned across"
-            )
         if now.number != before.number + 1:
             raise LogError(
                 f"{now.path}: ran with what {now.number} run(s) had taught, {before.path} with "

@@ -158,7 +158,6 @@ def floor(
     loops: Sequence[AxisLoop],
     Q: Filter,
     f_Hz: Array,
-    *,
     length_m: float,
     rate_m_s: float,
 ) -> Floor:

@@ -1,5 +1,6 @@
 """What learning reckons with: the closed loop of each leg's axis, and how far the real one may be from it."""
 
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -90,8 +91,7 @@ def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
         key = gain, id(controller)
         if key not in found:
             axis = sampled_axis(belief.transport_s, lag(belief.lag_s), period_s, gain)
-            ahead = c.controller.lookahead is not None
-            found[key] = axis_loop(axis, controller, f, looks_ahead=ahead)
+            found[key] = axis_loop(axis, controller, f, looks_ahead=c.controller.lookahead is not None)
         loops.append(found[key])
     bound = contraction(loops, f, belief.uncertainty)
     return Learner(loops, f, bound, choose(bound, f), belief)
@@ -104,21 +104,17 @@ def _controllers(c: Configuration, period_s: float) -> list[LinearSystem]:
     designed = controller_of(law, c.folder)
     if designed is not None:
         return [sampled_controller(designed)] * 6
-    dynamics = law.error_dynamics()
+    dynamics, delay = law.error_dynamics(), law.lookahead
     assert isinstance(dynamics, ErrorDynamics)
-    made: dict[tuple[float, float], LinearSystem] = {}
-    for pair in zip(dynamics.K_P.tolist(), dynamics.K_D.tolist(), strict=True):
-        if pair not in made:
-            made[pair] = _controller(law, *pair, period_s)
-    return [made[pair] for pair in zip(dynamics.K_P.tolist(), dynamics.K_D.tolist(), strict=True)]
 
+    @cache
+    def controller(K_P: float, K_D: float) -> LinearSystem:
+        if delay is None:
+            return gains(K_P, K_D, period_s)
+        bus_s, lag_s, hold_s = (1e-3 * ms for ms in (delay.bus_ms, delay.drive_lag_ms, delay.hold_ms))
+        return predicting(K_P, K_D, period_s, bus_s=bus_s, lag_s=lag_s, hold_s=hold_s)
 
-def _controller(law: LawSettings, K_P: float, K_D: float, period_s: float) -> LinearSystem:
-    delay = law.lookahead
-    if delay is None:
-        return gains(K_P, K_D, period_s)
-    bus_s, lag_s, hold_s = (1e-3 * ms for ms in (delay.bus_ms, delay.drive_lag_ms, delay.hold_ms))
-    return predicting(K_P, K_D, period_s, bus_s=bus_s, lag_s=lag_s, hold_s=hold_s)
+    return list(map(controller, dynamics.K_P.tolist(), dynamics.K_D.tolist()))
 
 
 def _require_known(c: Configuration, law: LawSettings) -> None:

@@ -4,7 +4,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from drivers.errors import ConfigurationError, HilError, LogError
+from drivers.errors import ConfigurationError, HilError
 from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
@@ -30,17 +30,9 @@ class Rehearsal(NamedTuple):
 
 
 def rehearse(
-    c: Configuration,
-    runs: int,
-    known: Knowledge,
-    folder: Path,
-    tell: Callable[[Step], None],
-    *,
-    kept: bool = True,
+    c: Configuration, runs: int, known: Knowledge, folder: Path, tell: Callable[[Step], None]
 ) -> Rehearsal:
     """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
-
-    kept: the folder stays behind the series, so that the log of a run that failed is there to be read.
 
     It ends early at the floor, where a run contradicts the condition, where one fails, cannot begin or cannot
     teach, and by an interrupt behind the first run.
@@ -67,16 +59,14 @@ def rehearse(
                 made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
                 if not made["success"]:
                     why = made["trouble"] or ", ".join(made["faults"])
-                    where = str(log) if kept else "not kept, --logs FOLDER keeps it"
-                    trouble = f"run {number}: {why}; its log is {where}"
+                    trouble = f"run {number}: {why}; --logs FOLDER keeps its log"
                     break
                 past = [*past[-1:], learning_run(log)]
                 limit_N = limit_of(past[-1], known)
                 outcome = learned(past, known)
-            except (HilError, OSError) as found:
-                error = found if kept else _of_unkept(found)
+            except (HilError, OSError) as error:
                 if not steps:
-                    raise error from None
+                    raise
                 trouble = f"run {number}: {error}"
                 break
             texts.append(text)
@@ -91,13 +81,6 @@ def rehearse(
         trouble, interrupted = f"run {number}: interrupted", True
     best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
     return Rehearsal(steps, outcome, limit_N, texts[best] if texts else "", trouble, interrupted)
-
-
-def _of_unkept(error: HilError | OSError) -> HilError | OSError:
-    """Return what is told of a log that is gone when it is read about."""
-    if isinstance(error, LogError):
-        return LogError(f"{error}; that log is not kept, --logs FOLDER keeps it")
-    return error
 
 
 def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:

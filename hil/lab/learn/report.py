@@ -1,4 +1,4 @@
-"""What `hil learn` says: the runs, the filter, the floor with its cause, and what to do next."""
+"""What `hil learn` reports: the runs, the filter, the floor with its cause, and what to do next."""
 
 from pathlib import Path
 from typing import Any
@@ -32,34 +32,38 @@ def table(steps: list[Step]) -> list[str]:
 
 def cause(floor: Floor) -> str:
     """Return the largest part of a floor."""
-    name = max(CAUSES, key=lambda name: float(getattr(floor, name)))
-    return CAUSES[name]
+    parts = floor._asdict()
+    return CAUSES[max(CAUSES, key=lambda name: float(parts[name]))]
 
 
-def _share(floor: Floor) -> str:
-    """Return how much of a floor its largest part is; the parts add up by their squares."""
-    return "most of it" if 2.0 * max(floor) ** 2 > floor.total_m**2 else "the largest part of it"
+def _floor_mm(floor: Floor) -> dict[str, float]:
+    return {key.removesuffix("_m"): 1e3 * value for key, value in floor._asdict().items()}
 
 
-def lines(outcome: Outcome, limit_N: float, out: Path | None, *, series: bool = False) -> list[str]:
-    """Return what the user reads; series: what is written is said behind it."""
-    model, floor, choice = outcome.learner, outcome.floor, outcome.learner.choice
+def lines(outcome: Outcome, limit_N: float, out: Path | None) -> list[str]:
+    """Return what the user reads; out: where the next file is written, None for none."""
+    floor, choice, last = outcome.floor, outcome.learner.choice, outcome.steps[-1]
     end_Hz = choice.Q.end_Hz
-    filter_line = (
-        f"Filter     zero phase, 1 up to {FLAT * end_Hz:.3g} Hz, 0 from {end_Hz:.3g} Hz on: the widest with "
-        f"|Q (1 - L P)| <= {choice.contraction:.2f} (largest at {choice.at_Hz:.3g} Hz)"
-    )
-    parts = (f"{_words(name)} {1e3 * value:.2g}" for name, value in floor._asdict().items())
-    largest = f"{_share(floor)} {cause(floor)}"
-    floor_line = f"Floor      {1e3 * floor.total_m:.2g} mm rms, {largest}: {', '.join(parts)}"
-    found = [*table(outcome.steps), filter_line, f"Plants     {model.belief.source}", floor_line]
-    last = outcome.steps[-1]
-    if outcome.state == "contradicted":
-        return found + contradicted(last, series=series)
+    parts = ", ".join(f"{name.replace('_', ' ')} {mm:.2g}" for name, mm in _floor_mm(floor).items())
+    band = f"1 up to {FLAT * end_Hz:.3g} Hz, 0 from {end_Hz:.3g} Hz on"
+    least = f"|Q (1 - L P)| <= {choice.contraction:.2f} (largest at {choice.at_Hz:.3g} Hz)"
+    found = [
+        *table(outcome.steps),
+        f"Filter     zero phase, {band}: the widest with {least}",
+        f"Plants     {outcome.learner.belief.source}",
+        f"Floor      {1e3 * floor.total_m:.2g} mm rms, largest part {cause(floor)}: {parts}",
+    ]
+    if last.contradicted is not None:
+        c = last.contradicted
+        what = f"the error went to {100 * c.factor:.3g} % of what it was in the run before"
+        allowed = f"allowed by the stated uncertainty: {100 * c.allowed:.3g} %"
+        found.append(f"Refused    leg {c.axis} at {c.f_Hz:.3g} Hz: {what}, {allowed}")
+        found.append("           Learning on would let the error grow: keep the feed-forward before,")
+        found.append("           or identify the axes (hil identify), and learn with --axes")
+        return found
     if outcome.state == "floor":
         left = f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run takes more off"
-        stays = "the feed-forward that ran stays the best one, none is written"
-        found.append(left if series else f"{left}; {stays if last.run.number else 'nothing is written'}")
+        found.append(f"{left}; the feed-forward that ran stays the best one")
     else:
         found.append(f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes")
     if outcome.cut:
@@ -77,30 +81,9 @@ def written(out: Path, limit_N: float, what: str = "") -> list[str]:
     return [f"written    {out}{what}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:.15g}}}"]
 
 
-def _words(name: str) -> str:
-    return name.removesuffix("_m").replace("_", " ")
-
-
-def contradicted(step: Step, *, series: bool) -> list[str]:
-    """Return why learning has to end."""
-    found = step.contradicted
-    assert found is not None
-    what = (
-        f"Refused    leg {found.axis} at {found.f_Hz:.3g} Hz: the error went to {100 * found.factor:.3g} % "
-        f"of what it was in the run before, allowed by the stated uncertainty: {100 * found.allowed:.3g} %"
-    )
-    back = "" if series else "Nothing is written: go back to the feed-forward of the run before, "
-    hint = (
-        "           The plant is beyond it, and learning on would let the error grow. "
-        f"{back or 'To go on, '}identify the axes (hil identify), learn with --axes"
-    )
-    return [what, hint]
-
-
 def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
     """Return the outcome as plain values."""
-    model, choice = outcome.learner, outcome.learner.choice
-    found = outcome.steps[-1].contradicted
+    choice, found = outcome.learner.choice, outcome.steps[-1].contradicted
     return {
         "success": outcome.state != "contradicted",
         "kind": "learn",
@@ -121,8 +104,8 @@ def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
         "filter_end_Hz": choice.Q.end_Hz,
         "contraction_bound": choice.contraction,
         "contraction_bound_at_Hz": choice.at_Hz,
-        "plants": model.belief.source,
-        "floor_mm": {key.removesuffix("_m"): 1e3 * value for key, value in outcome.floor._asdict().items()},
+        "plants": outcome.learner.belief.source,
+        "floor_mm": _floor_mm(outcome.floor),
         "floor_cause": cause(outcome.floor),
         "contradiction": None if found is None else found._asdict(),
         "cut_instants": outcome.cut,
@@ -133,16 +116,15 @@ def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
 
 def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = None) -> list[str]:
     """Return what the user reads of a series of runs; believed: those of --inertia-scale."""
-    if made.outcome is None:
-        return [f"Stopped    {made.trouble}"]
-    found = lines(made.outcome._replace(steps=made.steps), made.limit_N, None, series=True)
-    first, last = made.steps[0], made.steps[-1]
-    if last is not first and last.rms_mm > 0.0 and last.peak_mm > 0.0:
-        found.append(
-            f"From run {first.run.number} to run {last.run.number}: "
-            f"rms {first.rms_mm / last.rms_mm:.3g}-fold, "
-            f"peak {first.peak_mm / last.peak_mm:.3g}-fold smaller"
-        )
+    found = []
+    if made.outcome is not None:
+        found = lines(made.outcome._replace(steps=made.steps), made.limit_N, None)
+        first, last = made.steps[0], made.steps[-1]
+        if last is not first and last.rms_mm > 0.0 and last.peak_mm > 0.0:
+            found.append(
+                f"From run {first.run.number} to run {last.run.number}: rms {first.rms_mm / last.rms_mm:.3g}"
+                f"-fold, peak {first.peak_mm / last.peak_mm:.3g}-fold smaller"
+            )
     if made.trouble:
         found.append(f"Stopped    {made.trouble}")
     if made.best and out is not None:
@@ -150,25 +132,21 @@ def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = N
         if believed is not None:
             found.append(
                 "           The file belongs to a law with controller.model.inertia_scale: "
-                f"{believed.inertia_scale!r} (from --inertia-scale), and is refused with another: set that "
-                "key, too, or learn without --inertia-scale"
+                f"{believed.inertia_scale!r} (--inertia-scale): set that key, too"
             )
-    elif out is not None:
-        none = "the only run" if last is first else "the run with the smallest error"
-        found.append(f"{out} is not written: {none} was the one without a feed-forward")
+    elif made.outcome is not None and out is not None:
+        found.append(f"{out} is not written: the run with the smallest error had no feed-forward")
     return found
 
 
 def series_summary(made: Rehearsal, out: Path | None) -> dict[str, Any]:
     """Return a series of runs as plain values."""
-    written = str(out) if made.best and out is not None else None
     if made.outcome is None:
         return {"success": False, "kind": "learn", "state": "failed", "trouble": made.trouble, "runs": []}
     found = summary(made.outcome._replace(steps=made.steps), None)
-    state = "interrupted" if made.interrupted else "failed" if made.trouble else found["state"]
     return found | {
         "success": found["success"] and not made.trouble,
-        "state": state,
+        "state": "interrupted" if made.interrupted else "failed" if made.trouble else found["state"],
         "trouble": made.trouble or None,
-        "written": written,
+        "written": str(out) if made.best and out is not None else None,
     }

@@ -72,8 +72,7 @@ def learning_run(path: Path) -> LearningRun:
         )
     if recorded.rate_Hz != c.loop.rate_Hz:
         raise LogError(
-            f"{path}: ran at {recorded.rate_Hz:g} Hz, allowed: loop.rate_Hz, {c.loop.rate_Hz:g} Hz; "
-            "its delays are others: run it at that rate"
+            f"{path}: ran at {recorded.rate_Hz:g} Hz, allowed: loop.rate_Hz, {c.loop.rate_Hz:g} Hz"
         )
     count = int(duration / period_s + 0.5)
     lead, along = _whole(path, rows, period_s, count)
@@ -96,22 +95,21 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
     """
     tracking = rows[rows["mode"] == Mode.TRACKING]
     faults = int(np.bitwise_or.reduce(rows["faults"])) if len(rows) else 0
-    names = ", ".join(str(f.name) for f in Fault if faults & f)
     if faults:
+        names = ", ".join(str(f.name) for f in Fault if faults & f)
         raise LogError(f"{path}: the run ended in a fault ({names}), and a run that teaches has none")
     along = tracking[:count]
     t, ticks = along["reference_time_s"], along["tick"]
     if len(along) < count or ticks[-1] - ticks[0] != count - 1:
         raise LogError(
-            f"{path}: {len(along)} of {count} ticks along the reference, in one piece, are in it: allowed is "
-            "a run from the reference's start to its end with no tick lost"
+            f"{path}: {len(along)} of {count} ticks along the reference are in it, allowed: all, none lost"
         )
     off = np.abs(t / period_s - np.arange(count)) > APART
     if off.any():
         first = int(off.argmax())
         raise LogError(
-            f"{path}: from {first * period_s:.3f} s after its start the reference's time is not the clock's: "
-            "a hold, a stop or another speed. Learn from a run at full speed without them"
+            f"{path}: from {first * period_s:.3f} s after its start the reference's time is not the clock's, "
+            "by a hold, a stop or another speed, allowed: a run at full speed"
         )
     most = round(LEAD_S / period_s)
     before = ticks[0] - rows["tick"]
@@ -122,17 +120,9 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
     cut = (teaching["warnings"] & int(LIMITED)) != 0
     if cut.any():
         since_s = (int(cut.argmax()) - len(approach)) * period_s
-        side = "before" if since_s < 0.0 else "after"
         raise LogError(
-            f"{path}: limits cut the forces at {int(cut.sum())} ticks, the first one "
-            f"{abs(since_s):.3f} s {side} the reference's start: what a limit "
-            f"takes cannot be learned. {_remedy(teaching[cut])}"
+            f"{path}: limits cut the forces at {int(cut.sum())} ticks, from {since_s:+.3f} s on, and what "
+            "they take cannot be learned. Raise limits.force_N, force_step_N or force_window_N, slow "
+            "the reference down, or, where legs at rest were pushed, state monitor.friction_N"
         )
     return len(approach), teaching
-
-
-def _remedy(cut: Rows) -> str:
-    """Remedy for rows in which limits cut the forces."""
-    if (np.nan_to_num(cut["probe_force"]) != 0.0).any(axis=1).all():
-        return "Only pushes of legs that stood still were cut: state monitor.friction_N, or the load"
-    return "Raise limits.force_N, force_step_N or force_window_N, or slow the reference down"

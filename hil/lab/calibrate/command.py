@@ -93,14 +93,11 @@ def read_pairs(path: Path) -> Pairs:
         reader = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
         header = [word.strip() for word in next(reader, [])]
         lines = [(reader.line_num, words) for words in reader if any(word.strip() for word in words)]
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error.strerror}") from None
-    except (UnicodeDecodeError, csv.Error) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}") from None
-    wrong = [f"{path}:1: {problem}" for problem in _header_problems(header)]
-    if wrong:
-        raise ConfigurationError(*wrong)
-    wrong = [f"{path}:{number}: {text}" for number, words in lines if (text := _row_problem(header, words))]
+    wrong = [f"{path}:1: {problem}" for problem in _header_problems(header)] or [
+        f"{path}:{number}: {text}" for number, words in lines if (text := _row_problem(header, words))
+    ]
     if wrong:
         raise ConfigurationError(*wrong)
     table = np.array([list(map(plain_number, words)) for _, words in lines]).reshape(len(lines), len(header))
@@ -162,25 +159,19 @@ def _refuse_strange(c: Configuration, robot: Platform, pairs: Pairs, poses: Path
         )
     asked = predicted(robot, measured)
     away = measured.q - start_offsets(robot, measured) - asked
+    low, high = c.platform.length_min_m, c.platform.length_max_m
+    beyond = np.maximum(low - asked, asked - high)
     found = []
     for row, leg in np.argwhere(np.abs(away) > REACH * asked):
-        given = measured.q[row, leg]
-        found.append(
-            f"{poses}:{pairs.lines[row]}: {LENGTHS[leg]} is {given:.4f} where the pose asks for "
-            f"{given - away[row, leg]:.4f} (configured joints, offset of the other rows)"
-        )
-    low, high = c.platform.length_min_m, c.platform.length_max_m
-    margin = REACH * (high - low)
-    outside = (asked < low - margin) | (asked > high + margin)
-    for row in np.flatnonzero(outside.any(axis=1)):
-        leg = int(np.argmax(np.maximum(low - asked[row], asked[row] - high)))
-        found.append(
-            f"{poses}:{pairs.lines[row]}: out of reach: the pose asks {asked[row, leg]:.4f} m of "
-            f"{LENGTHS[leg].removesuffix('_m')}, stroke {low:g} to {high:g} m"
-        )
+        q = measured.q[row, leg]
+        text = f"{LENGTHS[leg]} is {q:.4f} where the pose asks for {q - away[row, leg]:.4f}"
+        found.append(f"{poses}:{pairs.lines[row]}: {text} (configured joints, offset of the other rows)")
+    for row in np.flatnonzero(beyond.max(axis=1) > REACH * (high - low)):
+        leg = int(np.argmax(beyond[row]))
+        text = f"the pose asks {asked[row, leg]:.4f} m of {_leg(leg)}, stroke {low:g} to {high:g} m"
+        found.append(f"{poses}:{pairs.lines[row]}: out of reach: {text}")
     if found:
-        more = [f"{poses}: and {len(found) - 10} more"] if len(found) > 10 else []
-        raise ConfigurationError(*found[:10], *more)
+        raise ConfigurationError(*found[:10], *[f"{poses}: and {len(found) - 10} more"][: len(found) > 10])
 
 
 def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: Calibration) -> Report:
@@ -211,13 +202,9 @@ def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: 
 
 def _table(robot: Platform, fit: Calibration) -> list[str]:
     """Return changes in mm with their standard deviations, two lines a leg."""
-    change = np.hstack(
-        [
-            fit.base_joints - robot.base_joints,
-            fit.platform_joints - robot.platform_joints,
-            fit.offsets[:, None],
-        ]
-    )
+    change = np.hstack([
+        fit.base_joints - robot.base_joints, fit.platform_joints - robot.platform_joints, fit.offsets[:, None]
+    ])  # fmt: skip
     lines = ["changes and offsets, mm (+- one standard deviation; ? not determined)"]
     lines.append("        base x     y       z     platform x  y       z      offset")
     for leg in range(6):
@@ -228,31 +215,26 @@ def _table(robot: Platform, fit: Calibration) -> list[str]:
 
 def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> list[str]:
     found = []
-    legs: dict[str, list[str]] = {}
+    legs: dict[str, list[int]] = {}
     for leg in range(6):
-        lost = sorted(_sum(x) for x in fit.undetermined if x.leg == leg)
-        if lost:
-            legs.setdefault("; ".join(lost), []).append(_leg(leg))
+        if lost := sorted(_sum(x) for x in fit.undetermined if x.leg == leg):
+            legs.setdefault("; ".join(lost), []).append(leg)
     for names, where in legs.items():
-        some = [x for x in fit.undetermined if _leg(x.leg) in where]
         found.append(
-            f"{', '.join(where)}: not observable with these poses: {names}. Along these the joints stay as "
-            f"configured. {_advice(some)}"
+            f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. Along these joints "
+            f"stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
         )
     if fit.weak:
         each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
         found.append(
-            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(list(fit.weak))} Lengths and "
+            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(fit.weak)} Lengths and "
             "poses close to the measured ones are better known than these"
         )
-    if fit.p_value is not None and not DOUBT < fit.p_value < 1 - DOUBT:
-        assert fit.chi_square is not None
-        ratio = math.sqrt(fit.chi_square / fit.dof)
-        than = "larger" if ratio > 1 else "smaller"
+    if fit.p_value is not None and fit.chi_square is not None and not DOUBT < fit.p_value < 1 - DOUBT:
         found.append(
-            f"residuals are {ratio:.2f} times the given standard deviations, {than} than chance allows: the "
-            "deviations of the file are wrong"
-            + (", or the robot is no ideal one (joint play, bending)" if ratio > 1 else "")
+            f"residuals are {math.sqrt(fit.chi_square / fit.dof):.2f} times the given standard deviations, "
+            "which is no chance: the deviations of the file are wrong, or the robot is no ideal one (joint "
+            "play, bending)"
         )
     for row, leg in np.argwhere(np.abs(fit.standardised) > OUTLIER)[:10]:
         found.append(
@@ -288,9 +270,10 @@ def _leg(leg: int) -> str:
 def _figures(
     c: Configuration, poses: Path, fit: Calibration, rms: float, rms_before: float, warnings: list[str]
 ) -> dict[str, Any]:
-    def combination(x: Combination) -> dict[str, Any]:
-        return {"leg": _leg(x.leg), "coefficients": x.coefficients, "std_m": x.std}
-
+    undetermined, weak = (
+        [{"leg": _leg(x.leg), "coefficients": x.coefficients, "std_m": x.std} for x in some]
+        for some in (fit.undetermined, fit.weak)
+    )
     return {
         "configuration": c.name,
         "poses": str(poses),
@@ -308,8 +291,8 @@ def _figures(
         "parameters": list(NAMES),
         "std_m": fit.std.tolist(),
         "covariance_m2": fit.covariance.tolist(),
-        "undetermined": [combination(x) for x in fit.undetermined],
-        "weak": [combination(x) for x in fit.weak],
+        "undetermined": undetermined,
+        "weak": weak,
         "weak_std_m": WEAK,
         "warnings": warnings,
     }

@@ -3,7 +3,7 @@
 Parameters of a leg stand in the order base x y z, platform x y z, offset, all in m; legs follow each other.
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import block_diag, cho_factor, cho_solve
@@ -29,99 +29,65 @@ WEAK = 1e-3
 """m: a combination less certain than this is worth a warning."""
 
 
-@dataclass(frozen=True)
-class Measurements:
-    """Measured pairs: platform poses and what the six legs read there.
-
-    Attributes
-    ----------
-    p : (n, 3) m
-        Platform origin in the base frame.
-    rotation_vector : (n, 3) rad
-        R = exp([r]x), x_base = p + R x_platform; at most half a turn.
-    q : (n, 6) m
-        Readings, joint centre to joint centre plus an unknown offset a leg.
-    length_std : (n,) m or None
-        Standard deviation of each reading; None: unknown, estimated from the residuals.
-    position_std, rotation_std : (n,) m, rad
-        Standard deviations of each coordinate of a measured pose; only with `length_std`.
-    """
+class Measurements(NamedTuple):
+    """Measured pairs: platform poses and what the six legs read there."""
 
     p: Array
+    """(n, 3) m, platform origin in the base frame."""
     rotation_vector: Array
+    """(n, 3) rad, R = exp([r]x), x_base = p + R x_platform; at most half a turn."""
     q: Array
+    """(n, 6) m, joint centre to joint centre plus an unknown offset a leg."""
     length_std: Array | None = None
+    """(n,) m, standard deviation of each reading; None: unknown, estimated from the residuals."""
     position_std: Array | None = None
+    """(n,) m, of each coordinate of a measured pose; only with `length_std`."""
     rotation_std: Array | None = None
+    """(n,) rad, of each angle of it."""
 
     def rotations(self) -> Array:
         """Return R, (n, 3, 3)."""
         return np.array([rotation_from_vector(r) for r in self.rotation_vector])
 
 
-@dataclass(frozen=True)
-class Combination:
-    """A combination of one leg's parameters that the poses do not determine, or hardly.
-
-    Attributes
-    ----------
-    leg : int
-        From 0.
-    coefficients : dict
-        Name of the parameter -> its share, the largest 1.
-    std : float or None
-        m; None where nothing is determined.
-    """
+class Combination(NamedTuple):
+    """A combination of one leg's parameters that the poses do not determine, or hardly."""
 
     leg: int
     coefficients: dict[str, float]
+    """Name of the parameter -> its share, the largest 1."""
     std: float | None
+    """m; None where nothing is determined."""
 
 
-@dataclass(frozen=True)
-class Calibration:
-    """What the pairs say of the robot.
-
-    Attributes
-    ----------
-    base_joints, platform_joints : (6, 3) m
-        In the frames of the measured poses.
-    offsets : (6,) m
-        Reading less distance of the joint centres.
-    std : (6, 7) m
-        Standard deviation of each parameter; nan where it is not determined by itself.
-    covariance : (42, 42) m^2
-        Of all parameters, zero along what is not determined.
-    residuals : (n, 6) m
-        Reading less fitted reading.
-    standardised : (n, 6)
-        The same over their standard deviation.
-    dof : int
-        Equations less parameters determined.
-    chi_square : float or None
-        Sum of squares of the whitened residuals; about dof where the given deviations are right. None
-        without `length_std`.
-    p_value : float or None
-        Probability of a larger chi-square.
-    sigma : float
-        m, standard deviation of a reading: as estimated, or root mean square of the given ones.
-    undetermined, weak : tuple of Combination
-        Kept at the start values, and known to less than `WEAK`.
-    """
+class Calibration(NamedTuple):
+    """What the pairs say of the robot."""
 
     base_joints: Array
+    """(6, 3) m, in the frames of the measured poses; `platform_joints`, too."""
     platform_joints: Array
     offsets: Array
+    """(6,) m, reading less distance of the joint centres."""
     std: Array
+    """(6, 7) m, of each parameter; nan where it is not determined by itself."""
     covariance: Array
+    """(42, 42) m^2 of all parameters, zero along what is not determined."""
     residuals: Array
+    """(n, 6) m, reading less fitted reading."""
     standardised: Array
+    """(n, 6), the same over their standard deviation."""
     dof: int
+    """Equations less parameters determined."""
     chi_square: float | None
+    """Sum of squares of the whitened residuals, about dof where the given deviations are right."""
     p_value: float | None
+    """Probability of a larger chi-square; both None without `length_std`."""
     sigma: float
-    undetermined: tuple[Combination, ...]
-    weak: tuple[Combination, ...]
+    """m, standard deviation of a reading: as estimated, or root mean square of the given ones."""
+    undetermined: list[Combination]
+    """Kept at the start values."""
+    weak: list[Combination]
+    """Known to less than `WEAK`."""
 
 
 def predicted(platform: Platform, measured: Measurements) -> Array:
@@ -167,19 +133,14 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
     covariance is scaled by the residuals. What the poses do not determine (singular values of each leg's
     Jacobian) stays as it starts: the joints of `platform`, the median offset.
 
-    Parameters
-    ----------
-    platform : Platform
-        Start values; only its joints are used.
-    measured : Measurements
-
-    Raises
-    ------
-    CalibrationError
-        Fewer than 8 poses, numbers that are not finite or deviations not positive, or no convergence.
+    Raises CalibrationError: fewer than 8 poses, or no convergence.
     """
-    _check(measured)
     n, R = len(measured.p), measured.rotations()
+    if n < MIN_POSES:
+        raise CalibrationError(
+            f"{n} poses, allowed: at least {MIN_POSES}. Each leg has 7 unknowns (two joints and an offset) "
+            "and one equation a pose; take some 30, all over the workspace, tilted about all axes"
+        )
     theta = _start(platform)
     theta[:, 6] = start_offsets(platform, measured)
     _, slopes = _model(theta, measured.p, R)
@@ -210,8 +171,8 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
         chi_square=chi_square if given else None,
         p_value=float(gammaincc(dof / 2, chi_square / 2)) if given else None,
         sigma=float(np.sqrt(scale if measured.length_std is None else np.mean(measured.length_std**2))),
-        undetermined=tuple(c for leg in range(6) for c in _combinations(leg, lost[leg])),
-        weak=tuple(c for leg in range(6) for c in _weak(leg, covariance)),
+        undetermined=[c for leg in range(6) for c in _combinations(leg, lost[leg])],
+        weak=[c for leg in range(6) for c in _weak(leg, covariance)],
     )
 
 
@@ -236,9 +197,8 @@ def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
     _, slopes = _model(theta, measured.p, R)
     s = -slopes[:, :, 0:3]
     arm = np.einsum("kij,lj->kli", R, theta[:, 3:6])
-    zero = np.zeros(n)
-    var_p = (zero if measured.position_std is None else measured.position_std) ** 2
-    var_r = (zero if measured.rotation_std is None else measured.rotation_std) ** 2
+    given = measured.position_std, measured.rotation_std
+    var_p, var_r = (np.zeros(n) if std is None else std**2 for std in given)
     turn = np.cross(arm, s)
     C = np.einsum("kli,kmi->klm", s, s) * var_p[:, None, None]
     C = C + np.einsum("kli,kmi->klm", turn, turn) * var_r[:, None, None]
@@ -322,25 +282,3 @@ def _named(vector: Array) -> dict[str, float]:
     """Name the parameters with a share of at least a tenth of the largest, whose share is 1."""
     x = vector / vector[int(np.argmax(np.abs(vector)))]
     return {name: float(v) for name, v in zip(NAMES, x, strict=True) if abs(v) >= 0.1}
-
-
-def _check(measured: Measurements) -> None:
-    n = len(measured.p)
-    if n < MIN_POSES:
-        raise CalibrationError(
-            f"{n} poses, allowed: at least {MIN_POSES}. Each leg has 7 unknowns (two joints and an offset) "
-            "and one equation a pose; take some 30, all over the workspace, tilted about all axes"
-        )
-    fields = ("p", "rotation_vector", "q", "length_std", "position_std", "rotation_std")
-    for name in fields:
-        value = getattr(measured, name)
-        if value is not None and not np.isfinite(value).all():
-            row = int(np.flatnonzero(~np.isfinite(value.reshape(n, -1)).all(axis=1))[0])
-            raise CalibrationError(f"{name}: row {row} is not finite: {value[row].tolist()}")
-        if value is not None and name.endswith("_std") and not (value >= 0).all():
-            raise CalibrationError(f"{name}: {value.min():g}, allowed: not negative")
-    if measured.length_std is None:
-        if measured.position_std is not None or measured.rotation_std is not None:
-            raise CalibrationError("deviations of poses without length_std: their weight is not known")
-    elif not (measured.length_std > 0).all():
-        raise CalibrationError(f"length_std: {measured.length_std.min():g}, allowed: greater than 0")

@@ -1,6 +1,6 @@
 """`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -27,7 +27,7 @@ from hil.lab.identify.estimators.axis_fit import (
     uncertainty,
 )
 from hil.lab.identify.estimators.excitation import axis_excitation
-from hil.lab.identify.estimators.response import Response, Spectra, estimate, periodic, segmented
+from hil.lab.identify.estimators.response import Response, estimate, periodic, segmented
 from hil.lab.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.lab.identify.runs import (
     Excited,
@@ -53,13 +53,6 @@ class Identified(NamedTuple):
     motion_mm: float
 
 
-class Outputs(NamedTuple):
-    """Where the results go."""
-
-    model: Path
-    picture: Path
-
-
 def excited_axes(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
     """Return the configuration with a multisine on each of its law's axes for its reference.
 
@@ -73,14 +66,14 @@ def excited_axes(c: Configuration, force_N: float | None, duration_s: float | No
     return excited_by(c, made, force)
 
 
-def outputs(log: Path, model: Path | None) -> Outputs:
-    """Return the files to write: the given one, else beside the log; the picture beside the model.
+def outputs(log: Path, model: Path | None) -> tuple[Path, Path]:
+    """Return the model to write, the given one, else beside the log, and its picture.
 
     Raises ConfigurationError or LogError where they cannot be written.
     """
     path = model or log.with_name(f"{log.stem}-axes.yaml")
     check_section_path("--model", path, AxisModel)
-    return Outputs(path, picture_beside(path, "--model"))
+    return path, picture_beside(path, "--model")
 
 
 def axes_of_log(path: Path) -> Identified:
@@ -101,7 +94,6 @@ def axes_of_log(path: Path) -> Identified:
 def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Identified:
     law = linearised_law(c)
     signals, t = signals_of(rows, law, rate_Hz)
-    spectra: Spectra | None = None
     lines = repeating(c.reference, rate_Hz)
     if lines is not None:
         assert isinstance(c.reference, SinusoidReference | MultisineReference)
@@ -118,12 +110,12 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
         axes=law.space,
         rate_Hz=rate_Hz,
         nominal=NominalAxis(
-            gain=[_rounded(g) for g in fit.gain],
-            transport_ms=_rounded(1e3 * fit.transport_s),
-            lag_ms=_rounded(1e3 * fit.lag_s),
+            gain=_rounded(fit.gain),
+            transport_ms=_rounded([1e3 * fit.transport_s])[0],
+            lag_ms=_rounded([1e3 * fit.lag_s])[0],
         ),
         uncertainty=UncertaintyProfile(
-            frequency_Hz=[_rounded(f) for f in bound.frequency_Hz], bound=[_rounded(b) for b in bound.bound]
+            frequency_Hz=_rounded(bound.frequency_Hz), bound=_rounded(bound.bound)
         ),
         measured=[_measured(response, axis) for axis in range(6)],
     )
@@ -135,40 +127,36 @@ def _measured(response: Response, axis: int) -> AxisResponse:
     lines = np.flatnonzero(response.excited[:, axis] & np.isfinite(response.G[:, axis]))
     G, std = response.G[lines, axis], response.std[lines, axis]
     return AxisResponse(
-        frequency_Hz=[_rounded(f) for f in response.frequency_Hz[lines]],
-        magnitude=[_rounded(abs(g)) for g in G],
-        phase_deg=[_rounded(p) for p in np.rad2deg(_phase(G))],
-        coherence=[_rounded(c) for c in response.coherence[lines, axis]],
-        magnitude_std=[_rounded(s) for s in std * np.abs(G)],
-        phase_std_deg=[_rounded(s) for s in np.rad2deg(std)],
+        frequency_Hz=_rounded(response.frequency_Hz[lines]),
+        magnitude=_rounded(np.abs(G)),
+        # -360 .. 0: a double integrator and its delay are around -180
+        phase_deg=_rounded(np.rad2deg(np.angle(-G) - np.pi)),
+        coherence=_rounded(response.coherence[lines, axis]),
+        magnitude_std=_rounded(std * np.abs(G)),
+        phase_std_deg=_rounded(np.rad2deg(std)),
     )
 
 
-def _phase(G: Any) -> Any:
-    """Return the phase in rad, -2 pi .. 0: a double integrator and its delay are around -pi."""
-    return np.angle(-G) - np.pi
+def _rounded(values: Iterable[float]) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]
 
 
-def _rounded(value: float) -> float:
-    return float(f"{value:.6g}")
-
-
-def save(identified: Identified, files: Outputs, title: str) -> dict[str, Any]:
+def save(identified: Identified, files: tuple[Path, Path], title: str) -> dict[str, Any]:
     """Write the model and its picture; return where they are, and which of them could not be written."""
     written: dict[str, Any] = {"model": None, "picture": None}
+    model, picture = files
     with further(written):
-        write_section(files.model, identified.model, REMARK)
-        written["model"] = str(files.model)
+        write_section(model, identified.model, REMARK)
+        written["model"] = str(model)
     with further(written):
-        draw(identified.model, files.picture, title)
-        written["picture"] = str(files.picture)
+        draw(identified.model, picture, title)
+        written["picture"] = str(picture)
     return written
 
 
 def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> dict[str, Any]:
     """Return the result as plain values; written: what `save` returned."""
     fit, model = identified.fit, identified.model
-    coherent = [int(n) for n in fit.used.sum(axis=0)]
     return {
         "success": True,
         "kind": "identify",
@@ -179,7 +167,7 @@ def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> d
         "delay_compensation": compensation(fit, 0.5 / model.rate_Hz),
         "gain": fit.gain.tolist(),
         "gain_std": fit.gain_std.tolist(),
-        "coherent_lines": coherent,
+        "coherent_lines": fit.used.sum(axis=0).tolist(),
         "blocks": identified.blocks,
         "repeats": identified.repeats,
         "coupled": identified.uncertainty.coupled,
@@ -195,24 +183,22 @@ def report(result: dict[str, Any], model: AxisModel) -> list[str]:
     marks = [x for x in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if f[0] <= x <= f[-1]]
     bounds = ", ".join(f"{100 * np.interp(np.log(x), np.log(f), bound):.2g} % at {x:g} Hz" for x in marks)
     kind = "whole periods" if result["repeats"] else "half-overlapping segments"
-    least = min(range(6), key=lambda k: result["coherent_lines"][k])
+    fewest, least = min(zip(result["coherent_lines"], NAMES[model.axes], strict=True))
     gains = zip(NAMES[model.axes], result["gain"], result["gain_std"], strict=True)
     of_gain = ", ".join(f"{name} {g:.4f} +- {2 * s:.4f}" for name, g, s in gains)
     coupling = ", coupling included" if result["coupled"] else ""
-    fewest = f"{NAMES[model.axes][least]} has the fewest coherent lines, {result['coherent_lines'][least]}"
-    moved = f"legs moved by {result['motion_mm']:.2g} mm or more"
+    blocks = f"{result['blocks']} {kind}, {f[0]:g} to {f[-1]:g} Hz"
     lines = [
         f"From demanded acceleration to measured position, {model.axes} axes (+- two standard deviations):",
         f"  gain         {of_gain}; 1 where model and robot agree",
         *delay_rows(result, "slope of the phase"),
         f"Bound of |P/P0 - 1|, 95 %: {bounds}{coupling}",
-        f"{result['blocks']} {kind}, {f[0]:g} to {f[-1]:g} Hz; {fewest}; {moved}",
+        f"{blocks}; {fewest} coherent lines at least ({least}); {result['motion_mm']:.2g} mm of each leg",
     ]
     if not result["coupled"]:
         lines.append(
-            "At some frequencies the axes moved together, by their reference or by friction, so that their "
-            "coupling is not in the bound there. `hil identify CONFIG` moves each by itself; "
-            "more --force drowns friction."
+            "At some frequencies the axes moved together: their coupling is not in the bound there. "
+            "`hil identify CONFIG` moves each by itself; more --force drowns friction."
         )
     lines += [f"{key:<7}  {result[key]}" for key in ("model", "picture") if result[key]]
     return [*lines, *compensation_lines(result["delay_compensation"])]

@@ -27,19 +27,15 @@ from hil.robot.dynamics_kernels import COULOMB, VISCOUS
 DURATION_S = 4.0
 
 
-def excited(configuration: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
+def excited(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
     """Return the configuration with a small excitation about the held pose (else home) for its reference.
 
-    Raises ConfigurationError: a fused pose, a force that the limits would cut, or a pose that cannot be
-    reached.
+    Raises ConfigurationError: a fused pose, a force that the limits would cut, a pose that cannot be reached.
     """
-    c = configuration
     refuse_fused(c, c.source)
-    force = excitation_force(c, force_N)
-    reference = delay_excitation(
-        exact_model(c), excitation_pose(c), c.loop.rate_Hz, force, duration_s or DURATION_S
-    )
-    return excited_by(c, reference, force)
+    force, pose = excitation_force(c, force_N), excitation_pose(c)
+    made = delay_excitation(exact_model(c), pose, c.loop.rate_Hz, force, duration_s or DURATION_S)
+    return excited_by(c, made, force)
 
 
 def motion_of(rows: Rows, period_s: float) -> Motion:
@@ -62,13 +58,10 @@ def delay_of_log(path: Path) -> dict[str, Any]:
     motion = motion_of(recorded.rows, 1.0 / recorded.rate_Hz)
     model = exact_model(recorded.configuration)
     delay = force_delay(motion, model)
-    found = summary(delay) | {"friction": friction_block(delay, model)}
-    return {"success": True, "kind": "identify", "log": str(path)} | found
-
-
-def summary(delay: Delay) -> dict[str, Any]:
-    """Return a delay as plain values, and the section of the configuration that compensates it."""
     return {
+        "success": True,
+        "kind": "identify",
+        "log": str(path),
         **delay_figures(delay, delay.hold_s),
         "separable": delay.separable,
         "explained_percent": 100.0 * delay.explained,
@@ -79,6 +72,7 @@ def summary(delay: Delay) -> dict[str, Any]:
         "coulomb_friction_std_N": delay.coulomb_std.tolist(),
         "periods": delay.periods,
         "delay_compensation": compensation(delay, delay.hold_s),
+        "friction": friction_block(delay, model),
     }
 
 
@@ -128,15 +122,15 @@ def delay_figures(found: Delay | Fit, hold_s: float) -> dict[str, float]:
 def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
     """Return a line for each of `delay_figures`; `total` says what their sum is."""
     rows = []
-    for name, key, remark in (
-        ("transport", "transport", "SYNC to feedback, computing, command: pure delay"),
-        ("drive lag", "lag", "time constant of the drives' force loop"),
-        ("hold", "hold", "half a period, by design"),
-        ("total", "total", total),
+    for key, remark in (
+        ("transport", "SYNC to feedback, computing, command: pure delay"),
+        ("lag", "time constant of the drives' force loop"),
+        ("hold", "half a period, by design"),
+        ("total", total),
     ):
         std = figures.get(f"{key}_std_ms")
         sure = "" if std is None else f" +- {2 * std:.4f}"
-        rows.append(f"  {name:12} {figures[f'{key}_ms']:8.4f}{sure:11} ms   {remark}")
+        rows.append(f"  {key:12} {figures[f'{key}_ms']:8.4f}{sure:11} ms   {remark}")
     return rows
 
 

@@ -109,26 +109,22 @@ def repeating(reference: ReferenceSettings, rate_Hz: float) -> Lines | None:
         taken: set[int] = set()
         for n, axis in enumerate(reference.axes):
             taken.update(pick_lines(axis, reference.period_s, taken, f"reference.axes[{n}]"))
-        length = reference.period_s * rate_Hz
-        if abs(length - round(length)) > 1e-6:
+        length, harmonics = reference.period_s * rate_Hz, sorted(taken)
+    elif isinstance(reference, SinusoidReference):
+        frequencies = {c.frequency_Hz for c in reference.components}
+        seen = sorted(f for f in frequencies if f * reference.duration_s > 0.25)
+        exact = [Fraction(f).limit_denominator(1000) for f in seen]
+        if not seen or any(abs(float(e) - f) > 1e-9 for e, f in zip(exact, seen, strict=True)):
             return None
-        return _lines(round(length), sorted(taken))
-    if not isinstance(reference, SinusoidReference):
+        base = Fraction(gcd(*(e.numerator for e in exact)), lcm(*(e.denominator for e in exact)))
+        length, harmonics = rate_Hz / float(base), [int(e / base) for e in exact]
+        if length / rate_Hz > reference.duration_s:
+            return None
+    else:
         return None
-    frequencies = {c.frequency_Hz for c in reference.components}
-    seen = sorted(f for f in frequencies if f * reference.duration_s > 0.25)
-    exact = [Fraction(f).limit_denominator(1000) for f in seen]
-    if not seen or any(abs(float(e) - f) > 1e-9 for e, f in zip(exact, seen, strict=True)):
+    if abs(length - round(length)) > 1e-6:
         return None
-    base = Fraction(gcd(*(e.numerator for e in exact)), lcm(*(e.denominator for e in exact)))
-    length = rate_Hz / float(base)
-    if abs(length - round(length)) > 1e-6 or length / rate_Hz > reference.duration_s:
-        return None
-    return _lines(round(length), [int(e / base) for e in exact])
-
-
-def _lines(length: int, harmonics: list[int]) -> Lines:
-    return Lines(length, np.array([h for h in harmonics if h < 0.45 * length], np.int64))
+    return Lines(round(length), np.array([h for h in harmonics if h < 0.45 * round(length)], np.int64))
 
 
 def settled(

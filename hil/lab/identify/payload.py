@@ -48,6 +48,8 @@ HIDDEN = 0.1
 WRONG = 0.3
 """Residual, of the leg forces, from which nothing is printed."""
 HALVES = ("first half", "second half")
+DRIVES = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB, "reflected_mass_kg": REFLECTED}
+"""First columns of the drives' parts, by their key in `controller.model`."""
 
 
 class Source(NamedTuple):
@@ -105,9 +107,8 @@ def identify_payload(
 ) -> Found:
     """Return what logs of `hil run` or `hil sim` say of masses and friction.
 
-    `reflected_kg` of each leg, where it is known; else it is identified. Raises LogError for what is no such
-    log, ConfigurationError for a fused pose, IdentificationError where the logs do not hold enough or are of
-    different platforms; each names it.
+    `reflected_kg` of each leg, where it is known. Raises LogError for what is no such log, ConfigurationError
+    for a fused pose, IdentificationError where the logs do not hold enough or are of different platforms.
     """
     if len({real_path(path) for path in paths}) < len(paths):
         raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
@@ -117,16 +118,14 @@ def identify_payload(
         sources.append(_source(path, reflected_kg))
     first = sources[0]
     for other in sources[1:]:
-        if other.configuration.platform != first.configuration.platform:
-            raise IdentificationError(
-                f"{other.path}: its section platform is not that of {first.path}; identify each by itself"
-            )
-        if other.sent != first.sent:
-            raise IdentificationError(
-                f"{other.path}: its forces are {_forces(other)}, those of {first.path} {_forces(first)}, and "
-                "each kind is late by a time of its own, which would pass for friction; identify each by "
-                "itself"
-            )
+        for what, here, there in (
+            ("section platform", other.configuration.platform, first.configuration.platform),
+            ("kind, rate or delay of forces", other.sent, first.sent),
+        ):
+            if here != there:
+                raise IdentificationError(
+                    f"{other.path}: its {what} is not that of {first.path}; identify each by itself"
+                )
     progress("least squares")
     platform = first.model.platform
     believed = _believed(first, reflected_kg)
@@ -174,13 +173,6 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
     return Source(path, c, model, equations, sent, float(running.sum()) * period)
 
 
-def _forces(source: Source) -> str:
-    if source.sent is None:
-        return "as the drives report them"
-    rate_Hz, delay = source.sent
-    return f"as sent, at {rate_Hz:g} Hz and late by {1e3 * (delay.transport_s + delay.lag_s):g} ms"
-
-
 def _model(c: Configuration) -> Model:
     """Return the robot of section `platform`, to its figures: its legs and joints count."""
     believed = c.controller.believed or ModelSettings()
@@ -196,13 +188,9 @@ def _believed(source: Source, reflected_kg: float | None) -> Array:
     b = source.configuration.controller.believed
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(source.model.platform.platform)
-    if b is not None:
-        theta[VISCOUS : VISCOUS + 6], theta[COULOMB : COULOMB + 6] = (
-            b.viscous_friction_N_s_m,
-            b.coulomb_friction_N,
-        )
-        if reflected_kg is None:
-            theta[REFLECTED:] = b.reflected_mass_kg
+    for key, at in DRIVES.items():
+        if b is not None and (at != REFLECTED or reflected_kg is None):
+            theta[at : at + 6] = getattr(b, key)
     return theta
 
 
@@ -225,8 +213,7 @@ def _refuse_nonsense(estimate: Estimate, rms_force_N: float) -> None:
     if left > WRONG or not estimate.theta[0] > 0.0:
         raise IdentificationError(
             f"a platform of {estimate.theta[0]:.4g} kg leaves {100.0 * left:.0f} % of the leg forces "
-            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; this is another robot than that of "
-            "section platform, or something pushes it"
+            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; another robot, or something pushes it"
         )
 
 
@@ -234,11 +221,8 @@ def _held_out(
     sources: list[Source], believed: Array, scale: Array, *, reflected: bool
 ) -> dict[str, tuple[float, float]]:
     """Return how well each log, or half of the only one, is predicted from the others."""
-    if len(sources) > 1:
-        names = [str(s.path) for s in sources]
-        parts = [s.equations for s in sources]
-    else:
-        names, parts = list(HALVES), halves(sources[0].equations)
+    parts = [s.equations for s in sources] if len(sources) > 1 else halves(sources[0].equations)
+    names = [str(s.path) for s in sources] if len(sources) > 1 else HALVES
     found = {}
     for k, (name, part) in enumerate(zip(names, parts, strict=True)):
         try:
@@ -248,10 +232,6 @@ def _held_out(
         if len(part.y):
             found[name] = prediction_error(part, fit.theta), prediction_error(part, believed)
     return found
-
-
-DRIVES = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB, "reflected_mass_kg": REFLECTED}
-"""First columns of the drives' parts, by their key in `controller.model`."""
 
 
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:

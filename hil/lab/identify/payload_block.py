@@ -8,7 +8,7 @@ import yaml
 from drivers.arrays import Array
 from hil.app.configuration.platform import frame_axes
 from hil.app.files import printable
-from hil.config.platform import BodySettings, PayloadSettings
+from hil.config.platform import PayloadSettings
 from hil.lab.identify.estimators.rigid_body import SIZE, body_of
 from hil.lab.identify.payload import DRIVES, HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
 from hil.robot.geometry import Body
@@ -24,7 +24,7 @@ READ_AS: dict[str, Any] = {
     "inertia_about": {"point_m": None, "rotation_vector_deg": [0.0, 0.0, 0.0]},
     "products": "negative_integral",
 }
-"""Keys by which the figures of a body are read, as those of the block are meant: their defaults."""
+"""How the figures of a body in the block are read, whatever the section says."""
 REMARK = "# Made by hil identify payload: paste into the configuration, in the place of these keys.\n"
 
 
@@ -70,17 +70,11 @@ def _body(found: Found) -> dict[str, Any]:
     c = found.sources[0].configuration
     payload = c.platform.platform.payload
     if not found.split:
-        own = body_keys(body_of(found.theta[:SIZE])) | read_anew(c.platform.platform)
+        own = body_keys(body_of(found.theta[:SIZE])) | READ_AS
         return {**own, "payload": []} if payload else own
     known = [b.model_dump(mode="json", exclude_defaults=True) for b in payload if not b.ranged]
     body, ranged = body_of(found.theta[:SIZE] - found.carrier), ranged_body(c)
     return {"payload": [*known, body_keys(body) if ranged is None else _in_ranges(ranged, body)]}
-
-
-def read_anew(body: BodySettings) -> dict[str, Any]:
-    """Return the keys of READ_AS that this body has set otherwise: as they are they misread the block."""
-    defaults = {field: BodySettings.model_fields[field].get_default() for field in READ_AS}
-    return {key: READ_AS[key] for key, default in defaults.items() if getattr(body, key) != default}
 
 
 def _in_ranges(ranged: PayloadSettings, body: Body) -> dict[str, Any]:

@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Array
 from hil.app.configuration.payload_box import shown_ranges
 from hil.config.platform import PayloadSettings
 from hil.lab.identify.estimators.leg_equations import LATE
 from hil.lab.identify.estimators.rigid_body import NAMES, SIZE, UNITS, body_of
 from hil.lab.identify.payload import HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
-from hil.lab.identify.payload_block import block, body_differs, body_shown, read_anew
-from hil.robot.geometry import Body
+from hil.lab.identify.payload_block import block, body_differs, body_shown
 
 POOR = 0.05
 """Residual, of the leg forces, from which the figures are doubted."""
@@ -30,10 +30,7 @@ def unseen(found: Found) -> list[str]:
 def summary(found: Found) -> dict[str, Any]:
     """Return the result as plain values."""
     e = found.estimate
-    body = body_of(found.theta[:SIZE])
-    payload = None
-    if found.split:
-        payload = _plain(body_of(found.theta[:SIZE] - found.carrier))
+    drives = drives_of(found)
     return {
         "success": True,
         "kind": "identify",
@@ -44,10 +41,10 @@ def summary(found: Found) -> dict[str, Any]:
         "parameters": dict(zip(NAMES, found.theta[:SIZE].tolist(), strict=True)),
         "parameters_std": dict(zip(NAMES, e.std[:SIZE].tolist(), strict=True)),
         "parameters_believed": dict(zip(NAMES, found.believed[:SIZE].tolist(), strict=True)),
-        "platform": _plain(body),
-        "payload": payload,
-        **{key: value.tolist() for key, (value, _) in drives_of(found).items()},
-        **{f"{key}_std": std.tolist() for key, (_, std) in drives_of(found).items()},
+        "platform": _plain(found.theta[:SIZE]),
+        "payload": _plain(found.theta[:SIZE] - found.carrier) if found.split else None,
+        **{key: value.tolist() for key, (value, _) in drives.items()},
+        **{f"{key}_std": std.tolist() for key, (_, std) in drives.items()},
         "reflected_mass": "identified" if found.reflected_kg is None else "given",
         "late_ms": 1e3 * float(found.theta[LATE]),
         "late_std_ms": 1e3 * float(e.std[LATE]),
@@ -64,7 +61,8 @@ def summary(found: Found) -> dict[str, Any]:
     }
 
 
-def _plain(body: Body) -> dict[str, Any]:
+def _plain(theta: Array) -> dict[str, Any]:
+    body = body_of(theta)
     return {
         "mass_kg": body.mass, "com_m": body.com.tolist(), "inertia_kg_m2": body.inertia.tolist()
     }  # fmt: skip
@@ -72,59 +70,47 @@ def _plain(body: Body) -> dict[str, Any]:
 
 def report(found: Found) -> list[str]:
     """Return what the user reads before the block."""
-    e = found.estimate
+    e, hidden = found.estimate, unseen(found)
     rms = float(np.sqrt(np.mean(e.residual_N**2)))
-    seconds = sum(s.seconds for s in found.sources)
+    reported, seconds = all(s.reported for s in found.sources), sum(s.seconds for s in found.sources)
+    forces = "as the drives report them" if reported else "as sent, late by the configured delay"
     lines = [
-        f"From {seconds:.1f} s with open brakes, {e.samples} instants; {_forces(found)}",
+        f"From {seconds:.1f} s with open brakes, {e.samples} instants; forces {forces}",
         "Platform with all it carries, about its origin (+- two standard errors):",
     ]
     for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True)):
         error = f"+- {2.0 * e.std[k]:<8.2g}" if e.unknown[k] <= HIDDEN else "not shown  "
         lines.append(f"  {name:5} {found.theta[k]:11.3f} {error} {unit:7} believed {found.believed[k]:.3f}")
     lines.append("Drives, leg 0 to 5:")
-    words = {
-        "viscous_friction_N_s_m": "viscous friction, N s/m",
-        "coulomb_friction_N": "Coulomb friction, N",
-        "reflected_mass_kg": "reflected mass, kg, identified",
-    }
     for key, (value, std) in drives_of(found).items():
         figures = ", ".join(f"{v:.2f} +- {2.0 * s:.2g}" for v, s in zip(value, std, strict=True))
-        lines.append(f"  {words[key]}: {figures}")
+        lines.append(f"  {_WORDS[key]}: {figures}")
     if found.reflected_kg is not None:
         lines.append(f"  reflected mass: {found.reflected_kg:g} kg each, given, not identified")
-    lines.append(
-        f"Forces are {1e3 * found.theta[LATE]:.3f} +- {2e3 * e.std[LATE]:.2g} ms late against the lengths"
-    )
-    lines.append(
-        f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as believed"
-        + "".join(
-            f"; {name} from the rest {r:.3g} N ({b:.3g} N as believed)"
-            for name, (r, b) in found.held_out.items()
-        )
-    )
+    late_ms, late_std_ms = 1e3 * found.theta[LATE], 1e3 * e.std[LATE]
+    lines.append(f"Forces are {late_ms:.3f} +- {2.0 * late_std_ms:.2g} ms late against the lengths")
+    residual = f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as believed"
+    for name, (r, b) in found.held_out.items():
+        residual += f"; {name} from the rest {r:.3g} N ({b:.3g} N as believed)"
+    lines.append(residual)
     scale = believed_scale(found)
     if scale != 1.0:
-        lines.append(
-            f"As believed: by section platform and controller.model without its inertia_scale {scale:g}, by "
-            "which the law reckons all masses besides"
-        )
+        lines.append(f"As believed: without the inertia_scale {scale:g} of controller.model")
     if rms > POOR * found.rms_force_N:
         lines.append(
             f"That is {100.0 * rms / found.rms_force_N:.0f} % of the forces, {100.0 * POOR:g} % are common: "
-            "another robot than the model's, a load on the platform, or drives that do not make the "
-            "force they report"
+            "another robot, a load on the platform, or drives that do not make the force they report"
         )
-    hidden = unseen(found)
-    lines.append(
-        f"Condition number {e.condition:.3g}; "
-        + (
-            f"not shown about the platform's origin: {', '.join(hidden)}"
-            if hidden
-            else "the motion shows every unknown"
-        )
-    )
-    return [*lines, *_physics(found)]
+    names = ", ".join(hidden)
+    shown = f"not shown about the platform's origin: {names}" if names else "the motion shows every unknown"
+    return [*lines, f"Condition number {e.condition:.3g}; {shown}", *_physics(found)]
+
+
+_WORDS = {
+    "viscous_friction_N_s_m": "viscous friction, N s/m",
+    "coulomb_friction_N": "Coulomb friction, N",
+    "reflected_mass_kg": "reflected mass, kg, identified",
+}
 
 
 def believed_scale(found: Found) -> float:
@@ -133,39 +119,29 @@ def believed_scale(found: Found) -> float:
     return 1.0 if believed is None else believed.inertia_scale
 
 
-def _forces(found: Found) -> str:
-    if all(s.reported for s in found.sources):
-        return "forces as the drives report them"
-    return "forces as sent, late by what the configuration says of the delay"
-
-
 def _physics(found: Found) -> list[str]:
     """Return what body that is, and what the block makes of it."""
-    lines = []
-    if found.whole.smallest <= 0.0:
-        lines.append(
-            "Least squares alone gave what no body has (pseudo-inertia not positive definite); the nearest "
-            f"body is printed, {found.whole.shift:.1f} standard errors away"
-        )
+    lines, payload = [], found.payload
+    for what, fit in (("all of it", found.whole), ("the payload", payload if found.split else None)):
+        if fit is not None and fit.smallest <= 0.0:
+            lines.append(
+                f"Least squares alone gives {what} what no body has (pseudo-inertia not positive definite); "
+                f"the nearest body is printed, {fit.shift:.1f} standard errors away"
+            )
     c = found.sources[0].configuration
     ranged = ranged_body(c)
     carrier = "section platform" if ranged is None else "section platform without the one known by ranges"
-    if found.payload is None:
+    if payload is None:
         lines.append(f"No payload beyond what {carrier} has")
     elif found.split:
         body = body_of(found.theta[:SIZE] - found.carrier)
         x, y, z = body.com
         lines.append(f"Payload {body.mass:.2f} kg at ({x:.4f}, {y:.4f}, {z:.4f}) m of the platform")
-        if found.payload.smallest <= 0.0:
-            lines.append(
-                f"By least squares alone the difference to {carrier} is no body; the nearest payload is "
-                f"printed, {found.payload.shift:.1f} standard errors away"
-            )
     else:
         lines.append(
             f"{found.theta[0] - found.carrier[0]:.2f} kg more than {carrier}, but no payload alone explains "
-            f"the rest (the nearest one is {found.payload.shift:.1f} standard errors away, allowed: "
-            f"{SURE:g}): the figures of the platform itself are off"
+            f"the rest (the nearest one is {payload.shift:.1f} standard errors away, allowed: {SURE:g}): the "
+            "figures of the platform itself are off"
         )
     return [*lines, _in_block(found, ranged)]
 
@@ -182,25 +158,15 @@ def _in_block(found: Found, ranged: PayloadSettings | None) -> str:
             f"The block leaves the body out: it is that of section platform within {SURE:g} standard errors "
             f"or {100.0 * LEAST_PAYLOAD:g} % of the platform's size"
         )
-    if found.split and ranged is not None:
-        words = f"The block has it in the place of {shown_ranges(ranged)}; its ranges stay"
-        wide = block(found)["platform"]["platform"]["payload"][-1]
-        before = ranged.model_dump(mode="json")
-        if any(wide[key] != before[key] for key in ("mass_range_kg", "com_range_m") if key in wide):
-            words += ", wide enough for it now: was the range wrong, or is this another payload?"
-        return words
-    if found.split:
+    if not found.split:
+        lost = "" if ranged is None else f"; state the ranges of {shown_ranges(ranged)} again beside it"
+        return f"The block has the ten parameters of all of it, in platform axes, and no payload{lost}"
+    if ranged is None:
         return "The block has it as one more body"
-    words = "The block has the ten parameters of all of it"
-    anew = read_anew(found.sources[0].configuration.platform.platform)
-    if anew:
-        words += (
-            ", in platform axes about the centre of mass, and sets back what reads the section's otherwise: "
-            + ", ".join(anew)
-        )
-    if ranged is not None:
-        words += (
-            f", and no payload: state the ranges of {shown_ranges(ranged)} anew beside it, or check, "
-            "stability and safety allow for them no longer"
-        )
-    return words
+    wide = block(found)["platform"]["platform"]["payload"][-1]
+    before = ranged.model_dump(mode="json", include={"mass_range_kg", "com_range_m"})
+    wider = any(wide.get(key, value) != value for key, value in before.items())
+    return (
+        f"The block has it in the place of {shown_ranges(ranged)}; its ranges stay"
+        + ", wide enough for it now: was the range wrong, or is this another payload?" * wider
+    )

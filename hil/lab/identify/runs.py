@@ -70,29 +70,21 @@ def is_log(source: Path) -> bool:
 
 
 def refuse_fused(c: Configuration, where: object, task: str = "identify") -> None:
-    """Raise ConfigurationError where a log has another motion than that of the encoders; it lacks theirs.
-
-    task: what is done from the run.
-    """
+    """Raise ConfigurationError where a log has another motion than that of the encoders; task: what for."""
     if c.estimation.pose == "fused":
         raise ConfigurationError(
-            f"{where}: estimation.pose: fused, so that lengths, pose and rates of the log are the filter's, "
-            "drawn to what the controller believes of masses and forces; allowed: legs, in the run to "
-            f"{task} from"
+            f"{where}: estimation.pose: fused: the motion of the log is the filter's, drawn to what the "
+            f"controller believes of masses and forces; allowed: legs, in the run to {task} from"
         )
 
 
 def excitation_force(c: Configuration, force_N: float | None) -> float:
-    """Return the largest leg force of an excitation: what was asked for, or what the limits leave room for.
-
-    Raises ConfigurationError: a force that the limits would cut.
-    """
+    """Return the largest leg force of an excitation. Raises ConfigurationError where limits would cut it."""
     most = STEP_SHARE * min(c.limits.force_step_N, c.limits.force_window_N)
     force = min(FORCE_SHARE * c.limits.force_N, most) if force_N is None else force_N
     if force > 5 * most:
         raise ConfigurationError(
-            f"--force {force:g}: more than half of limits.force_step_N or limits.force_window_N, which would "
-            f"cut it, allowed: up to {5 * most:g}"
+            f"--force {force:g}: allowed: up to {5 * most:g}, half of limits.force_step_N and force_window_N"
         )
     return force
 
@@ -104,10 +96,7 @@ def excitation_pose(c: Configuration) -> Pose:
 
 
 def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excited:
-    """Return the configuration with another reference.
-
-    Raises ConfigurationError for one that cannot be reached.
-    """
+    """Return the configuration with another reference. Raises ConfigurationError: it cannot be reached."""
     document = dict(parse(c.text).value or {})
     document["name"] = f"{c.name[:80]}-identify"
     document["reference"] = reference.model_dump(mode="json")
@@ -119,9 +108,8 @@ def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excite
     return Excited(made, force_N)
 
 
-def exact_model(configuration: Configuration) -> Model:
+def exact_model(c: Configuration) -> Model:
     """Return the full model with what the controller believes of friction and inertia, where it does."""
-    c = configuration
     believed = c.controller.believed or ModelSettings()
     full = believed.model_copy(update={"variant": "full", "frozen_at": None})
     return build_model(full, build_platform(c.platform), c.platform.leg_spin)
@@ -130,20 +118,16 @@ def exact_model(configuration: Configuration) -> Model:
 def run_for(
     made: Excited, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
 ) -> dict[str, Any]:
-    """Run an excited configuration, in lockstep or in real time; return the summary of that run.
-
-    with_plant, arm: as for `run_daemon`, in real time.
+    """Run an excited configuration in lockstep, or in real time as `run_daemon` does; return its summary.
 
     Raises ConfigurationError for what cannot run: lockstep needs a plant.
     """
+    c = made.configuration
     if real_time:
-        return run_daemon(made.configuration, log=log, with_plant=with_plant, draw=False, arm=arm)
-    if made.configuration.plant is None:
-        raise ConfigurationError(
-            f"{made.configuration.source}: no section plant, so there is nothing to simulate: these are real "
-            "drives. Use --run, which moves them"
-        )
-    return simulate(unattended(made.configuration), log=log)
+        return run_daemon(c, log=log, with_plant=with_plant, draw=False, arm=arm)
+    if c.plant is None:
+        raise ConfigurationError(f"{c.source}: no section plant to simulate; --run moves real drives")
+    return simulate(unattended(c), log=log)
 
 
 def recorded_run(path: Path) -> Recorded:

@@ -84,19 +84,10 @@ def unknowns_scale(platform: Platform) -> Array:
 
 
 def solve(equations: Equations, believed: Array, scale: Array, *, reflected: bool) -> Estimate:
-    """Return the weighted least squares of the equations.
+    """Return the weighted least squares of the equations of all logs.
 
-    Parameters
-    ----------
-    equations : rows of all logs.
-    believed : (29,), kept in the directions that are not shown.
-    scale : (29,), `unknowns_scale`.
-    reflected : whether the reflected masses are unknowns; else their columns are empty.
-
-    Raises
-    ------
-    IdentificationError
-        Where a leg has too few samples.
+    believed (29,) is kept in the directions that are not shown; scale: `unknowns_scale`; reflected: whether
+    reflected masses are unknowns, else their columns are empty. Raises IdentificationError: too few samples.
     """
     count = np.bincount(equations.leg, minlength=6)
     if count.min() < FEWEST_SAMPLES:
@@ -199,11 +190,8 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
     beside it, without bounds: what a model error leaves of a friction of zero may be negative, and a bound
     would push that into the inertia.
 
-    Parameters
-    ----------
-    estimate : least squares alone.
-    radius : m, makes the lengths of the pseudo-inertia comparable.
-    carrier : (10,), a body that is known: what comes on top of it has to be a body by itself. Default none.
+    estimate: least squares alone. radius: m, makes the lengths of the pseudo-inertia comparable. carrier
+    (10,): a body that is known; what comes on top of it has to be a body by itself.
     """
     base = np.zeros(SIZE) if carrier is None else carrier
     own = (estimate.theta[:SIZE] - base) / radius**_POWERS

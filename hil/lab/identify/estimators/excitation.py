@@ -69,12 +69,9 @@ def delay_excitation(
     at = _directions(model, pose, "pose")
     components, _ = _multisine(at, frequency, 1.0 / slower, force_N, equal=2)
     components = _sinusoids(at.together * CARRIER_m, CARRIER_Hz, 0.0) + components
+    ramp_s = min(DELAY_RAMP_S, duration_s / 4.0)
     return SinusoidReference(
-        type="sinusoids",
-        centre=pose,
-        components=components,
-        ramp_s=min(DELAY_RAMP_S, duration_s / 4.0),
-        duration_s=duration_s,
+        type="sinusoids", centre=pose, components=components, ramp_s=ramp_s, duration_s=duration_s
     )
 
 

@@ -61,13 +61,9 @@ class Equations(NamedTuple):
 
 
 def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> Equations:
-    """Return what a log says of platform and drives.
+    """Return what a log says of platform and drives; reflected (6,) kg where given, else columns of its own.
 
-    Parameters
-    ----------
-    model : its legs, joints, gravity and sliding speed count; neither its platform's masses nor its friction.
-    signals : the log.
-    reflected : (6,) kg where they are given; None: columns of their own.
+    Of the model legs, joints, gravity and sliding speed count; not its platform's masses nor its friction.
     """
     motion = platform_motion(model.platform, signals)
     c = model.constants.copy()

@@ -81,13 +81,8 @@ def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
     """Return Y (n, 6, 10): Y theta is force and moment about the platform's origin that move the body.
 
     F = m (dv - g) + dw x h + w x (w x h), N = I dw + w x I w + h x (dv - g), h = m c (Newton, Euler), each in
-    platform axes and turned by R into those of the base.
-
-    Parameters
-    ----------
-    R : (n, 3, 3), x_base = p + R x_platform.
-    twist, dtwist : (n, 6) m/s, rad/s and their rates, base frame, of the platform's origin.
-    gravity : (3,) m/s^2, base frame.
+    platform axes and turned by R (n, 3, 3), x_base = p + R x_platform, into those of the base. twist, dtwist
+    (n, 6) m/s, rad/s and their rates, of the platform's origin, and gravity (3,) m/s^2: base frame.
     """
     a = np.einsum("nji,nj->ni", R, dtwist[:, :3] - gravity)
     w = np.einsum("nji,nj->ni", R, twist[:, 3:])

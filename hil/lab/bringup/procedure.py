@@ -13,8 +13,6 @@ STEPS: tuple[Step, ...] = tuple(
     module.STEP for module in (scan, silence, ids, encoder, brakes, force, gauge, mounted)
 )
 """In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
-
-
 ENDS = frozenset({"runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps"})
 """Findings after which nothing more is tried."""
 

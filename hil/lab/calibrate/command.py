@@ -41,8 +41,6 @@ DOUBT = 1e-3
 """Probability of the chi-square below which (or above one less which) the given deviations are doubted."""
 REACH = 0.1
 """A reading that differs by this share of the leg's length from what the pose asks is no reading of it."""
-
-
 FRAMES = (
     "Joints are in the frames of the measured poses: these define base and platform frame. An error of "
     "either frame against the machine moves all its joints together and cannot be seen here."

@@ -33,7 +33,6 @@ from hil.trajectory.multisine import pick_lines
 
 LEAST_MOTION_m = 1e-4
 """Of the leg that moves most; what moves less is lost in encoder steps and friction."""
-
 APART = 1e-6
 """Of a period; so much the reference's time may differ from the clock's by rounding."""
 

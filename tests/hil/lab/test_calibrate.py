@@ -10,8 +10,6 @@ from hil.lab.calibrate.fit import Measurements, calibrate, suspicion
 from hil.robot.geometry import Platform
 
 HEXAGON = np.deg2rad([-10, 10, 110, 130, 230, 250])
-
-
 NOMINAL = Platform.from_dict(
     {
         "base_joints": np.stack([0.75 * np.cos(HEXAGON), 0.75 * np.sin(HEXAGON), 0 * HEXAGON], axis=1),

@@ -13,14 +13,8 @@ from hil.app.configuration.platform import platform_dict
 from hil.cli import main
 
 LAB = load("lab")
-
-
 NOMINAL = platform_dict(LAB.platform)
-
-
 HEADER = ["x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg", *(f"l{i}_m" for i in range(1, 7))]
-
-
 NOISE = 2e-5
 
 

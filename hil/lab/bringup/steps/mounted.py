@@ -8,16 +8,12 @@ from hil.lab.bringup.context import Context, Finding, Gap, Request, Step
 
 FIT_M = 4e-3
 """Largest accepted difference of a length at a pose that is known by a jig."""
-
 SAME_M = 1e-3
 """Differences at the poses that differ by less are one."""
-
 MANY = 4
 """Lengths of so many legs that are off at once, and fit no other joints, have one cause: the pose."""
 AFTER = "Take the platform off the legs first: what is mended is measured again on legs that carry nothing."
 MEND = f"Mount it at its joints, or mend the geometry. {AFTER}"
-
-
 LOAD_WITHIN = 0.1
 """Accepted error of the platform's mass: its weight is what the legs push as the brakes open."""
 HEAVIEST = 500.0

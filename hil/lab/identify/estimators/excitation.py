@@ -26,7 +26,6 @@ DELAY_SLOW_Hz = 150.0
 CARRIER_Hz, CARRIER_m = 1.0, 3e-3
 """All legs together, slowly: it keeps them sliding, or Coulomb friction would hold the small motion."""
 DELAY_RAMP_S = 0.5
-
 LINES, LOWEST_Hz, HIGHEST = 12, 1.0, 0.1
 """The same to identify the axes."""
 PERIOD_S = 2.0

@@ -9,7 +9,6 @@ from hil.app.configuration.configuration import Configuration, loads
 
 _COUNTS = {"counts_per_turn": 163840}
 _402 = {"variant": None, "model": None, "rated_torque_Nm": 3.0}
-
 FAMILIES: dict[str, dict[str, Any]] = {
     "legs_fd": {
         "drives": {"protocol": "legs", "options": None, "transmission": None},

@@ -53,8 +53,6 @@ def test_each_leg_gets_the_number_of_the_drive_that_counts_it(machines, drives, 
 
 SCALES = (1.25, 0.8, 0.5, -1.0, -1.0, -1.0)
 """m of reading a m by tape."""
-
-
 OFFSETS_M = (4e-3, -3e-3, 0.0, 5e-3, -2e-3, 0.0)
 """What each leg reads too much at the middle of its tape."""
 

@@ -84,8 +84,6 @@ CASES = {
         {("offset", (1,)), ("friction", (5,))},
     ),
 }
-
-
 COMBINED = {
     "ids_swapped_and_its_encoder_reversed": (
         wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_sign", 4)),

@@ -85,8 +85,6 @@ def ended(tmp_path, monkeypatch):
 
 
 NO_FAULT = Fault(0)
-
-
 FOUND = "virtual.rehearsal.yaml"
 
 

@@ -11,14 +11,8 @@ from hil.lab.identify.estimators.axis_fit import axis_response, fit_axes, uncert
 from hil.lab.identify.estimators.response import AxisSignals, estimate, periodic, segmented
 
 T = 1e-3
-
-
 LAG = 0.8e-3
-
-
 PERIOD = 1000
-
-
 GAIN = np.array([1.0, 0.9, 1.1, 1.0, 1.2, 0.8])
 
 

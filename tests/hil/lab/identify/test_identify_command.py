@@ -19,8 +19,6 @@ from tests.loop import laden
 
 TRANSPORT_MS = 0.5
 """Rates latched 0.1 ms after the tick, force from 0.6 ms on, on the plant's grid of 0.1 ms."""
-
-
 HOLD_MS = 0.5
 
 

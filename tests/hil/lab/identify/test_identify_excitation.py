@@ -14,11 +14,7 @@ from hil.trajectory.build import build_trajectory
 from tests.hil.test_dynamics import BOOK
 
 FORCE_N = 40.0
-
-
 Q = Rotation.from_rotvec([0.6, -0.7, 0.5]).as_matrix()
-
-
 UPRIGHT = Rotation.from_rotvec([-np.pi / 2, 0.0, 0.0]).as_matrix()
 
 

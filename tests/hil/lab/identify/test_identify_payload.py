@@ -32,26 +32,16 @@ from tests.hil.lab.identify.test_identify_leg_motion import AMPLITUDE, CENTRE, O
 from tests.hil.test_dynamics import BOOK
 
 PLATFORM = Platform.from_dict(BOOK["geometry"])
-
-
 LOAD = Body(230.0, np.array([0.5, 0.3, 0.5]), np.diag([11.7, 7.9, 9.97]))
-
-
 LADEN = Platform.from_dict(
     {
         **BOOK["geometry"],
         "platform": {k: np.asarray(v).tolist() for k, v in vars(combine([PLATFORM.platform, LOAD])).items()},
     }
 )
-
-
 BELIEVED: Array = np.zeros(COLUMNS)
 BELIEVED[:SIZE] = parameters_of(PLATFORM.platform)
-
-
 SCALE = unknowns_scale(PLATFORM)
-
-
 FRICTION: dict[str, Any] = {
     "viscous": np.array([200.0, 180.0, 220.0, 150.0, 300.0, 90.0]),
     "coulomb": np.array([60.0, 50.0, 40.0, 80.0, 30.0, 20.0]),

@@ -22,24 +22,14 @@ FIGURES: dict[str, Any] = {
     "mass_kg": 80, "com_m": [0.012, -0.003, 0.21],
     "inertia_kg_m2": [[12.1, 0.4, 0], [0.4, 11.7, 0.1], [0, 0.1, 14.2]],
 }  # fmt: skip
-
-
 READ: dict[str, Any] = {
     "frame": {"origin_m": [0, 0, -0.05], "rotation_vector_deg": [0, 0, 90]},
     "inertia_about": {"point_m": [0, 0, 0], "rotation_vector_deg": [0, 20, 0]},
     "products": "positive_integral",
 }
-
-
 BOX: dict[str, Any] = {"mass_kg": 80, "com_m": [0, 0, 0.1], "shape": {"type": "box", "size_m": [1, 1.2, 0.2]}}
-
-
 TENSOR = np.array([[8.0, 0.5, -0.2], [0.5, 9.0, 0.3], [-0.2, 0.3, 13.0]])
-
-
 REFLECTED_KG = [9.0, 9.9, 18.0, 1.8, 27.0, 3.6]
-
-
 BODY = Body(85.0, np.array([0.02, 0.03, 0.15]), TENSOR)
 
 

@@ -19,11 +19,7 @@ from hil.mathematics.linear_system import lag
 from tests.hil.lab.learn.plants import K_D, K_P, LEAD, Plant, T, run
 
 F = frequencies(2500, T)
-
-
 AXIS = sampled_axis(1e-3, lag(0.8e-3), T)
-
-
 LOOP = axis_loop(AXIS, gains(K_P, K_D, T), F, looks_ahead=False)
 
 

@@ -17,8 +17,6 @@ from tests.broad import broad
 from tests.hil.lab.learn.plants import K_D, K_P, LEAD, Plant, T, run
 
 STATED = stated(0.25, 1e-3, 100.0)
-
-
 WN = np.full(6, K_P**0.5)
 
 

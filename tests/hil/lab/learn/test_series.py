@@ -25,18 +25,10 @@ from hil.lab.learn.runs import LearningRun
 from hil.lab.learn.trial import trial
 
 C = load("virtual")
-
-
 T, LEAD, COUNT = 1e-3, 450, 500
-
-
 FIRST_MM = 1.6
 """Error of the first run of a series whose first log is not given."""
-
-
 MADE_FOR = made_for(C.reference, C.controller, C.platform, C.folder)
-
-
 ERROR = np.zeros((LEAD + COUNT, 6))
 ERROR[LEAD:] = np.sin(2.0 * np.pi * 6.0 * T * np.arange(COUNT))[:, None] * (
     5e-4,
@@ -138,8 +130,6 @@ def test_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
 
 
 OUT = Path("next.csv")
-
-
 SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
 """State -> error of the second run as a share of the first one's."""
 

@@ -16,11 +16,7 @@ from hil.lab.learn import runs
 from hil.lab.learn.runs import learning_run
 
 T, COUNT, LEAD = 1e-3, 300, 450
-
-
 PATH = Path("a.mcap")
-
-
 COLUMNS = [
     *((name, int) for name in ("tick", "mode", "faults", "warnings")),
     ("reference_time_s", float),

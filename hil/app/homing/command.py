@@ -65,10 +65,7 @@ def state_homing(
 
 @contextmanager
 def _no_run(c: Configuration, path: Path) -> Iterator[None]:
-    """Hold the buses, so that no run begins meanwhile. Raises ConfigurationError where one is in progress.
-
-    It holds for runs on this machine; on localcan, for those with the same runtime folder.
-    """
+    """Hold the buses, so that no run begins here. Raises ConfigurationError: one is in progress."""
     with ExitStack() as stack:
         for bus in c.bus.buses:
             try:

@@ -53,10 +53,7 @@ def robot_hash(c: Configuration) -> str:
 
 
 def homing_path(c: Configuration, *, emulated: bool) -> Path | None:
-    """Return the file of real or of emulated drives; None for emulated ones that have none.
-
-    Raises ConfigurationError where the drives forget nothing.
-    """
+    """Return the file of real or emulated drives, if any. Raises ConfigurationError: they forget nothing."""
     if c.drives.homing is None:
         raise ConfigurationError(
             f"{c.source}: drives.homing: missing: nothing says that these drives forget their turns"
@@ -78,10 +75,7 @@ def _remedy(c: Configuration, path: Path) -> str:
 
 
 def read_homing(c: Configuration, path: Path) -> HomingFile:
-    """Return the file of this robot.
-
-    Raises ConfigurationError: it is not there, not whole, of another version or another robot.
-    """
+    """Return the file. Raises ConfigurationError: missing, not whole, of another version or another robot."""
     mend = _remedy(c, path)
     if not path.exists():
         raise ConfigurationError(f"{path}: no such file: nobody knows in which turn each motor is: {mend}")

@@ -22,16 +22,10 @@ _LATELY = 5
 
 
 class Keeper:
-    """Owns the homing file of a configuration during a run. No file is written while the loop runs.
-
-    Mutable state: the cycle whose run it keeps the file of, while that is marked.
-    """
+    """Owns the homing file during a run. Mutable state: the cycle of the run, while the file is marked."""
 
     def __init__(self, c: Configuration, *, emulated: bool, on_bench: bool = False) -> None:
-        """Read the file, if the drives have one; a rehearsal bench has none, and its platform hangs at home.
-
-        Raises ConfigurationError as `read_homing`.
-        """
+        """Read the file, if the drives have one; a rehearsal bench has none. Raises ConfigurationError."""
         self._c = c
         without = c.drives.homing is None or on_bench
         self._path = None if without else homing_path(c, emulated=emulated)
@@ -51,10 +45,7 @@ class Keeper:
             write_homing(self._c, self._path, marked)
 
     def close(self) -> None:
-        """Say where the legs are; the same as before if the brakes have not been open. Once.
-
-        A file that cannot be written stays marked, and `trouble` says why.
-        """
+        """Say once where the legs are; where that cannot be written, `trouble` says why."""
         cycle, self._cycle, file = self._cycle, None, self._file
         if cycle is None or self._path is None or file is None:
             return

@@ -72,10 +72,7 @@ def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
 
 
 def recorded(path: object, text: bytes | None) -> LastPose | None:
-    """Return what `attached` has written; None for a log without.
-
-    Raises LogError for what it cannot have written.
-    """
+    """Return what `attached` has written; None for a log without. Raises LogError."""
     if text is None:
         return None
     try:

@@ -180,10 +180,7 @@ def _write_mended(
 
 
 class _Said:
-    """Says texts to the operator and into the log.
-
-    Mutable state: the time of the last tick, and the attributes.
-    """
+    """Says texts to the operator and into the log. Mutable state: the attributes."""
 
     def __init__(self, say: Callable[[str], None], recording: Recording) -> None:
         self._say, self._recording = say, recording
@@ -222,10 +219,7 @@ class _Said:
 def _proceed(
     c: Configuration, protocol: Family, end: End, store: Store, said: _Said, *, hang: bool
 ) -> tuple[Outcome, Context, str]:
-    """Do the steps at an end; return how far they came, what is known, and why they were ended.
-
-    hang: the platform is to be fixed to its legs in the end.
-    """
+    """Do the steps, then have the platform fixed if `hang`; return how far, what is known, why ended."""
     machine = build_machine(c, protocol)
     drives = Drives(protocol, end.line, machine.watchdog_s, said.tick)
     context = Context(machine, drives, end.operator, store.facts, store.save)

@@ -195,10 +195,7 @@ class Context:
             self.save()
 
     def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
-        """Ask the operator, calling `keep` every tick until he answers; by default all drives are off.
-
-        Raises RefusedError where he has given more readings out of range than his patience has.
-        """
+        """Ask, calling `keep` (else all off) every tick. Raises RefusedError: too many wrong readings."""
         refused = 0
         idle = self.drives.step if keep is None else keep
         self.operator.ask(request)
@@ -224,10 +221,7 @@ class Context:
 
     @contextmanager
     def opened(self, leg: int) -> Iterator[None]:
-        """Open the brake of drive `leg` alone, without force; shut it whatever happens.
-
-        Raises StoppedError where the five others are not locked out, or the drive cannot be powered.
-        """
+        """Open one brake without force, and shut it whatever happens. Raises StoppedError: it cannot be."""
         self.take_down()
         try:
             why = self.drives.power(leg)
@@ -278,10 +272,7 @@ class Context:
             raise StoppedError(Finding("lost_power", (drive,), text, mend))
 
     def travelled(self, since: Array) -> dict[int, float]:
-        """Return how far each leg has moved since readings (6,), m by tape, > 0 longer.
-
-        Raises StoppedError where a drive that counts a leg is not heard.
-        """
+        """Return how far each leg has moved since readings (6,), m by tape. Raises StoppedError."""
         for drive in self.reads():
             self._heard(drive)
         now = self.lengths()

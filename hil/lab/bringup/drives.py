@@ -167,10 +167,7 @@ class Drives:
     # set-up
 
     def prepare(self, leg: int | None) -> tuple[str, ...]:
-        """Clear latched faults and set the drives up so that `leg` alone, or all, may be powered.
-
-        Returns what each drive has not confirmed of it, in words; empty: nothing.
-        """
+        """Clear faults, set up so that `leg` alone, or all, may be powered; return what each lacks of it."""
         for _ in range(self.protocol.traits.reset_ticks if self._faulted() else 1):
             self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
         self._alone = leg
@@ -202,10 +199,7 @@ class Drives:
         return sent_frames(frames)
 
     def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
-        """Ask the drives of some legs, commanded off, who they are; return what each has said, maybe nothing.
-
-        Fills `serials`.
-        """
+        """Ask some drives, commanded off, who they are; return what each has said. Fills `serials`."""
         answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
         self.serials = tuple(set() for _ in range(LEGS))
         requests = self.protocol.traits.identity_requests
@@ -229,10 +223,7 @@ class Drives:
     # one brake
 
     def power(self, leg: int) -> str:
-        """Power drive `leg` on its shut brake, with the five others locked out.
-
-        Returns why that cannot be, empty: it is. A drive that cannot be powered without its brake is off.
-        """
+        """Power a drive on its shut brake, the five others locked out; return why not, empty: it is."""
         lacks = self.lacks()
         if self.locks or self._faulted() or any(lacks):
             lacks = self.prepare(leg)

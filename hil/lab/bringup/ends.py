@@ -27,10 +27,7 @@ class BusLine:
     """Ticks on an open bus. Mutable state: the deadlines, the bus, for how long its time has stood still."""
 
     def __init__(self, bus: Bus, rate_Hz: float, window_s: float, *, watched: bool) -> None:
-        """Take an open bus; window_s: for so long answers are waited for in a tick.
-
-        watched: the drives have watchdogs of their own.
-        """
+        """Take an open bus; window_s: how long answers are waited for; watched: drives have watchdogs."""
         self.rate_Hz, self._bus = rate_Hz, bus
         self._left = "the drives' watchdogs shut their brakes" if watched else f"the drives {NO_WATCHDOG}"
         self._deadlines = Deadlines(rate_Hz, 0.0, clock=bus.clock)

@@ -116,10 +116,7 @@ def _changes(
 
 
 def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int] | None:
-    """Return the node numbers in the order of the legs, of the drives that were found exchanged; None: none.
-
-    None, too, where they are not exchanged among themselves: another mistake hides whose they are.
-    """
+    """Return the node numbers by leg where drives are exchanged among themselves, else None."""
     nodes, reads = list(c.drives.node_ids), context.reads()
     exchanged = [drive for finding in findings if finding.name == "ids" for drive in finding.legs]
     for drive in exchanged:
@@ -128,10 +125,7 @@ def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> l
 
 
 def _transmission(c: Configuration, context: Context, findings: Sequence[Finding]) -> dict[str, Any]:
-    """Return sign, lead or radius and offset a leg such that readings are those of the tape.
-
-    A lead is corrected where lengths and forces agree on it, a sign where they do.
-    """
+    """Return sign, lead or radius and offset of each leg such that readings are those of the tape."""
     settings = c.drives.transmission
     assert settings is not None
     gear = Transmission(settings)

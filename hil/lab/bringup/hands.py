@@ -33,11 +33,7 @@ def hands_socket(interface: str, channel: str) -> Path:
 
 @contextlib.contextmanager
 def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
-    """Yield a bench wired with some mistakes, whose hands are asked by a socket.
-
-    Raises ConfigurationError for mistakes that are none, and for faults, of which the process's own alone can
-    strike there; RunError where somebody else serves them.
-    """
+    """Yield a bench with mistakes, whose hands are asked by a socket. Raises ConfigurationError, RunError."""
     refuse_on_trestles([] if c.plant is None else c.plant.faults)
     path = hands_socket(c.bus.interface, c.bus.channel)
     if asked(path):

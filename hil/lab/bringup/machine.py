@@ -36,10 +36,7 @@ def bringup_rate(c: Configuration) -> float:
 
 
 def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
-    """Return p (3,) m and R (3, 3) of the poses at which legs are compared: home, and tilted.
-
-    Raises ConfigurationError where even a small tilt takes a leg to the end of its stroke.
-    """
+    """Return p (3,) m, R (3, 3) of home and of a tilted pose. Raises ConfigurationError: out of reach."""
     return [pose_arrays(pose) for pose in _known(c)]
 
 

@@ -113,10 +113,7 @@ class Hands:
 
 
 class BenchHands(Hands):
-    """The hands of a rehearsal: the bench's own truth, measured by tape and gauge.
-
-    Mutable state: the answer that has not been fetched.
-    """
+    """The hands of a rehearsal: the bench's own truth, by tape and gauge. Mutable state: the answer."""
 
     def __init__(
         self,
@@ -203,11 +200,7 @@ def mistake_of(words: str) -> Mistake:
 
 
 def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
-    """Return the wiring with some mistakes of drives of a protocol.
-
-    Raises ConfigurationError for words that are no mistake, that these drives cannot make, or that together
-    wire everything as it should be.
-    """
+    """Return the wiring with some mistakes. Raises ConfigurationError: unknown, impossible, or no mistake."""
     known = [mistake_of(words) for words in mistakes]
     if not protocol.traits.has_watchdog and not OF_WATCHDOG.isdisjoint(each.name for each in known):
         raise ConfigurationError(

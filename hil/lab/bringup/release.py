@@ -30,11 +30,7 @@ class Together(NamedTuple):
 
 
 def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
-    """Run the first motion of a found configuration in lockstep; return how it ended.
-
-    Its brake tests carry the platform's weight on all six brakes before they open and after they have shut.
-    Raises PlantError.
-    """
+    """Run the first motion of a found configuration in lockstep, with its brake tests. Raises PlantError."""
     c = unattended(c)
     pose = last_pose_of(c, None)
     if pose is not None:
@@ -58,10 +54,7 @@ def lines_of(success: bool, *words: str) -> list[str]:
 
 
 def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
-    """Mark the file before legs are moved by hand; where there is none there is nothing to mark.
-
-    Raises ConfigurationError for a file that is not a homing file of this robot, or cannot be written.
-    """
+    """Mark the homing file, if any, before legs are moved by hand. Raises ConfigurationError."""
     path = None if c.drives.homing is None else homing_path(c, emulated=False)
     if path is None or not path.exists():
         return
@@ -71,10 +64,7 @@ def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
 
 
 def state_lengths(found: Configuration, context: Context, say: Callable[[str], None]) -> None:
-    """Write the lengths of the last known pose, at which the platform was fixed to its legs.
-
-    Raises ConfigurationError where the file cannot be written.
-    """
+    """Write the lengths of the last known pose, where the platform was fixed. Raises ConfigurationError."""
     path = None if found.drives.homing is None else homing_path(found, emulated=False)
     if path is not None:
         lengths = context.machine.pose_lengths[-1].tolist()

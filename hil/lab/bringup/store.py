@@ -22,10 +22,7 @@ class Store:
     """The state file. Mutable state: the facts, which are written at each change."""
 
     def __init__(self, path: Path, identity: dict[str, Any], *, again: bool = False) -> None:
-        """Read what is known of the same hardware; again: only whether the platform hangs on the legs.
-
-        Raises RunError for a file that `save` has not written like this: it stays as it is.
-        """
+        """Read what is known of this hardware; again: only whether the platform hangs. Raises RunError."""
         self.path, self._identity = path, identity
         self.facts: dict[str, dict[str, Any]] = {}
         self.changed = ""

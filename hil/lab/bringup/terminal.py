@@ -24,10 +24,7 @@ def _how(request: Request) -> str:
 
 
 class Terminal:
-    """Questions on a terminal, which never hold the drives' ticks up.
-
-    Mutable state: the open question, and what was typed and not yet taken.
-    """
+    """Questions on a terminal that never hold ticks up. Mutable state: the question, what was typed."""
 
     patience = math.inf
 
@@ -56,10 +53,7 @@ class Terminal:
         self._write(f"    {request.text}; {_how(request)}")
 
     def answer(self) -> float | None:
-        """Return the number typed, 0 for what is done; None as long as there is no answer.
-
-        A comma counts as a decimal point. Raises RefusedError.
-        """
+        """Return the number typed, 0 for what is done, None meanwhile. Raises RefusedError."""
         if not self._has_line():
             return None
         assert self._open is not None

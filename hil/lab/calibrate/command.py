@@ -83,10 +83,7 @@ def run_calibration(path: str | Path, poses: Path, out: Path | None = None) -> R
 
 
 def read_pairs(path: Path) -> Pairs:
-    """Read the CSV file; columns in any order, blank lines skipped.
-
-    Raises ConfigurationError with every problem as `file:line: ...`.
-    """
+    """Read the CSV file, columns in any order. Raises ConfigurationError with each problem as `file:line`."""
     try:
         reader = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
         header = [word.strip() for word in next(reader, [])]

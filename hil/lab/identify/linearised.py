@@ -55,10 +55,7 @@ class Lines(NamedTuple):
 
 
 def linearised_law(c: Configuration) -> LinearisedLaw:
-    """Return the linearising part of the configured law.
-
-    Raises ConfigurationError for a law that does not linearise, or a controller's file that cannot be used.
-    """
+    """Return the linearising part of the configured law. Raises ConfigurationError: there is none."""
     settings = c.controller
     controller = controller_of(settings, c.folder)
     space = settings.axes if controller is None else controller.axes
@@ -171,10 +168,7 @@ def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record],
 
 
 def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Array, Array]:
-    """Return A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state.
-
-    They are taken from the law's own kernel, so every variant of the model is its own inverse.
-    """
+    """Return A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state, by the law's own kernel."""
     law, still = _LAWS[space], np.zeros(6)
     b = np.array([law(model, state, still) for state in states])
     columns = [np.array([law(model, state, axis) for state in states]) - b for axis in np.eye(6)]

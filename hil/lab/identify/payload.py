@@ -131,12 +131,18 @@ def identify_payload(
     believed = _believed(first, reflected_kg)
     scale, free = unknowns_scale(platform), reflected_kg is None
     together = joined([s.equations for s in sources])
+    logs = ", ".join(str(s.path) for s in sources)
     try:
         estimate = solve(together, believed, scale, reflected=free)
-        rms = prediction_error(together, believed), prediction_error(together, np.zeros(COLUMNS))
-        _refuse_nonsense(estimate, rms[1])
     except IdentificationError as error:
-        raise IdentificationError(f"{', '.join(str(s.path) for s in sources)}: {error}") from None
+        raise IdentificationError(f"{logs}: {error}") from None
+    rms = prediction_error(together, believed), prediction_error(together, np.zeros(COLUMNS))
+    left = float(np.sqrt(np.mean(estimate.residual_N**2))) / rms[1]
+    if left > WRONG or not estimate.theta[0] > 0.0:
+        raise IdentificationError(
+            f"{logs}: a platform of {estimate.theta[0]:.4g} kg leaves {100.0 * left:.0f} % of the leg forces "
+            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; another robot, or something pushes it"
+        )
     carrier = _carrier(first)
     more = float(estimate.theta[0] - carrier[0])
     carried = more > max(SURE * float(estimate.std[0]), LEAST_PAYLOAD * carrier[0])
@@ -152,7 +158,10 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
     c, period = recorded.configuration, 1.0 / recorded.rate_Hz
-    model = _model(c)
+    # the robot of section `platform`, to its figures: its legs and joints count
+    sliding_m_s = (c.controller.believed or ModelSettings()).sliding_speed_m_s
+    exact = ModelSettings(sliding_speed_m_s=sliding_m_s)
+    model = build_model(exact, build_platform(c.platform), c.platform.leg_spin)
     given = None if reflected_kg is None else np.full(6, reflected_kg)
     try:
         brakes_open(recorded.rows)
@@ -173,18 +182,8 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
     return Source(path, c, model, equations, sent, float(running.sum()) * period)
 
 
-def _model(c: Configuration) -> Model:
-    """Return the robot of section `platform`, to its figures: its legs and joints count."""
-    believed = c.controller.believed or ModelSettings()
-    exact = ModelSettings(sliding_speed_m_s=believed.sliding_speed_m_s)
-    return build_model(exact, build_platform(c.platform), c.platform.leg_spin)
-
-
 def _believed(source: Source, reflected_kg: float | None) -> Array:
-    """Return what section platform and `controller.model` say (29,), without a scale of all masses.
-
-    Reflected masses that are given stand in no column: 0.
-    """
+    """Return what section platform and `controller.model` say (29,), without `inertia_scale`."""
     b = source.configuration.controller.believed
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(source.model.platform.platform)
@@ -205,16 +204,6 @@ def _carrier(source: Source) -> Array:
     fixed = [body for body in settings.platform.payload if not body.ranged]
     bare = settings.platform.model_copy(update={"payload": fixed})
     return parameters_of(platform_body(settings.model_copy(update={"platform": bare})))
-
-
-def _refuse_nonsense(estimate: Estimate, rms_force_N: float) -> None:
-    """Raise IdentificationError for what is no platform on six legs."""
-    left = float(np.sqrt(np.mean(estimate.residual_N**2))) / rms_force_N
-    if left > WRONG or not estimate.theta[0] > 0.0:
-        raise IdentificationError(
-            f"a platform of {estimate.theta[0]:.4g} kg leaves {100.0 * left:.0f} % of the leg forces "
-            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; another robot, or something pushes it"
-        )
 
 
 def _held_out(

@@ -29,10 +29,7 @@ REMARK = "# Made by hil identify payload: paste into the configuration, in the p
 
 
 def block(found: Found) -> dict[str, Any]:
-    """Return the keys to paste: payload or platform, and the drives' part of the law's model.
-
-    The body is left out where the motion does not show all of it, and where it is what is believed.
-    """
+    """Return the keys to paste: the body where it is shown and another, and the drives' part of the model."""
     c = found.sources[0].configuration
     result: dict[str, Any] = {}
     if body_shown(found) and body_differs(found):

@@ -118,10 +118,7 @@ def exact_model(c: Configuration) -> Model:
 def run_for(
     made: Excited, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
 ) -> dict[str, Any]:
-    """Run an excited configuration in lockstep, or in real time as `run_daemon` does; return its summary.
-
-    Raises ConfigurationError for what cannot run: lockstep needs a plant.
-    """
+    """Run it in lockstep, or in real time as `run_daemon`; return the summary. Raises ConfigurationError."""
     c = made.configuration
     if real_time:
         return run_daemon(c, log=log, with_plant=with_plant, draw=False, arm=arm)

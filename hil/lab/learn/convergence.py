@@ -93,10 +93,7 @@ def contraction(loops: Sequence[AxisLoop], f_Hz: Array, uncertainty: Uncertainty
 
 
 def choose(c: Array, f_Hz: Array, most: float = CONTRACTION) -> Choice:
-    """Return the widest filter with |Q| c <= most at each frequency.
-
-    Raises ModelError where there is none, with the figures.
-    """
+    """Return the widest filter with |Q| c <= most at each frequency. Raises ModelError: there is none."""
     finite = np.where(np.isfinite(c), c, 1e300)
     top = float(f_Hz[-1])
     for end in np.geomspace(top, min(LEAST_HZ, top), STEPS):

@@ -43,35 +43,17 @@ class Contradiction(NamedTuple):
     allowed: float
 
 
-class Bands(NamedTuple):
-    """Third octaves from LOWEST_HZ to the end of the filter."""
-
-    centre_Hz: Array
-    """(b,)."""
-    members: list[Flags]
-    """Of the frequencies."""
-
-
-def bands(f_Hz: Array, end_Hz: float) -> Bands:
-    """Return the bands that hold a frequency; the first one begins at 0."""
+def bands(f_Hz: Array, end_Hz: float) -> list[Flags]:
+    """Return the frequencies of each third octave that has some, from LOWEST_HZ, the first one from 0."""
     edges = [0.0]
     while (edge := max(edges[-1], LOWEST_HZ) * 2.0 ** (1.0 / 3.0)) < end_Hz:
         edges.append(edge)
-    edges.append(end_Hz)
-    centres, members = [], []
-    for low, high in pairwise(edges):
-        inside = (f_Hz >= low) & (f_Hz < high)
-        if inside.any():
-            centres.append(float(f_Hz[inside].mean()))
-            members.append(inside)
-    return Bands(np.array(centres), members)
+    members = [(f_Hz >= low) & (f_Hz < high) for low, high in pairwise([*edges, end_Hz])]
+    return [inside for inside in members if inside.any()]
 
 
 def rms_in(X: ComplexArray, inside: Flags, samples: int, count: int) -> Array:
-    """Return the root of the mean square (m,) over `count` samples of what X (f, m) has in a band (Parseval).
-
-    X is the real transform of so many samples.
-    """
+    """Return the rms (m,) over `count` samples of what a real transform X (f, m) has in a band (Parseval)."""
     total = 2.0 * (np.abs(X[inside]) ** 2).sum(axis=0)
     if inside[0]:
         total = total - np.abs(X[0]) ** 2
@@ -100,19 +82,17 @@ def contradiction(
     E0, E1 = spectra(before.e), spectra(now.e)
     changed = np.linalg.norm(change, axis=1)
     left = np.multiply(c, changed, out=np.zeros_like(changed), where=changed > 0.0)[:, None]
-    worst: Contradiction | None = None
-    found = bands(f_Hz, Q.end_Hz)
-    for f, inside in zip(found.centre_Hz.tolist(), found.members, strict=True):
+    found: list[Contradiction] = []
+    for inside in bands(f_Hz, Q.end_Hz):
         was, is_ = (rms_in(E, inside, samples, count) for E in (E0, E1))
         bound = rms_in(np.abs(E0 - change) + left, inside, samples, count)
         share = float(inside.sum()) / len(f_Hz)
         noise = SIGMAS * noise_m * np.sqrt(share * samples / count)
         most = np.maximum(MARGIN * bound, NO_BETTER * was) + noise
         for axis in np.flatnonzero((is_ > most) & (is_ > COUNTS * first_rms_m)).tolist():
-            factor, allowed = float(is_[axis] / was[axis]), float(most[axis] / was[axis])
-            if worst is None or factor / allowed > worst.factor / worst.allowed:
-                worst = Contradiction(axis, f, factor, allowed)
-    return worst
+            f, of = float(f_Hz[inside].mean()), was[axis]
+            found.append(Contradiction(axis, f, float(is_[axis] / of), float(most[axis] / of)))
+    return max(found, key=lambda each: each.factor / each.allowed, default=None)
 
 
 State = Literal["learned", "floor", "contradicted"]

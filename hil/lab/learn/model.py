@@ -23,12 +23,8 @@ from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
 from hil.mathematics.linear_system import LinearSystem, lag
 from hil.robot.dynamics import Model
 
-GAIN_ERROR = 0.25
-"""Share by which the axes may be off in gain where nobody has identified them."""
-DELAY_ERROR_S = 1e-3
-"""Time by which the delay may be off."""
 BELIEVED_UP_TO = 0.1
-"""Share of the rate up to which that is stated: legs, joints and drives bend beyond it."""
+"""Share of the rate up to which an error is stated: legs, joints and drives bend beyond it."""
 
 
 class Belief(NamedTuple):
@@ -55,10 +51,7 @@ class Learner(NamedTuple):
 
 
 def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_error_s: float) -> Belief:
-    """Return the plant that a file of `hil identify` holds; without one, that of the configuration.
-
-    Raises ConfigurationError: a file that is none, of another rate or of other axes.
-    """
+    """Return the plant of a file of `hil identify`, or of the configuration. Raises ConfigurationError."""
     if axes is None:
         delay = loop_delay(c)
         bound = stated(gain_error, delay_error_s, BELIEVED_UP_TO * c.loop.rate_Hz)
@@ -78,10 +71,7 @@ def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_erro
 
 
 def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
-    """Return what an update of so many samples is made with.
-
-    Raises ConfigurationError for a law whose loop is not known, ModelError where no filter converges.
-    """
+    """Return what an update of so many samples is made with. Raises ConfigurationError, ModelError."""
     period_s = 1.0 / c.loop.rate_Hz
     f = frequencies(samples, period_s)
     controllers = _controllers(c, period_s)

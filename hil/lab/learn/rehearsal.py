@@ -93,10 +93,7 @@ def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configurat
 
 
 def with_scale(c: Configuration, scale: float) -> Configuration:
-    """Return the configuration with masses that its law believes in, as a share of its own.
-
-    Raises ConfigurationError for a law without a model.
-    """
+    """Return the configuration with its law's masses scaled. Raises ConfigurationError: no model."""
     believed = c.controller.believed
     if believed is None or "model" not in type(c.controller).model_fields:
         raise ConfigurationError(f"--inertia-scale: law {c.controller.law} has no model of the masses")

@@ -89,10 +89,7 @@ def _of(column: Any) -> Array:
 
 
 def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Rows]:
-    """Return how many rows there are of the end of the approach, and these and `count` along the reference.
-
-    Raises LogError where they are not all there, on the reference's clock, without a fault or a limit.
-    """
+    """Return how many rows lead into the reference, and these with its `count`. Raises LogError."""
     tracking = rows[rows["mode"] == Mode.TRACKING]
     faults = int(np.bitwise_or.reduce(rows["faults"])) if len(rows) else 0
     if faults:

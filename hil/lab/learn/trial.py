@@ -110,10 +110,7 @@ def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array, share
 
 
 def predicted(run: Trial, a: Array, loops: Sequence[AxisLoop]) -> Array:
-    """Return the errors (length, 6) m of the next run along the reference, with a (lead + length, 6) m/s^2.
-
-    e_{k+1} = e_k - P_0 (a_{k+1} - a_k).
-    """
+    """Return the errors (length, 6) m with a (lead + length, 6) m/s^2: e_k - P_0 (a - a_k)."""
     more = -run.a
     begun, end = run.first - run.lead, run.first + run.length
     more[begun:end] += a

@@ -48,10 +48,7 @@ def find(c: Context) -> None:
 
 
 class Steps:
-    """The steps of a reading, and what its rates make of them.
-
-    Mutable state: the steps so far, where the present one began, the last reading, and its way by the rates.
-    """
+    """The steps of a reading, and what its rates make of them. Mutable state: all."""
 
     def __init__(self, c: Context, drive: int, keep: Callable[[], object]) -> None:
         self._c, self._drive, self._keep = c, drive, keep
@@ -98,10 +95,7 @@ def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, f
 
 
 def holds(c: Context, leg: int) -> dict[str, Any]:
-    """Have a leg pushed on its shut brake, and the force read: no encoder tells whether anybody pushed.
-
-    At least FORCE_SHARE of the rated force, as much as a drive puts on a shut brake until all six move.
-    """
+    """Have a leg pushed on its shut brake by FORCE_SHARE of the rated force or more, and the force read."""
     m, before = c.machine, c.lengths()
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: shut"))
     c.rest(PUSH_S)

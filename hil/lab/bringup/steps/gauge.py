@@ -129,10 +129,7 @@ def _limited(c: Context, drive: int) -> float | None:
 
 
 def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:
-    """Tell whether a gain is right, and whether it is that of the lengths: losses count where neither is.
-
-    scale: None where the lengths are right.
-    """
+    """Return whether a gain is right, and whether it is the lengths' scale; None: these are right."""
     for slack in (error, error + losses):
         right = abs(gain - 1.0) <= WITHIN + slack
         same = scale is not None and abs(gain - scale) < (SAME + slack) * scale

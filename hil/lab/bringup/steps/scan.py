@@ -42,10 +42,7 @@ def find(c: Context) -> None:
 
 
 def _recognise(c: Context, heard: Collection[int]) -> None:
-    """Drop what is known of legs whose drive is another than the one that was measured, and say so.
-
-    heard: the drives that are asked.
-    """
+    """Drop what is known of legs whose drive is another than the one that was measured, and say so."""
     found, others = c.drives.identities(heard), []
     double = [leg for leg, serials in enumerate(c.drives.serials) if len(serials) > 1]
     for leg in double:  # either of the two may have told last
@@ -83,10 +80,7 @@ class _Listened(NamedTuple):
 
 
 def _listened(c: Context, *, often: bool = False) -> _Listened:
-    """Poll the drives, commanded off; often: who answers each poll twice is doubled.
-
-    Not where readings are sent unasked, too.
-    """
+    """Poll the drives, commanded off; often: who answers each poll twice is doubled."""
     heard, doubled, foreign, refused = [0] * LEGS, 0, 0, 0
     strange: set[int] = set()
     answers: Counter[tuple[int, int]] = Counter()

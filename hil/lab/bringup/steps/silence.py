@@ -96,10 +96,7 @@ def _find_watched(c: Context, legs: Sequence[int]) -> list[Fact]:
 
 
 def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> list[Fact]:
-    """Fall silent, and take the time of the tick in which each of some drives is no longer powered.
-
-    It was so at the tick before, and the last command went late in its tick.
-    """
+    """Fall silent, and take the time of the tick in which each drive is first not powered."""
     facts: list[Fact] = [{"powered": _powered(c, k), "until_s": None, "since_s": None} for k in legs]
     period_ns = 1e9 / c.drives.line.rate_Hz
     told_ns = before_ns = int(c.drives.record["t_ns"])

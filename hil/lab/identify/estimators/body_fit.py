@@ -219,16 +219,10 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
     end = np.full(SIZE + n, np.inf)
     end[:4] = FARTHEST  # a, d1, d2, d3
     fit = least_squares(residual, begin, bounds=(-end, end), x_scale="jac", max_nfev=500)
-    theta = theta_of(fit.x)
-    return Consistent(theta, smallest, _shift(estimate, theta))
-
-
-def _shift(estimate: Estimate, theta: Array) -> float:
-    """Return how far theta (29,) is off, in standard errors of the directions that the motion shows."""
-    to_shown = estimate.shown.T / estimate.scale
+    theta, to_shown = theta_of(fit.x), estimate.shown.T / scale
     variance = np.diag(to_shown @ estimate.covariance @ to_shown.T)
-    change = np.abs(to_shown @ (theta - estimate.theta))
-    return float((change / np.sqrt(np.maximum(variance, 1e-24))).max(initial=0.0))
+    shift = np.abs(to_shown @ (theta - estimate.theta)) / np.sqrt(np.maximum(variance, 1e-24))
+    return Consistent(theta, smallest, float(shift.max(initial=0.0)))
 
 
 def _nearest(theta: Array) -> Array:

@@ -82,7 +82,8 @@ def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> 
     one_way = all_under(wide.half, fast & (motion.dq > 0.0)) | all_under(wide.half, fast & (motion.dq < 0.0))
     usable = one_way & all_under(wide.half, motion.good)[:, None]
     usable &= (np.arange(len(needed)) % half == 0)[:, None]
-    again = _read_again(signals)
+    error = np.random.default_rng(0).standard_normal(signals.length.shape)  # the same for the same log
+    again = signals._replace(length=signals.length + reading_errors(signals) * error)
     A, B = (
         smooth(wide.value, x.reshape(len(x), -1)).reshape(x.shape)
         for x in (
@@ -107,12 +108,6 @@ def _columns(platform: Platform, motion: PlatformMotion, reflected: Array | None
         A[:, leg, LATE] = -motion.dforce[:, leg]
         A[:, leg, REFLECTED + leg] = motion.ddq[:, leg] if reflected is None else 0.0
     return A
-
-
-def _read_again(signals: LegSignals) -> LegSignals:
-    """Return the log with one more error on each length; the same ones for the same log."""
-    error = np.random.default_rng(0).standard_normal(signals.length.shape)
-    return signals._replace(length=signals.length + reading_errors(signals) * error)
 
 
 def joined(logs: list[Equations]) -> Equations:

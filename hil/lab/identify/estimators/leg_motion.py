@@ -152,10 +152,7 @@ def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
 
 
 def reading_errors(signals: LegSignals) -> Array:
-    """Return the standard deviation (6,) m of what one reading of a length has beside the motion.
-
-    From the sixth differences, in which a motion of a few hertz is nothing and white noise counts 924 times.
-    """
+    """Return the deviation (6,) m of one reading from a slow motion, by sixth differences."""
     d = np.diff(signals.length, DIFFERENCES, axis=0)[all_good(DIFFERENCES + 1, signals.good)]
     return np.sqrt(np.mean(d**2, axis=0) / comb(2 * DIFFERENCES, DIFFERENCES)) if len(d) else np.zeros(6)
 

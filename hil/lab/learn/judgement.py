@@ -15,8 +15,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, ComplexArray, Flags
-from hil.lab.learn.convergence import Filter
-from hil.lab.learn.loop import AxisLoop
+from hil.lab.learn.convergence import AxisLoop, Filter
 from hil.lab.learn.trial import Trial, spectra
 
 MARGIN = 1.5

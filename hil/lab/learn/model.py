@@ -18,8 +18,16 @@ from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import gains
 from hil.design.stability.sampled_loop import sampled_axis, sampled_controller
 from hil.lab.identify.linearised import law_terms, linearised_law, state_of
-from hil.lab.learn.convergence import Choice, Uncertainty, choose, contraction, stated
-from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
+from hil.lab.learn.convergence import (
+    AxisLoop,
+    Choice,
+    Uncertainty,
+    axis_loop,
+    choose,
+    contraction,
+    frequencies,
+    stated,
+)
 from hil.mathematics.linear_system import LinearSystem, lag
 from hil.robot.dynamics import Model
 

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from drivers.arrays import Array, ComplexArray
-from hil.lab.learn.convergence import Filter
-from hil.lab.learn.loop import AxisLoop
+from hil.lab.learn.convergence import AxisLoop, Filter
 
 BEFORE_S, BEHIND_S, HELD_S = 0.5, 1.0, 0.4
 """Of a trial, before and behind the reference; so long behind it what was there in the end goes on."""

@@ -10,9 +10,18 @@ from hil.app.configuration.configuration import load, loads
 from hil.design.stability.prediction import predicting
 from hil.design.stability.sampled import gains
 from hil.design.stability.sampled_loop import sampled_axis
-from hil.lab.learn.convergence import CONTRACTION, Filter, Uncertainty, choose, contraction, stated
+from hil.lab.learn.convergence import (
+    CONTRACTION,
+    AxisLoop,
+    Filter,
+    Uncertainty,
+    axis_loop,
+    choose,
+    contraction,
+    frequencies,
+    stated,
+)
 from hil.lab.learn.judgement import contradiction
-from hil.lab.learn.loop import AxisLoop, axis_loop, frequencies
 from hil.lab.learn.model import belief_of, learner
 from hil.lab.learn.trial import predicted, trial, updated
 from hil.mathematics.linear_system import lag

@@ -8,9 +8,8 @@ import pytest
 
 from hil.design.stability.sampled import gains
 from hil.design.stability.sampled_loop import sampled_axis
-from hil.lab.learn.convergence import Uncertainty, choose, contraction, stated
+from hil.lab.learn.convergence import Uncertainty, axis_loop, choose, contraction, frequencies, stated
 from hil.lab.learn.judgement import contradiction, in_band, state
-from hil.lab.learn.loop import axis_loop, frequencies
 from hil.lab.learn.trial import FIRST_STEP, Trial, trial, updated
 from hil.mathematics.linear_system import lag
 from tests.broad import broad

@@ -1,11 +1,10 @@
-"""The configuration that a bring-up has found, with a comment at each number that it vouches for."""
+"""The configuration that a bring-up has found, under comments that say where its numbers come from."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Array
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from hil.app.configuration.changes import with_changes
@@ -33,10 +32,12 @@ def found_text(
 
     released: the six legs have moved together. rehearsed: an emulated bench was measured.
     """
-    changes, comments = _changes(c, context, findings)
+    speed, following = c.limits.speed_m_s, c.limits.following_error_m
     head = [
-        f"{c.name}, as `hil bringup` has found it. Its limits are reduced for the first runs:",
-        "raise them as trust grows. Comments of the given file are not repeated.",
+        f"{c.name}, as `hil bringup` has found it; comments of the given file are not repeated.",
+        f"limits: reduced for the first runs, {speed:g} m/s and {following:g} m were given; raise them later",
+        "reference: the first motion of all six legs; then your own",
+        *_sources(context),
     ]
     if rehearsed:
         head.append("REHEARSAL: its figures are those of an emulated bench, no machine was measured.")
@@ -49,7 +50,7 @@ def found_text(
         head += [f"  {finding._replace(mend='').line.rstrip(' .')}" for finding in done]
     elif not released:
         head.append("NOT RELEASED: the step together has not passed. Give the command again.")
-    return "".join(f"# {line}\n" for line in head) + commented(with_changes(c.text, changes), comments)
+    return "".join(f"# {line}\n" for line in head) + with_changes(c.text, _changes(c, context, findings))
 
 
 def mended(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[Finding]:
@@ -72,9 +73,7 @@ def _has_gear(c: Configuration, findings: Sequence[Finding]) -> bool:
     return c.drives.transmission is not None and not misread
 
 
-def _changes(
-    c: Configuration, context: Context, findings: Sequence[Finding]
-) -> tuple[dict[str, Any], dict[tuple[str, str], list[str]]]:
+def _changes(c: Configuration, context: Context, findings: Sequence[Finding]) -> dict[str, Any]:
     speed, following = c.limits.speed_m_s, c.limits.following_error_m
     x, y, z = c.platform.home.position_m
     turned = list(c.platform.home.rotation_vector_deg)
@@ -83,10 +82,8 @@ def _changes(
         for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
     ]
     first = {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points}
-    was = ""
     # the limits of a file that a bring-up has written are reduced already
     if WaypointReference.model_validate(first) != c.reference:
-        was = f", {speed:g} m/s and {following:g} m were configured"
         speed *= SPEED_SHARE
         following = min(following, max(FOLLOWING_SHARE * following, FOLLOWING_M))
     changes: dict[str, Any] = {
@@ -94,14 +91,6 @@ def _changes(
         "engage": {"approach_speed_m_s": min(c.engage.approach_speed_m_s, 0.5 * speed)},
         "reference": first,
         "drives": {"node_ids": _order(c, context, findings) or list(c.drives.node_ids)},
-    }
-    comments = {
-        ("limits", "speed_m_s"): [f"reduced by the bring-up{was}"],
-        ("limits", "following_error_m"): ["reduced by the bring-up"],
-        ("reference", "type"): ["first motion of all six legs, by the bring-up; then your own"],
-        ("drives", "node_ids"): ["each leg moved by hand and by its drive"],
-        ("drives", "watchdog_ms"): _watchdogs(context),
-        ("platform", "length_min_m"): _strokes(context),
     }
     if any(f.name == "stroke" for f in findings):
         ends = np.array([context.known("encoder", leg)["tape_m"] for leg in range(LEGS)])
@@ -111,8 +100,7 @@ def _changes(
         }
     if _has_gear(c, findings):
         changes["drives"]["transmission"] = _transmission(c, context, findings)
-        comments["drives", "transmission"] = ["signs, leads and zeros by tape; see the checklist"]
-    return changes, comments
+    return changes
 
 
 def _order(c: Configuration, context: Context, findings: Sequence[Finding]) -> list[int] | None:
@@ -152,34 +140,21 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
     return changes
 
 
-def _watchdogs(context: Context) -> list[str]:
-    facts = [context.known("watchdog", leg) for leg in range(LEGS)]
-    latest = [fact["until_s"] for fact in facts if fact is not None and fact["until_s"] is not None]
+def _sources(context: Context) -> list[str]:
+    """Return where numbers come from, as far as they were measured."""
+    lines = ["drives.node_ids: each leg moved by hand and by its drive"]
+    watchdogs = [fact for leg in range(LEGS) if (fact := context.known("watchdog", leg)) is not None]
+    latest = [fact["until_s"] for fact in watchdogs if fact["until_s"] is not None]
     if len(latest) < LEGS and not context.drives.protocol.traits.has_watchdog:
-        return ["NOT proven: these drives have no watchdog that is set from here; cut their power otherwise"]
-    return [f"proven by silence: {1e3 * max(latest):.4g} ms at the latest"] if latest else []
-
-
-def _strokes(context: Context) -> list[str]:
-    facts = [fact for leg in range(LEGS) if (fact := context.known("encoder", leg)) is not None]
-    if not facts:
-        return []
-    ends: Array = np.array([fact["tape_m"] for fact in facts])
-    return [
-        f"by tape, shortest {ends[:, 0].max():.4f} m and longest {ends[:, 1].min():.4f} m of the legs",
-        "encoders, m a m by tape: " + ", ".join(f"{fact['scale']:.4f}" for fact in facts),
-    ]
-
-
-def commented(text: str, comments: Mapping[tuple[str, str], Sequence[str]]) -> str:
-    """Return a YAML text in block style with comments above keys of its sections."""
-    lines, section = [], ""
-    for line in text.splitlines():
-        key = line.strip().partition(":")[0]
-        depth = len(line) - len(line.lstrip())
-        if depth == 0 and not line.startswith(("-", "#")):
-            section = key
-        if depth == 2 and not line.lstrip().startswith("-"):
-            lines += [f"  # {comment}" for comment in comments.get((section, key), ())]
-        lines.append(line)
-    return "\n".join(lines) + "\n"
+        lines.append("drives.watchdog_ms: NOT proven, none is set from here; cut the drives' power otherwise")
+    elif latest:
+        lines.append(f"drives.watchdog_ms: proven by silence, {1e3 * max(latest):.4g} ms at the latest")
+    encoders = [fact for leg in range(LEGS) if (fact := context.known("encoder", leg)) is not None]
+    if encoders:
+        low, high = zip(*(fact["tape_m"] for fact in encoders), strict=True)
+        scales = ", ".join(f"{fact['scale']:.4f}" for fact in encoders)
+        lines.append(
+            f"platform, drives.transmission: legs of {max(low):.4f} to {min(high):.4f} m by tape; they read"
+        )
+        lines.append(f"  {scales} m a m by tape")
+    return lines

@@ -153,8 +153,6 @@ def _sources(context: Context) -> list[str]:
     if encoders:
         low, high = zip(*(fact["tape_m"] for fact in encoders), strict=True)
         scales = ", ".join(f"{fact['scale']:.4f}" for fact in encoders)
-        lines.append(
-            f"platform, drives.transmission: legs of {max(low):.4f} to {min(high):.4f} m by tape; they read"
-        )
-        lines.append(f"  {scales} m a m by tape")
+        lines.append(f"platform: legs of {max(low):.4f} to {min(high):.4f} m by tape")
+        lines.append(f"drives: their encoders read {scales} m a m by tape")
     return lines

@@ -2,7 +2,7 @@
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,15 +24,16 @@ from hil.app.run.stretching import stood_still_line, stretches
 from hil.lab.bringup.checklist import checklist
 from hil.lab.bringup.context import Context, Finding, RefusedError, Request
 from hil.lab.bringup.drives import Drives
-from hil.lab.bringup.ends import Agree, End, machine_end, rehearsed_end, served_end
+from hil.lab.bringup.ends import End, bus_line, served_end
 from hil.lab.bringup.found import FIRST_M, found_text, mended
 from hil.lab.bringup.hands import asked, hands_socket
-from hil.lab.bringup.machine import bringup_rate, build_machine
+from hil.lab.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.lab.bringup.procedure import Outcome, bring_up
-from hil.lab.bringup.rehearsal import build_bench, wiring_of
+from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, build_bench, wiring_of
 from hil.lab.bringup.release import Together, lines_of, mark_moved, six_legs, state_lengths
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
+from hil.loop.clock import real_time
 from hil.record import Recording
 from plant_fmu.rehearsal.bench import RehearsalBench
 
@@ -105,13 +106,15 @@ def run_bringup(
         agree: Agree = (lambda *_: True) if yes else terminal.consent
         with steps:
             if bench is not None:
-                end = rehearsed_end(c, bench, agree, said)
+                line = BenchLine(bench.nodes, bringup_rate(c))
+                end = End(line, BenchHands(bench, known_poses(c), agree, said))
             elif served and bus is not None:
                 end = steps.enter_context(served_end(c, bus, protocol, terminal, agree, said))
             else:
                 assert bus is not None
                 mark_moved(c, said)
-                end = steps.enter_context(machine_end(c, bus, protocol, terminal))
+                steps.enter_context(real_time(c.loop.priority, c.loop.cpu))
+                end = End(bus_line(c, bus, protocol), terminal)
             outcome, context, reason = _proceed(c, protocol, end, store, said, hang=bench is None)
         bench_time = stretches(np.array(said.stood_ns, np.int64))
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
@@ -276,10 +279,9 @@ def _release(
     return together
 
 
-@contextlib.contextmanager
-def _log(c: Configuration, path: Path, clock: Clock | None) -> Iterator[Recording]:
+def _log(c: Configuration, path: Path, clock: Clock | None) -> Recording:
     """Record a bring-up on a bus by its clock; None: a rehearsal, which has a time of its own."""
-    with Recording.start(
+    return Recording.start(
         path,
         configuration=c.text,
         attachments=attachments(c),
@@ -289,5 +291,4 @@ def _log(c: Configuration, path: Path, clock: Clock | None) -> Iterator[Recordin
         ring_ticks=c.recording.ring_ticks,
         lockstep=clock is None,
         clock=clock or MONOTONIC,
-    ) as recording:
-        yield recording
+    )

@@ -16,11 +16,10 @@ from hil.app.run.stretching import STRANGER, begin, bench_clock
 from hil.lab.bringup.context import Operator
 from hil.lab.bringup.drives import Heard, Line
 from hil.lab.bringup.hands import RemoteHands
-from hil.lab.bringup.machine import WINDOW, bringup_rate, known_poses
-from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, Say
+from hil.lab.bringup.machine import WINDOW, bringup_rate
+from hil.lab.bringup.rehearsal import Agree, Say
 from hil.loop.clock import Deadlines, real_time
 from hil.loop.report import NO_WATCHDOG
-from plant_fmu.rehearsal.bench import RehearsalBench
 
 
 class BusLine:
@@ -67,11 +66,6 @@ class End(NamedTuple):
     operator: Operator
 
 
-def rehearsed_end(c: Configuration, bench: RehearsalBench, agree: Agree, say: Say) -> End:
-    """Return the ends of a bench in this process."""
-    return End(BenchLine(bench.nodes, bringup_rate(c)), BenchHands(bench, known_poses(c), agree, say))
-
-
 @contextlib.contextmanager
 def served_end(
     c: Configuration, bus: Bus, protocol: Family, beside: Operator, agree: Agree, say: Say
@@ -94,20 +88,14 @@ def served_end(
             opening = protocol.controller_end(drive_setup(c, rate)).begin(0)
             begin(clock, c, protocol, opening, round(1e9 * WINDOW / rate))
         try:
-            yield End(_line(c, bus, protocol), hands)
+            yield End(bus_line(c, bus, protocol), hands)
         finally:
             bus.clock.leave()
             if clock is not None and clock.interrupted:
                 say(STRANGER)
 
 
-@contextlib.contextmanager
-def machine_end(c: Configuration, bus: Bus, protocol: Family, operator: Operator) -> Iterator[End]:
-    """Yield the ends of a machine on a bus."""
-    with real_time(c.loop.priority, c.loop.cpu):
-        yield End(_line(c, bus, protocol), operator)
-
-
-def _line(c: Configuration, bus: Bus, protocol: Family) -> BusLine:
+def bus_line(c: Configuration, bus: Bus, protocol: Family) -> BusLine:
+    """Return the ticks of a bring-up on an open bus."""
     rate = bringup_rate(c)
     return BusLine(bus, rate, WINDOW / rate, watched=protocol.traits.has_watchdog)

@@ -147,13 +147,6 @@ def test_facts_of_a_drive_go_with_its_number_and_stay_where_it_is_silent(case, m
         assert not [facts for facts in saved if "2" in facts["encoder"] and facts["identity"]["2"] == known]
 
 
-@pytest.mark.parametrize("value", [0, 0xFFFFFFFF, (1 << 64) - 1])
-def test_serial_number_that_was_never_written_tells_nothing(value):
-    assert not Said(0, SERIAL, value).tells
-    assert Said(0, SERIAL, value ^ 0x10).tells
-    assert Said(0, REVISION, value).tells
-
-
 def asked_legs(rehearsal):
     return {request.leg for request in rehearsal.hands.requests if request.act == "measure"}
 

@@ -174,12 +174,6 @@ def test_tick_has_the_answers_of_its_window_and_what_was_late_before():
     assert second.since_ns - first.since_ns == 2_000_000
 
 
-def test_tick_waits_as_long_as_its_window():
-    bus = FakeBus()
-    line = BusLine(cast("Bus", bus), 500.0, 1.95e-3, watched=True)
-    assert [r.frame for r in line.exchange([POLL]).frames] == [ANSWER, LATE]
-
-
 def test_tick_says_for_how_long_time_stood_still_before_it():
     bus = FakeBus()
     bus.clock.stood_ns = 100

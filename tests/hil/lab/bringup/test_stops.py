@@ -260,14 +260,6 @@ def test_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
     assert rehearsal.watched.most_open == 0
 
 
-def test_no_reading_is_taken_of_a_drive_that_is_not_heard():
-    rehearsal = Rehearsal("virtual", Wiring())
-    rehearsal.drives.step()
-    rehearsal.drives.record["age"][4] = 50
-    with pytest.raises(StoppedError, match="not_heard: leg 4"):
-        rehearsal.context.lengths()
-
-
 def test_travel_is_not_taken_from_a_drive_that_fell_silent():
     facts = {"encoder": {str(leg): {"drive": 5 - leg, "scale": 2.0} for leg in range(6)}}
     rehearsal = Rehearsal("virtual", Wiring(), facts=facts)

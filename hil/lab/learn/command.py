@@ -42,8 +42,13 @@ class Step(NamedTuple):
     """By the nominal axes; None for the first run that is there."""
     contraction: float | None
     """In-band error over that of the run before."""
-    peak_N: float
+    learned_peak_N: float
     contradicted: Contradiction | None
+
+    @property
+    def figures(self) -> dict[str, float | None]:
+        """By name."""
+        return {key: value for key, value in self._asdict().items() if key not in {"run", "contradicted"}}
 
 
 class Outcome(NamedTuple):

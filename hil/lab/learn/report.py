@@ -25,7 +25,7 @@ def table(steps: list[Step]) -> list[str]:
         factor = "-" if step.contraction is None else f"{step.contraction:.4f}"
         lines.append(
             f"{step.run.number:3d}   {step.rms_mm:<9.5f}  {step.peak_mm:<9.5f}  {ahead:<12}  {factor:<11}  "
-            f"{step.peak_N:.1f}"
+            f"{step.learned_peak_N:.1f}"
         )
     return lines
 
@@ -89,17 +89,7 @@ def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
         "kind": "learn",
         "state": outcome.state,
         "runs": [
-            {
-                "log": str(step.run.path),
-                "run": step.run.number,
-                "rms_mm": step.rms_mm,
-                "peak_mm": step.peak_mm,
-                "in_band_mm": step.in_band_mm,
-                "predicted_mm": step.predicted_mm,
-                "contraction": step.contraction,
-                "learned_peak_N": step.peak_N,
-            }
-            for step in outcome.steps
+            {"log": str(step.run.path), "run": step.run.number} | step.figures for step in outcome.steps
         ],
         "filter_end_Hz": choice.Q.end_Hz,
         "contraction_bound": choice.contraction,

@@ -1,20 +1,18 @@
 """The end of a bring-up: all six legs under the ordinary controller, and the homing file."""
 
 from collections.abc import Callable
+from contextlib import closing
 from typing import NamedTuple
 
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.platform import build_platform
 from hil.app.configuration.unattended import unattended
 from hil.app.homing.file import homing_file, homing_path, read_homing, write_homing
-from hil.app.homing.last_pose import last_pose_of
+from hil.app.homing.last_pose import home_lengths, last_pose_of
 from hil.app.sim.build import build_lockstep
 from hil.lab.bringup.context import Context
-from hil.lab.bringup.machine import known_poses
 from hil.lab.bringup.rehearsal import emulated, mounted
 from hil.loop.run_end import Ending
-from hil.robot.kinematics import leg_lengths
 from plant_fmu.rehearsal.bench import RehearsalBench
 from plant_fmu.rehearsal.wired_drives import WiredNodes
 
@@ -33,17 +31,12 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     """Run the first motion of a found configuration in lockstep, with its brake tests. Raises PlantError."""
     c = unattended(c)
     pose = last_pose_of(c, None)
-    if pose is not None:
-        pose = pose._replace(length=leg_lengths(build_platform(c.platform), *known_poses(c)[0]))
+    pose = None if pose is None else pose._replace(length=home_lengths(c))
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms, last_pose=pose)
-    plant = mounted(c, bench.wiring)
-    try:
+    with closing(mounted(c, bench.wiring)) as plant:
         cables = bench.behind_cables(plant)
         nodes = WiredNodes(bench.wiring, cables, bench.protocol, emulated(c).drives, c.drives)
-        lockstep = build_lockstep(c, cycle, nodes)
-        return lockstep.run(None, lambda *_: None)
-    finally:
-        plant.close()
+        return build_lockstep(c, cycle, nodes).run(None, lambda *_: None)
 
 
 def lines_of(success: bool, *words: str) -> list[str]:

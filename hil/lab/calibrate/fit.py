@@ -6,7 +6,7 @@ Parameters of a leg stand in the order base x y z, platform x y z, offset, all i
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import block_diag, cho_factor, cho_solve
+from scipy.linalg import block_diag, cho_factor, cho_solve, qr
 from scipy.optimize import least_squares
 from scipy.special import gammaincc
 
@@ -254,18 +254,13 @@ def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
 
 
 def _combinations(leg: int, V: Array) -> list[Combination]:
-    """Name a basis of a subspace (7, k) with as few parameters as possible a vector (Gauss-Jordan)."""
-    A = V.T.copy()
-    used: list[int] = []
-    for row in range(len(A)):
-        free = [c for c in range(7) if c not in used]
-        best = max(((r, c) for r in range(row, len(A)) for c in free), key=lambda rc: abs(A[rc]))
-        A[[row, best[0]]] = A[[best[0], row]]
-        A[row] /= A[row, best[1]]
-        for other in range(len(A)):
-            if other != row:
-                A[other] -= A[other, best[1]] * A[row]
-        used.append(best[1])
+    """Name a basis of a subspace (7, k) with as few parameters a vector as possible, by pivoted QR."""
+    k = V.shape[1]
+    if k == 0:
+        return []
+    _, R, order = qr(V.T, mode="economic", pivoting=True)
+    A = np.empty((k, 7))
+    A[:, order] = np.linalg.solve(R[:, :k], R)
     return [Combination(leg, _named(vector), None) for vector in A]
 
 

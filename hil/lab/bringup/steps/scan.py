@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Collection
-from typing import Any, NamedTuple
+from typing import Any
 
 from drivers.protocol import SERIAL
 from drivers.signals import LEGS, DriveState, Foreign
@@ -18,27 +18,26 @@ CANOPEN_HEARTBEAT = 0x700
 def find(c: Context) -> None:
     """Poll all drives, commanded off, and set them up: at every start, since drives forget."""
     c.drives.spoken = frames = set[tuple[int, int]]()
-    found = _listened(c)
+    heard, doubled, bus = _listened(c)
     lacks = ("",) * LEGS
-    if not found.doubled and not found.foreign:
+    if not doubled and not bus["foreign"]:
         lacks = c.drives.prepare(None)
-        found = _listened(c, often=True)  # some answer only once they are set up, or otherwise then
+        heard, doubled, bus = _listened(c, often=True)  # some answer only once set up, or otherwise then
     c.drives.spoken = None
     spoken = [sorted(identifier for sender, identifier in frames if sender == leg) for leg in range(LEGS)]
-    bus = {"foreign": found.foreign, "refused": found.refused, "strange": sorted(found.strange)}
     c.keep("scan", "bus", bus)
     for leg in range(LEGS):
         state = DriveState(int(c.drives.record["drive_state"][leg]))
         fact = {
-            "answers": found.heard[leg] / c.drives.ticks(LISTEN_S),
-            "twice": bool(found.doubled >> leg & 1),
+            "answers": heard[leg] / c.drives.ticks(LISTEN_S),
+            "twice": bool(doubled >> leg & 1),
             "state": state.name,
             "lacks": lacks[leg],
             "spoken": spoken[leg],
-            "fault": c.fault_of(leg) if found.heard[leg] and state is DriveState.FAULT else "",
+            "fault": c.fault_of(leg) if heard[leg] and state is DriveState.FAULT else "",
         }
         c.keep("scan", leg, fact)
-    _recognise(c, [leg for leg in range(LEGS) if found.heard[leg] or spoken[leg]])
+    _recognise(c, [leg for leg in range(LEGS) if heard[leg] or spoken[leg]])
 
 
 def _recognise(c: Context, heard: Collection[int]) -> None:
@@ -67,20 +66,11 @@ def _recognise(c: Context, heard: Collection[int]) -> None:
             c.keep("identity", leg, found[leg] if leg in others else before[leg] | found[leg])
 
 
-class _Listened(NamedTuple):
-    """What some ticks have brought."""
+def _listened(c: Context, *, often: bool = False) -> tuple[list[int], int, dict[str, Any]]:
+    """Poll the drives, commanded off; return ticks in which each answers, bits of doubled ones, the bus.
 
-    heard: list[int]
-    """Ticks in which each drive has answered."""
-    doubled: int
-    foreign: int
-    refused: int
-    strange: set[int]
-    """Identifiers of frames that are nobody's."""
-
-
-def _listened(c: Context, *, often: bool = False) -> _Listened:
-    """Poll the drives, commanded off; often: who answers each poll twice is doubled."""
+    often: who answers each poll twice is doubled, too; not where readings are sent unasked.
+    """
     heard, doubled, foreign, refused = [0] * LEGS, 0, 0, 0
     strange: set[int] = set()
     answers: Counter[tuple[int, int]] = Counter()
@@ -97,7 +87,7 @@ def _listened(c: Context, *, often: bool = False) -> _Listened:
     if often and c.drives.protocol.traits.unasked_s <= 0.0:
         for (leg, _), number in answers.items():
             doubled |= (leg >= 0 and number > TWICE * ticks) << max(leg, 0)
-    return _Listened(heard, doubled, foreign, refused, strange)
+    return heard, doubled, {"foreign": foreign, "refused": refused, "strange": sorted(strange)}
 
 
 def judge(c: Context) -> list[Finding]:

@@ -28,7 +28,8 @@ def _figures(c: Context, step: Step) -> list[str]:
     lines = [
         f"{table} {name}: {_words(fact)}" for table in tables for name, fact in c.facts.get(table, {}).items()
     ]
-    for drive, gain in gauge.gains(c).items() if step is gauge.STEP else ():
+    gains = gauge.gains(c) if step is gauge.STEP else {}
+    for drive, gain in gains.items():
         within = 100.0 * (gauge.WITHIN + gain.error + c.machine.losses)
         lines.append(f"drive {drive}: {gain.value:.3f} N a commanded N; right is 1 within {within:.2g} %")
     return lines

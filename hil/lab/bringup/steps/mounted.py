@@ -102,8 +102,9 @@ def gap(c: Context) -> Gap | None:
     if c.facts["load"]["mass_kg"] == 0.0:
         text = "the platform was not weighed, so it may drop or leap as the brakes open"
         gaps.append(Gap(text, f"See that all of it weighs {c.machine.platform_kg:.4g} kg"))
-    texts, instead = zip(*gaps, strict=True) if gaps else ((), ())
-    return Gap("; ".join(texts), ". ".join(instead)) if gaps else None
+    if not gaps:
+        return None
+    return Gap("; ".join(gap.text for gap in gaps), ". ".join(gap.instead for gap in gaps))
 
 
 STEP = Step(

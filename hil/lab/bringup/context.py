@@ -164,6 +164,10 @@ class Context:
         """Return the fact of a step about a leg; None where it has to be found."""
         return self.facts.get(step, {}).get(str(leg))
 
+    def table(self, step: str) -> dict[int, Any]:
+        """Return the facts of a step by leg, or drive, as far as they are known."""
+        return {leg: fact for leg in range(LEGS) if (fact := self.known(step, leg)) is not None}
+
     def missing(self, step: str) -> Iterator[int]:
         """Give the legs, or drives, about which a step has no fact yet, one after the other."""
         return (leg for leg in range(LEGS) if self.known(step, leg) is None)
@@ -258,12 +262,11 @@ class Context:
 
     def reads(self) -> dict[int, tuple[int, float]]:
         """Return for each drive whose encoder is known the leg that it counts, and m of reading a m."""
-        known = {}
-        for leg in range(LEGS):
-            fact = self.known("encoder", leg)
-            if fact is not None and fact["drive"] is not None and abs(fact["scale"]) > 0.0:
-                known[fact["drive"]] = (leg, fact["scale"])
-        return known
+        return {
+            fact["drive"]: (leg, fact["scale"])
+            for leg, fact in self.table("encoder").items()
+            if fact["drive"] is not None and abs(fact["scale"]) > 0.0
+        }
 
     def _heard(self, drive: int) -> None:
         age = int(self.drives.record["age"][drive])

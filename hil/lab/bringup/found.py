@@ -93,7 +93,7 @@ def _changes(c: Configuration, context: Context, findings: Sequence[Finding]) ->
         "drives": {"node_ids": _order(c, context, findings) or list(c.drives.node_ids)},
     }
     if any(f.name == "stroke" for f in findings):
-        ends = np.array([context.known("encoder", leg)["tape_m"] for leg in range(LEGS)])
+        ends = np.array([fact["tape_m"] for fact in context.table("encoder").values()])
         changes["platform"] = {
             "length_min_m": round(float(ends[:, 0].max()) + 1e-3, 4),
             "length_max_m": round(float(ends[:, 1].min()) - 1e-3, 4),
@@ -143,13 +143,12 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
 def _sources(context: Context) -> list[str]:
     """Return where numbers come from, as far as they were measured."""
     lines = ["drives.node_ids: each leg moved by hand and by its drive"]
-    watchdogs = [fact for leg in range(LEGS) if (fact := context.known("watchdog", leg)) is not None]
+    watchdogs, encoders = context.table("watchdog").values(), context.table("encoder").values()
     latest = [fact["until_s"] for fact in watchdogs if fact["until_s"] is not None]
     if len(latest) < LEGS and not context.drives.protocol.traits.has_watchdog:
         lines.append("drives.watchdog_ms: NOT proven, none is set from here; cut the drives' power otherwise")
     elif latest:
         lines.append(f"drives.watchdog_ms: proven by silence, {1e3 * max(latest):.4g} ms at the latest")
-    encoders = [fact for leg in range(LEGS) if (fact := context.known("encoder", leg)) is not None]
     if encoders:
         low, high = zip(*(fact["tape_m"] for fact in encoders), strict=True)
         scales = ", ".join(f"{fact['scale']:.4f}" for fact in encoders)

@@ -32,7 +32,7 @@ def find(c: Context) -> None:
         c.keep("held", leg, holds(c, leg))
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     for drive in c.missing("opens"):
-        firm = [leg for leg in range(LEGS) if not c.known("held", leg)["moved"]]
+        firm = [leg for leg, held in c.table("held").items() if not held["moved"]]
         fact: dict[str, Any] = {"legs": [], "hand_N": None, "rate_share": None}
         with c.opened(drive):
             for leg in dict.fromkeys([drive, counts.get(drive, drive), *firm]):
@@ -133,8 +133,8 @@ def judge(c: Context) -> list[Finding]:
         found.append(Finding(finding, tuple(sorted(legs)), text, mend))
 
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
-    opens = {drive: c.known("opens", drive)["legs"] for drive in range(LEGS)}
-    loose = [leg for leg in range(LEGS) if c.known("held", leg)["moved"]]
+    opens = {drive: fact["legs"] for drive, fact in c.table("opens").items()}
+    loose = [leg for leg, fact in c.table("held").items() if fact["moved"]]
     inverted = {counts.get(d, d): d for d in range(LEGS) if not opens[d] and counts.get(d, d) in loose}
     for leg, drive in inverted.items():
         text = f"leg {leg}, behind drive {drive}, gives way to a hand on a shut brake, holds on an open one"
@@ -170,8 +170,8 @@ def judge(c: Context) -> list[Finding]:
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
         name("brake_crossed", wrong, text, "Exchange the brakes' cables.")
-    for drive in range(LEGS):
-        share = c.known("opens", drive)["rate_share"]
+    for drive, fact in c.table("opens").items():
+        share = fact["rate_share"]
         if share is not None and not RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
             finding = "rate_sign" if share < -RATE_WITHIN[0] else "rate_scale"
             text = f"as it moves its rate is {share:.3g} times what its reading changes by"
@@ -194,7 +194,7 @@ def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[in
 
 def friction(c: Context) -> list[Finding]:
     """Name legs that need more force than the others to give way to a hand."""
-    facts = [fact for drive in range(LEGS) if (fact := c.known("opens", drive))["legs"]]
+    facts = [fact for fact in c.table("opens").values() if fact["legs"]]
     if len(facts) < FEWEST:
         return []
     usual = median(fact["hand_N"] for fact in facts)
@@ -208,7 +208,7 @@ def friction(c: Context) -> list[Finding]:
 
 def gap(c: Context) -> Gap | None:
     """Say whose rate was not seen: a leg that gave way too slowly, or too little."""
-    unseen = [leg for leg in range(LEGS) if c.known("opens", leg)["rate_share"] is None]
+    unseen = [drive for drive, fact in c.table("opens").items() if fact["rate_share"] is None]
     if not unseen:
         return None
     legs = ", ".join(map(str, unseen))

@@ -52,8 +52,7 @@ def tolerance(spread: float) -> float:
 def judge(c: Context) -> list[Finding]:
     """Name strokes that are not reached, and encoders that count otherwise than the tape."""
     m, found, ends = c.machine, [], {}
-    for leg in range(LEGS):
-        fact = c.known("encoder", leg)
+    for leg, fact in c.table("encoder").items():
         low, high = fact["tape_m"]
         if low > m.length_min + ENDS_M or high < m.length_max - ENDS_M:
             ends[leg] = low, high

@@ -25,7 +25,7 @@ MOVES = 0.75
 
 def find(c: Context) -> None:
     """Drive each leg a tenth of a millimetre both ways."""
-    if any(c.known("held", leg)["moved"] for leg in range(LEGS)):
+    if any(fact["moved"] for fact in c.table("held").values()):
         return
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     for drive in c.missing("force"):
@@ -94,10 +94,7 @@ def judge(c: Context) -> list[Finding]:
     """Name forces of the wrong sign, and legs that do not move by their drives."""
     found, still = [], []
     limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
-    for drive in range(LEGS):
-        fact = c.known("force", drive)
-        if fact is None:
-            continue
+    for drive, fact in c.table("force").items():
         plus, minus = fact["plus"]["way"], fact["minus"]["way"]
         if plus < 0 < minus:
             text = "a force that should extend it shortens it"

@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.signals import LEGS
 from hil.lab.bringup.context import Context, Finding, Request, Step
 from hil.lab.bringup.steps.brakes import friction
 from hil.lab.bringup.steps.encoder import tolerance
@@ -65,11 +64,8 @@ class Gain(NamedTuple):
 def gains(c: Context) -> dict[int, Gain]:
     """Return the gain of each drive, where enough levels were beyond its friction."""
     found = {}
-    for drive in range(LEGS):
-        fact, force = c.known("gauge", drive), c.known("force", drive)
-        if fact is None:
-            continue
-        least = BEYOND * (breakaway(force) or 0.0)
+    for drive, fact in c.table("gauge").items():
+        least = BEYOND * (breakaway(c.known("force", drive)) or 0.0)
         beyond = [pair for pair in fact["pairs_N"] if pair[0] > least]
         if len({commanded for commanded, _ in beyond}) >= 2:
             pairs = np.array(beyond)
@@ -84,9 +80,8 @@ def judge(c: Context) -> list[Finding]:
     gain, found, read = gains(c), [], c.reads()
     set_scale = "Set torque constant, current scale or rated force of the drive"
     stiff = {leg for finding in friction(c) for leg in finding.legs}
-    for drive in range(LEGS):
-        measured = c.known("gauge", drive) is not None and drive not in gain
-        if measured and c.known("opens", drive)["legs"][0] not in stiff:
+    for drive in c.table("gauge").keys() - gain.keys():
+        if c.known("opens", drive)["legs"][0] not in stiff:
             text = "its forces are too close to its friction, or to each other, to tell their scale"
             mend = f"{set_scale}; look at friction, and at the steps of its torque."
             found.append(Finding("force_scale", (drive,), text, mend))

@@ -30,13 +30,13 @@ def find(c: Context) -> None:
 
 def drive_of(c: Context) -> dict[int, int]:
     """Return for each leg that an encoder counts the drive of that encoder: its own, if that does."""
-    drives = {leg: c.known("ids", leg)["drives"] for leg in range(LEGS)}
+    drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
     return {leg: leg if leg in counted else counted[0] for leg, counted in drives.items() if counted}
 
 
 def judge(c: Context) -> list[Finding]:
     """Name encoders that stand still or count a second leg; exchanged ones need motor and brake to name."""
-    drives = {leg: c.known("ids", leg)["drives"] for leg in range(LEGS)}
+    drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
     text, mend = "the encoder of its drive counts leg {}, as that leg's own does", "Mend the encoder's cable."
     found = [
         Finding("encoder_counts_another", (drive, leg), text.format(leg), mend)
@@ -55,7 +55,7 @@ def judge(c: Context) -> list[Finding]:
 
 def _unmoved(c: Context, drive: int) -> Finding:
     """Name an encoder that counts no leg: it stands still, or counts far too little."""
-    changes = [c.known("ids", leg)["changes_m"][drive] for leg in range(LEGS)]
+    changes = [fact["changes_m"][drive] for fact in c.table("ids").values()]
     most, by_m = max(changes, key=abs), MOVE_SHARE * c.machine.stroke
     if abs(most) > COUNTS * by_m:
         text = f"its reading changes by {1e3 * most:.2f} mm as a leg is moved by about {1e3 * by_m:.0f} mm"

@@ -97,10 +97,10 @@ def judge(c: Context) -> list[Finding]:
         names = ", ".join(str(f.name) for f in Foreign if f and f.value & bus["foreign"])
         text = f"somebody else sends {names}"
         found.append(Finding("second_controller", (), text, "End the other controller."))
-    facts = [c.known("scan", leg) for leg in range(LEGS)]
-    silent = [leg for leg in range(LEGS) if not facts[leg]["answers"]]
+    facts = c.table("scan")
+    silent = [leg for leg, fact in facts.items() if not fact["answers"]]
     nodes = ", ".join(str(m.node_ids[leg]) for leg in silent)
-    double = [leg for leg in range(LEGS) if facts[leg]["twice"]]
+    double = [leg for leg, fact in facts.items() if fact["twice"]]
     for leg in double:
         text = f"two drives answer as node {m.node_ids[leg]}"
         if len(serials := c.drives.serials[leg]) > 1:
@@ -114,8 +114,8 @@ def judge(c: Context) -> list[Finding]:
         return [*found, Finding("absent", tuple(silent), text, mend)]
     for leg in silent if not double else []:
         found.append(_silent(c, leg, bus))
-    for leg in range(LEGS):
-        node, fact = m.node_ids[leg], facts[leg]
+    for leg, fact in facts.items():
+        node = m.node_ids[leg]
         if fact["fault"]:
             text = f"node {node} stays in FAULT after a RESET: {fact['fault']}"
             found.append(Finding("drive_fault", (leg,), text, "Look at the drive with its maker's tool."))

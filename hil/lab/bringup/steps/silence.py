@@ -141,8 +141,7 @@ def _find_asked(c: Context, legs: Sequence[int]) -> list[Fact]:
 def judge(c: Context) -> list[Finding]:
     """Name drives whose watchdog is missing, too slow or too fast."""
     found, wait = [], c.machine.watchdog_s
-    for leg in range(LEGS if _observable(c) else 0):
-        fact = c.known("watchdog", leg)
+    for leg, fact in c.table("watchdog").items():
         until, since_ms = fact["until_s"], 1e3 * (fact["since_s"] or 0.0)
         mend = "Set the drive's watchdog, or its unit."
         if not fact["powered"]:

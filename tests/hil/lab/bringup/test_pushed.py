@@ -87,7 +87,7 @@ def taped(ends: dict[int, tuple[float, float]]) -> list[tuple[str, tuple[int, ..
         low, high = ends.get(leg, (-0.01, -0.01))
         tape = [0.75 + low, 2.2 - high]
         facts[leg] = {"drive": leg, "tape_m": tape, "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0}
-    c = SimpleNamespace(machine=machine, known=lambda _, leg: facts[leg])
+    c = SimpleNamespace(machine=machine, table=lambda _: facts)
     return [(found.name, found.legs) for found in encoder.judge(cast("Context", c))]
 
 

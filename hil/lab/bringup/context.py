@@ -1,6 +1,6 @@
 """What the steps of a bring-up share: the machine, the drives, the operator, the facts found so far."""
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
@@ -316,7 +316,7 @@ class Step(NamedTuple):
     """How to stop it."""
     find: Callable[[Context], None]
     """Finds the facts that are not known yet. Raises StoppedError."""
-    judge: Callable[[Context], list[Finding]]
+    judge: Callable[[Context], Iterable[Finding]]
     """Names what is wrong by the facts."""
     kept: bool = True
     """Once passed it is not done again for the same hardware."""

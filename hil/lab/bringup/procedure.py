@@ -90,7 +90,7 @@ def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
     try:
         if not known:
             step.find(c)
-        return known, step.judge(c)
+        return known, list(step.judge(c))
     except StoppedError as stop:
         return known, [stop.finding]
 

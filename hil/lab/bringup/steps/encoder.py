@@ -1,5 +1,6 @@
 """Sign, scale and zero of each encoder, by tape at both ends of the stroke and between, and the stroke."""
 
+from collections.abc import Iterator
 from math import sqrt
 from typing import Any
 
@@ -49,26 +50,26 @@ def tolerance(spread: float) -> float:
     return max(SIGMAS * sqrt(2.0) * TAPE_M / spread, 3e-3)
 
 
-def judge(c: Context) -> list[Finding]:
+def judge(c: Context) -> Iterator[Finding]:
     """Name strokes that are not reached, and encoders that count otherwise than the tape."""
-    m, found, ends = c.machine, [], {}
+    m, ends = c.machine, {}
     for leg, fact in c.table("encoder").items():
         low, high = fact["tape_m"]
         if low > m.length_min + ENDS_M or high < m.length_max - ENDS_M:
             ends[leg] = low, high
         if fact["drive"] is not None and high - low >= 0.05 * m.stroke:
-            found += _encoder(fact["drive"], fact, high - low)
+            yield from _encoder(fact["drive"], fact, high - low)
     configured = f"configured are {m.length_min:g} and {m.length_max:g}"
     if len(ends) == LEGS:
         lows, highs = zip(*ends.values(), strict=True)
         text = f"all end at {max(lows):.4f} and {min(highs):.4f} m, {configured}"
         mend = "Write the stroke into platform.length_min_m and platform.length_max_m."
-        return [*found, Finding("stroke", tuple(range(LEGS)), text, mend)]
-    mend = "Take the end stop out of the way, or shorten the configured stroke."
-    return found + [
-        Finding("end_stop", (leg,), f"it ends at {low:.4f} and {high:.4f} m, {configured}", mend)
-        for leg, (low, high) in ends.items()
-    ]
+        yield Finding("stroke", tuple(range(LEGS)), text, mend)
+        return
+    for leg, (low, high) in ends.items():
+        text = f"it ends at {low:.4f} and {high:.4f} m, {configured}"
+        mend = "Take the end stop out of the way, or shorten the configured stroke."
+        yield Finding("end_stop", (leg,), text, mend)
 
 
 def _encoder(drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:

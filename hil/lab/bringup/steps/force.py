@@ -6,6 +6,7 @@ may move a leg of little friction: the ramp begins where a force has its sign, S
 and what a leg moves by itself before it is taken off.
 """
 
+from collections.abc import Iterator
 from typing import Any
 
 from drivers.arrays import Array
@@ -90,23 +91,23 @@ def breakaway(fact: dict[str, Any]) -> float | None:
     return None if None in forces else 0.5 * (forces[0] + forces[1])
 
 
-def judge(c: Context) -> list[Finding]:
+def judge(c: Context) -> Iterator[Finding]:
     """Name forces of the wrong sign, and legs that do not move by their drives."""
-    found, still = [], []
+    still = []
     limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
     for drive, fact in c.table("force").items():
         plus, minus = fact["plus"]["way"], fact["minus"]["way"]
         if plus < 0 < minus:
             text = "a force that should extend it shortens it"
             mend = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
-            found.append(Finding("force_sign", (drive,), text, mend))
+            yield Finding("force_sign", (drive,), text, mend)
         elif plus < 0 or minus > 0:
             text = f"it moves {'shorter' if plus < 0 else 'longer'}, one way under either sign of force"
             mend = (
                 "Lay the leg level on its trestle, look for play, and try again; one code of torque, "
                 f"{step_of(c, drive):.3g} N, may be more than its friction."
             )
-            found.append(Finding("one_way", (drive,), text, mend))
+            yield Finding("one_way", (drive,), text, mend)
         elif plus and minus:
             continue
         else:
@@ -115,17 +116,16 @@ def judge(c: Context) -> list[Finding]:
             if opens["hand_N"] > MOVES * c.machine.force_N:
                 text += f"; a hand needs {opens['hand_N']:.4g} N"
                 mend = "Look at guide, nut, seals, a brake that drags."
-                found.append(Finding("friction", (opens["legs"][0],), text, mend))
+                yield Finding("friction", (opens["legs"][0],), text, mend)
             elif plus or minus:
                 mend = "Lay the leg level on its trestle; look at motor phases, supply, limits and end stops."
-                found.append(Finding("force_one_way", (drive,), text, mend))
+                yield Finding("force_one_way", (drive,), text, mend)
             else:
                 still.append(drive)
     if still:
         name = "no_force" if len(still) == 1 else "motor_crossed"
         mend = "Look at motor cables, whether any are exchanged, and at the scale of the drive's torque."
-        found.append(Finding(name, tuple(still), f"moved by hand, and not by its drive with {limit}", mend))
-    return found
+        yield Finding(name, tuple(still), f"moved by hand, and not by its drive with {limit}", mend)
 
 
 STEP = Step(

@@ -1,5 +1,6 @@
 """Scale of each force, by a force gauge, and what follows from all that was measured leg by leg."""
 
+from collections.abc import Iterator
 from functools import partial
 from typing import NamedTuple
 
@@ -75,23 +76,23 @@ def gains(c: Context) -> dict[int, Gain]:
     return found
 
 
-def judge(c: Context) -> list[Finding]:
+def judge(c: Context) -> Iterator[Finding]:
     """Name forces of the wrong scale, and a wrong lead."""
-    gain, found, read = gains(c), [], c.reads()
+    gain, read = gains(c), c.reads()
     set_scale = "Set torque constant, current scale or rated force of the drive"
     stiff = {leg for finding in friction(c) for leg in finding.legs}
     for drive in c.table("gauge").keys() - gain.keys():
         if c.known("opens", drive)["legs"][0] not in stiff:
             text = "its forces are too close to its friction, or to each other, to tell their scale"
             mend = f"{set_scale}; look at friction, and at the steps of its torque."
-            found.append(Finding("force_scale", (drive,), text, mend))
+            yield Finding("force_scale", (drive,), text, mend)
     for drive, (g, error) in gain.items():
         leg, scale = read.get(drive, (drive, 0.0))
         most = _limited(c, drive)
         if most is not None:
             text = f"its force grows no further than {most:.4g} N of {c.machine.force_N:.4g} N commanded"
             mend = "Look at current limit, supply and rated torque of the drive."
-            found.append(Finding("force_saturates", (drive,), text, mend))
+            yield Finding("force_saturates", (drive,), text, mend)
             continue
         if scale <= 0.0:
             continue  # the drive takes its losses the wrong way round, or no encoder says how long its leg is
@@ -99,17 +100,16 @@ def judge(c: Context) -> list[Finding]:
         off = abs(abs(scale) - 1.0) > tolerance(high - low)
         right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)
         if right and same and abs(abs(scale) - 1.0) > SAME:
-            found.append(_scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses)))
+            yield _scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses))
         elif right:
             continue
         elif same:
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
             mend = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, in drive or configuration."
-            found.append(Finding("wrong_lead", (drive,), text, mend))
+            yield Finding("wrong_lead", (drive,), text, mend)
         else:
             text = f"it gives {abs(g):.3f} N for each N commanded"
-            found.append(Finding("force_scale", (drive,), text, f"{set_scale}."))
-    return found
+            yield Finding("force_scale", (drive,), text, f"{set_scale}.")
 
 
 def _limited(c: Context, drive: int) -> float | None:

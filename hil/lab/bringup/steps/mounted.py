@@ -1,5 +1,7 @@
 """Each leg at its own joints: leg lengths at known poses of the hanging platform."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from drivers.arrays import Array
@@ -42,9 +44,10 @@ def find(c: Context) -> None:
             c.keep("mounted", pose, {"q_m": c.lengths().tolist()})
 
 
-def judge(c: Context) -> list[Finding]:
+def judge(c: Context) -> Iterator[Finding]:
     """Name legs whose lengths fit other joints, or none."""
-    m, found = c.machine, _load(c)
+    yield from _load(c)
+    m = c.machine
     q = np.array([c.known("mounted", k)["q_m"] for k in range(len(m.pose_lengths))])
     for leg in range(LEGS):
         q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
@@ -56,7 +59,8 @@ def judge(c: Context) -> list[Finding]:
         legs = "; ".join(f"leg {leg} {off_mm[leg]}" for leg in wrong)
         text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({legs})"
         mend = f"Hang it at the known poses, or mend platform.home and the joints. {AFTER}"
-        return [*found, Finding("wrong_home", (), text, mend)]
+        yield Finding("wrong_home", (), text, mend)
+        return
     tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
     for leg in wrong:
         text, fits = f"at the known poses it is {off_mm[leg]} off", joints[leg]
@@ -66,23 +70,21 @@ def judge(c: Context) -> list[Finding]:
         elif np.ptp(away[:, leg]) < SAME_M:
             name = "slipped"
             mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {mend}"
-        found.append(Finding(name, (leg,), text, mend))
-    return found
+        yield Finding(name, (leg,), text, mend)
 
 
-def _load(c: Context) -> list[Finding]:
+def _load(c: Context) -> Iterator[Finding]:
     """Name a weight, or a way of gravity, that the controller would be wrong about as the brakes open."""
     m, load = c.machine, c.facts["load"]
-    found, mass = [], load["mass_kg"]
+    mass = load["mass_kg"]
     if mass > 0.0 and abs(mass / m.platform_kg - 1.0) > LOAD_WITHIN:
         text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
         mend = f"Write what it weighs into platform, or take off what is not part of it. {AFTER}"
-        found.append(Finding("payload", (), text, mend))
+        yield Finding("payload", (), text, mend)
     seen, configured = round(load["presses"]), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
     if seen != configured:
         text = f"the platform's weight {WAYS[seen]}; by the configuration it {WAYS[configured]}"
-        found.append(Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}"))
-    return found
+        yield Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}")
 
 
 def _joints(distances: Array, q: Array) -> tuple[int, int] | None:

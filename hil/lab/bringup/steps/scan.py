@@ -1,7 +1,7 @@
 """Who answers on the bus, and whether six drives take their set-up."""
 
 from collections import Counter
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from drivers.protocol import SERIAL
@@ -90,13 +90,13 @@ def _listened(c: Context, *, often: bool = False) -> tuple[list[int], int, dict[
     return heard, doubled, {"foreign": foreign, "refused": refused, "strange": sorted(strange)}
 
 
-def judge(c: Context) -> list[Finding]:
+def judge(c: Context) -> Iterator[Finding]:
     """Name drives that are absent, double, of another protocol, or not set up."""
-    m, bus, found = c.machine, c.facts["scan"]["bus"], []
+    m, bus = c.machine, c.facts["scan"]["bus"]
     if bus["foreign"]:
         names = ", ".join(str(f.name) for f in Foreign if f and f.value & bus["foreign"])
         text = f"somebody else sends {names}"
-        found.append(Finding("second_controller", (), text, "End the other controller."))
+        yield Finding("second_controller", (), text, "End the other controller.")
     facts = c.table("scan")
     silent = [leg for leg, fact in facts.items() if not fact["answers"]]
     nodes = ", ".join(str(m.node_ids[leg]) for leg in silent)
@@ -107,22 +107,22 @@ def judge(c: Context) -> list[Finding]:
             text += f", with serial numbers {', '.join(map(str, sorted(serials)))}"
         if silent:
             text += f"; no drive answers as node {nodes}"
-        found.append(Finding("same_id", (leg, *silent), text, "Give one of the two its own node number."))
+        yield Finding("same_id", (leg, *silent), text, "Give one of the two its own node number.")
     if len(silent) == LEGS and not bus["strange"] and not bus["refused"]:
         text = f"nobody answers, neither node {nodes} nor another"
         mend = "Look at bit rate, layout, cable, termination and the drives' supply."
-        return [*found, Finding("absent", tuple(silent), text, mend)]
+        yield Finding("absent", tuple(silent), text, mend)
+        return
     for leg in silent if not double else []:
-        found.append(_silent(c, leg, bus))
+        yield _silent(c, leg, bus)
     for leg, fact in facts.items():
         node = m.node_ids[leg]
         if fact["fault"]:
             text = f"node {node} stays in FAULT after a RESET: {fact['fault']}"
-            found.append(Finding("drive_fault", (leg,), text, "Look at the drive with its maker's tool."))
+            yield Finding("drive_fault", (leg,), text, "Look at the drive with its maker's tool.")
         elif fact["answers"] and fact["lacks"]:
             text = f"node {node} does not take its set-up: {fact['lacks']}"
-            found.append(Finding("set_up", (leg,), text, _SET_UP))
-    return found
+            yield Finding("set_up", (leg,), text, _SET_UP)
 
 
 _SET_UP = "Compare version, rated force and options of drive and configuration."

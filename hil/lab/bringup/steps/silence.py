@@ -5,7 +5,7 @@ enabled: the brake of a leg on its trestle opens meanwhile, one at a time. What 
 SYNC that does not feed its watchdog, is watched; other drives are asked before and after their time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from math import ceil, floor
 from typing import Any
 
@@ -138,9 +138,9 @@ def _find_asked(c: Context, legs: Sequence[int]) -> list[Fact]:
     return [{"powered": powered, "until_s": bounds[1], "since_s": bounds[0]}]
 
 
-def judge(c: Context) -> list[Finding]:
+def judge(c: Context) -> Iterator[Finding]:
     """Name drives whose watchdog is missing, too slow or too fast."""
-    found, wait = [], c.machine.watchdog_s
+    wait = c.machine.watchdog_s
     for leg, fact in c.table("watchdog").items():
         until, since_ms = fact["until_s"], 1e3 * (fact["since_s"] or 0.0)
         mend = "Set the drive's watchdog, or its unit."
@@ -162,8 +162,7 @@ def judge(c: Context) -> list[Finding]:
             else:
                 continue
         if until is not None or not fact["powered"] or c.drives.protocol.traits.has_watchdog:
-            found.append(Finding(name, (leg,), f"{text}, set were {1e3 * wait:g} ms", mend))
-    return found
+            yield Finding(name, (leg,), f"{text}, set were {1e3 * wait:g} ms", mend)
 
 
 def gap(c: Context) -> Gap | None:

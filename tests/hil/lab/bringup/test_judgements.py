@@ -163,7 +163,7 @@ def test_tilted_platform_is_suspected_next_to_two_slipped_legs():
     c.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = c.machine.pose_lengths + 6e-3 * np.array([0, 0, 0, 1, -1, 0])
     c.facts["mounted"] = {str(k): {"q_m": each.tolist()} for k, each in enumerate(q)}
-    findings = mounted.judge(c)
+    findings = list(mounted.judge(c))
     assert [(f.name, f.legs) for f in findings] == [("slipped", (3,)), ("slipped", (4,))]
 
 
@@ -235,7 +235,7 @@ def test_lead_and_encoder_are_told_apart_by_force_or_both_are_named(case):
     context.facts["encoder"]["2"] = {"drive": 2, "scale": scale, "tape_m": [0.25, 0.4]}
     levels = [5.4 - span_N * share for share in (1.0, 0.6, 0.3, 0.0)]
     context.facts["gauge"] = {"2": {"pairs_N": [[force_N, gain * force_N] for force_N in levels]}}
-    found = gauge.judge(context)
+    found = list(gauge.judge(context))
     assert [finding.name for finding in found] == [name] * (name is not None)
 
 

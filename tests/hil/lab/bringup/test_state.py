@@ -63,7 +63,7 @@ def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):
         *[("read_gauge", 1)] * 4,
     ]
     store.facts["encoder"]["3"]["scale"] = 0.0
-    assert gauge.judge(again.context) == [], "what no encoder counts has no lead"
+    assert list(gauge.judge(again.context)) == [], "what no encoder counts has no lead"
 
 
 def test_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -190,53 +191,50 @@ def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: 
         lines.append(f"  chi-square   {fit.chi_square:.1f} for {fit.dof} (p {fit.p_value:.3g})")
     lines += _table(robot, fit)
     lines += ["frames", f"  {FRAMES}"]
-    warnings = _warnings(pairs, poses, fit)
+    warnings = list(_warnings(pairs, poses, fit))
     lines += [f"warning: {w}" for w in warnings]
     return Report(lines, _figures(c, poses, fit, rms, rms_before, warnings), _fragment(c, poses, fit, rms, n))
 
 
-def _table(robot: Platform, fit: Calibration) -> list[str]:
+def _table(robot: Platform, fit: Calibration) -> Iterator[str]:
     """Return changes in mm with their standard deviations, two lines a leg."""
     change = np.hstack([
         fit.base_joints - robot.base_joints, fit.platform_joints - robot.platform_joints, fit.offsets[:, None]
     ])  # fmt: skip
-    lines = ["changes and offsets, mm (+- one standard deviation; ? not determined)"]
-    lines.append("        base x     y       z     platform x  y       z      offset")
+    yield "changes and offsets, mm (+- one standard deviation; ? not determined)"
+    yield "        base x     y       z     platform x  y       z      offset"
     for leg in range(6):
-        lines.append(f"  {_leg(leg)}  " + " ".join(f"{1e3 * x:8.3f}" for x in change[leg]))
-        lines.append("   +-" + " ".join(f"{1e3 * s:8.3f}" if s == s else f"{'?':>8}" for s in fit.std[leg]))  # noqa: PLR0124
-    return lines
+        yield f"  {_leg(leg)}  " + " ".join(f"{1e3 * x:8.3f}" for x in change[leg])
+        yield "   +-" + " ".join(f"{1e3 * s:8.3f}" if s == s else f"{'?':>8}" for s in fit.std[leg])  # noqa: PLR0124
 
 
-def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> list[str]:
-    found = []
+def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> Iterator[str]:
     legs: dict[str, list[int]] = {}
     for leg in range(6):
         if lost := sorted(_sum(x) for x in fit.undetermined if x.leg == leg):
             legs.setdefault("; ".join(lost), []).append(leg)
     for names, where in legs.items():
-        found.append(
+        yield (
             f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. Along these joints "
             f"stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
         )
     if fit.weak:
         each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
-        found.append(
+        yield (
             f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(fit.weak)} Lengths and "
             "poses close to the measured ones are better known than these"
         )
     if fit.p_value is not None and fit.chi_square is not None and not DOUBT < fit.p_value < 1 - DOUBT:
-        found.append(
+        yield (
             f"residuals are {math.sqrt(fit.chi_square / fit.dof):.2f} times the given standard deviations, "
             "which is no chance: the deviations of the file are wrong, or the robot is no ideal one (joint "
             "play, bending)"
         )
     for row, leg in np.argwhere(np.abs(fit.standardised) > OUTLIER)[:10]:
-        found.append(
+        yield (
             f"{poses.name}:{pairs.lines[row]}: {_leg(leg)} is {abs(fit.standardised[row, leg]):.1f} standard "
             "deviations off: a slip of that measurement?"
         )
-    return found
 
 
 def _advice(lost: list[Combination]) -> str:

@@ -1,5 +1,6 @@
 """What `hil identify payload` prints beside the block."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -68,42 +69,41 @@ def _plain(theta: Array) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def report(found: Found) -> list[str]:
+def report(found: Found) -> Iterator[str]:
     """Return what the user reads before the block."""
     e, hidden = found.estimate, unseen(found)
     rms = float(np.sqrt(np.mean(e.residual_N**2)))
     reported, seconds = all(s.reported for s in found.sources), sum(s.seconds for s in found.sources)
     forces = "as the drives report them" if reported else "as sent, late by the configured delay"
-    lines = [
-        f"From {seconds:.1f} s with open brakes, {e.samples} instants; forces {forces}",
-        "Platform with all it carries, about its origin (+- two standard errors):",
-    ]
+    yield f"From {seconds:.1f} s with open brakes, {e.samples} instants; forces {forces}"
+    yield "Platform with all it carries, about its origin (+- two standard errors):"
     for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True)):
         error = f"+- {2.0 * e.std[k]:<8.2g}" if e.unknown[k] <= HIDDEN else "not shown  "
-        lines.append(f"  {name:5} {found.theta[k]:11.3f} {error} {unit:7} believed {found.believed[k]:.3f}")
-    lines.append("Drives, leg 0 to 5:")
+        yield f"  {name:5} {found.theta[k]:11.3f} {error} {unit:7} believed {found.believed[k]:.3f}"
+    yield "Drives, leg 0 to 5:"
     for key, (value, std) in drives_of(found).items():
         figures = ", ".join(f"{v:.2f} +- {2.0 * s:.2g}" for v, s in zip(value, std, strict=True))
-        lines.append(f"  {_WORDS[key]}: {figures}")
+        yield f"  {_WORDS[key]}: {figures}"
     if found.reflected_kg is not None:
-        lines.append(f"  reflected mass: {found.reflected_kg:g} kg each, given, not identified")
+        yield f"  reflected mass: {found.reflected_kg:g} kg each, given, not identified"
     late_ms, late_std_ms = 1e3 * found.theta[LATE], 1e3 * e.std[LATE]
-    lines.append(f"Forces are {late_ms:.3f} +- {2.0 * late_std_ms:.2g} ms late against the lengths")
+    yield f"Forces are {late_ms:.3f} +- {2.0 * late_std_ms:.2g} ms late against the lengths"
     residual = f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as believed"
     for name, (r, b) in found.held_out.items():
         residual += f"; {name} from the rest {r:.3g} N ({b:.3g} N as believed)"
-    lines.append(residual)
+    yield residual
     scale = believed_scale(found)
     if scale != 1.0:
-        lines.append(f"As believed: without the inertia_scale {scale:g} of controller.model")
+        yield f"As believed: without the inertia_scale {scale:g} of controller.model"
     if rms > POOR * found.rms_force_N:
-        lines.append(
+        yield (
             f"That is {100.0 * rms / found.rms_force_N:.0f} % of the forces, {100.0 * POOR:g} % are common: "
             "another robot, a load on the platform, or drives that do not make the force they report"
         )
     names = ", ".join(hidden)
     shown = f"not shown about the platform's origin: {names}" if names else "the motion shows every unknown"
-    return [*lines, f"Condition number {e.condition:.3g}; {shown}", *_physics(found)]
+    yield f"Condition number {e.condition:.3g}; {shown}"
+    yield from _physics(found)
 
 
 _WORDS = {
@@ -119,12 +119,12 @@ def believed_scale(found: Found) -> float:
     return 1.0 if believed is None else believed.inertia_scale
 
 
-def _physics(found: Found) -> list[str]:
+def _physics(found: Found) -> Iterator[str]:
     """Return what body that is, and what the block makes of it."""
-    lines, payload = [], found.payload
+    payload = found.payload
     for what, fit in (("all of it", found.whole), ("the payload", payload if found.split else None)):
         if fit is not None and fit.smallest <= 0.0:
-            lines.append(
+            yield (
                 f"Least squares alone gives {what} what no body has (pseudo-inertia not positive definite); "
                 f"the nearest body is printed, {fit.shift:.1f} standard errors away"
             )
@@ -132,18 +132,18 @@ def _physics(found: Found) -> list[str]:
     ranged = ranged_body(c)
     carrier = "section platform" if ranged is None else "section platform without the one known by ranges"
     if payload is None:
-        lines.append(f"No payload beyond what {carrier} has")
+        yield f"No payload beyond what {carrier} has"
     elif found.split:
         body = body_of(found.theta[:SIZE] - found.carrier)
         x, y, z = body.com
-        lines.append(f"Payload {body.mass:.2f} kg at ({x:.4f}, {y:.4f}, {z:.4f}) m of the platform")
+        yield f"Payload {body.mass:.2f} kg at ({x:.4f}, {y:.4f}, {z:.4f}) m of the platform"
     else:
-        lines.append(
+        yield (
             f"{found.theta[0] - found.carrier[0]:.2f} kg more than {carrier}, but no payload alone explains "
             f"the rest (the nearest one is {payload.shift:.1f} standard errors away, allowed: {SURE:g}): the "
             "figures of the platform itself are off"
         )
-    return [*lines, _in_block(found, ranged)]
+    yield _in_block(found, ranged)
 
 
 def _in_block(found: Found, ranged: PayloadSettings | None) -> str:

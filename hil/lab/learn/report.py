@@ -1,5 +1,6 @@
 """What `hil learn` reports: the runs, the filter, the floor with its cause, and what to do next."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -40,40 +41,37 @@ def _floor_mm(floor: Floor) -> dict[str, float]:
     return {key.removesuffix("_m"): 1e3 * value for key, value in floor._asdict().items()}
 
 
-def lines(outcome: Outcome, limit_N: float, out: Path | None) -> list[str]:
+def lines(outcome: Outcome, limit_N: float, out: Path | None) -> Iterator[str]:
     """Return what the user reads; out: where the next file is written, None for none."""
     floor, choice, last = outcome.floor, outcome.learner.choice, outcome.steps[-1]
     end_Hz = choice.Q.end_Hz
     parts = ", ".join(f"{name.replace('_', ' ')} {mm:.2g}" for name, mm in _floor_mm(floor).items())
     band = f"1 up to {FLAT * end_Hz:.3g} Hz, 0 from {end_Hz:.3g} Hz on"
     least = f"|Q (1 - L P)| <= {choice.contraction:.2f} (largest at {choice.at_Hz:.3g} Hz)"
-    found = [
-        *table(outcome.steps),
-        f"Filter     zero phase, {band}: the widest with {least}",
-        f"Plants     {outcome.learner.belief.source}",
-        f"Floor      {1e3 * floor.total_m:.2g} mm rms, largest part {cause(floor)}: {parts}",
-    ]
+    yield from table(outcome.steps)
+    yield f"Filter     zero phase, {band}: the widest with {least}"
+    yield f"Plants     {outcome.learner.belief.source}"
+    yield f"Floor      {1e3 * floor.total_m:.2g} mm rms, largest part {cause(floor)}: {parts}"
     if last.contradicted is not None:
         c = last.contradicted
         what = f"the error went to {100 * c.factor:.3g} % of what it was in the run before"
         allowed = f"allowed by the stated uncertainty: {100 * c.allowed:.3g} %"
-        found.append(f"Refused    leg {c.axis} at {c.f_Hz:.3g} Hz: {what}, {allowed}")
-        found.append("           Learning on would let the error grow: keep the feed-forward before,")
-        found.append("           or identify the axes (hil identify), and learn with --axes")
-        return found
+        yield f"Refused    leg {c.axis} at {c.f_Hz:.3g} Hz: {what}, {allowed}"
+        yield "           Learning on would let the error grow: keep the feed-forward before,"
+        yield "           or identify the axes (hil identify), and learn with --axes"
+        return
     if outcome.state == "floor":
         left = f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run takes more off"
-        found.append(f"{left}; the feed-forward that ran stays the best one")
+        yield f"{left}; the feed-forward that ran stays the best one"
     else:
-        found.append(f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes")
+        yield f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes"
     if outcome.cut:
-        found.append(
+        yield (
             f"Cut        at {outcome.cut} instants a leg asks for more than {limit_N:g} N: the error "
             "does not fall there; allow more with --limit or feedforward.limit_N"
         )
     if out is not None and outcome.state == "learned":
-        found += written(out, limit_N)
-    return found
+        yield from written(out, limit_N)
 
 
 def written(out: Path, limit_N: float, what: str = "") -> list[str]:
@@ -104,29 +102,27 @@ def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
     }
 
 
-def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = None) -> list[str]:
+def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = None) -> Iterator[str]:
     """Return what the user reads of a series of runs; believed: those of --inertia-scale."""
-    found = []
     if made.outcome is not None:
-        found = lines(made.outcome._replace(steps=made.steps), made.limit_N, None)
+        yield from lines(made.outcome._replace(steps=made.steps), made.limit_N, None)
         first, last = made.steps[0], made.steps[-1]
         if last is not first and last.rms_mm > 0.0 and last.peak_mm > 0.0:
-            found.append(
+            yield (
                 f"From run {first.run.number} to run {last.run.number}: rms {first.rms_mm / last.rms_mm:.3g}"
                 f"-fold, peak {first.peak_mm / last.peak_mm:.3g}-fold smaller"
             )
     if made.trouble:
-        found.append(f"Stopped    {made.trouble}")
+        yield f"Stopped    {made.trouble}"
     if made.best and out is not None:
-        found += written(out, made.limit_N, ", of the run with the smallest error")
+        yield from written(out, made.limit_N, ", of the run with the smallest error")
         if believed is not None:
-            found.append(
+            yield (
                 "           The file belongs to a law with controller.model.inertia_scale: "
                 f"{believed.inertia_scale!r} (--inertia-scale): set that key, too"
             )
     elif made.outcome is not None and out is not None:
-        found.append(f"{out} is not written: the run with the smallest error had no feed-forward")
-    return found
+        yield f"{out} is not written: the run with the smallest error had no feed-forward"
 
 
 def series_summary(made: Rehearsal, out: Path | None) -> dict[str, Any]:

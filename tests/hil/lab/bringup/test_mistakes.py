@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from hil.lab.bringup.procedure import STEPS
+from hil.lab.bringup.rehearsal import mistake_of
 from plant_fmu.rehearsal.wiring import OWN, OWN_BRAKES, Mistake, Wiring, wired
 from tests.hil.lab.bringup.families import FAMILIES
 from tests.hil.lab.bringup.kit import Rehearsal, named
@@ -19,62 +20,59 @@ def swapped(values: tuple[Any, ...], i: int, j: int) -> tuple[Any, ...]:
     return tuple(found)
 
 
-CASES = {
+_CASES: dict[str, str | tuple[Wiring, set[tuple[str, tuple[int, ...]]]]] = {
     "swapped_ids": (wired(Mistake("ids_swapped", 1, 4)), {("ids", (1, 4))}),
     "rotated_ids": (wired(Mistake("ids_rotated", 0, 2, 5)), {("ids", (0, 2, 5))}),
-    "encoder_sign": (wired(Mistake("encoder_sign", 3)), {("encoder_sign", (3,))}),
-    "encoder_twice": (wired(Mistake("encoder_scale", 0, value=2.0)), {("encoder_scale", (0,))}),
-    "encoder_half": (wired(Mistake("encoder_scale", 5, value=0.5)), {("encoder_scale", (5,))}),
-    "encoder_1_percent": (wired(Mistake("encoder_scale", 2, value=1.01)), {("encoder_scale", (2,))}),
-    "encoder_less_1_percent": (wired(Mistake("encoder_scale", 4, value=0.99)), {("encoder_scale", (4,))}),
-    "force_sign": (wired(Mistake("force_sign", 1)), {("force_sign", (1,))}),
-    "force_half": (wired(Mistake("force_scale", 4, value=0.5)), {("force_scale", (4,))}),
-    "force_twice": (wired(Mistake("force_scale", 2, value=2.0)), {("force_scale", (2,))}),
+    "encoder_sign": "encoder_sign leg=3",
+    "encoder_twice": "encoder_scale leg=0 value=2.0",
+    "encoder_half": "encoder_scale leg=5 value=0.5",
+    "encoder_1_percent": "encoder_scale leg=2 value=1.01",
+    "encoder_less_1_percent": "encoder_scale leg=4 value=0.99",
+    "force_sign": "force_sign leg=1",
+    "force_half": "force_scale leg=4 value=0.5",
+    "force_twice": "force_scale leg=2 value=2.0",
     "no_force": (wired(Mistake("force_scale", 3, value=0.0)), {("no_force", (3,))}),
-    "lead_10_for_8": (wired(Mistake("wrong_lead", 1, value=1.25)), {("wrong_lead", (1,))}),
-    "drive_reversed": (wired(Mistake("drive_reversed", 0)), {("drive_reversed", (0,))}),
-    "brake_stuck_shut": (wired(Mistake("brake_stuck_shut", 2)), {("brake_stuck_shut", (2,))}),
-    "brake_stuck_open": (wired(Mistake("brake_stuck_open", 4)), {("brake_stuck_open", (4,))}),
+    "lead_10_for_8": "wrong_lead leg=1 value=1.25",
+    "drive_reversed": "drive_reversed leg=0",
+    "brake_stuck_shut": "brake_stuck_shut leg=2",
+    "brake_stuck_open": "brake_stuck_open leg=4",
     "brake_weak": (wired(Mistake("brake_weak", 1, value=2e-4)), {("brake_stuck_open", (1,))}),
-    "brakes_crossed": (wired(Mistake("brake_crossed", 0, 3)), {("brake_crossed", (0, 3))}),
-    "encoders_crossed": (wired(Mistake("encoder_crossed", 2, 5)), {("encoder_crossed", (2, 5))}),
-    "motors_crossed": (wired(Mistake("motor_crossed", 1, 3)), {("motor_crossed", (1, 3))}),
-    "no_watchdog": (wired(Mistake("watchdog_missing", 4)), {("watchdog_missing", (4,))}),
-    "slow_watchdog": (wired(Mistake("watchdog_long", 0)), {("watchdog_long", (0,))}),
-    "watchdog_twice": (wired(Mistake("watchdog_long", 5, value=2.5)), {("watchdog_long", (5,))}),
-    "fast_watchdog": (wired(Mistake("watchdog_short", 1)), {("watchdog_short", (1,))}),
-    "homed_4_mm_off": (wired(Mistake("offset", 3)), {("offset", (3,))}),
-    "homed_less_2_mm_off": (wired(Mistake("offset", 0, value=-2e-3)), {("offset", (0,))}),
-    "two_with_one_id": (wired(Mistake("same_id", 5, 2)), {("same_id", (2, 5))}),
-    "leg_absent": (wired(Mistake("absent", 3)), {("absent", (3,))}),
-    "wrong_protocol": (wired(Mistake("wrong_protocol", 1)), {("wrong_protocol", (1,))}),
-    "encoder_frozen": (wired(Mistake("encoder_frozen", 5)), {("encoder_frozen", (5,))}),
-    "encoder_counts_another": (
-        wired(Mistake("encoder_counts_another", 0, 4)),
-        {("encoder_counts_another", (0, 4))},
-    ),
+    "brakes_crossed": "brake_crossed leg=0 other=3",
+    "encoders_crossed": "encoder_crossed leg=2 other=5",
+    "motors_crossed": "motor_crossed leg=1 other=3",
+    "no_watchdog": "watchdog_missing leg=4",
+    "slow_watchdog": "watchdog_long leg=0",
+    "watchdog_twice": "watchdog_long leg=5 value=2.5",
+    "fast_watchdog": "watchdog_short leg=1",
+    "homed_4_mm_off": "offset leg=3",
+    "homed_less_2_mm_off": "offset leg=0 value=-0.002",
+    "two_with_one_id": "same_id leg=5 other=2",
+    "leg_absent": "absent leg=3",
+    "wrong_protocol": "wrong_protocol leg=1",
+    "encoder_frozen": "encoder_frozen leg=5",
+    "encoder_counts_another": "encoder_counts_another leg=0 other=4",
     "mounted_elsewhere": (
         wired(Mistake("mounted_elsewhere", 1, 2)),
         {("mounted_elsewhere", (1,)), ("mounted_elsewhere", (2,))},
     ),
     "stroke_of_all": (Wiring(shorter=(0.1,) * 6), {("stroke", (0, 1, 2, 3, 4, 5))}),
-    "friction": (wired(Mistake("friction", 2)), {("friction", (2,))}),
-    "friction_beyond_2_percent": (wired(Mistake("friction", 4, value=0.03)), {("friction", (4,))}),
-    "end_stop": (wired(Mistake("end_stop", 3)), {("end_stop", (3,))}),
-    "rate_of_the_other_sign": (wired(Mistake("rate_sign", 2)), {("rate_sign", (2,))}),
-    "rate_in_another_unit": (wired(Mistake("rate_scale", 3)), {("rate_scale", (3,))}),
-    "dead_rate": (wired(Mistake("rate_scale", 5, value=0.0)), {("rate_scale", (5,))}),
-    "force_one_way": (wired(Mistake("force_one_way", 1)), {("force_one_way", (1,))}),
-    "weak_supply": (wired(Mistake("force_saturates", 4)), {("force_saturates", (4,))}),
-    "brake_inverted": (wired(Mistake("brake_inverted", 2)), {("brake_inverted", (2,))}),
+    "friction": "friction leg=2",
+    "friction_beyond_2_percent": "friction leg=4 value=0.03",
+    "end_stop": "end_stop leg=3",
+    "rate_of_the_other_sign": "rate_sign leg=2",
+    "rate_in_another_unit": "rate_scale leg=3",
+    "dead_rate": "rate_scale leg=5 value=0.0",
+    "force_one_way": "force_one_way leg=1",
+    "weak_supply": "force_saturates leg=4",
+    "brake_inverted": "brake_inverted leg=2",
     "platform_ends": (
         wired(Mistake("platform_end_elsewhere", 1, 2)),
         {("mounted_elsewhere", (1,)), ("mounted_elsewhere", (2,))},
     ),
     "payload": (wired(Mistake("payload", 0)), {("payload", ())}),
     "ceiling": (wired(Mistake("upside_down", 0)), {("gravity", ())}),
-    "counts_a_tenth": (wired(Mistake("encoder_scale", 2, value=0.09)), {("encoder_scale", (2,))}),
-    "counts_ten_times": (wired(Mistake("encoder_scale", 2, value=10.0)), {("encoder_scale", (2,))}),
+    "counts_a_tenth": "encoder_scale leg=2 value=0.09",
+    "counts_ten_times": "encoder_scale leg=2 value=10.0",
     "swapped_and_reversed": (
         wired(Mistake("encoder_sign", 2), Mistake("ids_swapped", 1, 4)),
         {("ids", (1, 4)), ("encoder_sign", (2,))},
@@ -84,6 +82,16 @@ CASES = {
         {("offset", (1,)), ("friction", (5,))},
     ),
 }
+"""What is wired wrongly, and what is named; of one mistake in words, its own name and legs."""
+
+
+def case_of(words: str) -> tuple[Wiring, set[tuple[str, tuple[int, ...]]]]:
+    mistake = mistake_of(words)
+    legs = {mistake.leg, mistake.other, mistake.third} - {-1}
+    return wired(mistake), {(mistake.name, tuple(sorted(legs)))}
+
+
+CASES = {case: case_of(what) if isinstance(what, str) else what for case, what in _CASES.items()}
 COMBINED = {
     "ids_swapped_and_its_encoder_reversed": (
         wired(Mistake("ids_swapped", 1, 4), Mistake("encoder_sign", 4)),
@@ -169,25 +177,25 @@ def test_mistake_is_named_with_its_legs(family, case):
 
 
 EARLY = [
-    ("legs_classic", Mistake("encoder_sign", 3), 4),
-    ("cia402_difference", Mistake("watchdog_missing", 2), 2),
-    ("robstride", Mistake("encoder_counts_another", 1, 4), 3),
-    ("desktop", Mistake("watchdog_missing", 2), 2),
-    ("virtual", Mistake("encoder_scale", 2, value=1.01), 4),
-    ("virtual", Mistake("encoder_jumps", 5), 4),
-    ("virtual", Mistake("brake_stuck_open", 4), 5),
-    ("virtual", Mistake("rate_sign", 2), 5),
-    ("virtual", Mistake("brake_inverted", 1), 5),
-    ("virtual", Mistake("force_one_way", 1), 6),
-    ("virtual", Mistake("force_saturates", 4), 7),
+    ("legs_classic", "encoder_sign leg=3", 4),
+    ("cia402_difference", "watchdog_missing leg=2", 2),
+    ("robstride", "encoder_counts_another leg=1 other=4", 3),
+    ("desktop", "watchdog_missing leg=2", 2),
+    ("virtual", "encoder_scale leg=2 value=1.01", 4),
+    ("virtual", "encoder_jumps leg=5", 4),
+    ("virtual", "brake_stuck_open leg=4", 5),
+    ("virtual", "rate_sign leg=2", 5),
+    ("virtual", "brake_inverted leg=1", 5),
+    ("virtual", "force_one_way leg=1", 6),
+    ("virtual", "force_saturates leg=4", 7),
 ]
 
 
 @pytest.mark.parametrize(("name", "mistake", "steps"), EARLY)
 def test_step_that_looks_for_a_mistake_names_it(name, mistake, steps):
-    rehearsal = Rehearsal(name, wired(mistake))
-    legs = tuple(sorted({mistake.leg, mistake.other} - {-1}))
-    assert named(rehearsal.run(STEPS[:steps])) == {(mistake.name, legs)}
+    wiring, expected = case_of(mistake)
+    rehearsal = Rehearsal(name, wiring)
+    assert named(rehearsal.run(STEPS[:steps])) == expected
     assert rehearsal.watched.most_open <= 1
 
 

@@ -13,10 +13,10 @@ from hil.lab.bringup.context import Context, Request, Step
 from hil.lab.bringup.drives import Drives
 from hil.lab.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.lab.bringup.procedure import STEPS, Outcome, bring_up
-from hil.lab.bringup.rehearsal import BenchHands, BenchLine, build_bench
+from hil.lab.bringup.rehearsal import BenchHands, BenchLine, build_bench, mistake_of
 from plant_fmu.plant import Plant
 from plant_fmu.rehearsal.bench import RehearsalBench
-from plant_fmu.rehearsal.wiring import Wiring
+from plant_fmu.rehearsal.wiring import Wiring, wired
 from tests.hil.lab.bringup.families import FAMILIES, family
 
 configuration = cache(load)
@@ -92,12 +92,12 @@ def _configured(given: str | Configuration) -> Configuration:
 
 
 class Rehearsal:
-    """One bring-up against one wiring."""
+    """One bring-up against one wiring: a good one, one in the words of a mistake, or another."""
 
     def __init__(
         self,
         name: str | Configuration,
-        wiring: Wiring,
+        wiring: Wiring | str = "",
         *,
         seed: int = 1,
         stop_at: int = -1,
@@ -105,6 +105,8 @@ class Rehearsal:
         faults=None,
     ) -> None:
         self.c = c = _configured(name)
+        if isinstance(wiring, str):
+            wiring = wired(mistake_of(wiring)) if wiring else Wiring()
         self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
         held = np.ones(6)

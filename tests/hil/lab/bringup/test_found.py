@@ -10,7 +10,6 @@ from hil.lab.bringup.checklist import checklist
 from hil.lab.bringup.context import Finding
 from hil.lab.bringup.found import found_text, mended
 from hil.lab.bringup.procedure import STEPS
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal
 
 LEGS = range(6)
@@ -19,7 +18,7 @@ LEGS = range(6)
 @pytest.fixture(scope="module")
 def machines():
     """Rehearsals by the name of their configuration; what is known is set by each test."""
-    return {name: Rehearsal(name, Wiring()) for name in ("virtual", "desktop")}
+    return {name: Rehearsal(name) for name in ("virtual", "desktop")}
 
 
 def fact(drive, tape_m=(0.25, 0.4), scale=1.0, offset_m=0.0):
@@ -79,7 +78,7 @@ def test_with_a_corrected_lead_or_sign_each_leg_reads_the_tape(machines):
 
 def test_exchanged_numbers_alone_are_fixed_in_the_file():
     """Drives 1 and 4 were read with each other's sign: exchanged, they are right."""
-    rehearsal = Rehearsal("desktop", Wiring())
+    rehearsal = Rehearsal("desktop")
     c = rehearsal.c
     facts = {
         str(leg): {"drive": drive, "tape_m": [0.25, 0.4], "scale": -1.0, "offset_m": 0.0, "bent_m": 0.0}
@@ -102,7 +101,7 @@ def test_exchanged_numbers_alone_are_fixed_in_the_file():
 
 def test_crossed_encoder_cables_change_no_transmission_in_the_file():
     """Drives 0 and 2 have each other's encoder, drives 1 and 4 each other's number."""
-    rehearsal = Rehearsal("desktop", Wiring())
+    rehearsal = Rehearsal("desktop")
     c = rehearsal.c
     reads = {0: 2, 2: 0, 1: 4, 4: 1}
     rehearsal.context.facts["encoder"] = {
@@ -132,7 +131,7 @@ def test_limits_are_reduced_once_however_often_the_file_is_given(machines):
 
 
 def test_checklist_marks_what_passed_and_what_was_found():
-    rehearsal = Rehearsal("virtual", wired(Mistake("encoder_sign", 3)))
+    rehearsal = Rehearsal("virtual", "encoder_sign leg=3")
     outcome = rehearsal.run(STEPS[:4])
     lines = checklist(rehearsal.context, outcome, ["[ ] together"])
     assert any(line.startswith("[x] scan") for line in lines)

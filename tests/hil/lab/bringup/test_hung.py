@@ -19,7 +19,6 @@ from hil.lab.bringup.ends import End
 from hil.lab.bringup.procedure import STEPS, Outcome
 from hil.lab.bringup.steps import brakes, encoder, ids
 from hil.lab.bringup.store import Store, identity
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal, named
 
 MOUNTED = STEPS[-1:]
@@ -38,14 +37,14 @@ def asked(rehearsal: Rehearsal, act: str) -> list[float]:
 
 @pytest.mark.parametrize("stop_at", [3, 4], ids=["first pose", "second pose"])
 def test_interrupted_hanging_is_written_down_as_a_platform_that_may_hang(stop_at: int) -> None:
-    rehearsal = Rehearsal("virtual", Wiring(), stop_at=stop_at)
+    rehearsal = Rehearsal("virtual", stop_at=stop_at)
     written = saved(rehearsal)
     with pytest.raises(KeyboardInterrupt):
         rehearsal.run(MOUNTED)
     assert rehearsal.hands.requests[-1].act == "hang"
     facts = json.loads(written[-1])
     assert facts["platform"] == {"hung": True}
-    again = Rehearsal("virtual", Wiring(), facts=facts)
+    again = Rehearsal("virtual", facts=facts)
     again.bench.hung = True
     with again.context.opened(2):
         assert not again.bench.hung
@@ -54,7 +53,7 @@ def test_interrupted_hanging_is_written_down_as_a_platform_that_may_hang(stop_at
 
 def test_no_brake_opens_while_the_platform_hangs_on_the_legs():
     """It was hung in an earlier run; a leg is to be measured again. It comes off on a typed word."""
-    rehearsal = Rehearsal("virtual", Wiring(), facts={"platform": {"hung": True}})
+    rehearsal = Rehearsal("virtual", facts={"platform": {"hung": True}})
     rehearsal.bench.hung = True
     outcome = rehearsal.run(STEPS[:5])
     assert outcome.success
@@ -77,12 +76,12 @@ def test_no_hand_moves_or_pushes_a_leg_that_the_platform_hangs_on(name, gone, st
     """In the closed chain no leg gives way: a brake that slips would be taken for one that holds."""
     facts: dict[str, dict[str, object]] = {}
     if gone:
-        before = Rehearsal(name, Wiring())
+        before = Rehearsal(name)
         before.run(STEPS[:5])
         facts = {step: table for step, table in before.context.facts.items() if step not in {*gone, "passed"}}
     if steps == (encoder.STEP,):
         facts = {"ids": {str(k): {"drives": [k], "changes_m": [0.0] * 6} for k in range(6)}}
-    rehearsal = Rehearsal(name, Wiring(), facts=facts | {"platform": {"hung": True}})
+    rehearsal = Rehearsal(name, facts=facts | {"platform": {"hung": True}})
     rehearsal.bench.hung = True
     rehearsal.run(steps)
     assert rehearsal.hands.requests[0].act == "take_down"
@@ -91,13 +90,13 @@ def test_no_hand_moves_or_pushes_a_leg_that_the_platform_hangs_on(name, gone, st
 
 @pytest.mark.long
 def test_platform_comes_off_after_wrongly_mounted_legs_were_fixed():
-    rehearsal = Rehearsal("virtual", wired(Mistake("mounted_elsewhere", 1, 2)))
+    rehearsal = Rehearsal("virtual", "mounted_elsewhere leg=1 other=2")
     assert {name for name, _ in named(rehearsal.run())} == {"mounted_elsewhere"}
     facts = rehearsal.context.facts
     for step in ("opens", "force", "gauge"):
         facts[step].pop("1")
     facts.pop("passed")
-    mended = Rehearsal("virtual", Wiring(), facts=facts)
+    mended = Rehearsal("virtual", facts=facts)
     mended.bench.hung = True
     assert mended.run().success
     assert [request.act for request in mended.hands.requests].count("take_down") == 1
@@ -132,7 +131,7 @@ def weighs(rehearsal: Rehearsal, typed: Callable[[], float]) -> None:
 
 @pytest.mark.parametrize("typed", [0.0, 1190.0])
 def test_platform_that_cannot_be_weighed_is_a_gap(typed):
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     weighs(rehearsal, lambda: typed)
     outcome = rehearsal.run(MOUNTED)
     assert outcome.findings == ()

@@ -15,7 +15,6 @@ from hil.app.compose import build_protocol
 from hil.lab.bringup.drives import ASKED_TIMES
 from hil.lab.bringup.procedure import STEPS
 from plant_fmu.drives.cia402_dictionary import PLACE, defaults
-from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
 from tests.hil.lab.bringup.families import FAMILIES, family
 from tests.hil.lab.bringup.kit import Rehearsal, named
@@ -54,7 +53,7 @@ class LossyLine:
 
 
 def asked_over(name, lost):
-    rehearsal = Rehearsal(name, Wiring())
+    rehearsal = Rehearsal(name)
     line = LossyLine(rehearsal, lost)
     rehearsal.drives.line = line
     return rehearsal.drives.identities(), line
@@ -98,7 +97,7 @@ _LOWEST = {"damiao": 4, "odrive": 1, "robstride": 0, "cia402_pdo": 4}
 
 @pytest.mark.parametrize("name", broad([*_LOWEST], quick=2))
 def test_two_serial_numbers_of_one_node_are_two_drives(name):
-    rehearsal = Rehearsal(name, Wiring())
+    rehearsal = Rehearsal(name)
     rehearsal.drives.line = TwinLine(rehearsal, 2, name)
     outcome = rehearsal.run(SCAN)
     assert named(outcome) == {("same_id", (2,))}
@@ -106,14 +105,14 @@ def test_two_serial_numbers_of_one_node_are_two_drives(name):
 
 
 def measured():
-    rehearsal = Rehearsal("odrive", Wiring())
+    rehearsal = Rehearsal("odrive")
     assert rehearsal.run(BY_HAND).success
     return rehearsal.context.facts
 
 
 def scanned(facts, said, monkeypatch):
     """Scan where the drives say this of themselves; return the rehearsal and what the operator was told."""
-    rehearsal = Rehearsal("odrive", Wiring(), facts=copy.deepcopy(facts))
+    rehearsal = Rehearsal("odrive", facts=copy.deepcopy(facts))
     told: list[str] = []
     monkeypatch.setattr(rehearsal.hands, "tell", told.append)
     monkeypatch.setattr(rehearsal.drives, "identities", lambda _: said)
@@ -168,12 +167,12 @@ def with_another(monkeypatch, node, key, value):
     broad([(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")], quick=1),
 )
 def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
-    first = Rehearsal("cia402_pdo", Wiring())
+    first = Rehearsal("cia402_pdo")
     assert first.run(STEPS[:4]).success
     facts = first.context.facts
     assert facts["identity"]["2"] == {"serial number": 3, "revision": 1}
 
-    again = Rehearsal("cia402_pdo", Wiring(), facts=copy.deepcopy(facts))
+    again = Rehearsal("cia402_pdo", facts=copy.deepcopy(facts))
     said: list[str] = []
     monkeypatch.setattr(again.hands, "tell", said.append)
     assert again.run(STEPS[:4]).success
@@ -181,7 +180,7 @@ def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
     assert not any("another drive" in text for text in said)
 
     with_another(monkeypatch, 3, key, 77)
-    third = Rehearsal("cia402_pdo", Wiring(), facts=copy.deepcopy(facts) | {"mounted": {"0": {}}})
+    third = Rehearsal("cia402_pdo", facts=copy.deepcopy(facts) | {"mounted": {"0": {}}})
     monkeypatch.setattr(third.hands, "tell", said.append)
     assert third.run(STEPS[:4]).success
     assert asked_legs(third) == {2}
@@ -198,7 +197,7 @@ def requests_of(name):
 def test_each_family_with_identities_reports_them():
     told = {}
     for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
-        rehearsal = Rehearsal(name, Wiring())
+        rehearsal = Rehearsal(name)
         told[name] = rehearsal.drives.identities()
     assert told["cia402_pdo"][4] == {"serial number": 5, "revision": 1}
     assert [who["serial number"] for who in told["robstride"]] == [1, 2, 3, 4, 5, 6]

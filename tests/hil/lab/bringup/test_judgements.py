@@ -18,7 +18,7 @@ LEGS = range(6)
 
 @pytest.fixture(scope="module")
 def machine():
-    return Rehearsal("virtual", Wiring())
+    return Rehearsal("virtual")
 
 
 @pytest.fixture
@@ -151,7 +151,7 @@ def test_drives_that_forget_nothing_are_named_one_turn_off(context):
     ],
 )
 def test_gravity_is_named_wherever_it_is_not_where_the_configuration_has_it(presses, seen, named):
-    c = Rehearsal("virtual", Wiring()).context
+    c = Rehearsal("virtual").context
     c.machine = replace(c.machine, presses=presses)
     c.facts["load"] = {"mass_kg": 0.0, "presses": float(seen)}
     c.facts["mounted"] = {str(k): {"q_m": q.tolist()} for k, q in enumerate(c.machine.pose_lengths)}
@@ -159,7 +159,7 @@ def test_gravity_is_named_wherever_it_is_not_where_the_configuration_has_it(pres
 
 
 def test_tilted_platform_is_suspected_next_to_two_slipped_legs():
-    c = Rehearsal("virtual", Wiring()).context
+    c = Rehearsal("virtual").context
     c.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = c.machine.pose_lengths + 6e-3 * np.array([0, 0, 0, 1, -1, 0])
     c.facts["mounted"] = {str(k): {"q_m": each.tolist()} for k, each in enumerate(q)}
@@ -250,7 +250,7 @@ SAME_LEVELS = {
 @pytest.mark.parametrize("case", SAME_LEVELS)
 def test_levels_that_are_one_command_tell_a_limit_or_nothing(case):
     pairs, expected = SAME_LEVELS[case]
-    c = Rehearsal("virtual", Wiring()).context
+    c = Rehearsal("virtual").context
     way = {"force_N": 0.1, "leg": 0, "way": 1}
     c.facts["force"] = {"0": {"plus": way, "minus": way | {"way": -1}}}
     c.facts["opens"] = {str(k): {"legs": [k], "hand_N": 1.0, "rate_share": 1.0} for k in LEGS}
@@ -260,7 +260,7 @@ def test_levels_that_are_one_command_tell_a_limit_or_nothing(case):
 
 
 def test_friction_that_a_drive_meets_is_that_of_the_leg_it_moves():
-    c = Rehearsal("virtual", Wiring()).context
+    c = Rehearsal("virtual").context
     still = {"force_N": None, "leg": None, "way": 0}
     c.facts["opens"] = {"1": {"legs": [4], "hand_N": c.machine.force_N, "rate_share": None}}
     c.facts["force"] = {"1": {"plus": still, "minus": still}}

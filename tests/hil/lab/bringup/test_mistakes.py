@@ -213,7 +213,7 @@ SEEDS = [
 @pytest.mark.long
 @pytest.mark.parametrize(("family", "seed"), SEEDS)
 def test_good_machine_has_no_finding_whatever_the_errors_of_tape_and_gauge(family, seed):
-    rehearsal = Rehearsal(family, Wiring(), seed=seed)
+    rehearsal = Rehearsal(family, seed=seed)
     outcome = rehearsal.run()
     assert outcome.success, outcome.findings
     assert [step for step, _ in outcome.gaps] == ["watchdog"] * (family in UNWATCHED)

@@ -12,7 +12,6 @@ from hil.app.configuration.configuration import load, loads
 from hil.lab.bringup.context import Finding, RefusedError
 from hil.lab.bringup.procedure import STEPS, merged
 from hil.lab.bringup.steps import scan
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.broad import broad
 from tests.hil.lab.bringup.families import FAMILIES, family
 from tests.hil.lab.bringup.kit import Rehearsal, named
@@ -23,7 +22,7 @@ ALONE = STEPS[:5]
 @pytest.fixture(scope="module")
 def good():
     """A machine without mistakes after all steps."""
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     return rehearsal, rehearsal.run()
 
 
@@ -61,14 +60,14 @@ def test_no_two_brakes_are_open_where_each_leg_has_a_bus_of_its_own(tmp_path):
     last = text.index("\n\n", first)
     channels = "".join(f"\n    - {{channel: bus{leg}, legs: [{leg}]}}" for leg in range(6))
     (tmp_path / "six.yaml").write_text(text[:first] + "  channels:" + channels + text[last:])
-    rehearsal = Rehearsal(str(tmp_path / "six.yaml"), Wiring())
+    rehearsal = Rehearsal(str(tmp_path / "six.yaml"))
     outcome = rehearsal.run(STEPS[:6])
     assert outcome.findings == ()
     assert rehearsal.watched.most_open == 1
 
 
 def test_what_was_not_measured_has_not_passed():
-    rehearsal = Rehearsal("virtual", wired(Mistake("brake_stuck_open", 5)))
+    rehearsal = Rehearsal("virtual", "brake_stuck_open leg=5")
     outcome = rehearsal.run()
     assert ("brake_stuck_open", (5,)) in named(outcome)
     assert not {"force", "gauge"} & set(outcome.passed)
@@ -76,13 +75,13 @@ def test_what_was_not_measured_has_not_passed():
 
 @pytest.mark.parametrize("mistake", ["watchdog_missing", "watchdog_long", "watchdog_short"])
 def test_drive_without_its_watchdog_is_named_before_any_brake_opens(mistake):
-    rehearsal = Rehearsal("virtual", wired(Mistake(mistake, 4)))
+    rehearsal = Rehearsal("virtual", f"{mistake} leg=4")
     assert named(rehearsal.run()) == {(mistake, (4,))}
     assert rehearsal.watched.most_open == 0
 
 
 def test_no_brake_opens_beside_a_drive_that_cannot_be_locked_out():
-    rehearsal = Rehearsal("virtual", wired(Mistake("watchdog_missing", 4)))
+    rehearsal = Rehearsal("virtual", "watchdog_missing leg=4")
     rehearsal.run((scan.STEP,))
     why = rehearsal.drives.power(0)
     assert "legs [4] did not latch" in why
@@ -91,7 +90,7 @@ def test_no_brake_opens_beside_a_drive_that_cannot_be_locked_out():
 
 
 def test_ctrl_c_with_a_brake_open_takes_force_and_power_away():
-    rehearsal = Rehearsal("virtual", Wiring(), stop_at=61)
+    rehearsal = Rehearsal("virtual", stop_at=61)
     with pytest.raises(KeyboardInterrupt):
         rehearsal.run(ALONE)
     stopped_at = rehearsal.hands.requests[-1]
@@ -102,7 +101,7 @@ def test_ctrl_c_with_a_brake_open_takes_force_and_power_away():
     assert snapshot.brake.tolist() == [1.0] * 6
     assert not {DriveState.READY, DriveState.RUN} & {DriveState(int(s)) for s in snapshot.state}
 
-    resumed = Rehearsal("virtual", Wiring(), facts=rehearsal.context.facts)
+    resumed = Rehearsal("virtual", facts=rehearsal.context.facts)
     assert resumed.run(ALONE).success
     asked = [(r.act, r.leg) for r in resumed.hands.requests]
     assert ("measure", 0) not in asked
@@ -112,7 +111,7 @@ def test_ctrl_c_with_a_brake_open_takes_force_and_power_away():
 
 def test_brake_that_nobody_has_pushed_on_has_not_held():
     """The brake of leg 3 does not shut; the operator pushes only once the gauge's 0 N has been refused."""
-    rehearsal = Rehearsal("virtual", wired(Mistake("brake_stuck_open", 3)))
+    rehearsal = Rehearsal("virtual", "brake_stuck_open leg=3")
     ask, reads = rehearsal.hands.ask, []
 
     def lazy(request):
@@ -134,7 +133,7 @@ def test_brake_that_nobody_has_pushed_on_has_not_held():
 
 
 def test_without_consent_nothing_is_polled_or_powered():
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     rehearsal.hands.agrees = False
     with pytest.raises(RefusedError, match="before step scan"):
         rehearsal.run()
@@ -144,7 +143,7 @@ def test_without_consent_nothing_is_polled_or_powered():
 
 
 def test_nothing_after_a_mistake_that_a_gate_has_named():
-    rehearsal = Rehearsal("virtual", wired(Mistake("encoder_frozen", 1)))
+    rehearsal = Rehearsal("virtual", "encoder_frozen leg=1")
     outcome = rehearsal.run()
     assert (outcome.stopped, outcome.passed) == ("ids", ("scan", "watchdog"))
     assert not {r.act for r in rehearsal.hands.requests} - {"move"}
@@ -166,13 +165,13 @@ POLLED = ["moteus_stopped", *[name for name in FAMILIES if "legs" not in name an
 def test_brakes_that_act_at_once_open_one_at_a_time(name):
     """An enabling of one tick opens no brake that takes 40 ms: only one that takes none shows it."""
     c, at_once = family(name), {"plant": {"drives": {"brake_open_ms": 0, "brake_close_ms": 0}}}
-    rehearsal = Rehearsal(loads(with_changes(c.text, at_once), name, c.folder), Wiring())
+    rehearsal = Rehearsal(loads(with_changes(c.text, at_once), name, c.folder))
     assert rehearsal.run(STEPS[:2]).findings == ()
     assert rehearsal.watched.most_open <= 1
 
 
 def test_what_is_not_proven_is_accepted_by_a_word_and_has_not_passed():
-    rehearsal = Rehearsal("cubemars", Wiring())
+    rehearsal = Rehearsal("cubemars")
     outcome = rehearsal.run(STEPS[:2])
     assert outcome.passed == ("scan",)
     ((step, gap),) = outcome.gaps
@@ -185,7 +184,7 @@ def test_what_is_not_proven_is_accepted_by_a_word_and_has_not_passed():
 @pytest.mark.parametrize("family", ["cia402_difference", "odrive"])
 def test_drives_with_frames_of_their_own_are_powered_alone(family):
     """The five others are commanded off; nothing is locked out, since these drives cannot be."""
-    rehearsal = Rehearsal(family, Wiring())
+    rehearsal = Rehearsal(family)
     assert not rehearsal.drives.locks
     rehearsal.run(STEPS[:1])
     assert rehearsal.drives.power(3) == ""
@@ -199,7 +198,7 @@ def test_drives_with_frames_of_their_own_are_powered_alone(family):
 def test_brake_is_open_or_shut_once_a_slow_heartbeat_reports_it():
     c = family("odrive")
     slow = with_changes(c.text, {"drives": {"heartbeat_ms": 250}})
-    rehearsal = Rehearsal(loads(slow, "odrive", c.folder), Wiring())
+    rehearsal = Rehearsal(loads(slow, "odrive", c.folder))
     assert not any(rehearsal.drives.prepare(None))
     for leg in (4, 1):
         with rehearsal.context.opened(leg):
@@ -220,7 +219,7 @@ SLOW = {
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
 def test_slow_brake_is_shut_before_the_next_one_opens(name):
     """One command for all drives, and one for each: every leg, its neighbour, and the first leg again."""
-    rehearsal = Rehearsal(loads(with_changes(load(name).text, SLOW), name), Wiring())
+    rehearsal = Rehearsal(loads(with_changes(load(name).text, SLOW), name))
     rehearsal.drives.prepare(None)
     for leg in (0, 1, 2, 3, 4, 5, 0):
         with rehearsal.context.opened(leg):
@@ -230,7 +229,7 @@ def test_slow_brake_is_shut_before_the_next_one_opens(name):
 
 
 def test_two_brakes_on_one_output_are_found_and_carry_no_force():
-    rehearsal = Rehearsal("virtual", wired(Mistake("brake_of_another", 1, 4)))
+    rehearsal = Rehearsal("virtual", "brake_of_another leg=1 other=4")
     outcome = rehearsal.run(STEPS[:6])
     assert named(outcome) == {("brake_crossed", (1, 4))}
     assert rehearsal.context.known("opens", 4)["legs"] == [4]
@@ -242,14 +241,14 @@ def test_two_brakes_on_one_output_are_found_and_carry_no_force():
 @pytest.mark.long
 def test_killed_after_any_fact_it_goes_on_from_there_and_ends_well():
     """SIGKILL leaves what was saved last: the facts of some moments, each read back as JSON."""
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     moments: list[str] = []
     rehearsal.context.save = lambda: moments.append(json.dumps(rehearsal.context.facts))
     assert rehearsal.run().success
     asked = len(rehearsal.hands.requests)
     for moment in moments[1::6]:
         facts = json.loads(moment)
-        resumed = Rehearsal("virtual", Wiring(), facts=facts)
+        resumed = Rehearsal("virtual", facts=facts)
         resumed.bench.hung = "platform" in facts
         outcome = resumed.run()
         assert outcome.success, outcome.findings

@@ -11,7 +11,6 @@ import pytest
 from hil.lab.bringup.context import Context, Request
 from hil.lab.bringup.steps import brakes, encoder
 from hil.lab.bringup.steps.brakes import Steps
-from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.lab.bringup.kit import Rehearsal
 
 
@@ -105,7 +104,7 @@ TICK_NS = 2_000_000
 
 def share_of(motion, rate=lambda v: v):
     """The share that drive 2 has after ticks with these speeds, m/s, and the rates that it reports."""
-    c = Rehearsal("virtual", Wiring()).context
+    c = Rehearsal("virtual").context
     record, length = c.drives.record, 1.5
     steps = Steps(c, 2, lambda: None)
     for n, speed in enumerate(motion):

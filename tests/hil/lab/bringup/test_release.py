@@ -27,7 +27,6 @@ from hil.lab.bringup.release import mark_moved, six_legs, state_lengths
 from hil.lab.bringup.store import Store
 from hil.lab.bringup.terminal import Terminal
 from hil.record.recording import LogSummary
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal, named
 
 FULL = "No space left on device"
@@ -197,7 +196,7 @@ def forgetful(folder, radius_m: float = 0.004) -> Configuration:
 
 
 def test_whole_turns_that_were_forgotten_are_no_offset_and_the_rest_is(tmp_path):
-    rehearsal = Rehearsal(forgetful(tmp_path), wired(Mistake("offset", 2)))
+    rehearsal = Rehearsal(forgetful(tmp_path), "offset leg=2")
     forgotten = rehearsal.machine.forgotten_m
     assert forgotten is not None
     assert forgotten == pytest.approx([2 * 3.141592653589793 * 0.004] * 6)
@@ -206,7 +205,7 @@ def test_whole_turns_that_were_forgotten_are_no_offset_and_the_rest_is(tmp_path)
 
 @pytest.mark.long
 def test_rehearsal_with_such_motors_ends_with_six_legs_that_move(tmp_path):
-    rehearsal = Rehearsal(forgetful(tmp_path), Wiring())
+    rehearsal = Rehearsal(forgetful(tmp_path))
     outcome = rehearsal.run()
     assert outcome.success, outcome.findings
     assert six_legs(rehearsal.c, rehearsal.bench).success
@@ -224,7 +223,7 @@ def test_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tmp_pa
     marked = read_homing(c, path)
     assert (before.state, marked.state) == ("stated", "moved")
     assert marked.lengths_m == before.lengths_m
-    context = Rehearsal(c, Wiring()).context
+    context = Rehearsal(c).context
     state_lengths(c, context, said.append)
     stated = read_homing(c, path)
     assert stated.state == "stated"

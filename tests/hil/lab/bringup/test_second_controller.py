@@ -4,13 +4,12 @@ import pytest
 
 from drivers.signals import DriveState, Foreign
 from hil.lab.bringup.steps import scan
-from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.lab.bringup.kit import Rehearsal, named
 
 
 def disturbed(at, name="virtual"):
     """A machine on whose bus somebody sends in some ticks; at: tick -> what."""
-    rehearsal = Rehearsal(name, Wiring())
+    rehearsal = Rehearsal(name)
     step = rehearsal.drives.step
 
     def heard(*arguments, **options):
@@ -23,7 +22,7 @@ def disturbed(at, name="virtual"):
 
 
 def last(name):
-    rehearsal = Rehearsal(name, Wiring())
+    rehearsal = Rehearsal(name)
     return rehearsal.drives.ticks(scan.LISTEN_S) - 1
 
 

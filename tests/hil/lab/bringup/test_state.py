@@ -14,7 +14,6 @@ from hil.lab.bringup.context import Finding, forget_legs
 from hil.lab.bringup.procedure import STEPS
 from hil.lab.bringup.steps import gauge
 from hil.lab.bringup.store import Store, identity
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal
 
 STATE = json.dumps({"version": 6, "identity": {}, "facts": {"held": {"0": {"moved": True}}}, "check": ""})
@@ -47,7 +46,7 @@ def test_damaged_state_is_refused_in_one_line_and_stays_as_it_is(tmp_path, case)
 
 
 def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     store = Store(tmp_path / "state.json", {})
     rehearsal.context.facts = store.facts
     rehearsal.run()
@@ -55,7 +54,7 @@ def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):
     assert Store(tmp_path / "state.json", {}).facts == store.facts
     assert set(store.facts) >= {"scan", "watchdog", "ids", "encoder", "held", "opens", "force", "gauge"}
     del store.facts["gauge"]["1"], store.facts["held"]["2"]
-    again = Rehearsal("virtual", Wiring(), facts=store.facts)
+    again = Rehearsal("virtual", facts=store.facts)
     assert again.run().passed == tuple(step.name for step in STEPS)
     asked = [(request.act, request.leg) for request in again.hands.requests]
     assert [each for each in asked if each[0] in {"read_gauge", "read_held"}] == [
@@ -162,10 +161,10 @@ def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     c = load("virtual")
     state = tmp_path / "s.json"
-    bad = Rehearsal("virtual", wired(Mistake("encoder_sign", 3)))
+    bad = Rehearsal("virtual", "encoder_sign leg=3")
     store = Store(state, identity(c, ()))
     bad.context.facts, bad.context.save = store.facts, store.save
     store.forget(bad.run().findings)
-    good = Rehearsal("virtual", Wiring(), facts=Store(state, identity(c, ())).facts)
+    good = Rehearsal("virtual", facts=Store(state, identity(c, ())).facts)
     assert good.run().success
     assert {r.leg for r in good.hands.requests if r.leg >= 0} == {3}

@@ -25,7 +25,6 @@ from hil.lab.bringup.procedure import STEPS, bring_up
 from hil.lab.bringup.steps import force
 from plant_fmu.faults.kinds import DriveSilence, EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.kit import Rehearsal, named
 
 UNSAFE = ("runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps")
@@ -149,7 +148,7 @@ def test_drive_that_runs_goes_on_whatever_the_locked_ones_report():
 
 
 def test_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
-    rehearsal = Rehearsal("lab", Wiring())
+    rehearsal = Rehearsal("lab")
     hands, bench = rehearsal.hands, rehearsal.bench
     ask, answer, late = hands.ask, hands.answer, []
 
@@ -171,7 +170,7 @@ def test_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
 
 
 def test_drive_that_falls_silent_with_its_brake_open_is_named():
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     step = rehearsal.drives.line.exchange
 
     def deaf(opening):
@@ -188,7 +187,7 @@ def test_drive_that_falls_silent_with_its_brake_open_is_named():
 
 
 def test_leg_that_runs_away_is_stopped_and_named():
-    rehearsal = Rehearsal("virtual", wired(Mistake("force_scale", 3, value=60.0)))
+    rehearsal = Rehearsal("virtual", "force_scale leg=3 value=60.0")
     outcome = rehearsal.run(STEPS[:6])
     assert named(outcome) == {("runaway", (3,))}
     assert rehearsal.watched.most_open == 1
@@ -197,7 +196,7 @@ def test_leg_that_runs_away_is_stopped_and_named():
 @cache
 def begins(name):
     """When a good machine begins each step, s, and when it has ended the last one."""
-    rehearsal = Rehearsal(name, Wiring())
+    rehearsal = Rehearsal(name)
     ticks: list[int] = []
 
     def consent(*_: str) -> bool:
@@ -238,14 +237,14 @@ def test_fault_of_one_leg_in_mid_step_is_named_at_that_leg(fault, step, name):
     kind, more = FAULTS[fault]
     at_s = until(step, 0.3, name)
     plan = FaultPlan([kind(kind=fault, leg=3, at_s=at_s, **more)])
-    rehearsal = Rehearsal(name, Wiring(), faults=plan)
+    rehearsal = Rehearsal(name, faults=plan)
     outcome = rehearsal.run()
     assert any(3 in legs for _, legs in named(outcome)), outcome.findings
     assert rehearsal.watched.most_open <= 1
 
 
 def test_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
-    rehearsal = Rehearsal("virtual", Wiring())
+    rehearsal = Rehearsal("virtual")
     exchange = rehearsal.drives.line.exchange
 
     def unplugged(opening):
@@ -262,7 +261,7 @@ def test_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
 
 def test_travel_is_not_taken_from_a_drive_that_fell_silent():
     facts = {"encoder": {str(leg): {"drive": 5 - leg, "scale": 2.0} for leg in range(6)}}
-    rehearsal = Rehearsal("virtual", Wiring(), facts=facts)
+    rehearsal = Rehearsal("virtual", facts=facts)
     rehearsal.drives.step()
     context, before = rehearsal.context, rehearsal.context.lengths()
     rehearsal.drives.record["length"][4] += 0.5

@@ -12,7 +12,6 @@ from hil.app.configuration.configuration import loads
 from hil.cli import main
 from hil.lab.bringup.found import found_text
 from hil.lab.bringup.release import six_legs
-from plant_fmu.rehearsal.wiring import Wiring
 from tests.broad import broad
 from tests.hil.lab.bringup.kit import Rehearsal
 
@@ -42,7 +41,7 @@ def light(tmp_path_factory):
 def test_legs_that_stick_come_free_without_a_leap(friction_N, light):
     """Six pushes of 7 N at once took this platform beyond the reduced limit of its speed."""
     c = light(friction_N)
-    rehearsal = Rehearsal(c, Wiring())
+    rehearsal = Rehearsal(c)
     found = loads(found_text(c, rehearsal.context, ()), "found.yaml")
     assert found.limits.speed_m_s == pytest.approx(0.25 * c.limits.speed_m_s)
     assert found.limits.following_error_m == pytest.approx(0.002), "a quarter is less"

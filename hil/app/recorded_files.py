@@ -13,7 +13,7 @@ from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import SampledReference
 from hil.control.state_space import StateSpaceSettings
 
-_NAMED = (
+NAMED = (
     (REFERENCE_CSV, "reference", "path", SampledReference),
     (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
     (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
@@ -27,7 +27,7 @@ def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterat
 
     Raises LogError, as that does; OSError where the disk of temporary files takes none.
     """
-    if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind in _NAMED):
+    if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind in NAMED):
         yield configuration
         return
     with tempfile.TemporaryDirectory(prefix="hil-log-files-") as folder:
@@ -43,7 +43,7 @@ def with_attachments(configuration: Configuration, files: Mapping[str, bytes], f
     Raises LogError where the configuration names a file that the log does not carry.
     """
     changes: dict[str, Any] = {}
-    for name, section, key, kind in _NAMED:
+    for name, section, key, kind in NAMED:
         settings = getattr(configuration, section)
         if not isinstance(settings, kind):
             continue

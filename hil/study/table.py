@@ -1,13 +1,48 @@
-"""The form of the tables of results on the terminal."""
+"""Tables of results on the terminal: a list of columns, and a row a line."""
 
-from collections.abc import Collection
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, NamedTuple
 
 from rich.table import Table
+from rich.text import Text
+
+from hil.app.output import number, print_table
+from hil.app.terminal import visible
 
 
-def results(*titles: str, left: Collection[str] = ()) -> Table:
-    """Table without lines; the columns of `left` stand at the left, figures at the right."""
+class Column(NamedTuple):
+    """One column."""
+
+    title: str
+    cell: Callable[[Any], object]
+    """Row -> text; a `Text` keeps its own style."""
+    left: bool = False
+    """Words stand at the left, figures at the right."""
+    width: int | None = None
+    """Of its widest line."""
+
+
+def print_rows(
+    columns: Sequence[Column],
+    rows: Iterable[Any],
+    style: Callable[[Any], str] = lambda _: "",
+    width: int | None = None,
+) -> None:
+    """Print rows below the titles; nothing where there is no row. style : of a row."""
     table = Table(box=None, pad_edge=False, header_style="bold")
-    for title in titles:
-        table.add_column(title, justify="left" if title in left else "right")
-    return table
+    for column in columns:
+        table.add_column(column.title, justify="left" if column.left else "right", max_width=column.width)
+    for row in rows:
+        cells = (column.cell(row) for column in columns)
+        table.add_row(
+            *(cell if isinstance(cell, Text) else Text(visible(str(cell)), style(row)) for cell in cells)
+        )
+    if table.row_count:
+        print_table(table, width)
+
+
+def figure(value: Any, form: str = "") -> str:
+    """Return a figure in a format, by default as in summaries; `-` where there is none."""
+    if value is None or value != value:  # noqa: PLR0124 - nan
+        return "-"
+    return format(value, form) if form else number(value)

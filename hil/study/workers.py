@@ -66,10 +66,21 @@ def batch(
     dies takes few with it. gone : what the future of a job raises that was lost. Other exceptions go on.
     """
     rest = iter(work)
+    lost: list[Job] = []
     while True:
-        lost: list[Job] = []
         with lend(ahead) as executor:
-            yield from _until_one_dies(executor, rest, function, ahead, gone, lost)
+            waiting: dict[Future[Outcome], Job] = {}
+            while True:
+                for job in islice(rest, 0 if lost else ahead - len(waiting)):
+                    waiting[_submitted(executor, function, job, gone)] = job
+                if not waiting:
+                    break
+                for future in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    job = waiting.pop(future)
+                    try:
+                        yield future.result()
+                    except gone:
+                        lost.append(job)
         if not lost:
             return
         for job in lost:
@@ -78,46 +89,36 @@ def batch(
                     yield executor.submit(function, job).result()
                 except gone:
                     yield died(job)
+        lost.clear()
 
 
-def _until_one_dies(
-    executor: Executor,
-    rest: Iterator[Job],
-    function: Callable[[Job], Outcome],
-    ahead: int,
-    gone: type[BaseException],
-    lost: list[Job],
-) -> Iterator[Outcome]:
-    """Yield outcomes of jobs from `rest`, until it is empty or a process dies; `lost` gets what that took."""
-    waiting: dict[Future[Outcome], Job] = {}
-    while True:
-        for job in () if lost else islice(rest, ahead - len(waiting)):
-            try:
-                with _undisturbed():
-                    waiting[executor.submit(function, job)] = job
-            except gone:
-                lost.append(job)
-                break
-        if not waiting:
-            return
-        for future in wait(waiting, return_when=FIRST_COMPLETED).done:
-            job = waiting.pop(future)
-            try:
-                yield future.result()
-            except gone:
-                lost.append(job)
+def _submitted(
+    executor: Executor, function: Callable[[Job], Outcome], job: Job, gone: type[BaseException]
+) -> Future[Outcome]:
+    """Submit a job; one that a broken executor does not take is lost as those that it had."""
+    try:
+        return executor.submit(function, job)
+    except gone as error:
+        refused: Future[Outcome] = Future()
+        refused.set_exception(error)
+        return refused
 
 
 @contextmanager
 def processes(count: int, function: Callable[[Job], Outcome]) -> Iterator[ProcessPoolExecutor]:
     """Lend processes that end at once where anything fails: they would finish jobs first, for nobody.
 
-    They are forked from a fresh interpreter: forked from this one they would hold its locks.
+    They are forked from a fresh interpreter: forked from this one they would hold its locks. A terminal sends
+    Ctrl-C to all of them; it is for this process alone, which ends them.
     """
     context = get_context("forkserver")
     context.set_forkserver_preload([function.__module__])
-    with _undisturbed():
+    ensure_tracker()  # started later it would let Ctrl-C through
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # all processes inherit that
+    try:
         ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
     with ProcessPoolExecutor(count, mp_context=context, initializer=_end_with_parent) as pool:
         try:
             yield pool
@@ -130,26 +131,11 @@ def processes(count: int, function: Callable[[Job], Outcome]) -> Iterator[Proces
 
 def _end_with_parent() -> None:
     """Let this process end when its parent does, by whatever signal: it would wait for jobs for good."""
-    Thread(target=_await_parent, daemon=True).start()
-
-
-def _await_parent() -> None:
     parent = parent_process()
     assert parent is not None
-    parent.join()
-    os._exit(1)
 
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
 
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """Let Ctrl-C wait while processes are started: one that is half started could not be ended.
-
-    They inherit that. A terminal sends Ctrl-C to all, and it is for this
-    process alone, which ends them.
-    """
-    ensure_tracker()  # started later it would let Ctrl-C through
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+    Thread(target=watch, daemon=True).start()

@@ -18,7 +18,7 @@ from hil.record.log import Log
 from hil.study.what_if.allowed import changes, refuse_other_inputs
 from hil.study.what_if.changes import changed, read_changes
 from hil.study.what_if.command import what_if_log
-from hil.study.what_if.recorded import OPEN_LOOP
+from hil.study.what_if.show import OPEN_LOOP
 from tests.broad import broad
 from tests.hil.app.test_feedforward_file import head_of, using
 from tests.hil.rewrite import rewrite_log

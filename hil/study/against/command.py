@@ -6,18 +6,20 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, Literal
 
+import numpy as np
+
 from drivers.arrays import Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
-from hil.record.divergence import ColumnDivergence, Divergence, Place
+from hil.record.divergence import ColumnDivergence, Divergence
 from hil.record.log import Log
 from hil.record.schema import IDENTITY
-from hil.study.against.pairs import Alone, Unpaired, first_motion, paired
+from hil.study import divergences
+from hil.study.against.pairs import first_motion, paired
 from hil.study.against.tolerances import read_tolerances
 
 Alignment = Literal["tick", "motion"]
-NOTHING_BUT_NUMBERS = ("tick",)
-"""Columns that say where a row is, and are not compared where motions are aligned."""
+SIDES = divergences.Sides("element", "log", "other")
 
 
 def against(
@@ -38,20 +40,27 @@ def against(
     tolerances = read_tolerances(words, common, {*only[0], *only[1], *unlike})
     starts, origins = ((0, 0), (one.origin_ns, other.origin_ns))
     if align == "motion":
-        found = first_motion(one), first_motion(other)
-        starts, origins = (found[0][0], found[1][0]), (found[0][1], found[1][1])
-        common = [column for column in common if column.name not in NOTHING_BUT_NUMBERS]
-    divergence, alone, ticks = Divergence(common, tolerances.absolute, tolerances.relative), Alone(), 0
+        (tick, t_ns), (there, there_ns) = first_motion(one), first_motion(other)
+        starts, origins = (tick, there), (t_ns, there_ns)
+        common = [column for column in common if column.name != "tick"]
+    divergence, ticks = Divergence(common, tolerances.absolute, tolerances.relative), 0
+    alone = [[np.zeros(0, np.int64)], [np.zeros(0, np.int64)]]
     names = tuple(dict.fromkeys(("tick", "t_ns", *(column.name for column in common))))
-    for a, b in paired(one, other, names, starts, alone):
-        rows = _since(a, origins[0]), _since(b, origins[1])
-        divergence.take(*rows, rows[0]["t_ns"] * 1e-9)
-        ticks += len(a)
+    for a, b, *lone in paired(one, other, names, starts):
+        if len(a):
+            rows = _since(a, origins[0]), _since(b, origins[1])
+            divergence.take(*rows, rows[0]["t_ns"] * 1e-9)
+            ticks += len(a)
+        for found, more in zip(alone, lone, strict=True):
+            found.append(more)
+    unpaired = [np.concatenate(each) for each in alone]
     if not ticks:
         raise LogError(f"{path}: has no tick in common with {golden}: nothing to compare")
     diverging = divergence.diverging
+    # those that diverge first, by tick; then those with a difference that is allowed
+    different = [*diverging, *(each for each in divergence.different if not each.diverges)]
     return {
-        "success": not diverging and max(alone.one.count, alone.other.count) <= tolerances.alone,
+        "success": not diverging and max(map(len, unpaired)) <= tolerances.alone,
         "kind": "against",
         "log": str(path),
         "against": str(golden),
@@ -59,14 +68,16 @@ def against(
         "relative_tolerance": _allowed(tolerances.relative),
         "tolerances": {name: _allowed(value) for name, value in tolerances.absolute.items()},
         "ticks_compared": ticks,
-        "only_in_log": _alone(alone.one),
-        "only_in_other": _alone(alone.other),
+        **{
+            f"only_in_{side}": {"ticks": len(each), "first": int(each[0]) if len(each) else None}
+            for side, each in zip(("log", "other"), unpaired, strict=True)
+        },
         "columns_compared": len(common),
         "columns_only_in_log": only[0],
         "columns_only_in_other": only[1],
         "columns_of_another_type": unlike,
         "diverging": [each.column.name for each in diverging],
-        "columns": [_fields(each) for each in _ordered(divergence)],
+        "columns": [_fields(each) for each in different],
         "wall_s": time.perf_counter() - begun,
     }
 
@@ -86,8 +97,7 @@ def _refuse_unlike(one: Log, other: Log) -> None:
 
 def _columns(one: Log, other: Log) -> tuple[list[Column], tuple[list[str], list[str]], list[str]]:
     """Return the columns that both logs have, which only one has, and which differ in type or shape."""
-    there = {column.name: column for column in other.columns}
-    here = {column.name: column for column in one.columns}
+    here, there = ({column.name: column for column in log.columns} for log in (one, other))
     both = [name for name in here if name in there]
     alike = [n for n in both if (here[n].kind, here[n].shape) == (there[n].kind, there[n].shape)]
     only = [name for name in here if name not in there], [name for name in there if name not in here]
@@ -101,38 +111,13 @@ def _since(rows: Rows, origin_ns: int) -> Rows:
     return found
 
 
-def _ordered(divergence: Divergence) -> list[ColumnDivergence]:
-    """Return the columns with a difference: those that diverge first, by tick."""
-    found = divergence.diverging
-    return [*found, *(each for each in divergence.different if each not in found)]
-
-
-def _alone(ticks: Unpaired) -> dict[str, int | None]:
-    return {"ticks": ticks.count, "first": ticks.first}
-
-
 def _fields(found: ColumnDivergence) -> dict[str, Any]:
-    column, tolerance = found.column, found.tolerance
-    return {
-        "column": column.name,
-        "unit": column.unit,
-        "tolerance": _allowed(tolerance.absolute),
-        "relative_tolerance": tolerance.relative,
+    return divergences.fields(found, SIDES) | {
+        "tolerance": _allowed(found.tolerance.absolute),
+        "relative_tolerance": found.tolerance.relative,
         "diverges": found.diverges,
-        "ticks": found.ticks,
-        "first": _place(found, found.first),
-        "largest": None if column.names else found.largest,
-        "at": _place(found, found.at),
     }
 
 
 def _allowed(value: float) -> float | str:
     return value if isfinite(value) else "not judged"
-
-
-def _place(found: ColumnDivergence, place: Place | None) -> dict[str, Any] | None:
-    if place is None:
-        return None
-    here, there = place.values(found.column)
-    where = {"tick": place.tick, "time_s": place.time_s, "element": place.label, "unit": place.unit}
-    return where | {"log": here, "other": there}

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers import build_protocol
+from drivers.arrays import Array
 from drivers.errors import HilError, PlantError, RunError
 from drivers.family import Family
 from drivers.signals import LEGS, Doubt, Fault, Mode
@@ -63,12 +64,8 @@ def failed(job: Job, why: str = "its process died") -> dict[str, Any]:
 
 
 def _head(case: Case) -> dict[str, Any]:
-    return {
-        "kind": str(case.fault.kind),
-        "when": case.moment,
-        "fault": show_fault(case.fault),
-        "given": case.given,
-    }
+    fault = case.fault
+    return {"kind": str(fault.kind), "when": case.moment, "fault": show_fault(fault), "given": case.given}
 
 
 def _judged(job: Job) -> dict[str, Any]:
@@ -77,12 +74,10 @@ def _judged(job: Job) -> dict[str, Any]:
     if trace is None:
         why = f"the fault did not begin: the run ended in {ending.mode.name}"
         return failed(job, f"{why}. {ending.reason}".rstrip(". "))
-    kind = str(case.fault.kind)
+    kind, c = str(case.fault.kind), case.configuration
     seen = see(kind, trace)
     good, verdict = judge(kind, trace, seen, job.bounds)
-    c = case.configuration
     verdict += "" if good else _why_of_drives(kind, build_protocol(c.bus, c.drives))
-    after_ms = None if seen.declared is None else 1e3 * seen.declared / trace.rate_Hz
     return _head(case) | {
         "success": good,
         "verdict": verdict,
@@ -91,7 +86,7 @@ def _judged(job: Job) -> dict[str, Any]:
         "legs": [] if trace.failed else sorted(frozenset().union(*trace.causes.values())),
         "causes": {cause: sorted(legs) for cause, legs in trace.causes.items()},
         "reason": ending.reason,
-        "after_ms": after_ms,
+        "after_ms": None if seen.declared is None else 1e3 * seen.declared / trace.rate_Hz,
         "error_mm": 1e3 * seen.error_m,
         "travel_mm": 1e3 * seen.travel_m,
         "motion_mm": 1e3 * max(seen.error_m, seen.travel_m),
@@ -106,41 +101,22 @@ def _why_of_drives(kind: str, protocol: Family) -> str:
     return f"; the drives {NO_LATCH}" if kind in STRANGERS and not protocol.traits.stop_latches else ""
 
 
-class _Named:
-    """Gathers what a run names.
+def _causes(cycle: Cycle, ending: Ending, named: dict[str, int]) -> dict[str, frozenset[int]]:
+    """Return the faults that a run has latched, ENCODER with its doubt, each with the legs named.
 
-    Mutable state: the legs that each fault has named in its columns, and the encoders that count for nothing.
+    named : of the columns of `_NAMED_IN`, the bits of all ticks.
     """
-
-    def __init__(self) -> None:
-        self._legs = dict.fromkeys(_NAMED_IN, 0)
-        self._lost = 0
-
-    def look(self, cycle: Cycle) -> None:
-        """Take in a tick."""
-        tick = cycle.tick
-        for fault, column in _NAMED_IN.items():
-            self._legs[fault] |= int(tick[column])
-        self._lost |= int(tick["legs_lost"])
-
-    @property
-    def lost(self) -> frozenset[int]:
-        """Legs whose encoder counted for nothing at some time."""
-        return _set(self._lost)
-
-    def causes(self, cycle: Cycle, ending: Ending) -> dict[str, frozenset[int]]:
-        """Return the faults that a run has latched, ENCODER with its doubt, each with the legs named."""
-        findings = () if ending.story is None else ending.story.findings
-        causes = {}
-        for fault in Fault(ending.faults):
-            told = {each.seen.leg for each in findings if each.fault == fault.name}
-            legs = frozenset(leg for leg in told if leg is not None) | _set(self._legs.get(fault, 0))
-            doubt = Doubt(int(cycle.tick["doubt"])) if fault is Fault.ENCODER else Doubt.NONE
-            causes[f"{fault.name}/{doubt.name}" if doubt else str(fault.name)] = legs
-        return causes
+    findings = () if ending.story is None else ending.story.findings
+    causes = {}
+    for fault in Fault(ending.faults):
+        told = {each.seen.leg for each in findings if each.fault == fault.name and each.seen.leg is not None}
+        doubt = Doubt(int(cycle.tick["doubt"])) if fault is Fault.ENCODER else Doubt.NONE
+        legs = told | _legs(named[_NAMED_IN[fault]] if fault in _NAMED_IN else 0)
+        causes[f"{fault.name}/{doubt.name}" if doubt else str(fault.name)] = legs
+    return causes
 
 
-def _set(bits: int) -> frozenset[int]:
+def _legs(bits: int) -> frozenset[int]:
     return frozenset(leg for leg in range(LEGS) if bits >> leg & 1)
 
 
@@ -169,10 +145,11 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     nodes, physics = build_nodes(c, FaultPlan([case.fault]))
-    lengths, desired, modes, faults = [], [], [], []
+    ticks: list[tuple[Array, Array, int, int]] = []
+    named = dict.fromkeys((*_NAMED_IN.values(), "legs_lost"), 0)
     longest_s = _longest_s(case, cycle.durations)
     last = max(round(case.track_s * rate), 1)  # where the reference is fastest at once, it is followed first
-    course, failure, tracked, named, rested = Course(cycle), "", 0, _Named(), 0
+    course, failure, tracked, rested = Course(cycle), "", 0, 0
     ending: Ending | None = None
     begun: int | None = None
     ended: int | None = None
@@ -187,17 +164,13 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
                 lockstep.step(course.commands(tick, stop))
             except PlantError as error:
                 failure = str(error)
-                ending = course.failed(failure, tick)
-                if begun is None and nodes.now_ns >= starts_ns:
-                    begun = tick
-                break
-            lengths.append(nodes.snapshot().length)
-            desired.append(cycle.tick["q_d"].copy())
-            modes.append(int(cycle.mode))
-            faults.append(int(cycle.faults))
             if begun is None and nodes.now_ns >= starts_ns:
                 begun = tick
-            named.look(cycle)
+            if failure:
+                ending = course.failed(failure, tick)
+                break
+            ticks.append((nodes.snapshot().length, cycle.tick["q_d"].copy(), cycle.mode, cycle.faults))
+            named = {name: bits | int(cycle.tick[name]) for name, bits in named.items()}
             ending = course.ending(tick)
             rested = 0 if ending is None else rested + 1
             ended = tick if ended is None and ending is not None else ended
@@ -209,7 +182,8 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
         physics.close()
     if begun is None:
         return None, ending
+    length, desired, mode, faults = map(np.array, zip(*ticks, strict=True))
     return Trace(
-        np.array(lengths), np.array(desired), np.array(modes), np.array(faults), rate, begun,
-        getattr(case.fault, "leg", None), ending.success, failure, named.causes(cycle, ending), named.lost,
+        length, desired, mode, faults, rate, begun, getattr(case.fault, "leg", None), ending.success, failure,
+        _causes(cycle, ending, named), _legs(named["legs_lost"]),
     ), ending  # fmt: skip

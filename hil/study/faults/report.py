@@ -4,40 +4,35 @@ from collections import Counter
 from collections.abc import Iterator
 from typing import Any
 
-from rich.text import Text
-
-from hil.app.output import print_table
 from hil.study.junit import Verdict
-from hil.study.table import results
+from hil.study.table import Column, print_rows
 
 
 def show(summary: dict[str, Any]) -> None:
     """Print one line a case."""
-    words = ("fault", "when", "leg and size", "reaction")
-    table = results(*words, "fault after ms", "motion mm", "verdict", left=(*words, "verdict"))
-    last = ""
-    for case in summary["matrix"]:
-        name = case["kind"] if case["kind"] != last else ""
-        last = case["kind"]
-        style = "" if case["success"] else "red"
-        verdict = Text(f"{'pass' if case['success'] else 'FAIL'}: {case['verdict']}", style=style)
-        figures = (_figure(case, key) for key in ("after_ms", "motion_mm"))
-        table.add_row(name, case["when"], case["given"], reaction(case), *figures, verdict)
-    print_table(table)
+    columns = (
+        Column("fault", lambda case: case["kind"], left=True),
+        Column("when", lambda case: case["when"], left=True),
+        Column("leg and size", lambda case: case["given"], left=True),
+        Column("reaction", reaction, left=True),
+        Column("fault after ms", lambda case: _figure(case.get("after_ms"))),
+        Column("motion mm", lambda case: _figure(case.get("motion_mm"))),
+        Column(
+            "verdict", lambda case: f"{'pass' if case['success'] else 'FAIL'}: {case['verdict']}", left=True
+        ),
+    )
+    print_rows(columns, summary["matrix"], lambda case: "" if case["success"] else "red")
 
 
 def reaction(case: dict[str, Any]) -> str:
     """Return in which mode a case ended, the faults named, and the legs."""
     if "ended" not in case:
         return "-"
-    words = [case["ended"], " ".join(case["faults"])]
-    if case["legs"]:
-        words.append(f"leg {', '.join(map(str, case['legs']))}")
-    return " ".join(filter(None, words))
+    legs = f"leg {', '.join(map(str, case['legs']))}" if case["legs"] else ""
+    return " ".join(filter(None, (case["ended"], *case["faults"], legs)))
 
 
-def _figure(case: dict[str, Any], key: str) -> str:
-    value = case.get(key)
+def _figure(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
 

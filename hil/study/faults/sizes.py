@@ -23,9 +23,10 @@ class Robot(NamedTuple):
     weight_N: float
     period_ms: float
 
-
-Size = Callable[[Robot, int, Chance | None], dict[str, Any]]
-"""Robot, leg and what draws -> keys of a kind; the usual ones where nothing draws."""
+    @property
+    def rated_N(self) -> float:
+        """What a drive gives at most, N."""
+        return self.c.drives.force_limit_N
 
 
 def robot_of(c: Configuration) -> Robot:
@@ -54,89 +55,73 @@ def _whole(chance: Chance, low: float, high: float) -> int:
     return int(chance.integers(int(low), int(high)))
 
 
-def _row(
-    key: str,
-    usual: float | None,
-    draw: Callable[[Chance, float, float], float],
-    low: float,
-    high: float,
-    scaled: Callable[[Robot, int, float], float] = lambda _r, _leg, x: x,
-) -> Size:
-    """Size with one key: its usual value, None: the default of the kind; range, and unit of the robot."""
-
-    def size(r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
-        x = usual if chance is None else draw(chance, low, high)
-        return {} if x is None else {key: scaled(r, leg, x)}
-
-    return size
-
-
-def _periods(r: Robot, _leg: int, x: float) -> float:
-    return r.period_ms * x
-
-
-def _rated(r: Robot, _leg: int, x: float) -> float:
-    return r.c.drives.force_limit_N * x
-
-
 def _of_brake(r: Robot, leg: int, of_need: float) -> float:
     """Share of a brake's force that is so much of what the leg needs to stand."""
     assert r.c.plant is not None
     model = r.c.plant.model
-    whole = model.brake_force_N if isinstance(model, StewartPlant) else r.c.drives.force_limit_N
+    whole = model.brake_force_N if isinstance(model, StewartPlant) else r.rated_N
     return min(1.0, of_need * float(r.static_N[leg]) / whole)
 
 
-def _of_load(r: Robot, leg: int, of_need: float) -> float:
-    """Limit of a drive's force; without a load a share of the rated force."""
-    return of_need * float(r.static_N[leg]) or 0.02 * r.c.drives.force_limit_N
+class Size(NamedTuple):
+    """The size of a kind that has one key: its range, and what it is in a robot's unit."""
+
+    key: str
+    usual: float | None
+    """None: the default of the kind."""
+    draw: Callable[[Chance, float, float], float]
+    low: float
+    high: float
+    of: Callable[[Robot, int, float], float] = lambda _r, _leg, x: x
+    """Robot, leg, number -> value of the key."""
 
 
-def _push(r: Robot, _leg: int, chance: Chance | None) -> dict[str, Any]:
-    """Force from above, or from any direction."""
-    if chance is None:
-        return {"force_N": (0.0, 0.0, -0.25 * r.weight_N)}
-    way = chance.standard_normal(3)
-    force = way / np.linalg.norm(way) * r.weight_N * _log(chance, 0.02, 0.25)
-    return {"force_N": tuple(force.tolist())}
-
-
-def _payload(r: Robot, _leg: int, chance: Chance | None) -> dict[str, Any]:
-    of_mass, x, y = 0.2, 0.2, 0.0
-    if chance is not None:
-        of_mass, x, y = _log(chance, 0.02, 0.2), _even(chance, -0.2, 0.2), _even(chance, -0.2, 0.2)
-    return {"mass_kg": of_mass * r.c.platform.platform.mass_kg, "position_m": (x, y, 0.2)}
-
-
-_FOREIGN = _row("force_N", None, _signed, 0.01, 0.2, _rated)
+_PERIODS: Callable[[Robot, int, float], float] = lambda r, _leg, x: r.period_ms * x  # noqa: E731
+_RATED: Callable[[Robot, int, float], float] = lambda r, _leg, x: r.rated_N * x  # noqa: E731
 SIZES: dict[str, Size] = {
-    "encoder_jump": _row("by_m", 5e-3, _signed, 1e-3, 0.5),
-    "encoder_drift": _row("by_m_s", 5e-3, _signed, 5e-4, 0.02),
-    "encoder_noise": _row("sigma_m", 1e-4, _log, 1e-6, 1e-3),
-    "encoder_late": _row("by_ms", 1.0, _even, 0.2, 2.0, _periods),
-    "encoder_scale": _row("factor", 0.01, _signed, 1e-2, 0.05, lambda _r, _leg, x: 1.0 + x),
-    "drive_gain": _row("factor", 0.5, _even, 0.0, 2.0),
-    "drive_saturation": _row("limit_N", 0.5, _log, 0.1, 1.0, _of_load),
-    "brake_slow": _row("by_ms", 200.0, _log, 10.0, 500.0),
-    "brake_slipping": _row("share", 0.5, _even, 0.0, 1.0, _of_brake),
-    "frames_loss": _row("probability", 0.3, _even, 0.01, 1.0),
-    "frames_duplicate": _row("probability", None, _even, 0.1, 1.0),
-    "frames_delay": _row("by_ms", 2.0, _log, 0.2, 5.0, _periods),
-    "frames_reorder": _row("probability", 0.5, _even, 0.05, 1.0),
-    "frames_corrupt": _row("probability", 0.3, _even, 0.01, 1.0),
-    "frames_old": _row("back", None, _whole, 1, 20),
-    "frames_forged_command": _row("force_N", 0.1, _signed, 0.01, 0.2, _rated),
-    "frames_forged_feedback": _row("by_m", 5e-3, _signed, 1e-3, 0.5),
-    "bus_second_controller": lambda r, leg, chance: {"rate_Hz": r.c.loop.rate_Hz} | _FOREIGN(r, leg, chance),
-    "wrench_step": _push,
-    "payload_step": _payload,
+    "encoder_jump": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
+    "encoder_drift": Size("by_m_s", 5e-3, _signed, 5e-4, 0.02),
+    "encoder_noise": Size("sigma_m", 1e-4, _log, 1e-6, 1e-3),
+    "encoder_late": Size("by_ms", 1.0, _even, 0.2, 2.0, _PERIODS),
+    "encoder_scale": Size("factor", 0.01, _signed, 1e-2, 0.05, lambda _r, _leg, x: 1.0 + x),
+    "drive_gain": Size("factor", 0.5, _even, 0.0, 2.0),
+    # without a load a share of the rated force
+    "drive_saturation": Size(
+        "limit_N", 0.5, _log, 0.1, 1.0, lambda r, leg, x: x * float(r.static_N[leg]) or 0.02 * r.rated_N
+    ),
+    "brake_slow": Size("by_ms", 200.0, _log, 10.0, 500.0),
+    "brake_slipping": Size("share", 0.5, _even, 0.0, 1.0, _of_brake),
+    "frames_loss": Size("probability", 0.3, _even, 0.01, 1.0),
+    "frames_duplicate": Size("probability", None, _even, 0.1, 1.0),
+    "frames_delay": Size("by_ms", 2.0, _log, 0.2, 5.0, _PERIODS),
+    "frames_reorder": Size("probability", 0.5, _even, 0.05, 1.0),
+    "frames_corrupt": Size("probability", 0.3, _even, 0.01, 1.0),
+    "frames_old": Size("back", None, _whole, 1, 20),
+    "frames_forged_command": Size("force_N", 0.1, _signed, 0.01, 0.2, _RATED),
+    "frames_forged_feedback": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
+    "bus_second_controller": Size("force_N", None, _signed, 0.01, 0.2, _RATED),
 }
-"""Of the kinds that have a size and not only a default."""
+"""Of the kinds with one number; loads and a second controller have more."""
 
 
 def size_of(kind: str, r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
     """Keys of a kind, drawn ones to four digits: its words give them whole."""
-    found = SIZES[kind](r, leg, chance) if kind in SIZES else {}
+    found: dict[str, Any] = {"rate_Hz": r.c.loop.rate_Hz} if kind == "bus_second_controller" else {}
+    if kind == "wrench_step":  # from above, or from any direction
+        force = np.array([0.0, 0.0, -0.25 * r.weight_N])
+        if chance is not None:
+            way = chance.standard_normal(3)
+            force = way / np.linalg.norm(way) * r.weight_N * _log(chance, 0.02, 0.25)
+        found["force_N"] = tuple(force.tolist())
+    elif kind == "payload_step":
+        of_mass, x, y = 0.2, 0.2, 0.0
+        if chance is not None:
+            of_mass, x, y = _log(chance, 0.02, 0.2), _even(chance, -0.2, 0.2), _even(chance, -0.2, 0.2)
+        found = {"mass_kg": of_mass * r.c.platform.platform.mass_kg, "position_m": (x, y, 0.2)}
+    elif kind in SIZES:
+        size = SIZES[kind]
+        number = size.usual if chance is None else size.draw(chance, size.low, size.high)
+        found |= {} if number is None else {size.key: size.of(r, leg, number)}
     return found if chance is None else {key: _rounded(value) for key, value in found.items()}
 
 

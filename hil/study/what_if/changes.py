@@ -30,20 +30,14 @@ def read_changes(words: Sequence[str]) -> dict[str, Any]:
         document = parse(f"value: {text}")
         if document.value is None or set(document.value) != {"value"} or document.problems:
             raise ConfigurationError(f"--set {each}: {text!r} is no YAML value")
-        _put(found, key, document.value["value"], each)
+        *sections, last = key.split(".")
+        place: Any = found
+        for name in sections:
+            place = place.setdefault(name, {}) if isinstance(place, dict) else None
+        if not isinstance(place, dict) or last in place:
+            raise ConfigurationError(f"--set {each}: the same key is set twice; allowed: once")
+        place[last] = document.value["value"]
     return found
-
-
-def _put(found: dict[str, Any], key: str, value: Any, words: str) -> None:
-    *sections, last = key.split(".")
-    place = found
-    for name in sections:
-        place = place.setdefault(name, {})
-        if not isinstance(place, dict):
-            break
-    if not isinstance(place, dict) or last in place:
-        raise ConfigurationError(f"--set {words}: the same key is set twice; allowed: once")
-    place[last] = value
 
 
 def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configuration:
@@ -55,10 +49,10 @@ def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configurati
     """
     if not words:
         return c
+    name = f"{c.source} with --set"
     text = with_changes(c.text, {"name": c.name} | read_changes(words))
     try:
-        return loads(text, f"{c.source} with --set", None if own else c.folder)
+        return loads(text, name, None if own else c.folder)
     except ConfigurationError as error:  # nobody has the text in which it is wrong
-        raise ConfigurationError(
-            *(_PLACE.sub(f"{c.source} with --set: ", problem) for problem in error.problems)
-        ) from None
+        problems = (_PLACE.sub(f"{name}: ", problem) for problem in error.problems)
+        raise ConfigurationError(*problems) from None

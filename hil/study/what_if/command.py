@@ -11,46 +11,30 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, LogError
 from drivers.frame_array import NO_FRAMES
-from hil.app.compose import (
-    CONTROLLER_FILE,
-    FEEDFORWARD_CSV,
-    REFERENCE_CSV,
-    REFERENCE_PLAN,
-    attachments,
-    build_cycle,
-)
+from hil.app.compose import REFERENCE_PLAN, attachments, build_cycle, build_scene, databases
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.files import PICTURE, beginning, new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
+from hil.app.interrupted import leaving
 from hil.app.output import further, log_path
 from hil.app.readable import lacking
-from hil.app.recorded_files import with_attachments
-from hil.app.replay import law_of_log, open_replayable
+from hil.app.recorded_files import NAMED, with_attachments
+from hil.app.replay import WHAT_IF, law_of_log, open_replayable
 from hil.app.terminal import one_line
-from hil.config.feedforward import FeedforwardSettings
-from hil.config.reference import LiveReference, SampledReference
-from hil.control.state_space import StateSpaceSettings
+from hil.config.reference import LiveReference
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.replay import Block
 from hil.loop.what_if import Answer, what_if
-from hil.record import LogSummary, Recording, environment
+from hil.record import LogSummary, Recording
 from hil.record.log import Log
-from hil.record.schema import ENVIRONMENT
+from hil.record.schema import IDENTITY
 from hil.study.plot.command import SUFFIXES
 from hil.study.what_if import show
 from hil.study.what_if.allowed import changes, refuse_other_inputs
 from hil.study.what_if.changes import changed
 from hil.study.what_if.picture import Forces
-from hil.study.what_if.recorded import record
-
-FILES = (
-    (REFERENCE_CSV, "reference", "path", SampledReference),
-    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
-    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
-)
-"""Files that a controller reads: name in a log, section and key that name it, settings that have this key."""
 
 
 def what_if_log(
@@ -89,14 +73,17 @@ def what_if_log(
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-what-if-")))
         given = _with_files(own, here, log, None if config is not None else folder)
-        cycle = _cycle(log, run, own, given)
+        plan = log.attachments.get(REFERENCE_PLAN) if given.reference == own.reference else None
+        last_pose = recorded(log.path, log.attachments.get(HOMING_JSON))
+        cycle = build_cycle(given, run["rate_Hz"], run["watchdog_s"], plan, last_pose=last_pose)
         other_files = _other_files(given, log)
-        recording = None if out is None else stack.enter_context(record(here, cycle, out, log))
+        recording = None if out is None else stack.enter_context(_record(here, cycle, out, log))
         stack.enter_context(collector_paused())
         begun = time.perf_counter()
         answer = _answer(log, cycle, recording, forces, progress)
         wall_s = time.perf_counter() - begun
-        written = None if recording is None else recording.close(show.closing(answer))
+        end = {"reason": answer.damage, "ticks_answered": answer.ticks}
+        written = None if recording is None else recording.close(end)
     result = show.summary(answer, run["rate_Hz"])
     result |= {
         "success": answer.whole and (written is None or written.complete),
@@ -104,7 +91,7 @@ def what_if_log(
         "log": str(path),
         "configuration": here.source,
         "changed": [*changes(own, here), *other_files],
-        "remarks": _remarks(log, here, answer, cycle),
+        "remarks": _remarks(log, here, answer),
         "wall_s": wall_s,
         "times_real_time": answer.ticks / run["rate_Hz"] / wall_s if wall_s > 0 else 0.0,
         "answer_log": None if out is None else str(out),
@@ -112,16 +99,10 @@ def what_if_log(
     }
     if forces is not None and picture is not None and answer.ticks:
         with further(result):
-            forces.draw(
-                picture, f"{printable(path.name)}: recorded, and what {_named(here, words)} would have sent"
-            )
+            named = printable(" ".join((here.name, *words)))
+            forces.draw(picture, f"{printable(path.name)}: recorded, and what {named} would have sent")
             result["picture"] = str(picture)
     return result
-
-
-def _named(here: Configuration, words: Sequence[str]) -> str:
-    """Return what a controller is called in a picture."""
-    return printable(" ".join((here.name, *words)))
 
 
 def new_picture(path: Path) -> None:
@@ -130,6 +111,31 @@ def new_picture(path: Path) -> None:
         raise LogError(f"--plot {path}: allowed are the endings {' and '.join(SUFFIXES)}")
     own = PICTURE if path.suffix.lower() == ".png" else beginning("an SVG picture", b"<?xml")
     new_file(path, option="--plot", own=own)
+
+
+def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recording:
+    """Start the recorder of a what-if on a log; it never runs ahead of its reader. Raises LogError."""
+    begins_ns = source.origin_ns
+    recording = Recording.start(
+        path,
+        configuration=here.text,
+        attachments=databases(here),
+        metadata={
+            "kind": WHAT_IF,
+            "what_if_of": source.path.name,
+            "what_if_of_kind": source.metadata.get(IDENTITY, {}).get("kind", ""),
+            "open_loop": show.OPEN_LOOP,
+            "rate_Hz": cycle.parts.rate_Hz,
+            "watchdog_s": cycle.parts.setup.watchdog_s,
+            "protocol": here.drives.protocol,
+        },
+        scene=build_scene(here),
+        can_channel=source.can_channels,
+        lockstep=True,
+        ring_ticks=here.recording.ring_ticks,
+    )
+    recording.event(begins_ns, "warning", f"a what-if on {source.path.name}, no run. {show.OPEN_LOOP}")
+    return recording
 
 
 def _answer(
@@ -150,73 +156,46 @@ def _answer(
             recording.ticks_of_items(rows, frames, ends)
 
     keep = None if forces is None else forces.keep
-    try:
-        with np.errstate(all="ignore"):  # a law that diverges says so by its fault
-            return what_if(log, cycle, observe=observe if recording else None, keep=keep, progress=progress)
-    except KeyboardInterrupt:
-        if recording is None:
-            raise
-        recording.close({"reason": "interrupted"})
-        raise KeyboardInterrupt(f"what it answered until then: {recording.path}") from None
+    there = "" if recording is None else f"what it answered until then: {recording.path}"
+    with leaving(lambda: there), np.errstate(all="ignore"):  # a law that diverges says so by its fault
+        return what_if(log, cycle, observe=observe if recording else None, keep=keep, progress=progress)
 
 
 def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path | None) -> Configuration:
     """Return a configuration whose files are there: changes of the log's own one take those of the log.
 
     folder : where these go, None: the configuration has a folder of its own.
+
+    Raises ConfigurationError: changes that name a file, or with which the learned feed-forward does not go.
     """
     if folder is None:
         return here
-    _refuse_new_files(own, here)
+    for _, section, key, kind in NAMED:
+        there, given = getattr(own, section), getattr(here, section)
+        if isinstance(given, kind) and getattr(there, key, None) != getattr(given, key):
+            raise ConfigurationError(
+                f"--set {section}.{key}={getattr(given, key)}: the configuration in a log names no file on "
+                "this disk; write a configuration that does, and name it with --what-if"
+            )
     given = with_attachments(here, log.attachments, folder)
-    _refuse_untaught(given, log)
+    try:
+        learned_forces(given.feedforward, given.reference, given.controller, given.platform, given.folder)
+    except ConfigurationError as error:
+        problems = (text.replace(str(folder), str(log.path)) for text in error.problems)
+        raise ConfigurationError(
+            *problems, "For a what-if without these forces add --set feedforward="
+        ) from None
     return given
 
 
 def _other_files(here: Configuration, log: Log) -> list[str]:
     """Return which files of a configuration have another content than those of the log."""
-    there = log.attachments
+    there, given = log.attachments, dict(attachments(here))
     return [
         f"{section}.{key}: the file has another content than that of the log"
-        for name, section, key, _ in FILES
-        if name in there and there[name] != dict(attachments(here)).get(name, there[name])
+        for name, section, key, _ in NAMED
+        if name in there and there[name] != given.get(name, there[name])
     ]
-
-
-def _cycle(log: Log, run: dict[str, Any], own: Configuration, here: Configuration) -> Cycle:
-    """Return the controller of `here`, as the run of a log would have begun with it.
-
-    Where the reference is the log's, so is its plan.
-    """
-    plan = log.attachments.get(REFERENCE_PLAN) if here.reference == own.reference else None
-    last_pose = recorded(log.path, log.attachments.get(HOMING_JSON))
-    return build_cycle(here, run["rate_Hz"], run["watchdog_s"], plan, last_pose=last_pose)
-
-
-def _refuse_new_files(own: Configuration, here: Configuration) -> None:
-    """Refuse changes to a log's own configuration that name a file: it has a folder no more."""
-    for _, section, key, kind in FILES:
-        there, given = getattr(own, section), getattr(here, section)
-        if not isinstance(given, kind):
-            continue
-        if not isinstance(there, kind) or getattr(there, key) != getattr(given, key):
-            raise ConfigurationError(
-                f"--set {section}.{key}={getattr(given, key)}: the configuration in a log names no file on "
-                "this disk; write a configuration that does, and name it with --what-if"
-            )
-
-
-def _refuse_untaught(given: Configuration, log: Log) -> None:
-    """Refuse changes to a log's own configuration with which its learned feed-forward does not go."""
-    taught = given.feedforward
-    try:
-        learned_forces(taught, given.reference, given.controller, given.platform, given.folder)
-    except ConfigurationError as error:
-        assert taught is not None  # without one there is nothing to refuse
-        raise ConfigurationError(
-            *(text.replace(taught.file, f"{log.path}:{FEEDFORWARD_CSV}") for text in error.problems),
-            "For a what-if without these forces add --set feedforward=",
-        ) from None
 
 
 def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
@@ -231,20 +210,9 @@ def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
     return "; ".join(found) or None
 
 
-def _remarks(log: Log, here: Configuration, answer: Answer, cycle: Cycle) -> list[str]:
+def _remarks(log: Log, here: Configuration, answer: Answer) -> list[str]:
     """Return what else is to be known of the figures."""
-    found: list[str] = []
-    missing = lacking(log)
-    if missing:
-        found.append(missing)
-    there, own = log.metadata.get(ENVIRONMENT, {}), environment()
-    names = {"version": "version", "git": "state of the sources", "cpu": "CPU"}
-    other = [name for key, name in names.items() if there.get(key) != own.get(key)]
-    if other:
-        found.append(
-            f"the log was made with another {', '.join(other)}: `hil replay` without --what-if says how much "
-            "of the differences comes of that"
-        )
+    found = [missing] if (missing := lacking(log)) else []
     if answer.setpoints and not isinstance(here.reference, LiveReference):
         found.append(
             f"the {answer.setpoints} set-points of the log are not followed: reference.type "
@@ -255,9 +223,5 @@ def _remarks(log: Log, here: Configuration, answer: Answer, cycle: Cycle) -> lis
         found.append(
             f"a fault after tick {frames.tick} may come of the open loop alone: encoders, brakes, following "
             "error and certificate are judged by the motion that the forces sent should bring about"
-        )
-    if cycle.mode.name != answer.last_mode:
-        found.append(
-            f"at the end of the log it is in {cycle.mode.name}, the recorded one in {answer.last_mode}"
         )
     return found

@@ -1,0 +1,81 @@
+"""Columns in which two sides differ: as plain values, as a sentence, as a table."""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from hil.record.divergence import ColumnDivergence, Place
+from hil.study.table import Column, figure, print_rows
+
+
+class Sides(NamedTuple):
+    """What the keys of a place are called."""
+
+    element: str
+    one: str
+    other: str
+
+
+def fields(found: ColumnDivergence, sides: Sides) -> dict[str, Any]:
+    """Return what was found of a column as plain values."""
+    column = found.column
+    return {
+        "column": column.name,
+        "unit": column.unit,
+        "ticks": found.ticks,
+        "largest": None if column.names else found.largest,
+        "first": place(found, found.first, sides),
+        "at": place(found, found.at, sides),
+    }
+
+
+def place(found: ColumnDivergence, at: Place | None, sides: Sides) -> dict[str, Any] | None:
+    """Return a place with both values as plain values."""
+    if at is None:
+        return None
+    one, other = at.values(found.column)
+    where = {"tick": at.tick, "time_s": at.time_s, "unit": at.unit}
+    return where | {sides.element: at.label, sides.one: one, sides.other: other}
+
+
+def sentence(at: dict[str, Any], sides: Sides) -> str:
+    """Return a place in words."""
+    one, other = (f"{side.replace('_', '-')} {at[side]}" for side in (sides.one, sides.other))
+    text = f"tick {at['tick']} ({at['time_s']:.3f} s): {at[sides.element]}: {one}, {other} {at['unit']}"
+    return text.rstrip()
+
+
+def show(
+    columns: Sequence[dict[str, Any]],
+    sides: Sides,
+    more: Sequence[Column] = (),
+    style: Callable[[dict[str, Any]], str] = lambda _: "",
+) -> None:
+    """Print a line for each column; `more` stand before the unit."""
+
+    def first(key: str, form: str = "") -> Callable[[dict[str, Any]], str]:
+        def cell(each: dict[str, Any]) -> str:
+            value = None if each["first"] is None else each["first"][key]
+            return _short(value) if isinstance(value, str) else figure(value, form)
+
+        return cell
+
+    shown = (
+        Column("column", lambda each: (each["first"] or each["at"])[sides.element], left=True),
+        Column("first tick", first("tick")),
+        Column("s", first("time_s", ".3f")),
+        Column(sides.one.replace("_", "-"), first(sides.one)),
+        Column(sides.other.replace("_", "-"), first(sides.other)),
+        Column("in ticks", lambda each: each["ticks"]),
+        Column("largest", lambda each: figure(each["largest"], ".4g")),
+        Column("at tick", lambda each: each["at"]["tick"]),
+        *more,
+        Column("unit", lambda each: each["unit"], left=True),
+    )
+    print_rows(shown, columns, style)
+
+
+def _short(value: str) -> str:
+    try:
+        return f"{float(value):.6g}" if "." in value or "e" in value else value
+    except ValueError:
+        return value

@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
@@ -24,24 +24,28 @@ AHEAD = 4
 
 
 def perform(
-    work: Sequence[Job],
+    work: Iterable[Job],
     function: Callable[[Job], Outcome],
     died: Callable[[Job], Outcome],
     jobs: int | None,
     progress: Progress | None,
+    total: int | None = None,
 ) -> Iterator[Outcome]:
     """Yield the outcome of every job, in the order in which they are ready; progress comes before each.
 
     function : of a module that a fresh interpreter imports; died : the outcome of a job whose process dies;
     jobs : processes at once, default one a processor; 1 is this process, where a job that crashes takes the
-    command with it.
+    command with it; total : how many jobs there are, where they are made one by one.
     """
-    count = min(len(work), jobs or len(os.sched_getaffinity(0)))
+    if total is None:
+        work = list(work)
+        total = len(work)
+    count = min(total, jobs or len(os.sched_getaffinity(0)))
     outcomes: Iterator[Outcome] = map(function, work)
     if jobs != 1:
         lend: Lend = lambda most: processes(min(most, count), function)  # noqa: E731
         outcomes = batch(work, function, died, lend, AHEAD * count, BrokenProcessPool)
-    return counted(outcomes, len(work), progress)
+    return counted(outcomes, total, progress)
 
 
 def counted(outcomes: Iterator[Outcome], total: int, progress: Progress | None) -> Iterator[Outcome]:
@@ -72,7 +76,10 @@ def batch(
             waiting: dict[Future[Outcome], Job] = {}
             while True:
                 for job in islice(rest, 0 if lost else ahead - len(waiting)):
-                    waiting[_submitted(executor, function, job, gone)] = job
+                    try:
+                        waiting[executor.submit(function, job)] = job
+                    except gone:
+                        lost.append(job)
                 if not waiting:
                     break
                 for future in wait(waiting, return_when=FIRST_COMPLETED).done:
@@ -90,18 +97,6 @@ def batch(
                 except gone:
                     yield died(job)
         lost.clear()
-
-
-def _submitted(
-    executor: Executor, function: Callable[[Job], Outcome], job: Job, gone: type[BaseException]
-) -> Future[Outcome]:
-    """Submit a job; one that a broken executor does not take is lost as those that it had."""
-    try:
-        return executor.submit(function, job)
-    except gone as error:
-        refused: Future[Outcome] = Future()
-        refused.set_exception(error)
-        return refused
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from drivers.tick_columns import COLUMNS, RECORDED, ROW
 from hil.cli import main
 from hil.record.log import Log
 from hil.study.against.command import against
-from hil.study.against.pairs import Alone, first_motion, paired
+from hil.study.against.pairs import first_motion, paired
 from hil.study.against.tolerances import read_tolerances
 from tests.replay.moving import moved
 
@@ -68,19 +68,19 @@ def test_rows_are_paired_by_their_number_whatever_the_blocks(sizes):
     rng = np.random.default_rng(1)
     for starts in ((0, 0), (3, 8)):
         a, b = (np.flatnonzero(rng.random(40) < 0.7) for _ in range(2))
-        alone = Alone()
-        pairs = list(paired(Made(a, sizes[0]), Made(b, sizes[1]), NAMES, starts, alone))
+        pairs = list(paired(Made(a, sizes[0]), Made(b, sizes[1]), NAMES, starts))
         found = [
-            (int(x["tick"]), int(y["tick"])) for one, other in pairs for x, y in zip(one, other, strict=True)
+            (int(x["tick"]), int(y["tick"]))
+            for one, other, *_ in pairs
+            for x, y in zip(one, other, strict=True)
         ]
         counts = [
             {int(t) - start for t in ticks if t >= start} for ticks, start in zip((a, b), starts, strict=True)
         ]
         both = sorted(counts[0] & counts[1])
         assert found == [(n + starts[0], n + starts[1]) for n in both]
-        for lacking, own, start in zip((alone.one, alone.other), counts, starts, strict=True):
-            rest = sorted(own - set(both))
-            assert (lacking.count, lacking.first) == (len(rest), rest[0] + start if rest else None)
+        for alone, own, start in zip(list(zip(*pairs, strict=True))[2:], counts, starts, strict=True):
+            assert np.concatenate(alone).tolist() == [n + start for n in sorted(own - set(both))]
 
 
 def test_a_log_is_the_same_as_itself_and_as_one_whose_clock_began_elsewhere(log, made):

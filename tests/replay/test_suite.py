@@ -73,7 +73,6 @@ def test_every_log_is_a_case_and_one_bad_log_is_not_the_end(folder, tmp_path):
     ("place", "message"),
     [
         ("nowhere", "no such folder"),
-        ("notes.txt", "is a file and no folder"),
         ("empty", "has no file *.mcap"),
         ("plants", "but 1 of other kinds"),
     ],

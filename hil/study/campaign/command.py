@@ -1,33 +1,18 @@
 """`hil campaign FILE`: run the rows that are not there yet, write the table, say how often a run fails."""
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import RunError
 from hil.app.interrupted import leaving
 from hil.study.campaign import dask_cluster, parquet
 from hil.study.campaign.parquet import Row, cell
 from hil.study.campaign.plan import Plan, identity
 from hil.study.campaign.rates import rate
-from hil.study.campaign.row import Job, not_run, run_row
+from hil.study.campaign.row import not_run, run_row
 from hil.study.campaign.store import Store
 from hil.study.workers import Progress, perform
-
-
-class _Jobs(Sequence[Job]):
-    """The jobs of some rows, each made when it is asked for."""
-
-    def __init__(self, plan: Plan, rows: Sequence[int]) -> None:
-        self._plan, self._rows = plan, rows
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def __getitem__(self, k: Any) -> Any:
-        return self._plan.job(self._rows[k])
 
 
 def run_campaign(
@@ -45,8 +30,7 @@ def run_campaign(
     that runs them instead. fresh : discard the rows that are there. An interruption keeps the rows so far.
 
     Raises LogError: the folder has another campaign's rows, is in use or cannot be written, or pyarrow is not
-    installed; ConfigurationError: the cluster does not answer; RunError: the machine has no memory, disk or
-    files left before all rows are there.
+    installed; ConfigurationError: the cluster does not answer.
     """
     parquet.require()
     begun = time.perf_counter()
@@ -63,12 +47,12 @@ def run_campaign(
             if progress is not None:
                 progress(kept + done, kept + of)
 
-        work = _Jobs(plan, missing)
-        if scheduler is not None and work:
-            outcomes = dask_cluster.perform(scheduler, work, of_all)
+        work = map(plan.job, missing)
+        if scheduler is not None and missing:
+            outcomes = dask_cluster.perform(scheduler, work, len(missing), of_all)
         else:
-            outcomes = perform(work, run_row, not_run, jobs, of_all)
-        with leaving(there), _lacking(there):
+            outcomes = perform(work, run_row, not_run, jobs, of_all, len(missing))
+        with leaving(there):
             for outcome in outcomes:
                 row = line(plan, outcome, columns)
                 rows[row["row"]] = row
@@ -93,20 +77,6 @@ def run_campaign(
         "matrix": ordered,
         "wall_s": took,
     }
-
-
-@contextmanager
-def _lacking(there: Callable[[], str]) -> Iterator[None]:
-    """Say of what the machine lacks for the rows, which is no verdict on them, what there is by then."""
-    try:
-        yield
-    except BrokenPipeError:  # nobody reads the progress
-        raise
-    except MemoryError as error:
-        raise RunError(f"no memory is left for a row: fewer --jobs take less; ended {there()}") from error
-    except OSError as error:
-        place = "" if error.filename is None else f"{error.filename}: "
-        raise RunError(f"{place}{error.strerror or error}; ended {there()}") from error
 
 
 def line(plan: Plan, outcome: dict[str, Any], columns: Sequence[parquet.Column]) -> Row:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Sequence
-from concurrent.futures import CancelledError
+from collections.abc import Iterable, Iterator
 from contextlib import nullcontext
 from functools import partial
 from importlib.metadata import version
@@ -21,8 +20,8 @@ AHEAD = 1000
 Outcome = dict[str, Any]
 
 
-def perform(address: str, work: Sequence[Job], progress: Progress | None) -> Iterator[Outcome]:
-    """Yield the outcome of every row, in the order in which they are ready; progress comes before each.
+def perform(address: str, work: Iterable[Job], total: int, progress: Progress | None) -> Iterator[Outcome]:
+    """Yield the outcomes of `total` rows, in the order in which they are ready; progress comes before each.
 
     The workers need this version of the product and the files that the configuration names, at the same
     paths. Rows wait while there is no worker. Rows whose workers died again and again run once more, alone:
@@ -40,22 +39,28 @@ def perform(address: str, work: Sequence[Job], progress: Progress | None) -> Ite
             "without --scheduler the rows run on this machine"
         ) from error
     logging.getLogger("distributed.client").setLevel(logging.CRITICAL)  # tracebacks of what is reported below
+    here = version("hexapod-hil")
     try:
-        client = Client(address, timeout=WAIT_S, set_as_default=False)
-    except (OSError, TypeError, ValueError, TimeoutError) as error:  # TypeError: tls:// without certificates
+        with Client(address, timeout=WAIT_S, set_as_default=False) as client:
+            # not pure: Dask is not to look for a row among the results that it keeps
+            executor = client.get_executor(pure=False)
+            function = partial(run_at_worker, wanted=here)
+            outcomes = batch(work, function, not_run, lambda _: nullcontext(executor), AHEAD, KilledWorker)
+            yield from map(_told, counted(outcomes, total, progress))
+    except Exception as error:
+        why = " ".join(str(error).split()) or repr(error)
         raise ConfigurationError(
-            f"--scheduler {address}: no scheduler answers within {WAIT_S} s ({error}); allowed: the address "
-            "that `dask scheduler` prints, as tcp://10.0.0.5:8786"
-        ) from None
-    with client:
-        # not pure: Dask is not to look for a row among the results that it keeps
-        executor = client.get_executor(pure=False)
-        function = partial(run_at_worker, wanted=version("hexapod-hil"))
-        outcomes = batch(work, function, not_run, lambda _: nullcontext(executor), AHEAD, KilledWorker)
-        for found in counted(_explained(address, outcomes), len(work), progress):
-            if isinstance(found, str):
-                raise ConfigurationError(f"--scheduler {address}: at a worker: {found}")
-            yield found
+            f"--scheduler {address}: {why}; allowed: the address that `dask scheduler` prints, as "
+            f"tcp://10.0.0.5:8786, with workers of the same Python and hexapod-hil ({here}); the same "
+            "command goes on with the rows that are missing"
+        ) from error
+
+
+def _told(found: Outcome | str) -> Outcome:
+    """Return an outcome. Raises ConfigurationError: why there is none."""
+    if isinstance(found, str):
+        raise ConfigurationError(f"at a worker: {found}")
+    return found
 
 
 def run_at_worker(job: Job, wanted: str) -> Outcome | str:
@@ -72,20 +77,3 @@ def run_at_worker(job: Job, wanted: str) -> Outcome | str:
         return str(error)
     except Exception as error:  # noqa: BLE001 - see above
         return f"row {job.number}: {type(error).__name__}: {error}"
-
-
-def _explained(address: str, outcomes: Iterator[Outcome | str]) -> Iterator[Outcome | str]:
-    """Yield outcomes. Raises ConfigurationError for what ends them before the last one."""
-    try:
-        yield from outcomes
-    except (CancelledError, OSError) as error:
-        why = " ".join(str(error).split())  # one line: Dask's has several
-        raise ConfigurationError(
-            f"--scheduler {address}: it is gone, or has dropped rows ({why}); once it is back the same "
-            "command goes on with the rows that are missing"
-        ) from None
-    except Exception as error:
-        raise ConfigurationError(
-            f"--scheduler {address}: a worker cannot run a row: {error!r}; allowed: workers with the same "
-            "versions of Python and hexapod-hil as here"
-        ) from error

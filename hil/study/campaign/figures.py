@@ -4,6 +4,7 @@ Blocks and the order of sums are fixed, so that the same ticks give the same fig
 and from its log.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,8 +12,7 @@ import numpy as np
 from drivers.arrays import Array, Rows
 from drivers.signals import Mode, Warn
 from drivers.tick_columns import ROW
-from hil.record.figures import pose_errors
-from hil.study.campaign.settings import Limit
+from hil.record.metrics import rotation_errors
 
 BLOCK = 100
 """Ticks that are looked at together; limits are judged that often."""
@@ -47,19 +47,22 @@ METRICS: dict[str, Metric] = {
     "travel_mm": Metric("mm", "largest true travel of a leg after a fault, 0 without; after_fault: rest"),
 }
 """Name -> what it is, in the order of the table. None in a row: it was not measured."""
-COUNTS = frozenset({"faulted", "limited_ticks", "stale_ticks"})
+COUNTED: dict[str, Callable[[Rows], Array]] = {
+    "limited_ticks": lambda rows: rows["warnings"] & _LIMITED,
+    "stale_ticks": lambda rows: (rows["age"] > 0).any(axis=1) & np.isin(rows["mode"], _POWERED),
+}
+"""Metrics that count ticks: where it is not 0."""
+COUNTS = frozenset({"faulted", *COUNTED})
 """Metrics that are whole numbers."""
-
-
-def broken(limits: dict[str, Limit], figures: dict[str, Any]) -> list[str]:
-    """Return the metrics that are out of their limits; one that was not measured is, too."""
-    return [
-        name
-        for name, limit in limits.items()
-        if (value := figures.get(name)) is None
-        or (limit.min is not None and not value >= limit.min)
-        or (limit.max is not None and not value <= limit.max)
-    ]
+FOLLOWED: dict[str, Callable[[Rows, Array], Array]] = {
+    "leg_error_mm": lambda rows, _: 1e3 * (rows["q_d"] - rows["q"]),
+    "true_leg_error_mm": lambda rows, length: 1e3 * (rows["q_d"] - length),
+    "position_error_mm": lambda rows, _: np.linalg.norm(1e3 * (rows["p_d"] - rows["p"]), axis=1),
+    "rotation_error_deg": lambda rows, _: np.linalg.norm(
+        np.rad2deg(rotation_errors(rows["R_d"], rows["R"])), axis=1
+    ),
+}
+"""Of rows that track and true lengths: what has a peak_ and an rms_."""
 
 
 class Measurement:
@@ -71,28 +74,26 @@ class Measurement:
 
     def __init__(self, *, travels: bool) -> None:
         self._travels = travels
-        self._rows: list[Any] = []
-        self._lengths: list[Array] = []
+        self._ticks: list[tuple[Any, Array]] = []
         self._peaks: dict[str, float] = {}
         self._squares: dict[str, tuple[float, int]] = {}
         self._counts = dict.fromkeys(sorted(COUNTS), 0)
-        self._tau: Array | None = None
+        self._tau: Array = np.zeros((0, 6))
         self._variation = np.zeros(6)
         self._tracked_s: float | None = None
         self._stood: Array | None = None
 
     def take(self, row: Any, length: Array) -> bool:
         """Take in a tick of dtype ROW and the true lengths (6,) m; tell whether a block is full."""
-        self._rows.append(row)
-        self._lengths.append(length)
-        if len(self._rows) < BLOCK:
+        self._ticks.append((row, length))
+        if len(self._ticks) < BLOCK:
             return False
         self._block()
         return True
 
     def figures(self) -> dict[str, Any]:
         """Return all METRICS as they are by now, None where no number was measured. Closes the block."""
-        if self._rows:
+        if self._ticks:
             self._block()
         found = dict(self._peaks)
         found |= {name: float(np.sqrt(total / n)) for name, (total, n) in self._squares.items()}
@@ -103,57 +104,42 @@ class Measurement:
         measured = {name: float(value) for name, value in found.items() if np.isfinite(value)}
         return dict.fromkeys(METRICS) | measured | self._counts
 
-    def passed_limit(self, limits: dict[str, Limit]) -> bool:
-        """Tell whether a peak or a count is past its limit: more ticks do not mend it."""
-        found = self._peaks | self._counts
-        return any(
-            limit.max is not None and found.get(name, limit.max) > limit.max for name, limit in limits.items()
-        )
-
-    def _block(self) -> None:
-        rows, lengths = np.array(self._rows, ROW), np.array(self._lengths)
-        self._rows, self._lengths = [], []
-        self._peak("peak_force_N", np.abs(rows["tau"]))
-        share = rows["lyapunov_share"]
-        self._peak("certificate_percent", 100.0 * share[np.isfinite(share)])
-        stale = (rows["age"] > 0).any(axis=1) & np.isin(rows["mode"], _POWERED)
-        self._counts["stale_ticks"] += int(np.count_nonzero(stale))
-        self._counts["limited_ticks"] += int(np.count_nonzero(rows["warnings"] & _LIMITED))
-        self._counts["faulted"] |= int((rows["faults"] != 0).any())
-        if self._travels:
-            self._travelled(rows, lengths)
-        tracking = rows["mode"] == Mode.TRACKING
-        if tracking.any():
-            self._tracking(rows[tracking], lengths[tracking])
-
-    def _travelled(self, rows: Rows, lengths: Array) -> None:
-        """Note how far the legs are from where they were at the first latched fault."""
-        faulted = np.flatnonzero(rows["faults"])
-        if self._stood is None and len(faulted):
-            self._stood = lengths[faulted[0]]
-        if self._stood is not None and len(faulted):
-            self._peak("travel_mm", 1e3 * np.abs(lengths[faulted] - self._stood))
+    def growing(self) -> dict[str, float]:
+        """Return peaks and counts of the full blocks: more ticks do not make them less."""
+        return self._peaks | self._counts
 
     @np.errstate(over="ignore", invalid="ignore")
-    def _tracking(self, rows: Rows, lengths: Array) -> None:
-        measured, true = 1e3 * (rows["q_d"] - rows["q"]), 1e3 * (rows["q_d"] - lengths)
-        p_mm, r_deg = (np.linalg.norm(e, axis=1) for e in pose_errors(rows))
-        for name, values in (
-            ("leg_error_mm", np.abs(measured)),
-            ("true_leg_error_mm", np.abs(true)),
-            ("position_error_mm", p_mm),
-            ("rotation_error_deg", r_deg),
-        ):
+    def _block(self) -> None:
+        given, true = zip(*self._ticks, strict=True)
+        rows, lengths = np.array(given, ROW), np.array(true)
+        self._ticks = []
+        self._peak("peak_force_N", rows["tau"])
+        share = rows["lyapunov_share"]
+        self._peak("certificate_percent", 100.0 * share[np.isfinite(share)])
+        for name, of in COUNTED.items():
+            self._counts[name] += int(np.count_nonzero(of(rows)))
+        faulted = rows["faults"] != 0
+        self._counts["faulted"] |= int(faulted.any())
+        if self._travels and faulted.any():
+            if self._stood is None:  # where the legs were at the first latched fault
+                self._stood = lengths[faulted][0]
+            self._peak("travel_mm", 1e3 * (lengths[faulted] - self._stood))
+        tracking = rows["mode"] == Mode.TRACKING
+        if tracking.any():
+            self._follow(rows[tracking], lengths[tracking])
+
+    def _follow(self, rows: Rows, lengths: Array) -> None:
+        for name, of in FOLLOWED.items():
+            values = of(rows, lengths)
             self._peak(f"peak_{name}", values)
             total, n = self._squares.get(f"rms_{name}", (0.0, 0))
             self._squares[f"rms_{name}"] = (total + float((values**2).sum()), n + values.size)
-        self._peak("peak_leg_rate_m_s", np.abs(rows["dq"]))
-        tau = rows["tau"] if self._tau is None else np.vstack([self._tau, rows["tau"]])
-        self._variation += np.abs(np.diff(tau, axis=0)).sum(axis=0)
-        self._tau = rows["tau"][-1]
+        self._peak("peak_leg_rate_m_s", rows["dq"])
+        self._variation += np.abs(np.diff(np.vstack([self._tau, rows["tau"]]), axis=0)).sum(axis=0)
+        self._tau = rows["tau"][-1:]
         self._tracked_s = float(rows["reference_time_s"][-1])
 
     def _peak(self, name: str, values: Array) -> None:
-        """Raise a peak to the largest of some values; one that is no number stays."""
+        """Raise a peak to the largest size of some values; one that is no number stays."""
         if values.size:
-            self._peaks[name] = float(np.maximum(self._peaks.get(name, 0.0), values.max()))
+            self._peaks[name] = float(np.maximum(self._peaks.get(name, 0.0), np.abs(values).max()))

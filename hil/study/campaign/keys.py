@@ -2,16 +2,20 @@
 
 import copy
 import re
+from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.changes import merged
 from hil.app.configuration.fault_words import read_fault
+from hil.app.configuration.yaml_positions import path_text
 from hil.study.campaign.settings import ListedAxis
 
 SEED = "seed"
 """The key that is no section: what varies all chance of the plant's end."""
+Data = dict[str, Any]
 _FAULTS = ("plant", "faults")
 _WORD = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]+\])*)")
 
@@ -29,30 +33,14 @@ def path(key: str) -> tuple[str | int, ...]:
     return tuple(found)
 
 
-def keys(axis: ListedAxis) -> list[str]:
-    """Return the keys that take an axis' value."""
-    return [axis.key] if isinstance(axis.key, str) else axis.key or []
+def at(data: Any, place: tuple[str, ...]) -> Any:
+    """Return what is at a place of plain data; None: nothing."""
+    for name in place:
+        data = data.get(name) if isinstance(data, dict) else None
+    return data
 
 
-def put(value: dict[str, Any], key: str, given: Any) -> None:
-    """Set a key; sections above it that are missing are made.
-
-    Raises ConfigurationError: a part of the key is no section or no list, or the list is too short.
-    """
-    parts = path(key)
-    place: Any = value
-    done: tuple[str | int, ...] = ()
-    for item, below in pairwise(parts):
-        done = (*done, item)
-        if isinstance(item, str):
-            place = place.setdefault(item, {} if isinstance(below, str) else [])
-        else:
-            place = place[item]
-        _fits(place, below, key, done)
-    place[parts[-1]] = copy.deepcopy(given)  # another axis may reach into it
-
-
-def apply(value: dict[str, Any], axes: dict[str, ListedAxis], values: dict[str, Any]) -> dict[str, Any]:
+def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
     """Return the data of a configuration with the values of a row: options, then faults, then keys.
 
     Of keys that reach into each other the outer ones come first, whatever their order in the file: those that
@@ -60,46 +48,46 @@ def apply(value: dict[str, Any], axes: dict[str, ListedAxis], values: dict[str, 
 
     Raises ConfigurationError: words that are no fault, a key that fits nothing.
     """
+    steps: list[tuple[tuple[int, int], Callable[[Data], Data]]] = []
     for name, axis in axes.items():
+        given = values[name]
         if axis.options is not None:
-            value = merged(value, axis.options[values[name]])
-    swept = [(path(key), key, name) for name, axis in axes.items() for key in keys(axis) if key != SEED]
-    swept.sort(key=lambda each: len(each[0]))
-    around, others = (
-        [each for each in swept if _brings_faults(each[0]) is brings] for brings in (True, False)
-    )
-    for _, key, name in around:
-        put(value, key, values[name])
-    for name, axis in axes.items():
+            steps.append(((0, 0), partial(merged, changes=axis.options[given])))
         if axis.faults is not None:
-            given = [read_fault(words) for words in axis.faults[values[name]]]
-            more = [fault.model_dump(mode="json", exclude_unset=True) for fault in given]
-            value = merged(value, {"plant": {"faults": [*_faults(value), *more]}})
-    for _, key, name in others:
-        put(value, key, values[name])
+            steps.append(((2, 0), partial(_with_faults, words=axis.faults[given])))
+        for key in axis.keys:
+            if key != SEED:
+                place = path(key)
+                brings_faults = place == _FAULTS[: len(place)]
+                steps.append(((1 if brings_faults else 3, len(place)), partial(_with, key=key, given=given)))
+    for _, step in sorted(steps, key=lambda each: each[0]):
+        value = step(value)
     return value
 
 
-def _brings_faults(place: tuple[str | int, ...]) -> bool:
-    return place == _FAULTS[: len(place)]
+def _with_faults(value: Data, words: list[str]) -> Data:
+    """Return data with more faults."""
+    more = [read_fault(each).model_dump(mode="json", exclude_unset=True) for each in words]
+    return merged(value, {"plant": {"faults": [*(at(value, _FAULTS) or []), *more]}})
 
 
-def _faults(value: dict[str, Any]) -> list[Any]:
-    plant = value.get("plant")
-    there = plant.get("faults") if isinstance(plant, dict) else None
-    return there if isinstance(there, list) else []
+def _with(value: Data, key: str, given: Any) -> Data:
+    """Set a key; sections above it that are missing are made.
 
-
-def _fits(place: Any, below: str | int, key: str, done: tuple[str | int, ...]) -> None:
-    """Refuse a place that cannot hold the next part of a key."""
-    so_far = "".join(f"[{item}]" if isinstance(item, int) else f".{item}" for item in done).removeprefix(".")
-    if isinstance(below, str):
-        if not isinstance(place, dict):
+    Raises ConfigurationError: a part of the key is no section or no list, or the list is too short.
+    """
+    parts = path(key)
+    place: Any = value
+    for n, (item, below) in enumerate(pairwise(parts), 1):
+        empty: Any = {} if isinstance(below, str) else []
+        place = place.setdefault(item, empty) if isinstance(item, str) else place[item]
+        so_far = path_text(parts[:n])
+        if not isinstance(place, type(empty)):
+            raise ConfigurationError(f"{key}: {so_far} is a value, allowed: a section or a list that has it")
+        if isinstance(below, int) and below >= len(place):
             raise ConfigurationError(
-                f"{key}: {so_far} is a value, allowed: a section that has keys of its own"
+                f"{key}: {so_far} has no entry {below}, it has {len(place)}; give it one in `changes` of the "
+                "campaign"
             )
-    elif not isinstance(place, list) or below >= len(place):
-        count = len(place) if isinstance(place, list) else 0
-        raise ConfigurationError(
-            f"{key}: {so_far} has no entry {below}, it has {count}; give it one in `changes` of the campaign"
-        )
+    place[parts[-1]] = copy.deepcopy(given)  # another axis may reach into it
+    return value

@@ -12,8 +12,8 @@ from hil.study.campaign.draw import histogram, intervals
 from hil.study.campaign.figures import COUNTS, METRICS
 from hil.study.campaign.parquet import Row
 from hil.study.campaign.plan import Plan
-from hil.study.campaign.rates import by_value, causes, judged, shown, why, worst
-from hil.study.campaign.show import HEAD, cells, rerun_command
+from hil.study.campaign.rates import HEAD, by_value
+from hil.study.campaign.show import worst_lines
 from hil.study.report.html import Html, table, tag
 from hil.study.report.page import document
 
@@ -32,20 +32,23 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
         class_="verdict good" if summary["success"] else "verdict bad",
     )
     head = tag("header", tag("h1", f"Campaign {plan.name}"), tag("p", plan.settings.description))
+    kept = [(name, limit.words, METRICS[name].unit, METRICS[name].meaning) for name, limit in limits.items()]
     body = [
         head,
         verdict,
         tag("h2", "Limits"),
-        table(("metric", "least", "most", "unit", "meaning"), _limits(plan), "what every row has to keep"),
+        table(("metric", "allowed", "unit", "meaning"), kept, "what every row has to keep"),
         tag("h2", "By axis"),
         *_axes(plan, rows),
         tag("h2", "Distributions"),
         *_distributions(plan, rows),
     ]
-    failed = worst(rows, limits, WORST)
-    if failed:
-        counts = table(("cause", "rows"), causes(rows))
-        body += [tag("h2", "Worst rows"), counts, _worst(plan, failed, folder)]
+    if summary["failed"]:
+        lines = worst_lines(plan, summary, folder, WORST)
+        body += [
+            tag("h2", "Worst rows"),
+            tag("div", tag("pre", "\n".join(lines)), class_="scroll", tabindex=0),
+        ]
     body.append(tag("p", "Wilson's interval takes rows as independent draws.", class_="note"))
     text = document(f"Campaign {plan.name}", [tag("main", *body)], ("report.css",))
     try:
@@ -56,43 +59,22 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
         ) from None
 
 
-def _limits(plan: Plan) -> Iterator[tuple[object, ...]]:
-    for name in judged(plan.subject.limits):
-        limit, metric = plan.subject.limits[name], METRICS[name]
-        ends = ("" if end is None else f"{end:g}" for end in (limit.min, limit.max))
-        yield name, *ends, metric.unit, metric.meaning
-
-
 def _axes(plan: Plan, rows: Sequence[Row]) -> Iterator[Html]:
     for name, axis in plan.subject.axes.items():
         rates = by_value(name, axis, rows)
         yield intervals(name, rates)
-        yield tag("details", tag("summary", "Figures"), table(HEAD, map(cells, rates)))
+        yield tag("details", tag("summary", "Figures"), table(HEAD, (each.cells for each in rates)))
 
 
 def _distributions(plan: Plan, rows: Sequence[Row]) -> Iterator[Html]:
     """Yield the histogram of each metric that was measured and is not the same in all rows."""
     for name, metric in METRICS.items():
-        parts = [
-            np.array([r[name] for r in rows if r[name] is not None and r["passed"] is good], float)
-            for good in (True, False)
-        ]
-        values = np.concatenate(parts)
-        limit = plan.subject.limits.get(name)
-        if name != "faulted" and len(values) and (limit is not None or np.ptp(values) > 0.0):
-            unit = "" if name in COUNTS else metric.unit
-            yield histogram(f"{name}, {metric.meaning}", unit, parts[0], parts[1], limit)
-
-
-def _worst(plan: Plan, rows: Sequence[Row], folder: Path | None) -> Html:
-    axes = list(plan.subject.axes)
-    lines = [
-        (
-            row["row"],
-            why(row, plan.subject.limits),
-            *(shown(row[name]) for name in axes),
-            tag("code", rerun_command(plan, row["row"], folder)),
+        measured = [row for row in rows if row[name] is not None]
+        good, bad = (
+            np.array([row[name] for row in measured if row["passed"] is passed], float)
+            for passed in (True, False)
         )
-        for row in rows
-    ]
-    return table(("row", "why", *axes, "run it again, recorded"), lines)
+        limit = plan.subject.limits.get(name)
+        if name != "faulted" and len({row[name] for row in measured}) > (limit is None):
+            unit = "" if name in COUNTS else metric.unit
+            yield histogram(f"{name}, {metric.meaning}", unit, good, bad, limit)

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 from drivers.errors import LogError
 from hil.study.campaign.figures import COUNTS, METRICS
 from hil.study.campaign.plan import Plan
-from hil.study.campaign.sampling import ends
-from hil.study.campaign.settings import ListedAxis, SampledAxis, entries
+from hil.study.campaign.settings import ListedAxis
 
 Row = dict[str, Any]
 
@@ -32,11 +31,18 @@ class Column(NamedTuple):
 
 def columns(plan: Plan) -> list[Column]:
     """Return the columns of a campaign's table: the row's number and values, its outcome, its metrics."""
-    axes = [Column(name, kind(axis), "", _meaning(axis)) for name, axis in plan.subject.axes.items()]
     return [
         Column("row", "int64", "", "number of the row, from 0"),
         Column("seed", "int64", "", "of all chance of the plant's end"),
-        *axes,
+        *(
+            Column(
+                name,
+                kind(axis),
+                "",
+                ", ".join(axis.keys) or ("faults, by name" if axis.faults else "set of changes, by name"),
+            )
+            for name, axis in plan.subject.axes.items()
+        ),
         Column("passed", "bool", "", "whether the run ended well and kept every limit of the campaign"),
         Column("ended", "text", "", "complete, fault, limit, stopped, plant, refused, error or died"),
         Column("ended_s", "float64", "s", "simulated time of the run"),
@@ -51,12 +57,9 @@ def columns(plan: Plan) -> list[Column]:
 
 def kind(axis: ListedAxis) -> str:
     """Return the type of an axis' column: numbers where all its values are, of 64 bits, else text."""
-    values = ends(axis) if isinstance(axis, SampledAxis) else entries(axis)
-    if axis.values is None and entries(axis):
+    if not all(type(x) is float or (type(x) is int and abs(x) < 2**63) for x in axis.ends):
         return "text"
-    if not all(type(value) is float or (type(value) is int and abs(value) < 2**63) for value in values):
-        return "text"
-    return "int64" if all(type(value) is int for value in values) else "float64"
+    return "int64" if all(type(x) is int for x in axis.ends) else "float64"
 
 
 def cell(column: Column, value: Any) -> Any:
@@ -66,12 +69,6 @@ def cell(column: Column, value: Any) -> Any:
     if column.kind == "text":
         return value if isinstance(value, str) else json.dumps(value)
     return float(value) if column.kind == "float64" else value
-
-
-def _meaning(axis: ListedAxis) -> str:
-    if axis.key is not None:
-        return axis.key if isinstance(axis.key, str) else ", ".join(axis.key)
-    return "set of changes, by name" if axis.options is not None else "faults, by name"
 
 
 def require() -> None:

@@ -6,13 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.study.campaign.figures import METRICS
 from hil.study.campaign.parquet import Column, Row, cell, kind
-from hil.study.campaign.settings import Limit, ListedAxis, entries
+from hil.study.campaign.settings import Limit, ListedAxis
 
 BINS = 4
 """Of an axis with more values than MOST: equally many rows in each."""
 MOST = 12
+HEAD = ("value", "rows", "failed", "pass %", "95 % interval")
+"""Of `Rate.cells`."""
 
 
 class Rate(NamedTuple):
@@ -23,6 +24,13 @@ class Rate(NamedTuple):
     passed: int
     low: float
     high: float
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """What `HEAD` names, as words."""
+        percent = f"{100.0 * self.passed / self.rows:.1f}" if self.rows else "-"
+        interval = f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f}"
+        return self.label, str(self.rows), str(self.rows - self.passed), percent, interval
 
 
 def wilson(passed: int, n: int) -> tuple[float, float]:
@@ -47,18 +55,14 @@ def rate(label: str, rows: Sequence[Row]) -> Rate:
 def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
     """Return the rate of each value of an axis, of many numbers that of each quarter of the rows by value."""
     there = {row[name] for row in rows}
-    numbers = all(isinstance(value, int | float) for value in there)
-    if not numbers or len(there) <= MOST:
-        listed = [cell(Column(name, kind(axis), "", ""), value) for value in entries(axis)]
+    if len(there) <= MOST or not all(isinstance(value, int | float) for value in there):
+        listed = [cell(Column(name, kind(axis), "", ""), value) for value in axis.entries]
         # once each: in a list of axes that go together a value may stand in several rows
         ordered = [value for value in dict.fromkeys(listed) if value in there] or sorted(there)
         return [rate(shown(value), [row for row in rows if row[name] == value]) for value in ordered]
     ordered_rows = sorted(rows, key=lambda row: (row[name], row["row"]))
-    found = []
-    for part in np.array_split(np.arange(len(rows)), BINS):
-        some = [ordered_rows[k] for k in part]
-        found.append(rate(f"{shown(some[0][name])} to {shown(some[-1][name])}", some))
-    return found
+    parts = [[ordered_rows[k] for k in part] for part in np.array_split(np.arange(len(rows)), BINS)]
+    return [rate(f"{shown(part[0][name])} to {shown(part[-1][name])}", part) for part in parts]
 
 
 def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]:
@@ -69,12 +73,12 @@ def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]
 
     def badness(row: Row) -> tuple[bool, float, float, int]:
         early = row["ended"] != "complete"
-        return (not early, row["ended_s"] or 0.0 if early else 0.0, -_excess(row, limits), row["row"])
+        excess = max((limit.passed_by(row[name]) for name, limit in limits.items()), default=0.0)
+        return not early, (row["ended_s"] or 0.0) if early else 0.0, -excess, row["row"]
 
-    failed = sorted((row for row in rows if not row["passed"]), key=badness)
     seen: Counter[str] = Counter()
     ranked = []
-    for row in failed:
+    for row in sorted((row for row in rows if not row["passed"]), key=badness):
         ranked.append((seen[cause(row)], row))
         seen[cause(row)] += 1
     return [row for _, row in sorted(ranked, key=lambda each: each[0])][:most]
@@ -92,37 +96,15 @@ def causes(rows: Sequence[Row]) -> list[tuple[str, int]]:
 
 def why(row: Row, limits: dict[str, Limit]) -> str:
     """Say in words why a row has failed."""
-    words = [] if row["ended"] == "complete" else [row["ended"]]
-    if row["trouble"]:
-        words = [f"{row['ended']}: {row['trouble'].partition(chr(10))[0]}"]
+    ended = ": ".join(filter(None, (row["ended"], row["trouble"].partition("\n")[0])))
+    words = [] if ended == "complete" else [ended]
     for name, limit in limits.items():
-        value = row[name]
-        if value is None or (name == "faulted" and row["ended"] == "fault"):
-            continue
-        if limit.max is not None and not value <= limit.max:
-            words.append(f"{name} {value:.6g}, allowed: at most {limit.max:g}")
-        if limit.min is not None and not value >= limit.min:
-            words.append(f"{name} {value:.6g}, allowed: at least {limit.min:g}")
+        measured = row[name] is not None and not (name == "faulted" and row["ended"] == "fault")
+        if measured and limit.passed_by(row[name]):
+            words.append(f"{name} {row[name]:.6g}, allowed: {limit.words}")
     return "; ".join(words) or "not measured: " + ", ".join(n for n in limits if row[n] is None)
 
 
 def shown(value: Any) -> str:
     """Return a value of an axis in four digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)
-
-
-def judged(limits: dict[str, Limit]) -> list[str]:
-    """Return the metrics with a limit, in the order of the table."""
-    return [name for name in METRICS if name in limits]
-
-
-def _excess(row: Row, limits: dict[str, Limit]) -> float:
-    """Return by what share of it the most broken limit is passed."""
-    found = [0.0]
-    for name, limit in limits.items():
-        value = row[name]
-        if value is not None and limit.max is not None and value > limit.max:
-            found.append((value - limit.max) / abs(limit.max or 1.0))
-        if value is not None and limit.min is not None and value < limit.min:
-            found.append((limit.min - value) / abs(limit.min or 1.0))
-    return max(found)

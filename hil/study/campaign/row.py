@@ -2,7 +2,6 @@
 
 import copy
 import re
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,21 +9,22 @@ import numpy as np
 from drivers.errors import ConfigurationError, HilError, PlantError
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.changes import text_of
+from hil.app.configuration.changes import merged, text_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.unattended import unattended_data
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.run_end import Course
 from hil.signals import Operator
-from hil.study.campaign.figures import METRICS, Measurement, broken
-from hil.study.campaign.keys import SEED, apply, keys
-from hil.study.campaign.named_files import find_beside, refuse_changed
+from hil.study.campaign.figures import METRICS, Measurement
+from hil.study.campaign.keys import SEED, apply, at
+from hil.study.campaign.named_files import Folders, find_beside, refuse_changed
 from hil.study.campaign.settings import Limit, ListedAxis
 from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 3600.0
 """A run that has not ended so long after what it tracks would have, has failed, simulated s."""
+_SENSORS_SEED = ("plant", "sensors", "seed")
 
 
 class Subject(NamedTuple):
@@ -33,12 +33,7 @@ class Subject(NamedTuple):
     base: dict[str, Any]
     """The configuration with the campaign's changes, plain data."""
     source: str
-    folder: Path
-    """Of the configuration, absolute: base of relative paths in it."""
-    campaign_folder: Path
-    """Of the campaign file, absolute: where they are looked for next."""
-    here: Path
-    """Where the campaign was read, absolute: where the data sheet of a drive is looked for first."""
+    folders: Folders
     axes: dict[str, ListedAxis]
     limits: dict[str, Limit]
     duration_s: float | None
@@ -65,6 +60,8 @@ class Ended(NamedTuple):
     how: str
     """complete, fault, limit, stopped, plant."""
     why: str
+    faults: Fault
+    """Those that are latched."""
     ticks: int
     stop_tick: int | None = None
     """At which it was told to park."""
@@ -74,31 +71,16 @@ def row_configuration(job: Job) -> Configuration:
     """Return the configuration of a row, its text whole. Raises ConfigurationError."""
     subject = job.subject
     value = apply(copy.deepcopy(subject.base), subject.axes, job.values)
-    if "sensors" in value and job.seed:
-        _vary_sensors(value, job.seed)
+    own = at(value, _SENSORS_SEED)
+    if "sensors" in value and job.seed and (own is None or type(own) is int):
+        seed = job.seed + (1 if own is None else own)
+        value = merged(value, {"plant": {"sensors": {"seed": seed}}})
     value = unattended_data(value)
-    find_beside(value, subject.folder, subject.campaign_folder, subject.here)
+    find_beside(value, subject.folders)
     name = f"{subject.source} with the changes of row {job.number}"
-    c = loads(text_of(value), name, subject.folder)
+    c = loads(text_of(value), name, subject.folders.configuration)
     c.require("sim")
     return c
-
-
-def _vary_sensors(value: dict[str, Any], seed: int) -> None:
-    """Add to the seed of the sensors' noise, in data not looked at yet: what is wrong is told later."""
-    plant = value.get("plant")
-    emulated = plant.get("sensors", {}) if isinstance(plant, dict) else None
-    own = emulated.get("seed", 1) if isinstance(emulated, dict) else None
-    if isinstance(plant, dict) and isinstance(emulated, dict) and type(own) is int:
-        value["plant"] = plant | {"sensors": emulated | {"seed": own + seed}}
-
-
-class Ran(NamedTuple):
-    """A row that was tried: its outcome, and how its run ended, None where it has not begun or not ended."""
-
-    outcome: dict[str, Any]
-    ended: Ended | None
-    faults: Fault
 
 
 def run_row(job: Job) -> dict[str, Any]:
@@ -107,38 +89,30 @@ def run_row(job: Job) -> dict[str, Any]:
     What goes wrong with it is in the outcome. Raises MemoryError, OSError: that is the machine's trouble, and
     the row may run later; ConfigurationError: a file that rows name is no more what it was.
     """
-    return performed(job).outcome
+    return performed(job)[0]
 
 
-def performed(job: Job) -> Ran:
-    """Run a row. Raises as `run_row`."""
+def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
+    """Run a row; return its outcome, and how its run ended, None for no run. Raises as `run_row`."""
+    found, ended = _performed(job)
     refuse_changed(job.subject.files)
-    ran = _performed(job)
-    refuse_changed(job.subject.files)  # nor while it ran
-    for folder in (
-        job.subject.campaign_folder,
-        job.subject.folder,
-        job.subject.here,
-    ):  # where they lie makes no difference
-        ran.outcome["trouble"] = ran.outcome["trouble"].replace(f"{folder}/", "")
-    return ran
+    return found | {"trouble": job.subject.folders.stripped(found["trouble"])}, ended
 
 
-def _performed(job: Job) -> Ran:
+def _performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
     try:
         c = row_configuration(job)
         with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
             measured = Measurement(travels=job.subject.rests)
-            ended, faults = run(c, job, measured)
+            ended = run(c, job, measured)
     except (MemoryError, OSError):
         raise
     except ConfigurationError as error:
-        return Ran(not_run(job, "refused", "\n".join(map(bare, error.problems))), None, Fault(0))
-    except HilError as error:
-        return Ran(not_run(job, "error", str(error)), None, Fault(0))
+        return not_run(job, "refused", "\n".join(map(bare, error.problems))), None
     except Exception as error:  # noqa: BLE001 - whatever a law raises that diverges ends its row and no other
-        return Ran(not_run(job, "error", f"{type(error).__name__}: {error}"), None, Fault(0))
-    return Ran(outcome(job, c.loop.rate_Hz, ended, faults, measured), ended, faults)
+        kind = "" if isinstance(error, HilError) else f"{type(error).__name__}: "
+        return not_run(job, "error", f"{kind}{error}"), None
+    return outcome(job, c.loop.rate_Hz, ended, measured), ended
 
 
 def bare(problem: str) -> str:
@@ -152,22 +126,23 @@ def not_run(job: Job, how: str = "died", why: str = "its process died, twice") -
     return head | dict.fromkeys(METRICS)
 
 
-def outcome(job: Job, rate_Hz: float, ended: Ended, faults: Fault, measured: Measurement) -> dict[str, Any]:
-    """Return what a row's line in the table says of its run."""
+def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> dict[str, Any]:
+    """Return what a row's line in the table says of its run; a limit of what was not measured is not kept."""
     figures = measured.figures()
+    kept = not any(limit.passed_by(figures.get(name)) for name, limit in job.subject.limits.items())
     return {
         "row": job.number,
-        "passed": ended.how in ("complete", "fault") and not broken(job.subject.limits, figures),
+        "passed": ended.how in ("complete", "fault") and kept,
         "ended": ended.how,
         "ended_s": ended.ticks / rate_Hz,
-        "faults": " ".join(str(fault.name) for fault in Fault if fault and fault in faults),
+        "faults": " ".join(str(fault.name) for fault in Fault if fault and fault in ended.faults),
         "trouble": ended.why,
         **figures,
     }
 
 
-def run(c: Configuration, job: Job, measured: Measurement) -> tuple[Ended, Fault]:
-    """Run both ends of the bus in lockstep until the row's end; return that and the latched faults.
+def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
+    """Run both ends of the bus in lockstep until the row's end.
 
     Raises ConfigurationError, PlantError: the plant does not start.
     """
@@ -178,40 +153,57 @@ def run(c: Configuration, job: Job, measured: Measurement) -> tuple[Ended, Fault
         raise ConfigurationError(f"{c.source}: reference: it has no end: give the campaign a duration_s")
     nodes, physics = build_nodes(c, FaultPlan((), job.seed))
     ticks = None if subject.duration_s is None else int(subject.duration_s * rate + 1e-6)
-    course, begun, stop_tick, faulted = Course(cycle), None, None, False
+    most = round((tracked_s + LONGEST_S) * rate)
+    course, tick, begun, stop_tick, faulted = Course(cycle), 0, None, None, False
+
+    def ended(how: str, why: str = "") -> Ended:
+        return Ended(how, why, cycle.faults, tick + 1, stop_tick)
+
     try:
         lockstep = build_lockstep(c, cycle, nodes)
-        while lockstep.tick + 1 < round((tracked_s + LONGEST_S) * rate):
-            tick = lockstep.tick + 1
+        while (tick := lockstep.tick + 1) < most:
             try:
                 row = lockstep.step(course.commands(tick, (Operator.STOP,) * (tick == stop_tick)))[2].row
             except PlantError as error:
-                return Ended("plant", str(error), tick, stop_tick), cycle.faults
+                return ended("plant", str(error))._replace(ticks=tick)
             full = measured.take(row, nodes.snapshot().length)
             mode, ending = cycle.mode, course.ending(tick)
             faulted = faulted or bool(cycle.faults)
             if faulted and (ending is not None or not subject.rests):
                 story = course.story()
-                why = "" if story is None else story.short
-                return Ended("fault", why, tick + 1, stop_tick), cycle.faults
+                return ended("fault", "" if story is None else story.short)
             if ending is not None:
-                how = "complete" if mode is Mode.PARKED and not ending.reason else "stopped"
-                return Ended(how, ending.reason, tick + 1, stop_tick), cycle.faults
-            if full and not faulted and measured.passed_limit(subject.limits):
-                return Ended("limit", "", tick + 1, stop_tick), cycle.faults
+                parked = mode is Mode.PARKED and not ending.reason
+                return ended("complete" if parked else "stopped", ending.reason)
+            if full and not faulted and _hopeless(subject.limits, measured):
+                return ended("limit")
             begun = tick if begun is None and mode is Mode.TRACKING else begun
             over = begun is not None and ticks is not None and tick - begun >= ticks
             if not subject.parks and begun is not None and (over or mode is not Mode.TRACKING):
-                return Ended("complete", "", tick + 1, stop_tick), cycle.faults
+                return ended("complete")
             if over and stop_tick is None:
                 stop_tick = tick + 1
         why = f"it has not ended {LONGEST_S:g} s after the {tracked_s:g} s that it tracks"
-        return Ended("stopped", why, lockstep.tick + 1, stop_tick), cycle.faults
+        return ended("stopped", why)._replace(ticks=most)
     finally:
         physics.close()
 
 
+def _hopeless(limits: dict[str, Limit], measured: Measurement) -> bool:
+    """Tell whether a peak or a count is past its limit: more ticks do not mend it."""
+    found = measured.growing()
+    return any(
+        limit.max is not None and found.get(name, limit.max) > limit.max for name, limit in limits.items()
+    )
+
+
 def row_seed(axes: dict[str, ListedAxis], values: dict[str, Any], sample: int) -> int:
-    """Return what varies the chance of a row: the value of key `seed`, else the number of its sample."""
-    named = [values[name] for name, axis in axes.items() if SEED in keys(axis)]
-    return int(named[-1]) if named else sample
+    """Return what varies the chance of a row: the value of key `seed`, else the number of its sample.
+
+    Raises ConfigurationError: a value that is no whole number of 63 bits, which the table has for it.
+    """
+    named = [values[name] for name, axis in axes.items() if SEED in axis.keys]
+    seed = named[-1] if named else sample
+    if type(seed) is not int or not 0 <= seed < 2**63:
+        raise ConfigurationError(f"{SEED}: allowed: whole numbers from 0 to 2**63 - 1, given: {seed!r}")
+    return seed

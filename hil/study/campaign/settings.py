@@ -1,14 +1,41 @@
 """The campaign file: which configuration, which keys are swept and how, what a run must keep."""
 
-from typing import Annotated, Any, Literal, Self
+import json
+from collections.abc import Iterator
+from difflib import get_close_matches
+from math import floor, inf, prod
+from typing import Annotated, Any, ClassVar, Literal, Self
 
-from pydantic import Field, model_validator
+import numpy as np
+from pydantic import AfterValidator, Field, model_validator
 
 from drivers.section import Section
+from hil.app.configuration.schema import described
 from hil.app.sim.commands import LATEST_S
+from hil.study.campaign.figures import METRICS
 
-Pair = tuple[float, float]
+OWN_COLUMNS = ("row", "seed", "passed", "ended", "ended_s", "faults", "trouble")
+"""Columns of the table beside axes and metrics."""
+MOST_ROWS = 10_000_000
+
+
+def _rising(ends: Any) -> Any:
+    if ends[0] >= ends[1]:
+        raise ValueError(f"no range, allowed: [low, high] with low < high, given: {list(ends)}")
+    return ends
+
+
+def _measured(name: str) -> str:
+    if name not in METRICS:
+        near = get_close_matches(name, METRICS, 1, 0.6)
+        guess = f"did you mean {near[0]}? " if near else ""
+        raise ValueError(f"unknown metric {name}, {guess}allowed: {', '.join(METRICS)}")
+    return name
+
+
+Positive = Annotated[float, Field(gt=0)]
 AxisName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]{0,49}$")]
+Metric = Annotated[str, AfterValidator(_measured)]
 Method = Literal["sobol", "latin_hypercube", "halton"]
 
 
@@ -16,19 +43,20 @@ class Normal(Section):
     """A normal distribution cut off at both ends."""
 
     mean: float
-    std: Annotated[float, Field(gt=0)]
+    std: Positive
     min: float
     max: float
 
     @model_validator(mode="after")
     def _some_width(self) -> Self:
-        if self.min >= self.max:
-            raise ValueError(f"min is not below max, allowed: min < max, given: {self.min:g}, {self.max:g}")
+        _rising((self.min, self.max))
         return self
 
 
 class ListedAxis(Section):
     """Values of one axis: of a key of the configuration, or sets of changes by name, or faults by name."""
+
+    KINDS: ClassVar = ("values", "options", "faults")
 
     key: str | list[str] | None = None
     """Where the value goes: `plant.drives.encoder_resolution_m`, `plant.faults[0].mass_kg`, `seed`; several
@@ -42,46 +70,102 @@ class ListedAxis(Section):
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
-        _exactly_one(self, ("values", "options", "faults"))
-        _keyed(self.key, self.values is not None)
+        given = [name for name in self.KINDS if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"allowed: exactly one of {', '.join(self.KINDS)}, given: {', '.join(given) or 'none'}"
+            )
+        if bool(self.key) is (given[0] in ("options", "faults")):
+            raise ValueError(
+                "key is missing, allowed: a key of the configuration, as plant.model.coulomb_friction_N"
+                if not self.key
+                else "key has no meaning beside options or faults, which say themselves what they change"
+            )
         return self
+
+    @property
+    def keys(self) -> list[str]:
+        """The keys that take its value."""
+        return [self.key] if isinstance(self.key, str) else self.key or []
+
+    @property
+    def entries(self) -> list[Any]:
+        """Its listed values, of options and faults their names; of a distribution none."""
+        return list(self.values or self.options or self.faults or [])
+
+    @property
+    def ends(self) -> list[Any]:
+        """The values at which it is tried before a campaign: all listed ones, both ends of others."""
+        return self.entries
 
 
 class SampledAxis(ListedAxis):
     """An axis that is drawn: from a distribution of a key, or each of the listed ones equally often."""
 
-    uniform: Pair | None = None
+    KINDS: ClassVar = (*ListedAxis.KINDS, "uniform", "loguniform", "normal", "integers")
+
+    uniform: Annotated[tuple[float, float], AfterValidator(_rising)] | None = None
     """Ends of a uniform distribution."""
-    loguniform: Pair | None = None
+    loguniform: Annotated[tuple[Positive, Positive], AfterValidator(_rising)] | None = None
     """Ends, both > 0, between which the logarithm is uniform."""
     normal: Normal | None = None
-    integers: tuple[int, int] | None = None
+    integers: Annotated[tuple[int, int], AfterValidator(_rising)] | None = None
     """First and last of equally likely whole numbers."""
 
-    @model_validator(mode="after")
-    def _one_kind(self) -> Self:
-        drawn = ("uniform", "loguniform", "normal", "integers")
-        _exactly_one(self, ("values", "options", "faults", *drawn))
-        _keyed(self.key, self.options is None and self.faults is None)
-        for name in ("uniform", "loguniform", "integers"):
-            ends = getattr(self, name)
-            if ends is not None and ends[0] >= ends[1]:
-                raise ValueError(
-                    f"{name}: no range, allowed: [low, high] with low < high, given: {list(ends)}"
-                )
-        if self.loguniform is not None and self.loguniform[0] <= 0.0:
-            raise ValueError(f"loguniform: allowed: two numbers > 0, given: {list(self.loguniform)}")
-        return self
+    @property
+    def ends(self) -> list[Any]:
+        """The values at which it is tried before a campaign: all listed ones, both ends of others."""
+        return self.entries or [self.value_at(0.0), self.value_at(1.0)]
+
+    def value_at(self, u: float) -> Any:
+        """Return the value at the share `u` of its distribution, [0, 1]."""
+        if self.integers is not None:
+            first, last = self.integers
+            return min(last, first + floor(u * (last - first + 1)))
+        if self.uniform is not None:
+            low, high = self.uniform
+            value = low + u * (high - low)
+        elif self.loguniform is not None:
+            low, high = self.loguniform
+            value = low * (high / low) ** u
+        elif (s := self.normal) is not None:
+            from scipy.stats import truncnorm  # noqa: PLC0415 - most of a second, for who samples
+
+            low, high = s.min, s.max
+            value = s.mean + s.std * float(truncnorm.ppf(u, (low - s.mean) / s.std, (high - s.mean) / s.std))
+        else:
+            return self.entries[min(len(self.entries) - 1, floor(u * len(self.entries)))]
+        return min(high, max(low, value))
 
 
 class Sample(Section):
     """Points of a low-discrepancy sequence or a Latin hypercube, one dimension an axis."""
 
     method: Method
-    count: Annotated[int, Field(ge=1, le=10_000_000)]
+    count: Annotated[int, Field(ge=1, le=MOST_ROWS)]
     seed: Annotated[int, Field(ge=0)] = 0
     """Of the draw."""
     axes: Annotated[dict[AxisName, SampledAxis], Field(min_length=1)]
+
+    def draw(self) -> list[tuple[Any, ...]]:
+        """Return the values of every sample, one an axis in the order of the file.
+
+        Sobol' points are scrambled (Owen 1995), so that none of them is exactly 0 or 1 by construction; they
+        are balanced where their number is a power of two.
+        """
+        from scipy.stats import qmc  # noqa: PLC0415 - most of a second, for who samples
+
+        engines = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube, "halton": qmc.Halton}
+        engine = engines[self.method](len(self.axes), seed=np.random.default_rng(self.seed))
+        if self.method == "sobol":
+            # whole powers of two: SciPy warns of any other number, whose balance is a little worse
+            points = engine.random_base2(max(0, (self.count - 1).bit_length()))[: self.count]
+        else:
+            points = engine.random(self.count)
+        return [
+            tuple(axis.value_at(u) for axis, u in zip(self.axes.values(), point, strict=True))
+            for point in points.tolist()
+        ]
 
 
 class Limit(Section):
@@ -97,6 +181,20 @@ class Limit(Section):
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min is above max, allowed: min <= max, given: {self.min}, {self.max}")
         return self
+
+    def passed_by(self, value: float | None) -> float:
+        """Return by what share of itself a value passes the limit; 0: kept, inf: not measured."""
+        if value is None:
+            return inf
+        over = 0.0 if self.max is None else (value - self.max) / abs(self.max or 1.0)
+        under = 0.0 if self.min is None else (self.min - value) / abs(self.min or 1.0)
+        return max(over, under, 0.0)
+
+    @property
+    def words(self) -> str:
+        """What is allowed, as `>= 1 <= 2`."""
+        ends = ((">=", self.min), ("<=", self.max))
+        return " ".join(f"{sign} {end:g}" for sign, end in ends if end is not None)
 
 
 class CampaignSettings(Section):
@@ -121,37 +219,52 @@ class CampaignSettings(Section):
     """Axes that go together: the first value of each, the second of each ..."""
     grid: Annotated[dict[AxisName, ListedAxis], Field(min_length=1)] | None = None
     """Axes of which every combination runs."""
-    limits: dict[str, Limit] = {}
+    limits: dict[Metric, Limit] = {}
     """Metric -> what it may be. `faulted` is at most 0 unless it is given here."""
 
     @model_validator(mode="after")
-    def _some_axes(self) -> Self:
-        if self.sample is None and self.list is None and self.grid is None:
-            raise ValueError("nothing is swept, allowed: a section sample, list or grid, or several of them")
-        lengths = {name: len(entries(axis)) for name, axis in (self.list or {}).items()}
-        if len(set(lengths.values())) > 1:
-            given = ", ".join(f"{name} {length}" for name, length in lengths.items())
-            raise ValueError(f"list: allowed: axes with equally many values, given: {given}")
+    def _rows(self) -> Self:
+        if wrong := next(self._wrong(), ""):
+            raise ValueError(wrong)
         return self
 
+    def _wrong(self) -> Iterator[str]:
+        if self.sample is None and self.list is None and self.grid is None:
+            yield "nothing is swept, allowed: a section sample, list or grid, or several of them"
+        names: set[str] = {*METRICS, *OWN_COLUMNS}
+        owners: dict[str, str] = {}
+        for section, axes in self.sections:
+            for name, axis in axes.items():
+                if name in names:
+                    yield f"{section}.{name}: a column of the table has that name, allowed: a name of its own"
+                names.add(name)
+                for key in axis.keys:
+                    if owners.setdefault(key, name) != name:
+                        one = "allowed: one axis for each key"
+                        yield f"{section}.{name}: {key} is swept by {owners[key]}, too, {one}"
+        lengths = {name: len(axis.entries) for name, axis in (self.list or {}).items()}
+        if len(set(lengths.values())) > 1:
+            given = ", ".join(f"{name} {length}" for name, length in lengths.items())
+            yield f"list: allowed: axes with equally many values, given: {given}"
+        samples, listed = self.sample.count if self.sample else 1, next(iter(lengths.values()), 1)
+        rows = prod([samples, listed, *(len(axis.entries) for axis in (self.grid or {}).values())])
+        if rows > MOST_ROWS:
+            yield f"{rows} rows, allowed: up to {MOST_ROWS} of sample, list and grid"
+        if "travel_mm" in self.limits and self.after_fault == "end":
+            yield (
+                "limits.travel_mm: not measured in runs that end with their fault, allowed: with "
+                "after_fault: rest"
+            )
 
-def entries(axis: ListedAxis) -> list[Any]:
-    """Return the values of a listed axis, of options and faults their names; of a distribution none."""
-    if axis.values is not None:
-        return axis.values
-    return list(axis.options or axis.faults or {})
+    @property
+    def sections(self) -> tuple[tuple[str, dict[str, ListedAxis]], ...]:
+        """The axes of each section, by its place in the file."""
+        sampled = {} if self.sample is None else dict(self.sample.axes)
+        return ("sample.axes", sampled), ("list", self.list or {}), ("grid", self.grid or {})
 
 
-def _exactly_one(axis: ListedAxis, names: tuple[str, ...]) -> None:
-    given = [name for name in names if getattr(axis, name) is not None]
-    if len(given) != 1:
-        raise ValueError(f"allowed: exactly one of {', '.join(names)}, given: {', '.join(given) or 'none'}")
-
-
-def _keyed(key: str | list[str] | None, needed: bool) -> None:
-    if needed and not key:
-        raise ValueError(
-            "key is missing, allowed: a key of the configuration, as plant.model.coulomb_friction_N"
-        )
-    if not needed and key:
-        raise ValueError("key has no meaning beside options or faults, which say themselves what they change")
+def schema() -> str:
+    """Return the JSON Schema of a campaign file, for editors, as committed beside the shipped campaigns."""
+    name = CampaignSettings.__name__
+    found = described(name, CampaignSettings.model_json_schema(), "hexapod-hil campaign")
+    return json.dumps(found, indent=1, ensure_ascii=False) + "\n"

@@ -2,52 +2,48 @@
 
 import shlex
 from collections.abc import Iterator
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-from rich.text import Text
-
-from hil.app.output import print_table
-from hil.app.terminal import visible
 from hil.study.campaign.plan import Plan
-from hil.study.campaign.rates import Rate, by_value, causes, judged, shown, why, worst
+from hil.study.campaign.rates import HEAD, by_value, causes, shown, why, worst
 from hil.study.junit import Verdict
-from hil.study.table import results
+from hil.study.table import Column, print_rows
 
 WORST = 10
 """Failed rows that are shown."""
-HEAD = ("value", "rows", "failed", "pass %", "95 % interval")
-"""Of `cells`."""
 
 
 def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
     """Print the tables of a campaign; `folder`: that of --out, for the commands that repeat a row."""
     rows = summary["matrix"]
-    table = results("axis", *HEAD, left=("axis", "value"))
-    for name, axis in plan.subject.axes.items():
-        for n, each in enumerate(by_value(name, axis, rows)):
-            table.add_row(visible(name) if n == 0 else "", *cells(each))
-    print_table(table)
+    lines = [
+        (name if n == 0 else "", *each.cells)
+        for name, axis in plan.subject.axes.items()
+        for n, each in enumerate(by_value(name, axis, rows))
+    ]
+    columns = [Column(title, itemgetter(n), left=n < 2) for n, title in enumerate(("axis", *HEAD))]
+    print_rows(columns, lines)
     if summary["failed"]:
-        found = (f"{name} {count}" for name, count in causes(rows))
-        print(f"\nfailed rows by cause: {', '.join(found)}")
-    failed = worst(rows, plan.subject.limits, WORST)
-    if not failed:
-        return
-    print(f"\nthe worst {len(failed)} of {summary['failed']} failed rows:")
+        print("", *worst_lines(plan, summary, folder, WORST), "", sep="\n")
+
+
+def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: int) -> list[str]:
+    """Return the causes of failure, and the worst rows with the command that repeats each; as `show`."""
+    rows, limits = summary["matrix"], plan.subject.limits
+    failed = worst(rows, limits, most)
+    lines = [f"failed rows by cause: {', '.join(f'{name} {count}' for name, count in causes(rows))}", ""]
+    lines.append(f"the worst {len(failed)} of {summary['failed']} failed rows:")
     for row in failed:
-        values = ", ".join(f"{name} {shown(row[name])}" for name in plan.subject.axes)
-        print(f"  row {row['row']}: {why(row, plan.subject.limits)}\n    {values}")
-        print(f"    {rerun_command(plan, row['row'], folder)}")
-    print()
+        lines.append(f"  row {row['row']}: {why(row, limits)}")
+        lines += [f"    {_values(plan, row, ', ', ' ')}", f"    {rerun_command(plan, row['row'], folder)}"]
+    return lines
 
 
-def cells(each: Rate) -> tuple[str | Text, ...]:
-    """Return value, rows, failed rows, pass rate and its interval as words."""
-    failed = each.rows - each.passed
-    percent = f"{100.0 * each.passed / each.rows:.1f}" if each.rows else "-"
-    interval = f"{100.0 * each.low:.1f} to {100.0 * each.high:.1f}"
-    return visible(each.label), str(each.rows), str(failed), percent, interval
+def _values(plan: Plan, row: dict[str, Any], between: str, of: str) -> str:
+    """Return the values of a row as words."""
+    return between.join(f"{name}{of}{shown(row[name])}" for name in plan.subject.axes)
 
 
 def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
@@ -59,10 +55,9 @@ def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
 def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterator[Verdict]:
     """Yield a case of JUnit for each row, named by its values."""
     for row in summary["matrix"]:
-        values = " ".join(f"{name}={shown(row[name])}" for name in plan.subject.axes)
         yield Verdict(
             group=plan.name,
-            name=f"row {row['row']} {values}",
+            name=f"row {row['row']} {_values(plan, row, ' ', '=')}",
             failure=None if row["passed"] else why(row, plan.subject.limits),
             detail="\n".join(filter(None, (row["trouble"], rerun_command(plan, row["row"], folder)))),
         )
@@ -71,11 +66,6 @@ def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterat
 def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
     """Return the summary as the terminal has it: without rows, the interval in words."""
     low, high = summary["failed_interval_percent"]
-    found = {key: value for key, value in summary.items() if key not in ("matrix", "failed_interval_percent")}
-    limits = [
-        " ".join(filter(None, (name, f">= {limit.min:g}" if limit.min is not None else "",
-                               f"<= {limit.max:g}" if limit.max is not None else "")))
-        for name in judged(plan.subject.limits)
-        for limit in (plan.subject.limits[name],)
-    ]  # fmt: skip
+    found = {key: value for key, value in summary.items() if key != "matrix"}
+    limits = [f"{name} {limit.words}" for name, limit in plan.subject.limits.items()]
     return found | {"limits": limits, "failed_interval_percent": f"{low:.3g} to {high:.3g}"}

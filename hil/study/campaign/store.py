@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import sqlite3
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from types import TracebackType
 from typing import Self
@@ -22,8 +22,6 @@ from hil.study.campaign.parquet import Column, Row
 
 TABLE = "table.parquet"
 DATABASE = "campaign.sqlite"
-_SCHEMA = {"made_of": "name TEXT PRIMARY KEY, digest TEXT", "rows": "number INTEGER PRIMARY KEY, cells TEXT"}
-_LOCKED = {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}
 
 
 class Store:
@@ -40,16 +38,17 @@ class Store:
         Raises LogError: not the folder of a campaign, of another one, or in use; or it cannot be written.
         """
         self.folder, self._columns = folder, columns
-        try:
-            _refuse_strange(folder)
-            made_folder(folder)
-        except OSError as error:
-            raise LogError(f"{folder}: cannot be used: {error.strerror or error}") from None
         with _explained(folder):
+            made_folder(folder)
+            if any(folder.iterdir()) and not (folder / DATABASE).is_file():
+                raise LogError(
+                    f"{folder}: holds no results of a campaign of this version; name an empty or new folder "
+                    "with --out"
+                )
             self._db = sqlite3.connect(folder / DATABASE, timeout=0.0, isolation_level=None)
         try:
             with _explained(folder):
-                self._begin()
+                self._db.execute("BEGIN IMMEDIATE")
                 self._db.execute("PRAGMA busy_timeout = 10000")  # a commit waits for those who read
                 self._take_over(identity, fresh=fresh)
         except BaseException:
@@ -72,42 +71,30 @@ class Store:
     def add(self, row: Row) -> None:
         """Write a row: it is whole and on the disk when this returns. Raises LogError: it is not."""
         with _explained(self.folder):
-            self._db.execute("INSERT OR REPLACE INTO rows VALUES (?, ?)", (row["row"], json.dumps(row)))
-            self._commit()
+            self._write("INSERT OR REPLACE INTO rows VALUES (?, ?)", (row["row"], json.dumps(row)))
 
     def finish(self, rows: dict[int, Row]) -> Path:
         """Write the table of all rows by number. Raises LogError: it cannot be written."""
         table = self.folder / TABLE
-        try:
-            with made_whole(table, overwrite=True) as temporary:
-                parquet.write(temporary, self._columns, [rows[number] for number in sorted(rows)])
-        except OSError as error:
-            raise LogError(f"{table}: cannot be written: {error.strerror or error}") from None
+        with _explained(self.folder), made_whole(table, overwrite=True) as temporary:
+            parquet.write(temporary, self._columns, [rows[number] for number in sorted(rows)])
         return table
 
-    def _begin(self) -> None:
-        self._db.execute("BEGIN IMMEDIATE")
-
-    def _commit(self) -> None:
+    def _write(self, statement: str, *rows: tuple[object, object]) -> None:
+        self._db.executemany(statement, rows)
         self._db.execute("COMMIT")
-        self._begin()
+        self._db.execute("BEGIN IMMEDIATE")
 
     def _take_over(self, identity: dict[str, str], *, fresh: bool) -> None:
         """Refuse to mix the rows of two campaigns; a new database is this one's."""
-        tables = {name for (name,) in self._db.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
-        if tables - _SCHEMA.keys():
-            raise LogError(f"{self.folder / DATABASE}: not a database of a campaign; name another folder")
-        for name, columns in _SCHEMA.items():
-            self._db.execute(f"CREATE TABLE IF NOT EXISTS {name} ({columns})")
-            if fresh:
-                self._db.execute(f"DELETE FROM {name}")  # noqa: S608 - names of ours
+        self._db.execute("CREATE TABLE IF NOT EXISTS made_of (name TEXT PRIMARY KEY, digest TEXT)")
+        self._db.execute("CREATE TABLE IF NOT EXISTS rows (number INTEGER PRIMARY KEY, cells TEXT)")
         if fresh:
+            self._db.execute("DELETE FROM made_of")
+            self._db.execute("DELETE FROM rows")
             (self.folder / TABLE).unlink(missing_ok=True)
-        if _made_of(self._db):
-            _refuse_other(self.folder, self._db, identity)
-        else:
-            self._db.executemany("INSERT INTO made_of VALUES (?, ?)", identity.items())
-        self._commit()
+        _refuse_other(self.folder, self._db, identity)
+        self._write("INSERT OR REPLACE INTO made_of VALUES (?, ?)", *identity.items())
 
 
 def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
@@ -118,29 +105,17 @@ def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
     file = folder / DATABASE
     if not file.is_file():
         return {}
-    with _explained(folder):
-        db = sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)
-        try:
-            _refuse_other(folder, db, identity)
-            return _rows(db)
-        finally:
-            db.close()
-
-
-def _refuse_strange(folder: Path) -> None:
-    """Refuse a folder that holds something else than a campaign: nothing in it is touched."""
-    if folder.exists() and not folder.is_dir():
-        raise LogError(f"{folder}: is a file; name a folder with --out")
-    if folder.is_dir() and any(folder.iterdir()) and not (folder / DATABASE).is_file():
-        raise LogError(
-            f"{folder}: holds no results of a campaign of this version; name an empty or new folder with "
-            "--out"
-        )
+    with (
+        _explained(folder),
+        closing(sqlite3.connect(f"{file.absolute().as_uri()}?mode=ro", uri=True)) as db,
+    ):
+        _refuse_other(folder, db, identity)
+        return _rows(db)
 
 
 def _refuse_other(folder: Path, db: sqlite3.Connection, identity: dict[str, str]) -> None:
     """Refuse to take the rows of another campaign for those of this one."""
-    made_of = _made_of(db)
+    made_of = dict(db.execute("SELECT name, digest FROM made_of").fetchall()) or identity
     changed = [name for name in {**identity, **made_of} if identity.get(name) != made_of.get(name)]
     if changed:
         raise LogError(
@@ -150,21 +125,19 @@ def _refuse_other(folder: Path, db: sqlite3.Connection, identity: dict[str, str]
         )
 
 
-def _made_of(db: sqlite3.Connection) -> dict[str, str]:
-    return dict(db.execute("SELECT name, digest FROM made_of").fetchall())
-
-
 def _rows(db: sqlite3.Connection) -> dict[int, Row]:
     return {number: json.loads(cells) for number, cells in db.execute("SELECT number, cells FROM rows")}
 
 
 @contextmanager
 def _explained(folder: Path) -> Iterator[None]:
-    """Raise LogError for what the database cannot do."""
+    """Raise LogError for what the database or the folder cannot do."""
     try:
         yield
+    except OSError as error:
+        raise LogError(f"{error.filename or folder}: cannot be used: {error.strerror or error}") from None
     except sqlite3.Error as error:
-        if getattr(error, "sqlite_errorcode", None) in _LOCKED:
+        if getattr(error, "sqlite_errorcode", None) in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
             raise LogError(
                 f"{folder}: another process works on this campaign; wait for it, or name another folder "
                 "with --out"

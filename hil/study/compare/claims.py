@@ -31,27 +31,16 @@ class Evidence(NamedTuple):
     def error(self, law: str) -> float:
         """Return the peak leg error in mm; inf for a law that faulted."""
         row = self.rows[law]
-        return math.inf if row.fault else float(row.figures["peak_leg_error_mm"])
+        return math.inf if row.fault else float(row.figures.get("peak_leg_error_mm", math.inf))
 
-    def at_rest(self, law: str) -> float:
-        """Return the leg error at rest in mm; nan where it was not measured."""
-        return float(self.rows[law].figures.get("steady_leg_error_mm", math.nan))
-
-    def says(self, law: str) -> str:
-        """Return the peak error in words."""
-        row = self.rows[law]
-        return f"{law} {row.fault}" if row.fault else f"{law} {self.error(law):.3g} mm"
+    def peaks(self, *laws: str) -> str:
+        """Return the peak errors of laws in words."""
+        found = (f"{law} {self.rows[law].fault or f'{self.error(law):.3g} mm'}" for law in laws)
+        return f"peak: {', '.join(found)}"
 
 
-class Finding(NamedTuple):
-    """Whether a claim holds, and the figures that say so."""
-
-    holds: bool
-    figures: str
-
-
-Judge = Callable[[Evidence], Finding | None]
-"""None where what it takes was not measured."""
+Found = tuple[bool, str] | None
+"""Whether a claim holds, and the figures that say so; None where what it takes was not measured."""
 
 
 class Claim(NamedTuple):
@@ -61,37 +50,36 @@ class Claim(NamedTuple):
     text: str
     needs: tuple[str, ...]
     """Laws that have to be among the compared ones."""
-    judge: Judge
+    judge: Callable[[Evidence], Found]
     yardstick: str | None = None
     """The law whose error is the measure: where it faulted, there is none."""
 
 
-def _peaks(holds: Callable[[Callable[[str], float]], bool], *laws: str) -> Judge:
-    """Return the judge of a relation between the peak errors of laws; these errors are its figures."""
-    return lambda e: Finding(holds(e.error), f"peak: {', '.join(map(e.says, laws))}")
+def _good_enough(*laws: str) -> Callable[[Evidence], Found]:
+    """Return the judge of whether the peak error of the first law is of inverse dynamics' kind."""
+    return lambda e: (e.error(laws[0]) < POOR * e.error(ID), e.peaks(*laws, ID))
 
 
-def _less_at_rest(law: str) -> Judge:
+def _less_at_rest(law: str) -> Callable[[Evidence], Found]:
     """Return the judge of whether a law has little of the error that PD has at rest."""
 
-    def judge(e: Evidence) -> Finding | None:
-        left, whole = e.at_rest(law), e.at_rest("pd")
-        if math.isnan(left) or math.isnan(whole):
+    def judge(e: Evidence) -> Found:
+        left, whole = (e.rows[name].figures.get("steady_leg_error_mm", math.nan) for name in (law, "pd"))
+        if math.isnan(left + whole):
             return None
-        return Finding(whole > POOR * left, f"at rest: pd {whole:.3g} mm, {law} {left:.3g} mm")
+        return whole > POOR * left, f"at rest: pd {whole:.3g} mm, {law} {left:.3g} mm"
 
     return judge
 
 
-def _linear(e: Evidence) -> Finding | None:
-    s = e.settings.get(ID)
-    wn, zeta = getattr(s, "wn_rad_s", math.nan), getattr(s, "damping_ratio", math.nan)
-    measured = float(e.rows[ID].figures.get("bandwidth_Hz", math.nan))
-    if not isinstance(wn, float) or math.isnan(wn + measured):
+def _linear(e: Evidence) -> Found:
+    s, measured = e.settings.get(ID), e.rows[ID].figures.get("bandwidth_Hz", math.nan)
+    wn, zeta = getattr(s, "wn_rad_s", None), getattr(s, "damping_ratio", math.nan)
+    if not isinstance(wn, float) or math.isnan(measured):
         return None  # differs from leg to leg: no one bandwidth
     expected = second_order_bandwidth_Hz(wn, zeta)
     text = f"bandwidth {measured:.3g} Hz; wn {wn:g} rad/s, zeta {zeta:g} have {expected:.3g} Hz"
-    return Finding(abs(measured / expected - 1.0) < 0.05, text)
+    return abs(measured / expected - 1.0) < 0.05, text
 
 
 def second_order_bandwidth_Hz(wn: float, zeta: float) -> float:
@@ -100,25 +88,23 @@ def second_order_bandwidth_Hz(wn: float, zeta: float) -> float:
     return wn / (2.0 * math.pi) * math.sqrt(a + math.sqrt(a**2 + 1.0))
 
 
-def _H_small(e: Evidence) -> Finding:
+def _H_small(e: Evidence) -> Found:
     h = e.shares["H"]
-    return Finding(h.share < 0.01, f"at most {100 * h.share:.2g} % of the leg force, {h.force_N:.3g} N")
+    return h.share < 0.01, f"at most {100 * h.share:.2g} % of the leg force, {h.force_N:.3g} N"
 
 
-def _J_dot_small(e: Evidence) -> Finding:
+def _J_dot_small(e: Evidence) -> Found:
     j = e.shares["J_dot"]
-    text = (
-        f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; peak: {e.says('printed')}, {e.says(ID)}"
-    )
-    return Finding(e.error("printed") < CLOSE * e.error(ID), text)
+    text = f"{100 * j.share:.3g} % of the leg force, {j.force_N:.4g} N; {e.peaks('printed', ID)}"
+    return e.error("printed") < CLOSE * e.error(ID), text
 
 
-CLAIMS: tuple[Claim, ...] = (
+CLAIMS = (
     Claim(
         "6.1.1",
         "PD on leg lengths tracks poorly",
         ("pd", ID),
-        _peaks(lambda error: error("pd") > POOR * error(ID), "pd", ID),
+        lambda e: (e.error("pd") > POOR * e.error(ID), e.peaks("pd", ID)),
         ID,
     ),
     Claim("6.1.1", "PD leaves a static error", ("pd", ID), _less_at_rest(ID)),
@@ -132,7 +118,7 @@ CLAIMS: tuple[Claim, ...] = (
         "6.1.2",
         "with a good model feed-forward makes PD track",
         ("pd", "feedforward_pd"),
-        _peaks(lambda error: error("feedforward_pd") * BETTER < error("pd"), "pd", "feedforward_pd"),
+        lambda e: (e.error("feedforward_pd") * BETTER < e.error("pd"), e.peaks("pd", "feedforward_pd")),
     ),
     Claim("6.1.3", "inverse dynamics leaves E'' + K_D E' + K_P E = 0", (ID,), _linear),
     Claim("6.1.3", "the law may be printed without (dJ/dt) twist", ("printed", ID), _J_dot_small, ID),
@@ -141,14 +127,14 @@ CLAIMS: tuple[Claim, ...] = (
         "6.1.3 B",
         "without H the linearisation is good enough",
         ("partial_linearisation", ID),
-        _peaks(lambda error: error("partial_linearisation") < POOR * error(ID), "partial_linearisation", ID),
+        _good_enough("partial_linearisation"),
         ID,
     ),
     Claim(
         "Lee 2003",
         "M, G and J of one pose are good enough",
         ("constant", "constant_MG", ID),
-        _peaks(lambda error: error("constant") < POOR * error(ID), "constant", "constant_MG", ID),
+        _good_enough("constant", "constant_MG"),
         ID,
     ),
 )
@@ -156,11 +142,12 @@ CLAIMS: tuple[Claim, ...] = (
 
 def judge(evidence: Evidence) -> list[dict[str, Any]]:
     """Return the claims whose laws were compared, each with `holds` and `figures`."""
-    found = []
+    rows, found = evidence.rows, []
     for claim in CLAIMS:
-        measured = all(law in evidence.rows and evidence.rows[law].figures for law in claim.needs)
-        if measured and not (claim.yardstick and evidence.rows[claim.yardstick].fault):
-            finding = claim.judge(evidence)
-            if finding is not None:
-                found.append({"section": claim.section, "claim": claim.text, **finding._asdict()})
+        measured = all(law in rows and rows[law].figures for law in claim.needs)
+        if not measured or (claim.yardstick and rows[claim.yardstick].fault):
+            continue
+        if finding := claim.judge(evidence):
+            holds, figures = finding
+            found.append({"section": claim.section, "claim": claim.text, "holds": holds, "figures": figures})
     return found

@@ -72,11 +72,13 @@ def compare(
     work = _jobs(compared, believed, extra, duration)
     done = {(o.law, o.path): o for o in perform(work, measure, _died, jobs, progress)}
     own = {name: done[name, OWN] for name in settings}
-    losses = {name: _along(name, work, done) for name in extra}
-    assert c.plant is not None
-    platform = not isinstance(c.plant.model, BenchPlant)  # six legs that carry none say nothing about one
-    shares = _shares(c, duration) if platform else {}
-    claims = judge(Evidence(own, believed, shares)) if platform else []
+    losses = {
+        name: {job.path: done[name, job.path] for job in work if job.law == name and job.path != OWN}
+        | {"as configured": own[name]}
+        for name in extra
+    }
+    shares = _shares(c, duration)
+    claims = judge(Evidence(own, believed, shares)) if shares else []
     ours = own.get(c.controller.law)
     result = {
         "success": not any(o.fault and not o.figures for o in done.values()) and not (ours and ours.fault),
@@ -85,11 +87,10 @@ def compare(
         "duration_s": duration,
         "limits": "lifted" if lift_limits else "as configured",
         "inertia_scale": c.compare.inertia_scale,
-        "disturbance": None if c.compare.disturbance is None else c.compare.disturbance.model_dump(),
-        "step": c.compare.step.model_dump(),
+        **c.compare.model_dump(include={"disturbance", "step"}),
         "laws": {name: _plain(o, believed[name]) for name, o in own.items()},
         "paths": {name: {path: _plain(o) for path, o in found.items()} for name, found in losses.items()},
-        "force_shares": {name: {"share": s.share, "force_N": s.force_N} for name, s in shares.items()},
+        "force_shares": {name: share._asdict() for name, share in shares.items()},
         "claims": claims,
         "picture": None,
     }
@@ -106,26 +107,18 @@ def with_options(
     wrench_at_s: float = 0.0,
 ) -> Configuration:
     """Return the configuration with what the command line says of its section `compare`; None leaves it."""
-    changes: dict[str, Any] = {}
-    if inertia_scale is not None:
-        changes["compare.inertia_scale"] = inertia_scale
-    if wrench is not None:
-        changes["compare.disturbance"] = DisturbanceSettings(
-            force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s
-        )
-    return changed(c, changes)
+    load = wrench and DisturbanceSettings(force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s)
+    given = {"compare.inertia_scale": inertia_scale, "compare.disturbance": load}
+    return changed(c, {key: value for key, value in given.items() if value is not None})
 
 
 def _path_laws(
     c: Configuration, settings: dict[str, ControllerSettings], names: Sequence[str] | None
 ) -> list[str]:
-    match names:
-        case None:
-            return [c.controller.law] if c.controller.law in settings else []
-        case ("all",):
-            return list(settings)
-        case ("none",) | ():
-            return []
+    if names is None:
+        return [c.controller.law] if c.controller.law in settings else []
+    if tuple(names) in {("all",), ("none",), ()}:
+        return list(settings) if "all" in names else []
     unknown = [name for name in names if name not in settings]
     if unknown:
         raise ConfigurationError(
@@ -163,22 +156,14 @@ def _jobs(
 ) -> list[Job]:
     settle = max(SETTLE_PERIODS / desired_loop(c).wn, 0.3)
     step, disturbance = c.compare.step, c.compare.disturbance
-    work = [
-        Job(name, OWN, changed(c, {"controller": s}), duration, disturbance, step, settle)
-        for name, s in settings.items()
+    ours = {name: changed(c, {"controller": each}) for name, each in settings.items()}
+    work = [Job(name, OWN, own, duration, disturbance, step, settle) for name, own in ours.items()]
+    return work + [
+        Job(name, path, other, duration, disturbance, None, settle)
+        for name in extra
+        for path, other in paths(ours[name]).items()
+        if other != ours[name]  # the last one is the row of the table
     ]
-    for name in extra:
-        own = changed(c, {"controller": settings[name]})
-        for path, other in paths(own).items():
-            if other != own:  # the last one is the row of the table
-                work.append(Job(name, path, other, duration, disturbance, None, settle))
-    return work
-
-
-def _along(name: str, work: Iterable[Job], done: dict[tuple[str, str], Outcome]) -> dict[str, Outcome]:
-    """Return what the law did path by path, the configuration's own last."""
-    found = {job.path: done[name, job.path] for job in work if job.law == name and job.path != OWN}
-    return found | {"as configured": done[name, OWN]}
 
 
 def _died(job: Job) -> Outcome:
@@ -186,7 +171,10 @@ def _died(job: Job) -> Outcome:
 
 
 def _shares(c: Configuration, duration: float) -> dict[str, Share]:
-    """Return what terms of the exact model take of the force along the reference."""
+    """Return what terms of the exact model take of the force along the reference, if there is a platform."""
+    assert c.plant is not None
+    if isinstance(c.plant.model, BenchPlant):  # six legs that carry none say nothing about one
+        return {}
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
     model = Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
     # Just inside the end, where the path still moves: outside it rests.
@@ -204,15 +192,7 @@ def _title(c: Configuration, *, lift_limits: bool) -> str:
     parts = [f"{c.name}: control laws along the reference"]
     if s.inertia_scale != 1.0:
         parts.append(f"masses believed to be {100 * s.inertia_scale:g} %")
-    if s.disturbance is not None:
-        parts.append(
-            f"load {_numbers(s.disturbance.force_N)} N, {_numbers(s.disturbance.moment_N_m)} N m "
-            f"from {s.disturbance.start_s:g} s"
-        )
-    if lift_limits:
-        parts.append("limits lifted")
-    return "; ".join(parts)
-
-
-def _numbers(values: Iterable[float]) -> str:
-    return f"({', '.join(f'{x:g}' for x in values)})"
+    if (d := s.disturbance) is not None:
+        force, moment = (f"({', '.join(f'{x:g}' for x in v)})" for v in (d.force_N, d.moment_N_m))
+        parts.append(f"load {force} N, {moment} N m from {d.start_s:g} s")
+    return "; ".join(parts + ["limits lifted"] * lift_limits)

@@ -22,16 +22,17 @@ from hil.config.values import AXES
 from hil.loop.clock import collector_paused
 from hil.loop.run_end import Course
 from hil.mathematics.rotations import rotation_from_vector
-from hil.record.figures import errors, limited_ticks, pose_errors
-from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response, total_variation
+from hil.record.figures import limited_ticks, pose_errors
+from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response
+from hil.study.campaign.figures import Measurement
 from hil.trajectory.path import PoseSample, Trajectory
 from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 
 SETTLE_PERIODS = 30.0
 """Time constants 1 / wn before and after a step: exp(-30) is nothing, and an integral is slower."""
-TRACE_SAMPLES = 2000
-"""Most samples of a trace for the picture."""
+UNKNOWN = np.full(6, np.nan)
+"""True lengths, which a controller does not know."""
 
 
 class Job(NamedTuple):
@@ -96,7 +97,11 @@ def _measure(job: Job) -> Outcome:
     fault, tracked = _fault(rows), rows[rows["mode"] == Mode.TRACKING]
     figures = _tracking(tracked) if len(tracked) else {}
     figures["limited_ticks"] = limited_ticks(tracked)
-    traces = _traces(tracked)
+    traces: dict[str, Array] = {
+        "t": tracked["reference_time_s"],
+        "error_mm": np.abs(_errors_mm(tracked)).max(axis=1),
+        "force_N": np.abs(tracked["tau"]).max(axis=1),
+    }
     fault_s = float(tracked["reference_time_s"][-1]) if fault and len(tracked) else None
     if job.step is not None:
         at_rest, step_traces, step_fault = _at_rest(job, c, job.step)
@@ -144,28 +149,24 @@ def _wrench(d: DisturbanceSettings) -> WrenchStep:
 
 
 def _fault(rows: Rows) -> str | None:
-    last = rows[-1]
-    if last["faults"]:
-        return " ".join(str(f.name) for f in Fault if int(last["faults"]) & f)
-    if not (rows["mode"] == Mode.TRACKING).any():
-        return f"did not start: {Mode(int(last['mode'])).name}"
-    return None
+    faults, mode = int(rows["faults"][-1]), Mode(int(rows["mode"][-1]))
+    if faults:
+        return " ".join(str(f.name) for f in Fault if faults & f)
+    return None if (rows["mode"] == Mode.TRACKING).any() else f"did not start: {mode.name}"
 
 
 def _tracking(rows: Rows) -> dict[str, Any]:
+    measured = Measurement(travels=False)
+    for row in rows:
+        measured.take(row, UNKNOWN)
     p_mm, r_deg = pose_errors(rows)
-    return {
-        "tracked_s": float(rows["reference_time_s"][-1]),
-        **errors(rows),
-        "rms_position_error_mm": float(np.linalg.norm(rms(p_mm))),
-        "rms_rotation_error_deg": float(np.linalg.norm(rms(r_deg))),
-        "force_variation_N": float(total_variation(rows["tau"]).max()),
+    return {name: value for name, value in measured.figures().items() if value is not None} | {
         "per_axis": {
             "peak_position_error_mm": peak(p_mm).tolist(),
             "rms_position_error_mm": rms(p_mm).tolist(),
             "peak_rotation_error_deg": peak(r_deg).tolist(),
             "rms_rotation_error_deg": rms(r_deg).tolist(),
-        },
+        }
     }
 
 
@@ -226,15 +227,3 @@ def _errors_mm(rows: Rows) -> Array:
 def _steady_mm(rows: Rows) -> float:
     """Return the largest mean error of a leg over the last tenth."""
     return float(np.abs(_last_tenth(_errors_mm(rows)).mean(axis=0)).max())
-
-
-def _traces(rows: Rows) -> dict[str, Array]:
-    """Return largest leg error and force of each of at most TRACE_SAMPLES stretches of time."""
-    if not len(rows):
-        return {}
-    starts = np.unique(np.linspace(0, len(rows), min(TRACE_SAMPLES, len(rows)), endpoint=False).astype(int))
-    return {
-        "t": rows["reference_time_s"][starts],
-        "error_mm": np.maximum.reduceat(np.abs(_errors_mm(rows)).max(axis=1), starts),
-        "force_N": np.maximum.reduceat(np.abs(rows["tau"]).max(axis=1), starts),
-    }

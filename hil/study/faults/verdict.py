@@ -121,7 +121,7 @@ def see(kind: str, t: Trace) -> Seen:
     """Return what a run shows since a fault of a kind."""
     n, k0 = len(t.mode), max(t.begun - 1, 0)
     declared = _first(t.faults[t.begun :] != 0)
-    told = _first(t.faults[t.begun :] & bits_of(EXPECTED[kind].causes) != 0)
+    told = _first(t.faults[t.begun :] & bits_of(EXPECTED[kind]) != 0)
     end = n - 1 if declared is None else t.begun + declared
     moving, braked = np.isin(t.mode, list(MOVING)), np.isin(t.mode, list(BRAKED))
     error, began, stood = 0.0, 0.0, t.length[k0]
@@ -213,7 +213,7 @@ def _bounded(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
 
 def _missing(kind: str, t: Trace) -> str:
     """Say which cause or leg the run should have named and did not; empty where it has."""
-    expected = EXPECTED[kind].causes
+    expected = EXPECTED[kind]
     right = {cause for cause in t.causes if expects(expected, cause)}
     if not right:
         return f"the cause is missing: named {_listed(t.causes)}, expected {_listed(expected) or 'none'}"

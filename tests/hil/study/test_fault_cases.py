@@ -14,19 +14,16 @@ from hil.app import compose
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
-from hil.app.configuration.platform import pose_arrays
 from hil.config.reference import HoldReference
 from hil.contracts.records import record_of
 from hil.loop.modes import Durations
 from hil.study.faults import case_run
-from hil.study.faults import cases as cases_module
 from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
 from hil.study.faults.command import run_matrix
 from hil.study.faults.expected import PLANT_FAILS
 from hil.study.faults.sizes import robot_of, size_of
 from hil.study.faults.verdict import Bounds
-from hil.trajectory.path import PoseSample
 
 BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_s=0.01)
 REFUSED = "the FMU refused to step"
@@ -106,26 +103,11 @@ def test_a_plant_that_fails_in_the_first_tick_of_a_case_does_not_end_the_matrix(
     assert (found["cases"], found["failed"], found["success"]) == (2, 2, False)
 
 
-def seen(**columns: Any) -> Any:
-    """Return a cycle with such a tick."""
-    return SimpleNamespace(tick=record_of(**columns))
-
-
-def test_a_leg_whose_encoder_counted_for_nothing_for_a_while_is_known_at_the_end():
-    named = case_run._Named()
-    for lost in (0b000100, 0b100000, 0):
-        named.look(seen(legs_lost=lost))
-    assert named.lost == {2, 5}
-
-
 def test_legs_that_a_fault_has_named_in_any_tick_are_its_legs():
-    named = case_run._Named()
-    for leg in (1, 4):
-        named.look(seen(legs_moved=1 << leg, legs_doubted=1 << 3))
-    named.look(seen())
+    named = {"legs_moved": 0b010010, "legs_doubted": 0b001000}
     ending: Any = SimpleNamespace(faults=Fault.BRAKE | Fault.ENCODER, story=None)
-    cycle: Any = seen(doubt=Doubt.NONE)
-    assert named.causes(cycle, ending) == {"BRAKE": {1, 4}, "ENCODER": {3}}
+    cycle: Any = SimpleNamespace(tick=record_of(doubt=Doubt.NONE))
+    assert case_run._causes(cycle, ending, named) == {"BRAKE": {1, 4}, "ENCODER": {3}}
 
 
 @pytest.mark.parametrize(("entered", "ended"), [(100, 400), (400, 100)])
@@ -151,10 +133,7 @@ def test_a_case_has_a_minute_beside_what_its_configuration_asks_for(monkeypatch)
     ("engage", "least_s"),
     [
         ({"force_ramp_s": 30.0}, 60.0 + 90.0),
-        ({"brake_release_s": 50.0}, 60.0 + 50.0),
-        ({"brake_close_s": 50.0}, 60.0 + 50.0),
         ({"approach_speed_m_s": 1e-3}, 60.0 + 1e3 * (2.2 - 0.75)),
-        ({"blend_s": 50.0}, 60.0 + 50.0),
         ({"stop_s": 50.0}, 60.0 + 50.0),
     ],
     ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
@@ -192,21 +171,6 @@ def test_a_reference_that_is_fastest_at_once_is_followed_before_the_run_is_stopp
     held = c.model_copy(update={"reference": HoldReference(type="hold", duration_s=10.0)})
     (case,) = cases(held, [f"plant_crash/{moment}"])
     assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_fault_in_motion_comes_where_a_leg_is_fastest_whichever_way_it_moves(monkeypatch, sign):
-    """Straight up and down: at 1 s with 1 m/s one way, at 2 s with half of that the other way."""
-    c = load("virtual")
-    home = pose_arrays(c.platform.home)
-
-    def sample(t: float) -> PoseSample:
-        speed = sign * (np.exp(-(((t - 1.0) / 0.1) ** 2)) - 0.5 * np.exp(-(((t - 2.0) / 0.1) ** 2)))
-        return PoseSample(*home, np.array([0.0, 0.0, speed, 0.0, 0.0, 0.0]), np.zeros(6))
-
-    monkeypatch.setattr(cases_module, "build_trajectory", lambda *_: SimpleNamespace(sample=sample))
-    monkeypatch.setattr(cases_module, "span_s", lambda _: None)
-    assert cases_module._fastest_s(c) == pytest.approx(1.0)
 
 
 def test_pushes_are_drawn_from_all_sides():

@@ -1,10 +1,8 @@
 """Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
 
-import errno
 import json
 import os
 import random
-import re
 import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -26,8 +24,8 @@ from hil.study.campaign.page import write_page
 from hil.study.campaign.plan import identity, read_plan
 from hil.study.campaign.rerun import rerun
 from hil.study.campaign.row import run_row
-from hil.study.campaign.show import rerun_command, summary_lines
-from hil.study.campaign.store import Store, stored_rows
+from hil.study.campaign.show import rerun_command
+from hil.study.campaign.store import Store
 from plant_fmu.stewart.build import build
 from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, written
 
@@ -172,31 +170,6 @@ def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small,
         rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
 
 
-@pytest.mark.parametrize(
-    ("lack", "why"),
-    [
-        (MemoryError(), "no memory is left for a row"),
-        (OSError(errno.EMFILE, "Too many open files", "/dev/shm"), "/dev/shm: Too many open files"),
-        (OSError("no more"), "no more"),
-    ],
-)
-def test_what_the_machine_lacks_is_no_figure_of_a_row_and_no_verdict(small, tmp_path, monkeypatch, lack, why):
-    whole = row_of.run
-
-    def short(c, job, measured):
-        if job.number == 1:
-            raise lack
-        return whole(c, job, measured)
-
-    monkeypatch.setattr(row_of, "run", short)
-    folder = tmp_path / "results"
-    done = CliRunner().invoke(main, ["campaign", str(small[0].path), "--jobs", "1", "--out", str(folder)])
-    assert done.exit_code == 2
-    said = f"hil: {why}.*; ended with 1 of 4 rows in {folder}; the same command goes on from there\n"
-    assert re.fullmatch(said, done.stderr)
-    assert sorted(stored_rows(folder, identity(small[0]))) == [0]
-
-
 def test_what_went_wrong_says_no_folder_of_this_machine(tmp_path):
     (tmp_path / "own.fmu").write_text("no archive")
     names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
@@ -233,12 +206,6 @@ def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(sm
     command = rerun_command(plan, 1, tmp_path / "<out>")
     assert command.startswith("hil campaign rerun ")
     assert command.replace("<", "&lt;").replace(">", "&gt;").replace("'", "&#x27;") in text
-
-
-def test_an_interval_up_to_all_rows_is_said_in_figures_that_one_reads(small):
-    plan, _, summary = small
-    lines = summary_lines(plan, summary | {"failed_interval_percent": [43.85, 100.0]})
-    assert lines["failed_interval_percent"] == "43.9 to 100"
 
 
 def test_the_command_line(small, tmp_path, monkeypatch):

@@ -7,7 +7,6 @@ import socket
 import sys
 import threading
 import time
-from collections import UserList
 
 import distributed
 import pytest
@@ -16,7 +15,6 @@ from drivers.errors import ConfigurationError
 from hil.study.campaign import dask_cluster
 from hil.study.campaign.command import run_campaign
 from hil.study.campaign.plan import read_plan
-from hil.study.campaign.row import Job
 from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, started, wait_for_a_row, written
 from tests.hil.study.campaign.clusters import cluster
 
@@ -80,23 +78,6 @@ def test_two_threads_of_a_worker_make_the_table_of_one_process(two, threads, tmp
     assert seen == [(0, 2), (1, 2)]
 
 
-def counted(jobs, taken):
-    """Yield jobs, and keep which have been taken."""
-    for job in jobs:
-        taken.append(job)
-        yield job
-
-
-class Few(UserList[Job]):
-    """Jobs that are taken one by one. State: those that were."""
-
-    taken: list[Job]
-
-    def __iter__(self):
-        self.taken = []
-        return counted(self.data, self.taken)
-
-
 def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another(two, threads, monkeypatch):
     ran = []
 
@@ -106,9 +87,10 @@ def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another
 
     monkeypatch.setattr(dask_cluster, "run_row", run_row)
     monkeypatch.setattr(dask_cluster, "AHEAD", 8)
-    jobs = Few([two[0].job(0)] * 40)
-    for done, _ in enumerate(dask_cluster.perform(threads, jobs, None), 1):
-        assert len(jobs.taken) <= done + 8
+    taken = []
+    jobs = (taken.append(k) or two[0].job(0) for k in range(40))
+    for done, _ in enumerate(dask_cluster.perform(threads, jobs, 40, None), 1):
+        assert len(taken) <= done + 8
     assert len(ran) == 40
 
 
@@ -140,18 +122,6 @@ def test_an_address_where_nobody_answers_is_refused_with_what_is_allowed(two, tm
     for address in (f"tcp://127.0.0.1:{port}", "nowhere://at.all:1"):
         with pytest.raises(ConfigurationError, match=r"no scheduler answers .* allowed: the address"):
             run_campaign(two[0], tmp_path, scheduler=address)
-
-
-@pytest.mark.parametrize("said", [TypeError("TLS expects a `ssl_context`"), UnicodeError("label empty")])
-def test_an_address_that_dask_cannot_use_is_refused_with_what_is_allowed(two, tmp_path, monkeypatch, said):
-    """Of tls:// without certificates Dask says a TypeError, of a name that none can be a UnicodeError."""
-
-    def client(*_, **__):
-        raise said
-
-    monkeypatch.setattr(distributed, "Client", client)
-    with pytest.raises(ConfigurationError, match=r"no scheduler answers .* allowed: the address"):
-        run_campaign(two[0], tmp_path, scheduler="tls://a..b:1")
 
 
 def test_without_dask_a_scheduler_is_refused_with_what_to_install(two, tmp_path, monkeypatch):

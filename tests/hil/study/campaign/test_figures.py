@@ -5,7 +5,7 @@ import pytest
 
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import ROW
-from hil.study.campaign.figures import BLOCK, METRICS, Measurement, broken
+from hil.study.campaign.figures import BLOCK, METRICS, Measurement
 from hil.study.campaign.settings import Limit
 
 N = BLOCK + 37
@@ -116,23 +116,11 @@ def test_what_was_not_measured_is_none():
     }  # fmt: skip
 
 
-def test_a_limit_holds_at_its_value_and_for_what_was_not_measured():
-    limits = {"peak_force_N": Limit(max=5.0), "tracked_s": Limit(min=1.0, max=2.0)}
-    assert broken(limits, {"peak_force_N": 5.0, "tracked_s": 1.0}) == []
-    assert broken(limits, {"peak_force_N": 5.1, "tracked_s": 0.9}) == ["peak_force_N", "tracked_s"]
-    assert broken(limits, {"peak_force_N": None, "tracked_s": 2.1}) == ["peak_force_N", "tracked_s"]
-
-
-def test_a_run_need_not_go_on_past_a_limit_of_what_only_grows():
-    rows, lengths = ticks()
-    rows["tau"][20, 0] = 10.0
-    measured = Measurement(travels=False)
-    for row, length in zip(rows[:BLOCK], lengths[:BLOCK], strict=True):
-        measured.take(row, length)
-    assert measured.passed_limit({"peak_force_N": Limit(max=9.0)})
-    assert not measured.passed_limit({"peak_force_N": Limit(max=10.0)})
-    assert not measured.passed_limit({"peak_force_N": Limit(min=50.0)})
-    assert not measured.passed_limit({"rms_leg_error_mm": Limit(max=-1.0)})  # it may fall again
+def test_a_limit_holds_at_its_value_and_is_passed_by_what_was_not_measured():
+    force, time = Limit(max=5.0), Limit(min=1.0, max=2.0)
+    assert [force.passed_by(x) for x in (5.0, -7.0, 6.0)] == pytest.approx([0.0, 0.0, 0.2])
+    assert [time.passed_by(x) for x in (1.0, 2.0, 0.5, 3.0)] == pytest.approx([0.0, 0.0, 0.5, 0.5])
+    assert force.passed_by(None) == np.inf
 
 
 def test_what_is_no_finite_number_is_not_measured_and_keeps_no_limit():
@@ -145,4 +133,3 @@ def test_what_is_no_finite_number_is_not_measured_and_keeps_no_limit():
     names = ("peak_leg_error_mm", "rms_leg_error_mm", "rms_true_leg_error_mm", "force_variation_N")
     assert [found[name] for name in names] == [None] * 4
     assert found["peak_true_leg_error_mm"] > 1e199
-    assert broken({"rms_leg_error_mm": Limit(max=1.0)}, found) == ["rms_leg_error_mm"]

@@ -7,12 +7,8 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import ConfigurationError
 from hil.study.campaign.keys import apply
-from hil.study.campaign.plan import read_plan
-from hil.study.campaign.row import row_configuration
 from hil.study.campaign.settings import ListedAxis
-from tests.hil.study.campaign.campaigns import SMALL, written
 
 SECTION = {"type": "stewart", "coulomb_friction_N": 1.0, "gravity_m_s2": [0, 0, -9.8]}
 AXES = {
@@ -53,37 +49,3 @@ def test_faults_of_an_axis_come_to_those_of_a_section_that_another_brings(key: s
         ("drive_gain", 3),
         ("payload_step", None),
     ]
-
-
-def test_what_is_sampled_acts_in_a_section_that_the_grid_brings(tmp_path: Any) -> None:
-    """The rows of a sample come before the grid in the file."""
-    text = SMALL.partition("grid:")[0] + (
-        "grid:\n"
-        "  plant: {key: plant.model, values: [{type: stewart}, {type: stewart, viscous_friction_N_s_m: 5}]}\n"
-    )
-    plan = read_plan(written(tmp_path, text))
-    for k in range(len(plan)):
-        plant = row_configuration(plan.job(k)).plant
-        assert plant is not None
-        assert plant.model.model_dump()["coulomb_friction_N"] == plan.values(k)["friction_N"]
-
-
-@pytest.mark.parametrize(
-    ("one", "other"),
-    [
-        ("plant.faults[0].mass_kg", "plant.faults[00].mass_kg"),
-        ("plant.faults[10].mass_kg", "plant.faults[010].mass_kg"),
-        ("plant.faults[1].position_m[02]", "plant.faults[001].position_m[2]"),
-    ],
-)
-def test_one_key_in_two_spellings_is_swept_once(tmp_path: Any, one: str, other: str) -> None:
-    text = f"""
-    kind: campaign
-    grid:
-      a: {{key: "{one}", values: [1, 2]}}
-      b: {{key: "{other}", values: [3, 4]}}
-    """
-    with pytest.raises(ConfigurationError) as error:
-        read_plan(written(tmp_path, text))
-    (problem,) = error.value.problems
-    assert f"grid.b: {other} is swept by a, too, allowed: one axis for each key" in problem

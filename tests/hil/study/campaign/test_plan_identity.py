@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import combinations
+from pathlib import Path
 
 import pytest
 
@@ -10,6 +11,7 @@ from hil.app.configuration.configuration import load
 from hil.study.campaign import row
 from hil.study.campaign.plan import identity, read_plan
 from hil.study.campaign.row import row_configuration, run_row
+from tests.drivers.cia402_sheet import sheet
 from tests.hil.study.campaign.campaigns import SMALL, written
 from tests.hil.study.campaign.test_plan import ALL
 
@@ -80,7 +82,7 @@ def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign
     assert found.model_dump()["path"] == str(tmp_path / "path.csv")
     (tmp_path / "robot" / "path.csv").write_text(path_csv(1.0011))
     found = row_configuration(read_plan(written(tmp_path, text)).job(0)).reference
-    assert found.model_dump()["path"] == "path.csv"
+    assert found.model_dump()["path"] == str(tmp_path / "robot" / "path.csv")
 
 
 def test_the_identity_has_files_that_only_some_combination_reads(tmp_path):
@@ -114,16 +116,43 @@ def test_a_file_that_changes_while_a_row_runs_gives_no_row(tmp_path, monkeypatch
         run_row(plan.job(0))
 
 
-@pytest.mark.parametrize("change", ["other", "gone"])
-def test_a_file_that_changes_while_a_campaign_runs_gives_no_row(tmp_path, change):
+def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))
     plan = read_plan(written(tmp_path, SAMPLED))
-    if change == "gone":
-        file.unlink()
-    else:
-        file.write_text(path_csv(1.002))
+    file.unlink()
     with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since .* Restore it and repeat"):
         run_row(plan.job(0))
     file.write_text(path_csv(1.001))
     assert run_row(plan.job(0))["passed"]
+
+
+CHANGED = """
+kind: campaign
+configuration: ../robot/own.yaml
+duration_s: 0.05
+changes: {drives: {options: {eds: drive.eds}}}
+grid: {force_N: {key: limits.force_N, values: [9000, 9001]}}
+"""
+SWEPT = CHANGED.partition("changes:")[0] + "grid: {sheet: {key: drives.options.eds, values: [drive.eds]}}\n"
+FOLDERS = ("here", "robot", "campaign")
+
+
+@pytest.mark.parametrize("text", [CHANGED, SWEPT], ids=["changed", "swept"])
+@pytest.mark.parametrize("first", range(3), ids=FOLDERS)
+def test_a_row_reads_the_data_sheet_that_the_campaign_found_wherever_the_row_runs(
+    tmp_path, monkeypatch, text, first
+):
+    for name in ("elsewhere", *FOLDERS):
+        (tmp_path / name).mkdir()
+        if name not in FOLDERS[:first]:
+            (tmp_path / name / "drive.eds").write_text(sheet(), encoding="ascii")
+    (tmp_path / "elsewhere" / "drive.eds").write_text(sheet(0x605E), encoding="ascii")
+    (tmp_path / "robot" / "own.yaml").write_text(load("virtual-cia402").text)
+    monkeypatch.chdir(tmp_path / "here")
+    plan = read_plan(written(tmp_path / "campaign", text))
+    assert [name for name in identity(plan) if name.startswith("file")] == ["file drive.eds"]
+    monkeypatch.chdir(tmp_path / "elsewhere")  # as a worker of a cluster; that sheet would be refused
+    found = Path(str(row_configuration(plan.job(0)).drives.options["eds"]))
+    assert found.is_absolute()
+    assert found.samefile(tmp_path / FOLDERS[first] / "drive.eds")

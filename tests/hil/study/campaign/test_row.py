@@ -61,12 +61,8 @@ def test_a_row_has_its_own_chance_and_its_watchdog_in_seconds(plan, monkeypatch)
 )
 def test_a_row_passes_only_where_its_run_has_ended_by_itself_or_in_a_fault(plan, how, passed):
     measured = SimpleNamespace(figures=lambda: dict.fromkeys(METRICS, 0))
-    assert (
-        row.outcome(plan.job(0), 1e3, row.Ended(how, "", 5), Fault(0), cast("Measurement", measured))[
-            "passed"
-        ]
-        is passed
-    )
+    ended = row.Ended(how, "", Fault(0), 5)
+    assert row.outcome(plan.job(0), 1e3, ended, cast("Measurement", measured))["passed"] is passed
 
 
 def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, monkeypatch):

@@ -20,7 +20,6 @@ from hil.loop.modes import Durations
 from hil.study.faults import case_run
 from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
-from hil.study.faults.command import run_matrix
 from hil.study.faults.expected import PLANT_FAILS
 from hil.study.faults.sizes import robot_of, size_of
 from hil.study.faults.verdict import Bounds
@@ -95,12 +94,6 @@ def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(
     refuses(0.02)
     unbegun = run("plant_crash/LOADING", own)
     assert unbegun["verdict"].startswith("could not be run: the fault did not begin"), unbegun
-
-
-def test_a_plant_that_fails_in_the_first_tick_of_a_case_does_not_end_the_matrix(refuses):
-    refuses(0.0)
-    found = run_matrix(load("virtual"), only=["plant_crash/LOADING", "drive_reset/LOADING"], jobs=1)
-    assert (found["cases"], found["failed"], found["success"]) == (2, 2, False)
 
 
 def test_legs_that_a_fault_has_named_in_any_tick_are_its_legs():

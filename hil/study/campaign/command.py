@@ -54,7 +54,7 @@ def run_campaign(
             outcomes = perform(work, run_row, not_run, jobs, of_all, len(missing))
         with leaving(there):
             for outcome in outcomes:
-                row = line(plan, outcome, columns)
+                row = line(outcome, columns)
                 rows[row["row"]] = row
                 store.add(row)
             table = store.finish(rows)
@@ -79,8 +79,6 @@ def run_campaign(
     }
 
 
-def line(plan: Plan, outcome: dict[str, Any], columns: Sequence[parquet.Column]) -> Row:
+def line(outcome: dict[str, Any], columns: Sequence[parquet.Column]) -> Row:
     """Return a line of the table: the values of a row and its outcome, each as its column has it."""
-    job = plan.job(outcome["row"])
-    whole = {"seed": job.seed} | job.values | outcome
-    return {column.name: cell(column, whole[column.name]) for column in columns}
+    return {column.name: cell(column.kind, outcome[column.name]) for column in columns}

@@ -41,7 +41,7 @@ def at(data: Any, place: tuple[str, ...]) -> Any:
 
 
 def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
-    """Return the data of a configuration with the values of a row: options, then faults, then keys.
+    """Return the data of a configuration with values of a row: options, then faults, then keys.
 
     Of keys that reach into each other the outer ones come first, whatever their order in the file: those that
     bring `plant.faults` before the faults of an axis.
@@ -49,8 +49,8 @@ def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
     Raises ConfigurationError: words that are no fault, a key that fits nothing.
     """
     steps: list[tuple[tuple[int, int], Callable[[Data], Data]]] = []
-    for name, axis in axes.items():
-        given = values[name]
+    for name, given in values.items():
+        axis = axes[name]
         if axis.options is not None:
             steps.append(((0, 0), partial(merged, changes=axis.options[given])))
         if axis.faults is not None:

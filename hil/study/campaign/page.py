@@ -23,7 +23,7 @@ WORST = 25
 
 def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | None = None) -> None:
     """Write the page, over an earlier one; `folder`: that of --out. Raises LogError: it cannot be written."""
-    rows, limits = summary["matrix"], plan.subject.limits
+    rows, limits = summary["matrix"], plan.settings.kept
     low, high = summary["failed_interval_percent"]
     verdict = tag(
         "p",
@@ -60,7 +60,7 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
 
 
 def _axes(plan: Plan, rows: Sequence[Row]) -> Iterator[Html]:
-    for name, axis in plan.subject.axes.items():
+    for name, axis in plan.settings.axes.items():
         rates = by_value(name, axis, rows)
         yield intervals(name, rates)
         yield tag("details", tag("summary", "Figures"), table(HEAD, (each.cells for each in rates)))
@@ -74,7 +74,7 @@ def _distributions(plan: Plan, rows: Sequence[Row]) -> Iterator[Html]:
             np.array([row[name] for row in measured if row["passed"] is passed], float)
             for passed in (True, False)
         )
-        limit = plan.subject.limits.get(name)
+        limit = plan.settings.kept.get(name)
         if name != "faulted" and len({row[name] for row in measured}) > (limit is None):
             unit = "" if name in COUNTS else metric.unit
             yield histogram(f"{name}, {metric.meaning}", unit, good, bad, limit)

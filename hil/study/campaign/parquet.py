@@ -41,7 +41,7 @@ def columns(plan: Plan) -> list[Column]:
                 "",
                 ", ".join(axis.keys) or ("faults, by name" if axis.faults else "set of changes, by name"),
             )
-            for name, axis in plan.subject.axes.items()
+            for name, axis in plan.settings.axes.items()
         ),
         Column("passed", "bool", "", "whether the run ended well and kept every limit of the campaign"),
         Column("ended", "text", "", "complete, fault, limit, stopped, plant, refused, error or died"),
@@ -62,13 +62,13 @@ def kind(axis: ListedAxis) -> str:
     return "int64" if all(type(x) is int for x in axis.ends) else "float64"
 
 
-def cell(column: Column, value: Any) -> Any:
+def cell(kind: str, value: Any) -> Any:
     """Return a value as its column has it; lists, sections and true or false of an axis as JSON."""
     if value is None:
         return None
-    if column.kind == "text":
+    if kind == "text":
         return value if isinstance(value, str) else json.dumps(value)
-    return float(value) if column.kind == "float64" else value
+    return float(value) if kind == "float64" else value
 
 
 def require() -> None:

@@ -22,7 +22,7 @@ from hil.app.configuration.yaml_positions import Path as Place
 from hil.config.running import RecordingSettings
 from hil.study.campaign.named_files import Folders, digests, find_beside
 from hil.study.campaign.row import Job, Subject, bare, row_configuration, row_seed
-from hil.study.campaign.settings import CampaignSettings, Limit
+from hil.study.campaign.settings import CampaignSettings
 
 Values = dict[str, Any]
 
@@ -33,11 +33,15 @@ class Plan:
 
     path: Path
     """As the user has named it."""
-    settings: CampaignSettings
     subject: Subject
     samples: list[tuple[Any, ...]]
     listed: list[tuple[Any, ...]]
     combinations: list[tuple[Any, ...]]
+
+    @property
+    def settings(self) -> CampaignSettings:
+        """What its file says."""
+        return self.subject.settings
 
     @property
     def name(self) -> str:
@@ -58,13 +62,13 @@ class Plan:
         rest, k = divmod(row, len(self.combinations))
         sample, j = divmod(rest, len(self.listed))
         given = (*self.samples[sample], *self.listed[j], *self.combinations[k])
-        return dict(zip(self.subject.axes, given, strict=True))
+        return dict(zip(self.settings.axes, given, strict=True))
 
     def job(self, row: int) -> Job:
         """Return what runs a row."""
         values = self.values(row)
         sample = row // (len(self.combinations) * len(self.listed))
-        return Job(self.subject, row, values, row_seed(self.subject.axes, values, sample))
+        return Job(self.subject, row, values, row_seed(self.settings, values, sample))
 
 
 def read_plan(path: Path) -> Plan:
@@ -77,7 +81,6 @@ def read_plan(path: Path) -> Plan:
     subject = _subject(file, settings, document)
     plan = Plan(
         path,
-        settings,
         subject,
         [()] if settings.sample is None else settings.sample.draw(),
         list(zip(*(axis.entries for axis in (settings.list or {}).values()), strict=True)) or [()],
@@ -85,12 +88,13 @@ def read_plan(path: Path) -> Plan:
     )
     found: dict[tuple[Place, str], None] = {}
     for place, own, values in _tries(plan):
-        alone = subject._replace(axes={name: subject.axes[name] for name in own})
-        problems = _problems(alone, values)
+        problems = _problems(subject, {name: values[name] for name in own})
         if problems and _problems(subject, values):  # it may need what another axis brings
             found |= dict.fromkeys((place, problem) for problem in problems)
     _refuse(found, document, file)
-    return replace(plan, subject=subject._replace(files=digests(subject.base, subject.axes, subject.folders)))
+    return replace(
+        plan, subject=subject._replace(files=digests(subject.base, settings.axes, subject.folders))
+    )
 
 
 def shipped() -> tuple[str, ...]:
@@ -131,16 +135,7 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         place: Place = ("changes",) if settings.changes else ("configuration",)
         _refuse({(place, bare(problem)): None for problem in error.problems}, document, path)
         raise
-    return Subject(
-        base=base,
-        source=str(file),
-        folders=folders,
-        axes={name: axis for _, axes in settings.sections for name, axis in axes.items()},
-        limits={"faulted": Limit(max=0.0)} | settings.limits,
-        duration_s=settings.duration_s,
-        parks=settings.until == "parked",
-        rests=settings.after_fault == "rest",
-    )
+    return Subject(base, str(file), folders, settings)
 
 
 def _tries(plan: Plan) -> Iterator[tuple[Place, list[str], Values]]:
@@ -164,7 +159,7 @@ def _tries(plan: Plan) -> Iterator[tuple[Place, list[str], Values]]:
 def _problems(subject: Subject, values: Values) -> list[str]:
     """Return what is wrong with a row of these axes."""
     try:
-        row_configuration(Job(subject, 0, values, row_seed(subject.axes, values, 0)))
+        row_configuration(Job(subject, 0, values, row_seed(subject.settings, values, 0)))
     except ConfigurationError as error:
         return [bare(problem) for problem in error.problems]
     return []

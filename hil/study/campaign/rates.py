@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hil.study.campaign.parquet import Column, Row, cell, kind
+from hil.study.campaign.parquet import Row, cell, kind
 from hil.study.campaign.settings import Limit, ListedAxis
 
 BINS = 4
@@ -56,7 +56,7 @@ def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
     """Return the rate of each value of an axis, of many numbers that of each quarter of the rows by value."""
     there = {row[name] for row in rows}
     if len(there) <= MOST or not all(isinstance(value, int | float) for value in there):
-        listed = [cell(Column(name, kind(axis), "", ""), value) for value in axis.entries]
+        listed = [cell(kind(axis), value) for value in axis.entries]
         # once each: in a list of axes that go together a value may stand in several rows
         ordered = [value for value in dict.fromkeys(listed) if value in there] or sorted(there)
         return [rate(shown(value), [row for row in rows if row[name] == value]) for value in ordered]

@@ -47,12 +47,12 @@ def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[s
         log_folder = row_configuration(job).recording.folder
         log = log_path(log_folder, f"{plan.name}-row-{number}", None if log == Path() else log)
     again, ended = performed(job)
-    row = line(plan, again, columns)
+    row = line(again, columns)
     found = {"run again": row}
     if log is not None:
         if ended is None:
             raise ConfigurationError(f"row {number}: {again['trouble']}; it has no run to record")
-        found["its log"] = line(plan, _recorded(job, ended, log), columns)
+        found["its log"] = line(_recorded(job, ended, log), columns)
     against = stored or row
     different = [
         f"{name} of {what}: {cells[name]!r}, {'stored' if stored else 'run again'}: {against[name]!r}"
@@ -84,7 +84,7 @@ def _recorded(job: Job, ended: Ended, log: Path) -> dict[str, Any]:
     stop_tick = ended.ticks if ended.stop_tick is None else ended.stop_tick
     chance = FaultPlan((), job.seed)
     simulate(c, log=log, duration_s=stop_tick / rate, faults=chance, plant_log=True, check_replay=False)
-    measured = Measurement(travels=job.subject.rests)
+    measured = Measurement(travels=job.subject.settings.after_fault == "rest")
     recorded = Log(log)
     with np.errstate(all="ignore"):
         pairs = zip(recorded.rows(), recorded.plant.rows("length")["length"], strict=True)

@@ -19,7 +19,7 @@ from hil.signals import Operator
 from hil.study.campaign.figures import METRICS, Measurement
 from hil.study.campaign.keys import SEED, apply, at
 from hil.study.campaign.named_files import Folders, find_beside, refuse_changed
-from hil.study.campaign.settings import Limit, ListedAxis
+from hil.study.campaign.settings import CampaignSettings
 from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 3600.0
@@ -34,13 +34,7 @@ class Subject(NamedTuple):
     """The configuration with the campaign's changes, plain data."""
     source: str
     folders: Folders
-    axes: dict[str, ListedAxis]
-    limits: dict[str, Limit]
-    duration_s: float | None
-    """Along the reference; None: to its end."""
-    parks: bool
-    rests: bool
-    """Whether a run goes on after a fault until the platform rests."""
+    settings: CampaignSettings
     files: dict[str, str] = {}
     """Digest of each file that a row may name, by its path."""
 
@@ -70,7 +64,7 @@ class Ended(NamedTuple):
 def row_configuration(job: Job) -> Configuration:
     """Return the configuration of a row, its text whole. Raises ConfigurationError."""
     subject = job.subject
-    value = apply(copy.deepcopy(subject.base), subject.axes, job.values)
+    value = apply(copy.deepcopy(subject.base), subject.settings.axes, job.values)
     own = at(value, _SENSORS_SEED)
     if "sensors" in value and job.seed and (own is None or type(own) is int):
         seed = job.seed + (1 if own is None else own)
@@ -103,7 +97,7 @@ def _performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
     try:
         c = row_configuration(job)
         with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
-            measured = Measurement(travels=job.subject.rests)
+            measured = Measurement(travels=job.subject.settings.after_fault == "rest")
             ended = run(c, job, measured)
     except (MemoryError, OSError):
         raise
@@ -122,16 +116,19 @@ def bare(problem: str) -> str:
 
 def not_run(job: Job, how: str = "died", why: str = "its process died, twice") -> dict[str, Any]:
     """Return the outcome of a row that has no run."""
-    head = {"row": job.number, "passed": False, "ended": how, "ended_s": None, "faults": "", "trouble": why}
-    return head | dict.fromkeys(METRICS)
+    head = {"passed": False, "ended": how, "ended_s": None, "faults": "", "trouble": why}
+    return _given(job) | head | dict.fromkeys(METRICS)
+
+
+def _given(job: Job) -> dict[str, Any]:
+    return {"row": job.number, "seed": job.seed, **job.values}
 
 
 def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> dict[str, Any]:
     """Return what a row's line in the table says of its run; a limit of what was not measured is not kept."""
     figures = measured.figures()
-    kept = not any(limit.passed_by(figures.get(name)) for name, limit in job.subject.limits.items())
-    return {
-        "row": job.number,
+    kept = not any(limit.passed_by(figures.get(name)) for name, limit in job.subject.settings.kept.items())
+    return _given(job) | {
         "passed": ended.how in ("complete", "fault") and kept,
         "ended": ended.how,
         "ended_s": ended.ticks / rate_Hz,
@@ -146,13 +143,13 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
 
     Raises ConfigurationError, PlantError: the plant does not start.
     """
-    subject, rate = job.subject, c.loop.rate_Hz
+    settings, rate = job.subject.settings, c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
-    tracked_s = subject.duration_s or cycle.parts.trajectory.duration_s
+    tracked_s = settings.duration_s or cycle.parts.trajectory.duration_s
     if tracked_s is None:
         raise ConfigurationError(f"{c.source}: reference: it has no end: give the campaign a duration_s")
     nodes, physics = build_nodes(c, FaultPlan((), job.seed))
-    ticks = None if subject.duration_s is None else int(subject.duration_s * rate + 1e-6)
+    ticks = None if settings.duration_s is None else int(settings.duration_s * rate + 1e-6)
     most = round((tracked_s + LONGEST_S) * rate)
     course, tick, begun, stop_tick, faulted = Course(cycle), 0, None, None, False
 
@@ -169,17 +166,17 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
             full = measured.take(row, nodes.snapshot().length)
             mode, ending = cycle.mode, course.ending(tick)
             faulted = faulted or bool(cycle.faults)
-            if faulted and (ending is not None or not subject.rests):
+            if faulted and (ending is not None or settings.after_fault == "end"):
                 story = course.story()
                 return ended("fault", "" if story is None else story.short)
             if ending is not None:
                 parked = mode is Mode.PARKED and not ending.reason
                 return ended("complete" if parked else "stopped", ending.reason)
-            if full and not faulted and _hopeless(subject.limits, measured):
+            if full and not faulted and _hopeless(settings, measured):
                 return ended("limit")
             begun = tick if begun is None and mode is Mode.TRACKING else begun
             over = begun is not None and ticks is not None and tick - begun >= ticks
-            if not subject.parks and begun is not None and (over or mode is not Mode.TRACKING):
+            if settings.until == "tracking" and begun is not None and (over or mode is not Mode.TRACKING):
                 return ended("complete")
             if over and stop_tick is None:
                 stop_tick = tick + 1
@@ -189,20 +186,18 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
         physics.close()
 
 
-def _hopeless(limits: dict[str, Limit], measured: Measurement) -> bool:
+def _hopeless(settings: CampaignSettings, measured: Measurement) -> bool:
     """Tell whether a peak or a count is past its limit: more ticks do not mend it."""
-    found = measured.growing()
-    return any(
-        limit.max is not None and found.get(name, limit.max) > limit.max for name, limit in limits.items()
-    )
+    most = {name: limit.max for name, limit in settings.kept.items() if limit.max is not None}
+    return any(value > most.get(name, value) for name, value in measured.growing().items())
 
 
-def row_seed(axes: dict[str, ListedAxis], values: dict[str, Any], sample: int) -> int:
+def row_seed(settings: CampaignSettings, values: dict[str, Any], sample: int) -> int:
     """Return what varies the chance of a row: the value of key `seed`, else the number of its sample.
 
     Raises ConfigurationError: a value that is no whole number of 63 bits, which the table has for it.
     """
-    named = [values[name] for name, axis in axes.items() if SEED in axis.keys]
+    named = [given for name, given in values.items() if SEED in settings.axes[name].keys]
     seed = named[-1] if named else sample
     if type(seed) is not int or not 0 <= seed < 2**63:
         raise ConfigurationError(f"{SEED}: allowed: whole numbers from 0 to 2**63 - 1, given: {seed!r}")

@@ -257,6 +257,16 @@ class CampaignSettings(Section):
             )
 
     @property
+    def axes(self) -> dict[str, ListedAxis]:
+        """All axes, in the order of the table."""
+        return {name: axis for _, axes in self.sections for name, axis in axes.items()}
+
+    @property
+    def kept(self) -> dict[str, Limit]:
+        """What each row has to keep."""
+        return {"faulted": Limit(max=0.0)} | self.limits
+
+    @property
     def sections(self) -> tuple[tuple[str, dict[str, ListedAxis]], ...]:
         """The axes of each section, by its place in the file."""
         sampled = {} if self.sample is None else dict(self.sample.axes)

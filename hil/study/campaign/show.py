@@ -20,7 +20,7 @@ def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
     rows = summary["matrix"]
     lines = [
         (name if n == 0 else "", *each.cells)
-        for name, axis in plan.subject.axes.items()
+        for name, axis in plan.settings.axes.items()
         for n, each in enumerate(by_value(name, axis, rows))
     ]
     columns = [Column(title, itemgetter(n), left=n < 2) for n, title in enumerate(("axis", *HEAD))]
@@ -31,7 +31,7 @@ def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
 
 def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: int) -> list[str]:
     """Return the causes of failure, and the worst rows with the command that repeats each; as `show`."""
-    rows, limits = summary["matrix"], plan.subject.limits
+    rows, limits = summary["matrix"], plan.settings.kept
     failed = worst(rows, limits, most)
     lines = [f"failed rows by cause: {', '.join(f'{name} {count}' for name, count in causes(rows))}", ""]
     lines.append(f"the worst {len(failed)} of {summary['failed']} failed rows:")
@@ -43,7 +43,7 @@ def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: 
 
 def _values(plan: Plan, row: dict[str, Any], between: str, of: str) -> str:
     """Return the values of a row as words."""
-    return between.join(f"{name}{of}{shown(row[name])}" for name in plan.subject.axes)
+    return between.join(f"{name}{of}{shown(row[name])}" for name in plan.settings.axes)
 
 
 def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
@@ -58,7 +58,7 @@ def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterat
         yield Verdict(
             group=plan.name,
             name=f"row {row['row']} {_values(plan, row, ' ', '=')}",
-            failure=None if row["passed"] else why(row, plan.subject.limits),
+            failure=None if row["passed"] else why(row, plan.settings.kept),
             detail="\n".join(filter(None, (row["trouble"], rerun_command(plan, row["row"], folder)))),
         )
 
@@ -67,5 +67,5 @@ def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
     """Return the summary as the terminal has it: without rows, the interval in words."""
     low, high = summary["failed_interval_percent"]
     found = {key: value for key, value in summary.items() if key != "matrix"}
-    limits = [f"{name} {limit.words}" for name, limit in plan.subject.limits.items()]
+    limits = [f"{name} {limit.words}" for name, limit in plan.settings.kept.items()]
     return found | {"limits": limits, "failed_interval_percent": f"{low:.3g} to {high:.3g}"}

@@ -131,14 +131,6 @@ def test_without_dask_a_scheduler_is_refused_with_what_to_install(two, tmp_path,
 
 
 @pytest.mark.long
-def test_the_table_is_the_same_on_a_local_cluster(two, tmp_path):
-    plan, table = two
-    with local_cluster(2, 1, processes=True) as running:
-        run_campaign(plan, tmp_path, scheduler=running.scheduler_address)
-    assert (tmp_path / "table.parquet").read_bytes() == table
-
-
-@pytest.mark.long
 def test_the_table_is_the_same_by_address_after_kill_9_of_the_command_and_of_a_worker(many, tmp_path):
     """The command dies at three random instants; then one of the two workers, for good."""
     plan, table = many

@@ -244,7 +244,7 @@ def test_what_is_wrong_has_its_place_and_what_is_allowed(tmp_path, text, message
 def test_a_limit_may_be_one_value(tmp_path):
     """As where each run has to end in a fault."""
     text = "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {faulted: {min: 1, max: 1}}\n"
-    limit = read_plan(written(tmp_path, text)).subject.limits["faulted"]
+    limit = read_plan(written(tmp_path, text)).settings.kept["faulted"]
     assert [limit.passed_by(value) > 0.0 for value in (0, 1, None)] == [True, False, True]
 
 

@@ -1,25 +1,15 @@
 """What a campaign is made of: its identity, and the files that its rows name."""
 
-from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import pytest
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load
-from hil.study.campaign import row
 from hil.study.campaign.plan import identity, read_plan
 from hil.study.campaign.row import row_configuration, run_row
 from tests.drivers.cia402_sheet import sheet
 from tests.hil.study.campaign.campaigns import SMALL, written
-from tests.hil.study.campaign.test_plan import ALL
-
-
-@pytest.fixture(scope="module")
-def plan(tmp_path_factory):
-    text = ALL.replace("wn: {key: controller.wn_rad_s", "wn: {key: limits.condition")
-    return read_plan(written(tmp_path_factory.mktemp("plan"), text))
 
 
 def test_the_identity_changes_with_what_makes_the_rows_and_with_nothing_else(tmp_path):
@@ -60,19 +50,6 @@ def test_a_file_that_a_configuration_names_is_part_of_the_identity_wherever_it_l
         assert other == elsewhere
 
 
-def test_of_files_of_one_name_each_is_part_of_the_identity_and_their_order_is(plan):
-    def made_of(**files: str) -> dict[str, str]:
-        there = {f"/{folder}/path.csv": digest for folder, digest in files.items()}
-        return identity(replace(plan, subject=plan.subject._replace(files=there)))
-
-    found = [
-        made_of(a="1", b="2"), made_of(a="3", b="2"), made_of(a="1", b="3"), made_of(a="2", b="1"),
-        made_of(a="1"), made_of(a="2"), made_of(a="1", b="2", c="3"),
-    ]  # fmt: skip
-    assert all(one != other for one, other in combinations(found, 2))
-    assert made_of(a="1", b="2") == made_of(elsewhere="1", there="2")
-
-
 def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign(tmp_path):
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "own.yaml").write_text(load("virtual").text)
@@ -98,22 +75,6 @@ def test_the_identity_has_files_that_only_some_combination_reads(tmp_path):
         (tmp_path / name).write_text(path_csv(1.001))
     found = identity(read_plan(written(tmp_path, text)))
     assert [name for name in found if name.startswith("file")] == ["file c.csv", "file a.csv", "file b.csv"]
-
-
-def test_a_file_that_changes_while_a_row_runs_gives_no_row(tmp_path, monkeypatch):
-    file = tmp_path / "path.csv"
-    file.write_text(path_csv(1.001))
-    plan = read_plan(written(tmp_path, SAMPLED))
-    harmless = row._performed
-
-    def meanwhile(job):
-        ran = harmless(job)
-        file.write_text(path_csv(1.002))
-        return ran
-
-    monkeypatch.setattr(row, "_performed", meanwhile)
-    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since"):
-        run_row(plan.job(0))
 
 
 def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):

@@ -5,9 +5,7 @@ from typing import cast
 
 import pytest
 
-from drivers.errors import PlantError
 from drivers.signals import Fault
-from hil.app.compose import build_cycle
 from hil.study.campaign import row
 from hil.study.campaign.figures import METRICS, Measurement
 from hil.study.campaign.parquet import kind
@@ -37,24 +35,6 @@ def test_chance_differs_from_row_to_row_and_the_noise_of_sensors_from_the_config
         assert plant.sensors.seed == 7 + job.seed
 
 
-def test_a_row_has_its_own_chance_and_its_watchdog_in_seconds(plan, monkeypatch):
-    seen = []
-
-    def cycle(c, rate_Hz, watchdog_s):
-        assert watchdog_s == pytest.approx(1e-3 * c.drives.watchdog_ms)
-        return build_cycle(c, rate_Hz, watchdog_s)
-
-    def nodes(_c, faults):
-        seen.append(faults.seed)
-        raise PlantError("enough")
-
-    monkeypatch.setattr(row, "build_cycle", cycle)
-    monkeypatch.setattr(row, "build_nodes", nodes)
-    jobs = [plan.job(k) for k in (0, len(plan) - 1)]
-    assert [run_row(job)["trouble"] for job in jobs] == ["enough"] * 2
-    assert seen == [job.seed for job in jobs] == [0, 1]
-
-
 @pytest.mark.parametrize(
     ("how", "passed"),
     [("complete", True), ("fault", True), ("limit", False), ("stopped", False), ("plant", False)],
@@ -69,7 +49,8 @@ def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, mon
     assert row.LONGEST_S == 3600.0
     monkeypatch.setattr(row, "LONGEST_S", 0.05)
     job = plan.job(0)
-    found = run_row(job._replace(subject=job.subject._replace(duration_s=0.1)))
+    settings = job.subject.settings.model_copy(update={"duration_s": 0.1})
+    found = run_row(job._replace(subject=job.subject._replace(settings=settings)))
     assert (found["ended"], found["passed"], found["ended_s"]) == ("stopped", False, pytest.approx(0.15))
     assert "it has not ended 0.05 s after the" in found["trouble"]
 

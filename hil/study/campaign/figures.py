@@ -111,7 +111,7 @@ class Measurement:
     @np.errstate(over="ignore", invalid="ignore")
     def _block(self) -> None:
         given, true = zip(*self._ticks, strict=True)
-        rows, lengths = np.array(given, ROW), np.array(true)
+        rows, lengths = np.array(list(given), ROW), np.array(true)
         self._ticks = []
         self._peak("peak_force_N", rows["tau"])
         share = rows["lyapunov_share"]

@@ -55,7 +55,7 @@ def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
             steps.append(((0, 0), partial(merged, changes=axis.options[given])))
         if axis.faults is not None:
             steps.append(((2, 0), partial(_with_faults, words=axis.faults[given])))
-        for key in axis.keys:
+        for key in axis.targets:
             if key != SEED:
                 place = path(key)
                 brings_faults = place == _FAULTS[: len(place)]

@@ -99,7 +99,7 @@ def _digest(file: Path, *_: int) -> str:
 def _parts(axis: ListedAxis) -> Iterator[Any]:
     """Yield what each value of an axis sets, as data of a configuration; not what is in a list there."""
     yield from (axis.options or {}).values()
-    for key in axis.keys:
+    for key in axis.targets:
         for value in axis.entries:
             part = value
             for name in reversed(path(key)):

@@ -39,7 +39,7 @@ def columns(plan: Plan) -> list[Column]:
                 name,
                 kind(axis),
                 "",
-                ", ".join(axis.keys) or ("faults, by name" if axis.faults else "set of changes, by name"),
+                ", ".join(axis.targets) or ("faults, by name" if axis.faults else "set of changes, by name"),
             )
             for name, axis in plan.settings.axes.items()
         ),

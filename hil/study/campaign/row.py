@@ -151,7 +151,9 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
     nodes, physics = build_nodes(c, FaultPlan((), job.seed))
     ticks = None if settings.duration_s is None else int(settings.duration_s * rate + 1e-6)
     most = round((tracked_s + LONGEST_S) * rate)
-    course, tick, begun, stop_tick, faulted = Course(cycle), 0, None, None, False
+    course, tick, faulted = Course(cycle), 0, False
+    begun: int | None = None
+    stop_tick: int | None = None
 
     def ended(how: str, why: str = "") -> Ended:
         return Ended(how, why, cycle.faults, tick + 1, stop_tick)
@@ -197,7 +199,7 @@ def row_seed(settings: CampaignSettings, values: dict[str, Any], sample: int) ->
 
     Raises ConfigurationError: a value that is no whole number of 63 bits, which the table has for it.
     """
-    named = [given for name, given in values.items() if SEED in settings.axes[name].keys]
+    named = [given for name, given in values.items() if SEED in settings.axes[name].targets]
     seed = named[-1] if named else sample
     if type(seed) is not int or not 0 <= seed < 2**63:
         raise ConfigurationError(f"{SEED}: allowed: whole numbers from 0 to 2**63 - 1, given: {seed!r}")

@@ -56,7 +56,7 @@ class Normal(Section):
 class ListedAxis(Section):
     """Values of one axis: of a key of the configuration, or sets of changes by name, or faults by name."""
 
-    KINDS: ClassVar = ("values", "options", "faults")
+    KINDS: ClassVar[tuple[str, ...]] = ("values", "options", "faults")
 
     key: str | list[str] | None = None
     """Where the value goes: `plant.drives.encoder_resolution_m`, `plant.faults[0].mass_kg`, `seed`; several
@@ -84,7 +84,7 @@ class ListedAxis(Section):
         return self
 
     @property
-    def keys(self) -> list[str]:
+    def targets(self) -> list[str]:
         """The keys that take its value."""
         return [self.key] if isinstance(self.key, str) else self.key or []
 
@@ -102,7 +102,7 @@ class ListedAxis(Section):
 class SampledAxis(ListedAxis):
     """An axis that is drawn: from a distribution of a key, or each of the listed ones equally often."""
 
-    KINDS: ClassVar = (*ListedAxis.KINDS, "uniform", "loguniform", "normal", "integers")
+    KINDS: ClassVar[tuple[str, ...]] = (*ListedAxis.KINDS, "uniform", "loguniform", "normal", "integers")
 
     uniform: Annotated[tuple[float, float], AfterValidator(_rising)] | None = None
     """Ends of a uniform distribution."""
@@ -238,7 +238,7 @@ class CampaignSettings(Section):
                 if name in names:
                     yield f"{section}.{name}: a column of the table has that name, allowed: a name of its own"
                 names.add(name)
-                for key in axis.keys:
+                for key in axis.targets:
                     if owners.setdefault(key, name) != name:
                         one = "allowed: one axis for each key"
                         yield f"{section}.{name}: {key} is swept by {owners[key]}, too, {one}"
@@ -269,7 +269,7 @@ class CampaignSettings(Section):
     @property
     def sections(self) -> tuple[tuple[str, dict[str, ListedAxis]], ...]:
         """The axes of each section, by its place in the file."""
-        sampled = {} if self.sample is None else dict(self.sample.axes)
+        sampled: dict[str, ListedAxis] = {} if self.sample is None else dict(self.sample.axes)
         return ("sample.axes", sampled), ("list", self.list or {}), ("grid", self.grid or {})
 
 

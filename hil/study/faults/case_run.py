@@ -182,7 +182,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
         physics.close()
     if begun is None:
         return None, ending
-    length, desired, mode, faults = map(np.array, zip(*ticks, strict=True))
+    length, desired, mode, faults = (np.array(each) for each in zip(*ticks, strict=True))
     return Trace(
         length, desired, mode, faults, rate, begun, getattr(case.fault, "leg", None), ending.success, failure,
         _causes(cycle, ending, named), _legs(named["legs_lost"]),

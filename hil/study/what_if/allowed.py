@@ -11,7 +11,7 @@ from pydantic import BaseModel
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 
-FREE_OF_DRIVES = {"brake_after_ms": True, "homing": {"file"}}
+FREE_OF_DRIVES: dict[str, Any] = {"brake_after_ms": True, "homing": {"file"}}
 """Keys of `drives` that neither a frame nor the controller has: where the legs stood is in the log."""
 UNNAMED = {"name", "description", "compare", "watch"}
 """Sections whose changes are not named: no controller has them."""

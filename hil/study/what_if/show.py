@@ -17,8 +17,6 @@ OPEN_LOOP = (
 LIMITS = {str(warning.name) for warning in (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)}
 """Warnings by which a limit of the force acts."""
 SIDES = divergences.Sides("column", "what_if", "recorded")
-SHOWN = 12
-"""Columns and changes that a terminal shows; the JSON file has all."""
 
 
 def summary(answer: Answer, rate_Hz: float) -> dict[str, Any]:
@@ -55,8 +53,7 @@ def summary(answer: Answer, rate_Hz: float) -> dict[str, Any]:
 
 def shown(result: dict[str, Any]) -> dict[str, Any]:
     """Return what a terminal shows above the tables."""
-    changed, first = result["changed"], [divergences.sentence(each, SIDES) for each in result["first"]]
-    more = [f"and {len(changed) - SHOWN} more"] if len(changed) > SHOWN else []
+    first = [divergences.sentence(each, SIDES) for each in result["first"]]
     limits, others = (
         [f"{name} {_ticks(each)}" for name, each in result[key].items()]
         for key in ("limits", "other_warnings")
@@ -64,9 +61,9 @@ def shown(result: dict[str, Any]) -> dict[str, Any]:
     kept = ("log", "configuration", "ticks", "answer_log", "picture", "wall_s", "times_real_time", "note")
     return {
         "success": result["success"],
-        "changed": [*changed[:SHOWN], *more] or "nothing",
+        "changed": result["changed"] or "nothing",
         "different ticks": result["different_ticks"],
-        "first difference": first[:3] + ([f"{len(first) - 3} more columns"] if len(first) > 3 else []),
+        "first difference": first,
         "first other frames": _frames_sentence(result["first_frames"]),
         "limits that acted": limits,
         "other warnings": others or None,
@@ -80,7 +77,7 @@ def tables(result: dict[str, Any]) -> None:
     """Print the forces by leg and the columns that differ; nothing where all is the same."""
     if not result["different_ticks"]:
         return
-    forces, columns = result["forces"], result["columns"]
+    forces = result["forces"]
     print(f"force, what-if less recorded, over {forces['ticks']} of {result['ticks']} ticks:")
     by_leg = (
         Column("leg", str),
@@ -89,9 +86,7 @@ def tables(result: dict[str, Any]) -> None:
         Column("RMS N", lambda leg: f"{forces['rms_N'][leg]:.4g}"),
     )
     print_rows(by_leg, range(LEGS))
-    divergences.show(columns[:SHOWN], SIDES)
-    if len(columns) > SHOWN:
-        print(f"{len(columns) - SHOWN} more columns differ: --json FILE has all")
+    divergences.show(result["columns"], SIDES)
 
 
 def story(result: dict[str, Any]) -> Iterator[str]:

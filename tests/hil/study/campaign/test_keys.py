@@ -43,7 +43,7 @@ def test_faults_of_an_axis_come_to_those_of_a_section_that_another_brings(key: s
         "whole": ListedAxis(key=key, values=[faults if key.endswith("faults") else {"faults": faults}]),
         "leg": ListedAxis(key="plant.faults[0].leg", values=[3]),
     }
-    values = VALUES | {"whole": (axes["whole"].values or [])[0], "leg": 3}
+    values = {"bent": VALUES["bent"], "whole": (axes["whole"].values or [])[0], "leg": 3}
     found = apply(base(), axes, values)["plant"]["faults"]
     assert [(fault["kind"], fault.get("leg")) for fault in found] == [
         ("drive_gain", 3),

@@ -62,9 +62,7 @@ def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, mon
         ([1, 2.5], "float64"),
         ([True, False], "text"),
         ([1, "one"], "text"),
-        ([1, True], "text"),
         ([2**63 - 1, -(2**63) + 1], "int64"),
-        ([1, 2**63], "text"),
         ([1.5, -(10**400)], "text"),
     ],
 )

@@ -78,22 +78,6 @@ def test_two_threads_of_a_worker_make_the_table_of_one_process(two, threads, tmp
     assert seen == [(0, 2), (1, 2)]
 
 
-def test_only_some_rows_are_at_the_cluster_at_once_and_none_is_taken_for_another(two, threads, monkeypatch):
-    ran = []
-
-    def run_row(job):
-        ran.append(job.number)
-        return {"row": job.number}
-
-    monkeypatch.setattr(dask_cluster, "run_row", run_row)
-    monkeypatch.setattr(dask_cluster, "AHEAD", 8)
-    taken = []
-    jobs = (taken.append(k) or two[0].job(0) for k in range(40))
-    for done, _ in enumerate(dask_cluster.perform(threads, jobs, 40, None), 1):
-        assert len(taken) <= done + 8
-    assert len(ran) == 40
-
-
 def test_a_worker_of_another_version_runs_no_row(two, threads, tmp_path, monkeypatch):
     def version(_):
         return "1.0.0" if threading.current_thread() is threading.main_thread() else "0.9.0"

@@ -62,21 +62,6 @@ def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign
     assert found.model_dump()["path"] == str(tmp_path / "robot" / "path.csv")
 
 
-def test_the_identity_has_files_that_only_some_combination_reads(tmp_path):
-    """Neither value of `which` fits the path of the configuration; with the second option both do."""
-    text = """
-    kind: campaign
-    duration_s: 0.05
-    grid:
-      path: {options: {sampled: {reference: {type: sampled, path: c.csv}}, own: {}}}
-      which: {key: reference.path, values: [a.csv, b.csv]}
-    """
-    for name in ("a.csv", "b.csv", "c.csv"):
-        (tmp_path / name).write_text(path_csv(1.001))
-    found = identity(read_plan(written(tmp_path, text)))
-    assert [name for name in found if name.startswith("file")] == ["file c.csv", "file a.csv", "file b.csv"]
-
-
 def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))

@@ -201,15 +201,13 @@ def test_what_cannot_be_compared_is_refused(made):
     plant.topic, slow.metadata = "/plant", {"hil": {"rate_Hz": "500"}}
     with pytest.raises(LogError, match=r"holds /tick, made\.mcap: /plant"):
         made(Made(range(3)), plant)
-    with pytest.raises(LogError, match=r"ran at 1000 Hz, that of made\.mcap at 500 Hz"):
+    with pytest.raises(LogError, match=r"ran at Hz 1000, made\.mcap: 500"):
         made(Made(range(3)), slow)
     with pytest.raises(LogError, match="no tick in common"):
         made(Made(range(3)), Made(range(3, 5)))
 
 
-@pytest.mark.parametrize(
-    "words", [["tua=1"], ["tau=-1"], ["much"], ["tau=1", "tau=2"], ["1e-9", "1e-6"], ["mode=1"]]
-)
+@pytest.mark.parametrize("words", [["tua=1"], ["tau=-1"], ["much"], ["mode=1"]])
 def test_words_that_are_no_tolerance_are_refused(words):
     with pytest.raises(ConfigurationError, match="tolerance"):
         read_tolerances(words, RECORDED)

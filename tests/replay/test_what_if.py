@@ -245,7 +245,7 @@ def test_a_change_is_read_as_yaml_and_an_empty_one_takes_the_key_away():
         ["=3"],
         ["limits.x=]"],
         ["limits.x=1\ny: 2"],
-        ["a.x.y=1", "a.x=2"],
+        ["a.x=2", "a.x.y=1"],
     ):
         with pytest.raises(ConfigurationError, match="--set"):
             read_changes(wrong)

@@ -83,16 +83,12 @@ def against(
 
 
 def _refuse_unlike(one: Log, other: Log) -> None:
-    if one.topic != other.topic:
-        raise LogError(
-            f"{one.path}: holds {one.topic}, {other.path}: {other.topic}; allowed: two of one kind"
-        )
-    rates = [log.metadata.get(IDENTITY, {}).get("rate_Hz") for log in (one, other)]
-    if rates[0] != rates[1]:
-        here, there = (f"{rate:.40} Hz" if rate else "an unknown rate" for rate in rates)
-        raise LogError(
-            f"{one.path}: its loop ran at {here}, that of {other.path} at {there}; allowed: two of one rate"
-        )
+    a, b = (str(log.metadata.get(IDENTITY, {}).get("rate_Hz", "?")) for log in (one, other))
+    for what, here, there in (("holds", one.topic, other.topic), ("ran at Hz", a, b)):
+        if here != there:
+            raise LogError(
+                f"{one.path}: {what} {here:.40}, {other.path}: {there:.40}; allowed: two of one kind and rate"
+            )
 
 
 def _columns(one: Log, other: Log) -> tuple[list[Column], tuple[list[str], list[str]], list[str]]:

@@ -38,16 +38,12 @@ def read_tolerances(
     values have names and no distance.
     """
     known = {column.name: column for column in columns}
-    relative: list[float] = []
-    absolute: dict[str, float] = {}
+    relative, absolute = 0.0, dict[str, float]()
     for each in words:
         name, equals, text = each.rpartition("=")
         value = _number(text, each)
-        if not equals:
-            relative.append(value)
-            continue
         column = known.get(name)
-        if column is None and name not in uncompared:
+        if equals and column is None and name not in uncompared:
             near = get_close_matches(name, [*known, *uncompared], n=3)
             hint = f"did you mean {', '.join(near)}?" if near else "docs/guides/columns.md lists the columns"
             raise ConfigurationError(f"--tolerance {each}: neither log has a column {name!r}; {hint}")
@@ -56,12 +52,11 @@ def read_tolerances(
                 f"--tolerance {each}: the values of {name} have names and no distance, allowed: {name}=0 for "
                 f"the same, {name}=inf for any"
             )
-        if name in absolute:
-            raise ConfigurationError(f"--tolerance {each}: {name} is given twice, allowed: once")
-        absolute[name] = value
-    if len(relative) > 1:
-        raise ConfigurationError("--tolerance: the tolerance of all columns is given twice, allowed: once")
-    return Tolerances(relative[0] if relative else 0.0, absolute)
+        if equals:
+            absolute[name] = value
+        else:
+            relative = value
+    return Tolerances(relative, absolute)
 
 
 def _number(text: str, words: str) -> float:

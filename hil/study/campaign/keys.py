@@ -59,7 +59,7 @@ def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
             if key != SEED:
                 place = path(key)
                 brings_faults = place == _FAULTS[: len(place)]
-                steps.append(((1 if brings_faults else 3, len(place)), partial(_with, key=key, given=given)))
+                steps.append(((1 if brings_faults else 3, len(place)), partial(put, key=key, given=given)))
     for _, step in sorted(steps, key=lambda each: each[0]):
         value = step(value)
     return value
@@ -71,8 +71,8 @@ def _with_faults(value: Data, words: list[str]) -> Data:
     return merged(value, {"plant": {"faults": [*(at(value, _FAULTS) or []), *more]}})
 
 
-def _with(value: Data, key: str, given: Any) -> Data:
-    """Set a key; sections above it that are missing are made.
+def put(value: Data, key: str, given: Any) -> Data:
+    """Set a key, and return the same data; sections above it that are missing are made.
 
     Raises ConfigurationError: a part of the key is no section or no list, or the list is too short.
     """

@@ -8,35 +8,31 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.yaml_positions import parse
+from hil.study.campaign.keys import put
 
-_KEY = re.compile(r"[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*")
 _PLACE = re.compile(r"^.*?:\d+:\d+: ")
 
 
 def read_changes(words: Sequence[str]) -> dict[str, Any]:
     """Return changes as `hil.app.configuration.changes` takes them, of words as `controller.wn_rad_s=25`.
 
-    A value is YAML; an empty one takes a key or a section away, and its default holds. Raises
-    ConfigurationError for words of another form, and for a key that is given twice.
+    A value is YAML; an empty one takes a key or a section away, and its default holds.
+
+    Raises ConfigurationError: words of another form, or a key in one that is set to a value.
     """
     found: dict[str, Any] = {}
     for each in words:
         key, equals, text = each.partition("=")
-        if not equals or _KEY.fullmatch(key) is None:
-            raise ConfigurationError(
-                f"--set {each}: allowed: section.key=value, as controller.wn_rad_s=25; a list or a section "
-                "is given as a whole, as 'monitor={action: warn}'"
-            )
         document = parse(f"value: {text}")
-        if document.value is None or set(document.value) != {"value"} or document.problems:
-            raise ConfigurationError(f"--set {each}: {text!r} is no YAML value")
-        *sections, last = key.split(".")
-        place: Any = found
-        for name in sections:
-            place = place.setdefault(name, {}) if isinstance(place, dict) else None
-        if not isinstance(place, dict) or last in place:
-            raise ConfigurationError(f"--set {each}: the same key is set twice; allowed: once")
-        place[last] = document.value["value"]
+        if not equals or document.problems or document.value is None or set(document.value) != {"value"}:
+            raise ConfigurationError(
+                f"--set {each}: allowed: section.key=value with a YAML value, as controller.wn_rad_s=25; a "
+                "list or a section is given as a whole, as 'monitor={action: warn}'"
+            )
+        try:
+            put(found, key, document.value["value"])
+        except ConfigurationError as error:
+            raise ConfigurationError(f"--set {error}") from None
     return found
 
 

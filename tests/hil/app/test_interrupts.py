@@ -6,7 +6,6 @@ import os
 import signal
 import threading
 import time
-from concurrent.futures import ProcessPoolExecutor
 from types import SimpleNamespace
 
 import pytest
@@ -19,7 +18,6 @@ from hil.cli.interrupts import INTERRUPTED
 from hil.loop.panel import OperatorPanel
 from hil.record import Recording, child
 from hil.record.log import Log
-from hil.study import workers
 
 
 def press():
@@ -92,8 +90,7 @@ def test_a_second_press_does_not_disturb_what_closes_the_files(process, monkeypa
     assert closed
 
 
-@pytest.mark.parametrize("starting", ["worker", "recorder"])
-def test_a_press_while_a_process_is_started_waits_until_it_is(starting, monkeypatch):
+def test_a_press_while_the_recorder_is_started_waits_until_it_is(monkeypatch):
     order: list[str] = []
 
     def start(*_: object, **__: object) -> None:
@@ -101,13 +98,8 @@ def test_a_press_while_a_process_is_started_waits_until_it_is(starting, monkeypa
         order.append("started")
 
     signal.signal(signal.SIGINT, lambda *_: order.append("interrupted"))
-    if starting == "worker":
-        monkeypatch.setattr(ProcessPoolExecutor, "submit", start)
-        with pytest.raises(AttributeError, match="_condition"):  # of the outcome, which it has none of
-            list(workers.perform([1, 2], abs, abs, 2, None))
-    else:
-        monkeypatch.setattr(child, "start", start)
-        child.spawn(SimpleNamespace(fd=-1))  # type: ignore[arg-type]
+    monkeypatch.setattr(child, "start", start)
+    child.spawn(SimpleNamespace(fd=-1))  # type: ignore[arg-type]
     assert order[:2] == ["started", "interrupted"]
 
 

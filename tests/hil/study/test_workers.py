@@ -40,17 +40,14 @@ def test_a_process_that_dies_takes_few_jobs_with_it_and_none_of_a_million_is_mad
 
 LONG = """
 import os, time
-from contextlib import nullcontext
 from functools import partial
 from operator import call
 from hil.study.workers import perform
-from hil.cli.interrupts import OF_THIS_PROCESS
 
-with OF_THIS_PROCESS.attached():
-    for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
-        print(found, flush=True)
+for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
+    print(found, flush=True)
 """
-"""Tells its workers' numbers, and has them sleep. Ctrl-C is a command's."""
+"""Tells its workers' numbers, and has them sleep."""
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])

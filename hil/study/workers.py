@@ -2,7 +2,7 @@
 
 import os
 import signal
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sized
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
@@ -38,7 +38,7 @@ def perform(
     command with it; total : how many jobs there are, where they are made one by one.
     """
     if total is None:
-        work = list(work)
+        assert isinstance(work, Sized)
         total = len(work)
     count = min(total, jobs or len(os.sched_getaffinity(0)))
     outcomes: Iterator[Outcome] = map(function, work)

@@ -24,13 +24,9 @@ class _Asked(click.Command):
         asked: list[click.Parameter] = []
         for question in QUESTIONS:
             default = "" if question.default is None else "; has a default"
-            kind = click.Choice(question.choices, case_sensitive=False) if question.choices else None
             unit = question.unit.upper().replace(" ", "_") or None
-            asked.append(
-                click.Option(
-                    [question.option, question.key], help=question.text + default, type=kind, metavar=unit
-                )
-            )
+            names = [question.option, question.key]
+            asked.append(click.Option(names, help=question.text + default, type=question.kind, metavar=unit))
         parameters = super().get_params(ctx)
         return [*parameters[:-1], *asked, parameters[-1]]
 
@@ -49,7 +45,7 @@ def command(
     yes: bool,
     force: bool,
     json_file: Path | None,
-    **given: str | None,
+    **given: Any,
 ) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
 
@@ -71,14 +67,15 @@ def command(
     """
     from hil.app.check.command import inspect
     from hil.app.files import new_file, write_whole
-    from hil.app.new.answers import QUESTIONS, SLOW_PLANT
+    from hil.app.new.answers import QUESTIONS
     from hil.app.new.command import new_configuration, recognised
+    from hil.app.new.derive import SLOW_PLANT
     from hil.app.output import show_lines
 
     if name is not None:
         _skeleton(str(file), name, json_file)
     new_file(file, force=force, option="")
-    plant = None if fmu is None else (fmu, recognised(fmu, file.parent))
+    plant = None if fmu is None else (fmu, recognised(fmu))
     known = {SLOW_PLANT: plant is not None and plant[1].needs_tool}
     answers = known | _answers(QUESTIONS, given, known, ask=not yes)
     text, configuration = new_configuration(answers, file, plant)
@@ -101,7 +98,7 @@ def _skeleton(kind: str, name: str, json_file: Path | None) -> NoReturn:
 
 
 def _answers(
-    questions: tuple[Question, ...], given: dict[str, str | None], known: dict[str, Any], *, ask: bool
+    questions: tuple[Question, ...], given: dict[str, Any], known: dict[str, Any], *, ask: bool
 ) -> dict[str, Any]:
     """Return all answers: options, then prompts or defaults. Raises ConfigurationError."""
     from drivers.errors import ConfigurationError
@@ -111,42 +108,40 @@ def _answers(
         raise ConfigurationError(f"hil new --yes: no default for {', '.join(missing)}: give them as options")
     answers = dict(known)
     for question in questions:
-        text = given[question.key]
+        answer = given[question.key]
         if not question.needed(answers):
-            if text is not None:
+            if answer is not None:
                 raise ConfigurationError(
                     f"{question.option}: nothing that drives of {answers['drives']} are asked; leave it out"
                 )
             continue
-        while True:
-            default = None if question.default is None else question.default(answers)
-            asked = text is None and ask
-            if asked:
-                text = _typed(question, default)
-            try:
-                answers[question.key] = default if text is None else question.parse(text)
-                trouble = question.trouble(answers)
-            except ValueError as error:
-                trouble = str(error)
-            if trouble is None:
-                break
-            if not asked:
-                raise ConfigurationError(f"{question.option}: {trouble}")
-            click.echo(f"  cannot work: {trouble}", err=True)
-            text = None
+        default = None if question.default is None else question.default(answers)
+        if answer is None and ask:
+            answer = _typed(question, default, answers)
+        elif answer is None:
+            answer = default
+        answers[question.key] = answer
+        if trouble := question.trouble(answers):
+            raise ConfigurationError(f"{question.option}: {trouble}")
     return answers
 
 
-def _typed(question: Question, default: Any) -> str:
-    """Return what is typed at a question.
+def _typed(question: Question, default: Any, before: dict[str, Any]) -> Any:
+    """Return the answer to a question, which is asked until it can work.
 
     Raises KeyboardInterrupt: Ctrl-C; ConfigurationError: Ctrl-D, or the input ended.
     """
     from drivers.errors import ConfigurationError
 
-    click.echo(f"{question.text}{question.range_text}")
+    def judged(typed: Any) -> Any:
+        answer = question.kind(typed)
+        if trouble := question.trouble(before | {question.key: answer}):
+            raise click.UsageError(f"cannot work: {trouble}")
+        return answer
+
+    click.echo(question.text + (f" ({question.allowed})" if question.allowed else ""))
     try:
-        return str(click.prompt(f"  {question.key}", default=question.shown(default)))
+        return click.prompt(f"  {question.key}", default=default, value_proc=judged)
     except click.Abort as error:
         click.echo()
         there = (

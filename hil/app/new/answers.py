@@ -3,105 +3,89 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from math import isfinite
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
+import click
 
 from drivers.errors import HilError
-from hil.app.new import derive, drives, fineness
-from hil.app.new.robot import HOLD_SHARE, WORST_CONDITION, condition_at_home, joints_apart_m, robot_at_home
+from hil.app.new import derive, drives
+from hil.app.new.robot import (
+    ESTIMATE,
+    HOLD_SHARE,
+    WORST_CONDITION,
+    Answers,
+    condition_at_home,
+    joints_apart_m,
+    robot_at_home,
+)
 from hil.app.new.text import DIGITS
 from hil.mathematics.rounding import rounded
 
-Answers = dict[str, Any]
-Trouble = Callable[[Answers], str | None]
+
+class Figure(click.FloatRange):
+    """A finite number in a unit, of `DIGITS` digits."""
+
+    def __init__(self, unit: str, low: float = 0.0, high: float | None = None) -> None:
+        super().__init__(low, high)
+        self.unit = unit
+        self.name = f"number in {unit} without the unit, with a decimal point"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Return the number."""
+        number = float(super().convert(value, param, ctx))
+        return (
+            rounded(number, DIGITS) if isfinite(number) else self.fail(f"{value} is not finite", param, ctx)
+        )
 
 
-@dataclass(frozen=True)
-class Question:
+def moments(text: str) -> str | list[float]:
+    """Three moments above 0 with commas, or `estimate`. Raises click.BadParameter: neither."""
+    if text == ESTIMATE:
+        return text
+    try:
+        found = [rounded(float(word), DIGITS) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != 3 or not all(isfinite(each) and each > 0.0 for each in found):
+        raise click.BadParameter(f"allowed: three numbers above 0 with commas, or {ESTIMATE}, given: {text}")
+    return found
+
+
+class Question(NamedTuple):
     """One question of `hil new`, and its option on the command line."""
 
     key: str
     """Name of the answer with its unit; the option is this without the unit."""
     text: str
-    unit: str = ""
-    low: float = 0.0
-    high: float = float("inf")
+    kind: Callable[[Any], Any]
+    """Type of click, or a function."""
     default: Callable[[Answers], Any] | None = None
     """From the answers before; None: it has to be answered."""
-    choices: tuple[str, ...] = ()
-    trouble: Trouble = lambda _: None
-    """What cannot work with this answer and those before; asked at once."""
+    trouble: Callable[[Answers], str | None] = lambda _: None
+    """What cannot work with this answer and those before."""
     needed: Callable[[Answers], bool] = lambda _: True
     """From the answers before: whether it is a question at all."""
 
     @property
-    def option(self) -> str:
-        """Name of the option."""
-        return "--" + self.key.removesuffix(f"_{self.unit.replace('/', '_').replace(' ', '_')}").replace(
-            "_", "-"
-        )
+    def unit(self) -> str:
+        """Unit of the answer; empty where it has none."""
+        return self.kind.unit if isinstance(self.kind, Figure) else "kg m2" if self.kind is moments else ""
 
     @property
-    def range_text(self) -> str:
-        """Return unit and range, in brackets."""
-        if self.choices:
-            return f" ({', '.join(self.choices)})"
-        ends = f"{self.low:g} to {self.high:g}" if self.high < float("inf") else ""
-        return f" ({' '.join(word for word in (self.unit, ends) if word)})" if self.unit else ""
+    def option(self) -> str:
+        """Name of the option."""
+        end = "_" + self.unit.replace("/", "_").replace(" ", "_")
+        return "--" + self.key.removesuffix(end).replace("_", "-")
 
-    def shown(self, default: Any) -> str | None:
-        """Return a default as it is typed; None where there is none."""
-        if self.default is None:
-            return None
-        return ESTIMATE if default is None else f"{default:g}" if isinstance(default, float) else str(default)
-
-    def parse(self, text: str) -> Any:
-        """Return the answer that a text is. Raises ValueError: no number, out of range, no such choice."""
-        text = text.strip()
-        if self.choices:
-            if text.lower() not in self.choices:
-                raise ValueError(f"allowed: {', '.join(self.choices)}, given: {text}")
-            return text.lower()
-        if self.key == "inertia_kg_m2":
-            return _moments(text)
-        if self.key == "model":
-            return text
-        value = _number(text, f" in {self.unit} without the unit")
-        if not self.low <= value <= self.high:
-            upper = f"{self.low:g} to {self.high:g}" if isfinite(self.high) else f"at least {self.low:g}"
-            raise ValueError(f"allowed: {upper} {self.unit}, given: {value:g}")
-        return value
-
-
-SLOW_PLANT = "slow_plant"
-"""Known before the first question: whether the plant is an FMU that needs its tool to run."""
-ESTIMATE = "estimate"
-"""Answer of who does not know the moments of inertia."""
-
-
-def _number(text: str, unit: str = "") -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        raise ValueError(f"allowed: a number{unit}, with a decimal point, given: {text}") from None
-    if not isfinite(value):
-        raise ValueError(f"allowed: a finite number, given: {text}")
-    return rounded(value, DIGITS)
-
-
-def _moments(text: str) -> list[float] | None:
-    if text == ESTIMATE:
-        return None
-    try:
-        values = [_number(word) for word in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != 3 or min(values) <= 0.0:
-        raise ValueError(f"allowed: three numbers above 0 with commas, or {ESTIMATE}, given: {text}")
-    return values
+    @property
+    def allowed(self) -> str:
+        """Unit and range, or the choices; empty where there are none."""
+        if isinstance(self.kind, click.Choice):
+            return ", ".join(self.kind.choices)
+        if isinstance(self.kind, Figure) and self.kind.max is not None:
+            return f"{self.unit} {self.kind.min:g} to {self.kind.max:g}"
+        return self.unit
 
 
 def _stroke(a: Answers) -> str | None:
@@ -114,8 +98,8 @@ def _stroke(a: Answers) -> str | None:
     apart = joints_apart_m(a)
     if low <= apart:
         return (
-            f"retracted legs of {low:g} m do not lift the platform: its joints stand {apart:.4g} m beside "
-            "those of the base; legs longer than that, or radii that are nearer, are needed"
+            f"retracted legs of {low:g} m do not lift the platform: its joints stand {apart:.4g} m next to "
+            "those of the base; take longer legs, or radii that are nearer to each other"
         )
     number = condition_at_home(a)
     if not number < WORST_CONDITION:
@@ -129,25 +113,21 @@ def _stroke(a: Answers) -> str | None:
 
 
 def _force(a: Answers) -> str | None:
-    held = float(np.abs(robot_at_home(a).static_N).max())
-    if held > HOLD_SHARE * a["drive_force_N"]:
-        return (
-            f"a leg carries {held:.4g} N at rest, and drives of {a['drive_force_N']:g} N are to keep half of "
-            f"their force for motion and control: at least {held / HOLD_SHARE:.4g} N are needed"
-        )
-    return None
+    held, force = robot_at_home(a).held_N, a["drive_force_N"]
+    if held <= HOLD_SHARE * force:
+        return None
+    return (
+        f"a leg carries {held:.4g} N at rest, and drives of {force:g} N are to keep half of their force for "
+        f"motion and control: at least {held / HOLD_SHARE:.4g} N are needed"
+    )
 
 
 def _brakes(a: Answers) -> str | None:
-    held = float(np.abs(robot_at_home(a).static_N).max())
-    if a["brake_force_N"] < held:
-        return f"a leg carries {held:.4g} N at rest: brakes of {a['brake_force_N']:g} N slip"
-    return None
+    held, brake = robot_at_home(a).held_N, a["brake_force_N"]
+    return f"a leg carries {held:.4g} N at rest: brakes of {brake:g} N slip" if brake < held else None
 
 
 def _inertia(a: Answers) -> str | None:
-    if a["inertia_kg_m2"] is None:
-        return None
     try:
         robot_at_home(a)
     except HilError as error:
@@ -156,105 +136,99 @@ def _inertia(a: Answers) -> str | None:
 
 
 def _encoder(a: Answers) -> str | None:
-    if a["encoder_resolution_m"] > 1e-3 * a["stroke_m"]:
-        return (
-            f"less than 1000 counts over the stroke: nothing is controlled by "
-            f"{a['encoder_resolution_m']:g} m; at most {1e-3 * a['stroke_m']:.3g} m"
-        )
-    return None
+    most = 1e-3 * a["stroke_m"]
+    coarse = f"less than 1000 counts over the stroke, allowed: at most {most:.3g} m"
+    return coarse if a["encoder_resolution_m"] > most else None
 
 
 def _speed(a: Answers) -> str | None:
-    if a["drive_speed_m_s"] > 50.0 * a["stroke_m"]:
-        return f"the whole stroke in less than 20 ms: more than {50 * a['stroke_m']:.3g} m/s has no room"
-    return None
-
-
-def _rate(a: Answers) -> str | None:
-    trouble = derive.rate_trouble(a, a["rate_Hz"])
-    if trouble is None:
-        return fineness.rate_trouble(a)
-    enough = derive.enough_channels(a, a["rate_Hz"])
-    return trouble if enough is None else f"{trouble}; here --channels {enough} is enough"
+    most = 50.0 * a["stroke_m"]
+    fast = f"the whole stroke in less than 20 ms, allowed: at most {most:.3g} m/s"
+    return fast if a["drive_speed_m_s"] > most else None
 
 
 def _layout(a: Answers) -> str | None:
     own = drives.family(a).layout
-    if not drives.bought(a) or a["layout"] == own:
-        return None
-    return f"drives of {a['drives']} have {own} frames alone, given: {a['layout']}"
+    only = f"drives of {a['drives']} have {own} frames alone, given: {a['layout']}"
+    return only if drives.bought(a) and a["layout"] != own else None
+
+
+def _one_of(*names: str) -> click.Choice[str]:
+    return click.Choice(names, case_sensitive=False)
 
 
 QUESTIONS: tuple[Question, ...] = (
-    Question("base_radius_m", "radius of the circle of base joints", "m", 1e-3, 100.0),
-    Question("platform_radius_m", "radius of the circle of platform joints", "m", 1e-3, 100.0),
+    Question("base_radius_m", "radius of the circle of base joints", Figure("m", 1e-3, 100.0)),
+    Question("platform_radius_m", "radius of the circle of platform joints", Figure("m", 1e-3, 100.0)),
     Question(
         "base_half_angle_deg", "half the angle between a pair's joints on the base, pairs at 0, 120, 240 deg",
-        "deg", 0.0, 59.0, lambda _: 10.0,
+        Figure("deg", 0.0, 59.0), lambda _: 10.0,
     ),
     Question(
         "platform_half_angle_deg", "the same on the platform (pairs at 60, 180, 300 deg)",
-        "deg", 0.0, 59.0, lambda _: 10.0,
+        Figure("deg", 0.0, 59.0), lambda _: 10.0,
     ),
-    Question("length_min_m", "length of a retracted leg, joint centre to joint centre", "m", 1e-3, 100.0),
-    Question("stroke_m", "stroke of a leg", "m", 1e-4, 100.0, trouble=_stroke),
     Question(
-        "mounting", "does the platform stand on the base or hang below it",
-        default=lambda _: "standing", choices=("standing", "hanging"),
+        "length_min_m", "length of a retracted leg, joint centre to joint centre", Figure("m", 1e-3, 100.0)
     ),
-    Question("mass_kg", "mass of platform and all that is fixed to it", "kg", 1e-3, 1e6),
+    Question("stroke_m", "stroke of a leg", Figure("m", 1e-4, 100.0), trouble=_stroke),
     Question(
-        "com_height_m", "its centre of mass above the platform joints, away from the base", "m",
-        -100.0, 100.0, lambda _: 0.0,
+        "mounting", "does the platform stand on the base or hang below it", _one_of("standing", "hanging"),
+        lambda _: "standing",
+    ),
+    Question("mass_kg", "mass of platform and all that is fixed to it", Figure("kg", 1e-3, 1e6)),
+    Question(
+        "com_height_m", "its centre of mass above the platform joints, away from the base",
+        Figure("m", -100.0, 100.0), lambda _: 0.0,
     ),
     Question(
         "inertia_kg_m2", "moments of inertia about its centre of mass, Ixx,Iyy,Izz; 'estimate' is a disc",
-        "kg m2", default=lambda _: None, trouble=_inertia,
+        moments, lambda _: ESTIMATE, _inertia,
     ),
-    Question("leg_mass_kg", "mass of one leg with its motor; 0 neglects it", "kg", 0.0, 1e5),
-    Question("drive_force_N", "rated force of a drive", "N", 1e-2, 1e7, trouble=_force),
-    Question("drive_speed_m_s", "largest speed of a drive", "m/s", 1e-4, 50.0, trouble=_speed),
+    Question("leg_mass_kg", "mass of one leg with its motor; 0 neglects it", Figure("kg", 0.0, 1e5)),
+    Question("drive_force_N", "rated force of a drive", Figure("N", 1e-2, 1e7), trouble=_force),
+    Question("drive_speed_m_s", "largest speed of a drive", Figure("m/s", 1e-4, 50.0), trouble=_speed),
     Question(
-        "reflected_mass_kg", "rotor and screw along the leg, inertia x (2 pi / lead)^2; 0 neglects it", "kg",
-        0.0, 1e6, lambda _: 0.0,
-    ),
-    Question(
-        "encoder_resolution_m", "one count of a leg's encoder", "m", 1e-10, 1e-2, lambda _: 1e-6,
-        trouble=_encoder,
+        "reflected_mass_kg", "rotor and screw along the leg, inertia x (2 pi / lead)^2; 0 neglects it",
+        Figure("kg", 0.0, 1e6), lambda _: 0.0,
     ),
     Question(
-        "brake_force_N", "force that a closed brake holds; for want of a data sheet, as the drive", "N",
-        1e-2, 1e7, lambda a: a["drive_force_N"], trouble=_brakes,
+        "encoder_resolution_m", "one count of a leg's encoder", Figure("m", 1e-10, 1e-2), lambda _: 1e-6,
+        _encoder,
     ),
-    Question("brake_ms", "time until a brake has opened or closed", "ms", 1.0, 1000.0, lambda _: 50.0),
+    Question(
+        "brake_force_N", "force that a closed brake holds; for want of a data sheet, as the drive",
+        Figure("N", 1e-2, 1e7), lambda a: a["drive_force_N"], _brakes,
+    ),
+    Question(
+        "brake_ms", "time until a brake has opened or closed", Figure("ms", 1.0, 1000.0), lambda _: 50.0
+    ),
     Question(
         "interface", "CAN: localcan is virtual, on this machine; socketcan a Linux interface",
-        default=lambda _: "localcan", choices=("localcan", "socketcan"),
+        _one_of("localcan", "socketcan"), lambda _: "localcan",
     ),
     Question(
-        "drives", "drives: legs is our own protocol, the others can be bought",
-        default=lambda _: drives.LEGS_PROTOCOL, choices=tuple(drives.FAMILIES),
+        "drives", "drives: legs is our own protocol, the others can be bought", _one_of(*drives.FAMILIES),
+        lambda _: drives.LEGS_PROTOCOL,
     ),
     Question(
-        "model", "their model, whose ranges the frames have",
-        trouble=drives.model_trouble, needed=drives.has_models,
+        "model", "their model, whose ranges the frames have", click.STRING, None, drives.model_trouble,
+        drives.has_models,
     ),
     Question(
         "travel_m", "leg length a turn that the drive reports: lead over gear, or 2 pi r of a pinion",
-        "m", 1e-5, trouble=fineness.travel_trouble, needed=drives.bought,
+        Figure("m", 1e-5), None, derive.travel_trouble, drives.bought,
     ),
     Question(
-        "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s",
-        default=lambda a: drives.family(a).layout, choices=("fd", "classic"), trouble=_layout,
+        "layout", "frames: fd is CAN FD at 1 and 5 Mbit/s, classic 1 Mbit/s", _one_of("fd", "classic"),
+        lambda a: drives.family(a).layout, _layout,
     ),
     Question(
         "channels", "CAN buses over which the legs are spread, each with an interface of its own",
-        default=lambda _: derive.CHANNELS[0], choices=derive.CHANNELS,
+        _one_of(*derive.CHANNELS), lambda _: derive.CHANNELS[0],
     ),
     Question(
-        "rate_Hz", "rate of the loop", "Hz", 10.0, 4000.0,
-        lambda a: derive.loop_rate_Hz(a, slow=a.get(SLOW_PLANT, False)),
-        trouble=_rate,
+        "rate_Hz", "rate of the loop", Figure("Hz", 10.0, 4000.0), derive.loop_rate_Hz, derive.rate_trouble,
     ),
 )  # fmt: skip
 """In the order in which they are asked: each looks at the answers before it only."""

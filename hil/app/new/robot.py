@@ -1,21 +1,24 @@
-"""The robot behind the answers of `hil new`: its section `platform`, and what it needs at home."""
+"""The robot behind the answers of `hil new`: values of section `platform`, and what it needs at home."""
 
 from __future__ import annotations
 
-from math import sqrt
+from math import cos, radians, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
-from hil.app.configuration.platform import build_platform, joint_list, pose_arrays
-from hil.app.new.text import DIGITS
-from hil.config.platform import JointCircle, PlatformSettings
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.new.text import DIGITS, settings
+from hil.config.platform import PlatformSettings
 from hil.mathematics.rounding import rounded
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import condition, jacobian
 
+Answers = dict[str, Any]
+ESTIMATE = "estimate"
+"""Answer of who does not know the moments of inertia."""
 HOLD_SHARE = 0.5
 """Of the rated force, what holding the platform at home may take."""
 WORST_CONDITION = 25.0
@@ -23,6 +26,11 @@ WORST_CONDITION = 25.0
 LOWER_SHARE = 0.7
 """Of a leg's mass, what does not move with the rod: housing, motor, brake, screw."""
 GRAVITY_m_s2 = 9.81
+_NOT_ASKED: Answers = {
+    "mounting": "standing", "mass_kg": 1.0, "com_height_m": 0.0, "inertia_kg_m2": ESTIMATE,
+    "leg_mass_kg": 0.0, "reflected_mass_kg": 0.0,
+}  # fmt: skip
+"""Enough for the geometry, where only that has been asked."""
 
 
 class AtHome(NamedTuple):
@@ -39,107 +47,63 @@ class AtHome(NamedTuple):
     leg_mass_kg: float
     """Largest eigenvalue of J^-T M J^-1: what six legs feel that move together at worst."""
 
-
-def circles(a: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return base and platform joints as the configuration has them; leg 0 goes to the last platform pair."""
-    base = {
-        "radius_m": a["base_radius_m"],
-        "pair_centres_deg": [0.0, 120.0, 240.0],
-        "pair_half_angle_deg": a["base_half_angle_deg"],
-    }
-    top = {
-        "radius_m": a["platform_radius_m"],
-        "pair_centres_deg": [60.0, 180.0, 300.0],
-        "pair_half_angle_deg": a["platform_half_angle_deg"],
-        "pairs_begin": "second_leg",
-    }
-    return base, top
+    @property
+    def held_N(self) -> float:
+        """Largest force that a leg carries at rest."""
+        return float(np.abs(self.static_N).max())
 
 
-def joints_apart_m(a: dict[str, Any]) -> float:
-    """Return how far the joints of a leg stand beside each other, seen from above, m; equal for all six."""
-    base, top = (np.array(joint_list(JointCircle.model_validate(circle))) for circle in circles(a))
-    return float(np.hypot(*(top[0] - base[0])[:2]))
+def joints_apart_m(a: Answers) -> float:
+    """How far the joints of each leg stand apart, seen from above, m (law of cosines)."""
+    r, s = a["base_radius_m"], a["platform_radius_m"]
+    between = radians(60.0 - a["base_half_angle_deg"] - a["platform_half_angle_deg"])
+    return sqrt(max(r * r + s * s - 2.0 * r * s * cos(between), 0.0))
 
 
-def home_height_m(a: dict[str, Any]) -> float:
-    """Return the platform's height with all legs at mid-stroke, m: q^2 = d^2 + h^2.
+def platform_values(a: Answers) -> dict[str, Any]:
+    """Values of section `platform`; what was not asked yet counts nothing.
 
-    d is `joints_apart_m`, which is below the retracted length.
+    A thin disc of mass m and radius r has the moments m r^2 / 4 (to a digit less than is written: the moment
+    about the axis has to stay the sum of the others) and m r^2 / 2; halves of legs are rods, I = m l^2 / 12.
     """
-    q = a["length_min_m"] + a["stroke_m"] / 2
-    return sqrt(q * q - joints_apart_m(a) ** 2)
-
-
-def estimated_inertia(a: dict[str, Any]) -> list[float]:
-    """Return the moments (3,) kg m^2 of a thin disc of the mass and the radius of the platform joints.
-
-    To a digit less than is written: the moment about the axis has to stay the sum of the others.
-    """
+    a = _NOT_ASKED | a
     across = rounded(a["mass_kg"] * a["platform_radius_m"] ** 2 / 4, DIGITS - 1)
-    return [across, across, 2 * across]
-
-
-def platform_section(a: dict[str, Any]) -> dict[str, Any]:
-    """Return section `platform`.
-
-    Leg halves are uniform rods of the retracted length: I = m l^2 / 12.
-    """
-    base, top = circles(a)
-    moments = a["inertia_kg_m2"] or estimated_inertia(a)
-    length = a["length_min_m"]
-
-    def half(share: float) -> dict[str, float]:
-        m = share * a["leg_mass_kg"]
-        return {"mass_kg": m, "com_m": length / 2, "inertia_transverse_kg_m2": m * length * length / 12}
-
-    down = -1.0 if a["mounting"] == "standing" else 1.0
+    estimated = a["inertia_kg_m2"] == ESTIMATE
+    length, q = a["length_min_m"], a["length_min_m"] + a["stroke_m"] / 2
+    cylinder, rod = LOWER_SHARE * a["leg_mass_kg"], (1.0 - LOWER_SHARE) * a["leg_mass_kg"]
     return {
-        "base_joints_m": base,
-        "platform_joints_m": top,
-        "platform": {
-            "mass_kg": a["mass_kg"],
-            "com_m": [0.0, 0.0, a["com_height_m"]],
-            "inertia_kg_m2": np.diag(moments).tolist(),
-        },
-        "cylinder": half(LOWER_SHARE),
-        "rod": half(1.0 - LOWER_SHARE),
-        "gravity_m_s2": [0.0, 0.0, down * GRAVITY_m_s2],
-        "home": {"position_m": [0.0, 0.0, home_height_m(a)]},
-        "length_min_m": length,
+        **a,
+        "estimated": estimated,
+        "stated": not estimated,
+        "inertia": np.diag([across, across, 2 * across] if estimated else a["inertia_kg_m2"]).tolist(),
+        "cylinder_kg": cylinder,
+        "cylinder_inertia": cylinder * length * length / 12,
+        "rod_kg": rod,
+        "rod_inertia": rod * length * length / 12,
+        "half_length_m": length / 2,
+        "gravity_z": -GRAVITY_m_s2 if a["mounting"] == "standing" else GRAVITY_m_s2,
+        "home_height_m": sqrt(q * q - joints_apart_m(a) ** 2),  # below the retracted length: `_stroke`
         "length_max_m": length + a["stroke_m"],
     }
 
 
-def condition_at_home(a: dict[str, Any]) -> float:
-    """Return the condition number of J at home; it needs the geometry alone."""
-    settings = PlatformSettings.model_validate(platform_section(_NOT_ASKED | a))
-    return float(condition(build_platform(settings), *pose_arrays(settings.home)))
+def platform_settings(a: Answers) -> PlatformSettings:
+    """Section `platform` of the answers so far."""
+    return PlatformSettings.model_validate(settings("platform", platform_values(a)))
 
 
-def robot_at_home(a: dict[str, Any]) -> AtHome:
-    """Return what the answers so far make of the robot; what was not asked yet counts nothing.
+def condition_at_home(a: Answers) -> float:
+    """Condition number of J at home; it needs the geometry alone."""
+    s = platform_settings(a)
+    return float(condition(build_platform(s), *pose_arrays(s.home)))
 
-    Raises GeometryError: no body has these moments of inertia.
-    """
-    a = _NOT_ASKED | a
-    settings = PlatformSettings.model_validate(platform_section(a))
-    platform, home, still = build_platform(settings), pose_arrays(settings.home), np.zeros(6)
-    model = Model(platform, reflected_mass=np.full(6, a["reflected_mass_kg"]))
+
+def robot_at_home(a: Answers) -> AtHome:
+    """Robot of the answers so far. Raises GeometryError: no body has these moments of inertia."""
+    s = platform_settings(a)
+    platform, home, still = build_platform(s), pose_arrays(s.home), np.zeros(6)
+    model = Model(platform, reflected_mass=np.full(6, (_NOT_ASKED | a)["reflected_mass_kg"]))
     J = jacobian(platform, *home)
     M = np.linalg.solve(J.T, np.linalg.solve(J.T, model.mass_matrix(*home)).T)
-    return AtHome(
-        platform,
-        home,
-        model,
-        J,
-        model.inverse_dynamics(*home, still, still),
-        float(np.linalg.eigvalsh((M + M.T) / 2).max()),
-    )
-
-
-_NOT_ASKED: dict[str, Any] = {
-    "mounting": "standing", "mass_kg": 1.0, "com_height_m": 0.0, "inertia_kg_m2": None, "leg_mass_kg": 0.0,
-    "reflected_mass_kg": 0.0,
-}  # fmt: skip
-"""Enough for the geometry, where only that has been asked."""
+    feel = float(np.linalg.eigvalsh((M + M.T) / 2).max())
+    return AtHome(platform, home, model, J, model.inverse_dynamics(*home, still, still), feel)

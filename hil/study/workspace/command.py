@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
@@ -37,13 +38,13 @@ def map_workspace(
     begun = time.perf_counter()
     path = picture_path(c.recording.folder, f"{c.name}-workspace", picture)
     surveyor = build_surveyor(c, payload_kg, payload_at, leg_diameter_m)
-    w = explore(surveyor, resolution, position, lambda what, share: progress(f"{what}, {share:.0%}"))
+    w = explore(surveyor, resolution, position, progress)
     result: dict[str, Any] = {
         "success": True,
         "kind": "workspace",
         "configuration": c.source,
         "resolution": resolution,
-        **figures(w),
+        **figures(c, w),
     }
     progress("drawing")
     result["picture"] = None
@@ -59,18 +60,18 @@ def build_surveyor(
     payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     leg_diameter_m: float | None = None,
 ) -> Surveyor:
-    """Return the limits of a configuration, ready to be asked. The ends of the stroke are the soft ones.
+    """Limits of a configuration, ready to be used. The ends of the stroke are the soft ones.
 
-    Raises ConfigurationError where home is outside.
+    Raises ConfigurationError: home is outside.
     """
     s = c.platform
+    angles = (s.base_joint_angle_max_deg, s.platform_joint_angle_max_deg)
     limits = Limits(
         s.length_min_m + c.limits.stroke_margin_m,
         s.length_max_m - c.limits.stroke_margin_m,
         c.limits.force_N,
         c.limits.condition,
-        _radians(s.base_joint_angle_max_deg),
-        _radians(s.platform_joint_angle_max_deg),
+        *(None if angle is None else float(np.deg2rad(angle)) for angle in angles),
         leg_diameter_m,
     )
     try:
@@ -89,8 +90,8 @@ def build_surveyor(
         raise ConfigurationError(line + "; the map begins at home") from error
 
 
-def figures(w: Workspace) -> dict[str, Any]:
-    """Return the figures of a workspace as plain values."""
+def figures(c: Configuration, w: Workspace) -> dict[str, Any]:
+    """Figures of a workspace as plain values."""
     s, m, o, lim = w.surveyor, w.positions, w.orientations, w.surveyor.limits
     counts = np.bincount(m.kinds, minlength=len(KINDS))
     numbers, leasts = s.dexterity(m.nodes, s.R)
@@ -101,8 +102,8 @@ def figures(w: Workspace) -> dict[str, Any]:
             "length_m": [lim.length_min, lim.length_max],
             "force_N": lim.force,
             "condition": lim.condition,
-            "base_joint_angle_deg": _degrees(lim.base_angle),
-            "platform_joint_angle_deg": _degrees(lim.platform_angle),
+            "base_joint_angle_deg": c.platform.base_joint_angle_max_deg,
+            "platform_joint_angle_deg": c.platform.platform_joint_angle_max_deg,
             "leg_diameter_m": lim.leg_diameter,
             "payload_kg": float(s.payload[0]),
             "payload_at_m": s.payload[1:].tolist(),
@@ -112,9 +113,9 @@ def figures(w: Workspace) -> dict[str, Any]:
             "volume_m3": m.volume,
             "volume_error_m3": m.volume_error,
             "convergence": [{"step_m": h, "volume_m3": v} for h, v in m.volumes],
-            "extents_m": {name: m.extents[k].tolist() for k, name in enumerate("xyz")},
+            "extents_m": dict(zip("xyz", m.extents.tolist(), strict=True)),
             "nodes": len(m.nodes),
-            "boundary_points": {k: int(n) for k, n in zip(KINDS, counts, strict=True)},
+            "boundary_points": dict(zip(KINDS, counts.tolist(), strict=True)),
             "boundary_shares": m.shares,
         },
         "largest_sphere": {
@@ -132,7 +133,10 @@ def figures(w: Workspace) -> dict[str, Any]:
             "smallest_singular_value": _range(leasts),
             "mean_inverse_condition": float(np.mean(1.0 / numbers)),
         },
-        "largest_static_force_N": _largest_force(s, m.nodes),
+        "largest_static_force_N": max(
+            float(np.abs(s.survey(m.nodes[k : k + CHUNK], s.R)[:, FORCE : FORCE + 6]).max())
+            for k in range(0, len(m.nodes), CHUNK)
+        ),
         "orientations": {
             "position_m": o.position.tolist(),
             "tilt_every_direction_deg": float(np.rad2deg(o.level.min())),
@@ -147,6 +151,7 @@ def figures(w: Workspace) -> dict[str, Any]:
 
 
 def _home(s: Surveyor) -> dict[str, Any]:
+    """Figures of home as plain values."""
     home = s.survey(s.p, s.R)[0]
     (number,), (least,) = s.dexterity(s.p[None], s.R)
     return {
@@ -161,61 +166,40 @@ def _home(s: Surveyor) -> dict[str, Any]:
 
 
 def shown(summary: dict[str, Any]) -> dict[str, Any]:
-    """Return the summary as it is printed: a sentence for each figure that an engineer asks for."""
-    s = summary
-    m, o, d, home = s["positions"], s["orientations"], s["dexterity"], s["home"]
-    sphere, cylinder = s["largest_sphere"], s["largest_cylinder"]
-    coarse = m["convergence"][-2]
+    """Summary as it is printed: a sentence for each figure that an engineer needs."""
+    m, o, d, home = (summary[key] for key in ("positions", "orientations", "dexterity", "home"))
+    sphere, cylinder = summary["largest_sphere"], summary["largest_cylinder"]
+    low, high = cylinder["z_m"]
     extents = ", ".join(f"{k} {low:.3f} to {high:.3f}" for k, (low, high) in m["extents_m"].items())
-    shares = ", ".join(f"{k} {100 * x:.1f} %" for k, x in m["boundary_shares"].items() if x > 0)
     number, least = d["condition_number"], d["smallest_singular_value"]
-    payload = home["largest_payload_kg"]
     at = ", ".join(f"{x:g}" for x in o["position_m"])
     return {
-        "success": s["success"],
-        "configuration": s["configuration"],
-        "resolution": f"{s['resolution']} steps of {1e3 * s['step_m']:.1f} mm",
+        "success": summary["success"],
+        "configuration": summary["configuration"],
+        "resolution": f"{summary['resolution']} steps of {1e3 * summary['step_m']:.1f} mm",
         "volume": f"{m['volume_m3']:.4g} m^3, within about {m['volume_error_m3']:.1g}; "
-        f"{coarse['volume_m3']:.4g} at twice the step",
+        f"{m['convergence'][-2]['volume_m3']:.4g} at twice the step",
         "extents": f"{extents} m",
-        "boundary": shares,
+        "boundary": ", ".join(f"{k} {100 * x:.1f} %" for k, x in m["boundary_shares"].items() if x > 0),
         "largest sphere": f"radius {sphere['radius_m']:.4f} m about home, then {sphere['limit']}",
-        "largest cylinder": f"radius {cylinder['radius_m']:.4f} m, z {cylinder['z_m'][0]:.3f} to "
-        f"{cylinder['z_m'][1]:.3f} m",
+        "largest cylinder": f"radius {cylinder['radius_m']:.4f} m, z {low:.3f} to {high:.3f} m",
         "condition of J": f"{home['condition_number']:.2f} at home, {number['min']:.2f} to "
         f"{number['max']:.2f}",
         "singularity measure": f"{home['smallest_singular_value']:.3f} at home, down to {least['min']:.3f} "
         "(smallest singular value of J, lengths made comparable)",
-        "static leg force": f"up to {s['largest_static_force_N']:.0f} N"
-        + (
-            ""
-            if payload is None
-            else f"; home holds a payload of up to {payload:.0f} kg in all, at its place"
-        ),
+        "static leg force": f"up to {summary['largest_static_force_N']:.0f} N; home holds a payload of up to "
+        f"{home['largest_payload_kg']:.0f} kg in all, at its place",
         "tilt": f"{o['tilt_every_direction_deg']:.2f} deg in every direction, "
         f"{o['tilt_best_direction_deg']:.2f} in the best, at ({at}) m",
         "torsion": f"{o['torsion_deg'][0]:.2f} to {o['torsion_deg'][1]:.2f} deg",
-        "picture": s["picture"],
-        "wall": f"{s['wall_s']:.1f} s",
+        "picture": summary["picture"],
+        "wall": f"{summary['wall_s']:.1f} s",
     }
 
 
-def _largest_force(surveyor: Surveyor, nodes: np.ndarray[Any, np.dtype[np.float64]]) -> float:
-    parts = (nodes[k : k + CHUNK] for k in range(0, len(nodes), CHUNK))
-    return max(float(np.abs(surveyor.survey(P, surveyor.R)[:, FORCE : FORCE + 6]).max()) for P in parts)
-
-
-def _range(values: np.ndarray[Any, np.dtype[np.float64]]) -> dict[str, float]:
+def _range(values: Array) -> dict[str, float]:
     return {"min": float(values.min()), "mean": float(values.mean()), "max": float(values.max())}
 
 
 def _kind(kind: int) -> str | None:
     return KINDS[kind] if kind >= 0 else None
-
-
-def _radians(angle: float | None) -> float | None:
-    return None if angle is None else float(np.deg2rad(angle))
-
-
-def _degrees(angle: float | None) -> float | None:
-    return None if angle is None else float(np.rad2deg(angle))

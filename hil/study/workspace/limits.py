@@ -18,9 +18,10 @@ from hil.robot.kinematics_kernels import jacobian_kernel
 from hil.study.workspace import kernels
 from hil.study.workspace.kernels import survey_kernel
 
-Progress = Callable[[str, float], None]
-"""Called with what is being done and the share that is finished, 0 to 1."""
-
+Paths = Callable[[Array, Ints], tuple[Array, Array]]
+"""(t (n,), which (n,)) -> poses P (n, 3), R (n, 3, 3) or (3, 3): path which[k] at t[k]; t = 0 is inside."""
+FREE = -1
+"""Kind of a path that ends without having met a limit."""
 KINDS = ("stroke", "joint angle", "force", "singularity", "interference")
 """Names of the limits; a kind is an index into it."""
 SINGULARITY = 3
@@ -30,17 +31,10 @@ BISECTIONS = 30
 """Halvings of a step that leaves the workspace: 1e-9 of the step is left."""
 
 
-def silent(_what: str, _share: float) -> None:
-    """Report no progress."""
-
-
 class WorkspaceError(ModelError):
-    """A workspace that has no beginning: home, or a pose asked for, lies outside the limits.
+    """Home, or the pose that was requested, lies outside the limits.
 
-    Attributes
-    ----------
-    problems : tuple of str
-        One for each limit that does not hold.
+    problems: one for each limit that does not hold.
     """
 
     def __init__(self, where: str, problems: tuple[str, ...]) -> None:
@@ -71,25 +65,14 @@ class Limits:
 
 
 class Surveyor:
-    """Looks at poses: figures of each, and whether it keeps the limits.
+    """Figures of poses, and whether they keep the limits. Every path begins at home, p (3,) m and R (3, 3).
 
-    Parameters
-    ----------
-    platform : Platform
-    limits : Limits
-    home_p : (3,) m, home_R : (3, 3)
-        Home, where every path begins.
-    base_axes : (6, 3), platform_axes : (6, 3)
-        Axes of the joints: directions from base to platform, in the base and in the platform frame; any
-        length. Default: each leg's own direction at home.
-    payload : kg, on the platform at ``payload_at`` (3,) m, platform frame.
+    base_axes, platform_axes: (6, 3), axes of the joints from base to platform, in the frame of the base and
+    of the platform, of any length; default: each leg's own direction at home. payload: kg, on the platform at
+    ``payload_at`` (3,) m, platform frame.
 
-    Raises
-    ------
-    WorkspaceError
-        Where home is outside the limits; all that do not hold, with their values.
-    GeometryError, KinematicsError
-        Where an argument is no direction, no vector or no rotation.
+    Raises WorkspaceError: home is outside the limits; GeometryError, KinematicsError: an argument is not a
+    direction, vector or rotation.
     """
 
     def __init__(
@@ -133,17 +116,8 @@ class Surveyor:
         P = np.ascontiguousarray(P, np.float64).reshape(-1, 3)
         RR = np.ascontiguousarray(np.broadcast_to(R, (len(P), 3, 3))).reshape(-1, 9)
         out = np.empty((len(P), kernels.COLUMNS))
-        survey_kernel(
-            self._constants,
-            self.payload,
-            self.base_axes,
-            self.platform_axes,
-            self._watched,
-            self.platform.radius,
-            P,
-            RR,
-            out,
-        )
+        axes = self.base_axes, self.platform_axes
+        survey_kernel(self._constants, self.payload, *axes, self._watched, self.platform.radius, P, RR, out)
         return out
 
     def margins(self, figures: Array) -> Array:
@@ -157,10 +131,8 @@ class Surveyor:
         q = figures[:, kernels.LENGTH : kernels.LENGTH + 6]
         stroke = lim.length_max - lim.length_min
         m[:, 0] = np.minimum(q - lim.length_min, lim.length_max - q).min(axis=1) / stroke
-        for angle, first in (
-            (lim.base_angle, kernels.BASE_COSINE),
-            (lim.platform_angle, kernels.PLATFORM_COSINE),
-        ):
+        firsts = (kernels.BASE_COSINE, kernels.PLATFORM_COSINE)
+        for angle, first in zip((lim.base_angle, lim.platform_angle), firsts, strict=True):
             if angle is not None:
                 cosine = figures[:, first : first + 6].min(axis=1)
                 m[:, 1] = np.minimum(m[:, 1], cosine - np.cos(angle))
@@ -174,35 +146,44 @@ class Surveyor:
         m[np.isnan(m)] = -1.0  # a leg of length zero has no direction
         return m
 
-    def inside(self, P: Array, R: Array, what: str = "", progress: Progress = silent) -> Flags:
+    def inside(self, P: Array, R: Array) -> Flags:
         """Return (n,): whether each pose keeps all limits and lies on home's side of det J = 0."""
         found: Flags = np.ones(len(P), np.bool_)
         for k in range(0, len(P), CHUNK):
-            progress(what, k / len(P))
             part = R if R.ndim == 2 else R[k : k + CHUNK]
             found[k : k + CHUNK] = (self.margins(self.survey(P[k : k + CHUNK], part)) >= 0).all(axis=1)
         return found
 
-    def leave(
-        self, poses: Callable[[Array], tuple[Array, Array]], low: Array, high: Array
-    ) -> tuple[Array, Ints]:
-        """Find where paths leave the workspace, by bisection.
+    def first_exit(self, paths: Paths, count: int, step: float, end: float) -> tuple[Array, Ints]:
+        """Return for each path the last t inside, at most ``end``, and the kind of limit met there.
 
-        poses(t (n,)) -> P (n, 3), R: path k at its parameter t[k]; inside at low (n,), outside at high (n,).
-        Returns t (n,), the last parameter inside, and the kind (n,) of the limit met there.
+        Followed in steps, the one that leaves is bisected: a gap shorter than ``step`` may be missed.
         """
-        low, high = low.copy(), high.copy()
-        for _ in range(BISECTIONS):
-            t = 0.5 * (low + high)
-            good = self.inside(*poses(t))
-            low = np.where(good, t, low)
-            high = np.where(good, high, t)
-        return low, self.kinds(*poses(high))
+        low, high = np.zeros(count), np.full(count, np.nan)
+        going = np.arange(count)
+        while len(going):
+            t = np.minimum(low[going] + step, end)
+            good = self.inside(*paths(t, going))
+            high[going[~good]] = t[~good]
+            low[going[good]] = t[good]
+            going = going[good & (t < end)]
+        kinds: Ints = np.full(count, FREE)
+        met = np.flatnonzero(~np.isnan(high))
+        for _ in range(BISECTIONS if len(met) else 0):
+            t = 0.5 * (low[met] + high[met])
+            good = self.inside(*paths(t, met))
+            low[met[good]], high[met[~good]] = t[good], t[~good]
+        if len(met):
+            kinds[met] = np.argmax(self.margins(self.survey(*paths(high[met], met))) < 0, axis=1)
+        return low, kinds
 
-    def kinds(self, P: Array, R: Array) -> Ints:
-        """Return (n,): the first kind of limit that each of these poses breaks."""
-        kinds: Ints = np.argmax(self.margins(self.survey(P, R)) < 0, axis=1)
-        return kinds
+    def rays(self, start: Array, directions: Array, step: float, end: float) -> tuple[Array, Ints]:
+        """``first_exit`` along lines at home's orientation: start (n, 3) m from home, directions (n, 3)."""
+
+        def lines(t: Array, which: Ints) -> tuple[Array, Array]:
+            return self.p + start[which] + t[:, None] * directions[which], self.R
+
+        return self.first_exit(lines, len(start), step, end)
 
     def dexterity(self, P: Array, R: Array) -> tuple[Array, Array]:
         """Return condition number (n,) and smallest singular value (n,) of J diag(1, 1, 1, 1/r, 1/r, 1/r).
@@ -212,13 +193,11 @@ class Surveyor:
         of the legs together for a unit rate of the platform; its reciprocal bounds the leg forces that a
         unit load can cause. The condition number is the 2-norm's (Merlet, Parallel Robots, 2006, 5.5).
         """
-        a, b = self.platform.base_joints, self.platform.platform_joints
-        R = np.ascontiguousarray(np.broadcast_to(R, (len(P), 3, 3)))
-        sigma = np.empty((len(P), 6))
-        scaling = np.array([1.0, 1.0, 1.0, *[1.0 / self.platform.radius] * 3])
-        for k in range(0, len(P), CHUNK):
-            J = [jacobian_kernel(a, b, p, r) for p, r in zip(P[k : k + CHUNK], R[k : k + CHUNK], strict=True)]
-            sigma[k : k + CHUNK] = np.linalg.svd(np.array(J) * scaling, compute_uv=False)
+        r = self.platform.platform_joints @ np.swapaxes(R, -1, -2)
+        d = P[:, None] + r - self.platform.base_joints
+        s = d / np.linalg.norm(d, axis=2, keepdims=True)
+        J = np.concatenate([s, np.cross(r, s) / self.platform.radius], axis=2)
+        sigma = np.linalg.svd(J, compute_uv=False)
         return sigma[:, 0] / sigma[:, 5], sigma[:, 5]
 
     def largest_payload(self) -> float:
@@ -240,31 +219,30 @@ class Surveyor:
             return float(np.min(np.where(slope != 0, room / slope, np.inf)))
 
     def _problems(self, figures: Array) -> tuple[str, ...]:
-        lim = self.limits
-        row = figures[0]
-        broken = self.margins(figures)[0] < 0
-        q = row[kernels.LENGTH : kernels.LENGTH + 6]
-        tau = row[kernels.FORCE : kernels.FORCE + 6]
+        lim, row = self.limits, figures[0]
+        q, tau, *cosines = (row[k : k + 6] for k in range(0, kernels.ORIENTATION, 6))
+        bent = np.rad2deg(np.arccos(np.clip(cosines, -1, 1))).max(axis=1)
+        joints = (("base", bent[0], lim.base_angle), ("platform", bent[1], lim.platform_angle))
         angles = [
-            f"{name} joint up to {np.rad2deg(np.arccos(np.clip(row[k : k + 6], -1, 1))).max():.2f} deg "
-            f"from its axis (allowed {np.rad2deg(angle):g})"
-            for name, k, angle in (
-                ("base", kernels.BASE_COSINE, lim.base_angle),
-                ("platform", kernels.PLATFORM_COSINE, lim.platform_angle),
-            )
-            if angle is not None
+            f"{name} joint up to {angle:.2f} deg from its axis (allowed {np.rad2deg(allowed):g})"
+            for name, angle, allowed in joints
+            if allowed is not None
         ]
         stroke = f"{lim.length_min:g} to {lim.length_max:g}"
         texts = (
             f"leg lengths {q.min():.4f} to {q.max():.4f} m (allowed {stroke})",
             ", ".join(angles),
-            f"static leg force {np.abs(tau).max():.1f} N (allowed {lim.force:g})"
-            if lim.force is not None
-            else "",
+            f"static leg force {np.abs(tau).max():.1f} N (allowed {lim.force or 0.0:g})",
             f"condition of J {row[kernels.CONDITION]:.4g} (allowed {lim.condition:g})",
             f"legs {row[kernels.CLEARANCE]:.4f} m apart (allowed more than {lim.leg_diameter} m)",
         )
+        broken = self.margins(figures)[0] < 0
         return tuple(text for text, bad in zip(texts, broken, strict=True) if bad)
+
+
+def levels(below: float, above: float, count: int) -> Array:
+    """(2 count + 1,) from -below to above, `count` even steps on either side of zero."""
+    return np.concatenate([-below * np.arange(count, 0, -1), above * np.arange(count + 1)]) / count
 
 
 def _distinct(platform: Platform, diameter: float) -> Array:

@@ -21,7 +21,7 @@ def draw(w: Workspace, path: Path, title: str) -> Path:
 
     figure = Figure(figsize=(15, 9.5), layout="constrained")
     top = [figure.add_subplot(2, 3, k) for k in (1, 2, 3)]
-    seen = np.concatenate([s.condition[s.reached] for s in w.sections])
+    seen = np.concatenate([s.condition[np.isfinite(s.condition)] for s in w.sections])
     ends = (float(seen.min()), float(np.percentile(seen, 99)) * 1.0001)
     (colours, *_) = [_section(axes, w, s, ends) for axes, s in zip(top, w.sections, strict=True)]
     figure.colorbar(colours, ax=top, shrink=0.8, extend="max", label="condition number of J, lengths / r")

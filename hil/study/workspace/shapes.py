@@ -7,9 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array, Ints
-from hil.study.workspace.limits import Surveyor
-from hil.study.workspace.rays import first_exit, levels
+from drivers.arrays import Array
+from hil.study.workspace.limits import Surveyor, levels
 
 DIRECTIONS = 1000
 CAPS = 6
@@ -54,7 +53,7 @@ def largest_sphere(surveyor: Surveyor, step: float, reach: float) -> Sphere:
     width = 2.0 / np.sqrt(DIRECTIONS)
     best = Sphere(np.inf, directions[0], 0)
     for _ in range(CAPS + 1):
-        t, kinds = _rays(surveyor, np.zeros((len(directions), 3)), directions, step, reach)
+        t, kinds = surveyor.rays(np.zeros((len(directions), 3)), directions, step, reach)
         k = int(np.argmin(t))
         if t[k] < best.radius:
             best = Sphere(float(t[k]), directions[k], int(kinds[k]))
@@ -71,20 +70,18 @@ def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
     looked at again with eight times as many directions.
     """
     up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
-    (above, below), _ = _rays(surveyor, np.zeros((2, 3)), up, step, reach)
+    (above, below), _ = surveyor.rays(np.zeros((2, 3)), up, step, reach)
     z = levels(below, above, LAYERS)
     free = _radii(surveyor, z, AZIMUTHS, step, reach)
-    best = Cylinder(0.0, 0.0, 0.0)
-    for first in range(LAYERS + 1):
-        radius = free[first : LAYERS + 1].min()
-        for last in range(LAYERS, 2 * LAYERS + 1):
-            radius = min(radius, free[last])
-            candidate = Cylinder(float(radius), float(z[first]), float(z[last]))
-            best = max(best, candidate, key=lambda c: c.volume)
+    # the radius of a cylinder is the least at the heights in it: from home down, and from home up
+    down, up = np.minimum.accumulate(free[LAYERS::-1]), np.minimum.accumulate(free[LAYERS:])
+    radius, height = np.minimum.outer(down, up), np.subtract.outer(-z[LAYERS::-1], -z[LAYERS:])
+    first, last = np.unravel_index(int(np.argmax(radius**2 * height)), radius.shape)
+    best = Cylinder(float(radius[first, last]), float(z[LAYERS - first]), float(z[LAYERS + last]))
     if best.volume > 0:
         inner = np.linspace(best.low, best.high, 2 * LAYERS // 4 + 1)
-        radius = _radii(surveyor, inner, 8 * AZIMUTHS, step, reach).min()
-        best = best._replace(radius=min(best.radius, float(radius)))
+        least = float(_radii(surveyor, inner, 8 * AZIMUTHS, step, reach).min())
+        best = best._replace(radius=min(best.radius, least))
     return best
 
 
@@ -103,15 +100,6 @@ def _radii(surveyor: Surveyor, z: Array, azimuths: int, step: float, reach: floa
     rim = np.stack([np.cos(phi), np.sin(phi), np.zeros(azimuths)], axis=1)
     start = np.zeros((len(z) * azimuths, 3))
     start[:, 2] = np.repeat(z, azimuths)
-    t, _ = _rays(surveyor, start, np.tile(rim, (len(z), 1)), step, reach)
+    t, _ = surveyor.rays(start, np.tile(rim, (len(z), 1)), step, reach)
     radii: Array = t.reshape(len(z), azimuths).min(axis=1)
     return radii
-
-
-def _rays(
-    surveyor: Surveyor, start: Array, directions: Array, step: float, reach: float
-) -> tuple[Array, Ints]:
-    def lines(t: Array, which: Ints) -> tuple[Array, Array]:
-        return surveyor.p + start[which] + t[:, None] * directions[which], surveyor.R
-
-    return first_exit(surveyor, lines, len(start), step, reach)

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import qmc
 
 from hil.robot.geometry import Platform
+from hil.study.workspace import kernels
 from hil.study.workspace.limits import KINDS, Limits, Surveyor, WorkspaceError
 from hil.study.workspace.orientation import map_orientations, tilt_torsion
 from hil.study.workspace.position import PLANES, cut, map_positions
@@ -18,6 +19,8 @@ from hil.study.workspace.shapes import largest_cylinder, largest_sphere
 BOOK = json.loads((Path(__file__).parents[2] / "data/book_platform.json").read_text())["geometry"]
 HOME = np.array([0.0, 0.0, 1.0])
 UPRIGHT = np.eye(3)
+TURNED = Rotation.from_rotvec([0.2, -0.15, 0.3]).as_matrix()
+AT = (0.1, 0.2, 0.3)
 NO_MASS = {"mass": 0.0, "com": 0.0, "inertia_axial": 0.0, "inertia_transverse": 0.0}
 
 
@@ -111,8 +114,8 @@ def test_the_largest_cylinder_nearly_has_the_volume_of_the_closed_form(pairs):
     assert cylinder.radius <= np.sqrt(1 - (cylinder.high + PAIRS_HOME[2]) ** 2) - D + 1e-6
 
 
-def book(limits, geometry=BOOK, **more):
-    return Surveyor(Platform.from_dict(geometry), limits, HOME, UPRIGHT, **more)
+def book(limits, geometry=BOOK, R=UPRIGHT, **more):
+    return Surveyor(Platform.from_dict(geometry), limits, HOME, R, **more)
 
 
 def test_the_volume_of_six_shells_agrees_with_quasi_monte_carlo():
@@ -140,18 +143,6 @@ def test_a_stroke_boundary_has_a_leg_exactly_at_its_end():
     assert (q < high + 1e-12).all()
 
 
-def test_the_books_workspace_has_the_symmetry_of_the_book_platform():
-    surveyor = book(Limits(0.77, 2.18, force=25000.0, condition=50.0))
-    mapped = map_positions(surveyor, 24)
-    assert (mapped.flood.reached == mapped.flood.reached[::-1]).all()  # mirrored at x = 0
-    assert mapped.extents[0, 0] == pytest.approx(-mapped.extents[0, 1], abs=1e-9)
-    centroid = mapped.nodes.mean(axis=0)
-    assert centroid[:2] == pytest.approx([0, 0], abs=0.02)  # only a turn by 120 degrees puts it there in y
-    level = map_orientations(surveyor, azimuths=36).level
-    assert level == pytest.approx(np.roll(level, 12), abs=1e-6)
-    assert np.ptp(level) > np.deg2rad(5)
-
-
 def test_torsion_and_tilt_of_the_book_platform_are_the_closed_form():
     # Joints at radius 2 and 1, 30 degrees apart, 1 m above: l^2 = 6 - 4 cos(30 deg + torsion). Leaning
     # towards +y sinks no joint on the way: l^2 = 6 - 4 cos(30 deg + tilt) for the legs at (0, -1, 0).
@@ -165,13 +156,6 @@ def test_torsion_and_tilt_of_the_book_platform_are_the_closed_form():
     assert orientations.guaranteed[0] == pytest.approx(0, abs=1e-6)
 
 
-def test_tilt_and_torsion_are_the_zyz_rotations():
-    rng = np.random.default_rng(0)
-    phi, theta, sigma = rng.uniform(-3, 3, (3, 50))
-    expected = Rotation.from_euler("ZYZ", np.stack([phi, theta, sigma - phi], axis=1)).as_matrix()
-    assert tilt_torsion(phi, theta, sigma) == pytest.approx(expected, abs=1e-14)
-
-
 def test_a_force_boundary_has_a_leg_exactly_at_the_limit():
     limit, payload, at = 6000.0, 150.0, (0.2, -0.1, 0.3)
     surveyor = book(Limits(0.3, 3.0, force=limit), light_legs(BOOK), payload=payload, payload_at=at)
@@ -181,13 +165,6 @@ def test_a_force_boundary_has_a_leg_exactly_at_the_limit():
     for p in met[::5]:
         tau = static_forces(surveyor.platform, p, UPRIGHT, payload, at)
         assert np.abs(tau).max() == pytest.approx(limit, rel=1e-6)
-
-
-def test_home_holds_the_largest_payload_and_no_more():
-    at = (0.1, 0.2, 0.3)
-    surveyor = book(Limits(0.3, 3.0, force=20000.0), light_legs(BOOK), payload_at=at)
-    tau = static_forces(surveyor.platform, HOME, UPRIGHT, surveyor.largest_payload(), at)
-    assert np.abs(tau).max() == pytest.approx(20000.0, rel=1e-9)
 
 
 @pytest.mark.parametrize("given", [False, True])
@@ -263,22 +240,24 @@ def test_an_interference_boundary_has_two_legs_a_diameter_apart():
         assert min(gaps) == pytest.approx(diameter, abs=1e-6)
 
 
-def test_a_section_holds_the_maps_nodes_of_its_plane():
+def test_a_section_holds_the_nodes_of_its_plane_and_points_on_the_boundary():
     surveyor = book(Limits(0.77, 2.18, force=25000.0, condition=50.0))
     mapped = map_positions(surveyor, 16)
     for plane in PLANES:
-        section = cut(surveyor, mapped, plane, 60)
+        section = cut(surveyor, mapped, plane)
         u, v = ("xyz".index(name) for name in plane)
         mine = mapped.nodes[np.abs(mapped.nodes[:, 3 - u - v] - HOME[3 - u - v]) < 1e-9]
         i = np.abs(section.u[None] - mine[:, u, None]).argmin(axis=1)
         j = np.abs(section.v[None] - mine[:, v, None]).argmin(axis=1)
-        assert section.u[i] == pytest.approx(mine[:, u], abs=1e-9)
-        assert len(mine) > 50
-        assert section.reached[i, j].all()
-        assert (np.isfinite(section.condition) == section.reached).all()
-        p = mine[7]
-        expected = np.linalg.cond(jacobian(surveyor.platform, p, UPRIGHT))
-        assert section.condition[i[7], j[7]] == pytest.approx(expected, rel=1e-9)
+        assert np.isfinite(section.condition).sum() == len(mine) > 50
+        for k in (7, 23):
+            expected = np.linalg.cond(jacobian(surveyor.platform, mine[k], UPRIGHT))
+            assert section.condition[i[k], j[k]] == pytest.approx(expected, rel=1e-9)
+        P = np.full((len(section.points), 3), HOME)
+        P[:, [u, v]] = section.points
+        assert len(P) > 20
+        assert surveyor.inside(P, UPRIGHT).all()
+        assert not surveyor.inside(HOME + (P - HOME) * (1 + 1e-6), UPRIGHT).all()
 
 
 OUTSIDE = [
@@ -302,3 +281,38 @@ def test_a_home_outside_a_limit_is_refused_with_its_value(limits, message):
 def test_orientations_at_a_position_that_is_not_reached_are_refused(pairs, half_lens):
     with pytest.raises(WorkspaceError, match="not reached from home: the straight line meets the limit sing"):
         map_orientations(pairs, (0.0, 0.0, -0.4), half_lens)
+
+
+@pytest.mark.parametrize("R", [UPRIGHT, TURNED], ids=["upright", "turned"])
+def test_home_holds_the_largest_payload_and_no_more_however_it_is_turned(R):
+    loaded = book(Limits(0.3, 3.0, force=20000.0), light_legs(BOOK), R, payload_at=AT)
+    tau = static_forces(loaded.platform, HOME, R, loaded.largest_payload(), AT)
+    assert np.abs(tau).max() == pytest.approx(20000.0, rel=1e-9)
+
+
+def test_without_axes_of_its_own_every_joint_is_straight_at_a_turned_home():
+    """And elsewhere the angle is that to the leg's direction at home, carried along by the base or the platform."""
+    found = book(Limits(0.3, 3.0), R=TURNED)
+    home = jacobian(found.platform, HOME, TURNED)[:, :3]
+    p, R = HOME + np.array([0.1, -0.05, 0.1]), Rotation.from_rotvec([-0.1, 0.2, 0.1]).as_matrix()
+    s = jacobian(found.platform, p, R)[:, :3]
+    for at, turn, legs in ((HOME, TURNED, home), (p, R, s)):
+        figures = found.survey(at, turn)[0]
+        base = (legs * home).sum(axis=1)
+        platform = (legs * (home @ TURNED @ turn.T)).sum(axis=1)
+        assert figures[kernels.BASE_COSINE : kernels.BASE_COSINE + 6] == pytest.approx(base, abs=1e-12)
+        assert figures[kernels.PLATFORM_COSINE : kernels.PLATFORM_COSINE + 6] == pytest.approx(
+            platform, abs=1e-12
+        )
+    assert base.max() < 1.0 - 1e-4
+
+
+@pytest.mark.parametrize("turn", [0.12, -0.12])
+def test_least_and_largest_torsion_of_a_home_that_is_turned_are_the_closed_form(turn):
+    """Of the book platform, l^2 = 6 - 4 cos(30 deg + torsion), the ends stay where they are: home is nearer to one."""
+    high = 2.18
+    angle = np.arccos((6 - high**2) / 4) - np.deg2rad(30)
+    R = Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix()
+    found = map_orientations(book(Limits(0.5, high), R=R), azimuths=4)
+    assert found.torsion[[0, -1]] == pytest.approx([-angle - turn, angle - turn], abs=1e-9)
+    assert [KINDS[k] for k in found.torsion_kinds] == ["stroke", "stroke"]

@@ -1,14 +1,16 @@
 """Columns of a log by name, and one less another: units and names of values from the table in the log."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from enum import IntFlag
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from drivers.errors import LogError
 from drivers.tick_columns import Column
+from hil.record.log import Log
 from hil.record.selection import Component, components
 
 DIFFERENCE = " - "
@@ -98,3 +100,26 @@ def named_columns(names: Iterable[str]) -> set[str]:
 def seconds(rows: Rows) -> Array:
     """Time of each row (n,) in s since the first."""
     return np.asarray((rows["t_ns"] - rows["t_ns"][:1]) * 1e-9, np.float64)
+
+
+def has_pose(rows: Rows, p: str, R: str) -> NDArray[np.bool_]:
+    """Tell in which rows (n,) two columns hold a pose: finite, and a rotation that has been filled."""
+    rotation = rows[R].reshape(len(rows), -1)
+    there: NDArray[np.bool_] = rotation.any(axis=1) & np.isfinite(rotation).all(axis=1)
+    there &= np.isfinite(rows[p]).all(axis=1)
+    return there
+
+
+def row_groups(log: Log, parts: Sequence[Component], size: int) -> Iterator[Rows]:
+    """Yield columns of the components, `tick` and `t_ns`, `size` rows or a few more at a time.
+
+    Raises LogError: the log is damaged.
+    """
+    held: list[Rows] = []
+    for block in log.blocks("tick", "t_ns", *(part.column.name for part in parts)):
+        held.append(block)
+        if sum(map(len, held)) >= size:
+            yield np.concatenate(held)
+            held = []
+    if held:
+        yield np.concatenate(held)

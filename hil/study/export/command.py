@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -26,23 +26,16 @@ SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
 
 
 def utc_ns(text: str) -> int:
-    """Return an instant in ISO 8601 as ns of UTC; without an offset it is UTC.
-
-    Raises LogError: it is no instant.
-    """
+    """Instant in ISO 8601 as ns of UTC, where it has no offset. Raises LogError: not an instant."""
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
         raise LogError(
-            f"--start {text}: no instant; allowed: ISO 8601, 2026-01-31T12:00:00 (UTC) or with an offset, "
+            f"--start {text}: not an instant; allowed: ISO 8601, 2026-01-31T12:00:00 (UTC) or with offset, "
             "2026-01-31T13:00:00+01:00"
         ) from None
-    instant = instant if instant.tzinfo else instant.replace(tzinfo=UTC)
-    span = instant - datetime(1970, 1, 1, tzinfo=UTC)
-    ns = ((span.days * 86_400 + span.seconds) * 1_000_000 + span.microseconds) * 1000
-    if ns < 0:
-        raise LogError(f"--start {text}: before 1970-01-01, where the time of these files begins")
-    return ns
+    span = (instant if instant.tzinfo else instant.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
+    return span // timedelta(microseconds=1) * 1000
 
 
 def export_log(
@@ -74,7 +67,7 @@ def export_log(
                 if ending in SIGNALS:
                     written[str(out)] = {"rows": SIGNALS[ending](log, temporary, columns)}
                 else:
-                    frames = write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
+                    frames = _write_frames(log, temporary, FRAMES[ending], start_ns - own_ns)
                     written[str(out)] = {"format": FRAMES[ending], "frames": frames}
         except OSError as error:
             raise LogError(f"{out}: cannot be written: {error.strerror or error}") from None
@@ -99,9 +92,9 @@ def _check(
     path: Path, outs: Sequence[Path], *, start: str | None, columns: Sequence[str], overwrite: bool
 ) -> None:
     """Refuse what cannot be written, before anything is."""
-    endings = [out.suffix.lower() for out in outs]
-    for out, ending in zip(outs, endings, strict=True):
-        if ending not in FRAMES | SIGNALS:
+    endings = {out.suffix.lower() for out in outs}
+    for out in outs:
+        if out.suffix.lower() not in FRAMES | SIGNALS:
             allowed = ", ".join([*FRAMES, *SIGNALS])
             raise LogError(f"{out}: the ending says what is written; allowed: {allowed}")
         if out.exists() and out.samefile(path):
@@ -109,21 +102,16 @@ def _check(
         new_file(out, force=overwrite, option="")
     if len({real_path(out) for out in outs}) < len(outs):
         raise LogError("two of the files are the same one; name each once")
-    if start is not None and not any(ending in FRAMES for ending in endings):
+    if start is not None and endings.isdisjoint(FRAMES):
         raise LogError("--start: sets the time of frames, and none of the files has any; leave it out")
-    if columns and not any(ending in SIGNALS for ending in endings):
-        raise LogError(
-            "--column: chooses columns for .csv, .parquet and .rrd, and no such file is named; leave it out"
-        )
+    if columns and endings.isdisjoint(SIGNALS):
+        raise LogError(f"--column: chooses columns for {', '.join(SIGNALS)}, and no such file is named")
 
 
-def write_frames(log: Log, path: Path, form: str, shift_ns: int) -> int:
-    """Write all frames; return their number.
+def _write_frames(log: Log, path: Path, form: str, shift_ns: int) -> int:
+    """Write all frames, shifted from the log's UTC, and return their number. Raises LogError: damaged.
 
-    form : a key of `drivers.can.frame_files.WRITERS`; shift_ns : what is added to the log's UTC. A frame that
-    the log has more than a second after its time stands later in the file, at its own time.
-
-    Raises LogError: the log is damaged.
+    A frame that the log has more than a second after its time stands later in the file, at its own time.
     """
     writer = WRITERS[form](path, log.can_channels)
     offset, count = log.epoch_ns + shift_ns, 0

@@ -14,8 +14,7 @@ from drivers.arrays import Rows
 from drivers.errors import LogError
 from hil.record.log import Log
 from hil.record.selection import Component, components, name_of
-from hil.study.log_columns import titled
-from hil.study.row_groups import row_groups
+from hil.study.log_columns import row_groups, titled
 
 TIME = ("t_s", "s", "time from the first row")
 """Label, unit and meaning of the first column."""

@@ -32,14 +32,7 @@ def plot(
     Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
     """
     names = tuple(columns) or DEFAULT
-    try:
-        path = _path(logs[0], out, force=force)
-    except LogError as taken:
-        try:
-            _read(logs, names, start_s, end_s)
-        except LogError as lacking:
-            raise LogError(f"{lacking}; and {taken}") from None
-        raise
+    path = _path(logs[0], out, force=force)
     panels, remarks = _read(logs, names, start_s, end_s)
     draw(names, panels, path, ", ".join(printable(each.name) for each in logs))
     return {
@@ -61,8 +54,7 @@ def _read(
     for n, log_path in enumerate(logs):
         with readable(log_path, named_columns(names) | {"t_ns"}) as (log, rows, remark):
             if not len(rows):
-                nothing = f"{log_path}: has no tick: nothing to draw"
-                raise LogError(f"{nothing}; {remark}" if remark else nothing)
+                raise LogError("; ".join(filter(None, (f"{log_path}: has no tick: nothing to draw", remark))))
             if remark:
                 remarks.append(f"{log_path}: {remark}")
             t = seconds(rows)

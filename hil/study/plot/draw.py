@@ -65,11 +65,10 @@ def draw(
 
 
 def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
-    units = list(dict.fromkeys(c.signal.unit for c in curves))
-    first = next((c.signal for c in curves if c.signal.names), curves[0].signal)
+    first = curves[0].signal
     axes.set_title(name, fontsize="small", loc="left", parse_math=False)
     axes.grid(alpha=0.3)
-    shown = [_bits(c, first) for c in curves] if first.flags else [[c] for c in curves]
+    shown = [_bits(c) for c in curves] if first.flags else [[c] for c in curves]
     colours: dict[str, str] = {}
     for row in shown:
         for curve in row:
@@ -85,22 +84,22 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
         texts = {value: text for text, value in first.names.items()}
         axes.set_yticks(there, [texts.get(int(v), f"{v:g}") for v in there], parse_math=False)
     else:
-        axes.set_ylabel(" | ".join(units), parse_math=False)
+        axes.set_ylabel(" | ".join(dict.fromkeys(c.signal.unit for c in curves)), parse_math=False)
     if any(shown):
         legend = axes.legend(fontsize="x-small", ncols=2, loc="upper right")
         for text in legend.get_texts():
             text.set_parse_math(False)
 
 
-def _bits(curve: Curve, named: Signal) -> list[Curve]:
-    """Return one curve for each bit of flags that is ever set; its name is that of `named`."""
-    values = curve.signal.values.astype(np.int64)
-    prefix = curve.label.removesuffix(curve.signal.label)
+def _bits(curve: Curve) -> list[Curve]:
+    """One curve for each bit of flags that is ever set."""
+    signal, prefix = curve.signal, curve.label.removesuffix(curve.signal.label)
+    values = signal.values.astype(np.int64)
     return [
         curve._replace(
             label=prefix + text,
-            signal=named._replace(label=text, values=((values & bit) > 0).astype(np.float64)),
+            signal=signal._replace(label=text, values=((values & bit) > 0).astype(np.float64)),
         )
-        for text, bit in (curve.signal.names or named.names).items()
+        for text, bit in signal.names.items()
         if bit and (values & bit).any()
     ]

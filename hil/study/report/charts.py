@@ -1,23 +1,24 @@
-"""Which curves the page shows. Names and units come from the table of columns."""
+"""Which curves the page shows: the plots of the viewers, and what no column holds."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drivers.arrays import Array, Rows
+from drivers.arrays import Array, Flags, Rows
 from drivers.signals import Mode
-from drivers.tick_columns import COLUMNS, Column
+from drivers.tick_columns import COLUMNS, RECORDED
 from hil.app.configuration.configuration import Configuration
 from hil.record.metrics import rotation_errors
-from hil.study.report.scene import has_pose
+from hil.study.log_columns import has_pose
 from hil.study.report.story import mode_name
-from hil.study.report.timeline import lanes
 from hil.study.report.timing import Traffic
+from hil.study.view.panels import TIMES, plots
 
-PREFIXES = {"m": 1e-3, "µ": 1e-6}
-"""SI, of lengths, turns and times; forces stand in N, of robots of any size."""
+FLAGS = ("faults", "warnings", "foreign", "setpoint_refusal")
+"""Columns whose bits have a row each, where they are ever set."""
+MODES = "Modes, faults and warnings"
+DOTTED = ("p_d", "q_d", "dq_d", "drive_force", "lyapunov_bound")
 
 
 class Curve(NamedTuple):
@@ -38,145 +39,114 @@ class Chart(NamedTuple):
     title: str
     unit: str
     curves: tuple[Curve, ...]
-    levels: tuple[float, ...] = ()
+    levels: Sequence[float] = ()
     """Limits, as horizontal lines."""
     names: tuple[tuple[float, str], ...] = ()
     """What values of the axis are called."""
 
 
+class Lane(NamedTuple):
+    """One bit over time."""
+
+    label: str
+    """Column and bit."""
+    values: Array
+    """(n,) 0 or 1."""
+    ticks: int
+    """In how many it was set."""
+    first: int
+    """Row in which it was set first."""
+
+
 def charts(rows: Rows, c: Configuration | None, traffic: Traffic, rate_Hz: float) -> list[Chart]:
-    """Return the charts of a run in their order. rows has dtype ROW; what a run does not have is left out."""
+    """Charts of a run in their order. rows has dtype ROW; what a run does not have is left out."""
+    follows = (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
     return [
-        *_tracking(rows, c),
-        *_forces(rows, c),
-        *_certificate(rows),
+        *_columns(rows, follows, _levels(c, rate_Hz)),
+        *_rotation(rows, follows),
+        *_bus(traffic, rate_Hz),
         *_modes(rows),
-        *_time(rows, traffic, rate_Hz),
     ]
 
 
-def _scale(unit: str, prefix: str) -> tuple[str, float]:
-    """Return a unit with a prefix, one of nano seconds too, and what its numbers are multiplied with."""
-    base, size = (unit[1:], 1e-9) if unit == COLUMNS["t_ns"].unit else (unit, 1.0)
-    return prefix + base, size / PREFIXES[prefix]
+def _levels(c: Configuration | None, rate_Hz: float) -> dict[str, Sequence[float]]:
+    """Limits by title of the plot."""
+    levels: dict[str, Sequence[float]] = {"Share": (1.0,), TIMES: (1e6 / rate_Hz,)}
+    if c is not None:
+        force, speed = min(c.limits.force_N, c.drives.force_limit_N), c.limits.speed_m_s
+        levels["Leg length"] = (c.platform.length_min_m, c.platform.length_max_m)
+        levels |= {"Leg rate": (-speed, speed), "Leg force": (-force, force)}
+    return levels
 
 
-def _legs(column: Column, values: Array, factor: float = 1.0) -> tuple[Curve, ...]:
-    return tuple(Curve(name, factor * values[:, k]) for k, name in enumerate(column.elements))
+def _columns(rows: Rows, follows: Flags, levels: dict[str, Sequence[float]]) -> Iterator[Chart]:
+    """Chart the plots of the viewers, one for each unit; references while they are followed."""
+    shown = {
+        "p": has_pose(rows, "p", "R"),
+        "p_d": follows & has_pose(rows, "p_d", "R_d"),
+        "q": (rows["q"] != 0.0).any(axis=1),
+        "q_d": follows,
+        "dq_d": follows,
+    }
+    for plot in plots(RECORDED):
+        by_unit: dict[str, list[Curve]] = {}
+        for curve in plot.curves:
+            name = curve.part.column.name
+            where = follows if curve.less else shown.get(name, np.ones(len(rows), np.bool_))
+            unit, factor = curve.unit, 1.0
+            if unit == COLUMNS["t_ns"].unit:
+                unit, factor = f"µ{unit[1:]}", 1e-3
+            elif plot.tab == "Errors":
+                unit, factor = f"m{unit}", 1e3
+            kind = "dotted" if name in DOTTED and not curve.less else "line"
+            values = np.where(where, factor * curve.of(rows), np.nan)
+            by_unit.setdefault(unit, []).append(Curve(curve.label, values, kind))
+        for unit, curves in by_unit.items():
+            if any(np.any(np.isfinite(each.values) & (each.values != 0.0)) for each in curves):
+                level = levels.get(plot.title, ())
+                yield Chart(f"{plot.title} [{unit}]", plot.tab, plot.title, unit, tuple(curves), level)
 
 
-def _tracking(rows: Rows, c: Configuration | None) -> Iterator[Chart]:
-    follows = (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
-    p, q, dq = COLUMNS["p"], COLUMNS["q"], COLUMNS["dq"]
-    section, following = "Tracking", "reference less measured, while a reference is followed"
-
-    def only(values: Array, where: NDArray[np.bool_] = follows) -> Array:
-        return np.where(where[:, None], values, np.nan)
-
-    if follows.any():
-        unit, factor = _scale(p.unit, "m")
-        yield Chart(
-            "e_p",
-            section,
-            f"position error: {following}",
-            unit,
-            _legs(p, only(rows["p_d"] - rows["p"]), factor),
-        )
-        pose = COLUMNS["pose_std"]
-        unit, factor = _scale(pose.units[3], "m")
+def _rotation(rows: Rows, follows: Flags) -> Iterator[Chart]:
+    good = follows & has_pose(rows, "p", "R") & has_pose(rows, "p_d", "R_d")
+    if good.any():
         e = np.full((len(rows), 3), np.nan)
-        good = follows & has_pose(rows, "p", "R") & has_pose(rows, "p_d", "R_d")
-        e[good] = rotation_errors(rows["R_d"][good], rows["R"][good])
-        curves = tuple(Curve(name, factor * e[:, k]) for k, name in enumerate(pose.elements[3:]))
-        yield Chart("e_R", section, f"rotation error, rotation vector: {following}", unit, curves)
-        unit, factor = _scale(q.unit, "m")
-        yield Chart(
-            "e_q", section, f"leg error: {following}", unit, _legs(q, only(rows["q_d"] - rows["q"]), factor)
-        )
-    posed = only(rows["p"], has_pose(rows, "p", "R"))
-    reference = only(rows["p_d"], follows & has_pose(rows, "p_d", "R_d"))
-    curves = _legs(p, posed) + tuple(Curve(f"{x}, reference", y, "dotted") for x, y, _ in _legs(p, reference))
-    yield Chart("p", section, p.meaning, p.unit, curves)
-    heard = only(rows["q"], (rows["q"] != 0.0).any(axis=1))
-    ends = () if c is None else (c.platform.length_min_m, c.platform.length_max_m)
-    yield Chart("q", section, q.meaning, q.unit, _legs(q, heard), ends)
-    ends = () if c is None else (-c.limits.speed_m_s, c.limits.speed_m_s)
-    yield Chart("dq", section, dq.meaning, dq.unit, _legs(dq, rows["dq"]), ends)
+        e[good] = 1e3 * rotation_errors(rows["R_d"][good], rows["R"][good])
+        curves = tuple(Curve(name, e[:, k]) for k, name in enumerate(("rx", "ry", "rz")))
+        yield Chart("rotation", "Errors", "Rotation error, rotation vector", "mrad", curves)
 
 
-def _forces(rows: Rows, c: Configuration | None) -> Iterator[Chart]:
-    section = "Forces"
-    for name in ("tau", "drive_force"):
-        column = COLUMNS[name]
-        limit = () if c is None else (min(c.limits.force_N, c.drives.force_limit_N),)
-        yield Chart(
-            name,
-            section,
-            column.meaning,
-            column.unit,
-            _legs(column, rows[name]),
-            (*(-x for x in limit), *limit),
-        )
-    column = COLUMNS["wrench"]
-    if np.any(rows["wrench"]):
-        for first, what in ((0, "force"), (3, "moment")):
-            title = f"{column.meaning}: {what}"
-            curves = _legs(column, rows["wrench"])[first : first + 3]
-            yield Chart(f"wrench_{what}", section, title, column.units[first], curves)
-
-
-def _certificate(rows: Rows) -> Iterator[Chart]:
-    V, bound, share = (COLUMNS[name] for name in ("lyapunov", "lyapunov_bound", "lyapunov_share"))
-    section = "Stability certificate"
-    if np.isfinite(rows[V.name]).any():
-        curves = (Curve("V", rows[V.name]), Curve("bound", rows[bound.name], "dotted"))
-        yield Chart("V", section, f"{V.meaning}, and {bound.meaning}", V.unit, curves)
-    if np.isfinite(rows[share.name]).any():
-        yield Chart("share", section, share.meaning, share.unit, (Curve("share", rows[share.name]),), (1.0,))
+def _bus(traffic: Traffic, rate_Hz: float) -> Iterator[Chart]:
+    if np.isfinite(traffic.answered_ns).any():
+        curve = Curve("last feedback", 1e-3 * traffic.answered_ns)
+        title = "Last feedback after the tick's start"
+        yield Chart("answered", "Timing", title, "µs", (curve,), (1e6 / rate_Hz,))
+    if traffic.busy_ns:
+        busy = tuple(Curve(name, 1e-7 * rate_Hz * busy) for name, busy in sorted(traffic.busy_ns.items()))
+        title = "Bus load: worst-case wire time of a tick's frames, of its period"
+        yield Chart("bus", "Timing", title, "%", busy, (100.0,))
 
 
 def _modes(rows: Rows) -> Iterator[Chart]:
-    section, column = "Modes, faults and warnings", COLUMNS["mode"]
-    there = sorted(set(rows["mode"].tolist()))
-    place = {mode: float(k) for k, mode in enumerate(there)}
-    values = np.array([place[mode] for mode in rows["mode"].tolist()], np.float64)
-    names = tuple((float(k), mode_name(mode)) for k, mode in enumerate(there))
-    yield Chart("mode", section, column.meaning, "", (Curve(column.name, values, "steps"),), (), names)
+    there, values = np.unique(rows["mode"], return_inverse=True)
+    names = tuple((float(k), mode_name(mode)) for k, mode in enumerate(there.tolist()))
+    steps = Curve("mode", values.astype(np.float64), "steps")
+    yield Chart("mode", MODES, COLUMNS["mode"].meaning, "", (steps,), (), names)
     found = lanes(rows)
     if found:
         curves = tuple(Curve(lane.label, k + 0.8 * lane.values, "area") for k, lane in enumerate(found))
         names = tuple((k + 0.4, lane.label) for k, lane in enumerate(found))
-        yield Chart(
-            "flags", section, "faults, warnings and what else was set, one line each", "", curves, (), names
-        )
+        title = "faults, warnings and what else was set, one line each"
+        yield Chart("flags", MODES, title, "", curves, (), names)
 
 
-def _time(rows: Rows, traffic: Traffic, rate_Hz: float) -> Iterator[Chart]:
-    section = "Time and bus"
-    lateness, compute, stretched = (COLUMNS[name] for name in ("lateness_ns", "compute_ns", "stretched_ns"))
-    unit, factor = _scale(lateness.unit, "µ")
-    curves = [
-        Curve(column.meaning, factor * rows[column.name].astype(np.float64))
-        for column in (lateness, compute)
-        if rows[column.name].any()
-    ]
-    if np.isfinite(traffic.answered_ns).any():
-        curves.append(Curve("last feedback after the tick's start", factor * traffic.answered_ns))
-    if curves:
-        yield Chart("time", section, "wake-up, computing, feedback", unit, tuple(curves), (1e6 / rate_Hz,))
-    if rows[stretched.name].any():
-        unit, factor = _scale(stretched.unit, "m")
-        curve = Curve(stretched.name, factor * rows[stretched.name].astype(np.float64))
-        yield Chart("stretched", section, stretched.meaning, unit, (curve,))
-    if traffic.busy_ns:
-        busy = tuple(Curve(name, 1e-7 * rate_Hz * busy) for name, busy in sorted(traffic.busy_ns.items()))
-        title = "bus load: worst-case wire time of a tick's frames, of its period"
-        yield Chart("bus", section, title, "%", busy, (100.0,))
-    columns = [COLUMNS[name] for name in ("rejected", "sends_failed", "bus_errors", "bus_overflow")]
-    counted = tuple(
-        Curve(column.meaning, rows[column.name].astype(np.float64))
-        for column in columns
-        if rows[column.name].any()
-    )
-    if counted:
-        yield Chart("refused", section, "frames refused, not taken, in error or lost", "", counted)
+def lanes(rows: Rows) -> list[Lane]:
+    """Lane of each bit of FLAGS that is ever set, in the order of the table."""
+    found = []
+    for name in FLAGS:
+        for text, bit in COLUMNS[name].names.items():
+            there = (rows[name] & bit) != 0
+            if there.any():
+                values = there.astype(np.float64)
+                found.append(Lane(f"{name} {text}", values, int(there.sum()), int(np.argmax(there))))
+    return found

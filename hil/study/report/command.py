@@ -8,29 +8,26 @@ from typing import Any
 
 import numpy as np
 
-from drivers import build_protocol
 from drivers.arrays import Array, Rows
 from drivers.can.bus_time import BitTiming
-from drivers.errors import ConfigurationError, HilError, LogError
-from drivers.family import Family
-from drivers.signals import Mode
+from drivers.errors import ConfigurationError, LogError
 from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import new_file, printable, write_whole
 from hil.app.output import figure_rows
 from hil.app.readable import MOST_RATE_HZ, Readable, readable
+from hil.app.run.stretching import stretches
 from hil.record.figures import figures
-from hil.record.log import Event, Log
-from hil.record.schema import ENVIRONMENT, IDENTITY, SUMMARY
+from hil.record.log import Log
+from hil.record.schema import ENVIRONMENT, IDENTITY
 from hil.study.log_columns import seconds
 from hil.study.report import sections
-from hil.study.report.charts import Chart, charts
+from hil.study.report.charts import MODES, Chart, charts
 from hil.study.report.html import Html, tag
 from hil.study.report.margins import margins
-from hil.study.report.page import asset, drawn, figure, page
-from hil.study.report.scene import scene
+from hil.study.report.page import asset, drawn, figure, page, scene
 from hil.study.report.story import Told, told
-from hil.study.report.timing import counts, spreads, stood_still, traffic
+from hil.study.report.timing import counts, spreads, traffic
 
 
 def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[str, Any]:
@@ -42,13 +39,12 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
     begun = time.perf_counter()
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
     with readable(path) as found, np.errstate(all="ignore"):  # a log may hold any number
-        log = found.log
-        rate_Hz = _rate(log, path)
-        events = log.events()
-        configuration, why_not = _configuration(log)
-        codec = None if configuration is None else _codec(configuration)
-        story = told(log.metadata, found.rows, rate_Hz, codec)
-        text = _page(path, found, configuration, why_not, story, events, rate_Hz)
+        rate_Hz = _rate(found.log, path)
+        if not len(found.rows):
+            raise LogError("; ".join(filter(None, (f"{path}: has no tick: nothing to report", found.remark))))
+        c, why_not = _configuration(found.log)
+        story = told(found.log.metadata, found.rows, rate_Hz)
+        text = _page(path, found, c, why_not, story, rate_Hz)
     try:
         write_whole(target, text)
     except OSError as error:
@@ -102,54 +98,29 @@ def _configuration(log: Log) -> tuple[Configuration | None, str]:
         return None, f"without the configuration there are no limits, no bus load and no 3D view: {first}"
 
 
-def _codec(c: Configuration) -> Family | None:
-    try:
-        return build_protocol(c.bus, c.drives)
-    except HilError:
-        return None
-
-
 def _page(
-    path: Path,
-    found: Readable,
-    c: Configuration | None,
-    why_not: str,
-    story: Told,
-    events: Sequence[Event],
-    rate_Hz: float,
+    path: Path, found: Readable, c: Configuration | None, why_not: str, story: Told, rate_Hz: float
 ) -> str:
     log, rows, remark = found
-    if not len(rows):
-        nothing = f"{path}: has no tick: nothing to report"
-        raise LogError(f"{nothing}; {remark}" if remark else nothing)
+    events = log.events()
     t, name = seconds(rows), printable(path.name)
     timings = [] if c is None or c.bus.layout == "ideal" else [BitTiming.of(each) for each in c.bus.buses]
     bus = traffic(log, rows, timings)
     shown = charts(rows, c, bus, rate_Hz)
-    powered = (rows["mode"] >= Mode.LOADING) & (rows["mode"] <= Mode.UNLOADING) | (rows["mode"] == Mode.HELD)
     moving = None if c is None else scene(rows, t, c)
+    stood = figure_rows(stretches(rows["stretched_ns"])) if rows["stretched_ns"].any() else []
     body = [
         tag("header", tag("h1", name), tag("p", _subtitle(log, rows, c, rate_Hz))),
         sections.opening(story, rows, remark),
+        *([sections.what_went_wrong(story)] if story.headline else []),
+        sections.limits([] if c is None else margins(rows, c, rate_Hz), t, why_not),
+        *([Html(asset("pose.html"))] if moving is not None else []),
+        *_curves(shown, t, sections.modes(rows, t, events)),
+        sections.timing(log, spreads(rows, bus.answered_ns), counts(rows), stood),
+        sections.figures(figure_rows(figures(rows))),
     ]
-    body += [sections.what_went_wrong(story)] if story.headline else []
-    body.append(sections.limits([] if c is None else margins(rows, c, rate_Hz), t, why_not))
-    body += [Html(asset("pose.html"))] if moving is not None else []
-    machine = log.metadata.get(ENVIRONMENT, {}) | _scheduled(log)
-    stood = figure_rows(stood_still(rows))
-    certificate = sections.timing(
-        spreads(rows, bus.answered_ns), counts(rows, powered), stood, machine, lockstep=log.lockstep
-    )
-    body += _curves(shown, t, {"Modes, faults and warnings": sections.modes(rows, t, events)})
-    body += [certificate, sections.figures(figure_rows(figures(rows)))]
     data = {"charts": drawn(shown, t), "scene": moving, "end": float(t[-1])}
     return page(f"{name}: {story.headline or 'report'}", body, data)
-
-
-def _scheduled(log: Log) -> dict[str, str]:
-    """Return what the loop of a run in real time was granted, as its log says at its end."""
-    end = log.metadata.get(SUMMARY, {})
-    return {key: end[key] for key in ("scheduler", "affinity") if key in end}
 
 
 def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> str:
@@ -164,14 +135,15 @@ def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> 
     return ", ".join(filter(None, words))
 
 
-def _curves(shown: Sequence[Chart], t: Array, further: dict[str, list[Html]]) -> list[Html]:
-    """Return a section for each kind of chart, in their order."""
+def _curves(shown: Sequence[Chart], t: Array, modes: Sequence[Html]) -> list[Html]:
+    """Section for each kind of chart, in their order; tables of modes follow their charts."""
     hint = (
         "Drag to zoom, double click to see all; with the keyboard: arrows move the cursor, + and - zoom, "
-        "Shift with arrows pans, 0 shows all. All curves share their time."
+        "Shift with arrows pans, 0 shows all. All curves share their time. Errors are reference less "
+        "measured, while a reference is followed."
     )
     made = [tag("p", hint, class_="note")]
     for name in dict.fromkeys(chart.section for chart in shown):
         figures = [figure(chart, t) for chart in shown if chart.section == name]
-        made.append(tag("section", tag("h2", name), *figures, *further.get(name, [])))
+        made.append(tag("section", tag("h2", name), *figures, *(modes if name == MODES else ())))
     return made

@@ -12,15 +12,22 @@ from math import isfinite
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import platform_dict
+from hil.study.log_columns import has_pose
 from hil.study.report.charts import Chart
 from hil.study.report.html import Html, joined, table, tag
-from hil.study.report.samples import packed, thin
 
 STYLES = ("uPlot.min.css", "report.css")
 SCRIPTS = ("uPlot.iife.min.js", "scene.js", "report.js")
 LICENCE = "uPlot-LICENSE.txt"
+BINS = 2000
+"""More than a screen has pixels across."""
+FRAMES = 1500
+"""Of the pose, at most; a picture of each moment between two is made by the page."""
 SHARED = {"scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
 
 
@@ -111,3 +118,54 @@ def figure(chart: Chart, t: Array) -> Html:
             rows.append((curve.label, *ends, f"{float(np.sqrt(np.mean(y**2))):.5g}"))
     numbers = tag("details", tag("summary", "Extremes"), table(("curve", "least", "largest", "rms"), rows))
     return tag("figure", caption, place, numbers)
+
+
+def thin(t: Array, series: list[Array], bins: int = BINS) -> tuple[Array, list[Array]]:
+    """Return at most two samples a bin of each series: its least and its largest value there.
+
+    t (n,) s; each of series (n,). Up to 2 bins samples come back as they are. A bin has two instants, its
+    first and its middle sample's; the least comes first where the series rises across the bin. nan counts
+    only where a whole bin is nan.
+    """
+    n = len(t)
+    if n <= 2 * bins:
+        return t, series
+    starts = np.linspace(0, n, bins + 1).astype(np.int64)
+    first, last = starts[:-1], starts[1:] - 1
+    x = np.stack((t[first], t[(first + last + 1) // 2]), axis=1).ravel()
+    thinned = []
+    for y in series:
+        low, high = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
+        falls = y[first] > y[last]
+        pair = np.where(falls[:, None], np.stack((high, low), axis=1), np.stack((low, high), axis=1))
+        thinned.append(pair.ravel())
+    return x, thinned
+
+
+def packed(values: ArrayLike) -> str:
+    """Any array as little-endian float32 in base 64, row by row; what is not finite becomes nan."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        narrow = np.asarray(values, np.float64).astype("<f4").ravel()
+    narrow[~np.isfinite(narrow)] = np.nan
+    return base64.b64encode(narrow.tobytes()).decode("ascii")
+
+
+def scene(rows: Rows, t: Array, c: Configuration) -> dict[str, Any] | None:
+    """Return joints, poses and leg forces for the page; None where the log has no pose.
+
+    t (n,) s. p (m, 3) m and R (m, 9) of platform and reference in the base frame; load (m, 6): tau as a share
+    of the largest force that is allowed.
+    """
+    posed = np.flatnonzero(has_pose(rows, "p", "R"))
+    if not len(posed):
+        return None
+    kept = posed[np.unique(np.linspace(0, len(posed) - 1, FRAMES).astype(np.int64))]
+    robot = platform_dict(c.platform)
+    limit = min(c.limits.force_N, c.drives.force_limit_N)
+    return {
+        "base": np.asarray(robot["base_joints"], np.float64).tolist(),
+        "platform": np.asarray(robot["platform_joints"], np.float64).tolist(),
+        "t": packed(t[kept]),
+        **{name: packed(rows[name][kept]) for name in ("p", "R", "p_d", "R_d")},
+        "load": packed(rows["tau"][kept] / limit),
+    }

@@ -1,18 +1,24 @@
 """The sections of the page in words: what happened, what was left of each limit, how time was kept."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+from itertools import pairwise
 
-from drivers.arrays import Array, Rows
+import numpy as np
+
+from drivers.arrays import Array, Ints, Rows
 from drivers.signals import Mode
-from hil.record.log import Event
+from hil.record.log import Event, Log
+from hil.record.schema import ENVIRONMENT, SUMMARY
+from hil.study.report.charts import lanes
 from hil.study.report.html import Html, joined, prose, table, tag
 from hil.study.report.margins import Margin
-from hil.study.report.story import Told, mode_name, quantity
-from hil.study.report.timeline import lanes, spells
-from hil.study.report.timing import PERCENTILES, Spread
+from hil.study.report.story import HEADINGS, Told, mode_name, quantity
+from hil.study.report.timing import PERCENTILES
 
 EVENTS = 200
 """Shown at most, the first ones."""
+MACHINE = ("cpu", "cpus", "kernel", "scheduler", "affinity", "clock", "git", "version")
+"""What is shown of the machine, and of what the loop of a run in real time was granted."""
 UNSEEN = (
     "Not among them: the leap of a rate, and a reading that stands still while its leg strays. A log has "
     "these figures only from the moment at which they have raised a fault."
@@ -21,7 +27,7 @@ UNSEEN = (
 
 def opening(told: Told, rows: Rows, remark: str) -> Html:
     """Return the first lines: good or bad, and what is missing of the log."""
-    mode = mode_name(int(rows["mode"][-1])) if len(rows) else "no tick"
+    mode = mode_name(int(rows["mode"][-1]))
     if told.headline:
         kind, text = "bad", f"Went wrong: {told.headline}"
     elif mode == Mode.PARKED.name and not remark:
@@ -35,34 +41,16 @@ def opening(told: Told, rows: Rows, remark: str) -> Html:
 
 
 def what_went_wrong(told: Told) -> Html:
-    """Return the story of the faults: leg, value, limit, since when, drives, what was done, what to do."""
+    """Story of the faults: leg, value, limit, since when, drives, what was done, what to do."""
     head = ("fault", "since, s", "in mode", "leg", "value", "limit", "what happened")
     rows = [
-        (
-            f.fault,
-            "" if f.time_s is None else f"{f.time_s:.3f}",
-            f.mode,
-            *f.cells,
-            prose(f.text),
-        )
+        (f.fault, "" if f.time_s is None else f"{f.time_s:.3f}", f.mode, *f.cells, prose(f.text))
         for f in told.findings
     ]
-    parts = [tag("h2", "What went wrong"), table(head, rows)] if rows else [tag("h2", "What went wrong")]
-    if told.next:
-        items = [
-            tag("li", prose(text), " ", tag("small", "(", tag("code", page), ")")) for text, page in told.next
-        ]
-        parts += [tag("h3", "What to do next"), tag("ul", *items)]
-    if told.done:
-        items = [tag("li", prose(text), "" if t is None else f" ({t:.3f} s)") for t, text in told.done]
-        parts += [tag("h3", "What was done"), tag("ol", *items)]
-    if told.drives:
-        said = [(f"drive {leg}", text) for leg, text in enumerate(told.drives)]
-        if len(set(told.drives)) == 1:
-            said = [("all", told.drives[0])]
-        parts += [tag("h3", "What the drives said then"), table(("drive", "said"), said)]
-    if told.at_end:
-        parts += [tag("h3", "In the end"), tag("p", prose(told.at_end))]
+    parts = [tag("h2", "What went wrong"), *([table(head, rows)] if rows else [])]
+    for key, lines in told.lines.items():
+        if lines:
+            parts += [tag("h3", HEADINGS[key]), tag("ul", *(tag("li", prose(line)) for line in lines))]
     return tag("section", *parts, id="story")
 
 
@@ -90,11 +78,9 @@ def limits(found: Sequence[Margin], t: Array, why_not: str) -> Html:
 
 
 def _used(percent: float) -> Html:
-    """Return a bar and its number."""
-    text = f"{percent:.1f} %"
-    bar = tag(
-        "meter", text, min=0, max=100, low=80, high=95, optimum=0, value=f"{percent:.2f}", aria_label=text
-    )
+    """Bar and its number."""
+    text, ends = f"{percent:.1f} %", {"min": 0, "max": 100, "low": 80, "high": 95, "optimum": 0}
+    bar = tag("meter", text, **ends, value=f"{percent:.2f}", aria_label=text)
     return joined((bar, tag("span", f" {text}")))
 
 
@@ -104,51 +90,51 @@ def figures(values: Sequence[tuple[str, str]]) -> Html:
 
 
 def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
-    """Return modes, bits that were set and events as tables."""
-    parts = []
-    if len(rows):
-        lines = [
-            (mode_name(mode), f"{t[a]:.3f}", f"{t[min(b, len(t) - 1)] - t[a]:.3f}")
-            for mode, a, b in spells(rows["mode"])[:EVENTS]
-        ]
-        parts.append(table(("mode", "from, s", "for, s"), lines, "Modes"))
-        bits = [(lane.label, f"{t[lane.first]:.3f}", lane.ticks) for lane in lanes(rows)]
-        if bits:
-            parts.append(table(("set", "first at, s", "ticks"), bits, "Faults, warnings and other bits"))
-    start = int(rows["t_ns"][0]) if len(rows) else 0
-    told = [
-        (f"{1e-9 * (e.t_ns - start):.3f}", e.level, prose(e.text.partition("\n")[0])) for e in events[:EVENTS]
+    """Modes, bits that were set and events as tables."""
+    lines = [
+        (mode_name(mode), f"{t[a]:.3f}", f"{t[min(b, len(t) - 1)] - t[a]:.3f}")
+        for mode, a, b in spells(rows["mode"])[:EVENTS]
     ]
-    if told:
+    parts = [table(("mode", "from, s", "for, s"), lines, "Modes")]
+    bits = [(lane.label, f"{t[lane.first]:.3f}", lane.ticks) for lane in lanes(rows)]
+    if bits:
+        parts.append(table(("set", "first at, s", "ticks"), bits, "Faults, warnings and other bits"))
+    if events:
+        start = int(rows["t_ns"][0])
+        told = [
+            (f"{1e-9 * (e.t_ns - start):.3f}", e.level, prose(e.text.partition("\n")[0]))
+            for e in events[:EVENTS]
+        ]
         more = f", the first {EVENTS} of {len(events)}" if len(events) > EVENTS else ""
         parts.append(table(("at, s", "level", "event"), told, f"Events{more}"))
     return parts
 
 
+def spells(values: Ints) -> list[tuple[int, int, int]]:
+    """Spells of equal values (n,), n > 0: value, first row, row behind the last."""
+    edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
+    return [(int(values[a]), a, b) for a, b in pairwise(edges)]
+
+
 def timing(
-    spreads: Sequence[Spread],
+    log: Log,
+    spreads: Sequence[tuple[str, Array]],
     counted: Sequence[tuple[str, int]],
     stood: Sequence[tuple[str, str]],
-    machine: Mapping[str, str],
-    *,
-    lockstep: bool,
 ) -> Html:
-    """Return the timing certificate: percentiles, counts, stretches, and the machine they are of."""
+    """Certificate of the loop's time: percentiles, counts, stretches, and the machine they are of."""
     parts: list[Html] = [tag("h2", "Timing certificate")]
-    if lockstep:
+    if log.lockstep:
         parts.append(tag("p", "Simulated time: nobody woke up, and no machine was measured.", class_="note"))
     if spreads:
         head = ("time", *(f"p{p:g}" if p < 100 else "max" for p in PERCENTILES))
-        rows = [(s.name, *(f"{1e-3 * value:.1f} µs" for value in s.values)) for s in spreads]
+        rows = [(name, *(f"{1e-3 * ns:.1f} µs" for ns in values.tolist())) for name, values in spreads]
         parts.append(table(head, rows))
     parts.append(table(("counted over the whole log", "number"), counted))
     if stood:
         parts.append(table(("bench time that stood still", ""), stood))
-    shown = [
-        (key, machine[key])
-        for key in ("cpu", "cpus", "kernel", "scheduler", "affinity", "clock", "git", "version")
-        if key in machine
-    ]
+    machine = log.metadata.get(SUMMARY, {}) | log.metadata.get(ENVIRONMENT, {})
+    shown = [(key, machine[key]) for key in MACHINE if key in machine]
     if shown:
         parts.append(table(("machine and version", ""), shown))
     return tag("section", *parts, id="timing")

@@ -1,18 +1,15 @@
 """The loop's own time: how late it woke up, how long it computed, how late the drives answered."""
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from drivers.can.bus_time import BitTiming, frame_time_ns
 from drivers.errors import BusError
 from drivers.protocol import BUS
-from drivers.signals import Warn
-from drivers.tick_columns import COLUMNS
-from hil.app.run.stretching import stretches
+from drivers.signals import Mode, Warn
 from hil.record.figures import bus_troubles
 from hil.record.log import Log
 
@@ -27,15 +24,6 @@ class Traffic(NamedTuple):
     busy_ns: dict[str, Array]
     """By name of the bus: (n,) worst-case wire time of a tick's frames, sent and received; empty without a
     timing."""
-
-
-class Spread(NamedTuple):
-    """Percentiles of one time."""
-
-    name: str
-    unit: str
-    values: tuple[float, ...]
-    """At PERCENTILES."""
 
 
 def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
@@ -66,23 +54,20 @@ def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
     return Traffic(answered, busy)
 
 
-def spreads(rows: Rows, answered_ns: Array) -> list[Spread]:
-    """Return the percentiles of wake-up, computing and feedback; none of a time that nobody took."""
-    named = [
-        ("wake-up, late by", "lateness_ns", rows["lateness_ns"]),
-        ("computing of a tick", "compute_ns", rows["compute_ns"][1:]),
-        ("last feedback after the tick's start", "t_ns", answered_ns[np.isfinite(answered_ns)]),
-    ]
-    return [
-        Spread(name, COLUMNS[column].unit, tuple(np.percentile(values, PERCENTILES).tolist()))
-        for name, column, values in named
-        if len(values) and np.any(values)
-    ]
+def spreads(rows: Rows, answered_ns: Array) -> list[tuple[str, Array]]:
+    """Percentiles of wake-up, computing and feedback, ns at PERCENTILES; none of a time that nobody took."""
+    times = {
+        "wake-up, late by": rows["lateness_ns"],
+        "computing of a tick": rows["compute_ns"][1:],
+        "last feedback after the tick's start": answered_ns[np.isfinite(answered_ns)],
+    }
+    return [(name, np.percentile(ns, PERCENTILES)) for name, ns in times.items() if np.any(ns)]
 
 
-def counts(rows: Rows, powered: NDArray[np.bool_]) -> list[tuple[str, int]]:
-    """Return how often the loop or its bus failed to keep time; powered (n,) bool."""
-    age = rows["age"]
+def counts(rows: Rows) -> list[tuple[str, int]]:
+    """How often the loop or its bus failed to keep time."""
+    age, mode = rows["age"], rows["mode"]
+    powered = (mode >= Mode.LOADING) & (mode <= Mode.UNLOADING) | (mode == Mode.HELD)
     gaps = np.maximum(np.diff(rows["tick"]) - 1 - rows["skipped"][1:], 0)
     late = (rows["warnings"] & Warn.LATE) != 0
     troubles = bus_troubles(rows)
@@ -102,8 +87,3 @@ def counts(rows: Rows, powered: NDArray[np.bool_]) -> list[tuple[str, int]]:
         ("ticks that the recorder lost", int(rows["recorder_dropped"].max(initial=0))),
         ("ticks missing from the log", int(gaps.sum())),
     ]
-
-
-def stood_still(rows: Rows) -> dict[str, Any]:
-    """Return the stretches of bench time; empty where it never stood still."""
-    return stretches(rows["stretched_ns"]) if rows["stretched_ns"].any() else {}

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any
 
 from drivers.tick_columns import Column
-from hil.record.selection import Component
 from hil.study.log_columns import Curve
 from hil.study.view.panels import Plot, plots, states
 
@@ -57,18 +56,14 @@ def _plot(rrb: Any, plot: Plot, topic: str) -> Any:
     return rrb.TimeSeriesView(origin="/", contents=contents, name=plot.title)
 
 
-def scalar_path(topic: str, part: Component) -> str:
-    """Return the entity of a component: `/tick/tau/leg_3`."""
-    return f"{topic}/{part.label.replace('.', '/')}"
-
-
-def difference_path(curve: Curve) -> str:
-    """Return the entity of a difference: `/differences/q_d-q/leg_3`."""
-    assert curve.less is not None
-    element = curve.part.label.removeprefix(curve.part.column.name).replace(".", "/")
-    return f"{DIFFERENCES}/{curve.part.column.name}-{curve.less.column.name}{element}"
+def path_of(topic: str, label: str) -> str:
+    """Entity of a component: `/tick/tau/leg_3`."""
+    return f"{topic}/{label.replace('.', '/')}"
 
 
 def curve_path(topic: str, curve: Curve) -> str:
-    """Return the entity of a curve."""
-    return difference_path(curve) if curve.less else scalar_path(topic, curve.part)
+    """Entity of a curve; of a difference `/differences/q_d-q/leg_3`."""
+    if curve.less is None:
+        return path_of(topic, curve.label)
+    element = curve.part.label.removeprefix(curve.part.column.name)
+    return path_of(DIFFERENCES, f"{curve.part.column.name}-{curve.less.column.name}{element}")

@@ -4,7 +4,6 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,45 +21,34 @@ class Viewer(NamedTuple):
     """Of the file, after the name of the log."""
     write: Callable[[Log, Path], object]
     """Writes the file."""
-    start: Callable[[Path, Path], Sequence[str] | None]
-    """Log and file -> command; None where the program is not installed."""
+    programs: Sequence[str]
+    """The first that is installed is started."""
+    words: Sequence[str]
+    """Its arguments; `{log}` and `{file}` are filled in, here and in what follows."""
     by_hand: str
-    """What to do where it is not started; `{log}` and `{file}` are filled in."""
-
-
-def _rerun(log: Path, file: Path) -> Sequence[str] | None:
-    del log
-    # by itself it listens on all addresses
-    command = [sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(file)]
-    return command if find_spec("rerun") else None
-
-
-def _foxglove(log: Path, file: Path) -> Sequence[str] | None:
-    del file
-    program = next(filter(None, map(shutil.which, ("lichtblick", "foxglove-studio"))), None)
-    return [program, str(log)] if program else None
-
-
-def _plotjuggler(log: Path, file: Path) -> Sequence[str] | None:
-    del log
-    program = shutil.which("plotjuggler")
-    return [program, "-n", "-l", str(file)] if program else None
+    """What to do where it is not started."""
 
 
 VIEWERS = {
     "rerun": Viewer(
-        ".rrd", lambda log, path: write_rrd(log, path, ()), _rerun, "rerun --bind 127.0.0.1 {file}"
+        ".rrd",
+        lambda log, path: write_rrd(log, path, ()),
+        (sys.executable,),
+        ("-m", "rerun", "--bind", "127.0.0.1", "{file}"),  # by itself it listens on all addresses
+        "rerun --bind 127.0.0.1 {file}",
     ),
     "foxglove": Viewer(
         "-foxglove.json",
         lambda log, path: path.write_text(foxglove.layout(log.columns, log.topic), "utf-8"),
-        _foxglove,
+        ("lichtblick", "foxglove-studio"),
+        ("{log}",),
         "open {log} in Foxglove or Lichtblick and import the layout {file}",
     ),
     "plotjuggler": Viewer(
         "-plotjuggler.xml",
         lambda log, path: path.write_text(plotjuggler.layout(log.columns, log.topic, log=log.path), "utf-8"),
-        _plotjuggler,
+        ("plotjuggler",),
+        ("-n", "-l", "{file}"),
         "plotjuggler -n -l {file}",
     ),
 }
@@ -89,17 +77,16 @@ def view(
         "log": str(path),
         "viewer": name,
         "written": str(file),
+        "next": viewer.by_hand.format(log=path, file=file),
     }
-    command = viewer.start(path, file) if start else None
-    result["next"] = viewer.by_hand.format(log=path, file=file)
-    if command is not None:
+    program = next(filter(None, map(shutil.which, viewer.programs)), None) if start else None
+    if program is not None:
+        words = [word.format(log=path, file=file) for word in viewer.words]
         try:
-            code = subprocess.run(command, check=False).returncode
+            code = subprocess.run([program, *words], check=False).returncode
         except OSError as error:
-            raise LogError(f"{command[0]}: does not start: {error.strerror}; {result['next']}") from error
+            raise LogError(f"{program}: does not start: {error.strerror}; {result['next']}") from error
         if code:
-            result |= {
-                "success": False,
-                "trouble": f"{name} ended with exit code {code}: see what it said above",
-            }
+            trouble = f"{name} ended with exit code {code}: see its messages above"
+            result |= {"success": False, "trouble": trouble}
     return result

@@ -16,19 +16,19 @@ from hil.study.view.panels import differences, field, plots, states
 
 SCRIPT_TOPIC = "/studio_script/differences"
 """Topic that the user script fills."""
-_LANES = 24
-"""States in one panel, at most."""
 
 
 def layout(columns: Sequence[Column], topic: str) -> str:
-    """Return the layout for logs with these columns as JSON."""
-    fixed = importlib.resources.files("hil.study.view").joinpath("foxglove-panels.json").read_text("utf-8")
-    panels: dict[str, Any] = json.loads(fixed.replace("TOPIC", topic))
-    panels["StateTransitions!mode"] = _transitions("Mode", _mode(columns, topic))
+    """Layout for logs with these columns as JSON."""
+    panels: dict[str, Any] = json.loads(_asset("foxglove-panels.json").replace("TOPIC", topic))
+    plain = panels.pop("Plot")
+    first = [c for c in columns if c.name in ("mode", "command_mode") and c.names]
+    panels["StateTransitions!mode"] = _transitions("Mode", _enumerated(first, topic))
     pages: dict[str, list[str]] = {}
     for plot in plots(columns):
         place = f"Plot!{_identifier(plot.title)}"
-        panels[place] = _plot(plot.title, [_series(topic, curve) for curve in plot.curves])
+        paths = [_path(curve_path(topic, curve), curve.title, enabled=True) for curve in plot.curves]
+        panels[place] = plain | {"foxglovePanelTitle": plot.title, "paths": paths}
         pages.setdefault(plot.tab, []).append(place)
     for title, lanes in _lanes(columns, topic).items():
         place = f"StateTransitions!{_identifier(title)}"
@@ -48,6 +48,10 @@ def layout(columns: Sequence[Column], topic: str) -> str:
     return json.dumps(content, indent=1) + "\n"
 
 
+def _asset(name: str) -> str:
+    return importlib.resources.files("hil.study.view").joinpath(name).read_text("utf-8")
+
+
 def curve_path(topic: str, curve: Curve) -> str:
     """Return the message path of a curve: `/tick.tau.leg_3`."""
     if curve.less is None:
@@ -64,90 +68,47 @@ def _difference(curve: Curve) -> tuple[str, str]:
 
 
 def _lanes(columns: Sequence[Column], topic: str) -> dict[str, list[tuple[str, str]]]:
-    """Return title -> label and message path of each state."""
-    named = states(columns)
-    flags = {
-        c.name: [(name, f"{topic}.{c.name}.{name}") for name in c.names]
-        for c in named
-        if issubclass(c.type, IntFlag)
-    }
-    found = {"States": [lane for c in named if c.name not in flags for lane in _enumerated(c, topic)]}
-    found |= {name.title(): flags.pop(name) for name in ("faults", "warnings") if name in flags}
-    rest = [(f"{name}.{flag}", path) for name, lanes in flags.items() for flag, path in lanes]
-    for start in range(0, len(rest), _LANES):
-        found[f"Flags {start // _LANES + 1}"] = rest[start : start + _LANES]
+    """Title -> label and message path of each state: enumerations together, flags by column."""
+    flags = [c for c in states(columns) if issubclass(c.type, IntFlag)]
+    found = {"States": _enumerated([c for c in states(columns) if c not in flags], topic)}
+    for c in flags:
+        title = c.name.replace("_", " ").capitalize()
+        found[title] = [(name, f"{topic}.{c.name}.{name}") for name in c.names]
     return {title: lanes for title, lanes in found.items() if lanes}
 
 
-def _enumerated(c: Column, topic: str) -> list[tuple[str, str]]:
-    return [(label, f"{topic}.{label}") for label in c.labels]
+def _enumerated(columns: Sequence[Column], topic: str) -> list[tuple[str, str]]:
+    return [(label, f"{topic}.{label}") for c in columns for label in c.labels]
 
 
-def _mode(columns: Sequence[Column], topic: str) -> list[tuple[str, str]]:
-    shown = [c for c in columns if c.name in ("mode", "command_mode") and c.names]
-    return [lane for c in shown for lane in _enumerated(c, topic)]
-
-
-def _plot(title: str, series: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        "foxglovePanelTitle": title,
-        "paths": series,
-        "showLegend": True,
-        "legendDisplay": "left",
-        "showPlotValuesInLegend": True,
-        "showXAxisLabels": True,
-        "showYAxisLabels": True,
-        "isSynced": True,
-        "xAxisVal": "timestamp",
-        "sidebarDimension": 220,
-    }
-
-
-def _series(topic: str, curve: Curve) -> dict[str, Any]:
-    return {
-        "value": curve_path(topic, curve),
-        "label": curve.title,
-        "enabled": True,
-        "timestampMethod": "receiveTime",
-    }
+def _path(value: str, label: str, **more: bool) -> dict[str, Any]:
+    return {"value": value, "label": label, **more, "timestampMethod": "receiveTime"}
 
 
 def _transitions(title: str, lanes: Sequence[tuple[str, str]]) -> dict[str, Any]:
-    paths = [{"value": path, "label": label, "timestampMethod": "receiveTime"} for label, path in lanes]
+    paths = [_path(path, label) for label, path in lanes]
     return {"foxglovePanelTitle": title, "isSynced": True, "paths": paths}
 
 
 def _scripts(columns: Sequence[Column], topic: str) -> dict[str, Any]:
-    """Return the user script that makes the differences; none where there are none."""
-    fields: dict[str, list[str]] = {}
+    """User script that makes the differences; none where there are none."""
+    fields: dict[str, dict[str, str]] = {}
     for curve in differences(columns):
         assert curve.less is not None
         name, element = _difference(curve)
         value = f"row.{'.'.join(field(curve.part))} - row.{'.'.join(field(curve.less))}"
-        fields.setdefault(name, []).append(f"{element}: {value}")
+        fields.setdefault(name, {})[element] = value
     if not fields:
         return {}
-    types = {name: [f"{part.partition(':')[0]}: number" for part in parts] for name, parts in fields.items()}
-    source = "\n".join(
-        [
-            'import { Input } from "./types";',
-            "",
-            "type Output = {",
-            *(f"  {name}: {{ {'; '.join(parts)} }};" for name, parts in types.items()),
-            "};",
-            "",
-            f'export const inputs = ["{topic}"];',
-            f'export const output = "{SCRIPT_TOPIC}";',
-            "",
-            f'export default function script(event: Input<"{topic}">): Output {{',
-            "  const row = event.message;",
-            "  return {",
-            *(f"    {name}: {{ {', '.join(parts)} }}," for name, parts in fields.items()),
-            "  };",
-            "}",
-            "",
-        ]
-    )
+    types = [f"  {name}: {{ {'; '.join(f'{x}: number' for x in parts)} }};" for name, parts in fields.items()]
+    sums = [
+        f"    {name}: {{ {', '.join(f'{x}: {y}' for x, y in parts.items())} }},"
+        for name, parts in fields.items()
+    ]
+    filled = {"TOPIC": topic, "OUTPUT": SCRIPT_TOPIC, "TYPES": "\n".join(types), "VALUES": "\n".join(sums)}
+    source = _asset("foxglove-script.ts")
+    for word, text in filled.items():
+        source = source.replace(word, text)
     return {"differences": {"name": SCRIPT_TOPIC, "sourceCode": source}}
 
 

@@ -8,6 +8,7 @@ from hil.record.row import NUMBER
 from hil.record.selection import Component
 from hil.study.log_columns import DIFFERENCE, Curve, curves
 
+TIMES = "Lateness and computing time"
 TABS: dict[str, dict[str, tuple[str, ...]]] = {
     "Errors": {"Leg error": ("q_d - q",), "Position error": ("p_d - p",), "Innovation": ("innovation_q",)},
     "Forces": {"Leg force": ("tau", "drive_force"), "Load on the platform": ("wrench",)},
@@ -17,12 +18,16 @@ TABS: dict[str, dict[str, tuple[str, ...]]] = {
         "Share": ("lyapunov_share", "encoder_share"),
     },
     "Timing": {
-        "Lateness and computing time": ("lateness_ns", "compute_ns"),
+        TIMES: ("lateness_ns", "compute_ns"),
         "Skipped periods, frames received": ("skipped", "frames_received"),
         "Age of the feedback": ("age",),
+        "Frames refused, not taken, in error or lost": (
+            "rejected", "sends_failed", "bus_errors", "bus_overflow",
+        ),
+        "Bench time that stood still": ("stretched_ns",),
     },
-}
-"""Tab -> plot -> columns, or `one - other`."""
+}  # fmt: skip
+"""Tab -> plot -> columns, or `one - other`: of the viewers and of the report's page."""
 NAMED_FIRST = ("mode", "command_mode", "faults", "warnings", "drive_state")
 """States that stand on top; the others follow in the order of the columns."""
 

@@ -4,6 +4,7 @@ Source: `xmlLoadState` of MainWindow, PlotDocker, PlotWidget and DataLoadMCAP in
 of protobuf joins topic and fields by `/`, `/tick/tau/leg_3`; it draws numbers, so states stand by number.
 """
 
+import importlib.resources
 from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree as ET
@@ -18,34 +19,25 @@ COLOURS = ("#1f77b4", "#d62728", "#1ac938", "#ff7f0e", "#9467bd", "#17becf", "#f
 
 
 def layout(columns: Sequence[Column], topic: str, *, log: Path | None = None) -> str:
-    """Return the layout for logs with these columns as XML; with `log` it opens that file at once.
-
-    A path that XML cannot hold is left out: the file is then opened by hand.
-    """
-    root = ET.Element("root")
-    area = ET.SubElement(root, "tabbed_widget", {"name": "Main Window", "parent": "main_window"})
+    """Layout for logs with these columns as XML; with `log` it opens that file at once."""
+    frame = importlib.resources.files("hil.study.view").joinpath("plotjuggler.xml")
+    root = ET.fromstring(frame.read_text("utf-8"))  # noqa: S314 - ours
+    area, _, files, equations = root
     shown = plots(columns) + _states(columns)
-    for name in dict.fromkeys(plot.tab for plot in shown):
-        tab = ET.SubElement(area, "Tab", containers="1", tab_name=name)
+    for k, name in enumerate(dict.fromkeys(plot.tab for plot in shown)):
+        tab = ET.Element("Tab", containers="1", tab_name=name)
+        area.insert(k, tab)
         members = [plot for plot in shown if plot.tab == name]
-        share = ";".join([f"{1.0 / len(members):g}"] * len(members))
+        count, share = str(len(members)), ";".join([f"{1.0 / len(members):g}"] * len(members))
         container = ET.SubElement(tab, "Container")
-        count = str(len(members))
         splitter = ET.SubElement(container, "DockSplitter", orientation="-", count=count, sizes=share)
         for plot in members:
             _dock(splitter, plot, topic)
-    ET.SubElement(area, "currentTabIndex", index="0")
-    ET.SubElement(root, "use_relative_time_offset", enabled="1")
-    name = "" if log is None else str(real_path(log))
-    if name and name.isprintable():
-        files = ET.SubElement(root, "previouslyLoaded_Datafiles")
-        file = ET.SubElement(files, "fileInfo", filename=name, prefix="")
-        plugin = ET.SubElement(file, "plugin", ID="DataLoad MCAP")
-        ET.SubElement(
-            plugin, "parameters", use_timestamp="0", use_mcap_log_time="1", clamp_large_arrays="0",
-            max_array_size="500", selected_topics=topic,
-        )  # fmt: skip
-    equations = ET.SubElement(root, "customMathEquations")
+    if log is None:
+        root.remove(files)
+    else:
+        files[0].set("filename", str(real_path(log)))
+        files[0][0][0].set("selected_topics", topic)
     for curve in differences(columns):
         _function(equations, curve, topic)
     ET.indent(root, " ")

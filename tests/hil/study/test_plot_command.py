@@ -9,13 +9,11 @@ import pytest
 from click.testing import CliRunner
 
 from drivers.errors import LogError
-from drivers.signals import Warn
 from drivers.tick_columns import RECORDED, ROW
 from hil.app.configuration.configuration import load
-from hil.app.readable import readable
 from hil.app.sim.command import simulate
 from hil.cli import main
-from hil.study.log_columns import Signal, named_columns, signals
+from hil.study.log_columns import Signal, signals
 from hil.study.plot.command import plot
 from hil.study.plot.draw import Curve, draw
 
@@ -49,11 +47,6 @@ def test_every_column_gives_its_elements_with_their_units_and_names(name):
         assert signal.unit in column.unit
 
 
-def test_the_first_and_last_three_of_six_have_units_of_their_own():
-    found = signals(RECORDED, np.zeros(1, ROW), "twist")
-    assert [s.unit for s in found] == ["m/s"] * 3 + ["rad/s"] * 3
-
-
 def test_a_difference_is_taken_element_by_element():
     rows = np.zeros(2, ROW)
     rows["q_d"], rows["q"] = 3.0, np.arange(6.0)
@@ -66,9 +59,7 @@ def test_a_difference_is_taken_element_by_element():
     ("name", "message"),
     [
         ("qq", r"^log: no column 'qq'; did you mean .*\bq\b"),
-        ("", r"no column ''; there are tick, t_ns"),
         ("q.leg_6", r"no column 'q\.leg_6'; did you mean .*q\.leg_"),
-        ("tick.x", "no column 'tick.x'"),
         ("q - p", "no difference"),
         ("q - dq", "no difference"),
         ("mode - faults", "no difference"),
@@ -90,22 +81,6 @@ def test_logs_of_one_name_in_two_folders_are_told_apart(logs, tmp_path):
     (tmp_path / "one.mcap").write_bytes(logs[1].read_bytes())
     plot([logs[0], tmp_path / "one.mcap"], ("tick",), out=tmp_path / "x.svg")
     assert {f"{logs[0]}: tick", f"{tmp_path / 'one.mcap'}: tick"} <= set(texts(tmp_path / "x.svg"))
-
-
-@pytest.mark.parametrize("order", [1, -1])
-def test_flags_of_a_log_without_their_names_stand_beside_those_with_names(tmp_path, order):
-    values = np.array([0.0, float(Warn.LATE), 0.0])
-    named = Signal("warnings", "", values, {str(w.name): int(w) for w in Warn}, flags=True)
-    bare = named._replace(names={}, flags=False)
-    curves = [Curve("new: warnings", 0, values, named), Curve("old: warnings", 1, values, bare)]
-    draw(("warnings",), [curves[::order]], tmp_path / "x.svg", "")
-    assert {"new: LATE", "old: LATE"} <= set(texts(tmp_path / "x.svg"))
-
-
-def test_only_the_columns_that_are_drawn_are_held(logs):
-    assert named_columns(("q_d - q", "tau.leg_3", " mode ")) == {"q_d", "q", "tau", "mode"}
-    with readable(logs[0], {"tau", "t_ns", "nothing"}) as found:
-        assert found.rows.dtype.names == ("t_ns", "tau")
 
 
 def test_the_command_draws_a_difference_as_png(tmp_path, logs):
@@ -159,16 +134,6 @@ def test_a_name_with_dollar_signs_is_a_name_and_no_formula(logs, tmp_path):
     assert any("a$\\frac{$b" in text for text in texts(tmp_path / "x.svg"))
 
 
-def test_an_unknown_column_is_said_before_a_picture_that_exists_and_both_are(logs, tmp_path):
-    picture = tmp_path / "there.png"
-    picture.write_bytes(b"mine")
-    with pytest.raises(LogError, match=r"no column 'nosuch'; .*; and .*there.png: exists"):
-        plot([logs[0]], ["nosuch"], out=picture)
-    with pytest.raises(LogError, match=r"^--out .*there.png: exists"):
-        plot([logs[0]], ["q"], out=picture)
-    assert picture.read_bytes() == b"mine"
-
-
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1.7e308, -1.7e308])
 def test_numbers_that_no_axis_holds_leave_a_gap_and_the_others_are_drawn(tmp_path, value):
     values = np.array([0.0, 2.0, value, value, 3.0])
@@ -177,11 +142,3 @@ def test_numbers_that_no_axis_holds_leave_a_gap_and_the_others_are_drawn(tmp_pat
     ticks = [float(text.replace("\u2212", "-")) for text in texts(tmp_path / "a.svg") if text[-1:].isdigit()]
     assert len(ticks) > 8
     assert (min(ticks), max(ticks)) == (0.0, 4.0), "the time; the values end at 3"
-
-
-def test_a_difference_without_a_value_is_none():
-    rows = np.zeros(3, ROW)
-    rows["q"][1], rows["q_d"][1], rows["q_d"][2] = np.inf, np.inf, -1.7e308
-    rows["q"][2] = 1.7e308
-    found = signals(RECORDED, rows, "q_d - q")
-    assert [str(each.values.tolist()) for each in found] == ["[0.0, nan, -inf]"] * 6

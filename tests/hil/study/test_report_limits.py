@@ -1,30 +1,43 @@
-"""What a page says of limits, of several buses and of its time, from made-up rows."""
+"""How near a run came to each limit, from rows that are made by hand."""
 
 from __future__ import annotations
 
-from datetime import UTC, datetime
-from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import BitTiming
-from drivers.config import ImuSettings, SensorSettings, TrackerSettings, WrenchSensorSettings
-from drivers.errors import LogError
-from drivers.protocol import BUS, Frame
-from drivers.signals import Mode
-from drivers.tick_columns import RECORDED
+from drivers.config import ImuSettings, SensorSettings, TrackerSettings
+from drivers.signals import Fault, Mode
+from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
-from hil.record.schema import IDENTITY
-from hil.study.report import sections
-from hil.study.report.charts import charts
-from hil.study.report.command import _rate, _subtitle
 from hil.study.report.margins import margins
-from hil.study.report.story import told
-from hil.study.report.timing import Traffic, traffic
-from tests.hil.study.test_report_figures import nearest, rows_of
+
+RATE_Hz = 1000.0
+
+
+def rows_of(n, **columns):
+    """Rows of a platform that tracks and rests in mid-stroke, with other columns."""
+    c = load("virtual").platform
+    rows = np.zeros(n, ROW)
+    rows["tick"], rows["t_ns"], rows["mode"] = np.arange(n), 1_000_000 * np.arange(n), Mode.TRACKING
+    rows["q"] = rows["q_d"] = (c.length_min_m + c.length_max_m) / 2
+    for name, value in columns.items():
+        rows[name] = value
+    return rows
+
+
+def limited(**limits):
+    c = load("virtual")
+    return c.model_copy(update={"limits": c.limits.model_copy(update=limits)})
+
+
+def margin(rows, key, name="", c=None, rate_Hz=RATE_Hz):
+    """The one margin with this key (or any), whose name has `name`."""
+    (found,) = (
+        m for m in margins(rows, c or load("virtual"), rate_Hz) if m.key == (key or m.key) and name in m.name
+    )
+    return found
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
@@ -34,94 +47,263 @@ from tests.hil.study.test_report_figures import nearest, rows_of
         ("q_d", "limits.following_error_m", {"following_error_m": 0.5, "following_error_s": 0.0}),
         ("dq", "limits.speed_m_s", {"speed_m_s": 0.5}),
         ("tau", "limits.force_N", {"force_N": 0.5}),
+        ("ddq_d", "limits.acceleration_m_s2", {"acceleration_m_s2": 0.5}),
     ],
 )
-def test_what_a_limit_is_measured_against_counts_in_both_directions(column, key, limit, sign):
-    rows = rows_of(9, q=1.475, q_d=1.475)
+def test_a_margin_has_leg_instant_value_and_limit_in_both_directions(column, key, limit, sign):
+    rows = rows_of(9)
     rows[column][5, 4] += sign * 0.4
     rows[column][6, 2] -= sign * 0.3
-    found = nearest(rows, key, limit)
+    found = margin(rows, key, c=limited(**limit))
     assert (found.value, found.row, found.leg) == (pytest.approx(0.4), 5, 4)
-    assert found.used_percent == pytest.approx(80.0)
+    assert (found.limit, found.used_percent) == (0.5, pytest.approx(80.0))
 
 
 @pytest.mark.parametrize(("column", "key"), [("fk_residual", "consistency_m"), ("condition", "condition")])
 def test_residual_and_condition_have_each_its_own_limit(column, key):
-    rows = rows_of(9, q=1.475, q_d=1.475)
+    rows = rows_of(9)
     rows[column][4] = 0.3
-    found = nearest(rows, f"limits.{key}", {"consistency_m": 2.0, "condition": 4.0, key: 1.5})
+    found = margin(rows, f"limits.{key}", c=limited(**{"consistency_m": 2.0, "condition": 4.0, key: 1.5}))
     assert (found.value, found.limit, found.row) == (0.3, 1.5, 4)
 
 
-@pytest.mark.parametrize("said", ["0", "-1", "nan", "inf", "1e300", "1e9", "100001", "fast", "9" * 400])
-def test_a_rate_that_no_loop_has_is_refused_in_short_as_windows_of_ticks_grow_with_it(said):
-    run = {"kind": "sim", "rate_Hz": said}
-    log: Any = SimpleNamespace(metadata={IDENTITY: run}, columns=RECORDED)
-    with pytest.raises(LogError, match=r"^a\.mcap: .*rate_Hz: .*at most 100000$") as caught:
-        _rate(log, Path("a.mcap"))
-    assert len(str(caught.value)) < 200
-    run["rate_Hz"] = "1e5"
-    assert _rate(log, Path("a.mcap")) == 1e5
+def test_what_happens_while_a_rule_is_not_judged_is_no_margin():
+    rows = rows_of(100)
+    rows["dq"][70:, 0], rows["dq"][10, 1] = 1.9, 0.5
+    rows["mode"][70:] = Mode.FAULT
+    rows["faults"][70:] = Fault.DRIVE
+    assert margin(rows, "limits.speed_m_s").row == 70, "the tick of the fault still counts"
+    rows["dq"][70, 0] = 0.0
+    found = margin(rows, "limits.speed_m_s")
+    assert (found.row, found.leg) == (10, 1)
 
 
-@pytest.mark.parametrize(
-    ("remark", "verdict"), [("", "Parked without a fault"), ("the log is damaged", "ends in PARKED")]
-)
-def test_a_log_of_which_something_is_missing_is_not_called_a_run_without_a_fault(remark, verdict):
-    quiet = told({}, rows_of(5, mode=Mode.PARKED), 1000.0)
-    made = sections.opening(quiet, rows_of(5, mode=Mode.PARKED), remark)
-    assert verdict in made
-    assert ("Parked without a fault" in made) is (not remark)
-    assert ("This page shows what is there" in made) is bool(remark)
+def test_a_leg_error_is_measured_against_what_its_own_speed_allows():
+    limits = load("virtual").limits
+    rows = rows_of(10)
+    rows["q_d"][3, 0] += 0.9 * limits.following_error_m
+    rows["q_d"][7, 5] += 1.1 * limits.following_error_m
+    rows["dq_d"][7, 5] = -limits.following_error_m / limits.following_error_s
+    found = margin(rows, "limits.following_error_m")
+    assert (found.row, found.leg) == (3, 0), "110 % at rest are 55 % at the speed that doubles the limit"
+    assert found.used_percent == pytest.approx(90.0)
 
 
-@pytest.mark.parametrize(("of_controller", "least"), [(25000.0, 25000.0), (40000.0, 30000.0)])
-def test_the_line_of_the_forces_is_the_smaller_limit_whichever_that_is(of_controller, least):
-    c = load("virtual")
-    c = c.model_copy(update={"limits": c.limits.model_copy(update={"force_N": of_controller})})
-    shown = {each.key: each for each in charts(rows_of(5), c, Traffic(np.full(5, np.nan), {}), 1000.0)}
-    for name in ("tau", "drive_force"):
-        assert shown[name].levels == (-least, least), "30 kN are those of the drives"
-
-
-def test_each_bus_is_as_busy_as_its_own_bit_rate_makes_it():
-    frame = Frame(0x80, bytes(8))
-    sent = (frame, frame._replace(flags=BUS), frame._replace(flags=BUS))
-    log: Any = SimpleNamespace(
-        can_channels=("a", "b"), ticks=lambda: [SimpleNamespace(sent=sent, received=(), row={"t_ns": 0})]
-    )
-    busy = traffic(log, rows_of(1), [BitTiming(1_000_000, 1_000_000), BitTiming(250_000, 250_000)]).busy_ns
-    assert list(busy) == ["bus a", "bus b"]
-    assert busy["bus b"][0] == 2 * 4 * busy["bus a"][0] > 0, "two frames at a quarter of the rate"
-
-
-def test_a_run_in_real_time_began_with_its_first_tick_and_not_when_the_machine_was_switched_on():
-    booted = datetime(2026, 3, 1, 12, 0, 0, tzinfo=UTC)
-    log: Any = SimpleNamespace(
-        epoch_ns=int(booted.timestamp()) * 10**9, lockstep=False, metadata={"hil": {"kind": "run"}}
-    )
-    rows = rows_of(3)
-    rows["t_ns"] += (2 * 86_400 + 3) * 10**9
-    assert "real time, begun 2026-03-03T12:00:03Z" in _subtitle(log, rows, None, 1000.0)
-
-
-@pytest.mark.parametrize(
-    "sensors",
-    [
-        SensorSettings(tracker=TrackerSettings()),
-        SensorSettings(imu=ImuSettings()),
-        SensorSettings(wrench=WrenchSensorSettings()),
-    ],
-    ids=["tracker", "imu", "wrench"],
-)
-def test_no_limit_is_told_of_refused_frames_where_those_of_sensors_are_among_them(sensors):
-    """They never fault, and a log does not tell them from those of the drives."""
-    rows = rows_of(200)
-    rows["rejected"][:] = 1
-    c = load("virtual")
-    with_sensors = c.model_copy(update={"sensors": sensors})
-    told = [
-        [m.used_percent for m in margins(rows, each, 1000.0) if "frames were refused" in m.name]
-        for each in (c, with_sensors)
+def test_the_change_of_force_within_the_window_is_that_of_all_pairs_of_ticks():
+    rng = np.random.default_rng(5)
+    tau = np.cumsum(rng.normal(0.0, 10.0, (900, 6)), axis=0)
+    found = margin(rows_of(900, tau=tau), "limits.force_window_N")
+    pairs = [
+        (abs(tau[k, leg] - tau[j, leg]), k, leg)
+        for leg in range(6)
+        for k in range(900)
+        for j in range(max(0, k - 250), k)
     ]
-    assert told == [[400.0], []]
+    value, row, leg = max(pairs)
+    assert (found.value, found.row, found.leg) == (pytest.approx(value), row, leg)
+
+
+def test_motion_on_closed_brakes_counts_from_where_a_leg_was_first_heard():
+    rows = rows_of(60)
+    rows["mode"][:30], rows["mode"][50:] = Mode.LOADING, Mode.UNLOADING
+    rows["age"][:5] = 3
+    rows["q"][:5] = 0.0
+    rows["q"][20, 4] += 2e-4
+    rows["q"][30:] += 0.1
+    rows["q"][55, 1] -= 3e-4
+    found = margin(rows, "limits.standstill_m")
+    assert (found.row, found.leg, found.value) == (55, 1, pytest.approx(3e-4))
+
+
+def test_braking_is_judged_towards_the_end_that_a_leg_moves_to():
+    c = load("virtual")
+    soft = c.platform.length_max_m - c.limits.stroke_margin_m
+    rows = rows_of(10)
+    rows["q"][:, 0], rows["q_d"][:, 0] = soft - 0.02, soft - 0.02
+    rows["dq"][2, 0], rows["dq"][6, 0] = 0.4, -0.9
+    found = margin(rows, "limits.deceleration_m_s2")
+    assert (found.row, found.leg) == (2, 0)
+    assert found.limit == pytest.approx((2 * c.limits.deceleration_m_s2 * 0.02) ** 0.5)
+
+
+def test_missed_periods_add_up_until_a_tick_is_on_time():
+    rows = rows_of(20)
+    rows["skipped"][[5, 6, 9]] = (1, 2, 2)
+    assert margin(rows, "limits.missed_stop_ticks").value == 3
+
+
+def test_of_32_ticks_those_with_refused_frames_are_counted():
+    rows = rows_of(200)
+    rows["rejected"][[10, 20, 41, 42, 43, 120]] = 4
+    found = margin(rows, "", "frames were refused")
+    assert (found.value, found.row) == (4, 43), "10 is 33 ticks before 43; 20 to 43 are four"
+
+
+def test_the_tick_in_which_a_brake_gave_way_counts():
+    rows = rows_of(60)
+    rows["mode"][:] = Mode.LOADING
+    rows["q"][40:, 2] += 6e-4
+    rows["mode"][40:], rows["faults"][40:] = Mode.FAULT, Fault.BRAKE
+    rows["q"][41:, 2] += 1.0
+    found = margin(rows, "limits.standstill_m")
+    assert (found.row, found.leg, found.value) == (40, 2, pytest.approx(6e-4))
+
+
+def test_a_force_step_is_one_between_ticks_that_follow_each_other():
+    rows = rows_of(400)
+    rows["tau"][:, 1] = 100.0
+    rows["tau"][200:, 1] = 1000.0
+    rows["tau"][300:, 4] = 50.0
+    rows["tick"][200:] += 40
+    rows["t_ns"] = 1_000_000 * rows["tick"]
+    found = margin(rows, "limits.force_step_N")
+    assert (found.row, found.leg, found.value) == (300, 4, 50.0), "40 lost ticks are no step"
+    rows["skipped"][200] = 40
+    found = margin(rows, "limits.force_step_N")
+    assert (found.row, found.leg, found.value) == (200, 1, 900.0), "a skipped tick holds the force"
+
+
+def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
+    rows = rows_of(300)
+    rows["tau"][:100, 3] = 700.0
+    rows["tick"][110:] += 500
+    rows["tau"][115:, 3] = 30.0
+    rows["tau"][115:, 0] = 90.0
+    found = margin(rows, "limits.force_window_N")
+    assert (found.row, found.leg, found.value) == (100, 3, 700.0)
+    rows["tau"][100:110, 3] = 700.0 - 7.0 * np.arange(10)
+    rows["tau"][110:, 3] = 600.0
+    rows["tau"][111:, 3] = 575.0
+    assert margin(rows, "limits.force_window_N").value == 90.0, "500 lost ticks are longer than 250 ms"
+
+
+def test_the_certificate_is_used_up_by_what_lasts_and_not_by_one_tick():
+    confirm = load("virtual").monitor.confirm_ticks
+    rows = rows_of(60)
+    rows["lyapunov_share"] = 0.1
+    rows["lyapunov_share"][:3] = np.nan
+    rows["lyapunov_share"][[10, 11, 30, 31, 32]] = [5.0, 5.0, 0.8, 0.7, 0.9]
+    assert confirm == 3
+    found = margin(rows, "monitor")
+    assert (found.value, found.row) == (0.7, 32)
+    rows["lyapunov_share"] = np.nan
+    assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor"]
+
+
+def test_the_margin_of_an_encoder_names_its_leg_and_counts_at_rest_too():
+    rows = rows_of(40)
+    rows["encoder_share"] = np.nan
+    assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor.length_noise_m"]
+    rows["encoder_share"][:] = 0.25
+    rows["encoder_share"][[5, 9], [2, 4]] = 0.5, 0.75
+    rows["mode"][:8] = Mode.IDLE
+    rows["mode"][9] = Mode.WAITING
+    found = margin(rows, "monitor.length_noise_m")
+    assert (found.row, found.leg, found.value, found.limit) == (5, 2, 0.5, 1.0)
+
+
+def fused(**settings):
+    c = load("virtual")
+    fusion = c.estimation.fusion.model_copy(update={"may_lose_legs": [1, 4]} | settings)
+    return c.model_copy(
+        update={"estimation": c.estimation.model_copy(update={"pose": "fused", "fusion": fusion})}
+    )
+
+
+def test_the_uncertainty_of_a_fused_position_is_that_of_all_three_directions():
+    rows = rows_of(30)
+    rows["pose_std"][12] = [2e-3, 1e-3, 2e-3, 9.0, 9.0, 9.0]
+    found = margin(rows, "", "standard deviation", fused(position_std_max_m=6e-3))
+    assert (found.row, found.value, found.used_percent) == (12, pytest.approx(3e-3), pytest.approx(50.0))
+
+
+def test_a_lost_encoder_counts_the_time_without_the_tracker():
+    rows = rows_of(100)
+    rows["tracker"][[20, 60]] = 1
+    rows["tracker"][30] = -1
+    rows["legs_lost"][40:90] = 1 << 4
+    found = margin(rows, "", "tracker", fused(), 250.0)
+    assert (found.row, found.value) == (59, pytest.approx(39 / 250.0))
+    rows["legs_lost"][40:90] = 1 << 2
+    assert margin(rows, "", "tracker", fused()).value == 0.0, (
+        "leg 2 may not be lost: its own fault comes first"
+    )
+
+
+@pytest.mark.parametrize(
+    ("lost", "mode", "faults", "age"),
+    [
+        (1 << 4, Mode.TRACKING, 0, 2),
+        (1 << 3, Mode.TRACKING, 0, 900),
+        (1 << 4 | 1 << 1, Mode.TRACKING, 0, 900),
+        (1 << 4, Mode.UNLOADING, 0, 900),
+        (1 << 4, Mode.FAULT, Fault.STALE, 900),
+    ],
+    ids=["may be lost", "may not", "too many", "proves a brake", "was the fault"],
+)
+def test_the_age_of_a_leg_that_may_be_lost_is_no_margin(lost, mode, faults, age):
+    rows = rows_of(30)
+    rows["age"][10, 0] = 2
+    rows["age"][20] = [900 * (lost >> leg & 1) for leg in range(6)]
+    rows["legs_lost"][20] = lost
+    rows["mode"][20], rows["faults"][20:] = mode, faults
+    assert margin(rows, "limits.stale_fault_ticks", c=fused()).value == age
+
+
+def test_an_encoder_is_against_the_fused_pose_three_ticks_in_a_row_until_it_has_slipped():
+    rows = rows_of(60)
+    rows["legs_used"] = 0b111111
+    rows["innovation_q"][5] = 1.0
+    rows["legs_used"][20:22] = rows["legs_used"][30:] = 0b011111
+    rows["innovation_q"][20:, 5] = -9e-5
+    rows["innovation_q"][31:34, 5] = 8e-5, -7e-5, 6e-5
+    rows["innovation_q"][34:, 5] = 1.0
+    rows["legs_slipped"][33:] = 1 << 5
+    found = margin(rows, "", "against the fused pose", fused())
+    assert (found.row, found.leg, found.value) == (32, 5, pytest.approx(7e-5))
+
+
+@pytest.mark.parametrize(
+    ("of_controller", "key"), [(25000.0, "limits.force_N"), (40000.0, "drives.force_limit_N")]
+)
+def test_a_force_is_measured_against_the_smaller_of_both_limits(of_controller, key):
+    rows = rows_of(9)
+    rows["tau"][3, 2] = -5000.0
+    assert margin(rows, key, c=limited(force_N=of_controller)).limit == min(of_controller, 30000.0)
+
+
+def test_a_slower_loop_may_change_its_force_by_more_in_a_tick():
+    found = margin(rows_of(9), "limits.force_step_N", rate_Hz=500.0)
+    assert found.limit == 8000.0, "4000 N at 1000 Hz, at 500 Hz"
+
+
+def test_a_length_is_measured_from_the_middle_to_the_nearer_end():
+    rows = rows_of(9)
+    rows["q"][2, 3], rows["q"][5, 0] = 0.80, 2.10
+    found = margin(rows, "platform.length_max_m")
+    assert (found.row, found.leg) == (2, 3)
+    assert found.used_percent == pytest.approx(100 * 0.675 / 0.725)
+
+
+def test_the_nearest_limit_comes_first_and_a_stretch_has_its_share_of_the_run():
+    rows = rows_of(5000)
+    rows["stretched_ns"][[1000, 3000]] = 400_000_000, 3_000_000
+    used = [m.used_percent for m in margins(rows, load("virtual"), RATE_Hz)]
+    assert used == sorted(used, reverse=True)
+    stretch = margin(rows, "limits.stretch_percent")
+    assert (stretch.row, stretch.value) == (1000, 4e8)
+    assert stretch.limit == pytest.approx(5e8 + 0.05 * 1e9)
+
+
+def test_what_a_run_does_not_have_has_no_margin():
+    names = [m.name for m in margins(rows_of(9), load("virtual"), RATE_Hz)]
+    assert not [name for name in names if "fused" in name or "stood still" in name or "acceleration" in name]
+
+
+@pytest.mark.parametrize("settings", [{"tracker": TrackerSettings()}, {"imu": ImuSettings()}], ids=list("ti"))
+def test_refused_frames_have_no_margin_where_those_of_sensors_are_among_them(settings: dict[str, Any]):
+    """They never fault, and a log does not tell them from those of the drives."""
+    rows = rows_of(200, rejected=1)
+    assert margin(rows, "", "frames were refused").used_percent == 400.0
+    c = load("virtual").model_copy(update={"sensors": SensorSettings(**settings)})
+    assert not [m for m in margins(rows, c, RATE_Hz) if "frames were refused" in m.name]

@@ -58,7 +58,7 @@ def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pag
         drawn = browser.value(
             "[...document.querySelectorAll('.chart')].map((c) => [c.dataset.key, c.plot.data[1].length])"
         )
-        assert {"e_p", "e_R", "e_q", "tau", "V", "share", "mode", "bus"} <= {key for key, _ in drawn}
+        assert {"Leg error [mm]", "Leg force [N]", "rotation", "mode", "bus"} <= {key for key, _ in drawn}
         assert all(count > 100 for _, count in drawn)
         assert browser.value("document.querySelector('.verdict').className") == f"verdict {name}"
 
@@ -99,8 +99,8 @@ def test_what_plays_is_the_pose_of_the_log(pages, tmp_path):
     with Browser() as browser:
         browser.open(pages / "good.html")
         shown = (
-            "(() => { const u = [...document.querySelectorAll('.chart')].find((c) => c.dataset.key === 'p').plot;"
-            f" return u.data[1][u.valToIdx({t})]; }})()"
+            "(() => { const u = [...document.querySelectorAll('.chart')].find((c) => c.dataset.key === 'Position [m]').plot;"
+            f" return u.data[4][u.valToIdx({t})]; }})()"
         )
         assert browser.value(shown) == pytest.approx(float(rows["p"][at, 0]), rel=1e-6)
         ink = (

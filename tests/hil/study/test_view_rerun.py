@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from drivers.errors import LogError
 from drivers.signals import Mode, Warn
 from hil.cli import main
 from hil.record import Recording
@@ -16,7 +15,6 @@ from hil.record.log import Log
 from hil.study.export.command import export_log
 from hil.study.view import command
 from hil.study.view import recording as rrd
-from hil.study.view.recording import outline
 from tests.hil.samples import random_ticks, record
 
 EXTRA = "optional extra `viewers`: pip install 'hexapod-hil[viewers]'"
@@ -92,12 +90,9 @@ def test_a_component_is_a_scalar_of_its_name_in_every_tick(query, rows, entity, 
     ticks, values = zip(*query(f"/tick/{entity}", "Scalars:scalars"), strict=True)
     np.testing.assert_array_equal(ticks, rows["tick"])
     np.testing.assert_array_equal(np.ravel(values), rows[column][:, element])
-
-
-@pytest.mark.long
-def test_a_scalar_has_its_unit_in_its_name(query):
-    assert {tuple(v) for _, v in query("/tick/tau/leg_3", "SeriesLines:names")} == {("tau.leg_3 [N]",)}
-    assert {tuple(v) for _, v in query("/tick/skipped", "SeriesLines:names")} == {("skipped",)}
+    unit = {"tau": "N", "p": "m"}[column]
+    named = {f"{entity.replace('/', '.')} [{unit}]"}
+    assert {v for _, (v,) in query(f"/tick/{entity}", "SeriesLines:names")} == named
 
 
 @pytest.mark.long
@@ -107,16 +102,12 @@ def test_the_error_of_a_leg_is_there_although_no_log_has_it(query, rows):
 
 
 @pytest.mark.long
-def test_modes_stand_by_name_at_the_ticks_where_they_change(query, rows):
+def test_modes_and_flags_stand_by_name_at_the_ticks_where_they_change(query, rows):
     expected = []
     for number, ticks in groupby(rows[["tick", "mode"]].tolist(), key=lambda pair: pair[1]):
         expected.append((next(ticks)[0], [Mode(number).name]))
     assert len(expected) > 5, "the run has to go through its modes"
     assert query("/tick/mode", "StateChange:state") == expected
-
-
-@pytest.mark.long
-def test_flags_stand_by_name(query, rows):
     seen = {name for _, (text,) in query("/tick/warnings", "StateChange:state") for name in text.split("|")}
     assert seen == {flag.name for n in set(rows["warnings"].tolist()) for flag in Warn(n)} | {"NONE"}
 
@@ -209,20 +200,3 @@ def test_rerun_is_started_on_the_recording_and_listens_on_this_machine_alone(pat
     assert command.view(path, "rerun", out=out)["success"]
     assert started == [[sys.executable, "-m", "rerun", "--bind", "127.0.0.1", str(out)]]
     assert out.stat().st_size > 100_000
-
-
-def test_without_the_extra_the_message_says_what_to_install(path, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rerun", None)
-    with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):
-        export_log(path, [tmp_path / "a.rrd"])
-    assert not list(tmp_path.iterdir())
-
-
-RING = np.array([[1.0, 0, 0], [1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.8, 0.0]])
-
-
-def test_an_outline_goes_round_once_and_closes():
-    ring = outline(RING[[3, 1, 2]])
-    assert len(ring) == 4
-    assert (ring[0] == ring[-1]).all()
-    assert sorted(ring[:3, 1].tolist()) == [-0.8, 0.0, 0.8]

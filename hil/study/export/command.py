@@ -56,7 +56,7 @@ def export_log(
     `overwrite`, an option that none of the files can use, no such column.
     """
     log = Log(path)
-    _check(path, outs, start=start, columns=columns, overwrite=overwrite)
+    _check(outs, start=start, columns=columns, overwrite=overwrite)
     own_ns = log.epoch_ns + log.origin_ns
     start_ns = own_ns if start is None else utc_ns(start)
     written: dict[str, Any] = {}
@@ -88,17 +88,13 @@ def export_log(
     return result
 
 
-def _check(
-    path: Path, outs: Sequence[Path], *, start: str | None, columns: Sequence[str], overwrite: bool
-) -> None:
+def _check(outs: Sequence[Path], *, start: str | None, columns: Sequence[str], overwrite: bool) -> None:
     """Refuse what cannot be written, before anything is."""
     endings = {out.suffix.lower() for out in outs}
     for out in outs:
         if out.suffix.lower() not in FRAMES | SIGNALS:
             allowed = ", ".join([*FRAMES, *SIGNALS])
             raise LogError(f"{out}: the ending says what is written; allowed: {allowed}")
-        if out.exists() and out.samefile(path):
-            raise LogError(f"{out}: is the log itself; name another file")
         new_file(out, force=overwrite, option="")
     if len({real_path(out) for out in outs}) < len(outs):
         raise LogError("two of the files are the same one; name each once")

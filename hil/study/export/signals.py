@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers.arrays import Rows
 from drivers.errors import LogError
 from hil.record.log import Log
 from hil.record.selection import Component, components, name_of
@@ -30,15 +29,13 @@ def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
     Raises LogError: no such column, or the log is damaged.
     """
     parts = components(log.columns, names, str(log.path))
-    header = [titled(TIME[0], TIME[1]), *(titled(part.label, part.unit) for part in parts)]
     count = 0
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(header)
-        for rows in row_groups(log, parts, LINES):
-            values = [_values(part, rows).tolist() for part in parts]
-            writer.writerows(zip(_t_s(log, rows).tolist(), *values, strict=True))
-            count += len(rows)
+        writer.writerow([titled(TIME[0], TIME[1]), *(titled(part.label, part.unit) for part in parts)])
+        for columns in _columns(log, parts, LINES):
+            writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
+            count += len(columns[0])
     return count
 
 
@@ -62,12 +59,11 @@ def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
     schema = _schema(pa, log, parts)
     count = 0
     with parquet.ParquetWriter(path, schema, compression="zstd") as writer:
-        for rows in row_groups(log, parts, GROUP):
-            arrays = [pa.array(_t_s(log, rows))]
-            for field, part in zip(list(schema)[1:], parts, strict=True):
-                arrays.append(pa.array(_values(part, rows)).cast(field.type))
+        for columns in _columns(log, parts, GROUP):
+            pairs = zip(schema, columns, strict=True)
+            arrays = [pa.array(column).cast(field.type) for field, column in pairs]
             writer.write_table(pa.Table.from_arrays(arrays, schema=schema))
-            count += len(rows)
+            count += len(columns[0])
     return count
 
 
@@ -88,15 +84,15 @@ def _schema(pa: Any, log: Log, parts: Sequence[Component]) -> Any:
     return pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps(attributes)})
 
 
-def _t_s(log: Log, rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-    t: np.ndarray[tuple[int], np.dtype[np.float64]] = (rows["t_ns"] - log.origin_ns) * 1e-9
-    return t
-
-
-def _values(part: Component, rows: Rows) -> np.ndarray[Any, Any]:
-    """Return the values of a component (n,), by name where they have names."""
-    values = part.of(rows)
-    if not part.column.names:
-        return values
-    found, places = np.unique(values, return_inverse=True)
-    return np.array([name_of(part.column, number) for number in found.tolist()], object)[places]
+def _columns(log: Log, parts: Sequence[Component], size: int) -> Iterator[list[np.ndarray[Any, Any]]]:
+    """Yield time and components (n,), n about `size`; what has names by name."""
+    for rows in row_groups(log, parts, size):
+        columns: list[np.ndarray[Any, Any]] = [(rows["t_ns"] - log.origin_ns) * 1e-9]
+        for part in parts:
+            values: np.ndarray[Any, Any] = part.of(rows)
+            if part.column.names:
+                found, places = np.unique(values, return_inverse=True)
+                names = [name_of(part.column, number) for number in found.tolist()]
+                values = np.array(names, object)[places]
+            columns.append(values)
+        yield columns

@@ -171,7 +171,8 @@ def _fused(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Itera
 
 def _legs_of(rows: Rows, column: str) -> Mask:
     """Bits of a column as legs (n, 6)."""
-    return (rows[column][:, None] >> np.arange(LEGS) & 1) > 0
+    legs: Mask = (rows[column][:, None] >> np.arange(LEGS) & 1) > 0
+    return legs
 
 
 def _lasting(values: Array, ticks: int) -> Array:
@@ -184,7 +185,7 @@ def _lasting(values: Array, ticks: int) -> Array:
 
 def _recent(which: Mask) -> Array:
     """In how many of the last HISTORY ticks something was (n,)."""
-    return np.convolve(which, np.ones(HISTORY))[: len(which)]
+    return np.asarray(np.convolve(which, np.ones(HISTORY))[: len(which)], np.float64)
 
 
 def _nearest(j: Judged, c: Configuration) -> Margin | None:

@@ -8,7 +8,6 @@ import hashlib
 import importlib.resources
 import json
 from collections.abc import Sequence
-from math import isfinite
 from typing import Any
 
 import numpy as np
@@ -17,7 +16,7 @@ from numpy.typing import ArrayLike
 from drivers.arrays import Array, Rows
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import platform_dict
-from hil.study.log_columns import has_pose
+from hil.study.log_columns import has_pose, titled
 from hil.study.report.charts import Chart
 from hil.study.report.html import Html, joined, table, tag
 
@@ -73,39 +72,21 @@ def as_script(data: dict[str, Any]) -> str:
 
 
 def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
-    """Return the charts as the scripts read them, thinned out to what a screen can show. t (n,) s."""
+    """Charts as the scripts read them, thinned out to what a screen can show. t (n,) s."""
     found = []
     for chart in charts:
         x, series = thin(t, [curve.values for curve in chart.curves])
-        found.append(
-            {
-                "key": chart.key,
-                "title": chart.title,
-                "unit": chart.unit,
-                "t": packed(x),
-                "curves": [
-                    {"label": curve.label, "kind": curve.kind, "values": packed(values)}
-                    for curve, values in zip(chart.curves, series, strict=True)
-                ],
-                "levels": [level for level in chart.levels if isfinite(level)],
-                "names": [list(each) for each in chart.names],
-            }
-        )
+        pairs = zip(chart.curves, series, strict=True)
+        curves = [curve._asdict() | {"values": packed(values)} for curve, values in pairs]
+        found.append(chart._asdict() | {"t": packed(x), "curves": curves})
     return found
 
 
 def figure(chart: Chart, t: Array) -> Html:
     """Return the place of a chart, with the extremes of its curves as a table for who cannot see it."""
-    unit = f" [{chart.unit}]" if chart.unit else ""
-    caption = tag("figcaption", chart.title + unit)
-    place = tag(
-        "div",
-        class_="chart",
-        data_key=chart.key,
-        tabindex=0,
-        role="application",
-        aria_label=f"{chart.title}{unit}",
-    )
+    title = titled(chart.title, chart.unit)
+    caption, named = tag("figcaption", title), {"data_key": chart.key, "aria_label": title}
+    place = tag("div", class_="chart", tabindex=0, role="application", **named)
     if chart.names:
         return tag("figure", caption, place)
     rows = []
@@ -136,8 +117,8 @@ def thin(t: Array, series: list[Array], bins: int = BINS) -> tuple[Array, list[A
     thinned = []
     for y in series:
         low, high = np.fmin.reduceat(y, first), np.fmax.reduceat(y, first)
-        falls = y[first] > y[last]
-        pair = np.where(falls[:, None], np.stack((high, low), axis=1), np.stack((low, high), axis=1))
+        pair, falls = np.stack((low, high), axis=1), y[first] > y[last]
+        pair[falls] = pair[falls, ::-1]
         thinned.append(pair.ravel())
     return x, thinned
 

@@ -119,7 +119,9 @@ def test_texts_of_a_log_are_escaped_wherever_they_stand():
     ]
     assert all("&lt;/script&gt;" in part for part in parts)
     assert not any("<script" in part for part in parts)
-    assert parts[1].count("&lt;/script&gt;") == 7 - 1 + 4, "all but the unit, which stands with numbers alone"
+    assert parts[1].count("&lt;/script&gt;") == 2 * (6 + 4), (
+        "all but the unit, which stands with numbers alone"
+    )
     assert "<" not in as_script({HOSTILE: [HOSTILE]})
     assert json.loads(as_script({HOSTILE: [HOSTILE]})) == {HOSTILE: [HOSTILE]}
 

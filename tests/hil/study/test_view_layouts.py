@@ -20,7 +20,9 @@ from hil.study.view.foxglove import SCRIPT_TOPIC
 from tests.hil.samples import random_ticks, record
 
 ROOT = Path(__file__).parents[3]
-NUMBERS = {"double", "float", "int64", "sfixed64", "fixed32", "uint32", "bool"}
+DOUBLE, BOOL, ENUM = 1, 8, 14
+NUMBERS = {DOUBLE, 2, 3, 7, BOOL, 13, 16}
+"""Types of fields of protobuf."""
 
 
 @pytest.fixture(scope="module")
@@ -51,19 +53,6 @@ def messages(path):
     return found
 
 
-KINDS = {
-    1: "double",
-    2: "float",
-    3: "int64",
-    7: "fixed32",
-    8: "bool",
-    13: "uint32",
-    14: "enum",
-    16: "sfixed64",
-    11: "message",
-}
-
-
 def kind_at(descriptor, names):
     """Kind of the value at names of fields, `x[3]` of a repeated one; None where there is none."""
     for k, name in enumerate(names):
@@ -72,7 +61,7 @@ def kind_at(descriptor, names):
         if field is None or field.is_repeated != bool(indexed):
             return None
         if k == len(names) - 1:
-            return KINDS.get(field.type)
+            return field.type
         descriptor = field.message_type
         if descriptor is None:
             return None
@@ -105,14 +94,14 @@ def test_each_path_of_a_foxglove_plot_is_a_number_of_the_log(log):
             assert resolve(found, value) in NUMBERS, value
     sources = re.findall(r"row\.([\w.\[\]]+)", script)
     assert len(sources) == 2 * 9
-    assert {resolve(found, f"{log.topic}.{source}") for source in sources} == {"double"}
+    assert {resolve(found, f"{log.topic}.{source}") for source in sources} == {DOUBLE}
 
 
 def test_each_state_of_the_foxglove_layout_has_names_in_the_log(path):
     found = messages(path)
     _, panels = parts(Log(path))
     lanes = {p["value"] for name, c in panels.items() if name.startswith("StateT") for p in c["paths"]}
-    assert {resolve(found, value) for value in lanes} == {"enum", "bool"}
+    assert {resolve(found, value) for value in lanes} == {ENUM, BOOL}
     named = {c.name for c in TICKS.columns if c.names}
     assert {value.split(".")[1] for value in lanes} == named, "all that has names is somewhere"
     assert {"/tick.mode", "/tick.drive_state.leg_5", "/tick.faults.STALE"} <= lanes

@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.files import whole_file
 from hil.study.workspace.explore import Workspace
-from hil.study.workspace.limits import KINDS
+from hil.study.workspace.limits import FREE, KINDS
 from hil.study.workspace.position import CrossSection
 
 COLOURS = ("tab:red", "tab:purple", "tab:orange", "black", "tab:cyan")
@@ -28,18 +28,18 @@ def draw(w: Workspace, path: Path, title: str) -> Path:
     _tilt(figure.add_subplot(2, 3, 4, projection="polar"), w)
     _torsion(figure.add_subplot(2, 3, 5), w)
     _convergence(figure.add_subplot(2, 3, 6), w)
-    shares = w.positions.shares
-    used = {int(k) for k in w.positions.kinds} | {int(k) for k in w.orientations.kinds.ravel()}
-    handles: list[Any] = [
-        Line2D([], [], marker="o", linestyle="", color=COLOURS[k], label=f"{name} {100 * shares[name]:.0f} %")
+    shares, used = w.positions.shares, {*w.positions.kinds.tolist(), *w.orientations.kinds.ravel().tolist()}
+    keys: list[dict[str, Any]] = [
+        {"marker": "o", "linestyle": "", "color": COLOURS[k], "label": f"{name} {100 * shares[name]:.0f} %"}
         for k, name in enumerate(KINDS)
         if k in used
     ]
-    handles += [
-        Line2D([], [], marker="+", linestyle="", color="black", label="home"),
-        Line2D([], [], color="white", markeredgecolor="grey", label="largest sphere"),
-        Line2D([], [], color="white", linestyle="--", label="largest cylinder"),
+    keys += [
+        {"marker": "+", "linestyle": "", "color": "black", "label": "home"},
+        {"color": "white", "label": "largest sphere"},
+        {"color": "white", "linestyle": "--", "label": "largest cylinder"},
     ]
+    handles = [Line2D([], [], **key) for key in keys]
     legend = figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
     legend.get_frame().set_facecolor("lightgrey")
     figure.suptitle(title)
@@ -57,9 +57,7 @@ def _section(axes: Any, w: Workspace, section: CrossSection, ends: tuple[float, 
     colours = axes.pcolormesh(
         section.u, section.v, shade, shading="nearest", vmin=ends[0], vmax=ends[1], cmap="viridis"
     )
-    for k in range(len(KINDS)):
-        mine = section.points[section.kinds == k]
-        axes.plot(mine[:, 0], mine[:, 1], ".", markersize=2.5, color=COLOURS[k])
+    axes.scatter(*section.points.T, s=2.5, c=[COLOURS[k] for k in section.kinds])
     p, cylinder = w.surveyor.p, w.cylinder
     axes.plot(p[i], p[j], "k+", markersize=10)
     outline: dict[str, Any] = {"fill": False, "edgecolor": "white", "linewidth": 1.3}
@@ -80,12 +78,11 @@ def _section(axes: Any, w: Workspace, section: CrossSection, ends: tuple[float, 
 
 def _tilt(axes: Any, w: Workspace) -> None:
     o = w.orientations
-    middle = len(o.torsion) // 2
     closed = np.append(o.azimuth, o.azimuth[0] + 2 * np.pi)
     axes.plot(closed, np.rad2deg(np.append(o.level, o.level[0])), color="grey", linewidth=0.8)
-    for k in range(len(KINDS)):
-        mine = o.kinds[middle] == k
-        axes.plot(o.azimuth[mine], np.rad2deg(o.level[mine]), "o", markersize=3.5, color=COLOURS[k])
+    met = o.kinds[len(o.torsion) // 2] != FREE
+    colours = [COLOURS[k] for k in o.kinds[len(o.torsion) // 2][met]]
+    axes.scatter(o.azimuth[met], np.rad2deg(o.level[met]), s=12, c=colours)
     axes.fill(closed, np.full(len(closed), np.rad2deg(o.level.min())), alpha=0.2)
     at = ", ".join(f"{x:g}" for x in o.position)
     axes.set_title(f"tilt without torsion [deg], by azimuth\nat ({at}) m")

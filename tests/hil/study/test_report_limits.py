@@ -40,6 +40,12 @@ def margin(rows, key, name="", c=None, rate_Hz=RATE_Hz):
     return found
 
 
+def nearest(rows, key, name="", c=None, rate_Hz=RATE_Hz):
+    """Row, leg and value of that margin."""
+    found = margin(rows, key, name, c, rate_Hz)
+    return found.row, found.leg, pytest.approx(found.value)
+
+
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(
     ("column", "key", "limit"),
@@ -111,8 +117,7 @@ def test_motion_on_closed_brakes_counts_from_where_a_leg_was_first_heard():
     rows["q"][20, 4] += 2e-4
     rows["q"][30:] += 0.1
     rows["q"][55, 1] -= 3e-4
-    found = margin(rows, "limits.standstill_m")
-    assert (found.row, found.leg, found.value) == (55, 1, pytest.approx(3e-4))
+    assert nearest(rows, "limits.standstill_m") == (55, 1, 3e-4)
 
 
 def test_braking_is_judged_towards_the_end_that_a_leg_moves_to():
@@ -135,18 +140,17 @@ def test_missed_periods_add_up_until_a_tick_is_on_time():
 def test_of_32_ticks_those_with_refused_frames_are_counted():
     rows = rows_of(200)
     rows["rejected"][[10, 20, 41, 42, 43, 120]] = 4
-    found = margin(rows, "", "frames were refused")
-    assert (found.value, found.row) == (4, 43), "10 is 33 ticks before 43; 20 to 43 are four"
+    assert nearest(rows, "", "frames were refused") == (43, None, 4), (
+        "10 is 33 ticks before 43; 20 to 43 are four"
+    )
 
 
 def test_the_tick_in_which_a_brake_gave_way_counts():
-    rows = rows_of(60)
-    rows["mode"][:] = Mode.LOADING
+    rows = rows_of(60, mode=Mode.LOADING)
     rows["q"][40:, 2] += 6e-4
     rows["mode"][40:], rows["faults"][40:] = Mode.FAULT, Fault.BRAKE
     rows["q"][41:, 2] += 1.0
-    found = margin(rows, "limits.standstill_m")
-    assert (found.row, found.leg, found.value) == (40, 2, pytest.approx(6e-4))
+    assert nearest(rows, "limits.standstill_m") == (40, 2, 6e-4)
 
 
 def test_a_force_step_is_one_between_ticks_that_follow_each_other():
@@ -156,11 +160,9 @@ def test_a_force_step_is_one_between_ticks_that_follow_each_other():
     rows["tau"][300:, 4] = 50.0
     rows["tick"][200:] += 40
     rows["t_ns"] = 1_000_000 * rows["tick"]
-    found = margin(rows, "limits.force_step_N")
-    assert (found.row, found.leg, found.value) == (300, 4, 50.0), "40 lost ticks are no step"
+    assert nearest(rows, "limits.force_step_N") == (300, 4, 50.0), "40 lost ticks are no step"
     rows["skipped"][200] = 40
-    found = margin(rows, "limits.force_step_N")
-    assert (found.row, found.leg, found.value) == (200, 1, 900.0), "a skipped tick holds the force"
+    assert nearest(rows, "limits.force_step_N") == (200, 1, 900.0), "a skipped tick holds the force"
 
 
 def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
@@ -169,8 +171,7 @@ def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
     rows["tick"][110:] += 500
     rows["tau"][115:, 3] = 30.0
     rows["tau"][115:, 0] = 90.0
-    found = margin(rows, "limits.force_window_N")
-    assert (found.row, found.leg, found.value) == (100, 3, 700.0)
+    assert nearest(rows, "limits.force_window_N") == (100, 3, 700.0)
     rows["tau"][100:110, 3] = 700.0 - 7.0 * np.arange(10)
     rows["tau"][110:, 3] = 600.0
     rows["tau"][111:, 3] = 575.0
@@ -178,21 +179,17 @@ def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
 
 
 def test_the_certificate_is_used_up_by_what_lasts_and_not_by_one_tick():
-    confirm = load("virtual").monitor.confirm_ticks
-    rows = rows_of(60)
-    rows["lyapunov_share"] = 0.1
+    assert load("virtual").monitor.confirm_ticks == 3
+    rows = rows_of(60, lyapunov_share=0.1)
     rows["lyapunov_share"][:3] = np.nan
     rows["lyapunov_share"][[10, 11, 30, 31, 32]] = [5.0, 5.0, 0.8, 0.7, 0.9]
-    assert confirm == 3
-    found = margin(rows, "monitor")
-    assert (found.value, found.row) == (0.7, 32)
+    assert nearest(rows, "monitor") == (32, None, 0.7)
     rows["lyapunov_share"] = np.nan
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor"]
 
 
 def test_the_margin_of_an_encoder_names_its_leg_and_counts_at_rest_too():
-    rows = rows_of(40)
-    rows["encoder_share"] = np.nan
+    rows = rows_of(40, encoder_share=np.nan)
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor.length_noise_m"]
     rows["encoder_share"][:] = 0.25
     rows["encoder_share"][[5, 9], [2, 4]] = 0.5, 0.75
@@ -251,16 +248,14 @@ def test_the_age_of_a_leg_that_may_be_lost_is_no_margin(lost, mode, faults, age)
 
 
 def test_an_encoder_is_against_the_fused_pose_three_ticks_in_a_row_until_it_has_slipped():
-    rows = rows_of(60)
-    rows["legs_used"] = 0b111111
+    rows = rows_of(60, legs_used=0b111111)
     rows["innovation_q"][5] = 1.0
     rows["legs_used"][20:22] = rows["legs_used"][30:] = 0b011111
     rows["innovation_q"][20:, 5] = -9e-5
     rows["innovation_q"][31:34, 5] = 8e-5, -7e-5, 6e-5
     rows["innovation_q"][34:, 5] = 1.0
     rows["legs_slipped"][33:] = 1 << 5
-    found = margin(rows, "", "against the fused pose", fused())
-    assert (found.row, found.leg, found.value) == (32, 5, pytest.approx(7e-5))
+    assert nearest(rows, "", "against the fused pose", fused()) == (32, 5, 7e-5)
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,6 @@
 """Columns of a log by name, and one less another: units and names of values from the table in the log."""
 
 from collections.abc import Iterable, Iterator, Sequence
-from enum import IntFlag
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,27 +28,13 @@ class Curve(NamedTuple):
 
     def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[Any]]:
         """Values (n,) in rows."""
-        return self.part.of(rows) - self.less.of(rows) if self.less else self.part.of(rows)
+        with np.errstate(invalid="ignore", over="ignore"):
+            return self.part.of(rows) - self.less.of(rows) if self.less else self.part.of(rows)
 
     @property
     def title(self) -> str:
         """Label with its unit."""
         return titled(self.label, self.unit)
-
-
-class Signal(NamedTuple):
-    """One number over time."""
-
-    label: str
-    """As of a curve."""
-    unit: str
-    """Empty where there is no unit."""
-    values: Array
-    """(n,), one a row."""
-    names: dict[str, int]
-    """Of the values; empty where they have none."""
-    flags: bool
-    """The names are of bits, of which a value may have several."""
 
 
 def titled(label: str, unit: str) -> str:
@@ -74,21 +59,6 @@ def curves(columns: Sequence[Column], name: str, log: str = "") -> list[Curve]:
             f"{name}: no difference can be made: allowed are two columns of one shape and one unit"
         )
     return [Curve(f"{a.label}{DIFFERENCE}{b.label}", a.unit, a, b) for a, b in zip(ones, others, strict=True)]
-
-
-def signals(columns: Sequence[Column], rows: Rows, name: str, log: str = "") -> list[Signal]:
-    """Curves of a name in rows, which have the dtype of the log. Raises LogError, as `curves`."""
-    with np.errstate(invalid="ignore", over="ignore"):
-        return [
-            Signal(
-                curve.label,
-                curve.unit,
-                curve.of(rows).astype(np.float64),
-                curve.part.column.names,
-                issubclass(curve.part.column.type, IntFlag),
-            )
-            for curve in curves(columns, name, log)
-        ]
 
 
 def named_columns(names: Iterable[str]) -> set[str]:

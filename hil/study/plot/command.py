@@ -1,13 +1,16 @@
 """`hil plot`: any column of one log or several, one above the other, into a PNG or SVG file."""
 
 from collections.abc import Sequence
+from enum import IntFlag
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from drivers.errors import LogError
 from hil.app.files import new_file, printable
 from hil.app.readable import readable
-from hil.study.log_columns import named_columns, seconds, signals
+from hil.study.log_columns import curves, named_columns, seconds
 from hil.study.plot.draw import Curve, draw
 
 DEFAULT = ("q_d - q", "tau", "mode")
@@ -63,11 +66,14 @@ def _read(
                 raise LogError(
                     f"{log_path}: no tick between --from and --to, allowed: within 0 to {t[-1]:.3f} s"
                 )
+            prefix = f"{shown[n]}: " if len(logs) > 1 else ""
             for panel, name in zip(panels, names, strict=True):
-                panel += [
-                    Curve(f"{shown[n]}: {s.label}" if len(logs) > 1 else s.label, n, t[kept], s)
-                    for s in signals(log.columns, rows[kept], name, str(log_path))
-                ]
+                for each in curves(log.columns, name, str(log_path)):
+                    values, column = each.of(rows[kept]).astype(np.float64), each.part.column
+                    flags = issubclass(column.type, IntFlag)
+                    panel.append(
+                        Curve(each.label, n, t[kept], values, each.unit, column.names, flags, prefix)
+                    )
     return panels, remarks
 
 

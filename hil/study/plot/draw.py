@@ -1,7 +1,7 @@
 """Curves over time in panels, with Matplotlib."""
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,7 +10,6 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import LogError
 from hil.app.files import made_whole
-from hil.study.log_columns import Signal
 
 STYLES = ("-", "--", ":", "-.")
 """Of the logs, in their order."""
@@ -20,14 +19,23 @@ _PANEL_IN = 2.8
 
 
 class Curve(NamedTuple):
-    """One signal of one log."""
+    """One number of one log over time."""
 
     label: str
     log: int
     """Which of the logs, from 0."""
     t: Array
     """(n,) s since the first tick."""
-    signal: Signal
+    values: Array
+    """(n,)."""
+    unit: str
+    """Empty where there is none."""
+    names: Mapping[str, int]
+    """Of the values; empty where they have none."""
+    flags: bool
+    """The names are of bits, of which a value may have several."""
+    prefix: str = ""
+    """Of the label, for the log."""
 
 
 def draw(
@@ -65,27 +73,26 @@ def draw(
 
 
 def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
-    first = curves[0].signal
+    first = curves[0]
     axes.set_title(name, fontsize="small", loc="left", parse_math=False)
     axes.grid(alpha=0.3)
-    shown = [_bits(c) for c in curves] if first.flags else [[c] for c in curves]
+    shown = [each for c in curves for each in _bits(c)] if first.flags else curves
     colours: dict[str, str] = {}
-    for row in shown:
-        for curve in row:
-            colour = colours.setdefault(curve.signal.label, f"C{len(colours) % 10}")
-            style = STYLES[curve.log % len(STYLES)]
-            drawn = "steps-post" if curve.signal.names else "default"
-            values = np.where(np.abs(curve.signal.values) <= LARGEST, curve.signal.values, np.nan)
-            axes.plot(curve.t, values, style, c=colour, lw=0.9, label=curve.label, drawstyle=drawn)
+    for curve in shown:
+        colour = colours.setdefault(curve.label, f"C{len(colours) % 10}")
+        drawn = {"drawstyle": "steps-post" if curve.names else "default", "c": colour, "lw": 0.9}
+        values = np.where(np.abs(curve.values) <= LARGEST, curve.values, np.nan)
+        style, label = STYLES[curve.log % len(STYLES)], curve.prefix + curve.label
+        axes.plot(curve.t, values, style, label=label, **drawn)
     if first.flags:
         axes.set_yticks([0, 1], ["off", "on"])
     elif first.names:
-        there = np.unique(np.concatenate([c.signal.values for c in curves]))
+        there = np.unique(np.concatenate([c.values for c in curves]))
         texts = {value: text for text, value in first.names.items()}
         axes.set_yticks(there, [texts.get(int(v), f"{v:g}") for v in there], parse_math=False)
     else:
-        axes.set_ylabel(" | ".join(dict.fromkeys(c.signal.unit for c in curves)), parse_math=False)
-    if any(shown):
+        axes.set_ylabel(" | ".join(dict.fromkeys(c.unit for c in curves)), parse_math=False)
+    if shown:
         legend = axes.legend(fontsize="x-small", ncols=2, loc="upper right")
         for text in legend.get_texts():
             text.set_parse_math(False)
@@ -93,13 +100,9 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
 
 def _bits(curve: Curve) -> list[Curve]:
     """One curve for each bit of flags that is ever set."""
-    signal, prefix = curve.signal, curve.label.removesuffix(curve.signal.label)
-    values = signal.values.astype(np.int64)
+    values = curve.values.astype(np.int64)
     return [
-        curve._replace(
-            label=prefix + text,
-            signal=signal._replace(label=text, values=((values & bit) > 0).astype(np.float64)),
-        )
-        for text, bit in signal.names.items()
+        curve._replace(label=text, values=((values & bit) > 0).astype(np.float64))
+        for text, bit in curve.names.items()
         if bit and (values & bit).any()
     ]

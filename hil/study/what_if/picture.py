@@ -6,7 +6,6 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.signals import LEGS
-from hil.study.log_columns import Signal
 from hil.study.plot.draw import Curve, draw
 
 
@@ -39,4 +38,4 @@ class Forces:
 
 
 def _curve(label: str, style: int, t: Array, values: Array) -> Curve:
-    return Curve(label, style, t, Signal(label, "N", values, {}, flags=False))
+    return Curve(label, style, t, values, "N", {}, flags=False)

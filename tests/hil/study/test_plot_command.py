@@ -13,7 +13,7 @@ from drivers.tick_columns import RECORDED, ROW
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.cli import main
-from hil.study.log_columns import Signal, signals
+from hil.study.log_columns import curves
 from hil.study.plot.command import plot
 from hil.study.plot.draw import Curve, draw
 
@@ -38,21 +38,21 @@ def test_every_column_gives_its_elements_with_their_units_and_names(name):
     rows = np.zeros(3, ROW)
     rows[name] = np.arange(rows[name].size).reshape(rows[name].shape)
     (column,) = (c for c in RECORDED if c.name == name)
-    found = signals(RECORDED, rows, name)
+    found = curves(RECORDED, name)
     labels = [f"{name}.{e}" for e in column.elements] or [name]
     assert [s.label for s in found] == labels
     for k, signal in enumerate(found):
-        assert signal.values.tolist() == rows[name].reshape(3, -1)[:, k].tolist()
-        assert signals(RECORDED, rows, signal.label)[0].values.tolist() == signal.values.tolist()
+        assert signal.of(rows).tolist() == rows[name].reshape(3, -1)[:, k].tolist()
+        assert curves(RECORDED, signal.label) == [signal]
         assert signal.unit in column.unit
 
 
 def test_a_difference_is_taken_element_by_element():
     rows = np.zeros(2, ROW)
     rows["q_d"], rows["q"] = 3.0, np.arange(6.0)
-    assert [s.values[0] for s in signals(RECORDED, rows, "q_d - q")] == [3.0, 2.0, 1.0, 0.0, -1.0, -2.0]
-    (one,) = signals(RECORDED, rows, "q_d.leg_1 - q.leg_5")
-    assert (one.values[0], one.unit) == (-2.0, "m")
+    assert [curve.of(rows)[0] for curve in curves(RECORDED, "q_d - q")] == [3.0, 2.0, 1.0, 0.0, -1.0, -2.0]
+    (one,) = curves(RECORDED, "q_d.leg_1 - q.leg_5")
+    assert (one.of(rows)[0], one.unit) == (-2.0, "m")
 
 
 @pytest.mark.parametrize(
@@ -67,7 +67,7 @@ def test_a_difference_is_taken_element_by_element():
 )
 def test_a_wrong_name_is_refused_with_those_that_are_allowed(name, message):
     with pytest.raises(LogError, match=message):
-        signals(RECORDED, np.zeros(1, ROW), name, "log")
+        curves(RECORDED, name, "log")
 
 
 def test_a_picture_has_units_names_of_values_and_both_logs(logs, tmp_path):
@@ -137,7 +137,7 @@ def test_a_name_with_dollar_signs_is_a_name_and_no_formula(logs, tmp_path):
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1.7e308, -1.7e308])
 def test_numbers_that_no_axis_holds_leave_a_gap_and_the_others_are_drawn(tmp_path, value):
     values = np.array([0.0, 2.0, value, value, 3.0])
-    curve = Curve("tau", 0, np.arange(5.0), Signal("tau", "N", values, {}, False))
+    curve = Curve("tau", 0, np.arange(5.0), values, "N", {}, flags=False)
     draw(["tau"], [[curve]], tmp_path / "a.svg", "a")
     ticks = [float(text.replace("\u2212", "-")) for text in texts(tmp_path / "a.svg") if text[-1:].isdigit()]
     assert len(ticks) > 8

@@ -45,19 +45,6 @@ class Chart(NamedTuple):
     """What values of the axis are called."""
 
 
-class Lane(NamedTuple):
-    """One bit over time."""
-
-    label: str
-    """Column and bit."""
-    values: Array
-    """(n,) 0 or 1."""
-    ticks: int
-    """In how many it was set."""
-    first: int
-    """Row in which it was set first."""
-
-
 def charts(rows: Rows, c: Configuration | None, traffic: Traffic, rate_Hz: float) -> list[Chart]:
     """Charts of a run in their order. rows has dtype ROW; what a run does not have is left out."""
     follows = (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
@@ -134,19 +121,14 @@ def _modes(rows: Rows) -> Iterator[Chart]:
     yield Chart("mode", MODES, COLUMNS["mode"].meaning, "", (steps,), (), names)
     found = lanes(rows)
     if found:
-        curves = tuple(Curve(lane.label, k + 0.8 * lane.values, "area") for k, lane in enumerate(found))
-        names = tuple((k + 0.4, lane.label) for k, lane in enumerate(found))
+        curves = tuple(Curve(label, k + 0.8 * there, "area") for k, (label, there) in enumerate(found))
+        names = tuple((k + 0.4, label) for k, (label, _) in enumerate(found))
         title = "faults, warnings and what else was set, one line each"
         yield Chart("flags", MODES, title, "", curves, (), names)
 
 
-def lanes(rows: Rows) -> list[Lane]:
-    """Lane of each bit of FLAGS that is ever set, in the order of the table."""
-    found = []
-    for name in FLAGS:
-        for text, bit in COLUMNS[name].names.items():
-            there = (rows[name] & bit) != 0
-            if there.any():
-                values = there.astype(np.float64)
-                found.append(Lane(f"{name} {text}", values, int(there.sum()), int(np.argmax(there))))
-    return found
+def lanes(rows: Rows) -> list[tuple[str, Flags]]:
+    """Each bit of FLAGS that is ever set, in the order of the table: column and bit, and where it is (n,)."""
+    bits = [(name, text, bit) for name in FLAGS for text, bit in COLUMNS[name].names.items()]
+    found = [(f"{name} {text}", (rows[name] & bit) != 0) for name, text, bit in bits]
+    return [(label, there) for label, there in found if there.any()]

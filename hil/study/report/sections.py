@@ -96,7 +96,7 @@ def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
         for mode, a, b in spells(rows["mode"])[:EVENTS]
     ]
     parts = [table(("mode", "from, s", "for, s"), lines, "Modes")]
-    bits = [(lane.label, f"{t[lane.first]:.3f}", lane.ticks) for lane in lanes(rows)]
+    bits = [(label, f"{t[np.argmax(there)]:.3f}", np.count_nonzero(there)) for label, there in lanes(rows)]
     if bits:
         parts.append(table(("set", "first at, s", "ticks"), bits, "Faults, warnings and other bits"))
     if events:

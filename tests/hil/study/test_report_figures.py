@@ -272,5 +272,5 @@ def test_lanes_show_when_a_bit_was_there():
     rows = rows_of(10)
     rows["warnings"][3:5] = Warn.LATE | Warn.BUS
     rows["warnings"][7] = Warn.BUS
-    found = [(lane.label, lane.ticks, lane.first) for lane in lanes(rows)]
-    assert found == [("warnings LATE", 2, 3), ("warnings BUS", 3, 3)]
+    found = [(label, np.flatnonzero(there).tolist()) for label, there in lanes(rows)]
+    assert found == [("warnings LATE", [3, 4]), ("warnings BUS", [3, 4, 7])]

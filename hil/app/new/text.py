@@ -10,7 +10,9 @@ from typing import Any
 
 from hil.app.configuration.yaml_positions import parse
 
-SECTIONS = importlib.resources.files("hil.app.new").joinpath("robot.yaml").read_text("utf-8").split("\n\n")
+SECTIONS = (
+    importlib.resources.files("hil.app.new").joinpath("robot.yaml.template").read_text("utf-8").split("\n\n")
+)
 DIGITS = 7
 """Of a float. Answers have no more: what follows from one is to fit the one that is written."""
 COLUMN = 40

@@ -179,16 +179,14 @@ def test_a_rate_above_one_bus_is_refused_with_the_number_of_buses(tmp_path):
     assert done.exit_code == 2
     assert "2005.0 us of a 2000.0 us period" in done.output
     assert "here --channels 2 is enough" in done.output
-    assert new(path, f"{HEAVY} --channels 2").exit_code == 0
-    c = load(path)
-    assert [(each.channel, each.legs) for each in c.bus.channels] == [
-        ("hil0", [0, 1, 2]),
-        ("hil1", [3, 4, 5]),
-    ]
-    assert (c.loop.rate_Hz, c.bus.layout, c.bus.bitrate_bit_s) == (500.0, "classic", 1_000_000)
-    assert new(path, f"{HEAVY} --channels 3 --interface socketcan", "--force").exit_code == 0
-    legs = [(each.channel, each.legs) for each in load(path).bus.channels]
-    assert legs == [("can0", [0, 1]), ("can1", [2, 3]), ("can2", [4, 5])]
+    for words, legs in (
+        ("--channels 2", {"hil0": [0, 1, 2], "hil1": [3, 4, 5]}),
+        ("--channels 3 --interface socketcan", {"can0": [0, 1], "can1": [2, 3], "can2": [4, 5]}),
+    ):
+        assert new(path, f"{HEAVY} {words}", "--force").exit_code == 0
+        c = load(path)
+        assert {each.channel: each.legs for each in c.bus.channels} == legs
+        assert (c.loop.rate_Hz, c.bus.layout, c.bus.bitrate_bit_s) == (500.0, "classic", 1_000_000)
 
 
 def test_a_dialogue_repeats_the_question_that_cannot_work(tmp_path):

@@ -118,6 +118,14 @@ def book(limits, geometry=BOOK, R=UPRIGHT, **more):
     return Surveyor(Platform.from_dict(geometry), limits, HOME, R, **more)
 
 
+def boundary(surveyor, kind, resolution=12):
+    """Points of the boundary that a limit makes up."""
+    mapped = map_positions(surveyor, resolution)
+    met = mapped.points[mapped.kinds == KINDS.index(kind)]
+    assert len(met) > 10
+    return met
+
+
 def test_the_volume_of_six_shells_agrees_with_quasi_monte_carlo():
     low, high = 1.1, 1.9
     surveyor = book(Limits(low, high))
@@ -134,57 +142,50 @@ def test_the_volume_of_six_shells_agrees_with_quasi_monte_carlo():
 def test_a_stroke_boundary_has_a_leg_exactly_at_its_end():
     low, high = 1.1, 1.9
     surveyor = book(Limits(low, high))
-    mapped = map_positions(surveyor, 16)
-    met = mapped.points[mapped.kinds == KINDS.index("stroke")]
-    assert len(met) > 300
+    met = boundary(surveyor, "stroke", 16)
     q = lengths(surveyor.platform, met)
     assert np.abs(np.minimum(np.abs(q - low), np.abs(high - q)).min(axis=1)).max() < 1e-9
     assert (q > low - 1e-12).all()
     assert (q < high + 1e-12).all()
 
 
-def test_torsion_and_tilt_of_the_book_platform_are_the_closed_form():
-    # Joints at radius 2 and 1, 30 degrees apart, 1 m above: l^2 = 6 - 4 cos(30 deg + torsion). Leaning
-    # towards +y sinks no joint on the way: l^2 = 6 - 4 cos(30 deg + tilt) for the legs at (0, -1, 0).
-    high = 2.18
-    orientations = map_orientations(book(Limits(0.5, high)), azimuths=72)
+@pytest.mark.parametrize("turn", [0.0, 0.12, -0.12])
+def test_torsion_and_tilt_of_the_book_platform_are_the_closed_form(turn):
+    """The ends stay where they are when home is turned: it is nearer to one.
+
+    Joints at radius 2 and 1, 30 degrees apart, 1 m above: l^2 = 6 - 4 cos(30 deg + torsion). Leaning towards
+    +y sinks no joint on the way: l^2 = 6 - 4 cos(30 deg + tilt) for the legs at (0, -1, 0).
+    """
+    high, R = 2.18, Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix()
+    found = map_orientations(book(Limits(0.5, high), R=R), azimuths=72)
     angle = np.arccos((6 - high**2) / 4) - np.deg2rad(30)
-    assert orientations.torsion[[0, -1]] == pytest.approx([-angle, angle], abs=1e-9)
-    assert orientations.azimuth[18] == pytest.approx(np.pi / 2)
-    assert orientations.level[18] == pytest.approx(angle, abs=1e-9)
-    assert orientations.guaranteed.shape == orientations.torsion.shape
-    assert orientations.guaranteed[0] == pytest.approx(0, abs=1e-6)
+    assert found.torsion[[0, -1]] == pytest.approx([-angle - turn, angle - turn], abs=1e-9)
+    assert [KINDS[k] for k in found.torsion_kinds] == ["stroke", "stroke"]
+    if not turn:
+        assert found.level[18] == pytest.approx(angle, abs=1e-9), "towards 90 degrees"
+        assert found.guaranteed[0] == pytest.approx(0, abs=1e-6)
 
 
 def test_a_force_boundary_has_a_leg_exactly_at_the_limit():
     limit, payload, at = 6000.0, 150.0, (0.2, -0.1, 0.3)
     surveyor = book(Limits(0.3, 3.0, force=limit), light_legs(BOOK), payload=payload, payload_at=at)
-    mapped = map_positions(surveyor, 12)
-    met = mapped.points[mapped.kinds == KINDS.index("force")]
-    assert len(met) > 50
+    met = boundary(surveyor, "force")
     for p in met[::5]:
         tau = static_forces(surveyor.platform, p, UPRIGHT, payload, at)
         assert np.abs(tau).max() == pytest.approx(limit, rel=1e-6)
 
 
-@pytest.mark.parametrize("given", [False, True])
-def test_a_joint_boundary_has_a_leg_exactly_at_its_largest_angle(given):
-    limit = np.deg2rad(18.0)
-    axes = None
+def test_a_joint_boundary_has_a_leg_exactly_at_its_largest_angle():
+    base_limit, platform_limit = np.deg2rad([18.0, 19.0])
     platform = Platform.from_dict(BOOK)
     home = jacobian(platform, HOME, UPRIGHT)[:, :3]
-    if given:
-        axes = 3.0 * Rotation.from_rotvec([0.05, 0.1, 0.0]).apply(home)
-    limits = Limits(0.5, 3.0, base_angle=limit, platform_angle=np.deg2rad(19.0))
-    surveyor = book(limits, base_axes=axes)
-    mapped = map_positions(surveyor, 12)
-    met = mapped.points[mapped.kinds == KINDS.index("joint angle")]
-    assert len(met) > 100
-    unit = home if axes is None else axes / 3.0
+    unit = Rotation.from_rotvec([0.05, 0.1, 0.0]).apply(home)
+    limits = Limits(0.5, 3.0, base_angle=base_limit, platform_angle=platform_limit)
+    met = boundary(book(limits, base_axes=3.0 * unit), "joint angle")
     for p in met[::7]:
         s = jacobian(platform, p, UPRIGHT)[:, :3]
-        base = np.arccos((s * unit).sum(axis=1)).max() - limit
-        other = np.arccos((s * home).sum(axis=1)).max() - np.deg2rad(19.0)
+        base = np.arccos((s * unit).sum(axis=1)).max() - base_limit
+        other = np.arccos((s * home).sum(axis=1)).max() - platform_limit
         assert max(base, other) == pytest.approx(0, abs=1e-8)
 
 
@@ -214,9 +215,7 @@ def test_dexterity_agrees_with_numpy():
 
 def test_a_singularity_boundary_is_where_the_controller_stops():
     surveyor = book(Limits(0.3, 3.0, condition=6.0))
-    mapped = map_positions(surveyor, 12)
-    met = mapped.points[mapped.kinds == KINDS.index("singularity")]
-    assert len(met) > 50
+    met = boundary(surveyor, "singularity")
     numbers = np.array([np.linalg.cond(jacobian(surveyor.platform, p, UPRIGHT)) for p in met])
     assert (numbers <= 6.0).all()  # radius 1 m; the bound lies up to a quarter above the number
     assert (numbers >= 6.0 / 1.2511).all()
@@ -225,9 +224,7 @@ def test_a_singularity_boundary_is_where_the_controller_stops():
 def test_an_interference_boundary_has_two_legs_a_diameter_apart():
     diameter = 1.5  # the book's legs are 1.73 m apart at home, but for those that share a joint
     surveyor = book(Limits(0.6, 2.2, leg_diameter=diameter))
-    mapped = map_positions(surveyor, 12)
-    met = mapped.points[mapped.kinds == KINDS.index("interference")]
-    assert len(met) > 10
+    met = boundary(surveyor, "interference")
     a, b = surveyor.platform.base_joints, surveyor.platform.platform_joints
     for p in met[::5]:
         d = p + b - a
@@ -305,14 +302,3 @@ def test_without_axes_of_its_own_every_joint_is_straight_at_a_turned_home():
             platform, abs=1e-12
         )
     assert base.max() < 1.0 - 1e-4
-
-
-@pytest.mark.parametrize("turn", [0.12, -0.12])
-def test_least_and_largest_torsion_of_a_home_that_is_turned_are_the_closed_form(turn):
-    """Of the book platform, l^2 = 6 - 4 cos(30 deg + torsion), the ends stay where they are: home is nearer to one."""
-    high = 2.18
-    angle = np.arccos((6 - high**2) / 4) - np.deg2rad(30)
-    R = Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix()
-    found = map_orientations(book(Limits(0.5, high), R=R), azimuths=4)
-    assert found.torsion[[0, -1]] == pytest.approx([-angle - turn, angle - turn], abs=1e-9)
-    assert [KINDS[k] for k in found.torsion_kinds] == ["stroke", "stroke"]

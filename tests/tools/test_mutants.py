@@ -1,11 +1,9 @@
-"""The tool behind `make mutants`: its changes, the list of equivalent ones, the table that a run goes on with."""
-
-import json
+"""The tool behind `make mutants`: its changes, its areas and its sample."""
 
 import pytest
 
-from tools.mutants.areas import AREAS, ROOT
-from tools.mutants.equivalent import FILE, equivalents
+from tools.mutants.__main__ import sampled
+from tools.mutants.areas import AREAS, sources_of, tests_of
 from tools.mutants.mutant import mutants
 
 
@@ -41,11 +39,13 @@ def test_each_operator_makes_exactly_its_changes(source, changed):
     assert made(source) == changed
 
 
-def test_the_list_of_equivalent_changes_fits_the_sources():
-    assert len(equivalents(ROOT)) == len(json.loads(FILE.read_text()))
-
-
 @pytest.mark.parametrize("area", AREAS)
 def test_every_area_has_sources_and_tests(area):
-    assert AREAS[area].source_files()
-    assert AREAS[area].test_files()
+    assert sources_of(area)
+    assert tests_of(area)
+
+
+def test_a_seed_draws_the_same_mutants_and_one_a_place():
+    drawn = [mutant for _, mutant in sampled("salvage", 1, 30)]
+    assert drawn == [mutant for _, mutant in sampled("salvage", 1, 30)]
+    assert len({(m.file, m.start, m.end) for m in drawn}) == 30

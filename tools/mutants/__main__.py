@@ -1,173 +1,160 @@
-"""`make mutants`: sample, run, resume, report."""
+"""`make mutants`: draw mistakes, put one at a time into a copy of the tree, run tests until one fails."""
 
 from __future__ import annotations
 
-import hashlib
-import queue
+import json
+import os
 import random
+import re
+import shutil
+import signal
+import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Iterator
+from contextlib import suppress
+from hashlib import sha256
 from pathlib import Path
 
 import click
+from scipy.stats import binomtest
 
-from tools.mutants import table
-from tools.mutants.areas import AREAS, ROOT, Area
-from tools.mutants.choice import Context, chosen, contexts
-from tools.mutants.equivalent import equivalents, is_equivalent
-from tools.mutants.mutant import Mutant, mutants
-from tools.mutants.table import Result
-from tools.mutants.tree import Tree
+from drivers.cache_folder import CACHE_FOLDER
+from tools.mutants.areas import AREAS, ROOT, sources_of, tests_of
+from tools.mutants.mutant import PLACE, Mutant, mutants
 
 BUILD = ROOT / "build" / "mutants"
-LOAD_S, START_S = 120.0, 60.0
-"""Longest import, with its compilation; what a run of tests may take beyond three times its recorded time."""
-COMPILE_S = 240.0
-"""What a run may take beyond that where kernels compile anew."""
+EQUIVALENT = Path(__file__).with_name("equivalent.json")
+QUICK = "not long and not realtime and not vcan"
+"""Tests that need neither the machine for themselves nor a kernel module."""
+MORE_S = 300.0
+"""What a run of tests may take beyond three times that of the unchanged tree: kernels compile again."""
+_COPIED = shutil.ignore_patterns(".*", "build", "dist", "runs", "__pycache__")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
 @click.option("--area", "areas", type=click.Choice(list(AREAS)), multiple=True, help="Only this one; repeat.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the sample.")
 @click.option("--sample", type=int, default=50, show_default=True, help="Mutants of each area.")
-@click.option("--budget", type=float, default=60.0, show_default=True, help="Seconds of tests for a mutant.")
-@click.option("--jobs", type=int, default=2, show_default=True, help="Copies of the tree, side by side.")
 @click.option("--again", is_flag=True, help="Run survivors again: there are new tests.")
-@click.option("--fresh", is_flag=True, help="Run all again, and record anew what each test runs.")
-def main(
-    areas: tuple[str, ...], seed: int, sample: int, budget: float, jobs: int, again: bool, fresh: bool
-) -> None:
+def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
     """Put mistakes into a copy of the tree, one at a time; tell which test notices each.
 
     A run goes on where the last one ended. Results are in build/mutants, a file an area and seed.
     """
-    known = equivalents(ROOT)
-    trees: queue.Queue[Tree] = queue.Queue()
-    for k in range(jobs):
-        trees.put(Tree(BUILD / f"copy-{k}"))
-    for name in areas or AREAS:
-        path = BUILD / f"{name}-{seed}.jsonl"
-        if fresh:
-            path.unlink(missing_ok=True)
-        recorded = recordings(AREAS[name], trees, fresh=fresh)
-        drawn, equivalent = sampled(name, AREAS[name], seed, sample, known)
-        run(drawn, recorded, trees, path, budget_s=budget, again=again)
-        done = table.read(path)
-        print(table.summary(name, [done[k] for k, _ in drawn if k in done], equivalent), flush=True)
+    for area in areas or AREAS:
+        path = BUILD / f"{area}-{seed}.jsonl"
+        before = [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+        done = {r["key"]: r for r in before if not (again and r["outcome"] == "survived")}
+        drawn = sampled(area, seed, sample)
+        copy = Copy(BUILD / area, tests_of(area)) if any(key not in done for key, _ in drawn) else None
+        for k, (key, mutant) in enumerate(drawn, 1):
+            if copy is None or key in done:
+                continue
+            outcome, by = copy.judged(mutant)
+            done[key] = {"key": key, **vars(mutant), "outcome": outcome, "by": by}
+            with path.open("a", encoding="utf-8") as file:
+                print(json.dumps(done[key]), file=file)
+            print(f"{k}/{len(drawn)} {outcome} {_line(mutant)} {by}", file=sys.stderr, flush=True)
+        counted = [m for key, m in drawn if done[key]["outcome"] != "not loaded"]
+        left = [m for key, m in drawn if done[key]["outcome"] == "survived"]
+        print(summary(area, len(counted), left), flush=True)
 
 
-def recordings(area: Area, trees: queue.Queue[Tree], *, fresh: bool) -> list[Context]:
-    """Return what the area's tests run; a test file is recorded once, until its text differs."""
-    folder = BUILD / "contexts"
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = {f: folder / f"{Path(f).stem}-{_digest(ROOT / f)}.jsonl" for f in area.test_files()}
-
-    def record(file: str) -> None:
-        begun, tree = time.monotonic(), trees.get()
-        unfinished = paths[file].with_suffix(".tmp")
-        try:
-            tree.record([file], unfinished)
-        finally:
-            trees.put(tree)
-        unfinished.rename(paths[file])
-        print(f"recorded {file} in {time.monotonic() - begun:.0f} s", file=sys.stderr, flush=True)
-
-    with ThreadPoolExecutor(trees.qsize()) as pool:
-        list(pool.map(record, [file for file, path in paths.items() if fresh or not path.exists()]))
-    return contexts(paths.values())
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
-
-
-def sampled(
-    name: str, area: Area, seed: int, count: int, known: dict[tuple[str, ...], str], root: Path = ROOT
-) -> tuple[list[tuple[str, Mutant]], int]:
-    """Draw `count` mutants, at most one a place, with keys; return how many equivalent ones were passed.
+def sampled(area: str, seed: int, count: int) -> list[tuple[str, Mutant]]:
+    """Draw `count` mutants, at most one a place, with keys; those that are listed as equivalent are left out.
 
     A place is drawn before its change: a number, which can be wrong in four ways, is no likelier than a call.
     """
+    equivalent = {
+        tuple(each[k] for k in PLACE) for each in json.loads(EQUIVALENT.read_text(encoding="utf-8"))
+    }
     places: dict[tuple[str, int, int], list[tuple[str, Mutant]]] = {}
-    for file in area.source_files(root):
-        text = (root / file).read_text(encoding="utf-8")
-        for mutant in mutants(file, text):
-            places.setdefault((file, mutant.start, mutant.end), []).append((mutant.key(text), mutant))
-    chance = random.Random(f"{name} {seed}")  # noqa: S311 - a sample, no secret
+    for file in sources_of(area):
+        text = (ROOT / file).read_text(encoding="utf-8")
+        for m in mutants(file, text):
+            key = sha256(f"{file}\0{m.start}\0{m.end}\0{m.after}\0{text}".encode()).hexdigest()[:16]
+            places.setdefault((file, m.start, m.end), []).append((key, m))
+    chance = random.Random(f"{area} {seed}")  # noqa: S311 - a sample, no secret
     order = list(places.values())
     chance.shuffle(order)
-    drawn: list[tuple[str, Mutant]] = []
-    passed = 0
-    for at_place in order:
-        key, mutant = chance.choice(at_place)
-        if len(drawn) == count:
-            break
-        if is_equivalent(mutant, known):
-            passed += 1
-        else:
-            drawn.append((key, mutant))
-    return drawn, passed
+    drawn = (chance.choice(at_place) for at_place in order)
+    return [(key, m) for key, m in drawn if m.place not in equivalent][:count]
 
 
-def run(
-    drawn: list[tuple[str, Mutant]],
-    recorded: list[Context],
-    trees: queue.Queue[Tree],
-    path: Path,
-    *,
-    budget_s: float,
-    again: bool,
-) -> None:
-    """Run what the table does not have yet, and with `again` what survived; write each result at once."""
-    before = table.read(path)
-    todo = [
-        (key, mutant)
-        for key, mutant in drawn
-        if key not in before or (again and before[key].outcome == "survived")
-    ]
+class Copy:
+    """A copy of the tree, in which one file at a time is changed, and the time that its tests take."""
 
-    def one(entry: tuple[str, Mutant]) -> Result:
-        tree = trees.get()
+    def __init__(self, folder: Path, tests: list[str]) -> None:
+        self.root, self.cache, self.tests = folder / "tree", folder / "cache" / CACHE_FOLDER.name, tests
+        shutil.rmtree(folder, ignore_errors=True)
+        shutil.copytree(CACHE_FOLDER, self.cache)
+        shutil.copytree(ROOT, self.root, ignore=_COPIED)
+        begun = time.monotonic()
+        code, output = self.run(tests, 3600.0)
+        if code != 0:
+            raise SystemExit(f"the tests fail in an unchanged copy of the tree:\n{output}")
+        self.limit_s = 3 * (time.monotonic() - begun) + MORE_S
+
+    def judged(self, mutant: Mutant) -> tuple[str, str]:
+        """Return `noticed`, `survived` or `not loaded`, and what noticed it."""
+        path, compiled = self.root / mutant.file, set(self.cache.iterdir())
+        text = path.read_text(encoding="utf-8")
+        path.write_text(mutant.applied(text), encoding="utf-8")
         try:
-            return judged(*entry, recorded, tree, budget_s)
+            code, output = self.run(list(self.nearest_first(mutant)), self.limit_s)
         finally:
-            trees.put(tree)
+            path.write_text(text, encoding="utf-8")
+            for kernels in set(self.cache.iterdir()) - compiled:
+                shutil.rmtree(kernels)
+        if failed := re.search(r"^FAILED (\S+)|^ERROR (\S+::\S+)", output, re.MULTILINE):
+            return "noticed", failed[1] or failed[2]
+        if code is None or code < 0:
+            return "noticed", f"{'time limit' if code is None else f'signal {-code}'}"
+        return ("survived", "") if code == 0 else ("not loaded", "")
 
-    with ThreadPoolExecutor(trees.qsize()) as pool:
-        for k, result in enumerate(pool.map(one, todo), 1):
-            table.append(path, result)
-            told = f"{result.file}:{result.line}: {result.before!r} -> {result.after!r}"
-            print(f"{k}/{len(todo)} {result.outcome} {told} {result.by}", file=sys.stderr, flush=True)
+    def nearest_first(self, mutant: Mutant) -> Iterator[str]:
+        """Yield the tests: first those that mention the module of the mutant, then the others."""
+        module = Path(mutant.file).stem
+        texts = {test: (self.root / test).read_text(encoding="utf-8") for test in self.tests}
+        yield from sorted(texts, key=lambda test: not re.search(rf"\b{module}\b", texts[test]))
+
+    def run(self, tests: list[str], limit_s: float) -> tuple[int | None, str]:
+        """Run tests up to the first failure; None: past the limit."""
+        command = [sys.executable, "-m", "pytest", "-qx", "-n0", "--tb=no", "-p", "no:cacheprovider"]
+        output = self.root.parent / "output.txt"
+        with output.open("w", encoding="utf-8") as file:
+            process = subprocess.Popen(
+                [*command, "-m", QUICK, *tests],
+                cwd=self.root,
+                env=os.environ | {"PYTHONPATH": str(self.root), "XDG_CACHE_HOME": str(self.cache.parent)},
+                stdin=subprocess.DEVNULL,
+                stdout=file,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            code: int | None = None
+            try:
+                with suppress(subprocess.TimeoutExpired):
+                    code = process.wait(limit_s)
+            finally:  # what a test started goes with it
+                with suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+        return code, output.read_text(encoding="utf-8", errors="replace")
 
 
-def judged(key: str, mutant: Mutant, recorded: list[Context], tree: Tree, budget_s: float) -> Result:
-    """Run the tests that can notice one mutant, in the copy of the tree."""
-    begun = time.monotonic()
-    tests = chosen(mutant, recorded, budget_s)
-    limit = START_S + 3 * sum(c.seconds for c in tests) + COMPILE_S
-    text = (tree.root / mutant.file).read_text(encoding="utf-8")
-    outcome, by = "survived", ""
-    with tree.changed(mutant.file, mutant.applied(text)):
-        if not tree.loads(mutant.file, LOAD_S + COMPILE_S):
-            outcome = "not loaded"
-        elif tests:
-            by = tree.noticed_by([c.test for c in tests], limit)
-            outcome = "noticed" if by else "survived"
-    return Result(
-        key=key,
-        file=mutant.file,
-        line=mutant.line,
-        where=mutant.where,
-        statement=mutant.statement,
-        operator=mutant.operator,
-        before=mutant.before,
-        after=mutant.after,
-        outcome=outcome,
-        by=by,
-        tests=len(tests),
-        seconds=round(time.monotonic() - begun, 2),
-    )
+def summary(area: str, count: int, left: list[Mutant]) -> str:
+    """Return the share noticed, its 95 % interval, and every survivor."""
+    share = f"{area}: {count - len(left)} of {count} noticed"
+    if count:
+        low, high = binomtest(count - len(left), count).proportion_ci(method="wilson")
+        share += f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
+    return "\n  ".join([share, *map(_line, left)])
+
+
+def _line(m: Mutant) -> str:
+    return f"{m.file}:{m.line} {m.where}: {m.before[:70]!r} -> {m.after[:70]!r} ({m.operator})"
 
 
 if __name__ == "__main__":

@@ -1,210 +1,135 @@
-"""The areas: whose sources each one has, and which test files make claims about them."""
+"""The areas: which sources each one has, and which test files make claims about them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-@dataclass(frozen=True)
-class Area:
-    """Globs below the project's root, the more specific test files first."""
-
-    sources: tuple[str, ...]
-    tests: tuple[str, ...]
-
-    def source_files(self, root: Path = ROOT) -> list[str]:
-        """Return the sources, below `root`, in the order of their names."""
-        return sorted(set(_found(root, self.sources)))
-
-    def test_files(self, root: Path = ROOT) -> list[str]:
-        """Return the test files, each once, in the table's order."""
-        return [f for f in dict.fromkeys(_found(root, self.tests)) if f not in WHOLE]
-
-
-def _found(root: Path, globs: tuple[str, ...]) -> list[str]:
-    found = []
-    for pattern in globs:
-        files = sorted(p.relative_to(root).as_posix() for p in root.glob(pattern) if p.suffix == ".py")
-        if not files:
-            raise SystemExit(f"tools/mutants/areas.py: no file matches {pattern!r}; correct the table")
-        found += files
-    return found
-
-
 WHOLE = {
     "tests/hil/test_safety_mutation.py",
     "tests/loop/test_lockstep.py",
     "tests/replay/test_portability.py",
 }
-"""Files that compare whole logs or sources: what fails there names no claim, so it does not count."""
+"""Files that compare whole logs or sources: a failure there names no claim."""
 
-_LOOP = ("tests/loop/test_operate.py", "tests/loop/test_engage.py", "tests/loop/test_reactions.py")
+
+def _in(folder: str, names: str) -> tuple[str, ...]:
+    return tuple(f"{folder}/{name}.py" for name in names.split())
+
+
+WHOLE = _in("tests", "hil/test_safety_mutation loop/test_lockstep replay/test_portability")
+"""Files that compare whole logs or sources: a failure there names no claim."""
+_LOOP = _in("tests/loop", "test_operate test_engage test_reactions")
+_LOG = _in("tests/hil", "test_log* test_salvage* test_record")
 
 AREAS = {
-    "safety": Area(
-        ("hil/safety/*.py",),
+    "safety": (
+        _in("hil/safety", "*"),
         (
-            "tests/hil/test_safety*.py",
-            "tests/hil/test_encoder*.py",
-            "tests/hil/app/test_encoder*.py",
-            "tests/loop/test_reactions.py",
+            *_in("tests/hil", "test_safety* test_encoder* app/test_encoder*"),
+            *_in("tests/loop", "test_reactions"),
         ),
     ),
-    "cycle": Area(
-        tuple(
-            f"hil/loop/{name}.py"
-            for name in (
-                *("cycle", "parts", "ramps", "reference", "sight", "homing", "setup_moves", "clock"),
-                *("effort", "learned", "drives_say", "latches", "daemon", "panel", "report"),
-            )
+    "cycle": (
+        _in(
+            "hil/loop",
+            "cycle parts ramps reference sight homing setup_moves clock effort learned drives_say latches "
+            "daemon panel report",
         ),
         (
-            "tests/hil/test_cycle*.py",
-            "tests/hil/test_clock.py",
-            "tests/hil/app/test_rate_selection.py",
-            "tests/hil/test_homing.py",
-            "tests/hil/test_reference.py",
-            "tests/hil/test_stage_columns.py",
-            "tests/hil/test_fusion*.py",
-            "tests/hil/test_effort.py",
-            "tests/hil/test_sight.py",
-            "tests/hil/test_waiting.py",
-            "tests/hil/test_learned.py",
-            "tests/hil/test_drives_say.py",
-            "tests/hil/test_latches.py",
-            "tests/hil/test_daemon*.py",
-            "tests/hil/test_panel.py",
-            "tests/loop/test_daemon.py",
-            "tests/loop/test_last_force.py",
-            "tests/loop/test_release.py",
-            "tests/loop/test_setpoints.py",
-            *_LOOP,
-        ),
-    ),
-    "modes": Area(
-        tuple(
-            f"hil/loop/{name}.py"
-            for name in ("modes", "operating", "admission", "run_end", "obedience", "console")
-        ),
-        (
-            "tests/hil/test_modes.py",
-            "tests/hil/test_operating*.py",
-            "tests/hil/test_jogging*.py",
-            "tests/hil/test_admission*.py",
-            "tests/hil/test_console.py",
-            "tests/hil/test_cycle*.py",
-            "tests/hil/test_way_back.py",
-            "tests/loop/test_run_end*.py",
-            "tests/loop/test_left_alone.py",
-            "tests/loop/test_obedience.py",
-            *_LOOP,
-        ),
-    ),
-    "motion": Area(
-        (
-            *(f"hil/loop/{name}.py" for name in ("motion", "jogging")),
-            "hil/trajectory/*.py",
-        ),
-        (
-            "tests/hil/test_motion*.py",
-            "tests/hil/test_jogging*.py",
-            "tests/hil/test_way_back.py",
-            "tests/hil/test_override*.py",
-            "tests/hil/test_trajectory*.py",
-            "tests/hil/test_live.py",
-            "tests/hil/test_reference.py",
-            "tests/hil/test_operating*.py",
-            "tests/loop/test_operate.py",
-            "tests/loop/test_paths.py",
-            "tests/loop/test_setpoints.py",
-        ),
-    ),
-    "drivers": Area(("drivers/**/*.py",), ("tests/drivers/test_*.py", "tests/hil/test_frames.py")),
-    "plant_fmu": Area(("plant_fmu/**/*.py",), ("tests/plant_fmu/test_*.py", "tests/drivers/test_*.py")),
-    "record": Area(
-        tuple(
-            f"hil/record/{name}.py"
-            for name in (
-                *("child", "encode", "environment", "figures", "layout", "live"),
-                *(
-                    "metrics",
-                    "mirror",
-                    "packer",
-                    "publish",
-                    "recorder",
-                    "recording",
-                    "ring",
-                    "row",
-                    "scene",
-                    "schema",
-                ),
-            )
-        ),
-        (
-            "tests/hil/test_ring.py",
-            "tests/hil/test_mirror*.py",
-            "tests/hil/test_figures.py",
-            "tests/hil/test_metrics.py",
-            "tests/hil/test_monitor.py",
-            "tests/hil/test_foxglove_schemas.py",
-            "tests/hil/test_scene.py",
-            "tests/hil/test_publish.py",
-            "tests/hil/test_row.py",
-            "tests/hil/test_environment.py",
-            "tests/hil/test_live.py",
-            "tests/hil/test_recorder*.py",
-            "tests/hil/test_log*.py",
-            "tests/hil/test_salvage*.py",
-            "tests/hil/test_record.py",
-            "tests/hil/app/test_log_budget.py",
-            "tests/hil/test_websocket.py",
-        ),
-    ),
-    "replay": Area(
-        (
-            *("hil/loop/replay.py", "hil/app/replay.py", "hil/app/recorded_files.py", "hil/cli/replay*.py"),
-            *(
-                "hil/loop/what_if.py",
-                "hil/study/what_if/*.py",
-                "hil/study/against/*.py",
-                "hil/study/replay_suite.py",
+            *_in(
+                "tests/hil",
+                "test_cycle* test_clock app/test_rate_selection test_homing test_reference "
+                "test_stage_columns test_fusion* test_effort test_sight test_waiting test_learned "
+                "test_drives_say test_latches test_daemon* test_panel",
             ),
-            "hil/record/divergence.py",
-        ),
-        (
-            "tests/hil/test_divergence.py",
-            "tests/replay/test_against.py",
-            "tests/replay/test_suite.py",
-            "tests/replay/test_what_if*.py",
-            "tests/replay/test_replay.py",
-            "tests/replay/test_tampered_log.py",
-            "tests/replay/test_versions.py",
-            "tests/hil/app/test_recorded_files.py",
-            "tests/hil/app/test_bad_input.py",
-            "tests/hil/app/test_controller_file.py",
+            *_in("tests/loop", "test_daemon test_last_force test_release test_setpoints"),
+            *_LOOP,
         ),
     ),
-    "salvage": Area(
-        ("hil/record/salvage.py",),
-        ("tests/hil/test_salvage*.py", "tests/hil/test_log*.py"),
+    "modes": (
+        _in("hil/loop", "modes operating admission run_end obedience console"),
+        (
+            *_in(
+                "tests/hil",
+                "test_modes test_operating* test_jogging* test_admission* test_console test_cycle* "
+                "test_way_back",
+            ),
+            *_in("tests/loop", "test_run_end* test_left_alone test_obedience"),
+            *_LOOP,
+        ),
     ),
-    "log": Area(
-        tuple(
-            f"hil/record/{name}.py"
-            for name in (
-                *("log", "log_file", "mcap_file", "mcap_read"),
-                *("data_frame", "entries", "selection", "unpack"),
-            )
+    "motion": (
+        (*_in("hil/loop", "motion jogging"), *_in("hil/trajectory", "*")),
+        (
+            *_in(
+                "tests/hil",
+                "test_motion* test_jogging* test_way_back test_override* test_trajectory* test_live "
+                "test_reference test_operating*",
+            ),
+            *_in("tests/loop", "test_operate test_paths test_setpoints"),
+        ),
+    ),
+    "drivers": (_in("drivers", "**/*"), (*_in("tests/drivers", "test_*"), *_in("tests/hil", "test_frames"))),
+    "plant_fmu": (_in("plant_fmu", "**/*"), _in("tests", "plant_fmu/test_* drivers/test_*")),
+    "record": (
+        _in(
+            "hil/record",
+            "child encode environment figures layout live metrics mirror packer publish recorder recording "
+            "ring row scene schema",
         ),
         (
-            "tests/hil/test_mcap_file.py",
-            "tests/hil/test_log*.py",
-            "tests/hil/test_salvage*.py",
-            "tests/hil/test_record.py",
-            "tests/hil/study/test_export.py",
+            *_in(
+                "tests/hil",
+                "test_ring test_mirror* test_figures test_metrics test_monitor test_foxglove_schemas "
+                "test_scene test_publish test_row test_environment test_live test_recorder* "
+                "app/test_log_budget test_websocket",
+            ),
+            *_LOG,
         ),
+    ),
+    "replay": (
+        _in(
+            "hil",
+            "loop/replay app/replay app/recorded_files cli/replay* loop/what_if study/what_if/* "
+            "study/against/* study/replay_suite record/divergence",
+        ),
+        (
+            *_in("tests/hil", "test_divergence app/test_recorded_files app/test_bad_input"),
+            *_in(
+                "tests/replay",
+                "test_against test_suite test_what_if* test_replay test_tampered_log test_versions",
+            ),
+            *_in("tests/hil/app", "test_controller_file"),
+        ),
+    ),
+    "salvage": (_in("hil/record", "salvage"), _in("tests/hil", "test_salvage* test_log*")),
+    "log": (
+        _in(
+            "hil/record",
+            "log log_file mcap_file mcap_read data_frame decode entries selection unpack",
+        ),
+        (*_in("tests/hil", "test_mcap_file study/test_export"), *_LOG),
     ),
 }
+"""Name -> globs of its sources and of its tests, below the project's root."""
+
+
+def sources_of(area: str) -> list[str]:
+    """Return the sources of an area, in the order of their names."""
+    return sorted(set(_found(AREAS[area][0])))
+
+
+def tests_of(area: str) -> list[str]:
+    """Return the test files of an area, each once, in the order of the table."""
+    return [file for file in dict.fromkeys(_found(AREAS[area][1])) if file not in WHOLE]
+
+
+def _found(patterns: tuple[str, ...]) -> list[str]:
+    found = []
+    for pattern in patterns:
+        files = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(pattern))
+        if not files:
+            raise SystemExit(f"tools/mutants/areas.py: no file matches {pattern!r}; correct the table")
+        found += files
+    return found

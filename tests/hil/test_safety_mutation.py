@@ -5,8 +5,6 @@ that file run against the copy, without compilation. A change that no test notic
 """
 
 import ast
-import copy
-import functools
 import importlib.util
 import inspect
 import itertools
@@ -21,80 +19,17 @@ import hil.safety
 from hil.safety.error_axes import error_axes
 from tests.hil import encoder_bench
 from tests.hil.encoder_bench import Columns
+from tools.mutants.mutant import Mutant, equivalents, mutants
 
 PACKAGE = Path(hil.safety.__file__).parent
 FAMILIES = ["signals", "motion", "force_limits", "certificate"]
 
-EQUIVALENT = {
-    "force_limits 16: 16 one more": "blocks of any size have the same extremes",
-    "force_limits 16: 16 less": "blocks of any size have the same extremes",
-    "kernels '<i8' if field.annotation is int else '<f8': swap the branches": "the limits judged have their own type",
-    "kernels 6: 6 one more": "six elements are filled and read of an array of seven, too",
-    "residuals shared_delay: 0.0: 0.0 one more": "sums are compared with sums; without a leg that moves nobody bears witness",
-    "encoder_kernels 6: 6 one more": "a leg that nobody looks at",
-    "encoder_kernels 1e-09: 1e-09 less": "any number that is small beside every noise",
-    "encoder_kernels abs(x['gap'][i]) > x['bound'][i] + x['late'][i]: Gt to GtE": "there it is allowed anyway",
-    "guard 1000000000.0: 1000000000.0 one more": "the period is rounded to whole nanoseconds",
+OPERATORS = {
+    *("comparison", "arithmetic", "and/or", "not dropped", "sign", "truth", "one more", "one less"),
+    *("doubled", "abs dropped", "min/max", "branches", "statement deleted"),
 }
-"""Changes that no test can notice, by their name, with the reason."""
-
-COMPARISONS: dict[type, list[type]] = {
-    ast.Lt: [ast.LtE, ast.Gt],
-    ast.LtE: [ast.Lt, ast.GtE],
-    ast.Gt: [ast.GtE, ast.Lt],
-    ast.GtE: [ast.Gt, ast.LtE],
-    ast.Eq: [ast.NotEq],
-    ast.NotEq: [ast.Eq],
-}
-OPERATORS: dict[type, type] = {
-    ast.Add: ast.Sub,
-    ast.Sub: ast.Add,
-    ast.Mult: ast.Div,
-    ast.Div: ast.Mult,
-    ast.Mod: ast.Mult,
-    ast.BitOr: ast.BitAnd,
-    ast.LShift: ast.RShift,
-}
-CALLS = {"min": "max", "max": "min", "any": "all", "all": "any"}
-
-
-def changes(node: ast.AST) -> Iterator[tuple[str, Callable[[ast.AST], ast.AST]]]:
-    """Yield what may be done to one node: a name, and a function from its copy to what takes its place."""
-
-    def setting(field: str, value: Any) -> Callable[[ast.AST], ast.AST]:
-        def change(target: ast.AST) -> ast.AST:
-            setattr(target, field, value)
-            return target
-
-        return change
-
-    match node:
-        case ast.Compare(ops=[op]):
-            for other in COMPARISONS.get(type(op), []):
-                yield f"{type(op).__name__} to {other.__name__}", setting("ops", [other()])
-        case ast.BinOp(op=op) if type(op) in OPERATORS:
-            other = OPERATORS[type(op)]
-            yield f"{type(op).__name__} to {other.__name__}", setting("op", other())
-        case ast.BoolOp(op=op):
-            yield "and/or", setting("op", ast.Or() if isinstance(op, ast.And) else ast.And())
-        case ast.UnaryOp(op=ast.Not() | ast.USub()):
-            yield "drop the sign or not", lambda target: target.operand  # type: ignore[attr-defined]
-        case ast.Constant(value=bool(value)):
-            yield "flip", setting("value", not value)
-        case ast.Constant(value=int() | float() as value):
-            yield f"{value} one more", setting("value", value + 1)
-            if value:
-                yield f"{value} less", setting("value", value / 2 if isinstance(value, float) else value - 1)
-        case ast.Call(func=ast.Name(id="abs") | ast.Attribute(attr="abs")):
-            yield "drop abs", lambda target: target.args[0]  # type: ignore[attr-defined]
-        case ast.Call(func=ast.Name(id=name)) if name in CALLS:
-            yield name, setting("func", ast.Name(CALLS[name], ast.Load()))
-        case ast.Call(func=ast.Attribute(attr=name, value=value)) if name in CALLS:
-            yield name, setting("func", ast.Attribute(value, CALLS[name], ast.Load()))
-        case ast.AugAssign():
-            yield "drop the statement", lambda _: ast.Pass()
-        case ast.IfExp():
-            yield "swap the branches", lambda t: ast.IfExp(t.test, t.orelse, t.body)  # type: ignore[attr-defined]
+"""Changes that are tried; others, as exchanged arguments, `make mutants` draws at random."""
+Mutants = list[tuple[Mutant, ast.Module]]
 
 
 def plain(source: str) -> ast.Module:
@@ -114,29 +49,12 @@ def plain(source: str) -> ast.Module:
     return ast.fix_missing_locations(tree)
 
 
-def mutants(tree: ast.Module) -> Iterator[tuple[str, ast.Module]]:
-    """Yield the tree with one change at a time, named by line and change; the change is undone afterwards."""
-    for node, put in list(places(tree)):
-        for name, change in changes(node):
-            put(ast.fix_missing_locations(ast.copy_location(change(copy.copy(node)), node)))
-            yield f"{getattr(node, 'lineno', 0)}: {ast.unparse(node)}: {name}", tree
-            put(node)
-
-
-def places(tree: ast.Module) -> Iterator[tuple[ast.AST, Callable[[ast.AST], None]]]:
-    """Yield each node, and what puts another in its place."""
-
-    def into(values: list[ast.AST], index: int) -> Callable[[ast.AST], None]:
-        return lambda node: values.__setitem__(index, node)
-
-    for parent in ast.walk(tree):
-        for field, value in ast.iter_fields(parent):
-            if isinstance(value, ast.AST):
-                yield value, functools.partial(setattr, parent, field)
-            elif isinstance(value, list):
-                for index, item in enumerate(value):
-                    if isinstance(item, ast.AST):
-                        yield item, into(value, index)
+def mutants_of(name: str) -> Mutants:
+    """Return what may be changed in a file of the package, each change with the tree that has it."""
+    file, text = f"hil/safety/{name}.py", (PACKAGE / f"{name}.py").read_text()
+    known = equivalents()
+    found = [m for m in mutants(file, text) if m.operator in OPERATORS and m.place not in known]
+    return [(m, plain(m.applied(text))) for m in found]
 
 
 def load(name: str, tree: ast.Module, links: dict[str, Any]) -> ModuleType:
@@ -219,34 +137,24 @@ def noticed(tests: list[Test]) -> bool:
     return False
 
 
-def function_at(tree: ast.Module, line: int) -> str:
-    """Return the name of the function that a line is in."""
-    functions = [node for node in tree.body if isinstance(node, ast.FunctionDef)]
-    return next((f.name for f in functions if f.lineno <= line <= (f.end_lineno or 0)), "")
-
-
 def survivors(
     name: str, module: ModuleType, exchange: Callable[[ModuleType], None], prefix: str
 ) -> list[str]:
     links = plain_links()
-    tree = source_of(name)
     tests = claimed(module, prefix)
-    exchange(load(name, tree, links))
+    exchange(load(name, source_of(name), links))
     assert not noticed(tests), "the tests fail on the unchanged copy"
     left = []
-    count = 0
-    for label, mutated in mutants(tree):
-        count += 1
+    changed = mutants_of(name)
+    for mutant, tree in changed:
         try:
-            changed = load(name, mutated, links)
+            loaded = load(name, tree, links)
         except Exception:  # noqa: BLE001 - does not even load
             continue
-        exchange(changed)
-        line, _, change = label.partition(": ")
-        names = {f"{name} {change}", f"{name} {function_at(tree, int(line))}: {change}"}
-        if not noticed(tests) and not names & EQUIVALENT.keys():
-            left.append(f"{name}.py:{label}")
-    assert count >= 2
+        exchange(loaded)
+        if not noticed(tests):
+            left.append(str(mutant))
+    assert len(changed) >= 2
     return left
 
 

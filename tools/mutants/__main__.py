@@ -21,10 +21,9 @@ from scipy.stats import binomtest
 
 from drivers.cache_folder import CACHE_FOLDER
 from tools.mutants.areas import AREAS, ROOT, sources_of, tests_of
-from tools.mutants.mutant import PLACE, Mutant, mutants
+from tools.mutants.mutant import Mutant, equivalents, mutants
 
 BUILD = ROOT / "build" / "mutants"
-EQUIVALENT = Path(__file__).with_name("equivalent.json")
 QUICK = "not long and not realtime and not vcan"
 """Tests that need neither the machine for themselves nor a kernel module."""
 MORE_S = 300.0
@@ -55,7 +54,7 @@ def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
             done[key] = {"key": key, **vars(mutant), "outcome": outcome, "by": by}
             with path.open("a", encoding="utf-8") as file:
                 print(json.dumps(done[key]), file=file)
-            print(f"{k}/{len(drawn)} {outcome} {_line(mutant)} {by}", file=sys.stderr, flush=True)
+            print(f"{k}/{len(drawn)} {outcome} {mutant} {by}", file=sys.stderr, flush=True)
         counted = [m for key, m in drawn if done[key]["outcome"] != "not loaded"]
         left = [m for key, m in drawn if done[key]["outcome"] == "survived"]
         print(summary(area, len(counted), left), flush=True)
@@ -66,9 +65,7 @@ def sampled(area: str, seed: int, count: int) -> list[tuple[str, Mutant]]:
 
     A place is drawn before its change: a number, which can be wrong in four ways, is no likelier than a call.
     """
-    equivalent = {
-        tuple(each[k] for k in PLACE) for each in json.loads(EQUIVALENT.read_text(encoding="utf-8"))
-    }
+    equivalent = equivalents()
     places: dict[tuple[str, int, int], list[tuple[str, Mutant]]] = {}
     for file in sources_of(area):
         text = (ROOT / file).read_text(encoding="utf-8")
@@ -150,11 +147,7 @@ def summary(area: str, count: int, left: list[Mutant]) -> str:
     if count:
         low, high = binomtest(count - len(left), count).proportion_ci(method="wilson")
         share += f" (95 %: {100 * low:.0f} to {100 * high:.0f} %)"
-    return "\n  ".join([share, *map(_line, left)])
-
-
-def _line(m: Mutant) -> str:
-    return f"{m.file}:{m.line} {m.where}: {m.before[:70]!r} -> {m.after[:70]!r} ({m.operator})"
+    return "\n  ".join([share, *map(str, left)])
 
 
 if __name__ == "__main__":

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import ast
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass
+from pathlib import Path
 
 from tools.mutants.operators import changes
 
@@ -31,6 +33,10 @@ class Mutant:
     start: int
     end: int
 
+    def __str__(self) -> str:
+        change = f"{self.before[:70]!r} -> {self.after[:70]!r} ({self.operator})"
+        return f"{self.file}:{self.line} {self.where}: {change}"
+
     def applied(self, text: str) -> str:
         """Return the source with the change."""
         return text[: self.start] + self.after + text[self.end :]
@@ -39,6 +45,12 @@ class Mutant:
     def place(self) -> tuple[str, ...]:
         """The fields of PLACE."""
         return tuple(vars(self)[name] for name in PLACE)
+
+
+def equivalents() -> set[tuple[str, ...]]:
+    """Return the places of changes that no test can notice, each listed with its argument."""
+    listed = json.loads(Path(__file__).with_name("equivalent.json").read_text(encoding="utf-8"))
+    return {tuple(each[name] for name in PLACE) for each in listed}
 
 
 def mutants(file: str, text: str) -> Iterator[Mutant]:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,10 +33,9 @@ from hil.app.loop_delay import loop_delay
 from hil.app.run_description import run_description
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
+from hil.config.feedforward import FeedforwardSettings
 from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
-from hil.config.values import LegSpin
-from hil.config.wrench import WrenchSettings
-from hil.control.law import LawContext, LawSettings
+from hil.control.law import LawContext
 from hil.control.model import build_model
 from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.monitor import build_watch
@@ -79,6 +79,13 @@ FEEDFORWARD_CSV = "feedforward.csv"
 """Attachment of a log: the learned feed-forward."""
 REFERENCE_PLAN = "reference.npy"
 """Attachment of a log: the polynomials of a planned reference."""
+NAMED_FILES: tuple[tuple[str, str, str, type, Callable[[Any, Path], Path]], ...] = (
+    (REFERENCE_CSV, "reference", "path", SampledReference, lambda settings, folder: folder / settings.path),
+    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings, controller_path),
+    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings, feedforward_path),
+)
+"""Name in a log, section and key of each file that a configuration may name, the settings that name one, and
+where it is."""
 
 
 def build_protocol(configuration: Configuration) -> Family:
@@ -123,7 +130,7 @@ def build_cycle(
     steering, admission = None, build_admission(c, platform)
     if isinstance(trajectory, LiveTrajectory):
         steering = Steering(trajectory, admission, admission.callee)
-    predictor = build_predictor(c.controller, platform, c.platform.leg_spin, 1.0 / rate_Hz)
+    predictor = _predictor(c, platform, 1.0 / rate_Hz)
     context = LawContext(
         platform,
         c.platform.leg_spin,
@@ -186,9 +193,12 @@ def _watch(c: Configuration, platform: Platform, home: tuple[Array, Array], rate
 
 
 def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> ExternalWrench:
-    sensor = c.sensors.wrench
-    rate_Hz = None if sensor is None or c.estimation.wrench.source != "sensor" else sensor.rate_Hz
-    observer = build_observer(c.estimation.wrench, platform, c.platform.leg_spin, period_s)
+    settings, sensor = c.estimation.wrench, c.sensors.wrench
+    rate_Hz = None if sensor is None or settings.source != "sensor" else sensor.rate_Hz
+    observer = None
+    if settings.source == "observer":
+        model = build_model(settings.model, platform, c.platform.leg_spin)
+        observer = WrenchObserver(model, _force_path(settings, period_s), settings.bandwidth_Hz)
     return ExternalWrench(observer, rate_Hz, period_s)
 
 
@@ -225,28 +235,16 @@ def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> FusedEstima
     )
 
 
-def build_predictor(
-    settings: LawSettings, platform: Platform, leg_spin: LegSpin, period_s: float
-) -> Predictor | None:
+def _predictor(c: Configuration, platform: Platform, period_s: float) -> Predictor | None:
     """Return what looks ahead for the law, where its section `delay_compensation` asks for it."""
-    delay, believed = settings.lookahead, settings.believed
+    delay, believed = c.controller.lookahead, c.controller.believed
     if delay is None or believed is None:
         return None
-    model = build_model(believed, platform, leg_spin)
-    return Predictor(model, force_path(delay, period_s), 1e-3 * delay.hold_ms)
+    model = build_model(believed, platform, c.platform.leg_spin)
+    return Predictor(model, _force_path(delay, period_s), 1e-3 * delay.hold_ms)
 
 
-def build_observer(
-    settings: WrenchSettings, platform: Platform, leg_spin: LegSpin, period_s: float
-) -> WrenchObserver | None:
-    """Return what estimates the external wrench from forces and motion, where it is the source of it."""
-    if settings.source != "observer":
-        return None
-    model = build_model(settings.model, platform, leg_spin)
-    return WrenchObserver(model, force_path(settings, period_s), settings.bandwidth_Hz)
-
-
-def force_path(delay: ForceDelay, period_s: float) -> ForcePath:
+def _force_path(delay: ForceDelay, period_s: float) -> ForcePath:
     """Return how commands become forces in the legs."""
     return ForcePath(period_s, 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms)
 
@@ -298,15 +296,11 @@ def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None
         raise PlantError(
             f"{c.source}: the plant starts with other leg lengths than section platform has at the initial "
             f"pose, allowed: {1e3 * LENGTH_TOLERANCE_M:g} mm apart.\n"
-            f"  plant:    {_metres(given)}\n"
-            f"  platform: {_metres(expected)}\n"
+            f"  plant:    {' '.join(f'{q:.4f}' for q in given)} m\n"
+            f"  platform: {' '.join(f'{q:.4f}' for q in expected)} m\n"
             "Give the plant the same geometry, or set plant.initial_position_m and "
             "plant.initial_rotation_vector_deg to the pose at which it starts"
         )
-
-
-def _metres(lengths: Array) -> str:
-    return " ".join(f"{q:.4f}" for q in lengths) + " m"
 
 
 def build_scene(configuration: Configuration) -> Scene:
@@ -331,10 +325,13 @@ def record(
     A run in real time shows itself to `hil watch`; `run` is the identity of a simulated one.
     """
     rate_Hz, duration_s = cycle.parts.rate_Hz, cycle.parts.trajectory.duration_s
-    mirror = None
+    database = cycle.parts.protocol.traits.database
+    mirror = websocket = None
     if not lockstep:
         about = run_description(c, path, rate_Hz, duration_s)
         mirror = mirror_path(c.bus.interface, c.bus.channel), about
+        if (there := c.recording.websocket) is not None:
+            websocket = there.host, there.port
     return Recording.start(
         path,
         configuration=c.text,
@@ -344,7 +341,7 @@ def record(
             "rate_Hz": rate_Hz,
             "watchdog_s": cycle.parts.setup.watchdog_s,
             "protocol": c.drives.protocol,
-            "protocol_version": protocol_version(c),
+            "protocol_version": "" if database is None else version_of(database[1]),
             **({RUN: run} if run else {}),
             **({} if c.law_file is None else c.law_file.described()),
         },
@@ -352,15 +349,10 @@ def record(
         can_channel=[each.channel for each in c.bus.buses],
         lockstep=lockstep,
         ring_ticks=c.recording.ring_ticks,
-        live=Live(live, duration_s, None if lockstep else websocket(c)),
+        live=Live(live, duration_s, websocket),
         clock=clock,
         mirror=mirror,
     )
-
-
-def websocket(c: Configuration) -> tuple[str, int] | None:
-    """Return where viewers may subscribe while a run is recorded."""
-    return None if (there := c.recording.websocket) is None else (there.host, there.port)
 
 
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
@@ -370,31 +362,21 @@ def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
     return [(each[0], each[1].encode()) for each in ours if each is not None]
 
 
-def protocol_version(configuration: Configuration) -> str:
-    """Return the version that the protocol's database gives itself; empty where it has none."""
-    database = build_protocol(configuration).traits.database
-    return "" if database is None else version_of(database[1])
-
-
 def version_of(database: str) -> str:
     """Return VERSION of the text of a DBC; empty where it has none."""
     found = re.search(r'^VERSION "([^"]*)"', database, re.MULTILINE)
     return "" if found is None else found[1]
 
 
-def attachments(configuration: Configuration) -> list[tuple[str, bytes]]:
+def attachments(c: Configuration) -> list[tuple[str, bytes]]:
     """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
-    files = databases(configuration)
-    if isinstance(configuration.reference, SampledReference):
-        files.append((REFERENCE_CSV, read_regular(configuration.folder / configuration.reference.path)))
-    if isinstance(configuration.controller, StateSpaceSettings):
-        path = controller_path(configuration.controller, configuration.folder)
-        files.append((CONTROLLER_FILE, read_regular(path)))
-    if configuration.law_file is not None:
-        files.append((ATTACHMENT, configuration.law_file.source))
-    if configuration.feedforward is not None:
-        path = feedforward_path(configuration.feedforward, configuration.folder)
-        files.append((FEEDFORWARD_CSV, read_regular(path, MOST_BYTES)))
-    if isinstance(configuration.reference, TimeOptimalReference):
-        files.append((REFERENCE_PLAN, plan(configuration.reference)))
+    files = databases(c)
+    for name, section, _, kind, path_of in NAMED_FILES:
+        settings = getattr(c, section)
+        if isinstance(settings, kind):
+            files.append((name, read_regular(path_of(settings, c.folder), MOST_BYTES)))
+    if c.law_file is not None:
+        files.append((ATTACHMENT, c.law_file.source))
+    if isinstance(c.reference, TimeOptimalReference):
+        files.append((REFERENCE_PLAN, plan(c.reference)))
     return files

@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +10,6 @@ from drivers.errors import LogError
 from drivers.files import real_path, whole_file
 from hil.app.terminal import one_line
 from hil.record.mcap_file import MAGIC
-
-_HALF = re.compile("[\ud800-\udc7f\udd00-\udfff]")
-"""Halves of pairs that stand for no byte of a name."""
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -87,9 +83,8 @@ def new_file(
 
 
 def printable(name: str | os.PathLike[str]) -> str:
-    """Return a name of a file, in any locale, as one line of text; bytes that are no UTF-8 become signs."""
-    text = _HALF.sub("\ufffd", os.fspath(name))
-    return one_line(text.encode("utf-8", "surrogateescape").decode("utf-8", "replace"))
+    """Return a name of a file as one line of text; bytes that are no UTF-8 are shown as numbers."""
+    return one_line(os.fspath(name))
 
 
 def _begins(path: Path, head: bytes) -> bool:

@@ -1,8 +1,8 @@
-"""`hil ctl`: the operator's commands to a running controller, from a terminal."""
+"""`hil ctl` and `hil setpoint`: an operator's words to a running controller, from a terminal."""
 
 import contextlib
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 from drivers.bus_address import BusAddress
@@ -83,3 +83,28 @@ def repeat(bus: BusAddress, words: Sequence[str], seconds: float | None = None) 
             trouble = str(error)
     result = {"success": not trouble, "kind": "ctl", "command": line, "sent": sent}
     return result | {"trouble": trouble} if trouble else result
+
+
+def send_setpoints(bus: BusAddress, lines: Iterable[str]) -> dict[str, Any]:
+    """Send each line `x y z [rx ry rz]` (m, deg) as it comes; return the summary.
+
+    A controller that ends meanwhile is trouble of the summary, which says how many it had taken. Raises
+    RunError when no controller listens, or none answers the first line.
+    """
+    sent, taken, refused, trouble = 0, 0, list[str](), ""
+    with OperatorClient(*bus) as client:
+        for line in filter(None, map(str.strip, lines)):
+            sent += 1
+            try:
+                answer = client.say(f"setpoint {line}")
+            except RunError as error:
+                if sent == 1:
+                    raise
+                trouble = f"{line}: {error}"
+                break
+            taken += bool(answer)
+            if not answer:
+                refused.append(f"{line}: {answer.why}")
+    good = sent > 0 and not refused and not trouble
+    summary = {"success": good, "kind": "setpoint", "sent": sent, "taken": taken, "refused": refused}
+    return summary | ({"trouble": trouble} if trouble else {})

@@ -9,6 +9,7 @@ import textwrap
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +18,7 @@ from rich.table import Table
 from rich.text import Text
 
 from drivers.errors import HilError, LogError
-from drivers.files import made_folder, real_path
+from drivers.files import made_folder
 from drivers.signals import Mode
 from hil.app.files import PICTURE, Kind, new_file, printable, write_whole
 from hil.app.terminal import visible
@@ -57,39 +58,25 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
     Raises LogError if the file exists (no log is ever overwritten) or its folder cannot be made or written.
     """
     path = _dated(Path(folder), name, f"{suffix}.mcap") if given is None else given
-    if os.path.lexists(path):
-        raise LogError(f"{path}: exists and is not overwritten; name another file with --log")
-    elsewhere = "name another file with --log" + (", or set recording.folder" if given is None else "")
-    trouble = _no_folder(path.parent)
-    if trouble:
-        raise LogError(f"{path.parent}: {trouble}; {elsewhere}")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise LogError(f"{path.parent}: no right to write there; {elsewhere}")
-    return path
+    _make_folder(path, "--log" + " or recording.folder" * (given is None))
+    return new_file(path, option="--log" if given else "recording.folder:")
 
 
 def _dated(folder: Path, name: str, end: str) -> Path:
     """Find a dated name that no file has."""
     stem = f"{name}-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}"
-    path = folder / f"{stem}{end}"
-    number = 2
-    while os.path.lexists(path):
-        path = folder / f"{stem}-{number}{end}"
-        number += 1
-    return path
+    numbered = (f"{stem}{end}" if n == 1 else f"{stem}-{n}{end}" for n in count(1))
+    return next(folder / each for each in numbered if not os.path.lexists(folder / each))
 
 
-def _no_folder(path: Path) -> str:
-    """Make a folder where there is none; say why that cannot be, or nothing."""
+def _make_folder(file: Path, option: str) -> None:
+    """Make the folder of a file where there is none. Raises LogError."""
     try:
-        made_folder(path)
-    except FileExistsError:
-        return (
-            "is a link to nothing" if path.is_symlink() and not path.exists() else "is a file and no folder"
-        )
+        made_folder(file.parent)
     except OSError as error:
-        return f"cannot be made: {error.strerror}"
-    return ""
+        raise LogError(
+            f"{file}: folder {file.parent} cannot be made: {error.strerror}; name another file with {option}"
+        ) from None
 
 
 def picture_path(folder: str, stem: str, given: Path | None, option: str = "--picture") -> Path:
@@ -103,9 +90,7 @@ def picture_path(folder: str, stem: str, given: Path | None, option: str = "--pi
         path = _dated(path, stem, ".png")
     if path.suffix.lower() != ".png":
         raise LogError(f"{option} {path}: the picture is a PNG file; let its name end in .png")
-    trouble = _no_folder(path.parent)
-    if trouble:
-        raise LogError(f"{option} {path}: {path.parent} {trouble}; name another file with {option}")
+    _make_folder(path, option)
     return new_file(path, option=option, own=PICTURE)
 
 
@@ -116,13 +101,11 @@ def picture_beside(file: Path, option: str) -> Path:
     return picture_path("", "", file.with_suffix(".png"), f"{option} {file}: the picture")
 
 
-def check_json_path(path: Path, *inputs: Path) -> None:
+def check_json_path(path: Path) -> None:
     """Refuse a summary file that could not be written in the end, before anything starts.
 
-    `inputs` are files of the same command. Raises LogError, as `new_file`; a pipe or a device is written to.
+    Raises LogError, as `new_file`; a pipe or a device is written to.
     """
-    if any(real_path(path) == real_path(other) for other in inputs):
-        raise LogError(f"--json {path}: is another file of this command; name a file of its own")
     if path.is_file() or path.is_dir() or not path.exists():
         new_file(path, option="--json", own=Kind("a summary of hil", _is_summary))
 

@@ -4,7 +4,6 @@ It also tests somebody else's controller: it knows frames and time only.
 """
 
 import contextlib
-import os
 import select
 import signal
 import time
@@ -47,10 +46,6 @@ ORPHAN_S = 3.0
 """A supervised plant outlives its supervisor by this at most: the drives shall bring the platform to rest."""
 REST_NS = 200_000_000
 """An orphan at rest for this long ends."""
-SAID_BYTES = 1 << 20
-"""The file that a supervised plant's standard error is, in nobody's sight, is shortened once it is longer."""
-KEPT_BYTES = 1 << 14
-"""What is left of it then."""
 CLOSING_S = 5.0
 """Closing an orphan's log takes no longer."""
 
@@ -215,7 +210,6 @@ def _serve(
     later = NO_FRAMES
     rows = PlantRows(None if recording is None else recording.tick_of_items, nodes)
     moved_ns = 0
-    supervised = supervisor is not None
     try:
         while not stop.reason:
             received = bus.drain_now()
@@ -235,8 +229,6 @@ def _serve(
             rows.take(received, outgoing, now)
             if now >= next_look:
                 next_look = now + LOOK_NS
-                if supervised:
-                    shorten(2)
                 if end is not None and now >= end:
                     stop.reason = stop.reason or ("orphaned" if moved_ns else "duration")
                 if supervisor is not None and select.select([supervisor], [], [], 0)[0]:
@@ -249,15 +241,6 @@ def _serve(
     finally:
         rows.write(now)
     return nodes.snapshot()
-
-
-def shorten(file: int) -> None:
-    """Leave of a file that is too long its end alone: a model may write a line at each of its steps."""
-    size = os.fstat(file).st_size
-    if size > SAID_BYTES:
-        end = os.pread(file, KEPT_BYTES, size - KEPT_BYTES)
-        os.ftruncate(file, 0)
-        os.write(file, end)
 
 
 def latest(queued: Rows, now_ns: int, protocol: Family) -> Rows:

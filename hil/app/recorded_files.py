@@ -7,18 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from drivers.errors import LogError
-from hil.app.compose import CONTROLLER_FILE, FEEDFORWARD_CSV, REFERENCE_CSV
+from hil.app.compose import NAMED_FILES
 from hil.app.configuration.configuration import Configuration
-from hil.config.feedforward import FeedforwardSettings
-from hil.config.reference import SampledReference
-from hil.control.state_space import StateSpaceSettings
-
-NAMED = (
-    (REFERENCE_CSV, "reference", "path", SampledReference),
-    (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings),
-    (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings),
-)
-"""Name in a log, section and key of each file that a configuration may name, and with which settings."""
 
 
 @contextmanager
@@ -27,7 +17,7 @@ def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterat
 
     Raises LogError, as that does; OSError where the disk of temporary files takes none.
     """
-    if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind in NAMED):
+    if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind, _ in NAMED_FILES):
         yield configuration
         return
     with tempfile.TemporaryDirectory(prefix="hil-log-files-") as folder:
@@ -43,7 +33,7 @@ def with_attachments(configuration: Configuration, files: Mapping[str, bytes], f
     Raises LogError where the configuration names a file that the log does not carry.
     """
     changes: dict[str, Any] = {}
-    for name, section, key, kind in NAMED:
+    for name, section, key, kind, _ in NAMED_FILES:
         settings = getattr(configuration, section)
         if not isinstance(settings, kind):
             continue

@@ -14,8 +14,7 @@ from typing import Any
 
 import click
 
-from hil.cli.interrupts import OF_THIS_PROCESS, one_line_of_interrupt
-from hil.cli.streams import own_streams
+from hil.cli.interrupts import attached, one_line_of_interrupt
 
 if _handler is signal.default_int_handler:
     signal.signal(signal.SIGINT, _handler)
@@ -99,7 +98,7 @@ class _Table(click.Group):
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Be the work of this process."""
-        with own_streams(), OF_THIS_PROCESS.attached():
+        with attached():
             return super().__call__(*args, **kwargs)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

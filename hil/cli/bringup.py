@@ -1,10 +1,11 @@
 """`hil bringup`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
-from hil.cli.interrupts import OF_THIS_PROCESS
+from hil.cli.interrupts import pressed
 from hil.cli.shared import OUTPUT, configuration_argument, finish_briefly, load, log_option, reporting
 
 
@@ -24,14 +25,7 @@ from hil.cli.shared import OUTPUT, configuration_argument, finish_briefly, load,
 @log_option
 @reporting
 def command(
-    configuration: str,
-    rehearse: bool,
-    mistakes: tuple[str, ...],
-    yes: bool,
-    state: Path | None,
-    again: bool,
-    log: Path | None,
-    json_file: Path | None,
+    configuration: str, rehearse: bool, mistakes: tuple[str, ...], json_file: Path | None, **options: Any
 ) -> None:
     """Bring a machine up, from parts to a moving platform, one leg at a time.
 
@@ -58,15 +52,7 @@ def command(
     from hil.lab.bringup.command import run_bringup
     from hil.loop.panel import signals_to
 
-    with signals_to(OF_THIS_PROCESS.pressed):  # a closed terminal leaves nothing under power
-        summary = run_bringup(
-            configuration,
-            loaded,
-            mistakes=mistakes if rehearse else None,
-            log=log,
-            state=state,
-            again=again,
-            yes=yes,
-            say=click.echo,
-        )
+    with signals_to(pressed):  # a closed terminal leaves nothing under power
+        rehearsed = mistakes if rehearse else None
+        summary = run_bringup(configuration, loaded, mistakes=rehearsed, say=click.echo, **options)
     finish_briefly("bringup", summary, json_file)

@@ -3,10 +3,11 @@
 import time
 from datetime import timedelta
 from pathlib import Path
+from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, finish, jobs_option, reporting
+from hil.cli.shared import FILE, OUTPUT, OrOther, finish, jobs_option, junit_option, reporting, write_cases
 
 SAY_S = 20.0
 """Where there is no terminal for a bar, a line of progress comes that often."""
@@ -48,16 +49,8 @@ def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: P
     finish("campaign rerun", summary, json_file)
 
 
-class _OrRerun(click.Command):
-    """A command whose first word may be `rerun`, which is a command of its own."""
-
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: object
-    ) -> click.Context:
-        """Return the context of the command that the words ask for."""
-        if args and args[0] == rerun.name:
-            return rerun.make_context(f"{info_name} {rerun.name}", args[1:], parent, **extra)
-        return super().make_context(info_name, args, parent, **extra)
+class _OrRerun(OrOther):
+    other = rerun
 
 
 @click.command(cls=_OrRerun)
@@ -76,19 +69,15 @@ class _OrRerun(click.Command):
     metavar="FILE",
     help="HTML page, an existing one is refused; default: report.html in the folder.",
 )
-@click.option(
-    "--junit", type=OUTPUT, metavar="FILE", help="Write a case a row as JUnit XML; an earlier one goes."
-)
+@junit_option
 @reporting
 def command(
     file: Path,
     out: Path | None,
-    jobs: int | None,
-    scheduler: str | None,
-    fresh: bool,
     page: Path | None,
     junit: Path | None,
     json_file: Path | None,
+    **options: Any,
 ) -> None:
     """Run a configuration many times in simulated time, with its keys swept, and count how often it fails.
 
@@ -107,7 +96,7 @@ def command(
 
     Guide: docs/guides/campaigns.md.
     """
-    if jobs is not None and scheduler is not None:
+    if options["jobs"] is not None and options["scheduler"] is not None:
         raise click.UsageError("--jobs counts processes here, --scheduler runs elsewhere: give one of them.")
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -117,10 +106,7 @@ def command(
     from hil.study.campaign.page import write_page
     from hil.study.campaign.plan import read_plan
     from hil.study.campaign.show import show, summary_lines, verdicts
-    from hil.study.junit import check_junit_path, write_junit
 
-    if junit is not None:
-        check_junit_path(junit)
     if page is not None:
         new_file(page, option="--page")
     plan = read_plan(file)
@@ -147,13 +133,11 @@ def command(
                 left = timedelta(seconds=round((of - done) / speed))
                 click.echo(f"row {done} of {of}, {speed:.2g} rows/s, {left} left", err=True)
 
-        summary = run_campaign(plan, folder, jobs=jobs, scheduler=scheduler, fresh=fresh, progress=progress)
+        summary = run_campaign(plan, folder, progress=progress, **options)
     show(plan, summary, out)
     target = folder / "report.html" if page is None else page
     with further(summary):
         write_page(target, plan, summary, out)
         summary["page"] = str(target)
-    if junit is not None:
-        with further(summary):
-            write_junit(junit, f"hil campaign {plan.name}", verdicts(plan, summary, out))
+    write_cases(summary, junit, f"hil campaign {plan.name}", verdicts(plan, summary, out))
     finish("campaign", summary, json_file, summary_lines(plan, summary))

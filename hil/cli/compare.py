@@ -1,6 +1,7 @@
 """`hil compare`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -34,12 +35,14 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 )
 @click.option(
     "--paths",
+    "path_laws",
     callback=_names,
     metavar="A,B",
     help="Laws to run also with the losses taken out, `all` or `none`; default: the configuration's own.",
 )
 @click.option(
     "--duration",
+    "duration_s",
     type=DURATION,
     metavar="S",
     help="Stop S seconds along the reference; default: one period of it.",
@@ -71,19 +74,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     help="PNG file to draw, or a folder for it; an earlier picture is replaced.",
 )
 @reporting
-def command(
-    configuration: str,
-    laws: tuple[str, ...] | None,
-    paths: tuple[str, ...] | None,
-    duration: float | None,
-    inertia_scale: float | None,
-    wrench: tuple[float, float, float, float, float, float] | None,
-    wrench_at: float | None,
-    lift_limits: bool,
-    jobs: int | None,
-    picture: Path | None,
-    json_file: Path | None,
-) -> None:
+def command(configuration: str, json_file: Path | None, **options: Any) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
     Each law follows the reference and answers a step of 1 mm at home, with gains of the natural frequency and
@@ -101,23 +92,15 @@ def command(
 
     Guide: docs/guides/compare.md.
     """
-    if wrench_at is not None and wrench is None:
+    scale, wrench, at_s = (options.pop(name) for name in ("inertia_scale", "wrench", "wrench_at"))
+    if at_s is not None and wrench is None:
         raise click.UsageError("--wrench-at says when --wrench comes: give both.")
     loaded = load(configuration, "sim")
     from hil.study.compare import table
     from hil.study.compare.command import compare, with_options
 
-    loaded = with_options(loaded, inertia_scale=inertia_scale, wrench=wrench, wrench_at_s=wrench_at or 0.0)
+    loaded = with_options(loaded, inertia_scale=scale, wrench=wrench, wrench_at_s=at_s or 0.0)
     with counted("running the laws") as progress:
-        summary = compare(
-            loaded,
-            laws=laws,
-            path_laws=paths,
-            duration_s=duration,
-            lift_limits=lift_limits,
-            jobs=jobs,
-            picture=picture,
-            progress=progress,
-        )
+        summary = compare(loaded, progress=progress, **options)
     table.show(summary)
     finish("compare", summary, json_file, table.shown(summary))

@@ -1,6 +1,7 @@
 """`hil export`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -22,16 +23,9 @@ from hil.cli.shared import FILE, finish, reporting
     metavar="NAME",
     help="Only this column (tau) or component (tau.leg_3) in .csv, .parquet, .rrd; may be repeated.",
 )
-@click.option("--force", is_flag=True, help="Replace files that exist.")
+@click.option("--force", "overwrite", is_flag=True, help="Replace files that exist.")
 @reporting
-def command(
-    log: Path,
-    out: tuple[Path, ...],
-    start: str | None,
-    columns: tuple[str, ...],
-    force: bool,
-    json_file: Path | None,
-) -> None:
+def command(log: Path, out: tuple[Path, ...], json_file: Path | None, **options: Any) -> None:
     """Write LOG's CAN frames and columns into files that other tools read, each by its ending.
 
     \b
@@ -56,4 +50,4 @@ def command(
     """
     from hil.study.export.command import export_log
 
-    finish("export", export_log(log, out, start=start, columns=columns, overwrite=force), json_file)
+    finish("export", export_log(log, out, **options), json_file)

@@ -1,17 +1,19 @@
 """`hil faults`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
 from hil.cli.shared import (
-    OUTPUT,
     configuration_argument,
     counted,
     finish,
     jobs_option,
+    junit_option,
     load,
     reporting,
+    write_cases,
 )
 
 
@@ -42,21 +44,10 @@ def _legs(text: str | None) -> tuple[int, ...]:
     help="Draws leg, size and sign of each case; default: leg 2 and the usual sizes.",
 )
 @jobs_option
-@click.option(
-    "--junit",
-    type=OUTPUT,
-    metavar="FILE",
-    help="Write the verdicts there as JUnit XML, too; an earlier one goes.",
-)
+@junit_option
 @reporting
 def command(
-    configuration: str,
-    only: tuple[str, ...],
-    legs: str | None,
-    seed: int | None,
-    jobs: int | None,
-    junit: Path | None,
-    json_file: Path | None,
+    configuration: str, legs: str | None, junit: Path | None, json_file: Path | None, **options: Any
 ) -> None:
     """Inject each kind of fault once at each moment of a run, in simulated time, and judge what follows.
 
@@ -74,25 +65,11 @@ def command(
     Guide: docs/guides/faults.md.
     """
     loaded = load(configuration, "sim")
-    from hil.app.output import further
     from hil.study.faults.command import run_matrix
     from hil.study.faults.report import show, shown, verdicts
-    from hil.study.junit import check_junit_path, write_junit
 
-    if junit is not None:
-        check_junit_path(junit)
     with counted("injecting faults") as progress:
-        summary = run_matrix(
-            loaded,
-            only=only,
-            legs=_legs(legs),
-            seed=seed,
-            jobs=jobs,
-            progress=progress,
-        )
+        summary = run_matrix(loaded, legs=_legs(legs), progress=progress, **options)
     show(summary)
-    if junit is not None:
-        name = f"hil faults {summary['configuration']}"
-        with further(summary):
-            write_junit(junit, name, verdicts(summary), summary["wall_s"])
+    write_cases(summary, junit, f"hil faults {summary['configuration']}", verdicts(summary))
     finish("faults", summary, json_file, shown(summary))

@@ -1,6 +1,7 @@
 """`hil homing`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -12,6 +13,7 @@ from hil.cli.shared import configuration_argument, finish_briefly, load, reporti
 @click.option("--at-home", is_flag=True, help="The platform is at platform.home.")
 @click.option(
     "--lengths",
+    "lengths_m",
     type=(float,) * 6,
     metavar="M M M M M M",
     help="The legs have these lengths, m, joint centre to joint centre, leg order.",
@@ -27,12 +29,7 @@ from hil.cli.shared import configuration_argument, finish_briefly, load, reporti
 @click.option("--emulated", is_flag=True, help="Of the emulated drives: plant.homing_file.")
 @reporting
 def command(
-    configuration: str,
-    at_home: bool,
-    lengths: tuple[float, ...] | None,
-    legs: tuple[tuple[int, float], ...],
-    emulated: bool,
-    json_file: Path | None,
+    configuration: str, legs: tuple[tuple[int, float], ...], json_file: Path | None, **options: Any
 ) -> None:
     """Show where the legs were parked, or state where they stand; for motors that forget their turns.
 
@@ -50,12 +47,9 @@ def command(
 
     Guide: docs/guides/drives.md.
     """
-    if at_home and lengths is not None:
+    if options["at_home"] and options["lengths_m"] is not None:
         raise click.UsageError("--at-home and --lengths contradict each other: give one of them")
     loaded = load(configuration)
     from hil.app.homing.command import state_homing
 
-    summary = state_homing(
-        loaded, emulated=emulated, at_home=at_home, lengths_m=lengths or (), legs_m=dict(legs)
-    )
-    finish_briefly("homing", summary, json_file)
+    finish_briefly("homing", state_homing(loaded, legs_m=dict(legs), **options), json_file)

@@ -1,7 +1,6 @@
 """`hil identify`: the loop from a run or a log, and `hil identify payload`: masses and friction from logs."""
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -11,6 +10,7 @@ from hil.cli.shared import (
     OUTPUT,
     POSITIVE,
     FiniteRange,
+    OrOther,
     finish_lines,
     log_option,
     reporting,
@@ -75,16 +75,8 @@ def payload(
     finish_lines((), summary, json_file)
 
 
-class _OrPayload(click.Command):
-    """A command whose first word may be `payload`, which is a command of its own."""
-
-    def make_context(
-        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
-    ) -> click.Context:
-        """Return the context of the command that the words ask for."""
-        if args and args[0] == payload.name:
-            return payload.make_context(f"{info_name} {payload.name}", args[1:], parent, **extra)
-        return super().make_context(info_name, args, parent, **extra)
+class _OrPayload(OrOther):
+    other = payload
 
 
 @click.command(cls=_OrPayload)

@@ -1,5 +1,7 @@
 """Ctrl-C in a command: what was begun is closed, one line reports it, exit code 130."""
 
+import io
+import os
 import signal
 import sys
 from collections.abc import Iterator
@@ -10,37 +12,41 @@ import click
 
 INTERRUPTED = 128 + signal.SIGINT
 """Exit code: what a shell shows of a tool that SIGINT has ended."""
+NOBODY_READS = 128 + signal.SIGPIPE
+"""Exit code: the same for SIGPIPE, as after `hil check | head -1`."""
 
 
-class Interrupts:
-    """Handler of SIGINT. Mutable state: whether Ctrl-C was pressed; libraries turn that into other errors."""
+def pressed(signum: int, frame: FrameType | None) -> None:
+    """Raise KeyboardInterrupt, unless one is on its way: files are being closed and processes ended."""
+    del signum, frame
+    if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
+        raise KeyboardInterrupt
 
-    def __init__(self) -> None:
-        self.came = False
 
-    def pressed(self, signum: int, frame: FrameType | None) -> None:
-        """Raise KeyboardInterrupt, unless one is on its way: files are being closed and processes ended."""
-        del signum, frame
-        self.came = True
-        if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
-            raise KeyboardInterrupt
+@contextmanager
+def attached() -> Iterator[None]:
+    """Be the signals and the output of a whole process.
 
-    @contextmanager
-    def attached(self) -> Iterator[None]:
-        """Route SIGINT here for a whole process, unless it is ignored, as in the background of a script.
-
-        Afterwards it is ignored: nothing disturbs how Python leaves.
-        """
-        self.came = False
-        if signal.getsignal(signal.SIGINT) in {signal.default_int_handler, signal.SIG_DFL}:
-            signal.signal(signal.SIGINT, self.pressed)
+    SIGINT goes to `pressed`, unless it is ignored, as in the background of a script; afterwards it is
+    ignored: nothing disturbs how Python leaves. What cannot be printed ends with an exit code.
+    """
+    if signal.getsignal(signal.SIGINT) in {signal.default_int_handler, signal.SIG_DFL}:
+        signal.signal(signal.SIGINT, pressed)
+    for stream, errors in ((sys.stdin, "replace"), (sys.stdout, "backslashreplace")):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=errors)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
-            yield
-        finally:
-            signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-OF_THIS_PROCESS = Interrupts()
+            sys.stdout.flush()
+        except OSError as error:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            if isinstance(error, BrokenPipeError):
+                sys.exit(NOBODY_READS)
+            click.echo(f"hil: standard output cannot be written: {error.strerror}", err=True)
+            sys.exit(1)
 
 
 @contextmanager
@@ -51,14 +57,9 @@ def one_line_of_interrupt() -> Iterator[None]:
     """
     try:
         yield
-    except (SystemExit, click.exceptions.Exit, click.ClickException):
-        raise
-    except BaseException as error:
-        if not (isinstance(error, KeyboardInterrupt) or OF_THIS_PROCESS.came):
-            raise
+    except KeyboardInterrupt as error:
         from hil.app.terminal import visible
 
-        there = f" {error}" if isinstance(error, KeyboardInterrupt) and str(error) else ""
         below = "\n" if sys.stderr.isatty() else ""  # of a terminal's ^C
-        click.echo(visible(f"{below}hil: interrupted{there}"), err=True)
+        click.echo(visible(f"{below}hil: interrupted {error}".rstrip()), err=True)
         sys.exit(INTERRUPTED)

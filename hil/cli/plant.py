@@ -4,6 +4,7 @@ import contextlib
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -39,15 +40,13 @@ from hil.cli.shared import (
 @reporting
 def command(
     configuration: str,
-    duration: float | None,
-    log: Path | None,
     faults: tuple[str, ...],
     with_bench: bool,
     mistakes: tuple[str, ...],
     json_file: Path | None,
-    supervisor: int | None,
     report: int | None,
     watchdog_s: float | None,
+    **options: Any,
 ) -> None:
     """Serve six emulated drives and the plant behind them on the bus, in real time.
 
@@ -88,9 +87,7 @@ def command(
             from hil.lab.bringup.hands import served_bench
 
             bench = stack.enter_context(served_bench(loaded, mistakes))
-        summary = run_plant(
-            loaded, log=log, duration_s=duration, supervisor=supervisor, ready=tell, bench=bench
-        )
+        summary = run_plant(loaded, ready=tell, bench=bench, **options)
     if report is not None:
         with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
             os.write(report, json.dumps(summary).encode())

@@ -1,6 +1,7 @@
 """`hil plot`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -24,15 +25,7 @@ from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, out_option,
 @out_option
 @force_option
 @reporting
-def command(
-    logs: tuple[Path, ...],
-    columns: tuple[str, ...],
-    start_s: float | None,
-    end_s: float | None,
-    out: Path | None,
-    force: bool,
-    json_file: Path | None,
-) -> None:
+def command(logs: tuple[Path, ...], json_file: Path | None, columns: tuple[str, ...], **options: Any) -> None:
     """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
 
     Any log of ours will do, the plant's, too, and one that is cut as far as it goes. Without --column: leg
@@ -46,8 +39,9 @@ def command(
 
     Guide: docs/guides/columns.md, which lists the columns.
     """
+    start_s, end_s = options["start_s"], options["end_s"]
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")
     from hil.study.plot.command import plot
 
-    finish("plot", plot(logs, columns, out=out, start_s=start_s, end_s=end_s, force=force), json_file)
+    finish("plot", plot(logs, columns, **options), json_file)

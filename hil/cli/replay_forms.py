@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import counted, finish
+from hil.cli.shared import counted, finish, write_cases
 
 OF_FORM = {
     "--set": "--what-if",
@@ -95,12 +95,8 @@ def against(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
 
 def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     """Replay every log of a folder."""
-    from hil.app.output import further
-    from hil.study.junit import check_junit_path, write_junit
     from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
-    if given["junit"] is not None:
-        check_junit_path(given["junit"])
     paths = logs_in(folder)
     cases: list[Case] = []
     begun = time.perf_counter()
@@ -114,8 +110,6 @@ def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     wall_s = time.perf_counter() - begun
     show(folder, cases)
     result = summary(folder, cases, wall_s)
-    if given["junit"] is not None:
-        with further(result):
-            write_junit(given["junit"], f"hil replay {folder}", verdicts(folder, cases), wall_s)
+    write_cases(result, given["junit"], f"hil replay {folder}", verdicts(folder, cases))
     shown = {key: value for key, value in result.items() if key != "cases"}
     finish("replay of a folder", result, json_file, shown)

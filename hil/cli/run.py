@@ -1,6 +1,7 @@
 """`hil run`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -46,19 +47,7 @@ from hil.cli.shared import (
 @log_option
 @fault_option
 @reporting
-def command(
-    configuration: str,
-    with_plant: bool,
-    arm: bool,
-    wait_for_arm: bool,
-    reset: bool,
-    release: bool,
-    with_watch: bool,
-    duration: float | None,
-    log: Path | None,
-    faults: tuple[str, ...],
-    json_file: Path | None,
-) -> None:
+def command(configuration: str, release: bool, json_file: Path | None, **options: Any) -> None:
     """Run the daemon in real time.
 
     Waits for six drives, and for the operator's word that the platform may move: Enter, --arm, or
@@ -81,25 +70,14 @@ def command(
         from hil.app.run.command import release_held
 
         finish("release", release_held(read(configuration)), json_file)
-    if arm and wait_for_arm:
+    if options["arm"] and options["wait_for_arm"]:
         raise click.UsageError("--arm lets the platform move by itself: leave out --wait-for-arm, or --arm.")
     loaded = load(configuration, "run")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.run.command import run_daemon
 
-    if faults and not with_plant:
+    if options["faults"] and not options["with_plant"]:
         raise click.UsageError("--fault acts on the plant: add --plant, or give it to `hil plant`.")
-    if with_plant:
-        with_faults(loaded, faults).require("plant")
-    summary = run_daemon(
-        loaded,
-        log=log,
-        duration_s=duration,
-        reset=reset,
-        with_plant=with_plant,
-        arm=arm,
-        wait_for_arm=wait_for_arm,
-        faults=faults,
-        with_watch=with_watch,
-    )
-    finish("run", summary, json_file)
+    if options["with_plant"]:
+        with_faults(loaded, options["faults"]).require("plant")
+    finish("run", run_daemon(loaded, **options), json_file)

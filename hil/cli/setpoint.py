@@ -39,7 +39,7 @@ def command(
     Guide: docs/guides/references.md.
     """
     from hil.app.configuration.address import address
-    from hil.app.setpoint import send_setpoints
+    from hil.app.operate import send_setpoints
 
     if position is None and rotation is not None:
         raise click.UsageError("--rotation needs --position: a set-point is a whole pose")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import shlex
 import sys
@@ -14,10 +15,12 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import click
 from click.shell_completion import CompletionItem
 
+from hil.cli.interrupts import NOBODY_READS
 from hil.config.number import ALLOWED, in_reason
 
 if TYPE_CHECKING:
     from hil.app.configuration.configuration import Configuration
+    from hil.study.junit import Verdict
 
 
 class FiniteRange(click.FloatRange):
@@ -34,7 +37,7 @@ class FiniteRange(click.FloatRange):
 
 
 class Output(click.Path):
-    """A file that a command writes: no two of one command may be the same."""
+    """A file that a command writes; it is no other file of the command."""
 
 
 def complete_configuration(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
@@ -56,7 +59,9 @@ OUTPUT = Output(dir_okay=False, path_type=Path)
 log_option = click.option(
     "--log", type=OUTPUT, metavar="FILE", help="Log file to write; an existing one is refused."
 )
-duration_option = click.option("--duration", type=DURATION, metavar="S", help="Stop after S seconds.")
+duration_option = click.option(
+    "--duration", "duration_s", type=DURATION, metavar="S", help="Stop after S seconds."
+)
 fault_option = click.option(
     "--fault",
     "faults",
@@ -72,6 +77,9 @@ out_option = click.option(
 )
 jobs_option = click.option(
     "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
+)
+junit_option = click.option(
+    "--junit", type=OUTPUT, metavar="FILE", help="Write a case a verdict as JUnit XML; an earlier one goes."
 )
 force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
 configuration_argument = click.argument(
@@ -161,21 +169,47 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
     """Add --json, and check the output files before the command begins."""
 
     @click.option(
-        "--json", "json_file", type=FILE, metavar="FILE", help="Write the summary there as JSON, too."
+        "--json", "json_file", type=OUTPUT, metavar="FILE", help="Write the summary there as JSON, too."
     )
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
-        from hil.app.compiling import show_compilation
-
-        show_compilation()
-        _refuse_shared_outputs(kwargs)
+        _show_compilation()
+        _refuse_same_files(kwargs)
         if kwargs["json_file"] is not None:
             from hil.app.output import check_json_path
 
-            check_json_path(kwargs["json_file"], *_other_files(kwargs))
+            check_json_path(kwargs["json_file"])
+        if kwargs.get("junit") is not None:
+            from hil.study.junit import check_junit_path
+
+            check_junit_path(kwargs["junit"])
         command(*args, **kwargs)
 
     return reporting
+
+
+def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: Iterable[Verdict]) -> None:
+    """Write the verdicts of a batch as JUnit XML, where a file is named; the summary tells if that fails."""
+    if junit is not None:
+        from hil.app.output import further
+        from hil.study.junit import write_junit
+
+        with further(summary):
+            write_junit(junit, name, cases, summary.get("wall_s"))
+
+
+class OrOther(click.Command):
+    """A command whose first word may be the name of another command, `other`."""
+
+    other: click.Command
+
+    def make_context(
+        self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
+    ) -> click.Context:
+        """Return the context of the command that the words name."""
+        if args and args[0] == self.other.name:
+            return self.other.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
+        return super().make_context(info_name, args, parent, **extra)
 
 
 @contextmanager
@@ -189,6 +223,27 @@ def counted(text: str) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=None)
         yield lambda done, of: bar.update(task, completed=done, total=of)
+
+
+def _show_compilation() -> None:
+    """Show on standard error how far a compilation is: a row of a terminal, elsewhere one line."""
+    from drivers.compiled import cache as kernels
+    from drivers.terminal_row import rewriting
+
+    numbers = itertools.count(1)
+
+    def show(compiling: bool) -> None:
+        number = next(numbers) if compiling else 0
+        text = (
+            f"compiling the mathematics, once: kernel {number}; about a minute of processor time; Ctrl-C "
+            "loses little of it ..."
+        )
+        if sys.stderr.isatty():
+            click.echo(rewriting(text if compiling else "", sys.stderr), err=True, nl=False)
+        elif number == 1:
+            click.echo(text, err=True)
+
+    kernels.progress = show
 
 
 @contextmanager
@@ -207,36 +262,31 @@ def one_line_of_error() -> Iterator[None]:
         if error.name is None or error.name.partition(".")[0] not in FULL:
             raise
         _refuse(f"{error.name} is not installed: pip install 'hexapod-hil[full]'")
+    except BrokenPipeError:
+        sys.exit(NOBODY_READS)
     except OSError as error:
         place = "" if error.filename is None else f"{error.filename}: "
         _refuse(f"{place}{error.strerror or error}")
 
 
-def _other_files(arguments: dict[str, Any]) -> list[Path]:
-    """Return the files of a command but that of --json."""
-    named = [Path(arguments[name]) for name in _NAMED if arguments.get(name)]
-    return named + [file for name in arguments if name != "json_file" for file in _files(arguments[name])]
-
-
-def _refuse_shared_outputs(arguments: dict[str, Any]) -> None:
-    """Refuse two output files of one command that are the same one. Raises LogError."""
+def _refuse_same_files(arguments: dict[str, Any]) -> None:
+    """Refuse an output that is another file of the command. Raises LogError."""
     from drivers.errors import LogError
     from drivers.files import real_path
 
     seen: set[Path] = set()
-    for parameter in click.get_current_context().command.params:
-        if not isinstance(parameter.type, Output):
-            continue
-        for file in _files(arguments.get(str(parameter.name))):
-            if real_path(file) in seen:
+    parameters = click.get_current_context().command.params
+    for parameter in sorted(parameters, key=lambda each: isinstance(each.type, Output)):
+        given = arguments.get(str(parameter.name))
+        for each in given if isinstance(given, tuple) else (given,):
+            if not (isinstance(each, Path) or (each and parameter.name in _NAMED)):
+                continue
+            file = real_path(Path(each))
+            if file in seen and isinstance(parameter.type, Output):
                 raise LogError(
-                    f"{parameter.opts[0]} {file}: is another file of this command; name a file of its own"
+                    f"{parameter.opts[0]} {each}: is another file of this command; name a file of its own"
                 )
-            seen.add(real_path(file))
-
-
-def _files(value: object) -> list[Path]:
-    return [each for each in (value if isinstance(value, tuple) else (value,)) if isinstance(each, Path)]
+            seen.add(file)
 
 
 def _refuse(message: str, code: int = 2) -> NoReturn:

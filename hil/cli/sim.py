@@ -2,6 +2,7 @@
 
 import sys
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -41,14 +42,7 @@ from hil.cli.shared import (
 )
 @reporting
 def command(
-    configuration: str,
-    duration: float | None,
-    log: Path | None,
-    faults: tuple[str, ...],
-    setpoints: Path | None,
-    commands: Path | None,
-    plant_log: bool,
-    json_file: Path | None,
+    configuration: str, faults: tuple[str, ...], commands: Path | None, json_file: Path | None, **options: Any
 ) -> None:
     """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
 
@@ -67,24 +61,15 @@ def command(
     Guide: docs/guides/first-run.md.
     """
     loaded = load(configuration, "sim")
+    from hil.app.check.fmu import fmu_dangers
     from hil.app.configuration.fault_words import with_faults
+    from hil.app.output import warn
     from hil.app.sim.command import simulate
     from hil.app.sim.commands import read_commands
 
     loaded = with_faults(loaded, faults)
-    from hil.app.check.fmu import fmu_dangers
-    from hil.app.output import warn
-
     for danger in fmu_dangers(loaded):
         warn(f"hil: {danger}")
-
-    summary = simulate(
-        loaded,
-        log=log,
-        duration_s=duration,
-        live=sys.stderr.isatty(),
-        setpoints=setpoints,
-        commands=() if commands is None else read_commands(commands),
-        plant_log=plant_log,
-    )
+    said = () if commands is None else read_commands(commands)
+    summary = simulate(loaded, live=sys.stderr.isatty(), commands=said, **options)
     finish("sim", summary, json_file)

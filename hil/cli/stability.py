@@ -2,6 +2,7 @@
 
 from math import nan
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -30,7 +31,7 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 @configuration_argument
 @click.option(
     "--disturbance-force",
-    "force",
+    "force_N",
     type=NOT_NEGATIVE,
     default=0.0,
     metavar="N",
@@ -38,7 +39,7 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 )
 @click.option(
     "--disturbance-torque",
-    "torque",
+    "torque_N_m",
     type=NOT_NEGATIVE,
     default=0.0,
     metavar="N_M",
@@ -59,12 +60,7 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 )
 @reporting
 def command(
-    configuration: str,
-    force: float,
-    torque: float,
-    model_error: float,
-    payload: tuple[float, Point] | None,
-    json_file: Path | None,
+    configuration: str, payload: tuple[float, Point] | None, json_file: Path | None, **options: Any
 ) -> None:
     """Print what is proven of the law of CONFIGURATION, by which function, and under which conditions.
 
@@ -90,11 +86,6 @@ def command(
     from hil.app.stability.subject import NO_PAYLOAD, Payload
 
     with console.status("looking for a proof"):
-        summary = assess(
-            loaded,
-            force_N=force,
-            torque_N_m=torque,
-            model_error=model_error,
-            payload=NO_PAYLOAD if payload is None else Payload(*payload),
-        )
+        mass = NO_PAYLOAD if payload is None else Payload(*payload)
+        summary = assess(loaded, payload=mass, **options)
     finish_lines(shown(summary), summary, json_file)

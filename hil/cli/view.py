@@ -1,6 +1,7 @@
 """`hil view`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -21,9 +22,7 @@ from hil.cli.shared import FILE, finish, force_option, out_option, reporting
 @out_option
 @force_option
 @reporting
-def command(
-    log: Path, viewer: str, no_start: bool, out: Path | None, force: bool, json_file: Path | None
-) -> None:
+def command(log: Path, viewer: str, no_start: bool, json_file: Path | None, **options: Any) -> None:
     """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
 
     Writes a Rerun recording, or a layout for Lichtblick and Foxglove or for PlotJuggler, and starts the
@@ -40,4 +39,4 @@ def command(
     """
     from hil.study.view.command import view
 
-    finish("view", view(log, viewer, out=out, force=force, start=not no_start), json_file)
+    finish("view", view(log, viewer, start=not no_start, **options), json_file)

@@ -1,6 +1,7 @@
 """`hil watch`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -13,11 +14,9 @@ from hil.cli.shared import configuration_argument, finish, reporting
 @click.option(
     "--port", type=click.IntRange(0, 65535), metavar="N", help="Port; without it 8642, or a free one."
 )
-@click.option("--supervisor", type=int, hidden=True)
+@click.option("--supervisor", "alive", type=int, hidden=True)
 @reporting
-def command(
-    configuration: str, host: str, port: int | None, supervisor: int | None, json_file: Path | None
-) -> None:
+def command(configuration: str, json_file: Path | None, **options: Any) -> None:
     """Serve a live page about the run on the bus of CONFIG: pose, legs, forces, errors, timing, faults.
 
     Prints a link, which any browser opens without network; the run neither waits for the page nor knows of
@@ -38,9 +37,7 @@ def command(
 
     summary = watch(
         load(configuration),
-        host=host,
-        port=port,
-        alive=supervisor,
         announce=lambda link: click.echo(f"hil: watch at {link}", err=True),
+        **options,
     )
     finish("watch", summary, json_file)

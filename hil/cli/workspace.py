@@ -1,6 +1,7 @@
 """`hil workspace`."""
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -33,6 +34,7 @@ from hil.cli.shared import (
 )
 @click.option(
     "--payload",
+    "payload_kg",
     type=NOT_NEGATIVE,
     default=0.0,
     metavar="KG",
@@ -46,20 +48,15 @@ from hil.cli.shared import (
     help="Its centre of mass, m in the platform frame; default: the origin.",
 )
 @click.option(
-    "--leg-diameter", type=POSITIVE, metavar="M", help="Look at collisions of legs this thick, too."
+    "--leg-diameter",
+    "leg_diameter_m",
+    type=POSITIVE,
+    metavar="M",
+    help="Look at collisions of legs this thick, too.",
 )
 @picture_option
 @reporting
-def command(
-    configuration: str,
-    resolution: int,
-    position: tuple[float, float, float] | None,
-    payload: float,
-    payload_at: tuple[float, float, float],
-    leg_diameter: float | None,
-    picture: Path | None,
-    json_file: Path | None,
-) -> None:
+def command(configuration: str, json_file: Path | None, **options: Any) -> None:
     """Map the poses that the platform can reach from home within stroke, joint angle and force limits.
 
     Translations at home's orientation: volume, extents, sections with the limit that is met along the edge,
@@ -82,14 +79,5 @@ def command(
     from hil.study.workspace.command import map_workspace, shown
 
     with console.status("mapping") as status:
-        summary = map_workspace(
-            loaded,
-            resolution=resolution,
-            position=position,
-            payload_kg=payload,
-            payload_at=payload_at,
-            leg_diameter_m=leg_diameter,
-            picture=picture,
-            progress=lambda what: status.update(f"mapping: {what}"),
-        )
+        summary = map_workspace(loaded, progress=lambda what: status.update(f"mapping: {what}"), **options)
     finish("workspace", summary, json_file, shown(summary))

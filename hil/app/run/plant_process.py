@@ -1,6 +1,5 @@
 """`hil plant` as a child of `hil run --plant`: started, watched, asked to end, never orphaned for long."""
 
-import fcntl
 import json
 import os
 import select
@@ -48,9 +47,6 @@ class SupervisedPlant:
         alive_read, self._alive = os.pipe()
         self._report, report_write = os.pipe()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
-        # The plant shortens it where it gets long: what it says then goes behind what is left.
-        flags = fcntl.fcntl(self._errors, fcntl.F_GETFL)
-        fcntl.fcntl(self._errors, fcntl.F_SETFL, flags | os.O_APPEND)
         self._process = start(
             "hil.cli", "plant", configuration.source, "--log", str(log),
             "--supervisor", str(alive_read), "--report", str(report_write),

@@ -43,9 +43,11 @@ import os, time
 from functools import partial
 from operator import call
 from hil.study.workers import perform
+from hil.cli.interrupts import attached
 
-for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
-    print(found, flush=True)
+with attached():
+    for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
+        print(found, flush=True)
 """
 """Tells its workers' numbers, and has them sleep."""
 
@@ -70,3 +72,45 @@ def test_one_job_has_a_process_of_its_own_unless_this_one_is_asked_for():
     assert found != os.getpid()
     assert list(perform([partial(os._exit, 1)], call, lambda _: "died", None, None)) == ["died"]
     assert list(perform([os.getpid], call, str, 1, None)) == [os.getpid()]
+
+
+DIES_ONCE = """
+import os, time
+if not os.path.exists({file!r}):
+    open({file!r}, "w").close()
+    os._exit(1)
+with open({file!r} + ".new", "w") as file:
+    file.write(str(os.getpid()))
+os.rename({file!r} + ".new", {file!r})
+time.sleep(100.0)
+"""
+ALONE = """
+import sys
+import time
+from contextlib import nullcontext
+from functools import partial
+from operator import call
+from hil.study.workers import perform
+from hil.cli.interrupts import attached
+
+with attached():
+    list(perform([partial(exec, sys.argv[1])], call, str, 2, None))
+"""
+
+
+def test_ctrl_c_ends_a_job_that_runs_again_alone(tmp_path):
+    file = tmp_path / "worker"
+    code = DIES_ONCE.format(file=str(file))
+    with subprocess.Popen([sys.executable, "-c", ALONE, code], stderr=subprocess.DEVNULL) as process:
+        try:
+            end = time.monotonic() + 60.0
+            while not (file.exists() and file.read_text()):
+                assert time.monotonic() < end
+                time.sleep(0.02)
+            while process.poll() is None:
+                assert time.monotonic() < end
+                process.send_signal(signal.SIGINT)
+                time.sleep(0.2)
+        finally:
+            process.kill()
+    wait_until_gone(int(file.read_text()))

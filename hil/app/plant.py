@@ -27,8 +27,7 @@ from hil.app.compose import attachments, build_nodes, build_protocol, build_scen
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
-from hil.app.plant_columns import PLANT
-from hil.app.plant_rows import PlantRows, at_rest
+from hil.app.plant_rows import PLANT, PlantRows, at_rest
 from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
 from hil.loop.panel import signals_to

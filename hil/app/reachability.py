@@ -5,16 +5,23 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array, Flags, Ints
-from hil.app.walk_kernels import ACCELERATION, CONDITION, FORCE, LENGTH, RATE, SAMPLE, walk_kernel
+from drivers.compiled.compiler import INTEGER, MATRIX, OUT_MATRIX, REAL, VECTOR, kernel
 from hil.config.limits import LimitSettings
 from hil.config.platform import PlatformSettings
+from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
+from hil.robot.kinematics_kernels import jacobian_rate_kernel, lengths_and_jacobian
 from hil.safety.guard import WINDOW_S
 from hil.trajectory.path import Trajectory
 from hil.trajectory.piecewise import PiecewisePolynomial
 from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
+SAMPLE = 24
+"""Numbers of a sample: p (3,) m, R (3, 3) by rows, twist (6,), dtwist (6,), SI."""
+LENGTH, RATE, ACCELERATION, FORCE, CONDITION = 0, 6, 12, 18, 24
+"""Where a row of what is found has q, dq, ddq (6,) m, m/s, m/s^2, tau (6,) N, and the condition of J."""
 SAMPLES = 20_000
 """Most samples of a walk; a longer path is walked in longer steps."""
 FEWEST = 5
@@ -87,6 +94,38 @@ class Violation(NamedTuple):
     message: str
     limit: str
     """Which one, whatever the leg and its figure."""
+
+
+@kernel(MATRIX, MATRIX, VECTOR, INTEGER, REAL, MATRIX, OUT_MATRIX, OUT_MATRIX)
+def walk_kernel(
+    a: Array, b: Array, c: Array, code: int, radius: float, samples: Array, found: Array, Js: Array
+) -> None:
+    """Fill found (n, 25) and J (n, 36) at each of the samples (n, 24).
+
+    a, b (6, 3) m: base and platform joints. c, code: of the model, see `hil.robot.dynamics`. radius: m that
+    makes rotations comparable with displacements. Forces are those of `inverse_dynamics_kernel`.
+    """
+    p, R, twist, dtwist = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6)
+    no_wrench, l, J = np.zeros(6), np.empty(6), np.empty((6, 6))
+    for k in range(len(samples)):
+        for i in range(3):
+            p[i] = samples[k, i]
+            for j in range(3):
+                R[i, j] = samples[k, 3 + 3 * i + j]
+        for i in range(6):
+            twist[i], dtwist[i] = samples[k, 12 + i], samples[k, 18 + i]
+        lengths_and_jacobian(a, b, p, R, l, J)
+        J_dot = jacobian_rate_kernel(a, b, p, R, twist)
+        tau = inverse_dynamics_kernel(c, code, p, R, twist, dtwist, no_wrench)
+        for i in range(6):
+            rate = acceleration = 0.0
+            for j in range(6):
+                Js[k, 6 * i + j] = J[i, j]
+                rate += J[i, j] * twist[j]
+                acceleration += J[i, j] * dtwist[j] + J_dot[i, j] * twist[j]
+            found[k, LENGTH + i], found[k, RATE + i] = l[i], rate
+            found[k, ACCELERATION + i], found[k, FORCE + i] = acceleration, tau[i]
+        found[k, CONDITION] = condition_kernel(J, radius)
 
 
 def span_s(trajectory: Trajectory) -> float:

@@ -27,8 +27,7 @@ from drivers.protocol import Frame, Received
 from hil.app import plant
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
-from hil.app.plant_columns import PLANT
-from hil.app.plant_rows import plant_row
+from hil.app.plant_rows import PLANT, plant_row
 from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime
 from hil.record import Recording

@@ -22,8 +22,7 @@ from hil.app.homing.keeping import Keeper
 from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import closing, fail, log_path, told
-from hil.app.plant_rows import PLANT
-from hil.app.plant_rows import plant_row
+from hil.app.plant_rows import PLANT, plant_row
 from hil.app.replay import not_replayed, replay_log
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand

@@ -1,9 +1,9 @@
 """MCAP files taken apart, damaged in one place and put together again, checksums made anew or left wrong.
 
-Reads and writes the format by itself (https://mcap.dev/spec), so that it does not share mistakes with the
-reader that it tests.
+Records and chunks are read and written here (https://mcap.dev/spec): the tests of our reader use them, too.
 """
 
+import io
 import math
 import struct
 import zlib
@@ -11,6 +11,8 @@ from collections.abc import Callable
 from random import Random
 
 import zstandard
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.records import Attachment, Metadata
 
 from tools.fuzz.mutate import ANY, EXTREMES, TEXT
 
@@ -23,8 +25,10 @@ REALS = (
 """What stands in the place of a measured or a computed number."""
 _PUT_BEFORE = 22
 """Bytes of a message record before what it carries."""
+_ROW = 200
+"""Bytes of a message record; that of a row has more."""
 _FEW = 20
-"""Numbers of a message; a row has more."""
+"""Places of a row that get other numbers."""
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
@@ -81,15 +85,14 @@ def packed(content: bytes, inner: bytes, size: int | None = None) -> bytes:
     return head + struct.pack("<Q", len(data)) + data
 
 
-def resealed(content: bytes) -> bytes:
-    """Return an attachment with its checksum made anew."""
-    return content[:-4] + struct.pack("<I", zlib.crc32(content[:-4]))
-
-
 def _pick(records: Records, rng: Random, opcode: int | None = None) -> int:
     kinds = sorted({kind for kind, _ in records}) if opcode is None else [opcode]
     wanted = rng.choice(kinds)
     return rng.choice([k for k, (kind, _) in enumerate(records) if kind == wanted] or [0])
+
+
+def _with(records: Records, k: int, content: bytes) -> Records:
+    return [*records[:k], (records[k][0], content), *records[k + 1 :]]
 
 
 def _content(records: Records, rng: Random) -> Records:
@@ -98,62 +101,36 @@ def _content(records: Records, rng: Random) -> Records:
     opcode, content = records[k]
     content = rng.choice(ANY)(content, rng)
     if opcode == ATTACHMENT and len(content) > 4 and rng.random() < 0.5:
-        content = resealed(content)
-    return [*records[:k], (opcode, content), *records[k + 1 :]]
+        content = content[:-4] + struct.pack("<I", zlib.crc32(content[:-4]))
+    return _with(records, k, content)
 
 
 def _text(records: Records, rng: Random) -> Records:
-    """Change a word in a text: metadata, configuration, schema, channel."""
+    """Change a word in a text: metadata, configuration, schema, channel; its lengths are made anew."""
     k = _pick(records, rng, rng.choice((METADATA, METADATA, ATTACHMENT, ATTACHMENT, SCHEMA, CHANNEL)))
     opcode, content = records[k]
+    stream, builder = ReadDataStream(io.BytesIO(content)), RecordBuilder()
     if opcode == METADATA:
-        return [*records[:k], (opcode, _metadata(content, rng)), *records[k + 1 :]]
-    if opcode == ATTACHMENT:
-        return [*records[:k], (opcode, _attachment(content, rng)), *records[k + 1 :]]
-    return [*records[:k], (opcode, rng.choice(TEXT)(content, rng)), *records[k + 1 :]]
-
-
-def _prefixed(data: bytes, at: int) -> tuple[bytes, int]:
-    (length,) = struct.unpack_from("<I", data, at)
-    return data[at + 4 : at + 4 + length], at + 4 + length
-
-
-def _metadata(content: bytes, rng: Random) -> bytes:
-    """Return metadata with one of its values damaged, taken away, or under another name."""
-    name, at = _prefixed(content, 0)
-    at += 4
-    pairs = []
-    while at < len(content):
-        key, at = _prefixed(content, at)
-        value, at = _prefixed(content, at)
-        pairs.append([key, value])
-    if pairs:
-        pair = rng.choice(pairs)
-        if rng.random() < 0.1:
-            pairs.remove(pair)
-        else:
-            pair[int(rng.random() < 0.9)] = rng.choice(TEXT)(pair[1], rng)
-    text = b"".join(struct.pack("<I", len(part)) + part for pair in pairs for part in pair)
-    return struct.pack("<I", len(name)) + name + struct.pack("<I", len(text)) + text
-
-
-def _attachment(content: bytes, rng: Random) -> bytes:
-    """Return an attachment whose file is damaged, sealed again."""
-    name, at = _prefixed(content, 16)
-    media, at = _prefixed(content, at)
-    (length,) = struct.unpack_from("<Q", content, at)
-    file = rng.choice(TEXT)(content[at + 8 : at + 8 + length], rng)
-    head = content[:16] + b"".join(struct.pack("<I", len(part)) + part for part in (name, media))
-    return resealed(head + struct.pack("<Q", len(file)) + file + bytes(4))
+        found = Metadata.read(stream)
+        key = rng.choice(sorted(found.metadata) or [""])
+        value = found.metadata.pop(key, "").encode()
+        if rng.random() < 0.9:
+            found.metadata[key] = rng.choice(TEXT)(value, rng).decode(errors="replace")
+        found.write(builder)
+    elif opcode == ATTACHMENT:
+        attached = Attachment.read(stream)
+        attached.data = rng.choice(TEXT)(attached.data, rng)
+        attached.write(builder)
+    else:
+        return _with(records, k, rng.choice(TEXT)(content, rng))
+    return _with(records, k, builder.end()[_HEAD.size :])
 
 
 def _inner(records: Records, rng: Random) -> Records:
-    """Damage what is in a chunk and pack it again."""
+    """Damage what is in a chunk and pack it again: messages, whose lengths are made anew, or any bytes."""
     k = _pick(records, rng, CHUNK)
-    if records[k][0] != CHUNK:
-        return records
     inner = unpacked(records[k][1])
-    if rng.random() < 0.6:  # one message, whose length is made anew
+    if rng.random() < 0.6:
         messages = split(inner)
         for _ in range(rng.randint(1, 4)):
             n = rng.randrange(len(messages))
@@ -161,72 +138,29 @@ def _inner(records: Records, rng: Random) -> Records:
         inner = joined(messages)
     else:
         inner = rng.choice(ANY)(inner, rng)
-    return [*records[:k], (CHUNK, packed(records[k][1], inner)), *records[k + 1 :]]
-
-
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[at]
-        value, at, shift = value | (byte & 0x7F) << shift, at + 1, shift + 7
-        if byte < 0x80:
-            return value, at
-
-
-def _numbers(data: bytes, at: int, end: int) -> list[int] | None:
-    """Return where a message of Protobuf and those in it have numbers of 8 bytes; None if it is none."""
-    found: list[int] = []
-    while at < end:
-        try:
-            key, at = _varint(data, at)
-            wire = key & 7
-            length = {1: 8, 5: 4}.get(wire, 0)
-            if wire == 0:
-                _, at = _varint(data, at)
-            elif wire == 2:
-                length, at = _varint(data, at)
-        except IndexError:
-            return None
-        if key < 8 or wire not in (0, 1, 2, 5) or at + length > end:
-            return None
-        inner = _numbers(data, at, at + length) if wire == 2 else None
-        if inner is None and wire in (1, 2) and length % 8 == 0:
-            inner = list(range(at, at + length, 8))
-        found += inner or []
-        at += length
-    return found
+    return _with(records, k, packed(records[k][1], inner))
 
 
 def strange_values(records: Records, rng: Random) -> Records:
-    """Put numbers of no sense into rows: one place in all rows of a chunk, or many places of one row."""
+    """Put numbers of no sense into rows: at one place in all rows of a chunk, or many places of one row."""
     k = _pick(records, rng, CHUNK)
-    if records[k][0] != CHUNK:
-        return records
     messages = split(unpacked(records[k][1]))
-    places = {
-        n: _numbers(content, _PUT_BEFORE, len(content)) or []
-        for n, (opcode, content) in enumerate(messages)
-        if opcode == MESSAGE
-    }
-    rows = [n for n, found in places.items() if len(found) > _FEW]
-    if not rows:
-        return records
-    share, everywhere, value = rng.random(), rng.random() < 0.5, rng.choice(REALS)
-    for n in rows if everywhere else [rng.choice(rows)]:
-        content, at = bytearray(messages[n][1]), places[n]
-        chosen = [at[int(share * len(at))]] if everywhere else [p for p in at if rng.random() < share]
-        for place in chosen:
-            number = value if everywhere or rng.random() < 0.5 else rng.choice(REALS)
-            struct.pack_into("<d", content, place, number)
+    rows = [n for n, (opcode, content) in enumerate(messages) if opcode == MESSAGE and len(content) > _ROW]
+    share, everywhere = rng.random(), rng.random() < 0.5
+    for n in rows if everywhere else rng.sample(rows, min(len(rows), 1)):
+        content = bytearray(messages[n][1])
+        last = len(content) - 8
+        places = [_PUT_BEFORE + int(share * (last - _PUT_BEFORE))]
+        places = places if everywhere else rng.sample(range(_PUT_BEFORE, last), _FEW)
+        for place in places:
+            struct.pack_into("<d", content, place, rng.choice(REALS))
         messages[n] = MESSAGE, bytes(content)
-    return [*records[:k], (CHUNK, packed(records[k][1], joined(messages))), *records[k + 1 :]]
+    return _with(records, k, packed(records[k][1], joined(messages)))
 
 
 def _bomb(records: Records, rng: Random) -> Records:
     """Put in chunks that unpack to far more than they take, or say so."""
     k = _pick(records, rng, CHUNK)
-    if records[k][0] != CHUNK:
-        return records
     content, kind = records[k][1], rng.randrange(4)
     if kind == 0:  # says that it is huge
         made = [packed(content, unpacked(content), rng.choice(EXTREMES))]

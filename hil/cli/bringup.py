@@ -6,22 +6,31 @@ from typing import Any
 import click
 
 from hil.cli.interrupts import pressed
-from hil.cli.shared import OUTPUT, configuration_argument, finish_briefly, load, log_option, reporting
+from hil.cli.shared import (
+    OUTPUT,
+    configuration_argument,
+    finish_briefly,
+    flag,
+    load,
+    log_option,
+    option,
+    reporting,
+)
 
 
 @click.command()
 @configuration_argument
-@click.option("--rehearse", is_flag=True, help="On an emulated bench, in simulated time; nothing is moved.")
-@click.option(
-    "--mistake",
-    "mistakes",
+@flag("--rehearse", "On an emulated bench, in simulated time; nothing is moved.")
+@option(
+    "--mistake mistakes",
+    str,
+    "WORDS",
+    'With --rehearse: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
     multiple=True,
-    metavar="WORDS",
-    help='With --rehearse: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
 )
-@click.option("--yes", is_flag=True, help="Agree to all steps, on a bench only.")
-@click.option("--state", type=OUTPUT, metavar="FILE", help="Where the answers are kept between runs.")
-@click.option("--again", is_flag=True, help="Measure everything again, whatever the state file holds.")
+@flag("--yes", "Agree to all steps, on a bench only.")
+@option("--state", OUTPUT, "FILE", "Where the answers are kept between runs.")
+@flag("--again", "Measure everything again, whatever the state file holds.")
 @log_option
 @reporting
 def command(

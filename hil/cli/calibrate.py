@@ -4,15 +4,13 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, finish_lines, reporting
+from hil.cli.shared import FILE, OUTPUT, finish_lines, option, reporting
 
 
 @click.command()
 @click.argument("configuration")
 @click.argument("poses", type=FILE)
-@click.option(
-    "--out", type=OUTPUT, metavar="FILE", help="Write the joints there as YAML; an existing file is refused."
-)
+@option("--out", OUTPUT, "FILE", "Write the joints there as YAML; an existing file is refused.")
 @reporting
 def command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:
     """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.

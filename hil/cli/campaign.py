@@ -7,7 +7,18 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, OrOther, finish, jobs_option, junit_option, reporting, write_cases
+from hil.cli.shared import (
+    FILE,
+    OUTPUT,
+    OrOther,
+    finish,
+    flag,
+    jobs_option,
+    junit_option,
+    option,
+    reporting,
+    write_cases,
+)
 
 SAY_S = 20.0
 """Where there is no terminal for a bar, a line of progress comes that often."""
@@ -17,14 +28,14 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 @click.command("rerun")
 @click.argument("file", metavar="FILE", type=FILE)
 @click.argument("row", type=click.IntRange(min=0))
-@click.option("--out", type=FOLDER, metavar="FOLDER", help="Where the campaign's results are, if named.")
-@click.option(
+@option("--out", FOLDER, "FOLDER", "Where the campaign's results are, if named.")
+@option(
     "--log",
-    type=OUTPUT,
+    OUTPUT,
+    "[FILE]",
+    "Record it; without FILE as runs/NAME-row-ROW-TIME.mcap. With the plant's truth beside it.",
     is_flag=False,
     flag_value="",
-    metavar="[FILE]",
-    help="Record it; without FILE as runs/NAME-row-ROW-TIME.mcap. With the plant's truth beside it.",
 )
 @reporting
 def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: Path | None) -> None:
@@ -55,19 +66,14 @@ class _OrRerun(OrOther):
 
 @click.command(cls=_OrRerun)
 @click.argument("file", metavar="FILE", type=FILE)
-@click.option("--out", type=FOLDER, metavar="FOLDER", help="Of the results; default runs/NAME-campaign.")
+@option("--out", FOLDER, "FOLDER", "Of the results; default runs/NAME-campaign.")
 @jobs_option
-@click.option(
-    "--scheduler",
-    metavar="ADDRESS",
-    help="Run on the workers of a Dask cluster instead, as tcp://10.0.0.5:8786.",
+@option(
+    "--scheduler", str, "ADDRESS", "Run on the workers of a Dask cluster instead, as tcp://10.0.0.5:8786."
 )
-@click.option("--fresh", is_flag=True, help="Discard the rows that are there, and begin anew.")
-@click.option(
-    "--page",
-    type=OUTPUT,
-    metavar="FILE",
-    help="HTML page, an existing one is refused; default: report.html in the folder.",
+@flag("--fresh", "Discard the rows that are there, and begin anew.")
+@option(
+    "--page", OUTPUT, "FILE", "HTML page, an existing one is refused; default: report.html in the folder."
 )
 @junit_option
 @reporting

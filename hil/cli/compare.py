@@ -13,8 +13,10 @@ from hil.cli.shared import (
     configuration_argument,
     counted,
     finish,
+    flag,
     jobs_option,
     load,
+    option,
     reporting,
 )
 
@@ -30,48 +32,37 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
 
 @click.command()
 @configuration_argument
-@click.option(
-    "--laws", callback=_names, metavar="A,B", help="Laws to compare; default: compare.laws, else all."
-)
-@click.option(
-    "--paths",
-    "path_laws",
+@option("--laws", str, "A,B", "Laws to compare; default: compare.laws, else all.", callback=_names)
+@option(
+    "--paths path_laws",
+    str,
+    "A,B",
+    "Laws to run also with the losses taken out, `all` or `none`; default: the configuration's own.",
     callback=_names,
-    metavar="A,B",
-    help="Laws to run also with the losses taken out, `all` or `none`; default: the configuration's own.",
 )
-@click.option(
-    "--duration",
-    "duration_s",
-    type=DURATION,
-    metavar="S",
-    help="Stop S seconds along the reference; default: one period of it.",
+@option(
+    "--duration duration_s", DURATION, "S", "Stop S seconds along the reference; default: one period of it."
 )
-@click.option(
+@option(
     "--inertia-scale",
-    type=POSITIVE,
-    metavar="X",
-    help="Masses that every law believes in, as a share of its own: 0.9 is 10 % too light.",
+    POSITIVE,
+    "X",
+    "Masses that every law believes in, as a share of its own: 0.9 is 10 % too light.",
 )
-@click.option(
+@option(
     "--wrench",
-    type=(FiniteRange(),) * 6,
-    metavar="FX FY FZ MX MY MZ",
-    help="Load ON the platform at its origin, N and N m, base frame.",
+    (FiniteRange(),) * 6,
+    "FX FY FZ MX MY MZ",
+    "Load ON the platform at its origin, N and N m, base frame.",
 )
-@click.option(
-    "--wrench-at",
-    type=NOT_NEGATIVE,
-    metavar="S",
-    help="When --wrench comes, along the reference; default: at its start.",
-)
-@click.option("--lift-limits", is_flag=True, help="Without the limits of error, force change and speed.")
+@option("--wrench-at", NOT_NEGATIVE, "S", "When --wrench comes, along the reference; default: at its start.")
+@flag("--lift-limits", "Without the limits of error, force change and speed.")
 @jobs_option
-@click.option(
+@option(
     "--picture",
-    type=click.Path(path_type=Path),
-    metavar="FILE",
-    help="PNG file to draw, or a folder for it; an earlier picture is replaced.",
+    click.Path(path_type=Path),
+    "FILE",
+    "PNG file to draw, or a folder for it; an earlier picture is replaced.",
 )
 @reporting
 def command(configuration: str, json_file: Path | None, **options: Any) -> None:

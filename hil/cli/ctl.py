@@ -4,15 +4,13 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, reporting
+from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, option, reporting
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("configuration")
 @click.argument("words", nargs=-1, required=True, metavar="WORD [ARGUMENTS]")
-@click.option(
-    "--for", "seconds", type=POSITIVE, metavar="S", help="Let go of the key, or of the jog, after S seconds."
-)
+@option("--for seconds", POSITIVE, "S", "Let go of the key, or of the jog, after S seconds.")
 @reporting
 def command(
     configuration: str, words: tuple[str, ...], seconds: float | None, json_file: Path | None

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, finish_lines, reporting
+from hil.cli.shared import FILE, OUTPUT, finish_lines, option, reporting
 
 METHODS = {
     "hinf": (
@@ -47,24 +47,15 @@ def command() -> None:
 def _command(name: str, short: str, text: str) -> click.Command:
     @click.command(name, short_help=short, help=text + EXAMPLES.format(name=name))
     @click.argument("design", metavar="DESIGN")
-    @click.option(
-        "--model", type=FILE, metavar="AXIS.yaml", help="The axis, from `hil identify`; before DESIGN's own."
-    )
-    @click.option(
+    @option("--model", FILE, "AXIS.yaml", "The axis, from `hil identify`; before DESIGN's own.")
+    @option(
         "--robot",
-        metavar="CONFIG",
-        help="Stand the coupling of its axes, along its reference, at every corner of its payload's ranges.",
+        str,
+        "CONFIG",
+        "Stand the coupling of its axes, along its reference, at every corner of its payload's ranges.",
     )
-    @click.option(
-        "-o",
-        "--out",
-        type=OUTPUT,
-        metavar="FILE",
-        help="Write the controller there; an earlier one is replaced.",
-    )
-    @click.option(
-        "--plot", type=OUTPUT, metavar="FILE", help="PNG file: S, T, K S against their weights, and the loop."
-    )
+    @option("-o --out", OUTPUT, "FILE", "Write the controller there; an earlier one is replaced.")
+    @option("--plot", OUTPUT, "FILE", "PNG file: S, T, K S against their weights, and the loop.")
     @reporting
     def command(
         design: str,

@@ -5,25 +5,26 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, finish, reporting
+from hil.cli.shared import FILE, finish, flag, option, reporting
 
 
 @click.command()
 @click.argument("log", type=FILE)
 @click.argument("out", nargs=-1, required=True, type=FILE)
-@click.option(
+@option(
     "--start",
-    metavar="TIME",
-    help="UTC of the first tick, ISO 8601; default: the log's own, in simulated time 2000-01-01.",
+    str,
+    "TIME",
+    "UTC of the first tick, ISO 8601; default: the log's own, in simulated time 2000-01-01.",
 )
-@click.option(
-    "--column",
-    "columns",
+@option(
+    "--column columns",
+    str,
+    "NAME",
+    "Only this column (tau) or component (tau.leg_3) in .csv, .parquet, .rrd; may be repeated.",
     multiple=True,
-    metavar="NAME",
-    help="Only this column (tau) or component (tau.leg_3) in .csv, .parquet, .rrd; may be repeated.",
 )
-@click.option("--force", "overwrite", is_flag=True, help="Replace files that exist.")
+@flag("--force overwrite", "Replace files that exist.")
 @reporting
 def command(log: Path, out: tuple[Path, ...], json_file: Path | None, **options: Any) -> None:
     """Write LOG's CAN frames and columns into files that other tools read, each by its ending.

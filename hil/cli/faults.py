@@ -12,6 +12,7 @@ from hil.cli.shared import (
     jobs_option,
     junit_option,
     load,
+    option,
     reporting,
     write_cases,
 )
@@ -30,18 +31,13 @@ def _legs(text: str | None) -> tuple[int, ...]:
 
 @click.command()
 @configuration_argument
-@click.option(
-    "--only",
-    multiple=True,
-    metavar="GLOB",
-    help="Cases by KIND or KIND/MOMENT, as 'brake_*'; may be repeated.",
-)
-@click.option("--legs", metavar="LEG,...", help="Whose faults, where they are a leg's: each once; default 2.")
-@click.option(
+@option("--only", str, "GLOB", "Cases by KIND or KIND/MOMENT, as 'brake_*'; may be repeated.", multiple=True)
+@option("--legs", str, "LEG,...", "Whose faults, where they are a leg's: each once; default 2.")
+@option(
     "--seed",
-    type=click.IntRange(min=0),
-    metavar="N",
-    help="Draws leg, size and sign of each case; default: leg 2 and the usual sizes.",
+    click.IntRange(min=0),
+    "N",
+    "Draws leg, size and sign of each case; default: leg 2 and the usual sizes.",
 )
 @jobs_option
 @junit_option

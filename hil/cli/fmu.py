@@ -5,7 +5,7 @@ from typing import Literal
 
 import click
 
-from hil.cli.shared import FILE, finish, finish_lines, reporting
+from hil.cli.shared import FILE, finish, finish_lines, option, reporting
 
 
 @click.group()
@@ -17,19 +17,15 @@ def command() -> None:
 
 
 @command.command("build", short_help="Compile the platform's physics into FMUs.")
-@click.option(
+@option(
     "--fmi",
-    type=click.Choice(["2.0", "3.0", "both"]),
+    click.Choice(["2.0", "3.0", "both"]),
+    None,
+    "FMI version of the interface; the physics is the same.",
     default="both",
     show_default=True,
-    help="FMI version of the interface; the physics is the same.",
 )
-@click.option(
-    "--output",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="Copy the .fmu there.",
-)
+@option("--output", click.Path(file_okay=False, path_type=Path), "FOLDER", "Copy the .fmu there.")
 @reporting
 def fmu_build_command(
     fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None

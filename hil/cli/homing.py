@@ -5,28 +5,26 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import configuration_argument, finish_briefly, load, reporting
+from hil.cli.shared import configuration_argument, finish_briefly, flag, load, option, reporting
 
 
 @click.command()
 @configuration_argument
-@click.option("--at-home", is_flag=True, help="The platform is at platform.home.")
-@click.option(
-    "--lengths",
-    "lengths_m",
-    type=(float,) * 6,
-    metavar="M M M M M M",
-    help="The legs have these lengths, m, joint centre to joint centre, leg order.",
+@flag("--at-home", "The platform is at platform.home.")
+@option(
+    "--lengths lengths_m",
+    (float,) * 6,
+    "M M M M M M",
+    "The legs have these lengths, m, joint centre to joint centre, leg order.",
 )
-@click.option(
-    "--leg",
-    "legs",
-    type=(click.IntRange(0, 5), float),
+@option(
+    "--leg legs",
+    (click.IntRange(0, 5), float),
+    "LEG M",
+    "This leg has this length; the others stay as the file has them. May be repeated.",
     multiple=True,
-    metavar="LEG M",
-    help="This leg has this length; the others stay as the file has them. May be repeated.",
 )
-@click.option("--emulated", is_flag=True, help="Of the emulated drives: plant.homing_file.")
+@flag("--emulated", "Of the emulated drives: plant.homing_file.")
 @reporting
 def command(
     configuration: str, legs: tuple[tuple[int, float], ...], json_file: Path | None, **options: Any

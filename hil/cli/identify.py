@@ -12,26 +12,22 @@ from hil.cli.shared import (
     FiniteRange,
     OrOther,
     finish_lines,
+    flag,
     log_option,
+    option,
     reporting,
 )
 
 
 @click.command("payload")
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
-@click.option(
+@option(
     "--reflected",
-    type=NOT_NEGATIVE,
-    metavar="KG",
-    help="Reflected mass of motor and screw in each leg, where it is known; default: it is identified.",
+    NOT_NEGATIVE,
+    "KG",
+    "Reflected mass of motor and screw in each leg, where it is known; default: it is identified.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=OUTPUT,
-    metavar="FILE",
-    help="Write the block there as YAML; an earlier one is replaced.",
-)
+@option("-o --out", OUTPUT, "FILE", "Write the block there as YAML; an earlier one is replaced.")
 @reporting
 def payload(
     logs: tuple[Path, ...], reflected: float | None, out: Path | None, json_file: Path | None
@@ -81,32 +77,27 @@ class _OrPayload(OrOther):
 
 @click.command(cls=_OrPayload)
 @click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=FILE)
-@click.option(
-    "--delay", is_flag=True, help="Only the delay, from the measurement to the force that answers it."
-)
-@click.option(
-    "--run", "real_time", is_flag=True, help="In real time: moves real drives. Default is lockstep."
-)
-@click.option("--plant", "with_plant", is_flag=True, help="With --run: start `hil plant` at the other end.")
-@click.option("--arm", is_flag=True, help="With --run: move as soon as all drives are ready, without asking.")
-@click.option(
+@flag("--delay", "Only the delay, from the measurement to the force that answers it.")
+@flag("--run real_time", "In real time: moves real drives. Default is lockstep.")
+@flag("--plant with_plant", "With --run: start `hil plant` at the other end.")
+@flag("--arm", "With --run: move as soon as all drives are ready, without asking.")
+@option(
     "--force",
-    type=POSITIVE,
-    metavar="N",
-    help="Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it.",
+    POSITIVE,
+    "N",
+    "Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it.",
 )
-@click.option(
+@option(
     "--duration",
-    type=FiniteRange(min=1, max=1e5),
-    metavar="S",
-    help="Of the excitation, fading in and out included; default 12.5, with --delay 4.",
+    FiniteRange(min=1, max=1e5),
+    "S",
+    "Of the excitation, fading in and out included; default 12.5, with --delay 4.",
 )
-@click.option(
-    "-o",
-    "--model",
-    type=OUTPUT,
-    metavar="FILE",
-    help="Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it.",
+@option(
+    "-o --model",
+    OUTPUT,
+    "FILE",
+    "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it.",
 )
 @log_option
 @reporting

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, reporting
+from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, option, reporting
 
 if TYPE_CHECKING:
     from hil.lab.learn.command import Knowledge
@@ -15,52 +15,44 @@ if TYPE_CHECKING:
 
 @click.command()
 @click.argument("sources", metavar="LOG...|CONFIG", nargs=-1, required=True, type=FILE)
-@click.option(
-    "-o",
-    "--out",
-    type=OUTPUT,
-    metavar="FILE",
-    help="CSV of the next run's feed-forward; an earlier one of this command is replaced.",
+@option(
+    "-o --out",
+    OUTPUT,
+    "FILE",
+    "CSV of the next run's feed-forward; an earlier one of this command is replaced.",
 )
-@click.option(
-    "--axes", type=FILE, metavar="FILE", help="Axes that `hil identify` found; default: the configuration's."
-)
-@click.option(
+@option("--axes", FILE, "FILE", "Axes that `hil identify` found; default: the configuration's.")
+@option(
     "--gain-error",
-    type=NOT_NEGATIVE,
+    NOT_NEGATIVE,
+    "X",
+    "Without --axes: share by which an axis may be off.",
     default=0.25,
     show_default=True,
-    metavar="X",
-    help="Without --axes: share by which an axis may be off.",
 )
-@click.option(
+@option(
     "--delay-error",
-    type=NOT_NEGATIVE,
+    NOT_NEGATIVE,
+    "MS",
+    "Without --axes: time by which the loop's delay may be off.",
     default=1.0,
     show_default=True,
-    metavar="MS",
-    help="Without --axes: time by which the loop's delay may be off.",
 )
-@click.option(
+@option(
     "--limit",
-    type=POSITIVE,
-    metavar="N",
-    help="Largest learned force of a leg; default feedforward.limit_N, without it 20 % of limits.force_N.",
+    POSITIVE,
+    "N",
+    "Largest learned force of a leg; default feedforward.limit_N, without it 20 % of limits.force_N.",
 )
-@click.option(
-    "--runs", type=click.IntRange(1, 100), metavar="N", help="With CONFIG: make so many runs in lockstep."
+@option("--runs", click.IntRange(1, 100), "N", "With CONFIG: make so many runs in lockstep.")
+@option(
+    "--inertia-scale", POSITIVE, "X", "With --runs: masses that the law believes in, as a share of its own."
 )
-@click.option(
-    "--inertia-scale",
-    type=POSITIVE,
-    metavar="X",
-    help="With --runs: masses that the law believes in, as a share of its own.",
-)
-@click.option(
+@option(
     "--logs",
-    type=click.Path(exists=True, file_okay=False, path_type=Path),
-    metavar="FOLDER",
-    help="With --runs: keep logs and feed-forwards there; it has to exist.",
+    click.Path(exists=True, file_okay=False, path_type=Path),
+    "FOLDER",
+    "With --runs: keep logs and feed-forwards there; it has to exist.",
 )
 @reporting
 def command(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from hil.cli.shared import FILE, finish_lines, force_option, reporting
+from hil.cli.shared import FILE, finish_lines, flag, force_option, option, reporting
 
 if TYPE_CHECKING:
     from hil.app.new.answers import Question
@@ -34,8 +34,8 @@ class _Asked(click.Command):
 @click.command(cls=_Asked)
 @click.argument("file", type=FILE)
 @click.argument("name", required=False)
-@click.option("--fmu", type=FILE, help="A co-simulation FMU of yours as the plant, instead of ours.")
-@click.option("--yes", is_flag=True, help="Take defaults; ask nothing. What has none has to be an option.")
+@option("--fmu", FILE, None, "A co-simulation FMU of yours as the plant, instead of ours.")
+@flag("--yes", "Take defaults; ask nothing. What has none has to be an option.")
 @force_option
 @reporting
 def command(

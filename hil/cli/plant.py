@@ -13,8 +13,10 @@ from hil.cli.shared import (
     duration_option,
     fault_option,
     finish,
+    flag,
     load,
     log_option,
+    option,
     reporting,
 )
 
@@ -24,15 +26,13 @@ from hil.cli.shared import (
 @duration_option
 @log_option
 @fault_option
-@click.option(
-    "--bench", "with_bench", is_flag=True, help="Legs on trestles, for a rehearsal of `hil bringup`."
-)
-@click.option(
-    "--mistake",
-    "mistakes",
+@flag("--bench with_bench", "Legs on trestles, for a rehearsal of `hil bringup`.")
+@option(
+    "--mistake mistakes",
+    str,
+    "WORDS",
+    'With --bench: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
     multiple=True,
-    metavar="WORDS",
-    help='With --bench: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
 )
 @click.option("--supervisor", type=int, hidden=True)
 @click.option("--report", type=int, hidden=True)

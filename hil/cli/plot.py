@@ -5,23 +5,20 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, out_option, reporting
+from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, option, out_option, reporting
 
 
 @click.command()
 @click.argument("logs", type=FILE, nargs=-1, required=True, metavar="LOG...")
-@click.option(
-    "-c",
-    "--column",
-    "columns",
+@option(
+    "-c --column columns",
+    str,
+    "NAME",
+    "A panel: column, column.element, or 'one - other'; may be repeated.",
     multiple=True,
-    metavar="NAME",
-    help="A panel: column, column.element, or 'one - other'; may be repeated.",
 )
-@click.option(
-    "--from", "start_s", type=NOT_NEGATIVE, metavar="S", help="Begin S seconds after the first tick."
-)
-@click.option("--to", "end_s", type=NOT_NEGATIVE, metavar="S", help="End S seconds after the first tick.")
+@option("--from start_s", NOT_NEGATIVE, "S", "Begin S seconds after the first tick.")
+@option("--to end_s", NOT_NEGATIVE, "S", "End S seconds after the first tick.")
 @out_option
 @force_option
 @reporting

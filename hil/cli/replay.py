@@ -6,74 +6,52 @@ from typing import Any
 import click
 
 from hil.cli import replay_forms
-from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, reporting
+from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, flag, option, reporting
 
 
 @click.command()
 @click.argument("log", type=FILE, required=False)
-@click.option(
+@option(
     "--salvage",
-    type=OUTPUT,
-    metavar="OUT",
-    help="Recover a log cut by power loss into the new file OUT first, and replay that.",
+    OUTPUT,
+    "OUT",
+    "Recover a log cut by power loss into the new file OUT first, and replay that.",
 )
-@click.option(
+@option(
     "--what-if",
-    metavar="CONFIG",
+    str,
+    "CONFIG",
+    "What the controller of CONFIG would have sent on the recorded measurements.",
     shell_complete=complete_configuration,
-    help="What the controller of CONFIG would have sent on the recorded measurements.",
 )
-@click.option(
-    "--set",
-    "words",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="The same with a key changed, as controller.wn_rad_s=25: of the log's own configuration, or of "
+@option(
+    "--set words",
+    str,
+    "KEY=VALUE",
+    "The same with a key changed, as controller.wn_rad_s=25: of the log's own configuration, or of "
     "CONFIG; may be repeated.",
-)
-@click.option(
-    "--plot", "picture", type=OUTPUT, metavar="FILE", help="With a what-if: PNG or SVG of the forces."
-)
-@click.option("--log", "out", type=OUTPUT, metavar="OUT", help="With a what-if: write it as a log, too.")
-@click.option(
-    "--against", type=FILE, metavar="OTHER", help="Compare LOG with the log OTHER, column by column."
-)
-@click.option(
-    "--tolerance",
-    "tolerances",
     multiple=True,
-    metavar="COLUMN=VALUE",
-    help="With --against: allowed in the column's unit, inf: not judged; or one number, relative, for the "
-    "others.",
 )
-@click.option(
+@option("--plot picture", OUTPUT, "FILE", "With a what-if: PNG or SVG of the forces.")
+@option("--log out", OUTPUT, "OUT", "With a what-if: write it as a log, too.")
+@option("--against", FILE, "OTHER", "Compare LOG with the log OTHER, column by column.")
+@option(
+    "--tolerance tolerances",
+    str,
+    "COLUMN=VALUE",
+    "With --against: allowed in the column's unit, inf: not judged; or one number, relative, for the others.",
+    multiple=True,
+)
+@option(
     "--align",
-    type=click.Choice(["tick", "motion"]),
-    help="With --against: rows of one number (default), or counted from the first motion.",
+    click.Choice(["tick", "motion"]),
+    None,
+    "With --against: rows of one number (default), or counted from the first motion.",
 )
-@click.option(
-    "--suite",
-    type=click.Path(path_type=Path),
-    metavar="DIR",
-    help="Replay every *.mcap in the folder DIR and below.",
-)
-@click.option(
-    "--jobs",
-    type=click.IntRange(min=1),
-    metavar="N",
-    help="With --suite: processes at once; default: one a processor.",
-)
-@click.option(
-    "--junit",
-    type=OUTPUT,
-    metavar="FILE",
-    help="With --suite: a case a log as JUnit XML; an earlier one goes.",
-)
-@click.option(
-    "--trust-code",
-    is_flag=True,
-    help="Run a law in a file as the log carries it, if the disk has another one.",
-)
+@option("--suite", click.Path(path_type=Path), "DIR", "Replay every *.mcap in the folder DIR and below.")
+@option("--jobs", click.IntRange(min=1), "N", "With --suite: processes at once; default: one a processor.")
+@option("--junit", OUTPUT, "FILE", "With --suite: a case a log as JUnit XML; an earlier one goes.")
+@flag("--trust-code", "Run a law in a file as the log carries it, if the disk has another one.")
 @reporting
 def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.

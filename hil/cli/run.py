@@ -10,6 +10,7 @@ from hil.cli.shared import (
     duration_option,
     fault_option,
     finish,
+    flag,
     load,
     log_option,
     reporting,
@@ -18,31 +19,18 @@ from hil.cli.shared import (
 
 @click.command()
 @configuration_argument
-@click.option(
-    "--plant", "with_plant", is_flag=True, help="Start and supervise `hil plant` at the other end of the bus."
-)
-@click.option(
-    "--arm",
-    is_flag=True,
-    help="Let the platform move as soon as all drives are ready, without asking for Enter.",
-)
-@click.option(
+@flag("--plant with_plant", "Start and supervise `hil plant` at the other end of the bus.")
+@flag("--arm", "Let the platform move as soon as all drives are ready, without asking for Enter.")
+@flag(
     "--wait-for-arm",
-    is_flag=True,
-    help="Let the platform move on `hil ctl CONFIG arm` from another terminal; none is needed here.",
+    "Let the platform move on `hil ctl CONFIG arm` from another terminal; none is needed here.",
 )
-@click.option("--reset", is_flag=True, help="Clear faults that the drives have latched before engaging.")
-@click.option(
+@flag("--reset", "Clear faults that the drives have latched before engaging.")
+@flag(
     "--release",
-    is_flag=True,
-    help="Tell a running `hil run CONFIG` to let go of a platform that it holds because a brake failed.",
+    "Tell a running `hil run CONFIG` to let go of a platform that it holds because a brake failed.",
 )
-@click.option(
-    "--watch",
-    "with_watch",
-    is_flag=True,
-    help="Start `hil watch` beside it, which prints the link of a page.",
-)
+@flag("--watch with_watch", "Start `hil watch` beside it, which prints the link of a page.")
 @duration_option
 @log_option
 @fault_option

@@ -5,19 +5,13 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import configuration_argument, finish_briefly, reporting
+from hil.cli.shared import configuration_argument, finish_briefly, option, reporting
 
 
 @click.command()
 @configuration_argument
-@click.option("--position", type=float, nargs=3, metavar="X Y Z", help="Where to go, m.")
-@click.option(
-    "--rotation",
-    type=float,
-    nargs=3,
-    metavar="RX RY RZ",
-    help="Rotation vector, deg; with --position.  [default: 0 0 0]",
-)
+@option("--position", float, "X Y Z", "Where to go, m.", nargs=3)
+@option("--rotation", float, "RX RY RZ", "Rotation vector, deg; with --position.  [default: 0 0 0]", nargs=3)
 @reporting
 def command(
     configuration: str,

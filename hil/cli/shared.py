@@ -56,32 +56,32 @@ DURATION = FiniteRange(min=0, max=1e9, min_open=True)
 """s, to `hil.app.sim.commands.LATEST_S`."""
 FILE = click.Path(dir_okay=False, path_type=Path)
 OUTPUT = Output(dir_okay=False, path_type=Path)
-log_option = click.option(
-    "--log", type=OUTPUT, metavar="FILE", help="Log file to write; an existing one is refused."
-)
-duration_option = click.option(
-    "--duration", "duration_s", type=DURATION, metavar="S", help="Stop after S seconds."
-)
-fault_option = click.option(
-    "--fault",
-    "faults",
+
+
+def option(names: str, kind: Any, metavar: str | None, text: str, **more: Any) -> Callable[[Any], Any]:
+    """Return an option of a command: its names, its type, what stands for its value, its help."""
+    return click.option(*names.split(), type=kind, metavar=metavar, help=text, **more)
+
+
+def flag(names: str, text: str) -> Callable[[Any], Any]:
+    """Return an option without a value."""
+    return click.option(*names.split(), is_flag=True, help=text)
+
+
+log_option = option("--log", OUTPUT, "FILE", "Log file to write; an existing one is refused.")
+duration_option = option("--duration duration_s", DURATION, "S", "Stop after S seconds.")
+fault_option = option(
+    "--fault faults",
+    str,
+    "WORDS",
+    'What goes wrong at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
     multiple=True,
-    metavar="WORDS",
-    help='What goes wrong at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
 )
-picture_option = click.option(
-    "--picture", type=OUTPUT, metavar="FILE", help="PNG file to draw; an earlier picture is replaced."
-)
-out_option = click.option(
-    "--out", type=OUTPUT, metavar="FILE", help="File to write; an existing one is refused."
-)
-jobs_option = click.option(
-    "--jobs", type=click.IntRange(min=1), metavar="N", help="Processes at once; default: one a processor."
-)
-junit_option = click.option(
-    "--junit", type=OUTPUT, metavar="FILE", help="Write a case a verdict as JUnit XML; an earlier one goes."
-)
-force_option = click.option("--force", is_flag=True, help="Write over an existing file.")
+picture_option = option("--picture", OUTPUT, "FILE", "PNG file to draw; an earlier picture is replaced.")
+out_option = option("--out", OUTPUT, "FILE", "File to write; an existing one is refused.")
+jobs_option = option("--jobs", click.IntRange(min=1), "N", "Processes at once; default: one a processor.")
+junit_option = option("--junit", OUTPUT, "FILE", "Write a case a verdict as JUnit XML; an earlier one goes.")
+force_option = flag("--force", "Write over an existing file.")
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
@@ -168,9 +168,7 @@ def _end(summary: dict[str, Any], unwritten: list[str]) -> NoReturn:
 def reporting(command: Callable[..., None]) -> Callable[..., None]:
     """Add --json, and check the output files before the command begins."""
 
-    @click.option(
-        "--json", "json_file", type=OUTPUT, metavar="FILE", help="Write the summary there as JSON, too."
-    )
+    @option("--json json_file", OUTPUT, "FILE", "Write the summary there as JSON, too.")
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
         _show_compilation()

@@ -12,8 +12,10 @@ from hil.cli.shared import (
     duration_option,
     fault_option,
     finish,
+    flag,
     load,
     log_option,
+    option,
     reporting,
 )
 
@@ -23,22 +25,18 @@ from hil.cli.shared import (
 @duration_option
 @log_option
 @fault_option
-@click.option(
-    "--setpoints",
-    type=FILE,
-    metavar="FILE",
-    help="CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg.",
+@option(
+    "--setpoints", FILE, "FILE", "CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg."
 )
-@click.option(
+@option(
     "--commands",
-    type=FILE,
-    metavar="FILE",
-    help="What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`.",
+    FILE,
+    "FILE",
+    "What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`.",
 )
-@click.option(
+@flag(
     "--plant-log",
-    is_flag=True,
-    help="Record the plant's truth, too, as NAME-plant.mcap beside NAME.mcap of --log; takes no name.",
+    "Record the plant's truth, too, as NAME-plant.mcap beside NAME.mcap of --log; takes no name.",
 )
 @reporting
 def command(

@@ -6,7 +6,15 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import NOT_NEGATIVE, FiniteRange, configuration_argument, finish_lines, load, reporting
+from hil.cli.shared import (
+    NOT_NEGATIVE,
+    FiniteRange,
+    configuration_argument,
+    finish_lines,
+    load,
+    option,
+    reporting,
+)
 from hil.config.number import in_reason
 
 Point = tuple[float, float, float]
@@ -29,34 +37,33 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
 
 @click.command()
 @configuration_argument
-@click.option(
-    "--disturbance-force",
-    "force_N",
-    type=NOT_NEGATIVE,
+@option(
+    "--disturbance-force force_N",
+    NOT_NEGATIVE,
+    "N",
+    "Unknown force on the platform, of any direction, changing as it likes.",
     default=0.0,
-    metavar="N",
-    help="Unknown force on the platform, of any direction, changing as it likes.",
 )
-@click.option(
-    "--disturbance-torque",
-    "torque_N_m",
-    type=NOT_NEGATIVE,
+@option(
+    "--disturbance-torque torque_N_m",
+    NOT_NEGATIVE,
+    "N_M",
+    "Unknown torque about the platform's origin, likewise.",
     default=0.0,
-    metavar="N_M",
-    help="Unknown torque about the platform's origin, likewise.",
 )
-@click.option(
+@option(
     "--model-error",
-    type=FiniteRange(min=0, max=1, max_open=True),
+    FiniteRange(min=0, max=1, max_open=True),
+    "SHARE",
+    "Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %.",
     default=0.0,
-    metavar="SHARE",
-    help="Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %.",
 )
-@click.option(
+@option(
     "--payload",
+    str,
+    "KG@X,Y,Z",
+    "A mass on the platform that the law does not know of, and its place in m: 230kg@0.5,0.3,0.5.",
     callback=mass_at,
-    metavar="KG@X,Y,Z",
-    help="A mass on the platform that the law does not know of, and its place in m: 230kg@0.5,0.3,0.5.",
 )
 @reporting
 def command(

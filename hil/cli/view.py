@@ -5,20 +5,20 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, finish, force_option, out_option, reporting
+from hil.cli.shared import FILE, finish, flag, force_option, option, out_option, reporting
 
 
 @click.command()
 @click.argument("log", type=FILE)
-@click.option(
-    "--with",
-    "viewer",
-    type=click.Choice(["rerun", "foxglove", "plotjuggler"]),
+@option(
+    "--with viewer",
+    click.Choice(["rerun", "foxglove", "plotjuggler"]),
+    None,
+    "Which viewer.",
     default="rerun",
     show_default=True,
-    help="Which viewer.",
 )
-@click.option("--no-start", is_flag=True, help="Write the file, start nothing.")
+@flag("--no-start", "Write the file, start nothing.")
 @out_option
 @force_option
 @reporting

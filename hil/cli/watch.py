@@ -5,15 +5,13 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import configuration_argument, finish, reporting
+from hil.cli.shared import configuration_argument, finish, option, reporting
 
 
 @click.command()
 @configuration_argument
-@click.option("--host", default="127.0.0.1", metavar="ADDRESS", help="Address or name to listen on.")
-@click.option(
-    "--port", type=click.IntRange(0, 65535), metavar="N", help="Port; without it 8642, or a free one."
-)
+@option("--host", str, "ADDRESS", "Address or name to listen on.", default="127.0.0.1")
+@option("--port", click.IntRange(0, 65535), "N", "Port; without it 8642, or a free one.")
 @click.option("--supervisor", "alive", type=int, hidden=True)
 @reporting
 def command(configuration: str, json_file: Path | None, **options: Any) -> None:

@@ -11,6 +11,7 @@ from hil.cli.shared import (
     configuration_argument,
     finish,
     load,
+    option,
     picture_option,
     reporting,
 )
@@ -18,42 +19,35 @@ from hil.cli.shared import (
 
 @click.command()
 @configuration_argument
-@click.option(
+@option(
     "--resolution",
-    type=click.IntRange(8, 160),
+    click.IntRange(8, 160),
+    "N",
+    "Steps of the grid along the longest side of the workspace.",
     default=60,
     show_default=True,
-    metavar="N",
-    help="Steps of the grid along the longest side of the workspace.",
 )
-@click.option(
+@option(
     "--position",
-    type=(float, float, float),
-    metavar="X Y Z",
-    help="Where to map orientations, m in the base frame; default: home.",
+    (float, float, float),
+    "X Y Z",
+    "Where to map orientations, m in the base frame; default: home.",
 )
-@click.option(
-    "--payload",
-    "payload_kg",
-    type=NOT_NEGATIVE,
+@option(
+    "--payload payload_kg",
+    NOT_NEGATIVE,
+    "KG",
+    "Further mass on the platform, for the static leg forces.",
     default=0.0,
-    metavar="KG",
-    help="Further mass on the platform, for the static leg forces.",
 )
-@click.option(
+@option(
     "--payload-at",
-    type=(float, float, float),
+    (float, float, float),
+    "X Y Z",
+    "Its centre of mass, m in the platform frame; default: the origin.",
     default=(0.0, 0.0, 0.0),
-    metavar="X Y Z",
-    help="Its centre of mass, m in the platform frame; default: the origin.",
 )
-@click.option(
-    "--leg-diameter",
-    "leg_diameter_m",
-    type=POSITIVE,
-    metavar="M",
-    help="Look at collisions of legs this thick, too.",
-)
+@option("--leg-diameter leg_diameter_m", POSITIVE, "M", "Look at collisions of legs this thick, too.")
 @picture_option
 @reporting
 def command(configuration: str, json_file: Path | None, **options: Any) -> None:

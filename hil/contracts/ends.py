@@ -11,6 +11,7 @@ import numpy as np
 
 from drivers.arrays import Array, Rows
 from drivers.config import DriveSettings
+from drivers.errors import ProtocolError
 from drivers.family import Family
 from drivers.frame_array import received_array
 from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
@@ -27,20 +28,29 @@ SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)
 LENGTH = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
 RATE = np.array([0.25, -0.25, 0.5, -0.5, 0.75, -0.75])
 FORCE = np.array([1000.0, -2000.0, 3000.0, 4.0, -60.0, 0.0])
+RUN = Command(DriveMode.RUN, FORCE)
+READY = Command(DriveMode.READY, np.zeros(LEGS))
 OFF = Command(DriveMode.OFF, np.zeros(LEGS))
+RESET = Command(DriveMode.RESET, np.zeros(LEGS))
+LEG = 3
+CLIPS_N = 55_000.0
+"""The emulated drives clip at 60 kN."""
 BEAT_TICKS = 6
 """Between two heartbeats of a drive."""
 PATIENCE = 200
 """Ticks within which a dialogue without losses is over."""
 
 
-class Given:
-    """A plant whose legs are where they are."""
+class Placed:
+    """A plant whose legs are where they are put."""
 
     internal_step_s = 1e-4
 
+    def __init__(self, rate: Array) -> None:
+        self.length, self.rate = LENGTH.copy(), rate.copy()
+
     def reset(self) -> tuple[Array, Array]:
-        return LENGTH.copy(), RATE.copy()
+        return self.length.copy(), self.rate.copy()
 
     def step(self, _force: Array, _brake: Array, _wrench: Array, _dt_s: float) -> tuple[Array, Array]:
         return self.reset()
@@ -104,14 +114,17 @@ def reaction_of(protocol: Family | ByValue) -> Reaction:
 class Ends:
     """Controller's end and drives' end of one protocol. State: both, and what goes between them."""
 
-    def __init__(self, protocol: Family | ByValue, *faults: Fault, setup: DriveSetup | None = None) -> None:
-        self.protocol = ByValue.of(protocol)
-        if setup is None:
-            setup = DriveSetup(0.05, reaction_of(protocol), 1e9 / PERIOD_NS)
+    def __init__(self, protocol: Family | ByValue, *faults: Fault, rate: Array = RATE) -> None:
+        """Take a protocol by either name, what goes wrong, and the rate of the legs (6,) m/s."""
+        self.protocol, self.plant = ByValue.of(protocol), Placed(rate)
         settings = DriveSettings(heartbeat_ms=1e-6 * BEAT_TICKS * PERIOD_NS)
         emulation = DriveEmulation(encoder_resolution_m=0.0)
-        self.nodes = Nodes(Given(), self.protocol.protocol, emulation, settings, FaultPlan(faults))
-        self.dialogue = self.protocol.start(setup)
+        self.nodes = Nodes(self.plant, self.protocol.protocol, emulation, settings, FaultPlan(faults))
+        self.to_hear: Callable[[list[Received]], list[Received]] = list
+        """What happens to frames on their way to the controller."""
+        self.to_obey: Callable[[Sequence[Frame]], Sequence[Frame]] = list
+        """What happens to frames on their way to the drives."""
+        self.dialogue = self.protocol.start(SETUP._replace(reaction=reaction_of(protocol)))
         self.measurement = new_record()
         self.tick = -1
         self.to_controller: list[Received] = []
@@ -141,8 +154,29 @@ class Ends:
         return self.set_up
 
     def _to_drives(self, t_ns: int, frames: Sequence[Frame]) -> None:
-        replies = self.nodes.step(t_ns, [Received(t_ns, frame) for frame in frames])
-        self.to_controller += [Received(t, frame) for t, frame in replies]
+        replies = self.nodes.step(t_ns, [Received(t_ns, frame) for frame in self.to_obey(frames)])
+        self.to_controller += self.to_hear([Received(t, frame) for t, frame in replies])
+
+    def states(self) -> list[int]:
+        return [int(state) for state in self.measurement["drive_state"]]
+
+    def alone(self, ticks: int) -> None:
+        """Let the drives run without a controller; their frames are lost."""
+        for _ in range(ticks):
+            self.tick += 1
+            self._to_drives(self.tick * PERIOD_NS, ())
+        self.to_controller.clear()
+
+    def begin_anew(self) -> None:
+        """Put another controller in the place of this one."""
+        self.dialogue = self.protocol.start(SETUP._replace(reaction=reaction_of(self.protocol)))
+        self.to_controller.clear()
+
+    def recover(self) -> None:
+        """Reset, park and set up, as the next run does with --reset."""
+        for command in [OFF] * 3 + [RESET] * self.protocol.traits.reset_ticks:
+            self.step(command)
+        self.until_set_up()
 
     def until_set_up(self, legs: Sequence[int] = range(LEGS)) -> None:
         """Lead the dialogue to its end."""
@@ -169,6 +203,27 @@ class Ends:
         """Set the drives up and bring them to RUN with a force."""
         self.until_set_up()
         self.restart(force)
+
+
+class Line(Ends):
+    """Both ends, and legs that stand."""
+
+    def __init__(self, protocol: Family | ByValue, *faults: Fault) -> None:
+        super().__init__(protocol, *faults, rate=np.zeros(LEGS))
+
+
+def most_force(protocol: ByValue) -> float:
+    """Return the largest force that a command takes."""
+    dialogue, low, high = Ends(protocol).dialogue, 0.0, 2 * CLIPS_N
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        try:
+            protocol.command(dialogue, Command(DriveMode.RUN, np.full(LEGS, middle)), 0)
+        except ProtocolError:
+            high = middle
+        else:
+            low = middle
+    return low
 
 
 def shapes(frames: Sequence[Frame], *, named: bool) -> Counter[tuple[int, int, int]]:

@@ -16,8 +16,19 @@ from drivers.family import Family
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import FORCE, LENGTH, PERIOD_NS
-from hil.contracts.line import CLIPS_N, LEG, OFF, READY, RESET, RUN, Line, most_force
+from hil.contracts.ends import (
+    CLIPS_N,
+    FORCE,
+    LEG,
+    LENGTH,
+    OFF,
+    PERIOD_NS,
+    READY,
+    RESET,
+    RUN,
+    Line,
+    most_force,
+)
 from hil.contracts.messages import Configure, Status, announce
 from hil.contracts.protocol import ProtocolContract
 from plant_fmu.drives.kernels import fail

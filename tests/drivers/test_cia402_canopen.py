@@ -22,7 +22,7 @@ from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import Given
+from hil.contracts.ends import Placed
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, RATED_Nm, SCREW_m, drives
@@ -66,7 +66,7 @@ def network():
     network.disconnect()
 
 
-class Carts(Given):
+class Carts(Placed):
     """Six masses on the legs, held by closed brakes."""
 
     internal_step_s = 1e-3
@@ -86,7 +86,7 @@ class Emulated:
 
     def __init__(self, channel: str) -> None:
         self.bus = can.Bus(interface="virtual", channel=channel)
-        self.carts = Carts()
+        self.carts = Carts(np.zeros(LEGS))
         settings = DriveSettings(heartbeat_ms=60.0)
         self.nodes = Nodes(self.carts, drives(), DriveEmulation(encoder_resolution_m=0.0), settings)
         self.over = threading.Event()

@@ -17,8 +17,7 @@ from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from hil.app.check.bus import answered_ns
 from hil.app.configuration.bus_budget import unasked_readings
 from hil.app.encoder_limits import encoder_limits
-from hil.contracts.ends import BEAT_TICKS, FORCE, OFF, PERIOD_NS, SETUP, Ends, at_tick
-from hil.contracts.line import READY, RESET, Line
+from hil.contracts.ends import BEAT_TICKS, FORCE, OFF, PERIOD_NS, READY, RESET, SETUP, Ends, Line, at_tick
 from hil.loop.latches import checked
 from tests.drivers.motor_families import GEAR, ODriveProtocol, odrive
 from tests.drivers.motor_families import ODRIVE_NODES as NODES

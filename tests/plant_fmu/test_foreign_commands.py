@@ -42,7 +42,8 @@ def codec(name: str) -> Family:
 def struck(name: str, kind: str, mode: DriveMode) -> tuple[Ends, list[Received]]:
     """Return both ends after the first foreign frames to drives in a mode, and what is on the bus."""
     protocol = codec(name)
-    ends = Ends(protocol, KINDS[kind], setup=DriveSetup(0.05, protocol.traits.reactions[0], 1e9 / PERIOD_NS))
+    ends = Ends(protocol, KINDS[kind])
+    ends.dialogue = ends.protocol.start(DriveSetup(0.05, protocol.traits.reactions[0], 1e9 / PERIOD_NS))
     ends.running(np.zeros(LEGS))
     while ends.tick < BEGINS - 1:
         ends.step(Command(mode, np.zeros(LEGS)), set_up=False)

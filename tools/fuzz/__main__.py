@@ -1,25 +1,22 @@
-"""`make fuzz`: cases one after the other, from a seed on, in a process that may hang or die."""
+"""`make fuzz`: cases one after the other, from a seed on."""
 
 from __future__ import annotations
 
-import multiprocessing
+import faulthandler
 import shutil
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Generator
-from contextlib import closing
 from pathlib import Path
 
 import click
 
 from tools.fuzz import case
-from tools.fuzz.targets import TARGETS
+from tools.fuzz.targets import TARGETS, stock
 
-_START_S = 300.0
-"""The first case of a process waits for what has to be compiled."""
-_GRACE_S = 10.0
+_HANGS_S = 300.0
+"""A case that takes longer ends the program; the first one waits for what has to be compiled."""
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
@@ -31,55 +28,29 @@ def main(seconds: float, seed: int, cases: int | None, only: str | None) -> None
     """Fuzz all untrusted input; print what was found, and where its input is.
 
     Exit code 1 where there is a traceback, a case of more than 5 s, one that takes 250 MB more than before,
-    a control character in a message, a process that is left behind, or an interpreter that crashed.
+    a control character in a message, or a process that is left behind. An interpreter that crashes, or a case
+    that hangs, ends the program with the stack; its input is in the folder of the last seed.
     `--seed N --cases 1` runs one case again.
     """
     folder = Path(tempfile.mkdtemp(prefix="hil-fuzz-"))
-    found: list[case.Result] = []
-    until = time.monotonic() + seconds
-    with closing(_results(seed, only, folder)) as results:
-        for result in results:
-            found.append(result)
-            if result.problem:
-                text = f"seed {result.seed}: {result.target}: {result.problem} {result.detail!r}"
-                print(f"{text[:400]} {result.seconds:.1f} s, {result.grown_MB:.0f} MB", flush=True)
-            if time.monotonic() >= until or len(found) == cases:
-                break
+    print(f"inputs, by seed: {folder}", flush=True)
+    faulthandler.enable()
+    sound, found, until = stock(folder), list[case.Result](), time.monotonic() + seconds
+    while time.monotonic() < until and len(found) != cases:
+        faulthandler.dump_traceback_later(_HANGS_S, exit=True)
+        result = case.run(seed + len(found), sound, only)
+        found.append(result)
+        if result.problem:
+            text = f"seed {result.seed}: {result.target}: {result.problem} {result.detail!r}"
+            print(f"{text[:400]} {result.seconds:.1f} s, {result.grown_MB:.0f} MB", flush=True)
+    faulthandler.cancel_dump_traceback_later()
     wrong = _report(found)
     print(
         f"{len(found)} cases from seed {seed}, {wrong} with a finding; go on with --seed {seed + len(found)}"
     )
     if wrong:
-        print(f"their inputs, by seed, and what the process printed last: {folder}")
         sys.exit(1)
     shutil.rmtree(folder)
-
-
-def _results(seed: int, only: str | None, folder: Path) -> Generator[case.Result, None, None]:
-    """Yield case after case; a process that hangs or dies is a finding, and the next case has another one."""
-    context = multiprocessing.get_context("spawn")
-    while True:
-        ours, theirs = context.Pipe()
-        process = context.Process(target=case.serve, args=(theirs, folder, only))
-        process.start()
-        theirs.close()
-        problem, patience = "", _START_S
-        try:
-            while not problem:
-                begun = time.monotonic()
-                try:
-                    ours.send(seed)
-                    found = ours.recv() if ours.poll(patience) else None
-                    problem = "" if found else "hang"
-                except (EOFError, OSError):
-                    process.join(_GRACE_S)
-                    found, problem = None, f"died: {process.exitcode}"
-                target, patience = case.kind_of(seed, only)[0], case.LONGEST_S + _GRACE_S
-                yield found or case.Result(seed, target, problem, "", time.monotonic() - begun, 0.0)
-                seed += 1
-        finally:
-            process.kill()
-            process.join()
 
 
 def _report(results: list[case.Result]) -> int:

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import contextlib
-import faulthandler
-import os
 import re
 import shutil
 import time
 import traceback
 import warnings
-from multiprocessing.connection import Connection
 from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
 from drivers.errors import HilError
-from tools.fuzz.targets import TARGETS, Stock, stock
+from tools.fuzz.targets import TARGETS, Stock
 
 LONGEST_S = 5.0
-"""Of processor time: others may use the machine. Who waits for ever is found by the process above."""
+"""Of processor time: others may use the machine."""
 MOST_MB = 250
 """More than before the case; a command that has done nothing yet takes about as much."""
 _STATUS = Path("/proc/self/status")
@@ -42,29 +39,11 @@ class Result(NamedTuple):
     """Of the resident size at its peak, over what it was before."""
 
 
-def serve(connection: Connection, folder: Path, only: str | None) -> None:
-    """Be the process that runs cases: those whose seeds come in, until the other end is closed."""
-    with (folder / "printed.txt").open("wb") as printed:
-        os.dup2(printed.fileno(), 1)
-        os.dup2(printed.fileno(), 2)
-    faulthandler.enable()
-    sound = stock(folder)
-    with contextlib.suppress(EOFError):
-        while True:
-            connection.send(run(connection.recv(), sound, only))
-
-
-def kind_of(seed: int, only: str | None) -> tuple[str, Random]:
-    """Return what a seed fuzzes, and the generator that draws its damage."""
-    rng = Random(seed)  # noqa: S311 - no secret
-    names, weights = list(TARGETS), [weight for _, weight in TARGETS.values()]
-    drawn = rng.choices(names, weights)[0]
-    return only or drawn, rng
-
-
 def run(seed: int, stock: Stock, only: str | None = None) -> Result:
     """Run the case of a seed. Its files are in a new folder of the stock, and stay there with a finding."""
-    target, rng = kind_of(seed, only)
+    rng = Random(seed)  # noqa: S311 - no secret
+    drawn = rng.choices(list(TARGETS), [weight for _, weight in TARGETS.values()])[0]
+    target = only or drawn
     folder = stock.folder / str(seed)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir()
@@ -83,15 +62,17 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
             where = traceback.extract_tb(error.__traceback__)[-1]
             detail = f"{type(error).__name__}: {error} ({where.filename}:{where.lineno})"
     seconds, grown = time.process_time() - begun, peak_MB() - before
-    if not problem and (found := _CONTROL.search(said)):
+    if problem:
+        pass
+    elif found := _CONTROL.search(said):
         problem, detail = "control character", said[max(found.start() - 60, 0) : found.end() + 20]
-    if not problem and seconds > LONGEST_S:
+    elif seconds > LONGEST_S:
         problem = "hang"
-    if not problem and grown > MOST_MB:
+    elif grown > MOST_MB:
         problem = "memory"
-    if not problem and (left := children() - family):
+    elif left := children() - family:
         problem, detail = "process", f"left behind: {', '.join(map(str, sorted(left)))}"
-    if not problem:
+    else:
         shutil.rmtree(folder)
     return Result(seed, target, problem, detail, seconds, grown)
 

@@ -2,133 +2,96 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
 WHOLE = {
-    "tests/hil/test_safety_mutation.py",
-    "tests/loop/test_lockstep.py",
-    "tests/replay/test_portability.py",
+    f"tests/{name}.py"
+    for name in ("hil/test_safety_mutation", "loop/test_lockstep", "replay/test_portability")
 }
 """Files that compare whole logs or sources: a failure there names no claim."""
-
-
-def _in(folder: str, names: str) -> tuple[str, ...]:
-    return tuple(f"{folder}/{name}.py" for name in names.split())
-
-
-WHOLE = _in("tests", "hil/test_safety_mutation loop/test_lockstep replay/test_portability")
-"""Files that compare whole logs or sources: a failure there names no claim."""
-_LOOP = _in("tests/loop", "test_operate test_engage test_reactions")
-_LOG = _in("tests/hil", "test_log* test_salvage* test_record")
-
 AREAS = {
     "safety": (
-        _in("hil/safety", "*"),
-        (
-            *_in("tests/hil", "test_safety* test_encoder* app/test_encoder*"),
-            *_in("tests/loop", "test_reactions"),
-        ),
+        "hil/safety/*",
+        "hil/test_safety* hil/test_encoder* hil/app/test_encoder* loop/test_reactions",
     ),
     "cycle": (
-        _in(
-            "hil/loop",
-            "cycle parts ramps reference sight homing setup_moves clock effort learned drives_say latches "
-            "daemon panel report",
-        ),
-        (
-            *_in(
-                "tests/hil",
-                "test_cycle* test_clock app/test_rate_selection test_homing test_reference "
-                "test_stage_columns test_fusion* test_effort test_sight test_waiting test_learned "
-                "test_drives_say test_latches test_daemon* test_panel",
-            ),
-            *_in("tests/loop", "test_daemon test_last_force test_release test_setpoints"),
-            *_LOOP,
-        ),
+        """hil/loop/cycle hil/loop/parts hil/loop/ramps hil/loop/reference hil/loop/sight hil/loop/homing
+        hil/loop/setup_moves hil/loop/clock hil/loop/effort hil/loop/learned hil/loop/drives_say
+        hil/loop/latches hil/loop/daemon hil/loop/panel hil/loop/report""",
+        """hil/test_cycle* hil/test_clock hil/app/test_rate_selection hil/test_homing hil/test_reference
+        hil/test_stage_columns hil/test_fusion* hil/test_effort hil/test_sight hil/test_waiting
+        hil/test_learned hil/test_drives_say hil/test_latches hil/test_daemon* hil/test_panel
+        loop/test_daemon loop/test_last_force loop/test_release loop/test_setpoints loop/test_operate
+        loop/test_engage loop/test_reactions""",
     ),
     "modes": (
-        _in("hil/loop", "modes operating admission run_end obedience console"),
-        (
-            *_in(
-                "tests/hil",
-                "test_modes test_operating* test_jogging* test_admission* test_console test_cycle* "
-                "test_way_back",
-            ),
-            *_in("tests/loop", "test_run_end* test_left_alone test_obedience"),
-            *_LOOP,
-        ),
+        """hil/loop/modes hil/loop/operating hil/loop/admission hil/loop/run_end hil/loop/obedience
+        hil/loop/console""",
+        """hil/test_modes hil/test_operating* hil/test_jogging* hil/test_admission* hil/test_console
+        hil/test_cycle* hil/test_way_back loop/test_run_end* loop/test_left_alone loop/test_obedience
+        loop/test_operate loop/test_engage loop/test_reactions""",
     ),
     "motion": (
-        (*_in("hil/loop", "motion jogging"), *_in("hil/trajectory", "*")),
-        (
-            *_in(
-                "tests/hil",
-                "test_motion* test_jogging* test_way_back test_override* test_trajectory* test_live "
-                "test_reference test_operating*",
-            ),
-            *_in("tests/loop", "test_operate test_paths test_setpoints"),
-        ),
+        "hil/loop/motion hil/loop/jogging hil/trajectory/*",
+        """hil/test_motion* hil/test_jogging* hil/test_way_back hil/test_override* hil/test_trajectory*
+        hil/test_live hil/test_reference hil/test_operating* loop/test_operate loop/test_paths
+        loop/test_setpoints""",
     ),
-    "drivers": (_in("drivers", "**/*"), (*_in("tests/drivers", "test_*"), *_in("tests/hil", "test_frames"))),
-    "plant_fmu": (_in("plant_fmu", "**/*"), _in("tests", "plant_fmu/test_* drivers/test_*")),
+    "drivers": (
+        "drivers/**/*",
+        "drivers/test_* hil/test_frames",
+    ),
+    "plant_fmu": (
+        "plant_fmu/**/*",
+        "plant_fmu/test_* drivers/test_*",
+    ),
     "record": (
-        _in(
-            "hil/record",
-            "child encode environment figures layout live metrics mirror packer publish recorder recording "
-            "ring row scene schema",
-        ),
-        (
-            *_in(
-                "tests/hil",
-                "test_ring test_mirror* test_figures test_metrics test_monitor test_foxglove_schemas "
-                "test_scene test_publish test_row test_environment test_live test_recorder* "
-                "app/test_log_budget test_websocket",
-            ),
-            *_LOG,
-        ),
+        """hil/record/child hil/record/encode hil/record/environment hil/record/figures hil/record/layout
+        hil/record/live hil/record/metrics hil/record/mirror hil/record/packer hil/record/publish
+        hil/record/recorder hil/record/recording hil/record/ring hil/record/row hil/record/scene
+        hil/record/schema""",
+        """hil/test_ring hil/test_mirror* hil/test_figures hil/test_metrics hil/test_monitor
+        hil/test_foxglove_schemas hil/test_scene hil/test_publish hil/test_row hil/test_environment
+        hil/test_live hil/test_recorder* hil/app/test_log_budget hil/test_websocket hil/test_log*
+        hil/test_salvage* hil/test_record""",
     ),
     "replay": (
-        _in(
-            "hil",
-            "loop/replay app/replay app/recorded_files cli/replay* loop/what_if study/what_if/* "
-            "study/against/* study/replay_suite record/divergence",
-        ),
-        (
-            *_in("tests/hil", "test_divergence app/test_recorded_files app/test_bad_input"),
-            *_in(
-                "tests/replay",
-                "test_against test_suite test_what_if* test_replay test_tampered_log test_versions",
-            ),
-            *_in("tests/hil/app", "test_controller_file"),
-        ),
+        """hil/loop/replay hil/app/replay hil/app/recorded_files hil/cli/replay* hil/loop/what_if
+        hil/study/what_if/* hil/study/against/* hil/study/replay_suite hil/record/divergence""",
+        """hil/test_divergence hil/app/test_recorded_files hil/app/test_bad_input replay/test_against
+        replay/test_suite replay/test_what_if* replay/test_replay replay/test_tampered_log
+        replay/test_versions hil/app/test_controller_file""",
     ),
-    "salvage": (_in("hil/record", "salvage"), _in("tests/hil", "test_salvage* test_log*")),
+    "salvage": (
+        "hil/record/salvage",
+        "hil/test_salvage* hil/test_log*",
+    ),
     "log": (
-        _in(
-            "hil/record",
-            "log log_file mcap_file mcap_read data_frame decode entries selection unpack",
-        ),
-        (*_in("tests/hil", "test_mcap_file study/test_export"), *_LOG),
+        """hil/record/log hil/record/log_file hil/record/mcap_file hil/record/mcap_read hil/record/data_frame
+        hil/record/decode hil/record/entries hil/record/selection hil/record/unpack""",
+        "hil/test_mcap_file hil/study/test_export hil/test_log* hil/test_salvage* hil/test_record",
     ),
 }
-"""Name -> globs of its sources and of its tests, below the project's root."""
+"""Name -> globs of its sources, and of its tests below `tests`; without their ending."""
 
 
 def sources_of(area: str) -> list[str]:
     """Return the sources of an area, in the order of their names."""
-    return sorted(set(_found(AREAS[area][0])))
+    return sorted(set(_found(AREAS[area][0].split())))
 
 
 def tests_of(area: str) -> list[str]:
     """Return the test files of an area, each once, in the order of the table."""
-    return [file for file in dict.fromkeys(_found(AREAS[area][1])) if file not in WHOLE]
+    found = _found(f"tests/{name}" for name in AREAS[area][1].split())
+    return [file for file in dict.fromkeys(found) if file not in WHOLE]
 
 
-def _found(patterns: tuple[str, ...]) -> list[str]:
+def _found(patterns: Iterable[str]) -> list[str]:
     found = []
     for pattern in patterns:
-        files = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(pattern))
+        files = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(f"{pattern}.py"))
         if not files:
             raise SystemExit(f"tools/mutants/areas.py: no file matches {pattern!r}; correct the table")
         found += files

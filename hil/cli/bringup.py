@@ -1,6 +1,5 @@
 """`hil bringup`."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -33,9 +32,7 @@ from hil.cli.shared import (
 @flag("--again", "Measure everything again, whatever the state file holds.")
 @log_option
 @reporting
-def command(
-    configuration: str, rehearse: bool, mistakes: tuple[str, ...], json_file: Path | None, **options: Any
-) -> None:
+def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **options: Any) -> None:
     """Bring a machine up, from parts to a moving platform, one leg at a time.
 
     Each step explains what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
@@ -64,4 +61,4 @@ def command(
     with signals_to(pressed):  # a closed terminal leaves nothing under power
         rehearsed = mistakes if rehearse else None
         summary = run_bringup(configuration, loaded, mistakes=rehearsed, say=click.echo, **options)
-    finish_briefly("bringup", summary, json_file)
+    finish_briefly("bringup", summary)

@@ -12,7 +12,7 @@ from hil.cli.shared import FILE, OUTPUT, finish_lines, option, reporting
 @click.argument("poses", type=FILE)
 @option("--out", OUTPUT, "FILE", "Write the joints there as YAML; an existing file is refused.")
 @reporting
-def command(configuration: str, poses: Path, out: Path | None, json_file: Path | None) -> None:
+def command(configuration: str, poses: Path, out: Path | None) -> None:
     """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.
 
     Columns x_m,y_m,z_m,rx_deg,ry_deg,rz_deg (pose of the platform, rotation vector) and l1_m to l6_m (what
@@ -34,4 +34,4 @@ def command(configuration: str, poses: Path, out: Path | None, json_file: Path |
     show_lines(report.lines)
     if out is None or "unwritten" in report.figures:
         click.echo(report.fragment, nl=False)
-    finish_lines((), {"success": True, "kind": "calibrate", **report.figures}, json_file)
+    finish_lines((), {"success": True, "kind": "calibrate", **report.figures})

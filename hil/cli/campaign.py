@@ -38,7 +38,7 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
     flag_value="",
 )
 @reporting
-def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: Path | None) -> None:
+def rerun(file: Path, row: int, out: Path | None, log: Path | None) -> None:
     """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
 
     With --log the run is recorded, and the figures of the log are compared, too: `hil report` then shows what
@@ -57,7 +57,7 @@ def rerun(file: Path, row: int, out: Path | None, log: Path | None, json_file: P
 
     plan = read_plan(file)
     summary = rerun(plan, out, row, log)
-    finish("campaign rerun", summary, json_file)
+    finish("campaign rerun", summary)
 
 
 class _OrRerun(OrOther):
@@ -82,7 +82,6 @@ def command(
     out: Path | None,
     page: Path | None,
     junit: Path | None,
-    json_file: Path | None,
     **options: Any,
 ) -> None:
     """Run a configuration many times in simulated time, with its keys swept, and count how often it fails.
@@ -146,4 +145,4 @@ def command(
         write_page(target, plan, summary, out)
         summary["page"] = str(target)
     write_cases(summary, junit, f"hil campaign {plan.name}", verdicts(plan, summary, out))
-    finish("campaign", summary, json_file, summary_lines(plan, summary))
+    finish("campaign", summary, summary_lines(plan, summary))

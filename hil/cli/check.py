@@ -1,16 +1,15 @@
 """`hil check`."""
 
-from pathlib import Path
 
 import click
 
-from hil.cli.shared import configuration_argument, finish_lines, load, reporting
+from hil.cli.shared import configuration_argument, finish_lines, load, reporting, write_twin
 
 
 @click.command()
 @configuration_argument
 @reporting
-def command(configuration: str, json_file: Path | None) -> None:
+def command(configuration: str) -> None:
     """Print what the bus, the legs and the limits of CONFIGURATION have to do, before anything moves.
 
     Bus time of a tick with its arithmetic, forces and lengths at home and along the whole reference, drive
@@ -35,10 +34,7 @@ def command(configuration: str, json_file: Path | None) -> None:
         with shown() as tell:
             report = inspect(loaded, tell)
     except HilError as error:
-        if json_file is not None:
-            from hil.app.output import write_json
-
-            problems = list(getattr(error, "problems", [str(error)]))
-            write_json(json_file, {"success": False, "kind": "check", "problems": problems})
+        problems = list(getattr(error, "problems", [str(error)]))
+        write_twin({"success": False, "kind": "check", "problems": problems})
         raise
-    finish_lines(report.lines, {"success": True, "kind": "check", **report.to_dict()}, json_file)
+    finish_lines(report.lines, {"success": True, "kind": "check", **report.to_dict()})

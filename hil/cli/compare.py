@@ -65,7 +65,7 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     "PNG file to draw, or a folder for it; an earlier picture is replaced.",
 )
 @reporting
-def command(configuration: str, json_file: Path | None, **options: Any) -> None:
+def command(configuration: str, **options: Any) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
     Each law follows the reference and answers a step of 1 mm at home, with gains of the natural frequency and
@@ -94,4 +94,4 @@ def command(configuration: str, json_file: Path | None, **options: Any) -> None:
     with counted("running the laws") as progress:
         summary = compare(loaded, progress=progress, **options)
     table.show(summary)
-    finish("compare", summary, json_file, table.shown(summary))
+    finish("compare", summary, table.shown(summary))

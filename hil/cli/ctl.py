@@ -1,6 +1,5 @@
 """`hil ctl`."""
 
-from pathlib import Path
 
 import click
 
@@ -12,9 +11,7 @@ from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, option, repor
 @click.argument("words", nargs=-1, required=True, metavar="WORD [ARGUMENTS]")
 @option("--for seconds", POSITIVE, "S", "Let go of the key, or of the jog, after S seconds.")
 @reporting
-def command(
-    configuration: str, words: tuple[str, ...], seconds: float | None, json_file: Path | None
-) -> None:
+def command(configuration: str, words: tuple[str, ...], seconds: float | None) -> None:
     """Operate a running `hil run CONFIGURATION` from another terminal.
 
     \b
@@ -55,9 +52,9 @@ def command(
     bus = address(configuration).bus
     if words == ("status",):
         summary = operate.status(bus)
-        finish_lines(operate.status_lines(summary), summary, json_file)
+        finish_lines(operate.status_lines(summary), summary)
     if words == ("key",) and seconds is None:
         click.echo("the key is held; Ctrl-C lets go of it", err=True)
     if words == ("key",) or words[0] == "jog":
-        finish_briefly("ctl", operate.repeat(bus, words, seconds), json_file)
-    finish_briefly("ctl", operate.command(bus, words), json_file)
+        finish_briefly("ctl", operate.repeat(bus, words, seconds))
+    finish_briefly("ctl", operate.command(bus, words))

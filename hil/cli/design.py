@@ -63,7 +63,6 @@ def _command(name: str, short: str, text: str) -> click.Command:
         robot: str | None,
         out: Path | None,
         plot: Path | None,
-        json_file: Path | None,
     ) -> None:
         from hil.app.configuration.section_file import check_section_path
         from hil.app.design import command as app
@@ -87,7 +86,7 @@ def _command(name: str, short: str, text: str) -> click.Command:
 
             with further(summary):
                 click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
-        finish_lines((), summary, json_file)
+        finish_lines((), summary)
 
     return command
 

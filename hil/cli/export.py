@@ -26,7 +26,7 @@ from hil.cli.shared import FILE, finish, flag, option, reporting
 )
 @flag("--force overwrite", "Replace files that exist.")
 @reporting
-def command(log: Path, out: tuple[Path, ...], json_file: Path | None, **options: Any) -> None:
+def command(log: Path, out: tuple[Path, ...], **options: Any) -> None:
     """Write LOG's CAN frames and columns into files that other tools read, each by its ending.
 
     \b
@@ -51,4 +51,4 @@ def command(log: Path, out: tuple[Path, ...], json_file: Path | None, **options:
     """
     from hil.study.export.command import export_log
 
-    finish("export", export_log(log, out, **options), json_file)
+    finish("export", export_log(log, out, **options))

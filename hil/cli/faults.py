@@ -42,9 +42,7 @@ def _legs(text: str | None) -> tuple[int, ...]:
 @jobs_option
 @junit_option
 @reporting
-def command(
-    configuration: str, legs: str | None, junit: Path | None, json_file: Path | None, **options: Any
-) -> None:
+def command(configuration: str, legs: str | None, junit: Path | None, **options: Any) -> None:
     """Inject each kind of fault once at each moment of a run, in simulated time, and judge what follows.
 
     The moments: LOADING, APPROACH, TRACKING where the reference is fastest, HOLD, PARKING, UNLOADING. A case
@@ -68,4 +66,4 @@ def command(
         summary = run_matrix(loaded, legs=_legs(legs), progress=progress, **options)
     show(summary)
     write_cases(summary, junit, f"hil faults {summary['configuration']}", verdicts(summary))
-    finish("faults", summary, json_file, shown(summary))
+    finish("faults", summary, shown(summary))

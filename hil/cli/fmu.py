@@ -27,9 +27,7 @@ def command() -> None:
 )
 @option("--output", click.Path(file_okay=False, path_type=Path), "FOLDER", "Copy the .fmu there.")
 @reporting
-def fmu_build_command(
-    fmi: Literal["2.0", "3.0", "both"], output: Path | None, json_file: Path | None
-) -> None:
+def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
     One FMU serves every platform: geometry and inertia are its parameters. The result stays in the user's
@@ -46,13 +44,13 @@ def fmu_build_command(
 
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-    finish("fmu build", build_fmus(fmi, output), json_file)
+    finish("fmu build", build_fmus(fmi, output))
 
 
 @command.command("show", short_help="Variables of an FMU, and a proposal how to map them.")
 @click.argument("fmu", type=FILE)
 @reporting
-def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
+def fmu_show_command(fmu: Path) -> None:
     """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.
 
     Only its description is read; nothing of it is loaded or run. `hil check` on a configuration with it loads
@@ -71,4 +69,4 @@ def fmu_show_command(fmu: Path, json_file: Path | None) -> None:
     lines, summary = show_fmu(fmu)
     for line in lines:
         click.echo(one_line(line))  # not folded: the section is to be copied
-    finish_lines((), summary, json_file)
+    finish_lines((), summary)

@@ -1,6 +1,5 @@
 """`hil homing`."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -26,9 +25,7 @@ from hil.cli.shared import configuration_argument, finish_briefly, flag, load, o
 )
 @flag("--emulated", "Of the emulated drives: plant.homing_file.")
 @reporting
-def command(
-    configuration: str, legs: tuple[tuple[int, float], ...], json_file: Path | None, **options: Any
-) -> None:
+def command(configuration: str, legs: tuple[tuple[int, float], ...], **options: Any) -> None:
     """Show where the legs were parked, or state where they stand; for motors that forget their turns.
 
     A run writes drives.homing.file when it ends at rest, and the next one finds each motor's turn by it. It
@@ -50,4 +47,4 @@ def command(
     loaded = load(configuration)
     from hil.app.homing.command import state_homing
 
-    finish_briefly("homing", state_homing(loaded, legs_m=dict(legs), **options), json_file)
+    finish_briefly("homing", state_homing(loaded, legs_m=dict(legs), **options))

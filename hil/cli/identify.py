@@ -29,9 +29,7 @@ from hil.cli.shared import (
 )
 @option("-o --out", OUTPUT, "FILE", "Write the block there as YAML; an earlier one is replaced.")
 @reporting
-def payload(
-    logs: tuple[Path, ...], reflected: float | None, out: Path | None, json_file: Path | None
-) -> None:
+def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
     Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
@@ -68,7 +66,7 @@ def payload(
         with further(summary):
             write_whole(out, payload_block.file_text(found))
             click.echo(f"\nwritten: {out}")
-    finish_lines((), summary, json_file)
+    finish_lines((), summary)
 
 
 class _OrPayload(OrOther):
@@ -111,7 +109,6 @@ def command(
     duration: float | None,
     model: Path | None,
     log: Path | None,
-    json_file: Path | None,
 ) -> None:
     """Measure what the loop is like, from a run that excites it or from a log that is there.
 
@@ -158,7 +155,7 @@ def command(
             click.echo(
                 f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True
             )
-            finish_lines((), run, json_file)
+            finish_lines((), run)
     if files is None:
         result = delay_of.delay_of_log(log)
         lines = delay_of.report(result)
@@ -168,4 +165,4 @@ def command(
         lines = axes.report(result, found.model)
     if made is not None:
         result |= {"excitation_N": made.force_N, "run": run}
-    finish_lines(lines, result, json_file)
+    finish_lines(lines, result)

@@ -65,7 +65,6 @@ def command(
     runs: int | None,
     inertia_scale: float | None,
     logs: Path | None,
-    json_file: Path | None,
 ) -> None:
     """Learn from run to run: a feed-forward of the leg forces over the time of the reference.
 
@@ -99,9 +98,9 @@ def command(
         new_file(out, option="-o", own=beginning("a file of hil learn", BEGINNING))
     known = Knowledge(axes, gain_error, 1e-3 * delay_error, limit)
     if runs is None:
-        _from_logs(sources, known, out, json_file)
+        _from_logs(sources, known, out)
     else:
-        _rehearse(sources[0], (runs, inertia_scale, logs), known, out, json_file)
+        _rehearse(sources[0], (runs, inertia_scale, logs), known, out)
 
 
 def _is_configuration(source: Path) -> bool:
@@ -110,7 +109,7 @@ def _is_configuration(source: Path) -> bool:
     return source.suffix in {".yaml", ".yml"} or (not source.exists() and str(source) in shipped())
 
 
-def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None, json_file: Path | None) -> None:
+def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None) -> None:
     from hil.app.files import write_whole
     from hil.app.output import further
     from hil.lab.learn import report
@@ -123,7 +122,7 @@ def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None, json_
             write_whole(out, outcome.text)
     written = None if unwritten else out
     lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), written)
-    finish_lines(lines, report.summary(outcome, written) | unwritten, json_file)
+    finish_lines(lines, report.summary(outcome, written) | unwritten)
 
 
 def _rehearse(
@@ -131,7 +130,6 @@ def _rehearse(
     how: tuple[int, float | None, Path | None],
     known: Knowledge,
     out: Path | None,
-    json_file: Path | None,
 ) -> None:
     import tempfile
 
@@ -157,4 +155,4 @@ def _rehearse(
             write_whole(out, made.best)
     written = None if unwritten else out
     summary = report.series_summary(made, written) | unwritten
-    finish_lines(report.series(made, written, believed), summary, json_file)
+    finish_lines(report.series(made, written, believed), summary)

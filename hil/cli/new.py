@@ -44,8 +44,7 @@ def command(
     fmu: Path | None,
     yes: bool,
     force: bool,
-    json_file: Path | None,
-    **given: Any,
+    **given: str | None,
 ) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
 
@@ -73,7 +72,7 @@ def command(
     from hil.app.output import show_lines
 
     if name is not None:
-        _skeleton(str(file), name, json_file)
+        _skeleton(str(file), name)
     new_file(file, force=force, option="")
     plant = None if fmu is None else (fmu, recognised(fmu))
     known = {SLOW_PLANT: plant is not None and plant[1].needs_tool}
@@ -84,17 +83,17 @@ def command(
     show_lines([f"{file}: written", *(f"warning: {w}" for w in report.warnings)])
     click.echo(f"next: hil sim {shlex.quote(str(file))}")  # in one line: it is to be copied
     summary = {"success": True, "kind": "new", "file": str(file), "warnings": report.warnings}
-    finish_lines((), summary, json_file)
+    finish_lines((), summary)
 
 
-def _skeleton(kind: str, name: str, json_file: Path | None) -> NoReturn:
+def _skeleton(kind: str, name: str) -> NoReturn:
     from hil.app.new.skeleton import FILES, write_skeleton
 
     if kind not in FILES:
         raise click.UsageError(f"{kind} {name}: allowed: FILE alone, `law NAME` or `protocol NAME`")
     written = [str(path) for path in write_skeleton(kind, name, Path())]
     lines = [*(f"{path}: written" for path in written), f"next: pip install -e {name}; pytest {name}/tests"]
-    finish_lines(lines, {"success": True, "kind": f"new {kind}", "files": written}, json_file)
+    finish_lines(lines, {"success": True, "kind": f"new {kind}", "files": written})
 
 
 def _answers(

@@ -3,7 +3,6 @@
 import contextlib
 import json
 import os
-from pathlib import Path
 from typing import Any
 
 import click
@@ -43,7 +42,6 @@ def command(
     faults: tuple[str, ...],
     with_bench: bool,
     mistakes: tuple[str, ...],
-    json_file: Path | None,
     report: int | None,
     watchdog_s: float | None,
     **options: Any,
@@ -91,4 +89,4 @@ def command(
     if report is not None:
         with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
             os.write(report, json.dumps(summary).encode())
-    finish("plant", summary, json_file)
+    finish("plant", summary)

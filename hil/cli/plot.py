@@ -22,7 +22,7 @@ from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, option, out
 @out_option
 @force_option
 @reporting
-def command(logs: tuple[Path, ...], json_file: Path | None, columns: tuple[str, ...], **options: Any) -> None:
+def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) -> None:
     """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
 
     Any log of ours will do, the plant's, too, and one that is cut as far as it goes. Without --column: leg
@@ -41,4 +41,4 @@ def command(logs: tuple[Path, ...], json_file: Path | None, columns: tuple[str, 
         raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")
     from hil.study.plot.command import plot
 
-    finish("plot", plot(logs, columns, **options), json_file)
+    finish("plot", plot(logs, columns, **options))

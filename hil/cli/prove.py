@@ -10,7 +10,7 @@ from hil.cli.shared import FILE, finish_lines, reporting
 @click.command()
 @click.argument("file", type=FILE)
 @reporting
-def command(file: Path, json_file: Path | None) -> None:
+def command(file: Path) -> None:
     """Prove the stability of an equilibrium of dx/dt = f(x) by a Lyapunov function.
 
     FILE is YAML: the states with their derivatives, the candidate V and ranges of the states in which it is
@@ -40,4 +40,4 @@ def command(file: Path, json_file: Path | None) -> None:
     question, _ = read_section(file, Question)
     with console.status("proving"):
         report = question.answer()
-    finish_lines(str(report).splitlines(), report.figures(), json_file)
+    finish_lines(str(report).splitlines(), report.figures())

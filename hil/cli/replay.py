@@ -53,7 +53,7 @@ from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, flag, o
 @option("--junit", OUTPUT, "FILE", "With --suite: a case a log as JUnit XML; an earlier one goes.")
 @flag("--trust-code", "Run a law in a file as the log carries it, if the disk has another one.")
 @reporting
-def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
+def command(log: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
     LOG comes from `hil run` or `hil sim`; its configuration is inside, and it stays as it is. Printed are the
@@ -74,17 +74,17 @@ def command(log: Path | None, json_file: Path | None, **given: Any) -> None:
     if given["trust_code"] and form in ("--suite", "--against"):
         raise click.UsageError(f"--trust-code runs the law of one log: it does not go with {form}.")
     if form == "--suite":
-        replay_forms.suite(given["suite"], given, json_file)
+        replay_forms.suite(given["suite"], given)
         return
     assert log is not None  # else it was refused
     if form == "--against":
-        replay_forms.against(log, given, json_file)
+        replay_forms.against(log, given)
         return
     log = _whole(log, given["salvage"])
     if form == "--what-if":
-        replay_forms.what_if(log, given, json_file)
+        replay_forms.what_if(log, given)
     else:
-        _replay(log, json_file, trust_code=given["trust_code"])
+        _replay(log, trust_code=given["trust_code"])
 
 
 def _whole(log: Path, salvage: Path | None) -> Path:
@@ -108,7 +108,7 @@ def _whole(log: Path, salvage: Path | None) -> Path:
     return salvage
 
 
-def _replay(log: Path, json_file: Path | None, *, trust_code: bool) -> None:
+def _replay(log: Path, *, trust_code: bool) -> None:
     from hil.app.replay import replay_log
     from hil.app.terminal import one_line
 
@@ -124,4 +124,4 @@ def _replay(log: Path, json_file: Path | None, *, trust_code: bool) -> None:
         short["remark"] = summary["remark"]
     if not comparison.exact:
         short["largest_relative_difference"] = comparison.largest
-    finish("replay", result, json_file, {**short, "replay": summary})
+    finish("replay", result, {**short, "replay": summary})

@@ -62,7 +62,7 @@ def counted_ticks() -> Iterator[Callable[[int], None] | None]:
     click.echo("\r\x1b[K", err=True, nl=False)
 
 
-def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
+def what_if(log: Path, given: dict[str, Any]) -> None:
     """Answer what another controller would have sent."""
     from hil.app.output import show_lines
     from hil.study.what_if import show
@@ -80,20 +80,20 @@ def what_if(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
         )
     show.tables(result)
     show_lines(show.story(result))
-    finish("what-if", result, json_file, show.shown(result))
+    finish("what-if", result, show.shown(result))
 
 
-def against(log: Path, given: dict[str, Any], json_file: Path | None) -> None:
+def against(log: Path, given: dict[str, Any]) -> None:
     """Say where two logs part."""
     from hil.study.against.command import against
     from hil.study.against.show import show, shown
 
     result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
     show(result)
-    finish("compared", result, json_file, shown(result))
+    finish("compared", result, shown(result))
 
 
-def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
+def suite(folder: Path, given: dict[str, Any]) -> None:
     """Replay every log of a folder."""
     from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
@@ -112,4 +112,4 @@ def suite(folder: Path, given: dict[str, Any], json_file: Path | None) -> None:
     result = summary(folder, cases, wall_s)
     write_cases(result, given["junit"], f"hil replay {folder}", verdicts(folder, cases))
     shown = {key: value for key, value in result.items() if key != "cases"}
-    finish("replay of a folder", result, json_file, shown)
+    finish("replay of a folder", result, shown)

@@ -12,7 +12,7 @@ from hil.cli.shared import FILE, finish, force_option, out_option, reporting
 @out_option
 @force_option
 @reporting
-def command(log: Path, out: Path | None, force: bool, json_file: Path | None) -> None:
+def command(log: Path, out: Path | None, force: bool) -> None:
     """Write one HTML page about a run: what went wrong, or how much of every limit was left.
 
     Then tracking by axis and leg, forces, V and its bound where the law has a certificate, modes and faults
@@ -33,4 +33,4 @@ def command(log: Path, out: Path | None, force: bool, json_file: Path | None) ->
         new_file(log.with_suffix(".html") if out is None else out, force=force)
     from hil.study.report.command import report
 
-    finish("report", report(log, out=out, force=force), json_file)
+    finish("report", report(log, out=out, force=force))

@@ -1,6 +1,5 @@
 """`hil run`."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -35,7 +34,7 @@ from hil.cli.shared import (
 @log_option
 @fault_option
 @reporting
-def command(configuration: str, release: bool, json_file: Path | None, **options: Any) -> None:
+def command(configuration: str, release: bool, **options: Any) -> None:
     """Run the daemon in real time.
 
     Waits for six drives, and for the operator's word that the platform may move: Enter, --arm, or
@@ -57,7 +56,7 @@ def command(configuration: str, release: bool, json_file: Path | None, **options
         from hil.app.configuration.configuration import load as read
         from hil.app.run.command import release_held
 
-        finish("release", release_held(read(configuration)), json_file)
+        finish("release", release_held(read(configuration)))
     if options["arm"] and options["wait_for_arm"]:
         raise click.UsageError("--arm lets the platform move by itself: leave out --wait-for-arm, or --arm.")
     loaded = load(configuration, "run")
@@ -68,4 +67,4 @@ def command(configuration: str, release: bool, json_file: Path | None, **options
         raise click.UsageError("--fault acts on the plant: add --plant, or give it to `hil plant`.")
     if options["with_plant"]:
         with_faults(loaded, options["faults"]).require("plant")
-    finish("run", run_daemon(loaded, **options), json_file)
+    finish("run", run_daemon(loaded, **options))

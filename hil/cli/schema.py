@@ -10,7 +10,7 @@ from hil.cli.shared import FILE, finish_lines, reporting
 @click.command()
 @click.argument("file", type=FILE, required=False)
 @reporting
-def command(file: Path | None, json_file: Path | None) -> None:
+def command(file: Path | None) -> None:
     """Print where the JSON Schema of configurations is, or name it in the configuration FILE.
 
     Editors with a YAML language server complete keys and underline mistakes by it. A configuration that was
@@ -35,4 +35,4 @@ def command(file: Path | None, json_file: Path | None) -> None:
         if named != text:
             write_whole(file, named)
         lines = [f"{file}: {schema_line()}"]
-    finish_lines(lines, {"success": True, "kind": "schema", "schema": str(schema_path())}, json_file)
+    finish_lines(lines, {"success": True, "kind": "schema", "schema": str(schema_path())})

@@ -1,7 +1,6 @@
 """`hil setpoint`."""
 
 import sys
-from pathlib import Path
 
 import click
 
@@ -17,7 +16,6 @@ def command(
     configuration: str,
     position: tuple[float, float, float] | None,
     rotation: tuple[float, float, float] | None,
-    json_file: Path | None,
 ) -> None:
     """Send set-points to a running `hil run CONFIG` whose reference is of type live.
 
@@ -44,4 +42,4 @@ def command(
         from hil.app.configuration.configuration import load
 
         load(configuration).require_live()
-    finish_briefly("setpoint", send_setpoints(controller.bus, lines), json_file)
+    finish_briefly("setpoint", send_setpoints(controller.bus, lines))

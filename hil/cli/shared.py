@@ -95,14 +95,12 @@ _REPORTED = frozenset({"run", "sim"})
 """Kinds of summary whose log `hil report` shows."""
 
 
-def finish(
-    title: str, summary: dict[str, Any], json_file: Path | None, shown: dict[str, Any] | None = None
-) -> None:
+def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = None) -> None:
     """Write a summary's JSON twin, print it (`shown`, where that says it better), exit 0 only on success."""
     from hil.app.output import last_ticks_table, show
     from hil.app.terminal import visible
 
-    unwritten = _write_twin(json_file, summary)
+    unwritten = write_twin(summary)
     if "last_ticks" in summary:
         click.echo(last_ticks_table(summary["last_ticks"]), err=True)
     if summary.get("trouble"):
@@ -116,11 +114,11 @@ def finish(
     _end(summary, unwritten)
 
 
-def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) -> None:
+def finish_briefly(title: str, summary: dict[str, Any]) -> None:
     """As `finish`, for a few plain figures, without the imports that lay out tables: an operator waits."""
     from hil.app.terminal import visible
 
-    unwritten = _write_twin(json_file, summary)
+    unwritten = write_twin(summary)
     if summary.get("trouble"):
         click.echo(visible(f"hil: {summary['trouble']}"), err=True)
     good = bool(summary["success"])
@@ -133,27 +131,27 @@ def finish_briefly(title: str, summary: dict[str, Any], json_file: Path | None) 
     _end(summary, unwritten)
 
 
-def finish_lines(lines: Iterable[str], summary: dict[str, Any], json_file: Path | None) -> NoReturn:
+def finish_lines(lines: Iterable[str], summary: dict[str, Any]) -> NoReturn:
     """Write a report's JSON twin, print it, exit 0 only on success."""
     from hil.app.output import show_lines
 
-    unwritten = _write_twin(json_file, summary)
+    unwritten = write_twin(summary)
     show_lines(lines)
     _end(summary, unwritten)
 
 
-def _write_twin(json_file: Path | None, summary: dict[str, Any]) -> list[str]:
+def write_twin(summary: dict[str, Any]) -> list[str]:
     """Write the JSON, before anything is printed that nobody may read; return what is not written."""
     unwritten = list(summary.get("unwritten", ()))
-    if json_file is None:
-        return unwritten
-    from drivers.errors import LogError
-    from hil.app.output import write_json
+    json_file = click.get_current_context().params["json_file"]
+    if json_file is not None:
+        from drivers.errors import LogError
+        from hil.app.output import write_json
 
-    try:
-        write_json(json_file, summary)
-    except LogError as error:
-        unwritten.append(str(error))
+        try:
+            write_json(json_file, summary)
+        except LogError as error:
+            unwritten.append(str(error))
     return unwritten
 
 
@@ -173,10 +171,10 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
     def reporting(*args: Any, **kwargs: Any) -> None:
         _show_compilation()
         _refuse_same_files(kwargs)
-        if kwargs["json_file"] is not None:
+        if (json_file := kwargs.pop("json_file")) is not None:
             from hil.app.output import check_json_path
 
-            check_json_path(kwargs["json_file"])
+            check_json_path(json_file)
         if kwargs.get("junit") is not None:
             from hil.study.junit import check_junit_path
 

@@ -39,9 +39,7 @@ from hil.cli.shared import (
     "Record the plant's truth, too, as NAME-plant.mcap beside NAME.mcap of --log; takes no name.",
 )
 @reporting
-def command(
-    configuration: str, faults: tuple[str, ...], commands: Path | None, json_file: Path | None, **options: Any
-) -> None:
+def command(configuration: str, faults: tuple[str, ...], commands: Path | None, **options: Any) -> None:
     """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
 
     Deterministic: the same configuration gives the same frames and rows, byte for byte. The bus takes its
@@ -70,4 +68,4 @@ def command(
         warn(f"hil: {danger}")
     said = () if commands is None else read_commands(commands)
     summary = simulate(loaded, live=sys.stderr.isatty(), commands=said, **options)
-    finish("sim", summary, json_file)
+    finish("sim", summary)

@@ -1,7 +1,6 @@
 """`hil stability`."""
 
 from math import nan
-from pathlib import Path
 from typing import Any
 
 import click
@@ -66,9 +65,7 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
     callback=mass_at,
 )
 @reporting
-def command(
-    configuration: str, payload: tuple[float, Point] | None, json_file: Path | None, **options: Any
-) -> None:
+def command(configuration: str, payload: tuple[float, Point] | None, **options: Any) -> None:
     """Print what is proven of the law of CONFIGURATION, by which function, and under which conditions.
 
     The verdict is proven; conditional, if the listed conditions hold, which are not checked here; not proven,
@@ -95,4 +92,4 @@ def command(
     with console.status("looking for a proof"):
         mass = NO_PAYLOAD if payload is None else Payload(*payload)
         summary = assess(loaded, payload=mass, **options)
-    finish_lines(shown(summary), summary, json_file)
+    finish_lines(shown(summary), summary)

@@ -22,7 +22,7 @@ from hil.cli.shared import FILE, finish, flag, force_option, option, out_option,
 @out_option
 @force_option
 @reporting
-def command(log: Path, viewer: str, no_start: bool, json_file: Path | None, **options: Any) -> None:
+def command(log: Path, viewer: str, no_start: bool, **options: Any) -> None:
     """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
 
     Writes a Rerun recording, or a layout for Lichtblick and Foxglove or for PlotJuggler, and starts the
@@ -39,4 +39,4 @@ def command(log: Path, viewer: str, no_start: bool, json_file: Path | None, **op
     """
     from hil.study.view.command import view
 
-    finish("view", view(log, viewer, start=not no_start, **options), json_file)
+    finish("view", view(log, viewer, start=not no_start, **options))

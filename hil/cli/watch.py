@@ -1,6 +1,5 @@
 """`hil watch`."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -14,7 +13,7 @@ from hil.cli.shared import configuration_argument, finish, option, reporting
 @option("--port", click.IntRange(0, 65535), "N", "Port; without it 8642, or a free one.")
 @click.option("--supervisor", "alive", type=int, hidden=True)
 @reporting
-def command(configuration: str, json_file: Path | None, **options: Any) -> None:
+def command(configuration: str, **options: Any) -> None:
     """Serve a live page about the run on the bus of CONFIG: pose, legs, forces, errors, timing, faults.
 
     Prints a link, which any browser opens without network; the run neither waits for the page nor knows of
@@ -38,4 +37,4 @@ def command(configuration: str, json_file: Path | None, **options: Any) -> None:
         announce=lambda link: click.echo(f"hil: watch at {link}", err=True),
         **options,
     )
-    finish("watch", summary, json_file)
+    finish("watch", summary)

@@ -1,6 +1,5 @@
 """`hil workspace`."""
 
-from pathlib import Path
 from typing import Any
 
 import click
@@ -50,7 +49,7 @@ from hil.cli.shared import (
 @option("--leg-diameter leg_diameter_m", POSITIVE, "M", "Look at collisions of legs this thick, too.")
 @picture_option
 @reporting
-def command(configuration: str, json_file: Path | None, **options: Any) -> None:
+def command(configuration: str, **options: Any) -> None:
     """Map the poses that the platform can reach from home within stroke, joint angle and force limits.
 
     Translations at home's orientation: volume, extents, sections with the limit that is met along the edge,
@@ -74,4 +73,4 @@ def command(configuration: str, json_file: Path | None, **options: Any) -> None:
 
     with console.status("mapping") as status:
         summary = map_workspace(loaded, progress=lambda what: status.update(f"mapping: {what}"), **options)
-    finish("workspace", summary, json_file, shown(summary))
+    finish("workspace", summary, shown(summary))

@@ -36,10 +36,9 @@ def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **opt
     """Bring a machine up, from parts to a moving platform, one leg at a time.
 
     Each step explains what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
-    the step `mounted`. At most one brake is open, its force at most 2 % of the rated one, and it is let go
-    after a tenth of a millimetre. Answers are kept: give the command again to go on. Ctrl-C at any moment,
-    or a terminal that goes, takes force and power away. The configuration that it has found and a checklist
-    are written next to CONFIGURATION, never over it.
+    the step `mounted`; at most one brake is open. Give the command again to go on. Ctrl-C at any moment, or a
+    terminal that goes, takes force and power away. The configuration found and a checklist are written next
+    to CONFIGURATION, never over it.
 
     \b
     Examples:

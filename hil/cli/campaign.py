@@ -41,9 +41,8 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 def rerun(file: Path, row: int, out: Path | None, log: Path | None) -> None:
     """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
 
-    With --log the run is recorded, and the figures of the log are compared, too: `hil report` then shows what
-    went on in this row. Put --log last, or name its file. Without --out a row that is not stored can be
-    recorded, too: nothing stored is compared then, and the summary reports that.
+    With --log the run is recorded, and the figures of the log are compared, too. Put --log last, or name its
+    file. Without --out a row that is not stored can be recorded, too: nothing is compared then.
 
     \b
     Examples:
@@ -87,10 +86,9 @@ def command(
     """Run a configuration many times in simulated time, with its keys swept, and count how often it fails.
 
     FILE is a YAML file, or the name of a shipped campaign: payload. It states which keys of which
-    configuration take which values (sample, list, grid), and the limits that a run has to keep. Rows are kept
-    as they come, in FOLDER/campaign.sqlite; after Ctrl-C or a crash the same command goes on with the rows
-    that are missing. FOLDER/table.parquet has all of them in the end. Nothing is recorded: `hil campaign
-    rerun FILE ROW --log` makes any row again, with its log.
+    configuration take which values, and the limits that a run has to keep. Rows are kept as they come, in
+    FOLDER/campaign.sqlite; the same command goes on with the rows that are missing. Nothing is recorded:
+    `hil campaign rerun FILE ROW --log` makes any row again, with its log.
 
     \b
     Examples:

@@ -1,6 +1,5 @@
 """`hil check`."""
 
-
 import click
 
 from hil.cli.shared import configuration_argument, finish_lines, load, reporting, write_twin
@@ -12,10 +11,9 @@ from hil.cli.shared import configuration_argument, finish_lines, load, reporting
 def command(configuration: str) -> None:
     """Print what the bus, the legs and the limits of CONFIGURATION have to do, before anything moves.
 
-    Bus time of a tick with its arithmetic, forces and lengths at home and along the whole reference, drive
-    watchdog, delay against the law's bandwidth, what is proven of the law (more: hil stability), real-time
-    rights of this machine. Opens no bus, writes no log. Of a configuration that cannot be used all problems
-    are printed at once, each as FILE:LINE:COLUMN: path: what, allowed, given.
+    Bus time of a tick, forces and lengths at home and along the whole reference, drive watchdog, delay,
+    what is proven of the law, real-time rights of this machine. Of a configuration that cannot be used all
+    problems are printed at once, each as FILE:LINE:COLUMN: path: what, allowed, given.
 
     \b
     Examples:

@@ -69,10 +69,9 @@ def command(configuration: str, **options: Any) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
     Each law follows the reference and answers a step of 1 mm at home, with gains of the natural frequency and
-    damping of the configuration's own law. Printed are errors, forces, step response and bandwidth, what
-    encoders, bus time and drive lag cost, and the claims of the control chapter with the figures that judge
-    them. A law that a limit stops keeps its row; see `--lift-limits`. The picture goes to --picture, else to
-    runs/NAME-compare-TIME.png (recording.folder). No log.
+    damping of the configuration's own law. Printed are errors, forces, step response, bandwidth, what
+    encoders, bus time and drive lag cost, and the claims of the control chapter. The picture goes to
+    --picture, else to runs/NAME-compare-TIME.png (recording.folder).
 
     \b
     Examples:

@@ -1,6 +1,5 @@
 """`hil ctl`."""
 
-
 import click
 
 from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, option, reporting

@@ -30,8 +30,7 @@ def command() -> None:
 def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
-    One FMU serves every platform: geometry and inertia are its parameters. The result stays in the user's
-    cache and is built again only when its sources change. No log.
+    One FMU serves every platform: geometry and inertia are its parameters. It stays in the user's cache.
 
     \b
     Examples:
@@ -53,8 +52,7 @@ def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -
 def fmu_show_command(fmu: Path) -> None:
     """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.
 
-    Only its description is read; nothing of it is loaded or run. `hil check` on a configuration with it loads
-    it, pushes each leg once and reports what is odd.
+    Only its description is read. `hil check` on a configuration with it pushes each leg once.
 
     \b
     Examples:

@@ -30,8 +30,7 @@ def command(configuration: str, legs: tuple[tuple[int, float], ...], **options: 
 
     A run writes drives.homing.file when it ends at rest, and the next one finds each motor's turn by it. It
     is not armed where a leg is found elsewhere, nor after a run that was killed in motion. Then measure the
-    legs and state their lengths: nearer than a quarter of what a drive forgets, the encoder knows the rest.
-    Nothing moves, and no bus is opened.
+    legs and state their lengths, to a quarter of what a drive forgets. Nothing moves.
 
     \b
     Examples:

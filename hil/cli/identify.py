@@ -33,9 +33,8 @@ def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
     Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
-    acts on the platform. Printed are standard errors, what this motion cannot show, how well each log is
-    predicted from the others, and a block for the configuration: payload, platform and `controller.model`.
-    The legs' own masses are taken from section `platform`. Nothing runs and nothing moves.
+    acts on the platform. Printed are standard errors, what this motion cannot show, and a block for the
+    configuration: payload, platform and `controller.model`. Nothing moves.
 
     \b
     Examples:
@@ -102,21 +101,18 @@ class _OrPayload(OrOther):
 def command(
     configuration: Path,
     delay: bool,
-    real_time: bool,
-    with_plant: bool,
-    arm: bool,
-    force: float | None,
-    duration: float | None,
     model: Path | None,
     log: Path | None,
+    force: float | None,
+    duration: float | None,
+    **how: bool,
 ) -> None:
     """Measure what the loop is like, from a run that excites it or from a log that is there.
 
-    The linearised axes with coherence, a nominal model and the bound of its error, as `hil design` takes
-    them; with --delay only the time from the encoders' latch to the force that answers it, split into
-    transport, lag and hold. With CONFIG small sinusoids move the platform about home, in lockstep, or with
-    --run in real time, which moves real drives by some 50 mm; Ctrl-C stops and parks. With LOG nothing runs.
-    Masses, inertia and friction: `hil identify payload LOG...`, which has a help of its own.
+    The linearised axes with a nominal model and the bound of its error, as `hil design` takes them; with
+    --delay only the time from the encoders' latch to the force that answers it. With CONFIG small sinusoids
+    move the platform about home, in lockstep, or with --run in real time, which moves real drives by some
+    50 mm; Ctrl-C stops and parks. Masses, inertia and friction: `hil identify payload LOG...`.
 
     \b
     Examples:
@@ -135,7 +131,7 @@ def command(
         raise click.UsageError("--model has no use with --delay, which prints what it finds")
     made = run = files = None
     if runs.is_log(configuration):
-        if real_time or with_plant or arm or force or duration or log:
+        if any(how.values()) or force or duration or log:
             raise click.UsageError(
                 f"{configuration} is a log: --run, --plant, --arm, --force, --duration, --log have no use"
             )
@@ -150,7 +146,7 @@ def command(
     if not delay:
         files = axes.outputs(log, model)
     if made is not None:
-        run = runs.run_for(made, log, real_time=real_time, with_plant=with_plant, arm=arm)
+        run = runs.run_for(made, log, **how)
         if not run["success"]:
             click.echo(
                 f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True

@@ -68,10 +68,9 @@ def command(
 ) -> None:
     """Learn from run to run: a feed-forward of the leg forces over the time of the reference.
 
-    Each call takes the log of the last run and the one before, and writes the next feed-forward, which the
-    configuration names in section `feedforward`; the first call takes the log of a run without any. It needs
-    a law of leg axes that linearises, and the same reference, controller and platform. A run whose error does
-    not fall as the stated uncertainty predicts is refused. Nothing runs and nothing moves, but with --runs.
+    Each call takes the log of the last run and the one before, and writes the feed-forward that the next
+    configuration names in section `feedforward`; the first call takes the log of a run without any. A run
+    whose error does not fall as predicted is refused. Nothing moves, except with --runs.
 
     \b
     Examples:

@@ -25,8 +25,8 @@ from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, option, out
 def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) -> None:
     """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
 
-    Any log of ours will do, the plant's, too, and one that is cut as far as it goes. Without --column: leg
-    error, force, mode. The picture goes to --out, else next to the first log, as ...-plot.png.
+    Without --column: leg error, force, mode. The picture goes to --out, else next to the first log, as
+    ...-plot.png.
 
     \b
     Examples:

@@ -15,10 +15,9 @@ from hil.cli.shared import FILE, finish, force_option, out_option, reporting
 def command(log: Path, out: Path | None, force: bool) -> None:
     """Write one HTML page about a run: what went wrong, or how much of every limit was left.
 
-    Then tracking by axis and leg, forces, V and its bound where the law has a certificate, modes and faults
-    over time, wake-up and latency, bus load, the pose in 3D that plays. Any browser shows the page, without
-    network. A log that is cut is shown as far as it goes. LOG comes from `hil run` or `hil sim`; the page
-    goes to --out, else next to the log, as ....html.
+    Then tracking, forces, modes and faults over time, latency, bus load, the pose in 3D that plays. Any
+    browser shows the page, without network; a log that is cut is shown as far as it goes. The page goes to
+    --out, else next to the log, as ....html.
 
     \b
     Examples:

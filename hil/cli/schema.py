@@ -13,9 +13,8 @@ from hil.cli.shared import FILE, finish_lines, reporting
 def command(file: Path | None) -> None:
     """Print where the JSON Schema of configurations is, or name it in the configuration FILE.
 
-    Editors with a YAML language server complete keys and underline mistakes by it. A configuration that was
-    copied away from its schema loses it; with FILE its first line names that of this installation by its
-    absolute path. No other line changes.
+    Editors with a YAML language server complete keys and underline mistakes by it. With FILE its first line
+    names the schema of this installation by its absolute path; no other line changes.
 
     \b
     Examples:

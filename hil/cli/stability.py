@@ -69,10 +69,8 @@ def command(configuration: str, payload: tuple[float, Point] | None, **options: 
     """Print what is proven of the law of CONFIGURATION, by which function, and under which conditions.
 
     The verdict is proven; conditional, if the listed conditions hold, which are not checked here; not proven,
-    where no theorem applies; or unstable. All laws: eigenvalues and margins of the loop as it is sampled,
-    held and late. Laws that linearise: the ultimate bound of the error. Sliding mode and robust inverse
-    dynamics: reaching condition and boundary layer. PD laws, at rest: the energy as V, LaSalle, and the
-    largest sublevel set within stroke and away from singularities.
+    where no theorem applies; or unstable. Printed are eigenvalues and margins of the loop as it is sampled,
+    held and late, and what the law's theorem gives: a bound of the error, a boundary layer, a sublevel set.
 
     \b
     Examples:

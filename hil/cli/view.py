@@ -26,8 +26,7 @@ def command(log: Path, viewer: str, no_start: bool, **options: Any) -> None:
     """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
 
     Writes a Rerun recording, or a layout for Lichtblick and Foxglove or for PlotJuggler, and starts the
-    viewer (Rerun: extra `viewers`). The file goes to --out, else next to the log, in the place of an earlier
-    one. Where the viewer is not installed, the summary tells what to do by hand.
+    viewer. The file goes to --out, else next to the log, in the place of an earlier one.
 
     \b
     Examples:

@@ -16,10 +16,9 @@ from hil.cli.shared import configuration_argument, finish, option, reporting
 def command(configuration: str, **options: Any) -> None:
     """Serve a live page about the run on the bus of CONFIG: pose, legs, forces, errors, timing, faults.
 
-    Prints a link, which any browser opens without network; the run neither waits for the page nor knows of
-    it. Ctrl-C ends the page, and nothing else. With --host others see it, too, and need the token of the
-    link; there is no encryption: use it in a network that you trust, or through a tunnel. With watch.operate
-    in CONFIG the page has buttons, which need the token on this machine as well.
+    Prints a link, which any browser opens without network. Ctrl-C ends the page, and nothing else. With
+    --host others see it, too, and need the token of the link; there is no encryption: use it in a network
+    that you trust. With watch.operate in CONFIG the page has buttons, which always need the token.
 
     \b
     Examples:

@@ -52,9 +52,8 @@ from hil.cli.shared import (
 def command(configuration: str, **options: Any) -> None:
     """Map the poses that the platform can reach from home within stroke, joint angle and force limits.
 
-    Translations at home's orientation: volume, extents, sections with the limit that is met along the edge,
-    the largest sphere and cylinder. Tilt and torsion at one position. Condition number and singularity
-    measure, static leg forces. What lies behind a singularity or a gap is not reachable and does not count.
+    Volume, extents, sections, the largest sphere and cylinder at home's orientation; tilt and torsion at one
+    position; condition number and static leg forces. What lies behind a singularity or a gap does not count.
     The picture goes to --picture, else to runs/NAME-workspace-TIME.png (recording.folder).
 
     \b

@@ -258,9 +258,12 @@ def one_line_of_error() -> Iterator[None]:
         if error.name is None or error.name.partition(".")[0] not in FULL:
             raise
         _refuse(f"{error.name} is not installed: pip install 'hexapod-hil[full]'")
-    except BrokenPipeError:
-        sys.exit(NOBODY_READS)
     except OSError as error:
+        if isinstance(error, BrokenPipeError):
+            try:
+                sys.stdout.flush()
+            except BrokenPipeError:
+                sys.exit(NOBODY_READS)
         place = "" if error.filename is None else f"{error.filename}: "
         _refuse(f"{place}{error.strerror or error}")
 

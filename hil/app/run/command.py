@@ -3,7 +3,7 @@
 import contextlib
 import os
 import signal
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -74,7 +74,7 @@ def run_daemon(
     consent = None if arm or wait_for_arm else EnterKey(lambda: _hung_up(panel)).pressed
     plant_summary: dict[str, Any] | None = None
     with contextlib.ExitStack() as stack:
-        stack.enter_context(_startable())
+        stack.enter_context(leaving(lambda: "before the loop began: nothing has moved"))
         stack.enter_context(panel.attached())
         bus = stack.enter_context(Bus.open(c.bus, role="controller"))
         clock = bench_clock(c, bus) if with_plant or on_bench else None
@@ -135,7 +135,9 @@ def run_daemon(
         result |= keeper.summary(cycle)
         fail(result, keeper.trouble)
         if drawn is not None and result.get("tracking", {}).get("ticks"):
-            _draw(result, c, closed.path, drawn)
+            title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
+            with further(result):
+                result["picture"] = str(picture(Log.open(closed.path).rows(), drawn, title))
     if interrupted:
         warn(f"hil: {STRANGER}")
     if removed:
@@ -152,13 +154,6 @@ def _what_there_is(ending: Ending, trouble: str, closed: LogSummary) -> str:
     """Say of a run that is over how it ended, for an operator who does not wait for its summary."""
     ended = f"after the run, which ended in {ending.mode.name}" + (f": {trouble}" if trouble else "")
     return f"{ended}; its log, not replayed: {closed.path}"
-
-
-def _draw(result: dict[str, Any], c: Configuration, log: Path, file: Path) -> None:
-    """Draw the picture of a run into a PNG file."""
-    title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
-    with further(result):
-        result["picture"] = str(picture(Log.open(log).rows(), file, title))
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:
@@ -191,26 +186,15 @@ def _say(text: str) -> None:
         os.write(2, f"\nhil: {text}\n".encode(errors="replace"))
 
 
-@contextlib.contextmanager
-def _startable() -> Iterator[None]:
-    """Say of a signal that comes before the loop that nothing has moved."""
-    with leaving(lambda: "before the loop began: nothing has moved"):
-        yield
-
-
 def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
     """Say what to do where no drive answered."""
     if ending.reason != NO_DRIVES:
         return ending
     start = "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
-    text = f"no drive answered on {_where(c)} within {NO_DRIVES_S:g} s: check power, wiring, bit rate and "
+    buses = zip(c.bus.buses, bus_names(c.bus), strict=True)
+    where = " and ".join(f"{each.interface} channel {name}" for each, name in buses)
+    text = f"no drive answered on {where} within {NO_DRIVES_S:g} s: check power, wiring, bit rate and "
     return replace(ending, reason=f"{text}drives.node_ids{start}")
-
-
-def _where(c: Configuration) -> str:
-    """Name the buses."""
-    named = zip(c.bus.buses, bus_names(c.bus), strict=True)
-    return " and ".join(f"{each.interface} channel {name}" for each, name in named)
 
 
 def _summary(

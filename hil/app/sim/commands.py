@@ -120,36 +120,28 @@ def read_commands(path: Path) -> list[TimedCommand]:
 
 
 def _said(t: float, text: str, rate_Hz: float, where: str) -> list[tuple[int, Said]]:
-    """Return what a command says, with its ticks. Raises ConfigurationError, which begins with `where`."""
-    return [(_tick(at, rate_Hz, where), _read(word, where)) for at, word in _repeated(t, text, where)]
+    """Return what a command says, with its ticks: `jog x 1 for 1.5` is said as often as a client says it.
 
-
-def _repeated(t: float, text: str, where: str) -> list[TimedCommand]:
-    """Return a word at its time, or `jog x 1 for 1.5` as the words that a client says meanwhile."""
+    Raises ConfigurationError, which begins with `where`.
+    """
     word, repeats, length = text.partition(" for ")
-    if not repeats or text.split(maxsplit=1)[0] not in REPEATED:
-        return [(t, text)]
-    try:
-        seconds = float(length)
-    except ValueError:
-        seconds = math.nan
-    if not 0.0 < seconds <= LONGEST_S:
-        raise ConfigurationError(f"{where}: for {length.strip()!r}, allowed: seconds up to {LONGEST_S:g}")
-    return [(t + k * REPEAT_S, word) for k in range(math.ceil(seconds / REPEAT_S - 1e-9))]
-
-
-def _tick(t: float, rate_Hz: float, where: str) -> int:
-    """Return the first tick at or after a time."""
+    times = [t]
+    if repeats and text.split(maxsplit=1)[0] in REPEATED:
+        try:
+            seconds = float(length)
+        except ValueError:
+            seconds = math.nan
+        if not 0.0 < seconds <= LONGEST_S:
+            raise ConfigurationError(f"{where}: for {length.strip()!r}, allowed: seconds up to {LONGEST_S:g}")
+        times = [t + k * REPEAT_S for k in range(math.ceil(seconds / REPEAT_S - 1e-9))]
+    else:
+        word = text
     if not 0.0 <= t <= LATEST_S:
         raise ConfigurationError(f"{where}: time {t!r}, allowed: seconds from 0 to {LATEST_S:g}")
-    return math.ceil(t * rate_Hz - 1e-6)
-
-
-def _read(text: str, where: str) -> Said:
     try:
-        said = parse(text)
+        said = parse(word)
     except ValueError as error:
         raise ConfigurationError(f"{where}: {error}") from None
     if said == Said():
         raise ConfigurationError(f"{where}: {text!r} asks a running controller, none is here")
-    return said
+    return [(math.ceil(at * rate_Hz - 1e-6), said) for at in times]

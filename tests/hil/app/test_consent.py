@@ -9,18 +9,13 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from click.testing import CliRunner
 
 from drivers.errors import RunError
-from drivers.signals import Fault, Mode
 from hil.app.run.consent import EnterKey
 from hil.cli import main
-from hil.loop.run_end import Course
-from hil.signals import Operator
 from tests.broad import broad
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -128,27 +123,3 @@ def test_waiting_for_arm_and_arming_by_itself_exclude_each_other():
     result = CliRunner().invoke(main, ["run", "virtual", "--arm", "--wait-for-arm"])
     assert result.exit_code == 2
     assert "leave out --wait-for-arm, or --arm" in result.stderr
-
-
-def cycle(mode: Mode) -> Any:
-    parts = SimpleNamespace(rate_Hz=1000.0)
-    return SimpleNamespace(mode=mode, mode_tick=0, reset_tick=0, faults=Fault.NONE, parts=parts)
-
-
-def test_an_unarmed_course_waits_and_counts_from_the_command():
-    c = cycle(Mode.IDLE)
-    course = Course(c, 2.0, armed=False)
-    for tick in range(0, 100_000, 500):
-        assert course.commands(tick) == ()
-        assert course.waits_for_consent
-    assert course.commands(100_000, (Operator.ENGAGE,)) == (Operator.ENGAGE,)
-    assert not course.waits_for_consent
-    c.mode = Mode.TRACKING
-    assert course.commands(101_999) == ()
-    assert course.commands(102_000) == (Operator.STOP,)
-
-
-def test_an_armed_course_engages_once_by_itself():
-    course = Course(cycle(Mode.IDLE), armed=True)
-    assert course.commands(7) == (Operator.ENGAGE,)
-    assert course.commands(8) == ()

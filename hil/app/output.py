@@ -33,10 +33,6 @@ class Terminal(Console):
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
-    def on_broken_pipe(self) -> None:
-        """Leave it to the command line, which has an exit code for output that nobody reads."""
-        raise BrokenPipeError
-
 
 TABLE_WIDTH = 180
 """Columns that a table takes at most where it goes to a file or a pipe."""

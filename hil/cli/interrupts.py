@@ -1,12 +1,12 @@
 """Ctrl-C in a command: what was begun is closed, one line reports it, exit code 130."""
 
 import io
-import os
 import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import Any, TextIO
 
 import click
 
@@ -23,29 +23,61 @@ def pressed(signum: int, frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
 
+class _Raw(io.FileIO):
+    """Standard output or error, of which what cannot be written is dropped: it costs no result.
+
+    Mutable state: why something was dropped.
+    """
+
+    trouble: OSError | None = None
+
+    def write(self, data: Any) -> int:
+        """Write, or drop."""
+        if self.trouble is None:
+            try:
+                return super().write(data)
+            except OSError as error:
+                self.trouble = error
+        return memoryview(data).nbytes
+
+
+def _dropping(stream: TextIO, raws: list[_Raw]) -> TextIO:
+    """Return what takes the place of a stream and takes every character; itself, if it is no file."""
+    buffer = getattr(stream, "buffer", None)
+    if not isinstance(stream, io.TextIOWrapper) or not isinstance(buffer, io.BufferedWriter | io.FileIO):
+        return stream
+    stream.flush()
+    raws.append(_Raw(stream.fileno(), "w", closefd=False))
+    lines = stream.line_buffering or stream.write_through
+    return io.TextIOWrapper(
+        io.BufferedWriter(raws[-1]), stream.encoding, "backslashreplace", line_buffering=lines
+    )
+
+
 @contextmanager
 def attached() -> Iterator[None]:
     """Be the signals and the output of a whole process.
 
     SIGINT goes to `pressed`, unless it is ignored, as in the background of a script; afterwards it is
-    ignored: nothing disturbs how Python leaves. What cannot be printed ends with an exit code.
+    ignored: nothing disturbs how Python leaves. Output that could not be printed gives an exit code.
     """
     if signal.getsignal(signal.SIGINT) in {signal.default_int_handler, signal.SIG_DFL}:
         signal.signal(signal.SIGINT, pressed)
-    for stream, errors in ((sys.stdin, "replace"), (sys.stdout, "backslashreplace")):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors=errors)
+    if isinstance(sys.stdin, io.TextIOWrapper):
+        sys.stdin.reconfigure(errors="replace")
+    before, raws = (sys.stdout, sys.stderr), list[_Raw]()
+    sys.stdout, sys.stderr = (_dropping(stream, raws) for stream in before)
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
-            sys.stdout.flush()
-        except OSError as error:
-            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-            if isinstance(error, BrokenPipeError):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        sys.stdout, sys.stderr = before
+        if trouble := next((raw.trouble for raw in raws if raw.trouble), None):
+            if isinstance(trouble, BrokenPipeError):
                 sys.exit(NOBODY_READS)
-            click.echo(f"hil: standard output cannot be written: {error.strerror}", err=True)
+            click.echo(f"hil: standard output cannot be written: {trouble.strerror}", err=True)
             sys.exit(1)
 
 

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from hil.cli.interrupts import NOBODY_READS
 from hil.config.number import ALLOWED, in_reason
 
 if TYPE_CHECKING:
@@ -259,11 +258,6 @@ def one_line_of_error() -> Iterator[None]:
             raise
         _refuse(f"{error.name} is not installed: pip install 'hexapod-hil[full]'")
     except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            try:
-                sys.stdout.flush()
-            except BrokenPipeError:
-                sys.exit(NOBODY_READS)
         place = "" if error.filename is None else f"{error.filename}: "
         _refuse(f"{place}{error.strerror or error}")
 

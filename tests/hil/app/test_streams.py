@@ -71,7 +71,7 @@ def test_a_full_disk_behind_the_output_loses_no_result(
 ) -> None:
     monkeypatch.setattr("sys.stdout", full)
     assert invoked(end) == 1
-    assert capsys.readouterr().err.endswith(f"hil: standard output {FULL}")
+    assert capsys.readouterr().err == f"hil: standard output {FULL}"
     assert json_file.read_text().startswith('{\n  "success": true')
 
 

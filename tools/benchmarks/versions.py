@@ -11,7 +11,6 @@ configurations, a fused pose, and `desktop` with the drives of each family.
 
 import argparse
 import gc
-import inspect
 import json
 import os
 import subprocess
@@ -81,11 +80,7 @@ def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
     gc.freeze()
     gc.disable()
     try:
-        run = build_lockstep(c, cycle, nodes).run
-        if "take" in inspect.signature(run).parameters:
-            run(duration_s, None, take=take)
-        else:
-            run(duration_s, lambda *each: stamps["lockstep"].tick(each[-1].row))
+        build_lockstep(c, cycle, nodes).run(duration_s, None, take=take)
     finally:
         plant.close()
     if different := replay(held, again).different_ticks:

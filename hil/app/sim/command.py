@@ -7,10 +7,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.arrays import Rows
 from drivers.errors import ConfigurationError, HilError, LogError
 from drivers.files import open_regular
-from drivers.frame_array import NO_FRAMES, sent_at
+from drivers.frame_array import NO_FRAMES
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
 from hil.app.configuration.bus_budget import loads
@@ -38,7 +37,7 @@ from hil.record.figures import figures
 from hil.record.log import Log, plant_log_beside
 from hil.record.recording import RecorderEndedError
 from hil.record.schema import RUN
-from hil.signals import SetPoint, TickInput, TickOutput
+from hil.signals import SetPoint
 from hil.trajectory.sampled import read_poses
 from plant_fmu.config import FmuPlant
 from plant_fmu.drives.nodes import Nodes
@@ -91,12 +90,8 @@ def _run(
             recording.tick_of_items(rows[0], frames, NO_FRAMES, given.operator, given.setpoints, given.orders)
         else:
             recording.ticks_of_items(rows, frames, ends)
-
-    def observe(inp: TickInput, opening: Rows, out: TickOutput) -> None:
-        sent = sent_at(inp.t_ns, opening, out.frames)
-        recording.tick_of_items(out.row, inp.frames, sent, inp.operator, inp.setpoints, inp.orders)
-        assert truth is not None
-        truth.tick(plant_row(inp.tick, lockstep.nodes.snapshot()), (), ())
+        if truth is not None:
+            truth.tick(plant_row(int(rows["tick"][0]), lockstep.nodes.snapshot()), (), ())
 
     def said(tick: int) -> Given:
         given = script(tick)
@@ -109,11 +104,11 @@ def _run(
 
     return lockstep.run(
         duration_s,
-        None if truth is None else observe,
+        None,
         recording.event,
         said,
         take=take,
-        silent=script.silent if setpoints is None else lambda _: 1,
+        silent=script.silent if setpoints is None and truth is None else lambda _: 1,
         armed=not script.arms,
         over=lambda: script.over,
         answered=answered,

@@ -1,12 +1,32 @@
-"""`hil replay`."""
+"""`hil replay`: a log again, what another controller would have sent, two logs compared, a folder of logs."""
 
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
-from hil.cli import replay_forms
-from hil.cli.shared import FILE, OUTPUT, complete_configuration, finish, flag, option, reporting
+from hil.cli.shared import (
+    FILE,
+    OUTPUT,
+    complete_configuration,
+    counted,
+    finish,
+    flag,
+    option,
+    reporting,
+    write_cases,
+)
+
+_FORM_OF = {
+    **dict.fromkeys(("words", "picture", "out"), "--what-if"),
+    **dict.fromkeys(("tolerances", "align"), "--against"),
+    **dict.fromkeys(("jobs", "junit"), "--suite"),
+}
+"""Options that belong to one form."""
 
 
 @click.command()
@@ -70,21 +90,42 @@ def command(log: Path | None, **given: Any) -> None:
 
     Guide: docs/guides/replay.md; docs/guides/what-if.md.
     """
-    form = replay_forms.chosen_form(log, given)
-    if given["trust_code"] and form in ("--suite", "--against"):
-        raise click.UsageError(f"--trust-code runs the law of one log: it does not go with {form}.")
+    form = _chosen_form(log, given)
     if form == "--suite":
-        replay_forms.suite(given["suite"], given)
+        _suite(given["suite"], given)
         return
     assert log is not None  # else it was refused
     if form == "--against":
-        replay_forms.against(log, given)
+        _against(log, given)
         return
     log = _whole(log, given["salvage"])
     if form == "--what-if":
-        replay_forms.what_if(log, given)
+        _what_if(log, given)
     else:
         _replay(log, trust_code=given["trust_code"])
+
+
+def _chosen_form(log: Path | None, given: dict[str, Any]) -> str:
+    """Return which form is asked for: its option, or nothing. Raises UsageError for what excludes another."""
+    option_of = {each.name: each.opts[0] for each in click.get_current_context().command.params}
+    there = {name: option_of[name] for name, value in given.items() if value not in (None, (), False)}
+    asked = [form for form in ("--what-if", "--against", "--suite") if form in there.values()]
+    if "words" in there and "what_if" not in there:
+        asked.insert(0, "--set")
+    if len(asked) > 1:
+        raise click.UsageError(f"{' and '.join(asked)} are different questions: give one of them.")
+    form = "--what-if" if asked == ["--set"] else "".join(asked)
+    for name, given_as in there.items():
+        if (wanted := _FORM_OF.get(name, form)) != form:
+            needed = "--what-if CONFIG or --set KEY=VALUE" if wanted == "--what-if" else wanted
+            raise click.UsageError(f"{given_as} belongs to {needed}, which is not given.")
+        if name in {"salvage", "trust_code"} and form in {"--against", "--suite"}:
+            raise click.UsageError(f"{given_as} is for the replay of one log: it does not go with {form}.")
+    if form == "--suite" and log is not None:
+        raise click.UsageError(f"--suite takes a folder, and no LOG beside it: {log}.")
+    if form != "--suite" and log is None:
+        raise click.UsageError("Missing argument 'LOG'.")
+    return form
 
 
 def _whole(log: Path, salvage: Path | None) -> Path:
@@ -112,7 +153,7 @@ def _replay(log: Path, *, trust_code: bool) -> None:
     from hil.app.replay import replay_log
     from hil.app.terminal import one_line
 
-    with replay_forms.counted_ticks() as progress:
+    with _counted_ticks() as progress:
         comparison, summary = replay_log(log, progress, trust_code=trust_code)
     for difference in comparison.first:
         click.echo(one_line(f"hil: {difference}"), err=True)
@@ -125,3 +166,59 @@ def _replay(log: Path, *, trust_code: bool) -> None:
     if not comparison.exact:
         short["largest_relative_difference"] = comparison.largest
     finish("replay", result, {**short, "replay": summary})
+
+
+@contextmanager
+def _counted_ticks() -> Iterator[Callable[[int], None] | None]:
+    """Yield what counts ticks on a terminal, over itself; None elsewhere."""
+    if not sys.stderr.isatty():
+        yield None
+        return
+    yield lambda ticks: click.echo(f"\r{ticks} ticks", err=True, nl=False)
+    click.echo("\r\x1b[K", err=True, nl=False)
+
+
+def _what_if(log: Path, given: dict[str, Any]) -> None:
+    """Answer what another controller would have sent."""
+    from hil.app.output import show_lines
+    from hil.study.what_if import show
+    from hil.study.what_if.command import what_if_log
+
+    options = {name: given[name] for name in ("picture", "out", "trust_code")}
+    with _counted_ticks() as progress:
+        result = what_if_log(log, given["what_if"], given["words"], progress=progress, **options)
+    show.tables(result)
+    show_lines(show.story(result))
+    finish("what-if", result, show.shown(result))
+
+
+def _against(log: Path, given: dict[str, Any]) -> None:
+    """Say where two logs part."""
+    from hil.study.against.command import against
+    from hil.study.against.show import show, shown
+
+    result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
+    show(result)
+    finish("compared", result, shown(result))
+
+
+def _suite(folder: Path, given: dict[str, Any]) -> None:
+    """Replay every log of a folder."""
+    from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
+
+    paths = logs_in(folder)
+    cases: list[Case] = []
+    begun = time.perf_counter()
+    try:
+        with counted("replaying") as progress:
+            for case in run_suite(paths, given["jobs"], progress):
+                cases.append(case)  # noqa: PERF402 - one by one: an interrupt shows those that are done
+    except KeyboardInterrupt:
+        show(folder, cases)
+        raise KeyboardInterrupt(f"with {len(cases)} of {len(paths)} logs replayed") from None
+    wall_s = time.perf_counter() - begun
+    show(folder, cases)
+    result = summary(folder, cases, wall_s)
+    write_cases(result, given["junit"], f"hil replay {folder}", verdicts(folder, cases))
+    shown = {key: value for key, value in result.items() if key != "cases"}
+    finish("replay of a folder", result, shown)

@@ -27,10 +27,10 @@ from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.tick_row import Given, Ticks
 from hil.record.log import Log
-from tools.benchmarks.benchmark import patient
+from hil.record.mcap_read import read_summary
+from tools.benchmarks.benchmark import patient, resident_MB
 from tools.benchmarks.figures import Figure, Mark, lines
 from tools.benchmarks.live import live_run
-from tools.benchmarks.process import resident_MB
 from tools.benchmarks.tick import steps
 
 LEAD_S = 2.0

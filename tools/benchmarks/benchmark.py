@@ -1,6 +1,7 @@
 """What all parts share: how long, where to, and the one simulated run that several of them use."""
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -77,3 +78,17 @@ class Benchmark:
     def ticks(self) -> list[Tick]:
         """The ticks of that run, in memory."""
         return list(Log.open(Path(self.simulated["log"])).ticks())
+
+
+def cpu_s(pid: int) -> float:
+    """Processor time that a process has used, user and system, s; to 10 ms."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def resident_MB(pid: int) -> float:
+    """Resident memory of a process, MB (1024^2 bytes). Raises OSError when it has ended."""
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS:"):
+            return int(line.split()[1]) / 1024.0
+    raise ProcessLookupError(f"process {pid} has ended")

@@ -16,9 +16,8 @@ from drivers.errors import RunError
 from drivers.signals import Mode
 from hil.app.configuration.configuration import Configuration, load
 from hil.record.log import Log
-from tools.benchmarks.benchmark import Benchmark, patient
+from tools.benchmarks.benchmark import Benchmark, patient, resident_MB
 from tools.benchmarks.figures import EARLY, Figure, Mark, spread
-from tools.benchmarks.process import resident_MB
 from tools.benchmarks.tick import COMPUTE
 
 TWO_BUSES_S = 20.0

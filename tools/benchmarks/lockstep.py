@@ -8,9 +8,8 @@ import numpy as np
 from hil.app.compose import attachments, build_scene
 from hil.app.replay import replay_log
 from hil.record import Recording
-from tools.benchmarks.benchmark import Benchmark
+from tools.benchmarks.benchmark import Benchmark, cpu_s
 from tools.benchmarks.figures import Figure, Mark, spread
-from tools.benchmarks.process import cpu_s
 
 TICKS = 12_000
 """Less than the ring below holds: nothing is dropped, however slow the recorder is."""

@@ -8,6 +8,7 @@ import ast
 import importlib.util
 import inspect
 import itertools
+import re
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import ModuleType
@@ -25,10 +26,15 @@ PACKAGE = Path(hil.safety.__file__).parent
 FAMILIES = ["signals", "motion", "force_limits", "certificate"]
 
 OPERATORS = {
-    *("comparison", "arithmetic", "and/or", "not dropped", "sign", "truth", "one more", "one less"),
-    *("doubled", "abs dropped", "min/max", "branches", "statement deleted"),
+    **dict.fromkeys(
+        ("comparison", "arithmetic", "and/or", "not dropped", "truth", "one more", "one less"), ""
+    ),
+    **dict.fromkeys(("abs dropped", "min/max", "branches"), ""),
+    "sign": "^-",
+    "doubled": "[.e]",
+    "statement deleted": r"^\S+ [-+*/|&]= ",
 }
-"""Changes that are tried; others, as exchanged arguments, `make mutants` draws at random."""
+"""Changes that are tried, of what begins so or has that in it; `make mutants` draws others at random."""
 Mutants = list[tuple[Mutant, ast.Module]]
 
 
@@ -54,6 +60,7 @@ def mutants_of(name: str) -> Mutants:
     file, text = f"hil/safety/{name}.py", (PACKAGE / f"{name}.py").read_text()
     known = equivalents()
     found = [m for m in mutants(file, text) if m.operator in OPERATORS and m.place not in known]
+    found = [m for m in found if re.search(OPERATORS[m.operator], m.before)]
     return [(m, plain(m.applied(text))) for m in found]
 
 

@@ -2,7 +2,7 @@
 
 import click
 
-from hil.cli.shared import configuration_argument, finish_lines, load, reporting, write_twin
+from hil.cli.shared import configuration_argument, counted, finish_lines, load, reporting
 
 
 @click.command()
@@ -27,10 +27,9 @@ def command(configuration: str) -> None:
     try:
         loaded = load(configuration)
         from hil.app.check.command import inspect
-        from hil.app.check.progress import shown
 
-        with shown() as tell:
-            report = inspect(loaded, tell)
+        with counted("along the reference, s") as seen:
+            report = inspect(loaded, lambda done_s, of_s: seen(round(done_s), round(of_s)))
     except HilError as error:
         problems = list(getattr(error, "problems", [str(error)]))
         write_twin({"success": False, "kind": "check", "problems": problems})

@@ -64,7 +64,10 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
     from hil.app.sim.commands import read_commands
 
     loaded = with_faults(loaded, faults)
-    for danger in fmu_dangers(loaded):
+    from hil.app.check.fmu import falls
+    from hil.app.output import warn
+
+    if danger := falls(loaded):
         warn(f"hil: {danger}")
     said = () if commands is None else read_commands(commands)
     summary = simulate(loaded, live=sys.stderr.isatty(), commands=said, **options)

@@ -14,7 +14,7 @@ from drivers.config import BusSettings, DriveSettings
 from drivers.frame_array import received_array, sent_array
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
-from hil.app.check.bus import answered_ns
+from hil.app.check.subject import answered_ns
 from hil.app.configuration.bus_budget import unasked_readings
 from hil.app.encoder_limits import encoder_limits
 from hil.contracts.ends import BEAT_TICKS, FORCE, OFF, PERIOD_NS, READY, RESET, SETUP, Ends, Line, at_tick

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from drivers.signals import Doubt, Fault, Mode
-from hil.app.check.encoders import report_encoders
-from hil.app.check.findings import Report
+from hil.app.check import sensing
+from hil.app.check.report import Report
+from hil.app.check.subject import looked_at
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.robot.dynamics import Model
@@ -268,8 +269,8 @@ def test_a_jump_of_a_leg_at_rest_is_not_taken_for_time(leg):
 
 def test_what_is_printed_is_the_smallest_jump_of_legs_at_rest():
     """a = 16 m/s^2: (16 x 2.5e-3 x 7/3 + 4 x (1.22e-4 + 50e-6 x 16)) x 2.5e-3 / 1.5 = 0.162 mm."""
-    report = Report("virtual-cia402")
-    report_encoders(report, load("virtual-cia402"))
+    report = Report(looked_at(load("virtual-cia402")))
+    sensing.encoders(report)
     leap = 16.0 * T * 7.0 / 3.0 + 4.0 * (2.0 * COUNT_m / T + SKEW_s * 16.0)
     assert report.figures["encoders"]["jump_m"] == pytest.approx(leap * T / 1.5, rel=1e-6)
     assert any("0.162 mm" in line for line in report.sections["encoders, at rest"])

@@ -12,8 +12,9 @@ from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
 from drivers.frame_array import received_frames
 from drivers.signals import Fault, Warn
-from hil.app.check.bus import report_bus
-from hil.app.check.findings import Report
+from hil.app.check import figures
+from hil.app.check.report import Report
+from hil.app.check.subject import looked_at
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.sim.command import simulate
@@ -59,8 +60,8 @@ def test_2_kHz_take_68_percent_of_each_of_two_buses_by_the_sum_of_the_frames():
     by_hand_us = 75 + (34 + 193 / 5) + 3 * (34 + 153 / 5)
     assert [each.total_ns for each in found] == [round(1e3 * by_hand_us)] * 2 == [341_400] * 2
     assert [each.load_percent for each in found] == pytest.approx([68.28] * 2)
-    report = Report(c.name)
-    report_bus(report, c)
+    report = Report(looked_at(c))
+    figures.bus(report)
     assert report.figures["bus"]["channels"]["two1"]["feedback_us"] == pytest.approx(75 + 193.8)
 
 

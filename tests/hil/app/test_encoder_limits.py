@@ -13,7 +13,7 @@ from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.signals import Doubt, DriveState, Mode
 from hil.app.check.command import inspect, refuse_unreachable
-from hil.app.check.pushes import clipped
+from hil.app.check.demand import clipped
 from hil.app.configuration.configuration import load, loads
 from hil.app.encoder_limits import encoder_limits, friction_N
 from hil.app.reachability import Walk

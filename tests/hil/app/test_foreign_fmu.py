@@ -8,7 +8,8 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, PlantError
 from hil.app.check.command import inspect
-from hil.app.check.fmu import coupling_dangers
+from hil.app.check.subject import looked_at
+from hil.app.check.warnings import warnings
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.cli import main
@@ -39,38 +40,45 @@ def configured(folder, brake, path=None):
     return file
 
 
-def answer(mobility):
-    return Probe(np.zeros(6), mobility)
+def said(name, mobility):
+    """Return what is warned of an FMU with this mobility as the plant of a shipped configuration."""
+    subject = looked_at(load(name))
+    subject.probe = Probe(np.zeros(6), mobility)
+    return [
+        text
+        for code, text in warnings(subject)
+        if code in {"plant.model coupling", "plant.model force signs"}
+    ]
 
 
 def test_uncoupled_legs_are_pointed_to_pd_with_the_largest_mass():
     masses = np.array([40.0, 41.0, 50.0, 42.0, 43.0, 44.0])
-    (said,) = coupling_dangers(load("virtual"), answer(np.diag(1 / masses)))
-    assert "controller.law: pd" in said
-    assert "m = 50 kg" in said
-    assert list(coupling_dangers(load("bench"), answer(np.diag(1 / masses)))) == []
+    (text,) = said("virtual", np.diag(1 / masses))
+    assert "controller.law: pd" in text
+    assert "m = 50 kg" in text
+    assert said("bench", np.diag(1 / masses)) == []
 
 
 def test_coupled_legs_pass_and_a_leg_that_pulls_is_reported():
     platform = 0.02 * np.eye(6) + 0.005
-    assert list(coupling_dangers(load("virtual"), answer(platform))) == []
+    assert said("virtual", platform) == []
     platform[3] *= -1.0
-    (said,) = coupling_dangers(load("virtual"), answer(platform))
-    assert "shortens leg 3 of the FMU" in said
+    (text,) = said("virtual", platform)
+    assert "shortens leg 3 of the FMU" in text
 
 
 @pytest.mark.parametrize("brake", broad(["", "brake"], quick=1))
 def test_check_and_sim_warn_about_a_plant_without_brakes(brake, tmp_path):
     file = configured(tmp_path, brake)
-    warnings = [w for w in inspect(load(file)).warnings if w.startswith("plant.model.brake")]
-    assert len(warnings) == (not brake)
-    said = (
+    codes = inspect(load(file)).codes
+    assert ("plant.model.brake" in codes) == (not brake)
+    printed = (
         CliRunner()
         .invoke(main, ["sim", str(file), "--duration", "0.05", "--log", str(tmp_path / "a.mcap")])
         .output
     )
-    assert ("no brake holds this plant" in said) == (not brake)
-    assert said.find("no brake holds") < said.find("sim: ")
+    assert ("no brake holds this plant" in printed) == (not brake)
+    assert printed.find("no brake holds") < printed.find("sim: ")
 
 
 def test_check_prints_units_and_refuses_an_fmu_that_does_not_fit(tmp_path):

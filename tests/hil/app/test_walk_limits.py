@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.arrays import Array
-from hil.app.check.silence import Beyond, Silence
+from hil.app.check.demand import Beyond, Silence
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
 from hil.app.reachability import SAMPLES, Walk, drive_forces, span_s, violations, walk

@@ -1,0 +1,228 @@
+"""What silence, changes of speed, jogs and pushes ask of legs, and what a learned feed-forward does."""
+
+from itertools import product
+from math import ceil, radians, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.files import read_regular
+from hil.app.compose import build_admission
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, read_feedforward
+from hil.app.encoder_limits import AWAY, efficiencies, friction_N, stated_friction_N
+from hil.app.reachability import Walk, drive_forces, window_swing
+from hil.config.feedforward import FeedforwardHead
+from hil.loop.jogging import jog_path, setup_share
+from hil.robot.dynamics import Model
+from hil.robot.dynamics_kernels import inverse_dynamics_kernel, mass_matrix_kernel
+from hil.robot.kinematics_kernels import jacobian_kernel
+from hil.safety.encoder_limits import EncoderLimits
+from hil.safety.guard import WINDOW_S
+from hil.safety.residuals import MOVED
+from hil.signals import JOG_NAMES
+from hil.trajectory.override import CURVATURE, PEAK
+from hil.trajectory.path import PoseSample, Trajectory
+from plant_fmu.config import StewartPlant
+
+MOST = 500
+"""Instants at which the forces of a change of speed are looked at."""
+JOGS = 25
+"""Instants of the reference from which jogs are looked at."""
+CREEPING = 1e-9
+"""Share of the speed at which dry friction is whole, and nothing else is felt of the motion."""
+STEEPEST = 1.875
+"""Largest slope of the smooth step by which a feed-forward fades, of its height over its length."""
+
+
+class Beyond(NamedTuple):
+    """Where on the path silence would drive a leg farthest into a hard end."""
+
+    t: float
+    leg: int
+    travel_m: float
+    """How far it may travel there until it rests on its brake."""
+    free_m: float
+    """How far it is from the end there."""
+
+
+class Silence(NamedTuple):
+    """Travel of a leg that moves at v when the bus falls silent: v T + a T^2 / 2."""
+
+    T: float
+    """drives.watchdog_ms and engage.brake_close_s, until legs rest on their brakes, s."""
+    a: float
+    """As on the path, or as without any force, m/s^2."""
+
+    def travel_m(self, w: Walk) -> float:
+        """Return the longest on the path: that from the top speed."""
+        return float(self._travel(np.abs(w.dq)).max())
+
+    def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> Beyond | None:
+        """Return where a leg would hit a hard end; None if all stop before."""
+        travel = np.stack((self._travel(np.maximum(-w.dq, 0.0)), self._travel(np.maximum(w.dq, 0.0))))
+        free = np.stack((w.q - length_min_m, length_max_m - w.q))
+        at = np.unravel_index(int(np.argmax(travel - free)), free.shape)
+        if travel[at] <= free[at]:
+            return None
+        return Beyond(float(w.t[at[1]]), int(at[2]), float(travel[at]), float(free[at]))
+
+    def _travel(self, speed: Array) -> Array:
+        return speed * self.T + 0.5 * self.a * self.T**2
+
+
+class SpeedChange(NamedTuple):
+    """The most that a change of speed along the reference asks of a leg, anywhere on it.
+
+    At the share sigma of the speed ddq = sigma^2 ddq_d + (d sigma/dt) dq_d, with the rates of sigma at the
+    bounds of `hil.trajectory.override`.
+    """
+
+    acceleration_m_s2: float
+    added_m_s2: float
+    """Of that, by (d sigma/dt) dq_d."""
+    force_N: float
+    step_N: float
+    """From tick to tick, beside what the reference asks for."""
+    felt_m_s2: float
+    """|J M^-1 J^T tau|: what an error of the model's inertia and weight acts on."""
+
+
+def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model, span: float) -> SpeedChange:
+    """Return what a change of speed within engage.stop_s asks for. span: of the walk, s."""
+    T, period = c.engage.stop_s, 1.0 / c.loop.rate_Hz
+    rate, curvature = PEAK / T, CURVATURE / T**2
+    rows = np.unique(np.linspace(0, len(w.t) - 1, MOST).astype(np.int64))
+    q, dq, moving = w.q[rows], w.dq[rows], w.tau[rows]
+    platform, still = model.platform, np.zeros(6)
+    held, slowing, mobility = np.empty_like(q), np.empty_like(q), np.empty((len(q), 6, 6))
+    for k, t in enumerate(w.t[rows].tolist()):
+        p, R, twist, dtwist = trajectory.sample(min(t, span * (1 - 1e-12)))
+        robot = model.constants, model.code, p, R
+        J = jacobian_kernel(platform.base_joints, platform.platform_joints, p, R)
+        mobility[k] = J @ np.linalg.solve(mass_matrix_kernel(model.constants, p, R), J.T)
+        held[k] = inverse_dynamics_kernel(*robot, still, still, still)
+        faster = inverse_dynamics_kernel(*robot, twist, dtwist + twist, still)
+        slowing[k] = faster - inverse_dynamics_kernel(*robot, twist, dtwist, still)
+    none = np.zeros_like(q)
+    at_rest = drive_forces(c.plant, q, none, none, none, none[:2])[0]
+    slowing += drive_forces(c.plant, q, none, dq, none, none[:2])[0] - at_rest
+    creeping = drive_forces(c.plant, q, CREEPING * dq, none, held, none[:2])[0]
+    added, changed = rate * np.abs(w.dq), rate * slowing
+    felt = [np.einsum("kij,kj->ki", mobility, moving + each) for each in (changed, -changed)]
+    step = period * (curvature * np.abs(slowing) + 2.0 * rate * np.abs(moving - creeping))
+    return SpeedChange(
+        float((np.abs(w.ddq) + added).max()),
+        float(added.max()),
+        float((np.maximum(np.abs(moving), np.abs(creeping)) + np.abs(changed)).max()),
+        float(step.max()),
+        float(np.abs(felt).max()),
+    )
+
+
+class JogDemand(NamedTuple):
+    """The most that a jog from anywhere on the reference asks of a leg, by each axis and leg, both ways."""
+
+    change_N: float
+    """Of a force within 250 ms, as the controller judges it; dry friction of our plant turns round once."""
+    rate_m_s: float
+    """Of the leg's length, where the jog begins."""
+
+
+def jog_demand(c: Configuration, trajectory: Trajectory, model: Model, span: float) -> JogDemand:
+    """Return what jogs ask for. span: of the walk, s."""
+    admission, still, platform = build_admission(c, model.platform), np.zeros(6), model.platform
+    speeds = c.operator.setup_speed_m_s, radians(c.operator.setup_speed_deg_s)
+    plant = None if c.plant is None else c.plant.model
+    friction_N = plant.coulomb_friction_N if isinstance(plant, StewartPlant) else 0.0
+    change_N = rate_m_s = 0.0
+    for t in np.linspace(0.0, span * (1 - 1e-12), JOGS).tolist():
+        p, R, *_ = trajectory.sample(t)
+        here = PoseSample(p, R, still, still)
+        J = jacobian_kernel(platform.base_joints, platform.platform_joints, p, R)
+        for axis, way in product(range(len(JOG_NAMES)), (1.0, -1.0)):
+            start = jog_path(platform, here, axis, speeds, way).sample(0.0)
+            share = setup_share(start, speeds)
+            change_N = max(change_N, admission.change_N(start, share))
+            rate_m_s = max(rate_m_s, float(np.abs(J @ (share * start.twist)).max()))
+    return JogDemand(change_N + 2.0 * friction_N, rate_m_s)
+
+
+def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
+    """Return what clips a push on the way along a reference, or what it does to a free leg; None: nothing.
+
+    A push acts on top of the path's force, where there is no friction both ways. Where there is, it comes at
+    once: a leg that is free is pushed until its motion is seen, after a time t, and the law takes as long to
+    stop it: it moves by up to push A t^2.
+    """
+    if limits.watched_legs == 0:
+        return None
+    A, late_s = np.diag(limits.mobility) / AWAY, limits.acting_ticks * limits.period_s
+    following_m = c.limits.following_error_m
+    beside_m = max(sqrt(following_m) - sqrt(2.0 * MOVED * limits.length_noise_m), 0.0)
+    ticks = ceil(WINDOW_S / (w.t[1] - w.t[0])) if len(w.t) > 1 else 1
+    force, window = c.limits.force_N, c.limits.force_window_N
+    ways, both = (1.0, "") if limits.sticks else (2.0, " both ways")
+    peak, swing = np.abs(w.tau).max(axis=0), window_swing(w.tau, ticks).max(axis=0)
+    room = {
+        f"limits.force_N {force:g}, of which the path takes {peak.max():.0f} N": force - peak,
+        f"limits.force_window_N {window:g}{both}, of which the path takes {swing.max():.0f} N": (
+            (window - swing) / ways
+        ),
+    }
+    if limits.sticks:
+        moves = "as a free leg moves until that is seen beside monitor.length_noise_m"
+        room[f"limits.following_error_m {following_m:g}, {moves}"] = (beside_m / late_s) ** 2 / A
+    room = {what: most for what, most in room.items() if (most >= 0.0).all()}  # else the path breaks it alone
+    if all((most >= limits.push_N).all() for most in room.values()):
+        return None
+    what, least = min(room.items(), key=lambda each: float((each[1] - limits.push_N).min()))
+    beyond = least - limits.push_N
+    leg = int(np.argmin(beyond))
+    friction = friction_N(c)
+    driving, back_driving = efficiencies(c)
+    most = friction + float(beyond[leg] / (1.0 / driving[leg] + back_driving[leg]))
+    losses = " and losses" if (driving * back_driving < 1.0).any() else ""
+    key = what.split()[0]
+    return (
+        f"a leg that stands still is pushed by {limits.push_N[leg]:.0f} N, 2 x friction{losses} and what "
+        f"monitor.disturbance_m_s2 asks for; that is too much for {what}, allowed: "
+        f"{f'at most {most:.1f} N' if most >= 0.0 else 'no such push'}, given: {friction:g} N"
+        f"{' (assumed)' if friction > stated_friction_N(c) else ''}; state the friction as measured, "
+        f"or raise {key}"
+    )
+
+
+class Learned(NamedTuple):
+    """A learned feed-forward: where it is from, and how much it can do where it is wrong."""
+
+    head: FeedforwardHead
+    start_s: float
+    end_s: float
+    peak_N: float
+    pushed_m_s2: float
+    """Of a leg."""
+    along_N: float
+    """Largest change from tick to tick."""
+    fading_N: float
+    """The same where it fades."""
+
+
+def learned(c: Configuration, mobility: Array) -> Learned | None:
+    """Return what section feedforward has learned. mobility: (6, 6) 1/kg of the robot at home."""
+    settings = c.feedforward
+    if settings is None:
+        return None
+    path, period_s = feedforward_path(settings, c.folder), 1.0 / c.loop.rate_Hz
+    head, tau, start_s, step_s = read_feedforward(read_regular(path, MOST_BYTES), str(path))
+    peak_N = float(np.abs(tau).max())
+    return Learned(
+        head,
+        start_s,
+        start_s + step_s * (len(tau) - 1),
+        peak_N,
+        pushed_m_s2=float(np.abs(tau @ mobility.T).max()),
+        along_N=float(np.abs(np.diff(tau, axis=0)).max()) * period_s / step_s,
+        fading_N=peak_N * min(STEEPEST * period_s / settings.fade_s, 1.0),
+    )

@@ -1,0 +1,272 @@
+"""What `hil check` looks at: a configuration, its walk along the reference, and what follows from both."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.can.bus_time import BitTiming, frame_time_ns
+from drivers.errors import ConfigurationError, HilError
+from drivers.family import Family
+from drivers.frame_array import sent_frames
+from hil.app.check.demand import (
+    JogDemand,
+    Learned,
+    Silence,
+    SpeedChange,
+    clipped,
+    jog_demand,
+    learned,
+    speed_change,
+)
+from hil.app.compose import build_admission, build_protocol, drive_setup
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import controller_of
+from hil.app.configuration.payload_box import corners
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.yaml_positions import Path, Problem, parse
+from hil.app.encoder_limits import encoder_limits
+from hil.app.force_steps import force_steps_N, stepped_error_m
+from hil.app.loop_delay import loop_delay
+from hil.app.reachability import Violation, Walk, span_s, violations, walk
+from hil.app.unknown_payload import UnknownPayload, unknown_payload
+from hil.config.reference import LiveReference
+from hil.control.law import ErrorDynamics
+from hil.control.margin import cross_over, phase_margin_deg
+from hil.control.state_space import StateSpaceSettings
+from hil.mathematics.rotations import rotation_from_vector
+from hil.robot.dynamics import Model
+from hil.robot.kinematics import jacobian
+from hil.safety.encoder_limits import EncoderLimits
+from hil.signals import explain
+from hil.trajectory.build import build_trajectory
+from hil.trajectory.path import Trajectory, axis_limits, six_words
+from plant_fmu.config import BenchPlant, StewartPlant
+
+if TYPE_CHECKING:
+    from hil.app.design.loop import LoopFinding
+    from hil.design.stability.assessment import Assessment
+    from plant_fmu.fmu.probe import Probe
+
+
+LEAST_MARGIN_DEG = 30.0
+"""Of phase."""
+
+
+def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
+    """Return robot, reference, the s of it that are looked at, and the walk along it.
+
+    Raises ConfigurationError with the limits that it breaks, each with its first instant.
+    """
+    model, period_s = robot(c), 1.0 / c.loop.rate_Hz
+    try:
+        trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+        span = span_s(trajectory)
+        w = walk(model.platform, model, trajectory, span, period_s, c.plant)
+    except ConfigurationError:
+        raise
+    except HilError as error:
+        raise refused(c, str(error)) from error
+    found = [f"at t = {v.t:.3f} s: {v.message}" for v in violations(w, c.platform, c.limits, period_s)]
+    if isinstance(c.reference, LiveReference) and not found:
+        against = build_admission(c, model.platform)(six_words(c.reference.start or c.platform.home))
+        found = [f"at its start, set-points are refused: {explain(against)}"] if against else []
+    if found:
+        raise refused(c, *found)
+    clips = clipped(c, encoder_limits(c, c.loop.rate_Hz), w)
+    if clips is not None:
+        raise refused(c, clips, path=("monitor", "friction_N"))
+    return model, trajectory, span, w
+
+
+def refused(c: Configuration, *messages: str, path: Path = ("reference",)) -> ConfigurationError:
+    """Return the refusal that points at a key of the file, or its nearest ancestor there."""
+    position = parse(c.text).key_position(path)
+    return ConfigurationError(*(Problem(position, path, each).line(c.source) for each in messages))
+
+
+def robot(c: Configuration) -> Model:
+    """Return the robot with the model's payload."""
+    return Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
+
+
+def static_N(c: Configuration, model: Model) -> Array:
+    """Return the forces (6,) N that hold the platform at home."""
+    still = np.zeros(6)
+    return model.inverse_dynamics(*pose_arrays(c.platform.home), still, still)
+
+
+@dataclass
+class Subject:
+    """A configuration, and what several figures and warnings need of it, made once.
+
+    `proven`, `probe`, `tool`, `needs_tool` and `fifo` are set by the sections of the report that find them.
+    """
+
+    c: Configuration
+    tell: Callable[[float, float], None]
+    """Called now and then with the s of the reference that were looked at, and of how many."""
+    model: Model
+    trajectory: Trajectory
+    span_s: float
+    walk: Walk
+    proven: "Assessment | None" = None
+    """Of the law."""
+    probe: "Probe | None" = None
+    """How an FMU of one's own answers small pushes."""
+    tool: str = ""
+    """Of that FMU, by which it was made."""
+    needs_tool: bool = False
+    fifo: bool = True
+    """Whether this machine grants SCHED_FIFO."""
+
+    def __post_init__(self) -> None:
+        """Derive the rest."""
+        c, w = self.c, self.walk
+        self.period_s, self.window_us = 1.0 / c.loop.rate_Hz, 1e6 * c.loop.window_s(c.loop.rate_Hz)
+        self.protocol: Family = build_protocol(c)
+        self.unknown: UnknownPayload = unknown_payload(c)
+        self.encoders: EncoderLimits = encoder_limits(c, c.loop.rate_Hz)
+        self.static_N = static_N(c, self.model)
+        self.weight_N, self.peak_N = float(np.abs(w.rest).max()), float(np.abs(w.tau).max())
+        self.fastest_m_s = float(np.abs(w.dq).max())
+        self.own_step_N = float(np.abs(w.steps()[1]).max())
+        self.stroke_m = c.platform.length_max_m - c.platform.length_min_m
+        self.force_step_N, self.stepped_error_m = float(force_steps_N(c).max()), stepped_error_m(c)
+        self.silence = reacted_to(c, w) if self.protocol.traits.has_watchdog else None
+        model = None if c.plant is None else c.plant.model
+        self.stewart = model if isinstance(model, StewartPlant) else None
+        self.learned: Learned | None = learned(c, self.unknown.mobility[0])
+        self.slowed: SpeedChange | None = None
+        self.jogged: JogDemand | None = None
+        self.setpoints: tuple[float, float] | None = None
+        if isinstance(c.reference, LiveReference):
+            self.setpoints = setpoint_peaks(c, c.reference, self.model)
+        else:
+            self.slowed = speed_change(c, w, self.trajectory, self.model, self.span_s)
+            self.jogged = jog_demand(c, self.trajectory, self.model, self.span_s)
+        law = c.controller
+        self.variant = "" if law.axes is None or law.believed is None else law.believed.variant
+        dynamics = law.error_dynamics()
+        self.dynamics = dynamics if isinstance(dynamics, ErrorDynamics) else None
+        self.delay = loop_delay(c)
+        if isinstance(model, BenchPlant):
+            self.leg_mass_kg = model.mass_kg
+        else:
+            rotor_kg = 0.0 if law.believed is None else float(np.max(law.believed.reflected_mass_kg))
+            mobility = np.diagonal(self.unknown.mobility, axis1=1, axis2=2)
+            self.leg_mass_kg = float(1.0 / mobility.min()) + rotor_kg
+
+    @property
+    def switches(self) -> bool:
+        """Whether the law switches between two forces, without a boundary layer."""
+        return self.dynamics is not None and bool(np.isinf(self.dynamics.K_D.max()))
+
+    @property
+    def margin(self) -> dict[str, float] | None:
+        """What the loop's delay costs the law; None where it is not known."""
+        if self.dynamics is None or self.switches:
+            return None
+        K_P, K_D, delay_s = float(self.dynamics.K_P.max()), float(self.dynamics.K_D.max()), self.delay.total_s
+        whole, left = phase_margin_deg(K_P, K_D), phase_margin_deg(K_P, K_D, delay_s)
+        return {
+            "cross_over_rad_s": cross_over(K_P, K_D),
+            "delay_ms": 1e3 * delay_s,
+            "phase_loss_deg": whole - left,
+            "phase_margin_deg": left,
+        }
+
+    @cached_property
+    def designed(self) -> "LoopFinding | None":
+        """What a designed controller leaves; None for another law."""
+        law = self.c.controller
+        controller = controller_of(law, self.c.folder)
+        if controller is None or not isinstance(law, StateSpaceSettings):
+            return None
+        from hil.app.design.loop import judge  # noqa: PLC0415 - scipy, for the few who design
+
+        return judge(law.controller_file, controller, self.delay, LEAST_MARGIN_DEG)
+
+    @cached_property
+    def answers_us(self) -> list[float]:
+        """Bus time of SYNC or polls and the feedbacks, bus by bus."""
+        return [1e-3 * ns for ns in answered_ns(self.c)]
+
+
+def looked_at(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Subject:
+    """Return the subject that a configuration is. Raises ConfigurationError as `course`."""
+    return Subject(c, tell, *course(c))
+
+
+def controlled_stop_m(c: Configuration, w: Walk) -> float:
+    """Return the longest way of a leg while path time slows down to rest: half of `engage.stop_s` goes by."""
+    return 0.5 * c.engage.stop_s * float(np.abs(w.dq).max())
+
+
+def reacted_to(c: Configuration, w: Walk) -> Silence:
+    """Return what silence does to the legs if somebody reacts within drives.watchdog_ms."""
+    home, still = pose_arrays(c.platform.home), np.zeros(6)
+    a = float(np.abs(w.ddq).max())
+    for corner in corners(c.platform):
+        platform = build_platform(corner.settings)
+        model = Model(platform, leg_spin=c.platform.leg_spin)
+        falls = jacobian(platform, *home) @ model.forward_dynamics(*home, still, still)
+        a = max(a, float(np.abs(falls).max()))
+    return Silence(1e-3 * c.drives.watchdog_ms + c.engage.closing_s, a)
+
+
+def setpoint_peaks(c: Configuration, reference: LiveReference, model: Model) -> tuple[float, float]:
+    """Return rate, m/s, and acceleration, m/s^2, of a leg near the start, all axes at their limits."""
+    chi = six_words(reference.start or c.platform.home)
+    legs = np.abs(jacobian(model.platform, chi[:3], rotation_from_vector(chi[3:])))
+    fastest, hardest = (float((legs @ words).max()) for words in axis_limits(reference.limits)[:2])
+    return fastest, hardest
+
+
+def carried(s: Subject) -> list[tuple[Array, Walk]]:
+    """Return forces (6,) N at home and the walk at each corner of the payload's ranges; none without ranges.
+
+    Raises ConfigurationError with the limits that a payload breaks.
+    """
+    c, found = s.c, []
+    by_limit: dict[str, list[tuple[Violation, str]]] = {}
+    for corner in corners(c.platform)[1:]:
+        platform = build_platform(corner.settings)
+        model = Model(platform, leg_spin=c.platform.leg_spin)
+        w = walk(platform, model, s.trajectory, s.span_s, s.period_s, c.plant)
+        for violation in violations(w, c.platform, c.limits, s.period_s):
+            by_limit.setdefault(violation.limit, []).append((violation, corner.words))
+        found.append((static_N(c, model), w))
+    if by_limit:
+        raise refused(c, *map(_broken, by_limit.values()), path=("platform", "platform", "payload"))
+    return found
+
+
+def _broken(found: list[tuple[Violation, str]]) -> str:
+    """Return one limit that payloads break, by the one that breaks it first."""
+    first, words = min(found)
+    more = f" and {len(found) - 1} other corners of the ranges" if len(found) > 1 else ""
+    return (
+        f"with {words}{more}, at t = {first.t:.3f} s: {first.message}; narrow mass_range_kg or "
+        "com_range_m, take a gentler reference, or raise the limit if legs and drives bear it"
+    )
+
+
+def answered_ns(c: Configuration) -> list[int]:
+    """Return the bus time of SYNC or polls and the feedbacks, bus by bus, ns."""
+    protocol = build_protocol(c)
+    traits = protocol.traits
+    opening = sent_frames(protocol.controller_end(drive_setup(c, c.loop.rate_Hz)).begin(0))
+    opens = {frame.id for frame in opening}
+    counted = [frame for frame in traits.sent if frame.id in opens] + [*traits.feedbacks]
+    if traits.unasked_s > 0.0:  # one that its drive sends by a timer may stand before the last answer
+        asked = {(frame.id, frame.flags) for frame in opening}
+        answers = {frame.bus: frame for frame in counted if (frame.id, frame.flags) not in asked}
+        counted += answers.values()
+    return [
+        sum(frame_time_ns(len(f.data), f.flags, BitTiming.of(each)) for f in counted if f.bus == index)
+        for index, each in enumerate(c.bus.buses)
+    ]

@@ -9,26 +9,25 @@ from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, PrivateAttr, ValidationError, create_model
-from pydantic.fields import FieldInfo
+from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, create_model, field_validator
 
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError
 from drivers.section import Section
-from hil.app.configuration import problems as translate
 from hil.app.configuration.compare import CompareSettings
-from hil.app.configuration.consistency import RULES, needs
 from hil.app.configuration.fault_rules import cannot_serve
 from hil.app.configuration.law_file import LawFile, UnreadLaw, is_file, read_law, run_law
-from hil.app.configuration.magnitudes import beyond_reason
 from hil.app.configuration.plant_step import fitted
+from hil.app.configuration.problems import problems
+from hil.app.configuration.rules import broken
 from hil.app.configuration.text_file import read_configuration
-from hil.app.configuration.yaml_positions import Document, Position, Problem, lines, parse
+from hil.app.configuration.yaml_positions import Document, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
 from hil.config.feedforward import FeedforwardSettings
 from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.monitor import MonitorSettings
+from hil.config.number import MOST
 from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reactions import ReactionSettings
@@ -39,6 +38,8 @@ from hil.control import ControllerSettings
 from hil.control.law import LawSettings
 from plant_fmu.config import PlantSettings
 
+NO_LIMIT, MOST_SEED = 1e30, 2**64
+"""In section `limits`, where a large number stands for none; of a seed."""
 Command = Literal["run", "plant", "sim", "replay", "check"]
 
 
@@ -75,6 +76,14 @@ class Configuration(Section):
     _source: str = PrivateAttr("")
     _folder: Path = PrivateAttr(Path())
     _law_file: LawFile | None = PrivateAttr(None)
+
+    @field_validator("*")
+    @classmethod
+    def _is_valid(cls, value: Any, info: ValidationInfo) -> Any:
+        """Hand a valid section to `loads`: another one that is wrong must not hide what is wrong with it."""
+        if info.context is not None:
+            info.context[info.field_name] = value
+        return value
 
     @property
     def text(self) -> str:
@@ -156,13 +165,6 @@ def json_schema() -> dict[str, Any]:
     return Configuration.model_json_schema()
 
 
-_ALONE: dict[str, type[Section]] = {
-    field: create_model(field, __base__=Section, **{field: (info.annotation, info)})  # type: ignore[call-overload]
-    for field, info in Configuration.model_fields.items()
-}
-"""Each section as a model of its own: one that is wrong must not hide what is wrong in another."""
-
-
 def load(path: str | Path) -> Configuration:
     """Read a configuration from a file, or by the name of a shipped one (`virtual`).
 
@@ -181,22 +183,25 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
     document = parse(text)
     found = list(document.problems)
     sections: dict[str, Any] = {}
-    file = None
+    file, kind = _law(document, folder, found)
     if document.value is not None:
-        file, law = _law(document, folder, found)
-        for field, info in Configuration.model_fields.items():
-            kind = law if field == "controller" and law is not None else _ALONE[field]
-            sections |= _section(field, info, document, found, kind)
-        found += _unknown_sections(document)
         told = {problem.path for problem in found}
-        absurd = [problem for problem in beyond_reason(document) if problem.path not in told]
-        found += absurd
-        if not absurd:
-            found += _together(sections, document, folder)
+        try:
+            # JSON, because its strict mode takes a list for a tuple but no text and no boolean for a number.
+            kind.model_validate_json(json.dumps(document.value), strict=True, context=sections)
+        except ValidationError as error:
+            schema = json_schema() if kind is Configuration else kind.model_json_schema()
+            found += [each for each in problems(error, document, schema) if each.path not in told]
+        for field, info in Configuration.model_fields.items():
+            if field not in document.value and not info.is_required():
+                sections[field] = info.get_default() if field != "name" else short_name(name)
+        told = {problem.path for problem in found}
+        absurd = [problem for problem in _beyond_reason(document) if problem.path not in told]
+        found += absurd or _together(sections, document, folder)
     if found:
         raise ConfigurationError(*lines(found, name))
     # Each section is valid already, and the union of `controller` does not know a law in a file.
-    configuration = Configuration.model_construct(**({"name": short_name(name)} | sections))
+    configuration = Configuration.model_construct(**sections)
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
     configuration._law_file = file  # noqa: SLF001
     return configuration
@@ -209,25 +214,37 @@ def _together(sections: dict[str, Any], document: Document, folder: Path | None)
         sections["plant"] = fitted(plant, loop)
     if isinstance(sections.get("controller"), UnreadLaw):  # nothing of it is known; its run was checked
         sections = {name: section for name, section in sections.items() if name != "controller"}
-    return [
-        Problem(document.value_position(path), path, message)
-        for rule in RULES
-        if all(name in sections for name in needs(rule))
-        for path, message in rule(*(sections[name] for name in needs(rule)), folder)
-    ]
+    found = broken(sections, folder)
+    return [Problem(document.value_position(path), path, message) for path, message in found]
+
+
+def _beyond_reason(document: Document) -> list[Problem]:
+    """Return the numbers that are larger than any that is meant: squared, they would be no float.
+
+    Those of a foreign FMU are its own.
+    """
+    found = []
+    for path, position in document.values.items():
+        value = document.at(path)
+        most = MOST_SEED if path[-1] == "seed" else NO_LIMIT if path[0] == "limits" else MOST
+        number = isinstance(value, int | float) and path[:3] != ("plant", "model", "parameters")
+        if number and abs(value) > most:
+            message = f"allowed in size: up to {most:g}, given: {float(value):g}"
+            found.append(Problem(position, path, message))
+    return found
 
 
 def _law(
     document: Document, folder: Path | None, found: list[Problem]
-) -> tuple[LawFile | None, type[Section] | None]:
-    """Return the file of a law in a file, and section `controller` of that law as a model of its own.
+) -> tuple[LawFile | None, type[Configuration]]:
+    """Return the file of a law in a file, and the configuration with section `controller` of that law.
 
     Without a folder the configuration is that of a log: its law stays unread.
     """
     section = (document.value or {}).get("controller")
     law = section.get("law") if isinstance(section, dict) else None
     if not is_file(law):
-        return None, None
+        return None, Configuration
     file: LawFile | None = None
     settings: type[LawSettings] = UnreadLaw
     try:
@@ -236,37 +253,4 @@ def _law(
     except ConfigurationError as error:
         place = ("controller", "law")
         found.append(Problem(document.value_position(place), place, str(error)))
-    return file, create_model("controller", __base__=Section, controller=(settings, ...))
-
-
-def _section(
-    field: str, info: FieldInfo, document: Document, found: list[Problem], kind: type[Section]
-) -> dict[str, Any]:
-    """Validate one section; a missing one with a default is not in the result's text but is valid."""
-    assert document.value is not None
-    if field not in document.value:
-        if not info.is_required():
-            return {} if field == "name" else {field: info.get_default()}
-        allowed = translate.describe(translate.at((field,), None, json_schema()), json_schema())
-        found.append(Problem(Position(1, 1), (field,), f"missing, allowed: {allowed}"))
-        return {}
-    text = json.dumps({field: document.value[field]})
-    try:
-        # JSON, because its strict mode takes a list for a tuple but no text and no boolean for a number.
-        return {field: getattr(kind.model_validate_json(text, strict=True), field)}
-    except ValidationError as error:
-        already = {p.path for p in document.problems}
-        schema = json_schema() if kind is _ALONE[field] else kind.model_json_schema()
-        for problem in translate.problems(error, document, schema):
-            if problem.path not in already:
-                found.append(problem)
-        return {}
-
-
-def _unknown_sections(document: Document) -> list[Problem]:
-    assert document.value is not None
-    return [
-        Problem(document.key_position((key,)), (key,), translate.unknown_key((key,), document, json_schema()))
-        for key in document.value
-        if key not in Configuration.model_fields
-    ]
+    return file, create_model("WithLawInFile", __base__=Configuration, controller=(settings, ...))

@@ -1,6 +1,5 @@
 """The controller of law `state_space`: where its file is, and whether the loop can run what it holds."""
 
-import importlib.resources
 from pathlib import Path
 from typing import Any
 
@@ -8,30 +7,23 @@ import numpy as np
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.section_file import read_section
+from hil.app.configuration.text_file import shipped, shipped_file
 from hil.app.configuration.yaml_positions import Problem
 from hil.config.linear_controller import LinearController
 from hil.control import ControllerSettings
 from hil.control.law import Law
 from hil.control.state_space import StateSpace, StateSpaceSettings, require_rate
 
+KIND = "controllers"
+"""Folder of the shipped ones."""
 ROUNDING = 1e-9
 """An integrator's pole is at 1, give or take this much."""
 
 
-def shipped_controllers() -> tuple[str, ...]:
-    """Return the names of the controllers that come with the product."""
-    folder = importlib.resources.files("configs") / "controllers"
-    names = (file.name for file in folder.iterdir()) if folder.is_dir() else ()
-    return tuple(sorted(name.removesuffix(".yaml") for name in names if name.endswith(".yaml")))
-
-
 def controller_path(settings: StateSpaceSettings, folder: Path) -> Path:
     """Return the controller's file: relative to `folder`, or a shipped one by its name."""
-    file = folder / settings.controller_file
-    if not file.exists() and settings.controller_file in shipped_controllers():
-        shipped = importlib.resources.files("configs") / "controllers" / f"{settings.controller_file}.yaml"
-        return Path(str(shipped))
-    return file
+    file, name = folder / settings.controller_file, settings.controller_file
+    return shipped_file(name, KIND) if not file.exists() and name in shipped(KIND) else file
 
 
 def read_controller(path: Path) -> LinearController:
@@ -68,10 +60,9 @@ def controller_of(settings: ControllerSettings, folder: Path) -> LinearControlle
         return None
     path = controller_path(settings, folder)
     if not path.exists():
-        names = ", ".join(shipped_controllers()) or "none"
         raise ConfigurationError(
-            f"no such file, allowed: a file that `hil design` wrote, or a shipped controller ({names}), "
-            f"given: {settings.controller_file} (looked for {path})"
+            "no such file, allowed: a file that `hil design` wrote, or a shipped controller "
+            f"({', '.join(shipped(KIND))}), given: {settings.controller_file} (looked for {path})"
         )
     return read_controller(path)
 

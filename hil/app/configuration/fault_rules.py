@@ -1,12 +1,10 @@
 """What faults a configuration or a command cannot have."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path as FilePath
 
 from drivers import build_protocol
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, HilError, ProtocolError
-from hil.app.configuration.yaml_positions import Path
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.fault import Fault
@@ -35,36 +33,6 @@ def not_brought_about(plant: PlantSettings, kind: str) -> str:
     if issubclass(acts, BRAKES) and not model.brake:
         return f"{kind} needs brakes of the FMU: map six inputs in plant.model.brake, or use another kind"
     return ""
-
-
-def platform_loads(plant: PlantSettings | None, _: FilePath | None) -> Iterator[tuple[Path, str]]:
-    """Refuse a fault that comes to nothing at the plant."""
-    if plant is None:
-        return
-    for n, fault in enumerate(plant.faults):
-        message = not_brought_about(plant, str(fault.kind))
-        if message:
-            yield ("plant", "faults", n, "kind"), message
-
-
-def faulty_buses(
-    plant: PlantSettings | None, bus: BusSettings, _: FilePath | None
-) -> Iterator[tuple[Path, str]]:
-    """Refuse a fault of a bus that there is not."""
-    for n, fault in enumerate(() if plant is None else plant.faults):
-        message = of_no_bus(fault, bus)
-        if message:
-            yield ("plant", "faults", n, "bus"), message
-
-
-def carried_forces(
-    plant: PlantSettings | None, bus: BusSettings, drives: DriveSettings, _: FilePath | None
-) -> Iterator[tuple[Path, str]]:
-    """Refuse a foreign command whose force no frame of these drives carries."""
-    for n, fault in enumerate(() if plant is None else plant.faults):
-        message = not_carried(fault, bus, drives)
-        if message:
-            yield ("plant", "faults", n, "force_N"), message
 
 
 def not_carried(fault: Fault, bus: BusSettings, drives: DriveSettings) -> str:

@@ -3,17 +3,13 @@
 The kind, then its keys; a key may be written without its unit.
 """
 
-import json
 from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 
-from pydantic import ValidationError
-
 from drivers.errors import ConfigurationError
-from hil.app.configuration import problems as translate
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.fault_rules import platform_loads
-from hil.app.configuration.problems import split_unit
+from hil.app.configuration.fault_rules import not_brought_about
+from hil.app.configuration.problems import split_unit, validated
 from hil.app.configuration.yaml_positions import parse, path_text
 from plant_fmu.faults import FAULTS
 from plant_fmu.faults.fault import Fault
@@ -46,12 +42,9 @@ def read_fault(text: str) -> Fault:
             raise ConfigurationError(f"{where}: {key}: given twice")
         lines[whole] = f"{whole}: [{value}]" if "," in value else f"{whole}: {value}"
     document = parse("\n".join((f"kind: {name}", *lines.values())) + "\n")
-    found = list(document.problems)
-    if not found:
-        try:
-            return kind.model_validate_json(json.dumps(document.value), strict=True)
-        except ValidationError as error:
-            found = translate.problems(error, document, kind.model_json_schema())
+    fault, found = validated(kind, document)
+    if fault is not None:
+        return fault
     raise ConfigurationError(*(f"{where}: {path_text(p.path)}: {p.message}" for p in found))
 
 
@@ -96,9 +89,8 @@ def with_more(c: Configuration, faults: Sequence[Fault]) -> Configuration:
         raise ConfigurationError(
             f"{c.source}: plant: missing, and faults act on it: this configuration is for real drives"
         )
-    plant = c.plant.model_copy(update={"faults": [*c.plant.faults, *faults]})
-    changed = c.model_copy(update={"plant": plant})
-    found = [message for _, message in platform_loads(plant, None)]
+    found = [message for fault in faults if (message := not_brought_about(c.plant, str(fault.kind)))]
     if found:
         raise ConfigurationError(*(f"{c.source}: {message}" for message in found))
-    return changed
+    plant = c.plant.model_copy(update={"faults": [*c.plant.faults, *faults]})
+    return c.model_copy(update={"plant": plant})

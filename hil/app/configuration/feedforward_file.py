@@ -6,24 +6,21 @@ The head says what the forces were learned on. A run on anything else is refused
 import hashlib
 import io
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import ValidationError
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.files import read_regular
-from hil.app.configuration import problems as translate
 from hil.app.configuration.controller_file import controller_path
-from hil.app.configuration.yaml_positions import Path as Key
-from hil.app.configuration.yaml_positions import lines, parse
+from hil.app.configuration.problems import checked
+from hil.app.configuration.yaml_positions import parse
 from hil.config.feedforward import FeedforwardHead, FeedforwardSettings, MadeFor
 from hil.config.platform import PlatformSettings
-from hil.config.reference import LiveReference, ReferenceSettings, SampledReference
+from hil.config.reference import ReferenceSettings, SampledReference
 from hil.control import ControllerSettings
 from hil.control.state_space import StateSpaceSettings
 from hil.loop.learned import LearnedForces
@@ -33,8 +30,6 @@ MOST_BYTES = 32 << 20
 MOST_HEAD = 100
 """Lines."""
 COLUMNS = ("t_s", *(f"leg_{leg}_N" for leg in range(6)))
-UNEVEN = 1e-6
-"""Largest deviation of a time from its place, as a share of the step."""
 BEGINNING = b"# Made by hil learn"
 """By which an earlier file of the command is known."""
 DECIMALS = 4
@@ -115,67 +110,33 @@ def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: floa
 def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float, float]:
     """Return head, forces (n, 6) N, their first time and step in s; name stands for the file in messages.
 
-    Raises ConfigurationError: another kind of file, a head with problems, another number of rows or another
-    digest than it says, a value that is no finite number, or times without one step.
+    Raises ConfigurationError: another kind of file, a head with problems, or rows that are not those of which
+    the head has the digest.
     """
     try:
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{name}: not UTF-8 text: {error.reason}") from None
-    head, line, rest = _head(text, name)
-    header, _, body = rest.partition("\n")
-    if tuple(word.strip() for word in header.split(",")) != COLUMNS:
+    head, body = _head(text, name)
+    try:
+        rows = io.StringIO(body.partition("\n")[2] or "nan")
+        table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
+    except ValueError as error:
+        raise ConfigurationError(f"{name}: {error}, in the rows below the head") from None
+    learned = table.shape == (head.rows, len(COLUMNS)) and _digest_of(table) == head.digest
+    if not (learned and np.isfinite(table).all() and table[-1, 0] > table[0, 0]):
         raise ConfigurationError(
-            f"{name}:{line}: the header must be {','.join(COLUMNS)}; given: {header[:200] or 'nothing'}"
+            f"{name}: {len(table)} rows with the digest {_digest_of(table)}, allowed: the {head.rows} that "
+            f"were learned, {head.digest or 'none'}: it was cut or changed; copy it again or learn again"
         )
-    table = _table(body, head.rows, line, name)
     start_s, end_s = float(table[0, 0]), float(table[-1, 0])
-    step_s = (end_s - start_s) / (len(table) - 1)
-    off = np.abs(table[:, 0] - start_s - step_s * np.arange(len(table)))
-    if not step_s > 0.0 or start_s > 0.0 or off.max() > UNEVEN * step_s:
-        row = int(off.argmax())
-        raise ConfigurationError(
-            f"{name}:{line + 1 + row}: t_s must begin at 0 or before, and rise by one step, here {step_s:g} s"
-            f"; given: {table[row, 0]:.9g}"
-        )
-    if _digest_of(table) != head.digest:
-        raise ConfigurationError(
-            f"{name}: its forces are not those that were learned (digest {_digest_of(table)}, allowed: "
-            f"{head.digest or 'none is given'}): it was changed since; copy it again or learn anew"
-        )
     tau = np.ascontiguousarray(table[:, 1:])
     tau.flags.writeable = False
-    return head, tau, start_s, step_s
+    return head, tau, start_s, (end_s - start_s) / (len(table) - 1)
 
 
-def _table(body: str, rows: int, line: int, name: str) -> Array:
-    """Return so many rows of the body, behind the header in this line, all of them finite."""
-    if not body.strip():
-        raise ConfigurationError(f"{name}:{line + 1}: no row follows the header, allowed: at least 2")
-    try:
-        table = np.loadtxt(io.StringIO(body), delimiter=",", ndmin=2, comments=None)
-    except ValueError as error:
-        raise ConfigurationError(f"{name}: rows are counted from line {line + 1}: {error}") from None
-    if table.shape[1] != len(COLUMNS) or len(table) < 2:
-        raise ConfigurationError(
-            f"{name}: {len(table)} rows of {table.shape[1]} values, allowed: at least 2 of {len(COLUMNS)}"
-        )
-    if len(table) != rows or not body.endswith("\n"):
-        last = "whole" if body.endswith("\n") else "cut"
-        raise ConfigurationError(
-            f"{name}: {len(table)} rows, the last one {last}, allowed: {rows} whole ones, as its head says: "
-            "a part of the file is missing, copy it again or learn anew"
-        )
-    if not np.isfinite(table).all():
-        row, column = (int(k) for k in np.argwhere(~np.isfinite(table))[0])
-        raise ConfigurationError(
-            f"{name}:{line + 1 + row}: {COLUMNS[column]} must be a finite number; given: {table[row, column]}"
-        )
-    return np.asarray(table, np.float64)
-
-
-def _head(text: str, name: str) -> tuple[FeedforwardHead, int, str]:
-    """Return the head, the number of the line behind it, and the text from that line on."""
+def _head(text: str, name: str) -> tuple[FeedforwardHead, str]:
+    """Return the head, and the text behind it."""
     top: list[str] = []
     rest = text
     while rest.startswith("#") and len(top) <= MOST_HEAD:
@@ -186,16 +147,7 @@ def _head(text: str, name: str) -> tuple[FeedforwardHead, int, str]:
             f"{name}: has no head, allowed: a file that `hil learn` wrote, which begins with "
             f"2 to {MOST_HEAD} lines of # and what it was learned on"
         )
-    document = parse("\n".join(["#", *top[1:]]))
-    found = list(document.problems)
-    if document.value is not None:
-        try:
-            head = FeedforwardHead.model_validate_json(json.dumps(document.value), strict=True)
-        except ValidationError as error:
-            found += translate.problems(error, document, FeedforwardHead.model_json_schema())
-    if found:
-        raise ConfigurationError(*lines(found, name))
-    return head, len(top) + 1, rest
+    return checked(FeedforwardHead, parse("\n".join(["#", *top[1:]])), name), rest
 
 
 def learned_forces(
@@ -228,7 +180,7 @@ def learned_forces(
         if there != here:
             raise ConfigurationError(
                 f"{path}: was learned on another {what} (fingerprint {there}, here {here}): its forces are "
-                f"wrong on this one. Take section feedforward out, run once, and learn anew from that log"
+                f"wrong on this one. Take section feedforward out, run once, and learn again from that log"
             )
     peak = float(np.abs(tau).max())
     if peak > settings.limit_N:
@@ -237,23 +189,3 @@ def learned_forces(
             f"{settings.limit_N:.15g} N, given: {peak:.15g} N"
         )
     return LearnedForces(tau, start_s, step_s, settings.fade_s)
-
-
-def usable_feedforward(
-    feedforward: FeedforwardSettings | None,
-    reference: ReferenceSettings,
-    controller: ControllerSettings,
-    platform: PlatformSettings,
-    folder: Path | None,
-) -> Iterator[tuple[Key, str]]:
-    """Refuse a feed-forward that was learned on something else, and one where set-points are not known."""
-    if feedforward is None:
-        return
-    if isinstance(reference, LiveReference):
-        message = "where set-points will send a live reference is not known, allowed with it: leave it out"
-        yield ("feedforward",), message
-    elif folder is not None:
-        try:
-            learned_forces(feedforward, reference, controller, platform, folder)
-        except ConfigurationError as error:
-            yield ("feedforward", "file"), str(error)

@@ -1,9 +1,7 @@
 """The plant's step: how short it may be, and what it is where nobody states it."""
 
-from collections.abc import Iterator
 from math import ceil
 
-from hil.app.configuration.yaml_positions import Path
 from hil.config.loop import LoopSettings
 from plant_fmu.config import FmuPlant, PlantSettings
 
@@ -27,25 +25,3 @@ def fitted(plant: PlantSettings, loop: LoopSettings) -> PlantSettings:
         return plant
     model = plant.model.model_copy(update={key: step_us})
     return plant.model_copy(update={"model": model})
-
-
-def plant_steps(plant: PlantSettings | None, loop: LoopSettings, _: object) -> Iterator[tuple[Path, str]]:
-    """Refuse a period that is no whole number of the plant's steps, or too many of them."""
-    if plant is None:
-        return
-    key, period_us = step_key(plant), 1e6 / loop.rate_Hz
-    step_us: float = getattr(plant.model, key)
-    steps = period_us / step_us
-    if steps > MOST_STEPS * (1 + 1e-9):
-        message = (
-            f"{steps:.3g} steps in each tick, allowed: at least {period_us / MOST_STEPS:g} "
-            f"({MOST_STEPS} steps at loop.rate_Hz {loop.rate_Hz:g}), given: {step_us:g}"
-        )
-        yield ("plant", "model", key), message
-    elif steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps:
-        message = (
-            f"the period is no whole number of steps, allowed: {period_us:g} us (loop.rate_Hz "
-            f"{loop.rate_Hz:g}) divided by a whole number, as {period_us / ceil(steps):.12g}, given: "
-            f"{step_us:g}"
-        )
-        yield ("plant", "model", key), message

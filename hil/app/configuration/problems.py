@@ -7,11 +7,12 @@ import json
 import math
 import re
 from difflib import get_close_matches
-from typing import Any
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
-from hil.app.configuration.yaml_positions import Document, Path, Problem, Value
+from drivers.errors import ConfigurationError
+from hil.app.configuration.yaml_positions import Document, Path, Problem, Value, lines
 
 Schema = dict[str, Any]
 
@@ -20,8 +21,6 @@ UNITS = frozenset({
     "W", "V", "A", "Hz", "kHz", "MHz", "rad", "deg", "percent", "bit", "ticks",
 })  # fmt: skip
 """Words that count as a unit at the end of a key."""
-FORMER_KEYS: dict[str, str] = {"drives.reaction": "reactions.silence"}
-"""Key that was removed or renamed, as a dotted path without list indices -> what to write instead."""
 FIXED_KEYS = {"reactions": ("estop", "bus", "second_controller")}
 """Section -> what cannot be set there: there is nobody who could obey anything but sto."""
 
@@ -44,6 +43,30 @@ def problems(error: ValidationError, document: Document, schema: Schema) -> list
         for name in re.findall(r"^(?:missing|wrong) unit: the key is (\w+)", p.message)
     }
     return [p for p in kept if p.path not in asked & mended]
+
+
+Of = TypeVar("Of", bound=BaseModel)
+
+
+def validated(kind: type[Of], document: Document) -> tuple[Of | None, list[Problem]]:
+    """Return what a text holds, and what is wrong with it: one of them is empty."""
+    found = list(document.problems)
+    if document.value is not None:
+        try:
+            section = kind.model_validate_json(json.dumps(document.value), strict=True)
+        except ValidationError as error:
+            found += problems(error, document, kind.model_json_schema())
+        else:
+            return (None, found) if found else (section, found)
+    return None, found
+
+
+def checked(kind: type[Of], document: Document, name: str) -> Of:
+    """Return what a text of this name holds. Raises ConfigurationError with all problems found."""
+    section, found = validated(kind, document)
+    if section is None:
+        raise ConfigurationError(*lines(found, name))
+    return section
 
 
 def describe(schema: Schema, root: Schema) -> str:
@@ -149,7 +172,7 @@ def _path(loc: tuple[str | int, ...], data: Value, *, missing: bool) -> Path:
 
 
 _WHAT = {
-    "literal_error": "unknown value",
+    **dict.fromkeys(("literal_error", "union_tag_invalid"), "unknown value"),
     "string_pattern_mismatch": "wrong form",
     **dict.fromkeys(("too_short", "too_long"), "wrong number of entries"),
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "out of range"),
@@ -160,51 +183,36 @@ _WHAT = {
 def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schema) -> tuple[str, Problem]:
     """Return a class of problem, for the de-duplication of union alternatives, and the problem."""
     if kind == "extra_forbidden":
-        message = unknown_key(path, document, schema)
-        return "key", Problem(document.key_position(path), path, message)
-    if kind == "missing" and isinstance(path[-1], int):
-        path = path[:-1]
-        allowed = describe(at(path, document.value, schema), schema)
-        message = f"wrong number of entries, allowed: {allowed}, given: {_entries(path, document)}"
-        return "value", Problem(document.value_position(path), path, message)
-    if kind == "missing":
-        allowed = describe(at(path, document.value, schema), schema)
-        return "key", Problem(document.key_position(path), path, f"missing, allowed: {allowed}")
-    if kind in ("union_tag_not_found", "union_tag_invalid"):
-        discriminator = at(path, document.value, schema)["discriminator"]
-        holder, path = path, (*path, discriminator["propertyName"])
-        allowed = ", ".join(discriminator["mapping"])
-        if kind == "union_tag_not_found":
-            return "key", Problem(document.key_position(holder), path, f"missing, allowed: {allowed}")
-        given = _show(item["input"].get(path[-1]))
-        message = f"unknown value, allowed: {allowed}, given: {given}"
-        return "value", Problem(document.value_position(path), path, message)
-    if kind == "string_pattern_mismatch" and item["loc"][-1] == "[key]":
-        allowed = describe({"type": "string", **item["ctx"]}, schema)
-        message = f"{_WHAT[kind]}, allowed: {allowed}, given: {_show(item['input'])}"
-        return "key", Problem(document.key_position(path), path, message)
-    position = document.value_position(path)
+        return "key", Problem(document.key_position(path), path, unknown_key(path, document, schema))
     if kind in ("value_error", "assertion_error"):
-        return "value", Problem(position, path, str(item["ctx"]["error"]))
-    given = _show(item["input"])
-    allowed = describe(at(path, document.value, schema), schema)
-    if kind == "finite_number" or (isinstance(item["input"], float) and not math.isfinite(item["input"])):
-        return "value", Problem(position, path, f"not a finite number, allowed: {allowed}, given: {given}")
-    what = _WHAT.get(kind)
-    if what == "wrong number of entries" and isinstance(item["input"], list | dict):
-        given = f"{len(item['input'])} entries"
-    if what:
-        return "value", Problem(position, path, f"{what}, allowed: {allowed}, given: {given}")
-    if kind.endswith(("_type", "_parsing", "_from_float")) or kind == "missing":
-        return "type", Problem(position, path, f"wrong type, allowed: {allowed}, given: {given}")
-    return "value", Problem(position, path, f"{item['msg']}, allowed: {allowed}, given: {given}")
+        return "value", Problem(document.value_position(path), path, str(item["ctx"]["error"]))
+    given: Any = item["input"]
+    if kind == "missing" and isinstance(path[-1], int):  # of a list of so many entries
+        kind, path = "too_short", path[:-1]
+        given = document.at(path)
+    there = at(path, document.value, schema)
+    allowed = describe(there, schema)
+    if kind in ("union_tag_not_found", "union_tag_invalid"):
+        chosen = there["discriminator"]
+        path, allowed = (*path, chosen["propertyName"]), ", ".join(chosen["mapping"])
+        given = given.get(path[-1]) if isinstance(given, dict) else given
+    if kind in ("missing", "union_tag_not_found"):
+        return "key", Problem(document.key_position(path), path, f"missing, allowed: {allowed}")
+    group, position, what = "value", document.value_position(path), _WHAT.get(kind)
+    if kind == "string_pattern_mismatch" and item["loc"][-1] == "[key]":
+        group, position = "key", document.key_position(path)
+        allowed = describe({"type": "string", **item["ctx"]}, schema)
+    elif kind == "finite_number" or (isinstance(given, float) and not math.isfinite(given)):
+        what = "not a finite number"
+    elif kind.endswith(("_type", "_parsing", "_from_float")):
+        group, what = "type", "wrong type"
+    counted = kind in ("too_short", "too_long") and isinstance(given, list | dict)
+    shown = f"{len(given)} entries" if counted else _show(given)
+    return group, Problem(position, path, f"{what or item['msg']}, allowed: {allowed}, given: {shown}")
 
 
 def unknown_key(path: Path, document: Document, schema: Schema) -> str:
-    """Say what to write for a former key; else name the missing or wrong unit, the nearest key, all keys."""
-    advice = FORMER_KEYS.get(".".join(item for item in path if isinstance(item, str)))
-    if advice is not None:
-        return f"no longer a key, write {advice}"
+    """Name the missing or wrong unit, the nearest key, all keys."""
     fixed = FIXED_KEYS.get(str(path[0]), ()) if len(path) == 2 else ()
     if path[-1] in fixed:
         return f"no key: the reactions to {', '.join(fixed)} are fixed, always sto; leave it out"
@@ -230,13 +238,6 @@ def split_unit(key: str) -> tuple[str, str]:
     while end > 1 and words[end - 1] in UNITS:
         end -= 1
     return "_".join(words[:end]), "_".join(words[end:])
-
-
-def _entries(path: Path, document: Document) -> str:
-    data: Value = document.value
-    for item in path:
-        data = data[item]  # type: ignore[index]
-    return f"{len(data)} entries" if isinstance(data, list) else _show(data)
 
 
 def _show(value: object) -> str:

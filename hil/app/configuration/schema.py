@@ -84,13 +84,6 @@ def with_schema(text: str) -> str:
     return schema_line() + "\n" + text
 
 
-def write(folder: Path) -> Path:
-    """Write the schema into `folder` for configurations that stand there; return the file."""
-    path = folder / FILE
-    path.write_text(text(), encoding="utf-8")
-    return path
-
-
 def _sections(section: type[Section]) -> Iterator[type[Section]]:
     for derived in section.__subclasses__():
         yield derived

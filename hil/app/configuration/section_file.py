@@ -3,18 +3,16 @@
 Every problem is reported at once, each as `file:line:column: path: what, allowed, given`.
 """
 
-import json
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
 
 from drivers.errors import ConfigurationError
 from drivers.section import Section
-from hil.app.configuration import problems as translate
+from hil.app.configuration.problems import checked
 from hil.app.configuration.text_file import read_text
-from hil.app.configuration.yaml_positions import Document, lines, parse
+from hil.app.configuration.yaml_positions import Document, parse
 from hil.app.files import Kind, new_file, printable, write_whole
 
 Of = TypeVar("Of", bound=Section)
@@ -29,16 +27,9 @@ def read_section(path: Path, kind: type[Of]) -> tuple[Of, Document]:
         document = parse(read_text(path))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file") from None
-    found = list(document.problems)
     if document.value is not None:
         _refuse_another_kind(path, document.value, kind)
-        try:
-            section = kind.model_validate_json(json.dumps(document.value), strict=True)
-        except ValidationError as error:
-            found += translate.problems(error, document, kind.model_json_schema())
-    if found:
-        raise ConfigurationError(*lines(found, str(path)))
-    return section, document
+    return checked(kind, document, str(path)), document
 
 
 def _refuse_another_kind(path: Path, value: dict[str, Any], kind: type[Section]) -> None:

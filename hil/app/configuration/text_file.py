@@ -30,10 +30,15 @@ def read_text(path: Path) -> str:
         raise ConfigurationError(f"{path}:{line}:{column}: not UTF-8 text") from None
 
 
-def shipped() -> tuple[str, ...]:
-    """Return the names of the configurations that come with the product."""
-    files = importlib.resources.files("configs").iterdir()
+def shipped(kind: str = "") -> tuple[str, ...]:
+    """Return the names of the configurations that come with the product, or of its controllers or designs."""
+    files = importlib.resources.files("configs").joinpath(kind).iterdir()
     return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
+
+
+def shipped_file(name: str, kind: str = "") -> Path:
+    """Return the file of a shipped configuration, controller or design."""
+    return Path(str(importlib.resources.files("configs").joinpath(kind, f"{name}.yaml")))
 
 
 def read_configuration(path: str | Path) -> tuple[Path, str]:
@@ -44,7 +49,7 @@ def read_configuration(path: str | Path) -> tuple[Path, str]:
     """
     file = Path(path)
     if (not file.exists() or file.is_dir()) and str(path) in shipped():
-        file = Path(str(importlib.resources.files("configs") / f"{path}.yaml"))
+        file = shipped_file(str(path))
     try:
         return file, read_text(file)
     except FileNotFoundError:

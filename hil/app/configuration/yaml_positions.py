@@ -9,7 +9,8 @@ import copy
 import functools
 import re
 from collections.abc import Callable, Iterable
-from typing import NamedTuple
+from contextlib import suppress
+from typing import Any, NamedTuple
 
 import yaml
 
@@ -67,6 +68,13 @@ class Document(NamedTuple):
         """Return where the value at `path` stands, or the key of its nearest ancestor in the text."""
         return self.values[path] if path in self.values else self.key_position(path)
 
+    def at(self, path: Path) -> Value:
+        """Return the value at `path`, which is in the text."""
+        value: Any = self.value
+        for item in path:
+            value = value[item]
+        return value  # type: ignore[no-any-return]
+
     def has(self, path: Path) -> bool:
         """Return whether the text gives a value at `path`."""
         return path in self.values
@@ -96,59 +104,41 @@ def _parsed(text: str) -> Document:
         finally:
             loader.dispose()  # breaks PyYAML's reference cycles
     except yaml.MarkedYAMLError as error:
-        return Document(None, {}, {}, (_syntax_problem(error),))
+        return _unread(*_syntax_problem(error))
     except yaml.reader.ReaderError as error:
         before = text[: error.position]
         position = Position(before.count("\n") + 1, len(before) - before.rfind("\n"))
-        message = f"character U+{ord(text[error.position]):04X} is not allowed in YAML"
-        return Document(None, {}, {}, (Problem(position, (), message),))
+        return _unread(f"character U+{ord(text[error.position]):04X} is not allowed in YAML", position)
     except RecursionError:
-        return Document(None, {}, {}, (Problem(Position(1, 1), (), "nested too deeply"),))
-    except _TooManyError as error:
-        return Document(
-            None, {}, {}, (Problem(error.args[0], (), f"allowed: {MOST_VALUES} values in a file"),)
-        )
+        return _unread("nested too deeply")
     if root is None:
-        return Document(None, {}, {}, (Problem(Position(1, 1), (), "the file is empty"),))
+        return _unread("the file is empty")
     if not isinstance(root, yaml.MappingNode):
-        message = "expected sections (`platform:`, `bus:`, ...) at the top of the file"
-        return Document(None, {}, {}, (Problem(_position(root), (), message),))
+        return _unread("expected sections (`platform:`, `bus:`, ...) at the top of the file", _position(root))
     walk = _Walk()
     value = walk.mapping(root, ())
     return Document(value, walk.keys, walk.values, tuple(walk.problems))
 
 
-class _TooManyError(Exception):
-    """Raised with the position of the value that is one too many."""
+def _unread(message: str, at: tuple[int, int] = (1, 1)) -> Document:
+    return Document(None, {}, {}, (Problem(Position(*at), (), message),))
 
 
-class _Loader(
-    yaml.reader.Reader,
-    yaml.scanner.Scanner,
-    yaml.parser.Parser,
-    yaml.composer.Composer,
-    yaml.resolver.BaseResolver,
-):
+class _Loader(yaml.BaseLoader):
     """PyYAML up to its node tree: resolving and constructing are ours."""
 
-    def __init__(self, text: str) -> None:
-        yaml.reader.Reader.__init__(self, text)
-        yaml.scanner.Scanner.__init__(self)
-        yaml.parser.Parser.__init__(self)
-        yaml.composer.Composer.__init__(self)
-        yaml.resolver.BaseResolver.__init__(self)
-        self._composed = 0
+    composed = 0
 
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
-        self._composed += 1
-        if self._composed > MOST_VALUES:
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise _TooManyError(Position(event.start_mark.line + 1, event.start_mark.column + 1))
-        if self.check_event(yaml.AliasEvent):
-            event = self.peek_event()  # type: ignore[no-untyped-call]
-            raise yaml.composer.ComposerError(
-                None, None, f"alias *{event.anchor} is not supported: write the value out", event.start_mark
-            )
+        self.composed += 1
+        event = self.peek_event()  # type: ignore[no-untyped-call]
+        message = ""
+        if self.composed > MOST_VALUES:
+            message = f"allowed: {MOST_VALUES} values in a file"
+        elif self.check_event(yaml.AliasEvent):
+            message = f"alias *{event.anchor} is not supported: write the value out"
+        if message:
+            raise yaml.composer.ComposerError(None, None, message, event.start_mark)
         return super().compose_node(parent, index)
 
 
@@ -213,11 +203,8 @@ class _Walk:
             return text
         for pattern, convert in _SCALARS:
             if pattern.fullmatch(text):
-                try:
+                with suppress(ValueError, OverflowError):  # too many digits for a number
                     return convert(text)
-                except (ValueError, OverflowError):
-                    self.problem(node, path, f"number of {len(text)} digits: too long")
-                    return None
         return text
 
 
@@ -255,9 +242,8 @@ def _position(node: yaml.Node) -> Position:
     return Position(node.start_mark.line + 1, node.start_mark.column + 1)
 
 
-def _syntax_problem(error: yaml.MarkedYAMLError) -> Problem:
+def _syntax_problem(error: yaml.MarkedYAMLError) -> tuple[str, Position]:
     mark = error.problem_mark or error.context_mark
-    position = Position(mark.line + 1, mark.column + 1) if mark else Position(1, 1)
     message = error.problem or "not YAML"
     if "'\\t'" in message:
         message = "tab: YAML indents with spaces only"
@@ -265,6 +251,6 @@ def _syntax_problem(error: yaml.MarkedYAMLError) -> Problem:
         message = "a second document (`---`) is not allowed: one file is one configuration"
     elif error.context:
         message = f"not YAML: {error.context}, {message}"
-    else:
-        message = message if message.startswith("alias") else f"not YAML: {message}"
-    return Problem(position, (), message)
+    elif not message.startswith(("alias", "allowed")):
+        message = f"not YAML: {message}"
+    return message, Position(mark.line + 1, mark.column + 1) if mark else Position(1, 1)

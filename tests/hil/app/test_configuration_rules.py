@@ -36,10 +36,6 @@ def multisine(**changes: Any) -> dict[str, Any]:
     return reference("multisine", period_s=axis.pop("period_s", 5), axes=[axis])
 
 
-def waypoints(last_s: float) -> dict[str, Any]:
-    return reference("waypoints", points=[{"t_s": t, "position_m": [0, 0, 1]} for t in (0, last_s)])
-
-
 def sinusoid(frequency_Hz: float) -> dict[str, Any]:
     wave = {"axis": "z_m", "amplitude": 1e-3, "frequency_Hz": frequency_Hz}
     return reference("sinusoids", duration_s=5, components=[wave])
@@ -94,16 +90,7 @@ LOST = {"fusion": {"may_lose_legs": [0]}}
 RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     # ranges
     "plant.model.internal_step_us": ("virtual", {"plant": {"model": {"internal_step_us": 0.1}}}, {"plant": {"model": {"internal_step_us": 0.05}}}, "at least 0.1"),
-    "recording.ring_ticks": ("virtual", {"recording": {"ring_ticks": 131072}}, {"recording": {"ring_ticks": 131073}}, "at most 131072"),
-    "recording.budget_GB": ("virtual", {"recording": {"budget_GB": 1e9}}, {"recording": {"budget_GB": 1e300}}, "at most 1e+09"),
     "loop.rate_Hz": ("ideal", {}, {"loop": {"rate_Hz": 1e9}}, "at most 100000"),
-    "loop.cpu": ("virtual", {"loop": {"cpu": 0}}, {"loop": {"cpu": -1}}, "at least 0"),
-    "engage.stop_s": ("virtual", {"engage": {"stop_s": 60}}, {"engage": {"stop_s": 61}}, "at most 60"),
-    "limits.stale_fault_ticks": ("virtual", {"limits": {"stale_fault_ticks": 1000}}, {"limits": {"stale_fault_ticks": 1001}}, "at most 1000"),
-    "reference.periods": ("virtual", {"reference": {"periods": 1000000}}, {"reference": {"periods": 10**30}}, "at most 1e+06"),
-    "reference.points[1].t_s": ("virtual", waypoints(86400), waypoints(86401), "at most 86400"),
-    "reference.duration_s": ("virtual", reference("hold", duration_s=1e9), reference("hold", duration_s=1e20), "at most 1e+09"),
-    "reference.axes[0].lines": ("virtual", multisine(), multisine(lines=1001), "at most 1000"),
     "reference.axes[0].band_Hz": ("virtual", multisine(), multisine(period_s=1000, band_Hz=[1, 400]), "up to 200 Hz"),
     "reference.components[0].frequency_Hz": ("virtual", sinusoid(500), sinusoid(501), "above half the rate"),
     "reference.path": ("virtual", {}, reference("sampled", path="gone.csv"), "gone.csv"),
@@ -216,9 +203,7 @@ TEXTS = {name: load(name).text for name in ("virtual", "lab")}
 PLACES = [(name, path) for name, text in TEXTS.items() for path in numbers(yaml.safe_load(text))]
 
 
-@pytest.mark.parametrize(
-    "number", broad([-1.1e30, 0.9e-60, 2 * 10**30, 10**300], quick=1), ids="{:.2g}".format
-)
+@pytest.mark.parametrize("number", broad([-1.1e30, 2 * 10**30, 10**300], quick=1), ids="{:.2g}".format)
 def test_an_absurd_number_is_refused_wherever_it_stands(number):
     assert len(PLACES) > 50
     for name, path in PLACES:

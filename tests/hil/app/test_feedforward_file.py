@@ -64,13 +64,11 @@ def test_a_file_is_read_as_it_was_written() -> None:
         ("# run: 1", "# run: 0", "run"),
         ("# peak_N: 100.0", "# peak_N: .nan", "peak_N"),
         ("# Made by", "Made by", "has no head"),
-        ("leg_5_N", "leg_6_N", "the header must be t_s,leg_0_N"),
-        ("-0.004,0.0000", "-0.004,nan", "leg_0_N must be a finite number; given: nan"),
+        ("-0.004,0.0000", "-0.004,nan", "cut or changed"),
         ("-0.004,0.0000", "-0.004", "number of columns changed"),
-        ("\n-0.002,", "\n-0.0025,", "rise by one step"),
-        ("\n0,", "\n-0.004,", "rise by one step"),
-        (f"\n0.001,{ROWS[5, 0]:.4f}", f"\n0.001,{ROWS[5, 0] + 1e-4:.4f}", "not those that were learned"),
-        ("# digest: ", "# digest: '0' #", "not those that were learned"),
+        ("\n-0.002,", "\n-0.0025,", "cut or changed"),
+        (f"\n0.001,{ROWS[5, 0]:.4f}", f"\n0.001,{ROWS[5, 0] + 1e-4:.4f}", "cut or changed"),
+        ("# digest: ", "# digest: '0' #", "cut or changed"),
     ],
 )
 def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: str) -> None:
@@ -98,7 +96,7 @@ def test_learned_forces_are_refused_on_anything_else(what: str, changes: Any, tm
     assert f"feedforward.file: {tmp_path / 'learned.csv'}: was learned on another {what}" in str(
         refused.value
     )
-    assert "learn anew" in str(refused.value)
+    assert "learn again" in str(refused.value)
 
 
 def test_more_than_its_limit_is_refused(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from drivers.config import HomingSettings
 from drivers.errors import ConfigurationError
 from hil.app.configuration.compare import DisturbanceSettings, StepSettings
 from hil.app.configuration.configuration import load, loads
-from hil.app.configuration.controller_file import shipped_controllers
+from hil.app.configuration.text_file import shipped
 from hil.cli import main
 from hil.config.delay import DelayCompensation
 from hil.config.reference import HoldReference
@@ -82,7 +82,7 @@ def with_section(text):
 
 def every_law(c):
     """All of the table, where a controller made for the loop's rate is shipped."""
-    designed = "hinf" in shipped_controllers() and c.loop.rate_Hz == SHIPPED_RATE_HZ
+    designed = "hinf" in shipped("controllers") and c.loop.rate_Hz == SHIPPED_RATE_HZ
     return (set(LAWS) | set(VARIANTS)) - (set() if designed else {"state_space"})
 
 

@@ -1,0 +1,265 @@
+"""Rules between sections of a configuration: what each section alone cannot know.
+
+A rule is handed what `hil.app.configuration.bounds` calls sections. Only rules that are handed a folder look
+at other files.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
+from math import ceil, inf
+from pathlib import Path as FilePath
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from drivers import build_protocol
+from drivers.errors import ConfigurationError, HilError
+from drivers.sensors import KINDS
+from drivers.signals import Reaction
+from hil.app.configuration.bounds import BOUNDS, EXCLUSIONS, Finding, Folder, MissingSectionError, Sections
+from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.controller_file import unusable
+from hil.app.configuration.fault_rules import not_brought_about, not_carried, of_no_bus
+from hil.app.configuration.feedforward_file import learned_forces
+from hil.app.configuration.plant_step import MOST_STEPS, step_key
+from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.yaml_positions import Path
+from hil.config.reference import LiveReference, SampledReference
+from hil.design.stability.monitor import certified_law
+from hil.robot.geometry import GeometryError
+from hil.robot.kinematics import leg_lengths
+from hil.trajectory.build import build_trajectory
+from plant_fmu.config import FmuPlant
+
+if TYPE_CHECKING:
+    from hil.app.configuration.configuration import Configuration
+
+
+def broken(sections: Mapping[str, Any], folder: Folder) -> Iterator[Finding]:
+    """Yield path and message of each rule that the sections break."""
+    c = cast("Configuration", Sections(**sections))
+    for rule in RULES:
+        with suppress(MissingSectionError):
+            yield from list(rule(c, folder))
+
+
+def bit_rates(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse bit rates outside ISO 11898-1: arbitration to 1 Mbit/s, data phase not slower than that."""
+    for n, each in enumerate(c.bus.buses):
+        where: Path = ("bus", "channels", n) if c.bus.channels else ("bus",)
+        if each.bitrate_bit_s > 1_000_000:
+            message = f"too fast for arbitration, allowed: at most 1000000, given: {each.bitrate_bit_s}"
+            yield (*where, "bitrate_bit_s"), message
+        if each.layout == "fd" and each.data_bitrate_bit_s < each.bitrate_bit_s:
+            message = f"slower than arbitration, allowed: at least {each.bitrate_bit_s} (bus.bitrate_bit_s)"
+            yield (*where, "data_bitrate_bit_s"), f"{message}, given: {each.data_bitrate_bit_s}"
+
+
+_KEYED = re.compile(r"(?:(bus|drives|sensors)((?:\.\w+)*)(?:\[(\d+)\])?: )?(.*)", re.DOTALL)
+"""An error that may begin with the key that it objects to."""
+
+
+def bus_load(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse what the protocol or the sensors cannot do, and frames that do not fit the period."""
+    try:
+        bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+    except HilError as error:
+        section, keys, index, message = _KEYED.fullmatch(str(error)).groups()  # type: ignore[union-attr]
+        where: Path = (section or "bus", *filter(None, (keys or "").split(".")))
+        yield (*where, int(index)) if index else where, message
+
+
+def node_numbers(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse a node number that a drive or another sensor has."""
+    taken = dict.fromkeys(c.drives.node_ids, "drives.node_ids")
+    for kind in KINDS:
+        settings = getattr(c.sensors, kind)
+        if settings is None:
+            continue
+        number = settings.node_id
+        if number in taken:
+            message = f"already the number of another node, allowed: one that {taken[number]} does not have"
+            yield ("sensors", kind, "node_id"), f"{message}, given: {number}"
+        taken.setdefault(number, f"sensors.{kind}.node_id")
+
+
+def geometry(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse joints, masses and inertias that no platform has."""
+    try:
+        build_platform(c.platform)
+    except GeometryError as error:
+        first = error.where.split(",")[0]
+        path = ("platform", *(int(w) if w.isdigit() else KEYS.get(w, w) for w in first.split(".")))
+        yield path, str(error).removeprefix(f"{error.where}: ")
+
+
+KEYS = {
+    "base_joints": "base_joints_m",
+    "platform_joints": "platform_joints_m",
+    "mass": "mass_kg",
+    "com": "com_m",
+    "inertia": "inertia_kg_m2",
+    "inertia_axial": "inertia_axial_kg_m2",
+    "inertia_transverse": "inertia_transverse_kg_m2",
+    "gravity": "gravity_m_s2",
+}
+"""Names of `hil.robot.geometry` -> keys of the configuration."""
+
+
+def reachable_poses(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse poses of home and reference that the legs cannot reach; what lies between is for `hil check`."""
+    low = c.platform.length_min_m + c.limits.stroke_margin_m
+    high = c.platform.length_max_m - c.limits.stroke_margin_m
+    if low >= high:
+        return
+    try:
+        robot = build_platform(c.platform)
+    except HilError:  # which the rule on geometry says
+        return
+    poses: dict[Path, Any] = {("platform", "home"): c.platform.home}
+    with suppress(MissingSectionError):
+        poses |= {("reference", key): getattr(c.reference, key, None) for key in ("pose", "centre", "start")}
+        points = enumerate(getattr(c.reference, "points", ()))
+        poses |= {("reference", "points", k): point for k, point in points}
+    for path, pose in poses.items():
+        if pose is not None:
+            q = leg_lengths(robot, *pose_arrays(pose))
+            legs = ", ".join(f"leg {i} {q[i]:.4f}" for i in np.flatnonzero((q < low) | (q > high)))
+            if legs:
+                yield (
+                    path,
+                    f"out of reach, allowed leg lengths: {low:g} to {high:g} m (soft ends), given: {legs} m",
+                )
+
+
+def reference_path(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+    """Refuse times that do not increase, a repeat that jumps, a wrong CSV file, and a path that never ends.
+
+    The last where the law needs an end.
+    """
+    sampled = isinstance(c.reference, SampledReference)
+    if sampled and folder is None:
+        return
+    try:
+        trajectory = build_trajectory(c.reference, c.platform.home, folder or FilePath())
+    except ConfigurationError as error:
+        named = re.fullmatch(r"(reference[\w.\[\]]*): (.*)", str(error), re.DOTALL)
+        if named:
+            yield tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
+        else:
+            yield ("reference", "path") if sampled else ("reference",), str(error)
+        return
+    if c.controller.endless is not None and trajectory.duration_s is None:
+        key, reason = c.controller.endless
+        yield ("controller", key), reason
+
+
+def designed_controllers(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+    """Refuse a controller from a file that the loop cannot run, also among the laws to compare."""
+    laws = {("controller",): c.controller} | {
+        ("compare", "laws", k): law for k, law in c.compare.laws.items()
+    }
+    for path, law in laws.items():
+        trouble = None if folder is None else unusable(law, c.loop.rate_Hz, folder)
+        if trouble is not None:
+            yield (*path, "controller_file"), trouble
+
+
+def certificate(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse to act on the certificate of a law that has none."""
+    return certified_law(c.monitor, c.controller, None)
+
+
+def whole_steps(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse a period that is no whole number of the plant's steps."""
+    if c.plant is None:
+        return
+    key, period_us = step_key(c.plant), 1e6 / c.loop.rate_Hz
+    step_us: float = getattr(c.plant.model, key)
+    steps = period_us / step_us
+    if steps <= MOST_STEPS and (steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps):
+        message = (
+            f"the period is no whole number of steps, allowed: {period_us:g} us (loop.rate_Hz) divided by a "
+            f"whole number, as {period_us / ceil(steps):.12g}, given: {step_us:g}"
+        )
+        yield ("plant", "model", key), message
+
+
+def fmu_file(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+    """Refuse an FMU that is not there."""
+    if c.plant is not None and isinstance(c.plant.model, FmuPlant) and folder is not None:
+        path = folder / c.plant.model.path
+        if not path.is_file():
+            yield ("plant", "model", "path"), f"no such file, given: {c.plant.model.path} (looked for {path})"
+
+
+def faults(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse faults that come to nothing at the plant, of an unknown bus, or that no frame carries."""
+    if c.plant is None:
+        return
+    for n, fault in enumerate(c.plant.faults):
+        found = {"kind": not_brought_about(c.plant, str(fault.kind))}
+        with suppress(MissingSectionError):
+            found |= {"bus": of_no_bus(fault, c.bus), "force_N": not_carried(fault, c.bus, c.drives)}
+        for key, message in found.items():
+            if message:
+                yield ("plant", "faults", n, key), message
+
+
+def drives(c: "Configuration", _: Folder) -> Iterator[Finding]:
+    """Refuse a reaction to silence that the drives do not have, and lengths that their field cannot carry."""
+    try:
+        traits = build_protocol(c.bus, c.drives).traits
+    except HilError:  # which the rule on the bus load says
+        return
+    if Reaction[c.reactions.silence.upper()] not in traits.reactions:
+        allowed = ", ".join(each.name.lower() for each in traits.reactions)
+        message = (
+            f"not what these drives do by themselves, allowed with drives.protocol {c.drives.protocol} and "
+            f"its options: {allowed}, given: {c.reactions.silence}"
+        )
+        yield ("reactions", "silence"), message
+    low, high = traits.reported_lengths or (np.array([-inf]), np.array([inf]))
+    beyond = np.flatnonzero((low > c.platform.length_min_m) | (high < c.platform.length_max_m))
+    for leg in beyond[:1].tolist():
+        message = (
+            f"the position that drive {leg} reports ends at leg lengths of {low[leg]:.4g} and "
+            f"{high[leg]:.4g} m, allowed: platform.length_min_m {c.platform.length_min_m:g} to length_max_m "
+            f"{c.platform.length_max_m:g} within them; change offset_m, gear_ratio or lead, or the range of "
+            "the drive"
+        )
+        yield ("drives", "transmission"), message
+
+
+def data_sheet(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+    """Refuse drives whose data sheet lacks an object that we need.
+
+    It is looked for in the present folder, then next to the configuration; not for one that a log holds.
+    """
+    options = c.drives.options
+    if folder is None or c.drives.protocol != "cia402" or "eds" not in options:
+        return
+    from drivers.cia402.objects import check_eds  # noqa: PLC0415 - with an extra
+
+    here, there = FilePath(str(options["eds"])), folder / str(options["eds"])
+    sheet = there if there.is_file() and not here.is_file() else here
+    try:
+        check_eds(str(sheet), velocity=options.get("velocity", "pdo") == "pdo")
+    except ConfigurationError as error:
+        yield ("drives", "options", "eds"), str(error).removeprefix("drives.options.eds: ")
+
+
+def usable_feedforward(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+    """Refuse a feed-forward that was learned on something else."""
+    if folder is not None and not isinstance(c.reference, LiveReference):
+        try:
+            learned_forces(c.feedforward, c.reference, c.controller, c.platform, folder)
+        except ConfigurationError as error:
+            yield ("feedforward", "file"), str(error)
+
+
+RULES: "tuple[Callable[[Configuration, Folder], Iterator[Finding]], ...]" = (
+    *BOUNDS, *EXCLUSIONS, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
+    designed_controllers, certificate, whole_steps, fmu_file, faults, drives, data_sheet, usable_feedforward,
+)  # fmt: skip

@@ -27,7 +27,6 @@ from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.tick_row import Given, Ticks
 from hil.record.log import Log
-from hil.record.mcap_read import read_summary
 from tools.benchmarks.benchmark import patient, resident_MB
 from tools.benchmarks.figures import Figure, Mark, lines
 from tools.benchmarks.live import live_run

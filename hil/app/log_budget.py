@@ -6,6 +6,7 @@ given a name of its own is never touched.
 
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 from drivers.errors import HilError, LogError
@@ -50,9 +51,9 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
         for path in _going(list(runs.values())):
             if total + needed <= budget and shutil.disk_usage(folder).free >= needed:
                 break
-            log.path.unlink(missing_ok=True)  # another run may have made room meanwhile
-            total -= log.size
-            removed.append(str(log.path))
+            path.unlink(missing_ok=True)  # another run may have made room meanwhile
+            total -= sizes[path]
+            removed.append(str(path))
     free = shutil.disk_usage(folder).free
     if free < needed:
         raise LogError(
@@ -62,20 +63,24 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
     return removed
 
 
-def dated_logs(folder: Path, name: str) -> list[Dated]:
-    """Return the logs of a configuration that got their names from its runs, the oldest first."""
-    pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6}(?:-\d+)?)(?:-plant)?\.mcap")
-    found = ((pattern.fullmatch(path.name), path) for path in folder.glob("*.mcap") if path.is_file())
-    logs = [Dated(m[1], path, path.stat().st_size) for m, path in found if m]
-    return sorted(logs, key=lambda log: (log.stamp.split("-")[0], int(log.stamp.partition("-")[2] or 1)))
+def dated_logs(folder: Path, name: str) -> dict[tuple[str, int], list[Path]]:
+    """Return the logs of the runs of a configuration that got their names from them, the oldest run first.
+
+    A run is its date and its number on it; it has its own log, its plant's, or both.
+    """
+    pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6})(?:-(\d+))?(?:-plant)?\.mcap")
+    runs: dict[tuple[str, int], list[Path]] = {}
+    for path in sorted(folder.glob("*.mcap"), key=lambda path: path.stem):
+        if found := pattern.fullmatch(path.name):
+            runs.setdefault((found[1], int(found[2] or 1)), []).append(path)
+    return dict(sorted(runs.items()))
 
 
-def _going(logs: list[Dated]) -> list[Dated]:
-    """Return what may go, in its order: a run's own log and its plant's go and stay together."""
-    staying = {log.stamp for log in logs[-1:]} | {log.stamp for log in logs if being_written(log.path)}
-    old = [log for log in logs if log.stamp not in staying]
-    troubled = {log.stamp for log in old if _had_trouble(log.path)}
-    return sorted(old, key=lambda log: log.stamp in troubled)
+def _going(runs: list[list[Path]]) -> Iterator[Path]:
+    """Yield what may go, in its order: a run's own log and its plant's go and stay together."""
+    old = [logs for logs in runs[:-1] if not any(map(being_written, logs))]
+    for logs in sorted(old, key=lambda logs: any(map(_had_trouble, logs))):
+        yield from logs
 
 
 def _had_trouble(path: Path) -> bool:

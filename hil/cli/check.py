@@ -2,7 +2,7 @@
 
 import click
 
-from hil.cli.shared import configuration_argument, counted, finish_lines, load, reporting
+from hil.cli.shared import configuration_argument, counted, finish_lines, load, reporting, write_twin
 
 
 @click.command()

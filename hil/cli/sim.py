@@ -57,16 +57,13 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
     Guide: docs/guides/first-run.md.
     """
     loaded = load(configuration, "sim")
-    from hil.app.check.fmu import fmu_dangers
+    from hil.app.check.fmu import falls
     from hil.app.configuration.fault_words import with_faults
     from hil.app.output import warn
     from hil.app.sim.command import simulate
     from hil.app.sim.commands import read_commands
 
     loaded = with_faults(loaded, faults)
-    from hil.app.check.fmu import falls
-    from hil.app.output import warn
-
     if danger := falls(loaded):
         warn(f"hil: {danger}")
     said = () if commands is None else read_commands(commands)

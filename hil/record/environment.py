@@ -9,8 +9,17 @@ from functools import cache
 from pathlib import Path
 
 PACKAGES = (
-    *("numpy", "numba", "llvmlite", "scipy", "python-can", "cantools", "fmpy", "mcap", "protobuf"),
-    *("pydantic", "zstandard"),
+    "numpy",
+    "numba",
+    "llvmlite",
+    "scipy",
+    "python-can",
+    "cantools",
+    "fmpy",
+    "mcap",
+    "protobuf",
+    "pydantic",
+    "zstandard",
 )
 _POLICIES = {os.SCHED_OTHER: "other", os.SCHED_FIFO: "fifo", os.SCHED_RR: "rr", os.SCHED_BATCH: "batch"}
 
@@ -40,13 +49,11 @@ def environment() -> dict[str, str]:
 
 
 def scheduling() -> dict[str, str]:
-    """Return scheduler and processors of this process: those of a loop only while it runs."""
+    """Scheduler and processors of this process: those of a loop only while it runs."""
     policy = os.sched_getscheduler(0)
     name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
-    return {
-        "scheduler": f"{name} {os.sched_getparam(0).sched_priority}",
-        "affinity": ",".join(map(str, sorted(os.sched_getaffinity(0)))),
-    }
+    processors = ",".join(map(str, sorted(os.sched_getaffinity(0))))
+    return {"scheduler": f"{name} {os.sched_getparam(0).sched_priority}", "affinity": processors}
 
 
 @cache
@@ -70,12 +77,6 @@ def _git() -> str:
         return subprocess.run(command, capture_output=True, text=True, timeout=2.0, check=True).stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return ""
-
-
-def _cpu() -> str:
-    lines = _read("/proc/cpuinfo").splitlines()
-    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor()
 
 
 def _read(path: str) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import LogError
-from drivers.tick_columns import RECORDED, ROW, Column
+from drivers.tick_columns import ROW, Column
 from hil.app.plant_rows import PLANT
 from hil.record import Recording
 from hil.record.data_frame import plant_rows_of, require_one_run

@@ -15,7 +15,6 @@ from hypothesis import strategies as st
 from hil.app.check.command import inspect
 from hil.app.configuration.bounds import BOUNDS, Sections
 from hil.app.configuration.configuration import load
-from hil.app.configuration.platform import build_platform
 from hil.app.configuration.schema import named_schema, schema_path
 from hil.app.new import derive
 from hil.app.new.answers import QUESTIONS
@@ -250,15 +249,16 @@ def answered() -> dict[str, Any]:
 @example(resolution_m=1.3333e-4, stroke_m=0.2)
 @example(resolution_m=1.32500004e-4, stroke_m=0.2)
 @example(resolution_m=1e-6, stroke_m=0.012344)
-def test_standstill_is_never_below_four_steps_of_an_encoder(table, resolution_m, stroke_m):
-    asked, home, w = table
-    a = asked | {"encoder_resolution_m": resolution_m, "stroke_m": stroke_m}
-    limits = derive.limits_section(a, home, w, 0.01, a["rate_Hz"])
-    plant = derive.plant_section(a, home)
-    text = yaml_text([], {"limits": limits, "plant": plant}, {})
-    read: Any = parse(text).value
+def test_standstill_is_never_below_four_steps_of_an_encoder(resolution_m, stroke_m):
+    answers = answered()
+    a = answers | {"encoder_resolution_m": resolution_m, "stroke_m": stroke_m}
+    nothing, t = np.zeros((2, 6)), np.zeros(2)
+    w = Walk(t, nothing + 0.6, nothing, nothing, nothing + 100.0, nothing + 100.0, t + 2.0, t, True, False)
+    limits = section("limits", derive.limits(a, robot_at_home(answers), w, 0.01))
+    drives = {"encoder_resolution_m": float(flow(resolution_m))}
+    plant = PlantSettings.model_validate({"model": {"type": "stewart"}, "drives": drives})
     (rule,) = [each for each in BOUNDS if each.key == "limits.standstill_m"]
-    sections: Any = Sections(plant=PlantSettings(**read["plant"]), limits=LimitSettings(**read["limits"]))
+    sections: Any = Sections(plant=plant, limits=LimitSettings(**limits))
     assert list(rule(sections, None)) == []
     needed = max(min(5e-4, 0.01 * stroke_m), 4 * resolution_m)
     assert limits["standstill_m"] == pytest.approx(needed, rel=0.011), "and hardly above"

@@ -70,7 +70,7 @@ AREAS = {
     ),
     "log": (
         """hil/record/log hil/record/log_file hil/record/mcap_file hil/record/mcap_read hil/record/data_frame
-        hil/record/decode hil/record/entries hil/record/selection hil/record/unpack""",
+        hil/record/entries hil/record/selection hil/record/unpack""",
         "hil/test_mcap_file hil/study/test_export hil/test_log* hil/test_salvage* hil/test_record",
     ),
 }

@@ -11,7 +11,7 @@ import numpy as np
 
 from drivers.errors import ConfigurationError, LogError
 from drivers.frame_array import NO_FRAMES
-from hil.app.compose import REFERENCE_PLAN, attachments, build_cycle, build_scene, databases
+from hil.app.compose import NAMED_FILES, REFERENCE_PLAN, attachments, build_cycle, build_scene, databases
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.files import PICTURE, beginning, new_file, printable
@@ -19,7 +19,7 @@ from hil.app.homing.last_pose import HOMING_JSON, recorded
 from hil.app.interrupted import leaving
 from hil.app.output import further, log_path
 from hil.app.readable import lacking
-from hil.app.recorded_files import NAMED, with_attachments
+from hil.app.recorded_files import with_attachments
 from hil.app.replay import WHAT_IF, law_of_log, open_replayable
 from hil.app.terminal import one_line
 from hil.config.reference import LiveReference
@@ -170,7 +170,7 @@ def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path 
     """
     if folder is None:
         return here
-    for _, section, key, kind in NAMED:
+    for _, section, key, kind, _ in NAMED_FILES:
         there, given = getattr(own, section), getattr(here, section)
         if isinstance(given, kind) and getattr(there, key, None) != getattr(given, key):
             raise ConfigurationError(
@@ -193,7 +193,7 @@ def _other_files(here: Configuration, log: Log) -> list[str]:
     there, given = log.attachments, dict(attachments(here))
     return [
         f"{section}.{key}: the file has another content than that of the log"
-        for name, section, key, _ in NAMED
+        for name, section, key, *_ in NAMED_FILES
         if name in there and there[name] != given.get(name, there[name])
     ]
 

@@ -165,7 +165,7 @@ def _refuse(*checks: tuple[Iterable[Any], str]) -> None:
 
 def _assumed(s: sp.Symbol, meant: str) -> bool:
     """Tell whether sympy knows no more of a symbol than what is meant of it."""
-    return s.assumptions0.items() <= sp.Symbol("s", **{meant: True}).assumptions0.items()
+    return bool(s.assumptions0.items() <= sp.Symbol("s", **{meant: True}).assumptions0.items())
 
 
 def _sign(side: Interval) -> dict[str, bool]:

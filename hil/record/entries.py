@@ -65,8 +65,8 @@ class Command(NamedTuple):
     """One recorded command of the operator."""
 
     tick: int
-    index: int
-    """Its place in the tick."""
+    place: int
+    """In the tick."""
     operator: Operator
     numbers: tuple[float, ...]
 

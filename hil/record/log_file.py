@@ -169,7 +169,7 @@ class LogFile:
 
     def _learn(self, record: Record) -> None:
         """Keep what is whole and not a message; of two of one name the first, which is the recorder's."""
-        found = record.parse() if record.complete else None
+        found: Any = record.parse() if record.complete else None
         match type(found).__name__:
             case "Metadata":
                 self.metadata.setdefault(found.name, dict(found.metadata))
@@ -273,8 +273,8 @@ class LogFile:
     def _frames_in(self, data: bytes, table: MessageTable) -> Rows:
         """Return the frames in a buffer as elements of ITEM, in its order."""
         mine = self._messages_of(table, CAN_TOPIC)
-        items, where = np.zeros(len(mine), ITEM), (table.offset[mine], table.length[mine])
-        good = unpack_frames(data, *where, *self._frame, items)
+        items = np.zeros(len(mine), ITEM)
+        good = unpack_frames(data, table.offset[mine], table.length[mine], *self._frame, items)
         if not good or (items["tick"] & _SEQUENCE != table.sequence[mine]).any():
             raise _other(CAN_TOPIC, _OTHER_LAYOUT)
         return items

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from drivers.signals import Mode, Warn
@@ -47,7 +48,7 @@ METRICS: dict[str, Metric] = {
     "travel_mm": Metric("mm", "largest true travel of a leg after a fault, 0 without; after_fault: rest"),
 }
 """Name -> what it is, in the order of the table. None in a row: it was not measured."""
-COUNTED: dict[str, Callable[[Rows], Array]] = {
+COUNTED: dict[str, Callable[[Rows], NDArray[Any]]] = {
     "limited_ticks": lambda rows: rows["warnings"] & _LIMITED,
     "stale_ticks": lambda rows: (rows["age"] > 0).any(axis=1) & np.isin(rows["mode"], _POWERED),
 }

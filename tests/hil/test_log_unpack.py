@@ -228,7 +228,7 @@ def test_a_rest_behind_the_last_message_is_not_read(size):
     ],
 )
 def test_a_message_in_another_layout_is_refused_with_its_topic(path, tmp_path, topic, payload):
-    changed = []
+    changed: list[str] = []
 
     def edit(kind, data, _):
         if kind != topic or changed:

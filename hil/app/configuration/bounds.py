@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator
 from math import inf
 from pathlib import Path as FilePath
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -18,9 +18,6 @@ from hil.app.configuration.plant_step import MOST_STEPS
 from hil.app.configuration.yaml_positions import Path
 from hil.config.reference import LiveReference
 from plant_fmu.config import BenchPlant, StewartPlant
-
-if TYPE_CHECKING:
-    from hil.app.configuration.configuration import Configuration
 
 Folder = FilePath | None
 """Folder of the configuration file; None: do not look at other files."""
@@ -46,10 +43,10 @@ class Bound(NamedTuple):
     key: str
     """Dotted; * is each entry of a list, or each key of a section. What is not there is within bounds."""
     relation: Literal["at least", "at most", "less than"]
-    bound: "Callable[[Configuration], float]"
+    bound: Callable[[Sections], float]
     what: str
 
-    def __call__(self, c: "Configuration", _: Folder) -> Iterator[Finding]:
+    def __call__(self, c: Sections, _: Folder) -> Iterator[Finding]:
         """Yield the values beyond their bound."""
         for path, value in _values(c, self.key.split(".")):
             bound = self.bound(c)
@@ -81,26 +78,26 @@ class Exclusion(NamedTuple):
     """A value that other keys rule out."""
 
     path: Path
-    wrong: "Callable[[Configuration], object]"
+    wrong: Callable[[Sections], object]
     sentence: str
     """May name the configuration `c`."""
 
-    def __call__(self, c: "Configuration", _: Folder) -> Iterator[Finding]:
+    def __call__(self, c: Sections, _: Folder) -> Iterator[Finding]:
         """Yield the sentence where the value is ruled out."""
         if self.wrong(c):
             yield self.path, self.sentence.format(c=c)
 
 
-def _shortest_step_us(c: "Configuration") -> float:
+def _shortest_step_us(c: Sections) -> float:
     return 1e6 / c.loop.rate_Hz / MOST_STEPS
 
 
-def _half_stroke_m(c: "Configuration") -> float:
+def _half_stroke_m(c: Sections) -> float:
     stroke_m = c.platform.length_max_m - c.platform.length_min_m
     return stroke_m / 2 if stroke_m > 0.0 else inf
 
 
-def _quarter_m(c: "Configuration") -> float:
+def _quarter_m(c: Sections) -> float:
     """Return a quarter of the leg length that turns which a drive forgets are."""
     homing, gear = c.drives.homing, c.drives.transmission
     if homing is None or gear is None:

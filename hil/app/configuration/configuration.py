@@ -225,7 +225,7 @@ def _beyond_reason(document: Document) -> list[Problem]:
     """
     found = []
     for path, position in document.values.items():
-        value = document.at(path)
+        value: Any = document.at(path)
         most = MOST_SEED if path[-1] == "seed" else NO_LIMIT if path[0] == "limits" else MOST
         number = isinstance(value, int | float) and path[:3] != ("plant", "model", "parameters")
         if number and abs(value) > most:

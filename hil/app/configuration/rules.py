@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from math import ceil, inf
 from pathlib import Path as FilePath
-from typing import TYPE_CHECKING, Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -32,19 +32,16 @@ from hil.robot.kinematics import leg_lengths
 from hil.trajectory.build import build_trajectory
 from plant_fmu.config import FmuPlant
 
-if TYPE_CHECKING:
-    from hil.app.configuration.configuration import Configuration
-
 
 def broken(sections: Mapping[str, Any], folder: Folder) -> Iterator[Finding]:
     """Yield path and message of each rule that the sections break."""
-    c = cast("Configuration", Sections(**sections))
+    c = Sections(**sections)
     for rule in RULES:
         with suppress(MissingSectionError):
             yield from list(rule(c, folder))
 
 
-def bit_rates(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse bit rates outside ISO 11898-1: arbitration to 1 Mbit/s, data phase not slower than that."""
     for n, each in enumerate(c.bus.buses):
         where: Path = ("bus", "channels", n) if c.bus.channels else ("bus",)
@@ -60,7 +57,7 @@ _KEYED = re.compile(r"(?:(bus|drives|sensors)((?:\.\w+)*)(?:\[(\d+)\])?: )?(.*)"
 """An error that may begin with the key that it objects to."""
 
 
-def bus_load(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def bus_load(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse what the protocol or the sensors cannot do, and frames that do not fit the period."""
     try:
         bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
@@ -70,7 +67,7 @@ def bus_load(c: "Configuration", _: Folder) -> Iterator[Finding]:
         yield (*where, int(index)) if index else where, message
 
 
-def node_numbers(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse a node number that a drive or another sensor has."""
     taken = dict.fromkeys(c.drives.node_ids, "drives.node_ids")
     for kind in KINDS:
@@ -84,7 +81,7 @@ def node_numbers(c: "Configuration", _: Folder) -> Iterator[Finding]:
         taken.setdefault(number, f"sensors.{kind}.node_id")
 
 
-def geometry(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def geometry(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse joints, masses and inertias that no platform has."""
     try:
         build_platform(c.platform)
@@ -107,7 +104,7 @@ KEYS = {
 """Names of `hil.robot.geometry` -> keys of the configuration."""
 
 
-def reachable_poses(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse poses of home and reference that the legs cannot reach; what lies between is for `hil check`."""
     low = c.platform.length_min_m + c.limits.stroke_margin_m
     high = c.platform.length_max_m - c.limits.stroke_margin_m
@@ -133,7 +130,7 @@ def reachable_poses(c: "Configuration", _: Folder) -> Iterator[Finding]:
                 )
 
 
-def reference_path(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Refuse times that do not increase, a repeat that jumps, a wrong CSV file, and a path that never ends.
 
     The last where the law needs an end.
@@ -155,7 +152,7 @@ def reference_path(c: "Configuration", folder: Folder) -> Iterator[Finding]:
         yield ("controller", key), reason
 
 
-def designed_controllers(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Refuse a controller from a file that the loop cannot run, also among the laws to compare."""
     laws = {("controller",): c.controller} | {
         ("compare", "laws", k): law for k, law in c.compare.laws.items()
@@ -166,12 +163,12 @@ def designed_controllers(c: "Configuration", folder: Folder) -> Iterator[Finding
             yield (*path, "controller_file"), trouble
 
 
-def certificate(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def certificate(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse to act on the certificate of a law that has none."""
     return certified_law(c.monitor, c.controller, None)
 
 
-def whole_steps(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse a period that is no whole number of the plant's steps."""
     if c.plant is None:
         return
@@ -186,7 +183,7 @@ def whole_steps(c: "Configuration", _: Folder) -> Iterator[Finding]:
         yield ("plant", "model", key), message
 
 
-def fmu_file(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+def fmu_file(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Refuse an FMU that is not there."""
     if c.plant is not None and isinstance(c.plant.model, FmuPlant) and folder is not None:
         path = folder / c.plant.model.path
@@ -194,7 +191,7 @@ def fmu_file(c: "Configuration", folder: Folder) -> Iterator[Finding]:
             yield ("plant", "model", "path"), f"no such file, given: {c.plant.model.path} (looked for {path})"
 
 
-def faults(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def faults(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse faults that come to nothing at the plant, of an unknown bus, or that no frame carries."""
     if c.plant is None:
         return
@@ -207,7 +204,7 @@ def faults(c: "Configuration", _: Folder) -> Iterator[Finding]:
                 yield ("plant", "faults", n, key), message
 
 
-def drives(c: "Configuration", _: Folder) -> Iterator[Finding]:
+def drives(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse a reaction to silence that the drives do not have, and lengths that their field cannot carry."""
     try:
         traits = build_protocol(c.bus, c.drives).traits
@@ -232,7 +229,7 @@ def drives(c: "Configuration", _: Folder) -> Iterator[Finding]:
         yield ("drives", "transmission"), message
 
 
-def data_sheet(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Refuse drives whose data sheet lacks an object that we need.
 
     It is looked for in the present folder, then next to the configuration; not for one that a log holds.
@@ -250,7 +247,7 @@ def data_sheet(c: "Configuration", folder: Folder) -> Iterator[Finding]:
         yield ("drives", "options", "eds"), str(error).removeprefix("drives.options.eds: ")
 
 
-def usable_feedforward(c: "Configuration", folder: Folder) -> Iterator[Finding]:
+def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
     """Refuse a feed-forward that was learned on something else."""
     if folder is not None and not isinstance(c.reference, LiveReference):
         try:
@@ -259,7 +256,7 @@ def usable_feedforward(c: "Configuration", folder: Folder) -> Iterator[Finding]:
             yield ("feedforward", "file"), str(error)
 
 
-RULES: "tuple[Callable[[Configuration, Folder], Iterator[Finding]], ...]" = (
+RULES: tuple[Callable[[Sections, Folder], Iterator[Finding]], ...] = (
     *BOUNDS, *EXCLUSIONS, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
     designed_controllers, certificate, whole_steps, fmu_file, faults, drives, data_sheet, usable_feedforward,
 )  # fmt: skip

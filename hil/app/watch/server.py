@@ -200,10 +200,11 @@ class Handler(BaseHTTPRequestHandler):
         if request.path not in self.server.assets:
             raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
         access = self.server.access
-        more: dict[str, str] = {}
+        cookie = {}
         if request.path == "/" and "token" in request.query and access.knows(request):
-            more["Set-Cookie"] = f"{access.cookie}={access.token}; HttpOnly; SameSite=Strict; Path=/"
-        self._answer(HTTPStatus.OK, *self.server.assets[request.path], **more)
+            cookie["Set-Cookie"] = f"{access.cookie}={access.token}; HttpOnly; SameSite=Strict; Path=/"
+        body, media = self.server.assets[request.path]
+        self._answer(HTTPStatus.OK, body, media, **cookie)
 
     do_HEAD = do_GET
 

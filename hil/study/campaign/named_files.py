@@ -93,7 +93,7 @@ def _digest_now(file: Path) -> str:
 @lru_cache(maxsize=1024)
 def _digest(file: Path, *_: int) -> str:
     with open_regular(file) as opened:
-        return hashlib.file_digest(opened, "sha256").hexdigest()
+        return hashlib.file_digest(cast("Any", opened), "sha256").hexdigest()
 
 
 def _parts(axis: ListedAxis) -> Iterator[Any]:

@@ -79,7 +79,7 @@ FEEDFORWARD_CSV = "feedforward.csv"
 """Attachment of a log: the learned feed-forward."""
 REFERENCE_PLAN = "reference.npy"
 """Attachment of a log: the polynomials of a planned reference."""
-NAMED_FILES: tuple[tuple[str, str, str, type, Callable[[Any, Path], Path]], ...] = (
+NAMED_FILES: tuple[tuple[str, str, str, type[Any], Callable[[Any, Path], Path]], ...] = (
     (REFERENCE_CSV, "reference", "path", SampledReference, lambda settings, folder: folder / settings.path),
     (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings, controller_path),
     (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings, feedforward_path),

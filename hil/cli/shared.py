@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 
 import click
 from click.shell_completion import CompletionItem
@@ -180,7 +180,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
             check_junit_path(kwargs["junit"])
         command(*args, **kwargs)
 
-    return reporting
+    return cast("Callable[..., None]", reporting)
 
 
 def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: Iterable[Verdict]) -> None:

@@ -9,6 +9,7 @@ import struct
 import zlib
 from collections.abc import Callable
 from random import Random
+from typing import Any, cast
 
 import zstandard
 from mcap.data_stream import ReadDataStream, RecordBuilder
@@ -109,7 +110,7 @@ def _text(records: Records, rng: Random) -> Records:
     """Change a word in a text: metadata, configuration, schema, channel; its lengths are made anew."""
     k = _pick(records, rng, rng.choice((METADATA, METADATA, ATTACHMENT, ATTACHMENT, SCHEMA, CHANNEL)))
     opcode, content = records[k]
-    stream, builder = ReadDataStream(io.BytesIO(content)), RecordBuilder()
+    stream, builder = ReadDataStream(io.BytesIO(content)), cast("Any", RecordBuilder())
     if opcode == METADATA:
         found = Metadata.read(stream)
         key = rng.choice(sorted(found.metadata) or [""])

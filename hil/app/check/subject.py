@@ -48,7 +48,7 @@ from plant_fmu.config import BenchPlant, StewartPlant
 
 if TYPE_CHECKING:
     from hil.app.design.loop import LoopFinding
-    from hil.design.stability.assessment import Assessment
+    from hil.app.stability.wording import Assessment
     from plant_fmu.fmu.probe import Probe
 
 

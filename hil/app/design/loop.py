@@ -1,6 +1,6 @@
 """What the loop of a designed controller leaves with a configuration's delay, for `hil check`."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from hil.app.loop_delay import LoopDelay
 from hil.config.linear_controller import LinearController
@@ -8,10 +8,16 @@ from hil.design.stability.sampled import Axis, analyse
 from hil.design.stability.sampled_loop import sampled_controller
 
 
-def judge(
-    name: str, controller: LinearController, delay: LoopDelay, least_deg: float
-) -> tuple[list[str], dict[str, Any], list[str]]:
-    """Return what controller `name` is and its loop leaves: lines, figures, warnings below `least_deg`."""
+class LoopFinding(NamedTuple):
+    """What `hil check` prints of the loop."""
+
+    lines: list[str]
+    figures: dict[str, Any]
+    warnings: list[str]
+
+
+def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: float) -> LoopFinding:
+    """Return what controller `name` is and its loop leaves, and warn of less than `least_deg`."""
     loop = analyse(Axis(*delay), sampled_controller(controller))
     transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
     radius, left, order = loop.largest, loop.margins, len(controller.A)
@@ -40,4 +46,4 @@ def judge(
                 f"{least_deg:g}"
             )
     warnings = [] if trouble is None else [f"controller.controller_file: {trouble}; design for this delay"]
-    return [what, line], figures, warnings
+    return LoopFinding([what, line], figures, warnings)

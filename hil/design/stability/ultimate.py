@@ -125,7 +125,7 @@ def ultimate(
     reference = Survey.of(found_along)
     samples = [path[k] for k in _worst(found_along.d)]
     every = max(1, len(path) // INSTANTS)
-    extremes = np.concatenate(found_along.extremes[::every])
+    extremes = found_along.extremes[::every].reshape(-1, 6)
     largest = np.abs(extremes).max(axis=0)
     hull = np.divide(extremes, largest, out=np.zeros_like(extremes), where=largest > ROUNDING)
     gains = np.column_stack(of_each(loops, lambda loop: loop.peak_gains()[:3]))
@@ -140,9 +140,8 @@ def ultimate(
         before = found
         errors, rates = 1.02 * before.error * shape, 1.02 * before.rate * shape
         tube = linearised.around(samples, errors, rates, late.stale_s)
-        survey = Survey(
-            *(np.maximum(a, b) for a, b in zip(reference, Survey.of(tube, reference.gamma), strict=True))
-        )
+        pairs = zip(reference, Survey.of(tube, reference.gamma), strict=True)
+        survey = Survey(*(np.maximum(a, b) for a, b in pairs))
         if survey.condition > condition:
             return (
                 f"the bound, {in_words(before.error, linearised.axes)}, reaches poses where the condition of "

@@ -142,8 +142,8 @@ def run_bringup(
             head.insert(0, "REHEARSAL on an emulated bench, no machine was measured:")
         with further(unwritten):
             write_whole(files.checklist, "\n".join([*head, *lines, ""]))
-        for line in lines:
-            said.event(line)
+        for each in lines:
+            said.event(each)
         store.forget(outcome.findings)
         closed = recording.close()
     if closed.error:

@@ -107,9 +107,10 @@ def _causes(cycle: Cycle, ending: Ending, named: dict[str, int]) -> dict[str, fr
     named : of the columns of `_NAMED_IN`, the bits of all ticks.
     """
     findings = () if ending.story is None else ending.story.findings
-    causes = {}
+    causes: dict[str, frozenset[int]] = {}
     for fault in Fault(ending.faults):
-        told = {each.seen.leg for each in findings if each.fault == fault.name and each.seen.leg is not None}
+        ours = (each.seen.leg for each in findings if each.fault == fault.name)
+        told = frozenset(leg for leg in ours if leg is not None)
         doubt = Doubt(int(cycle.tick["doubt"])) if fault is Fault.ENCODER else Doubt.NONE
         legs = told | _legs(named[_NAMED_IN[fault]] if fault in _NAMED_IN else 0)
         causes[f"{fault.name}/{doubt.name}" if doubt else str(fault.name)] = legs

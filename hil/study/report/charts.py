@@ -121,7 +121,9 @@ def _modes(rows: Rows) -> Iterator[Chart]:
     yield Chart("mode", MODES, COLUMNS["mode"].meaning, "", (steps,), (), names)
     found = lanes(rows)
     if found:
-        curves = tuple(Curve(label, k + 0.8 * there, "area") for k, (label, there) in enumerate(found))
+        curves = tuple(
+            Curve(label, np.asarray(k + 0.8 * there, float), "area") for k, (label, there) in enumerate(found)
+        )
         names = tuple((k + 0.4, label) for k, (label, _) in enumerate(found))
         title = "faults, warnings and what else was set, one line each"
         yield Chart("flags", MODES, title, "", curves, (), names)

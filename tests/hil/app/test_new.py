@@ -240,7 +240,8 @@ def answered() -> dict[str, Any]:
     for question in QUESTIONS:
         if question.needed(answers):
             text = typed.get(question.option)
-            answers[question.key] = question.default(answers) if text is None else question.kind(text)
+            assert text is not None or question.default is not None
+            answers[question.key] = question.kind(text) if text else question.default(answers)  # type: ignore[misc]
     return answers
 
 

@@ -31,7 +31,7 @@ OPERATORS = {
     ),
     **dict.fromkeys(("abs dropped", "min/max", "branches"), ""),
     "sign": "^-",
-    "doubled": "[.e]",
+    **dict.fromkeys(("doubled", "halved"), "[.e]"),
     "statement deleted": r"^\S+ [-+*/|&]= ",
 }
 """Changes that are tried, of what begins so or has that in it; `make mutants` draws others at random."""

@@ -100,6 +100,8 @@ def _numbers(value: float) -> Iterator[Change]:
     if value:
         yield "doubled", ast.Constant(2 * value)
         yield "sign", ast.UnaryOp(ast.USub(), ast.Constant(value))
+    if value and isinstance(value, float):
+        yield "halved", ast.Constant(value / 2)
     if value in UNITS:
         yield "unit", ast.Constant(value * 1e3)
         yield "unit", ast.Constant(value * 1e-3)

@@ -89,7 +89,7 @@ class Exclusion(NamedTuple):
 
 
 def _shortest_step_us(c: Sections) -> float:
-    return 1e6 / c.loop.rate_Hz / MOST_STEPS
+    return float(1e6 / c.loop.rate_Hz / MOST_STEPS)
 
 
 def _half_stroke_m(c: Sections) -> float:

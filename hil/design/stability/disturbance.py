@@ -261,7 +261,7 @@ class Linearised:
         here = self._robot(p, R, twist)
         tau, per_demand = self._by_demand(p, R, twist, demanded)
         inverse = np.linalg.inv(here.M)
-        mobility: Array = here.J @ inverse if self._joint else inverse
+        mobility = np.asarray(here.J @ inverse if self._joint else inverse, np.float64)
         per_force = mobility @ here.J.transpose(0, 2, 1)
         Gamma = stale = per_force @ per_demand
         if stale_s != 0.0:

@@ -12,9 +12,9 @@ the reference that is enlarged until the bound fits into it, at its corners and 
 order: a survey, no enclosure. Derived in docs/theory/stability.md.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from math import ceil
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -140,7 +140,8 @@ def ultimate(
         before = found
         errors, rates = 1.02 * before.error * shape, 1.02 * before.rate * shape
         tube = linearised.around(samples, errors, rates, late.stale_s)
-        pairs = zip(reference, Survey.of(tube, reference.gamma), strict=True)
+        more = Survey.of(tube, reference.gamma)
+        pairs: Iterator[tuple[Any, Any]] = zip(reference, more, strict=True)
         survey = Survey(*(np.maximum(a, b) for a, b in pairs))
         if survey.condition > condition:
             return (

@@ -4,10 +4,11 @@ A rule sees the sections that are valid by themselves; one that needs another sa
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from math import inf
 from pathlib import Path as FilePath
 from types import SimpleNamespace
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal
 
 import numpy as np
 
@@ -37,7 +38,8 @@ class Sections(SimpleNamespace):
         raise MissingSectionError(name)
 
 
-class Bound(NamedTuple):
+@dataclass(frozen=True)
+class Bound:
     """A value that other keys bound."""
 
     key: str
@@ -74,7 +76,8 @@ def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, 
         yield from _values(value, rest, (*path, key))
 
 
-class Exclusion(NamedTuple):
+@dataclass(frozen=True)
+class Exclusion:
     """A value that other keys rule out."""
 
     path: Path

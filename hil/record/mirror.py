@@ -88,8 +88,13 @@ class Mirror:
 
     def _put(self, *, ended: bool) -> None:
         content = self._content
-        head = _PIECE.pack(self._number, ended, len(content), zlib.crc32(content))
+        head = _PIECE.pack(self._number, ended, len(content), _crc(self._number, ended, content))
         os.pwrite(self._fd, head + content, self._at)
+
+
+def _crc(number: int, ended: int, content: bytes) -> int:
+    """Return the checksum of a piece: of its head, too, which may be new where the rest is old."""
+    return zlib.crc32(content, (2 * number + ended) & 0xFFFFFFFF)
 
 
 class MirrorReader:
@@ -124,7 +129,7 @@ class MirrorReader:
         number, ended, size, crc = _PIECE.unpack_from(self._map, self._at)
         start = self._at + _PIECE.size
         content = self._map[start : start + size]
-        if not number or zlib.crc32(content) != crc:
+        if not number or _crc(number, ended, content) != crc:
             return None
         first, second = self.dtype.itemsize, self.dtype.itemsize + FIGURES.itemsize
         row = np.frombuffer(content[:first], self.dtype)[0]

@@ -224,7 +224,9 @@ def test_the_command_line(small, tmp_path, monkeypatch):
     changed = written(tmp_path, SMALL.replace("seed: 3", "seed: 4"))
     result = CliRunner().invoke(main, ["campaign", str(changed), *out])
     assert (result.exit_code, "changed since: campaign, values of the rows" in result.stderr) == (2, True)
-    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(plan.path)])
+    page = tmp_path / "page.html"
+    page.write_text("mine")
+    result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(page)])
     assert (result.exit_code, "exists and is not overwritten" in result.stderr) == (2, True)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "payload").mkdir()

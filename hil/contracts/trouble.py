@@ -364,10 +364,8 @@ class TroubleContract(ProtocolContract):
             line.step(RUN, set_up=False)
         assert line.nodes.snapshot().state.tolist() == [DriveState.RUN] * LEGS
 
-    # all of it
-
-    def survives(self, protocol: Family, seed: int) -> None:
-        """Run through random trouble; afterwards all drives must be as new."""
+    @pytest.mark.parametrize("seed", [1, *LONG_SEEDS])
+    def test_after_random_trouble_all_drives_run_again(self, protocol, seed):
         generator = np.random.default_rng(seed)
         resets = [
             DriveReset(leg=int(generator.integers(LEGS)), at_s=float(t)) for t in generator.uniform(0, 1, 4)
@@ -399,7 +397,3 @@ class TroubleContract(ProtocolContract):
             line.step()
         line.recover()
         line.restart()
-
-    @pytest.mark.parametrize("seed", [1, *LONG_SEEDS])
-    def test_after_random_trouble_all_drives_run_again(self, protocol, seed):
-        self.survives(protocol, seed)

@@ -2,8 +2,9 @@
 
 import pytest
 
+from tools.mutants import areas
 from tools.mutants.__main__ import sampled
-from tools.mutants.areas import AREAS, sources_of, tests_of
+from tools.mutants.areas import AREAS
 from tools.mutants.mutant import mutants
 
 
@@ -41,8 +42,8 @@ def test_each_operator_makes_exactly_its_changes(source, changed):
 
 @pytest.mark.parametrize("area", AREAS)
 def test_every_area_has_sources_and_tests(area):
-    assert sources_of(area)
-    assert tests_of(area)
+    assert areas.sources_of(area)
+    assert areas.tests_of(area)
 
 
 def test_a_seed_draws_the_same_mutants_and_one_a_place():

@@ -46,12 +46,12 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
                 "raise it, or end the run earlier with --duration"
             )
         runs = dated_logs(folder, c.name)
-        sizes = {path: path.stat().st_size for logs in runs.values() for path in logs}
+        sizes = {path: _size(path) for logs in runs.values() for path in logs}
         total = sum(sizes.values())
         for path in _going(list(runs.values())):
             if total + needed <= budget and shutil.disk_usage(folder).free >= needed:
                 break
-            path.unlink(missing_ok=True)  # another run may have made room meanwhile
+            path.unlink(missing_ok=True)
             total -= sizes[path]
             removed.append(str(path))
     free = shutil.disk_usage(folder).free
@@ -74,6 +74,14 @@ def dated_logs(folder: Path, name: str) -> dict[tuple[str, int], list[Path]]:
         if found := pattern.fullmatch(path.name):
             runs.setdefault((found[1], int(found[2] or 1)), []).append(path)
     return dict(sorted(runs.items()))
+
+
+def _size(path: Path) -> int:
+    """Return the bytes of a log; 0 of one that is gone: another run may have made room meanwhile."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0
 
 
 def _going(runs: list[list[Path]]) -> Iterator[Path]:

@@ -71,8 +71,8 @@ def attached() -> Iterator[None]:
         yield
     finally:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in filter(None, (sys.stdout, sys.stderr)):  # None: closed by who started us
+            stream.flush()
         sys.stdout, sys.stderr = before
         if trouble := next((raw.trouble for raw in raws if raw.trouble), None):
             if isinstance(trouble, BrokenPipeError):

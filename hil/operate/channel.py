@@ -92,7 +92,8 @@ class OperatorChannel:
         heard: list[list[Any]] = [[], [], []]
         old: set[int] = set()
         for data, client, is_old in self._lines(at_most, ready):
-            tag, line = split(data.decode("ascii", "replace"))
+            text = data.decode("ascii", "replace")
+            tag, line = split(text) if len(data) < _READ else ("", text)  # cut off, maybe within a number
             try:
                 said = parse(line)
             except ValueError as error:

@@ -20,6 +20,8 @@ WRITTEN = 12
 """Digits up to which a decimal number of 15 is taken for what was written."""
 ROUNDING = sp.Rational(1, 10**12)
 """Of a longer one, as a share of itself or, since terms may have cancelled, of 1."""
+DIGITS, EXPONENT = 1000, 10**4
+"""Of a number, and in an expression: exact arithmetic holds no more."""
 _HOW = "write it with sympy: numbers, and expressions in sympy.Symbol"
 
 
@@ -38,6 +40,10 @@ def read(value: Any, what: str, *, infinite: bool = False) -> sp.Expr:
     for node in sp.preorder_traversal(e):
         if node in (sp.oo, -sp.oo) and infinite:
             continue
+        if _size(node) > 3.322 * DIGITS:
+            raise ModelError(f"{what} has a number of more than {DIGITS} digits")
+        if isinstance(node, sp.Pow) and node.exp.is_Rational and max(abs(node.exp.p), node.exp.q) > EXPONENT:
+            raise ModelError(f"{what} has an exponent beyond {EXPONENT}")
         known = isinstance(node, sp.Rational | sp.Float) or node in (sp.pi, sp.E)
         unknown = isinstance(node, sp.Expr) and node.is_Atom and not known
         if getattr(node, "is_Matrix", False) or (unknown and type(node) not in (sp.Symbol, sp.Dummy)):
@@ -45,6 +51,16 @@ def read(value: Any, what: str, *, infinite: bool = False) -> sp.Expr:
                 f"{what} holds {node}, a {type(node).__name__}, of which no enclosure is known: {_HOW}"
             )
     return e
+
+
+def _size(node: sp.Basic) -> int:
+    """Return the bits of a number's numerator or denominator, about; 0 of all else."""
+    if isinstance(node, sp.Float):
+        _, mantissa, exponent, bits = node._mpf_
+        return abs(int(exponent) + int(bits)) if mantissa else 0
+    if isinstance(node, sp.Rational):
+        return max(abs(int(node.p)).bit_length(), int(node.q).bit_length())
+    return 0
 
 
 def exact(e: sp.Expr) -> sp.Expr:

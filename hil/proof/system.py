@@ -160,7 +160,7 @@ def _refuse(*checks: tuple[Iterable[Any], str]) -> None:
     """Raise ModelError with the first message whose names are not empty."""
     for wrong, message in checks:
         if names := sorted(map(str, wrong)):
-            raise ModelError(message.format(", ".join(names)))
+            raise ModelError(message.replace("{}", ", ".join(names), 1))
 
 
 def _assumed(s: sp.Symbol, meant: str) -> bool:

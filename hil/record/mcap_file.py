@@ -21,6 +21,7 @@ from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 
 from drivers.arrays import Ints
+from drivers.files import open_regular
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_SIZE = 256 * 1024
@@ -49,12 +50,14 @@ def record_bytes(record: mcap.McapRecord) -> bytes:
 
 
 def being_written(path: Path) -> bool:
-    """Tell whether a process is writing a file right now. Raises OSError where it cannot be opened."""
-    with path.open("rb") as file:
-        try:
+    """Tell whether a process is writing a file right now; one that cannot be opened or locked is not."""
+    try:
+        with open_regular(path) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return True
+    except BlockingIOError:
+        return True
+    except OSError:
+        return False
     return False
 
 

@@ -347,4 +347,5 @@ def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
 
 
 def _texts(values: Mapping[str, object]) -> dict[str, str]:
-    return {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
+    texts = {key: value if isinstance(value, str) else json.dumps(value) for key, value in values.items()}
+    return {key: text.encode(errors="replace").decode() for key, text in texts.items()}

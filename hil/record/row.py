@@ -71,8 +71,8 @@ class Table(NamedTuple):
             rules = {
                 f"rows of {MOST_ROW_BYTES} bytes": size <= MOST_ROW_BYTES,
                 f"{_MOST_AXES} axes, none of length 0": len(c.shape) <= _MOST_AXES and 0 not in c.shape,
-                f"{_MOST_ELEMENTS} elements, all or none with a name": count
-                in {0, min(c.size, _MOST_ELEMENTS)},
+                f"{_MOST_ELEMENTS} elements, all or none with a name": count in {0, c.size}
+                and count <= _MOST_ELEMENTS,
                 f"scalar flags of {_MOST_ELEMENTS} bits": scalar,
                 f"an enumeration with a 0, below {UNNAMED}": named,
             }

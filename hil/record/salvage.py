@@ -18,7 +18,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Schema
 
 from drivers.errors import LogError
-from drivers.files import open_regular, whole_file
+from drivers.files import open_regular
 from hil.record.encode import channels_of
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
@@ -38,6 +38,7 @@ _BEGIN = re.compile(
 )
 """A chunk, or the metadata record of the run."""
 _BEGIN_BYTES = 45
+_EXISTS = "exists and is never overwritten: choose another name"
 _WINDOW = 1 << 20
 _REMARKS = 20
 """Written into the log and reported; of more damage the number is."""
@@ -271,14 +272,15 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             f"{source}: what it says of its run is damaged: nothing to salvage: {why(error)}"
         ) from None
     if os.path.lexists(target):
-        raise LogError(f"{target}: exists and is never overwritten: choose another name")
+        raise LogError(f"{target}: {_EXISTS}")
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
     report = SalvageReport(source, target, size)
+    temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
-        with whole_file(target) as temporary:
-            temporary.unlink()
+        try:
+            temporary.unlink(missing_ok=True)
             file = McapFile(temporary, f"{LIBRARY}/{product_version()}")
             try:
                 file.add_metadata(IDENTITY, identity)
@@ -291,6 +293,23 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
                 work.close()
             finally:
                 file.close()
+            _give_name(temporary, target)
+        finally:
+            temporary.unlink(missing_ok=True)
+    except FileExistsError:
+        raise LogError(f"{target}: {_EXISTS}") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
     return report
+
+
+def _give_name(temporary: Path, target: Path) -> None:
+    """Give a whole file its name. Raises FileExistsError: something has got it meanwhile."""
+    try:
+        os.link(temporary, target)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without links
+        if os.path.lexists(target):
+            raise FileExistsError from None
+        temporary.rename(target)

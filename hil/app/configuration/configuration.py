@@ -27,7 +27,7 @@ from hil.config.feedforward import FeedforwardSettings
 from hil.config.limits import LimitSettings
 from hil.config.loop import LoopSettings
 from hil.config.monitor import MonitorSettings
-from hil.config.number import MOST
+from hil.config.number import LEAST, MOST
 from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
 from hil.config.reactions import ReactionSettings
@@ -228,8 +228,8 @@ def _beyond_reason(document: Document) -> list[Problem]:
         value: Any = document.at(path)
         most = MOST_SEED if path[-1] == "seed" else NO_LIMIT if path[0] == "limits" else MOST
         number = isinstance(value, int | float) and path[:3] != ("plant", "model", "parameters")
-        if number and abs(value) > most:
-            message = f"allowed in size: up to {most:g}, given: {float(value):g}"
+        if number and value and not LEAST <= abs(value) <= most:
+            message = f"allowed in size: 0, and {LEAST:g} to {most:g}, given: {float(value):g}"
             found.append(Problem(position, path, message))
     return found
 

@@ -38,7 +38,7 @@ def broken(sections: Mapping[str, Any], folder: Folder) -> Iterator[Finding]:
     c = Sections(**sections)
     for rule in RULES:
         with suppress(MissingSectionError):
-            yield from list(rule(c, folder))
+            yield from rule(c, folder)
 
 
 def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
@@ -198,7 +198,8 @@ def faults(c: Sections, _: Folder) -> Iterator[Finding]:
     for n, fault in enumerate(c.plant.faults):
         found = {"kind": not_brought_about(c.plant, str(fault.kind))}
         with suppress(MissingSectionError):
-            found |= {"bus": of_no_bus(fault, c.bus), "force_N": not_carried(fault, c.bus, c.drives)}
+            found["bus"] = of_no_bus(fault, c.bus)
+            found["force_N"] = not_carried(fault, c.bus, c.drives)
         for key, message in found.items():
             if message:
                 yield ("plant", "faults", n, key), message

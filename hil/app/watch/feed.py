@@ -52,7 +52,12 @@ class Feed:
         if piece.events != self._events:
             self._events = piece.events
             self.events = event("events", [_told(each) for each in piece.events])
-        shown = state(piece, reader.about, time.monotonic_ns())
+        try:
+            shown = state(piece, reader.about, time.monotonic_ns())
+        except (AttributeError, LookupError, TypeError, ValueError):
+            self._trouble(f"{self._path} is of another version of hil: use the version that runs there")
+            self._number, self._made = reader.newest, now
+            return
         self.state = event("state", shown | {"ended": piece.ended, "said": self.said})
         self._number, self._made = piece.number, now
 
@@ -64,15 +69,18 @@ class Feed:
             reader = MirrorReader(self._path)
         except FileNotFoundError:
             return  # what was shown last stays
-        except LogError as error:
-            trouble = event("about", {"trouble": str(error)})
-            if trouble != self.about:
-                self.about = trouble
+        except (LogError, OSError, LookupError, TypeError, ValueError) as error:
+            self._trouble(str(error))
             return
         self._reader, self._number, self._events = reader, 0, []
         self.state, self.events = b"", event("events", [])
         about = {name: value for name, value in reader.about.items() if name != "columns"}
         self.about = event("about", about)
+
+    def _trouble(self, text: str) -> None:
+        trouble = event("about", {"trouble": text})
+        if trouble != self.about:
+            self.about = trouble
 
 
 def event(name: str, data: Any) -> bytes:

@@ -166,7 +166,7 @@ class Handler(BaseHTTPRequestHandler):
     """One request: its form, who sends it, the answer."""
 
     server: Server
-    default_request_version = "HTTP/1.0"
+    default_request_version = request_version = "HTTP/1.0"
     command = ""
 
     def setup(self) -> None:

@@ -133,7 +133,7 @@ def run_bringup(
         lines += filter(None, [stood_still_line(bench_time)])
         if outcome.findings:
             with further(unwritten):
-                next_ = _write_mended(c, context, files.found, text, outcome.findings)
+                next_ = _write_mended(c, context, files.found, text, outcome.findings, rehearsed=rehearsed)
                 said(next_)
                 lines.append(next_)
         stamp = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
@@ -167,7 +167,13 @@ def run_bringup(
 
 
 def _write_mended(
-    c: Configuration, context: Context, file: Path, text: str, findings: Sequence[Finding]
+    c: Configuration,
+    context: Context,
+    file: Path,
+    text: str,
+    findings: Sequence[Finding],
+    *,
+    rehearsed: bool,
 ) -> str:
     """Write what was found with findings, where it can be loaded; return what is next, or why not."""
     try:
@@ -176,7 +182,7 @@ def _write_mended(
         return f"no configuration is written, since with what was found it is refused: {error}"
     write_whole(file, text)
     done = dict.fromkeys(finding.name for finding in mended(c, context, findings))
-    line = f"next: hil bringup {file}{' --rehearse' if '.rehearsal' in file.name else ''}"
+    line = f"next: hil bringup {file}{' --rehearse' if rehearsed else ''}"
     if any(finding.name not in done for finding in findings):
         line += ", once what was found at the machine is mended"
     return f"{line}; that file makes up for {', '.join(done)}: do not mend it there, too" if done else line

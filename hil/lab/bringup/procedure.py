@@ -98,8 +98,11 @@ def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
 def merged(findings: list[Finding]) -> list[Finding]:
     """Return the findings with one cause for what has one: a wrong lead, a drive the other way round."""
     named: dict[tuple[str, tuple[int, ...]], Finding] = {}
+    more: list[Finding] = []
     for finding in findings:
-        named.setdefault((finding.name, finding.legs), finding)
+        first = named.setdefault((finding.name, finding.legs), finding)
+        if finding.name == "brake_crossed" and finding.text != first.text:
+            more.append(finding)
     for legs in sorted({finding.legs for finding in findings}):
         if ("wrong_lead", legs) in named or ("scale_or_lead", legs) in named:
             named.pop(("encoder_scale", legs), None)
@@ -108,4 +111,4 @@ def merged(findings: list[Finding]) -> list[Finding]:
             text = "its reading falls as it grows, and a force that should extend it shortens it"
             mend = "Turn the drive's direction of rotation."
             named["drive_reversed", legs] = Finding("drive_reversed", legs, text, mend)
-    return list(named.values())
+    return [*named.values(), *more]

@@ -5,6 +5,9 @@ from __future__ import annotations
 import contextlib
 import io
 import os
+import shlex
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
@@ -90,3 +93,9 @@ def test_the_json_is_written_although_nobody_reads_the_summary(
         assert invoked(end) == 141
     assert capsys.readouterr().err == ""
     assert json_file.exists()
+
+
+def test_an_output_that_is_closed_from_the_start_changes_no_exit_code(tmp_path: Path) -> None:
+    command = f"{shlex.quote(sys.executable)} -m hil.cli schema --help >&- 2>{tmp_path / 'err'}"
+    done = subprocess.run(["sh", "-c", command], check=False, timeout=60.0)
+    assert (done.returncode, "Traceback" in (tmp_path / "err").read_text()) == (0, False)

@@ -161,6 +161,10 @@ def test_without_V_the_linearisation_speaks():
         ({x: 1 - m * x}, {"at": {x: 1 / m}, "box": {x: (0, 5)}}, "a box needs a number"),
         ({x: x**3 - x}, {"parameters": {x: (-R(1, 2), R(1, 2))}}, "which is a state"),
         ({x: -x}, {"parameters": {m: (1, 2)}}, "neither f nor V"),
+        ({x: -x - x ** (10**9 + 1)}, {}, "exponent beyond 10000"),
+        ({x: -(10**1001) * x}, {}, "more than 1000 digits"),
+        ({x: -x * sp.Float("1e-2000")}, {}, "more than 1000 digits"),
+        ({sp.Symbol("x_{1}"): -sp.Symbol("x_{1}")}, {"box": {y: (-1, 1)}}, "which is no state"),
     ],
 )
 def test_a_question_without_meaning_is_refused(f, options, words):

@@ -260,8 +260,9 @@ class Linearised:
         (p, R), twist = _displaced(s.p, s.R, -x), s.twist - dx
         here = self._robot(p, R, twist)
         tau, per_demand = self._by_demand(p, R, twist, demanded)
-        inverse = np.linalg.inv(here.M)
-        mobility = np.asarray(here.J @ inverse if self._joint else inverse, np.float64)
+        mobility = np.asarray(np.linalg.inv(here.M), np.float64)
+        if self._joint:
+            mobility = here.J @ mobility
         per_force = mobility @ here.J.transpose(0, 2, 1)
         Gamma = stale = per_force @ per_demand
         if stale_s != 0.0:

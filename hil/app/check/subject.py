@@ -116,7 +116,7 @@ class Subject:
     proven: "Assessment | None" = None
     """Of the law."""
     probe: "Probe | None" = None
-    """How an FMU of one's own answers small pushes."""
+    """How the user's own FMU answers small pushes; None for another plant."""
     tool: str = ""
     """Of that FMU, by which it was made."""
     needs_tool: bool = False

@@ -126,7 +126,7 @@ def replay_log(
     with collector_paused():
         comparison = replay(log, cycle, progress)
     wall = time.perf_counter() - begun
-    _require_as_many_as_told(log, comparison)
+    _require_as_many_as_counted(log, comparison)
     result = summary(comparison, wall, comparison.ticks / run["rate_Hz"])
     there, here = log.metadata.get(ENVIRONMENT, {}).get("cpu"), environment()["cpu"]
     if there != here:
@@ -138,18 +138,20 @@ def replay_log(
     return comparison, result
 
 
-def _require_as_many_as_told(log: Log, comparison: Comparison) -> None:
-    """Add the ticks that the end of a log counts and that are not there to the gaps.
+def _require_as_many_as_counted(log: Log, comparison: Comparison) -> None:
+    """Add the ticks that index or end of a log count and that are not there to the gaps.
 
-    A log that was cut has no such end. Raises LogError: index or end count fewer than there are.
+    A log that was cut has neither. Raises LogError: index or end count fewer than there are.
     """
     if log.cut or comparison.gaps:
         return
-    index, end = log.summary.ticks, log.metadata.get(SUMMARY, {}).get("ticks", "")
-    told = [index, int(end) if end.isdecimal() and len(end) < _DIGITS else -1] if end else [index]
-    if max(told) > comparison.ticks:
-        comparison.gaps.append((comparison.end, max(told) - comparison.ticks))
-    elif min(told) < comparison.ticks:
+    index, end = log.counted(), log.metadata.get(SUMMARY, {}).get("ticks", "")
+    counts = [comparison.ticks] if index is None else [index]
+    if end:
+        counts.append(int(end) if end.isdecimal() and len(end) < _DIGITS else -1)
+    if max(counts) > comparison.ticks:
+        comparison.gaps.append((comparison.end, max(counts) - comparison.ticks))
+    elif min(counts) < comparison.ticks:
         raise LogError(
             f"{log.path}: {comparison.ticks} ticks are there, and its index counts {index}"
             + (f", its end {end:.20}" if end else "")

@@ -27,6 +27,7 @@ from hil.record.mcap_read import (
     MessageTable,
     Record,
     messages_in,
+    record_at,
     records,
 )
 from hil.record.row import OLD, REFUSED, RowCodec, Run, Table, completed, why
@@ -202,6 +203,24 @@ class LogFile:
         """Return which messages of a table are of a topic."""
         numbers = [number for number, each in self._topics.items() if each == topic]
         return np.flatnonzero(np.isin(table.channel, numbers))
+
+    def counted(self) -> int | None:
+        """Rows that the index at the end of the file counts; None where it has no statistics.
+
+        Raises LogError: the index is damaged.
+        """
+        with self._reading(), open_regular(self.path) as file:
+            footer = record_at(file, self._size - _FOOTER)
+            at = int.from_bytes(footer.content[:8], "little")  # 0: no index
+            while 0 < at < footer.offset:
+                record = record_at(file, at)
+                if not record.complete:
+                    raise record.damaged("no record in the index")
+                if record.opcode == Opcode.STATISTICS:
+                    counts = record.parse().channel_message_counts
+                    return sum(counts.get(n, 0) for n, topic in self._topics.items() if topic == self.topic)
+                at = record.end
+        return None
 
     def _require_order(self, data: bytes, table: MessageTable, last: int) -> int:
         """Return the tick of the last row of a buffer; `last` is that of the one before.

@@ -19,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Attachment, Channel, Chunk, Metadata
+from mcap.records import Attachment, Channel, Chunk, Metadata, Statistics
 from numpy.typing import NDArray
 
 from drivers.arrays import Ints
@@ -35,6 +35,7 @@ _KINDS: dict[int, Any] = {
     Opcode.CHANNEL: Channel,
     Opcode.CHUNK: Chunk,
     Opcode.METADATA: Metadata,
+    Opcode.STATISTICS: Statistics,
 }
 _BROKEN = (McapError, UnicodeDecodeError, OverflowError, struct.error)
 """What the library raises of a field that reaches past the end of its record, or is no text."""

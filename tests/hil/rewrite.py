@@ -38,11 +38,13 @@ def rewrite_log(
     *,
     sequence=lambda topic, number: number,
     log_time_order=False,
+    end=None,
     **options,
 ):
     """Copy `src` to `dst`; `edit(topic, data, sequence)` returns the new data, or None to leave a message out.
 
-    `sequence(topic, number)` is the new number of a message; `options` go to mcap.writer.Writer (compression, chunk_size, use_chunking).
+    `sequence(topic, number)` is the new number of a message; `end` changes the summary of the run; `options` go to
+    mcap.writer.Writer (compression, chunk_size, use_chunking).
     """
     with Path(src).open("rb") as source, Path(dst).open("xb") as target:
         reader = make_reader(source, validate_crcs=True)
@@ -51,7 +53,8 @@ def rewrite_log(
         for item in reader.iter_attachments():
             writer.add_attachment(item.create_time, item.log_time, item.name, item.media_type, item.data)
         for record in reader.iter_metadata():
-            writer.add_metadata(record.name, record.metadata)
+            changes = (end or {}) if record.name == "summary" else {}
+            writer.add_metadata(record.name, record.metadata | changes)
         schemas, channels = {}, {}
         for schema, channel, message in reader.iter_messages(log_time_order=log_time_order):
             assert schema is not None

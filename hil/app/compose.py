@@ -135,8 +135,6 @@ def build_cycle(
         platform,
         c.platform.leg_spin,
         1.0 / rate_Hz,
-        trajectory,
-        preview_s=0.0 if predictor is None else predictor.horizon_s,
         controller=controller_of(c.controller, c.folder),
     )
     return Cycle(

@@ -26,7 +26,7 @@ class Evaluated(Section):
     """What every reference has that is known before the run."""
 
     evaluation: Literal["online", "offline"] = "online"
-    """In the loop, or before the run at the loop's ticks, which needs an end; the same to the bit."""
+    """No difference: samples are computed at each tick."""
 
 
 class HoldReference(Evaluated):

@@ -19,7 +19,6 @@ from hil.control.law import Law, LawContext, LawSettings
 from hil.loop.reference import fill_reference
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 
 
@@ -53,7 +52,7 @@ class LawContract:
 
     @pytest.fixture
     def law(self, platform: Platform, home: PoseSample) -> Law:
-        return self.settings.build(LawContext(platform, "none", 1e-3, HoldTrajectory(home.p, home.R)))
+        return self.settings.build(LawContext(platform, "none", 1e-3))
 
     @pytest.fixture
     def ticks(self, platform: Platform, samples: list[PoseSample]) -> list[Record]:

@@ -24,15 +24,6 @@ GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("vector_difference", "<
 """The diagonals; whether that is the rotation's error, or the shortest turn."""
 
 
-def _vector_difference(R: Array, R_d: Array) -> Array:
-    """Return phi_d - phi (3,) rad, phi the rotation vector of the pose."""
-    return rotation_vector_kernel(R_d) - rotation_vector_kernel(R)
-
-
-ROTATION_ERRORS = {"shortest_turn": relative_rotation, "vector_difference": _vector_difference}
-"""`controller.rotation_error` of the configuration -> function of R and R_d, (3,) rad."""
-
-
 class CartesianPDSettings(LawSettings):
     """PD on position and rotation of the platform, found by forward kinematics."""
 

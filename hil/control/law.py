@@ -20,7 +20,6 @@ from hil.config.values import LegSpin, Positive, SixPositive
 from hil.control.model import build_model
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.trajectory.path import Trajectory
 
 
 class LawContext(NamedTuple):
@@ -30,10 +29,6 @@ class LawContext(NamedTuple):
     leg_spin: LegSpin
     period_s: float
     """Between two efforts."""
-    trajectory: Trajectory
-    """What will be tracked, for a law that computes ahead."""
-    preview_s: float = 0.0
-    """How far ahead of its tick the Reference is: its times are k period_s + preview_s."""
     controller: LinearController | None = None
     """For the law that runs one from a file."""
 
@@ -129,11 +124,6 @@ class LawSettings(Section):
     @property
     def lookahead(self) -> DelayCompensation | None:
         """The delay that is compensated by prediction; it takes a model."""
-        return None
-
-    @property
-    def endless(self) -> tuple[str, str] | None:
-        """Key and reason for which the law cannot follow a reference without end."""
         return None
 
     def error_dynamics(self) -> ErrorDynamics | str:

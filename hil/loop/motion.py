@@ -8,10 +8,9 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, REAL, helper, kernel, record
 from drivers.compiled.pointed import Callee, address_of, call
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.override import OVERRIDE, Override, go_on, is_full, is_resting, looked_ahead, time_at
-from hil.trajectory.path import SAMPLE, PoseSample, Trajectory, callee_of, of_record, require
+from hil.trajectory.path import SAMPLE, HoldTrajectory, PoseSample, Trajectory, callee_of, of_record, require
 from hil.trajectory.stopping import StoppingTrajectory, slow
 
 MOTION = np.dtype(

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from drivers.errors import ConfigurationError
 from hil.config.reference import (
-    Evaluated,
     HoldReference,
     LiveReference,
     MultisineReference,
@@ -18,13 +17,11 @@ from hil.config.reference import (
 )
 from hil.config.values import Pose
 from hil.mathematics.rotations import rotation_from_vector
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.multisine import multisine_trajectory
-from hil.trajectory.path import Trajectory, axis_limits, checked_words
+from hil.trajectory.path import HoldTrajectory, Trajectory, axis_limits, checked_words
 from hil.trajectory.sampled import sampled_trajectory
 from hil.trajectory.sinusoids import SinusoidTrajectory
-from hil.trajectory.tabulated import TabulatedTrajectory, require_end
 from hil.trajectory.time_optimal import plan, planned_trajectory
 from hil.trajectory.waypoints import waypoint_trajectory
 
@@ -79,18 +76,12 @@ def build_trajectory(
     settings: ReferenceSettings,
     home: Pose,
     folder: Path | None,
-    period_s: float | None = None,
+    period_s: float = UNTIMED_S,
     recorded: bytes | None = None,
 ) -> Trajectory:
     """Return the trajectory of the `reference` section.
 
-    home: the platform's home pose; folder: that of the configuration file; period_s: of the loop (None: only
-    to look at the path, nothing is evaluated beforehand); recorded: the plan in a log. Raises
-    ConfigurationError on what cannot be a trajectory.
+    home: the platform's home pose; folder: that of the configuration file; period_s: of the loop; recorded:
+    the plan in a log. Raises ConfigurationError on what cannot be a trajectory.
     """
-    trajectory = BUILDERS[type(settings)](settings, Context(home, folder, period_s or UNTIMED_S, recorded))
-    if isinstance(settings, Evaluated) and settings.evaluation == "offline":
-        require_end(trajectory)
-        if period_s is not None:
-            return TabulatedTrajectory(trajectory, period_s)
-    return trajectory
+    return BUILDERS[type(settings)](settings, Context(home, folder, period_s, recorded))

@@ -13,9 +13,19 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import ZERO6, Array
 from drivers.compiled.compiler import INTEGER, REAL, helper, kernel, record
-from drivers.compiled.pointed import FAILED, Callee, address_of, call, of_python, pointed, record_at
+from drivers.compiled.pointed import (
+    FAILED,
+    Callee,
+    address_of,
+    call,
+    context_of,
+    data_at,
+    of_python,
+    pointed,
+    record_at,
+)
 from drivers.errors import ConfigurationError
 from drivers.tick_columns import Record
 from hil.config.reference import AxisLimits, Waypoint
@@ -69,22 +79,25 @@ class CompiledTrajectory:
         return sampled_by(self.callee, t)
 
 
-@helper
-def copy_sample(one: Any, into: Any) -> None:
-    """Fill a record of SAMPLE with the same parts of another record."""
-    for i in range(3):
-        into.p[i] = one.p[i]
-        for j in range(3):
-            into.R[i, j] = one.R[i, j]
-    for i in range(6):
-        into.twist[i], into.dtwist[i] = one.twist[i], one.dtwist[i]
-
-
 @pointed(record(SAMPLE), REAL, record(SAMPLE))
 def kept(sample: Any, _t: float, into: Any) -> int:
     """Fill the sample with one that is kept."""
-    copy_sample(sample, into)
+    for i in range(3):
+        into.p[i] = sample.p[i]
+        for j in range(3):
+            into.R[i, j] = sample.R[i, j]
+    for i in range(6):
+        into.twist[i], into.dtwist[i] = sample.twist[i], sample.dtwist[i]
     return 0
+
+
+class HoldTrajectory(CompiledTrajectory):
+    """Stay at p (3,) m, R (3, 3), base frame, for `duration_s`, or until stopped when it is None."""
+
+    def __init__(self, p: Array, R: Array, duration_s: float | None = None) -> None:
+        self.duration_s = duration_s
+        pose = context_of(SAMPLE, p=p, R=R, twist=ZERO6, dtwist=ZERO6)
+        self.callee = Callee(kept.address, data_at(pose), pose)
 
 
 class _Door:

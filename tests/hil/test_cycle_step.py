@@ -23,8 +23,8 @@ from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.modes import Durations
 from hil.robot.kinematics import leg_lengths
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.override import PEAK
+from hil.trajectory.path import HoldTrajectory
 from tests.hil.cycle_bench import BRISK, HIGHER, LIVE, VIRTUAL, Bench, aside, held_to
 
 ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])

@@ -16,7 +16,6 @@ from hil.mathematics.rotations import rotation_from_vector, rotation_motion_kern
 from hil.robot.dynamics import Model, Variant
 from hil.robot.dynamics_kernels import joint_idc_kernel
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 
 DATA = Path(__file__).parents[1] / "data"
@@ -239,5 +238,5 @@ def test_the_configured_law_believes_in_the_configured_drives(per_leg):
     dq, ddq = np.array(e["rates"]), np.array(e["length_accels"])
     legs = np.array(e["leg_forces"]) + np.linalg.solve(J.T, wrench)  # the state has no wrench
     expected = legs + m * ddq + b * dq + c * np.sign(dq)
-    context = LawContext(platform, "none", 1e-3, HoldTrajectory(p, R))
+    context = LawContext(platform, "none", 1e-3)
     assert relative(asked(settings.build(context), tick), expected) <= 1e-9

@@ -12,13 +12,10 @@ from scipy.spatial.transform import Rotation
 from drivers.errors import ConfigurationError
 from hil.config.reference import ReferenceSettings
 from hil.config.values import Pose
-from hil.loop.motion import Motion
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.move import GeodesicMove
-from hil.trajectory.path import Trajectory
+from hil.trajectory.path import HoldTrajectory, Trajectory
 from hil.trajectory.stopping import StoppingTrajectory
-from hil.trajectory.tabulated import TabulatedTrajectory
 from tests.live_reference import LIVE_REFERENCE
 
 DATA = Path(__file__).parent.parent / "data"
@@ -33,9 +30,9 @@ UNEVEN = [
 ]
 
 
-def built(tick_s=None, folder=DATA, **settings):
+def built(folder=DATA, **settings):
     model = TypeAdapter(ReferenceSettings).validate_python(settings)
-    return build_trajectory(model, HOME, folder, tick_s)
+    return build_trajectory(model, HOME, folder)
 
 
 def waypoints(interpolation="quintic", periods=1, knots=KNOTS, **more):
@@ -196,37 +193,6 @@ def test_outside_its_time_a_trajectory_rests_at_its_ends(kind):
         assert (np.abs(end.twist).max() < 1e-12) == (kind != "waves without ramps")
 
 
-@pytest.mark.parametrize("rate", [1000.0, 333.0])
-@pytest.mark.parametrize(
-    "kind",
-    [
-        lambda **more: hold(duration_s=0.7, **more),
-        lambda **more: waypoints(periods=2, **more),
-        lambda **more: time_optimal([UNEVEN[0], UNEVEN[1], UNEVEN[0]], periods=2, **more),
-        sinusoids,
-        multisine,
-        sampled,
-    ],
-    ids=["hold", "waypoints", "time_optimal", "sinusoids", "multisine", "sampled"],
-)
-def test_a_table_gives_the_bits_of_the_evaluation_in_the_loop(kind, rate):
-    motions = []
-    for evaluation in ("online", "offline"):
-        path = kind(evaluation=evaluation, tick_s=1 / rate)
-        assert isinstance(path, TabulatedTrajectory) == (evaluation == "offline")
-        motions.append(Motion(1 / rate, np.zeros(3), np.eye(3), 0.5))
-        motions[-1].start(path, 17)
-    here, there = motions
-    assert here.trajectory.duration_s == there.trajectory.duration_s
-    stop = 17 + int(here.trajectory.duration_s * rate / 2)
-    for tick in range(17, 2 * stop):
-        if tick == stop:
-            here.stop(tick, 0.5)
-            there.stop(tick, 0.5)
-        for a, b in zip(here.sample(tick), there.sample(tick), strict=True):
-            assert a.tobytes() == b.tobytes()
-
-
 @pytest.mark.parametrize(
     "pose", [{"position_m": (-0.05, 0.15, 1.2), "rotation_vector_deg": (-6, 2, 8)}, None]
 )
@@ -297,8 +263,6 @@ def knots(index, **change):
         (lambda: sinusoids(ramp_s=1.5, duration_s=2.0), "ramp_s: .* at most 1 s"),
         (lambda: sinusoids(parts=[("rx_deg", 190.0, 1.0, 0.0)]), "at most 180 deg"),
         (lambda: sinusoids(parts=[("ry_deg", -20.0, 1.0, 0.0)], centre=TURNED), "at most 180 deg"),
-        (lambda: hold(evaluation="offline"), "offline .* no end"),
-        (lambda: hold(evaluation="offline", duration_s=3600, tick_s=1e-3), "691 MB, .* at most 256"),
         (lambda: sampled(folder=None), "reference.path: path.csv"),
     ],
 )

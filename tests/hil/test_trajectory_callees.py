@@ -5,12 +5,10 @@ import pytest
 
 from drivers.compiled.pointed import FAILED
 from hil.loop.motion import Motion, sample_at
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
-from hil.trajectory.path import SAMPLE, callee_of, sampled_by
+from hil.trajectory.path import SAMPLE, HoldTrajectory, callee_of, sampled_by
 from hil.trajectory.stopping import StoppingTrajectory
-from hil.trajectory.tabulated import TabulatedTrajectory
 from tests.judged import ANYWHERE
 
 T, HERE, THERE, EYE = 0.25, np.array([0.0, 0.0, 1.0]), np.array([0.1, -0.1, 1.1]), np.eye(3)
@@ -42,9 +40,7 @@ def test_a_path_in_plain_python_gives_the_bits_of_ours(wrapped):
         assert same(sampled_by(callee_of(plain), t), ours.sample(t))
 
 
-@pytest.mark.parametrize(
-    "wrapped", [lambda path: path, lambda path: StoppingTrajectory(TabulatedTrajectory(path, 0.25), 5.0, 1.0)]
-)
+@pytest.mark.parametrize("wrapped", [lambda path: path, lambda path: StoppingTrajectory(path, 5.0, 1.0)])
 def test_an_error_of_a_path_in_plain_python_is_raised_by_the_motion(wrapped):
     path, motion, into = Plain(), Motion(T, HERE, EYE, 0.5), np.zeros((), SAMPLE)
     motion.start(wrapped(path), 0)
@@ -59,7 +55,7 @@ def test_an_error_of_a_path_in_plain_python_is_raised_by_the_motion(wrapped):
 
 def test_a_sample_is_not_altered_by_the_next_one():
     live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), 1e-3)
-    for path in (MOVE, HoldTrajectory(HERE, EYE), TabulatedTrajectory(MOVE, T), live):
+    for path in (MOVE, HoldTrajectory(HERE, EYE), live):
         first = path.sample(0.5)
         before = [each.tobytes() for each in first]
         live.aim(np.ones(6))

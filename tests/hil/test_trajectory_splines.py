@@ -4,14 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.integrate import quad
 from scipy.interpolate import CubicSpline, make_interp_spline
 
 from drivers.errors import ConfigurationError
 from hil.config.reference import SampledReference, WaypointReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.minimum_jerk import minimum_jerk_coefficients
 
 DATA = Path(__file__).parent.parent / "data"
 HOME = Pose(position_m=(0, 0, 1))
@@ -51,28 +49,6 @@ def test_a_sampled_path_is_scipys_clamped_cubic_spline():
     path = build(DATA)
     assert path.duration_s == table[-1, 0]
     is_the_spline(path, CubicSpline(table[:, 0], table[:, 1:4], bc_type="clamped"), path.duration_s)
-
-
-def test_no_other_path_through_the_points_has_less_jerk():
-    """Moves of the path that vanish at the points and rest at the ends are orthogonal to its jerk."""
-    c = minimum_jerk_coefficients(T, Y)[:, :, :1]
-
-    def jerk(s):
-        k = int(np.clip(np.searchsorted(T, s, side="right") - 1, 0, 3))
-        h = T[k + 1] - T[k]
-        u = (s - T[k]) / h
-        return float((6 * c[k, 3, 0] + 24 * c[k, 4, 0] * u + 60 * c[k, 5, 0] * u * u) / h**3)
-
-    cost = quad(lambda s: jerk(s) ** 2, 0, 4, points=T[1:-1], limit=200)[0]
-    for power in range(3):
-        # q = s^3 (4 - s)^3 (s - 0.7)(s - 1.9)(s - 2.2) s^power
-        q = np.poly1d([1, 0]) ** (3 + power) * np.poly1d([-1, 4]) ** 3
-        for inner in T[1:-1]:
-            q = q * np.poly1d([1, -inner])
-        third = q.deriv(3)
-        size = quad(lambda s, d=third: d(s) ** 2, 0, 4)[0]
-        inner_product = quad(lambda s, d=third: jerk(s) * d(s), 0, 4, points=T[1:-1], limit=200)[0]
-        assert abs(inner_product) < 1e-9 * np.sqrt(cost * size)
 
 
 def test_two_rows_are_one_segment_from_rest_to_rest(tmp_path):

@@ -333,8 +333,7 @@ def integrate(configuration, law, accelerations, dt=2e-3, seconds=2.0):
 
 def law_of(configuration):
     platform = build_platform(configuration.platform)
-    trajectory = build_trajectory(configuration.reference, configuration.platform.home, Path())
-    return configuration.controller.build(LawContext(platform, "none", 1e-3, trajectory))
+    return configuration.controller.build(LawContext(platform, "none", 1e-3))
 
 
 ROUNDING = [

@@ -90,7 +90,7 @@ def _laws(benchmark: Benchmark) -> Iterator[Figure]:
     """Forward kinematics alone, then with each law, 0.1 mm off one period of the path."""
     c, parts = benchmark.configuration, benchmark.cycle().parts
     period_s = 1.0 / c.loop.rate_Hz
-    context = LawContext(parts.platform, parts.model.leg_spin, period_s, parts.trajectory)
+    context = LawContext(parts.platform, parts.model.leg_spin, period_s)
     path = []
     for k in range(PATH_TICKS):
         row = new_record()

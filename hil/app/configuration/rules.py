@@ -131,25 +131,18 @@ def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Refuse times that do not increase, a repeat that jumps, a wrong CSV file, and a path that never ends.
-
-    The last where the law needs an end.
-    """
+    """Refuse times that do not increase, a repeat that jumps, and a wrong CSV file."""
     sampled = isinstance(c.reference, SampledReference)
     if sampled and folder is None:
         return
     try:
-        trajectory = build_trajectory(c.reference, c.platform.home, folder or FilePath())
+        build_trajectory(c.reference, c.platform.home, folder or FilePath())
     except ConfigurationError as error:
         named = re.fullmatch(r"(reference[\w.\[\]]*): (.*)", str(error), re.DOTALL)
         if named:
             yield tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
         else:
             yield ("reference", "path") if sampled else ("reference",), str(error)
-        return
-    if c.controller.endless is not None and trajectory.duration_s is None:
-        key, reason = c.controller.endless
-        yield ("controller", key), reason
 
 
 def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:

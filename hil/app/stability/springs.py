@@ -33,7 +33,6 @@ from hil.design.stability.springs import (
 )
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
-from hil.trajectory.holding import HoldTrajectory
 from plant_fmu.config import BenchPlant
 
 SpringSettings = PDSettings | PIDSettings | PDGravitySettings | FeedforwardPDSettings | CartesianPDSettings
@@ -150,16 +149,13 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
 def law_forces(subject: Subject, law: SpringSettings) -> Forces:
     """Return the forces of the law that runs, at rest; of an integral it has what carries the weight."""
     start, platform = subject.path[0], subject.platform
-    context = LawContext(
-        platform, subject.c.platform.leg_spin, subject.axis.period_s, HoldTrajectory(start.p, start.R)
-    )
+    context = LawContext(platform, subject.c.platform.leg_spin, subject.axis.period_s)
     built: Law
     held = np.zeros(6)
     if isinstance(law, PIDSettings):
         built, held = law.pd(), subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
     else:
-        online = {"evaluation": "online"} if isinstance(law, FeedforwardPDSettings) else {}
-        built = law.model_copy(update=online).build(context)
+        built = law.build(context)
     tick = np.zeros((), TICK)
     tick["p_d"], tick["R_d"], tick["t_d"] = start.p, start.R, np.nan
     tick["q_d"] = leg_lengths(platform, start.p, start.R)

@@ -81,9 +81,6 @@ LIVE = reference(
     },
 )  # fmt: skip
 PD = {"law": "pd", "kp_N_m": 2e6, "kv_N_s_m": 5e4}
-OFFLINE = {
-    "law": "feedforward_pd", "evaluation": "offline", "kp_N_m": 2e6, "kv_N_s_m": 5e4, "model": {"variant": "full"},
-}  # fmt: skip
 AHEAD = {"controller": {"delay_compensation": {"bus_ms": 0.5}}}
 FROZEN = {"controller": {"model": {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}}}
 LOST = {"fusion": {"may_lose_legs": [0]}}
@@ -114,7 +111,6 @@ RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     "monitor.action": ("virtual", {"controller": PD}, {"controller": PD, "monitor": {"action": "fault"}}, "no certificate"),
     "estimation.wrench.source": ("virtual", {"estimation": {"wrench": {"source": "sensor"}}, "sensors": {"wrench": {}}}, {"estimation": {"wrench": {"source": "sensor"}}}, "no sensors.wrench"),
     "controller.delay_compensation ": ("virtual", AHEAD, AHEAD | LIVE, "looks ahead"),
-    "controller.evaluation": ("virtual", {"controller": OFFLINE}, {"controller": OFFLINE, "reference": {"periods": None}} | LIVE, "needs a reference that ends"),
     "platform.home": ("virtual", {}, {"platform": {"length_max_m": 1.6}}, "out of reach"),
     "plant.model.rest_length_m": ("bench", {}, {"plant": {"model": {"rest_length_m": 0.1}}}, ""),
     "bus.data_bitrate_bit_s": ("virtual", {}, {"bus": {"data_bitrate_bit_s": 500000}}, "slower than arbitration"),

@@ -10,7 +10,6 @@ from hil.contracts.records import arrived, asked
 from hil.control.law import LawContext
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
 
 DATA = Path(__file__).parents[2] / "data"
@@ -18,13 +17,12 @@ BOOK = json.loads((DATA / "book_platform.json").read_text())
 TRUTH = json.loads((DATA / "rigid_body_cases.json").read_text())
 PLATFORM = Platform.from_dict(BOOK["geometry"])
 HOME = np.array([0.1, -0.2, 1.1]), np.eye(3)
-CONTEXT = LawContext(PLATFORM, "none", 1e-3, HoldTrajectory(*HOME))
+CONTEXT = LawContext(PLATFORM, "none", 1e-3)
 NONE = np.zeros(6)
 
 
-def context_of(platform=PLATFORM, trajectory=None, period_s=1e-3, **more):
-    trajectory = trajectory or HoldTrajectory(np.zeros(3), np.eye(3))
-    return LawContext(platform, "none", period_s, trajectory, **more)
+def context_of(platform=PLATFORM, period_s=1e-3, **more):
+    return LawContext(platform, "none", period_s, **more)
 
 
 def engines(case):

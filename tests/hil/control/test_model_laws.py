@@ -6,19 +6,15 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import ConfigurationError
 from hil.config.model import ModelSettings
-from hil.config.reference import Waypoint, WaypointReference
 from hil.config.values import Pose
 from hil.contracts.records import altered, arrived, asked, referred
 from hil.control import LAWS
 from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.model import build_model
 from hil.robot.geometry import Platform
-from hil.trajectory.holding import HoldTrajectory
 from hil.trajectory.path import PoseSample
-from hil.trajectory.waypoints import waypoint_trajectory
-from tests.hil.control.legs import BOOK, PLATFORM, TRUTH, cases, close, context_of, engines
+from tests.hil.control.legs import BOOK, HOME, PLATFORM, TRUTH, cases, close, context_of, engines
 
 K_P = np.array([1e6, 2e6, 3e6, 4e5, 5e5, 6e5])
 K_V = np.array([1e5, 2e5, 3e5, 4e4, 5e4, 6e4])
@@ -111,7 +107,7 @@ def test_a_model_of_nine_tenths_feeds_nine_tenths_of_the_forces_forward():
         half: BOOK["geometry"][half] | {"mass": 0, "inertia_transverse": 0} for half in ("cylinder", "rod")
     }
     platform = Platform.from_dict(BOOK["geometry"] | light)
-    tick = arrived(PLATFORM, PATH.sample(0.7))
+    tick = arrived(PLATFORM, PoseSample(*HOME, np.full(6, 0.2), np.ones(6)))
     full, less = (
         asked(law_of("feedforward_pd", platform, **PD, model={"inertia_scale": k}), tick) for k in (1.0, 0.9)
     )
@@ -140,65 +136,10 @@ def test_every_key_of_the_section_model_arrives_in_SI():
     close(frozen.inverse_dynamics(p + 0.05, np.eye(3), np.ones(6), a), np.linalg.solve(J.T, M @ a + G))
 
 
-# -- feed-forward from a table -------------------------------------------------------------------------------
-
-PERIOD = 1.0 / 700.0
-"""s; no sum and no product of it is a round number."""
-PATH = waypoint_trajectory(
-    WaypointReference(
-        type="waypoints",
-        interpolation="cubic",
-        points=[
-            Waypoint(t_s=k["t"], position_m=tuple(k["p"]), rotation_vector_deg=tuple(k["rotvec_deg"]))
-            for k in BOOK["trajectory"]["knots"]
-        ],
-    )
-)
-
-
-def fed(evaluation, trajectory=PATH, preview=0.0):
-    settings = FeedforwardPDSettings(law="feedforward_pd", kp_N_m=2e6, kv_N_s_m=5e4, evaluation=evaluation)
-    return settings.build(context_of(trajectory=trajectory, period_s=PERIOD, preview_s=preview))
-
-
-def tabulated(law, t):
-    """Whether a law takes its force from the table at the time t: a table without numbers gives none."""
-    table, law.table = law.table, np.full_like(law.table, np.nan)
-    tau = asked(law, arrived(PLATFORM, PATH.sample(0.3), t))
-    law.table = table
-    return bool(np.isnan(tau).all())
-
-
-@pytest.mark.parametrize("ahead", [0.0, 1.8e-3])
-def test_offline_gives_the_bits_of_online_at_every_tick_of_the_trajectory(ahead):
-    """With delay compensation the reference of tick k is that of k period + preview."""
-    online, offline = fed("online"), fed("offline", preview=ahead)
-    assert offline.table.shape == (1401, 6) or ahead
-    for k in range(1401):
-        t = k * PERIOD + ahead
-        tick = arrived(PLATFORM, PATH.sample(t), t)
-        tick["q"] += 1e-4
-        assert tabulated(offline, t)
-        assert asked(offline, tick).tobytes() == asked(online, tick).tobytes()
-    assert tabulated(offline, 5 * PERIOD) is (ahead == 0.0)
-
-
-def test_offline_computes_what_is_no_tick_of_the_trajectory():
-    """On the way to it, between its ticks and past its end."""
-    online, offline = fed("online"), fed("offline")
-    for t, at in ((float("nan"), 0.3), (0.3 * PERIOD, 0.3 * PERIOD), (2.0 + PERIOD, 2.0 + PERIOD)):
-        assert not tabulated(offline, t)
-        tick = arrived(PLATFORM, PATH.sample(at), t)
-        assert asked(offline, tick).tobytes() == asked(online, tick).tobytes()
-
-
-@pytest.mark.parametrize("t", [0.0, float("nan")], ids=["on the trajectory", "on the way to it"])
-def test_a_load_does_not_count_for_a_table_that_is_made_before_the_run(t):
-    bare = arrived(PLATFORM, PATH.sample(0.0), t)
-    loaded = altered(bare, wrench=[1e3, 2e3, 3e3, 100.0, 200.0, 300.0])
-    assert asked(fed("offline"), loaded).tobytes() == asked(fed("offline"), bare).tobytes()
-
-
-def test_a_trajectory_without_end_has_no_table():
-    with pytest.raises(ConfigurationError, match=r"controller\.evaluation: offline"):
-        fed("offline", trajectory=HoldTrajectory(np.zeros(3), np.eye(3)))
+@pytest.mark.parametrize(("evaluation", "share"), [("online", 1.0), ("offline", 0.0)])
+def test_a_feedforward_as_if_made_before_the_run_leaves_the_load_out(evaluation, share):
+    settings = FeedforwardPDSettings(law="feedforward_pd", **PD, evaluation=evaluation)
+    law, load = settings.build(context_of()), np.array([1e3, 2e3, 3e3, 100.0, 200.0, 300.0])
+    bare = arrived(PLATFORM, PoseSample(*HOME, NONE, NONE))
+    carried = asked(law, bare) - asked(law, altered(bare, wrench=load.tolist()))
+    close(bare["J"].T @ carried, share * load)

@@ -1,15 +1,11 @@
-"""A log to look at: whole, or of one that is cut or damaged as far as it goes."""
+"""A log to look at: whole, or of one that is cut as far as it goes."""
 
-import tempfile
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Collection
 from pathlib import Path
 from typing import NamedTuple
 
 from drivers.arrays import Rows
-from drivers.errors import LogError
 from hil.record.log import Log
-from hil.record.salvage import salvage
 from hil.record.schema import CLEAN, SALVAGE, SUMMARY
 
 MOST_RATE_HZ = 1e5
@@ -26,36 +22,16 @@ class Readable(NamedTuple):
     """What is missing; empty for a log that its run has closed."""
 
 
-@contextmanager
-def readable(path: Path, columns: Collection[str] = ()) -> Iterator[Readable]:
-    """Open a log; of one that is damaged, a copy of what is left, removed at the end.
+def readable(path: Path, columns: Collection[str] = ()) -> Readable:
+    """Read a log.
 
     columns: those that are needed, as far as the log has them; none: all.
 
-    Raises
-    ------
-    LogError
-        No such file, not a log of this product, or nothing left of it.
-
+    Raises LogError: no such file, not a log of this product, or damaged.
     """
-    with tempfile.TemporaryDirectory(prefix="hil-read-") as folder:
-        try:
-            log = Log(path)
-            rows, remark = _rows(log, columns), lacking(log)
-        except LogError as error:
-            copy = Path(folder) / "salvaged.mcap"
-            try:
-                report = salvage(path, copy)
-                log = Log.open(copy)
-                rows = _rows(log, columns)
-            except LogError:
-                raise error from None
-            remark = f"the log is damaged; {report.bytes_lost} of {report.bytes_read} bytes are lost"
-        yield Readable(log, rows, remark)
-
-
-def _rows(log: Log, columns: Collection[str]) -> Rows:
-    return log.rows(*(column.name for column in log.columns if column.name in columns))
+    log = Log(path)
+    rows = log.rows(*(column.name for column in log.columns if column.name in columns))
+    return Readable(log, rows, lacking(log))
 
 
 def lacking(log: Log) -> str:

@@ -216,8 +216,7 @@ def test_a_salvaged_log_whose_last_chunk_was_damaged_says_what_is_lost_wherever_
     assert (comparison.exact, found["gaps"]) == (True, [])
     assert f"{report.bytes_lost} bytes of the original are lost" in found["remark"]
     assert found["remark"] in what_if_log(whole)["remarks"]
-    with readable(whole, ("tick",)) as there:
-        assert there.remark == found["remark"]
+    assert readable(whole, ("tick",)).remark == found["remark"]
 
 
 # -- inputs ----------------------------------------------------------------------------------------------------

@@ -51,29 +51,25 @@ def plot(
 def _read(
     logs: Sequence[Path], names: Sequence[str], start_s: float | None, end_s: float | None
 ) -> tuple[list[list[Curve]], list[str]]:
-    """Return the curves of each panel, and what is to be said of damaged logs."""
+    """Return the curves of each panel, and what is to be said of logs that end early."""
     panels: list[list[Curve]] = [[] for _ in names]
     shown, remarks = _names(logs), list[str]()
     for n, log_path in enumerate(logs):
-        with readable(log_path, named_columns(names) | {"t_ns"}) as (log, rows, remark):
-            if not len(rows):
-                raise LogError("; ".join(filter(None, (f"{log_path}: has no tick: nothing to draw", remark))))
-            if remark:
-                remarks.append(f"{log_path}: {remark}")
-            t = seconds(rows)
-            kept = (t >= (t[0] if start_s is None else start_s)) & (t <= (t[-1] if end_s is None else end_s))
-            if not kept.any():
-                raise LogError(
-                    f"{log_path}: no tick between --from and --to, allowed: within 0 to {t[-1]:.3f} s"
-                )
-            prefix = f"{shown[n]}: " if len(logs) > 1 else ""
-            for panel, name in zip(panels, names, strict=True):
-                for each in curves(log.columns, name, str(log_path)):
-                    values, column = each.of(rows[kept]).astype(np.float64), each.part.column
-                    flags = issubclass(column.type, IntFlag)
-                    panel.append(
-                        Curve(each.label, n, t[kept], values, each.unit, column.names, flags, prefix)
-                    )
+        log, rows, remark = readable(log_path, named_columns(names) | {"t_ns"})
+        if not len(rows):
+            raise LogError("; ".join(filter(None, (f"{log_path}: has no tick: nothing to draw", remark))))
+        if remark:
+            remarks.append(f"{log_path}: {remark}")
+        t = seconds(rows)
+        kept = (t >= (t[0] if start_s is None else start_s)) & (t <= (t[-1] if end_s is None else end_s))
+        if not kept.any():
+            raise LogError(f"{log_path}: no tick between --from and --to, allowed: within 0 to {t[-1]:.3f} s")
+        prefix = f"{shown[n]}: " if len(logs) > 1 else ""
+        for panel, name in zip(panels, names, strict=True):
+            for each in curves(log.columns, name, str(log_path)):
+                values, column = each.of(rows[kept]).astype(np.float64), each.part.column
+                flags = issubclass(column.type, IntFlag)
+                panel.append(Curve(each.label, n, t[kept], values, each.unit, column.names, flags, prefix))
     return panels, remarks
 
 

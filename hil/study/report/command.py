@@ -38,7 +38,8 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
     """
     begun = time.perf_counter()
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
-    with readable(path) as found, np.errstate(all="ignore"):  # a log may hold any number
+    found = readable(path)
+    with np.errstate(all="ignore"):  # a log may hold any number
         rate_Hz = _rate(found.log, path)
         if not len(found.rows):
             raise LogError("; ".join(filter(None, (f"{path}: has no tick: nothing to report", found.remark))))

@@ -1,10 +1,9 @@
-"""The leg errors that each drive family costs, as the tables of docs/guides/cia402.md and drives.md.
+"""The leg errors that each drive family costs, as the table of docs/guides/drives.md.
 
-    python -m tools.drive_families desktop      # every family on configs/desktop.yaml
-    python -m tools.drive_families cia402       # CiA 402 beside our own protocol on virtual and lab
+    python -m tools.drive_families [FAMILY...]
 
-Each row is `hil sim` of a shipped configuration with the changes that its table below has. A run that a fault
-has ended shows the fault. A log that does not replay exactly ends the program.
+Each row is `hil sim desktop` with the changes that its table below has. A run that a fault has ended shows
+the fault. A log that does not replay exactly ends the program.
 """
 
 import sys
@@ -43,17 +42,12 @@ FAMILIES: dict[str, Changes] = {
     },
     "mit, damiao DM4310": {},
     "mit, cubemars AK80-9": {"drives": {"options": {"variant": "cubemars", "model": "AK80-9"}}},
-    "mit, mini_cheetah": {
-        "drives": {"options": {"variant": "mini_cheetah", "model": None}},
-    },
+    "mit, mini_cheetah": {"drives": {"options": {"variant": "mini_cheetah", "model": None}}},
     "mit, robstride rs-02": {
         "drives": {"options": {"variant": "robstride", "model": "rs-02"}},
         "loop": {"rate_Hz": 312.5},
     },
-    "odrive": {
-        "drives": {"protocol": "odrive", "options": None},
-        "loop": {"rate_Hz": 312.5},
-    },
+    "odrive": {"drives": {"protocol": "odrive", "options": None}, "loop": {"rate_Hz": 312.5}},
     "moteus": {
         "drives": {
             "protocol": "moteus",
@@ -65,23 +59,6 @@ FAMILIES: dict[str, Changes] = {
 """Row of the table -> what differs from configs/desktop.yaml."""
 NO_FRICTION = {"viscous_friction_N_s_m": 0, "coulomb_friction_N": 0}
 NO_LOSS = {"efficiency": 1.0, "back_driving_efficiency": 1.0}
-_FINE = {
-    "options": {"rated_torque_Nm": 6.0},
-    "transmission": {"counts_per_turn": 8388608},
-}
-CIA402: dict[str, tuple[str, Changes]] = {
-    "`legs`, fd, 1000 Hz": ("", {}),
-    "`legs`, fd, 400 Hz": ("", {"loop": {"rate_Hz": 400}}),
-    "`legs`, classic, 400 Hz": ("", {"bus": {"layout": "classic"}, "loop": {"rate_Hz": 400}}),
-    "`cia402`, difference, 400 Hz": ("-cia402", {}),
-    "the same, counts 64 times and torque ten times finer": ("-cia402", {"drives": _FINE}),
-    "`legs`, fd, 312.5 Hz": ("", {"loop": {"rate_Hz": 312.5}}),
-    "`cia402`, pdo, 312.5 Hz": (
-        "-cia402",
-        {"drives": {"options": {"velocity": "pdo"}}, "loop": {"rate_Hz": 312.5}},
-    ),
-}
-"""Row -> ending of the shipped configuration's name, what differs from it."""
 
 
 def merged(*changes: Changes) -> dict[str, Any]:
@@ -94,15 +71,13 @@ def merged(*changes: Changes) -> dict[str, Any]:
     return whole
 
 
-def simulated(name: str, changes: Changes, duration_s: float | None) -> dict[str, Any]:
-    """Return the summary of a changed configuration. Raises RuntimeError if its log replays otherwise."""
-    text = resources.files("configs").joinpath(f"{name}.yaml").read_text(encoding="utf-8")
+def simulated(changes: Changes) -> dict[str, Any]:
+    """Return the summary of a changed `desktop`. Raises RuntimeError if its log replays otherwise."""
+    text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     with TemporaryDirectory() as folder:
-        summary = simulate(
-            loads(with_changes(text, changes), name), log=Path(folder) / "run.mcap", duration_s=duration_s
-        )
+        summary = simulate(loads(with_changes(text, changes), "desktop"), log=Path(folder) / "run.mcap")
     if not summary["replay"]["exact"]:
-        raise RuntimeError(f"{name} with {changes}: replay {summary['replay']}")
+        raise RuntimeError(f"desktop with {changes}: replay {summary['replay']}")
     return summary
 
 
@@ -116,7 +91,7 @@ def errors(summary: Mapping[str, Any], per_mm: float = 1.0, digits: int = 3) -> 
     )
 
 
-def desktop(*families: str, duration_s: float | None = None) -> None:
+def desktop(*families: str) -> None:
     """Print the table of all families, or of some."""
     print("| family | rate, Hz | bus, % | shipped, mm | no friction, um | nor losses, um |")
     print("|---|---|---|---|---|---|")
@@ -124,26 +99,13 @@ def desktop(*families: str, duration_s: float | None = None) -> None:
     for name, changes in FAMILIES.items():
         if families and name not in families:
             continue
-        given = simulated("desktop", changes, duration_s)
+        given = simulated(changes)
         lossless = {} if name.startswith("legs") else {"drives": {"transmission": NO_LOSS}}
-        without = [simulated("desktop", merged(changes, smooth, loss), duration_s) for loss in ({}, lossless)]
+        without = [simulated(merged(changes, smooth, loss)) for loss in ({}, lossless)]
         cells = [f"{given['rate_Hz']:g}", f"{given['bus_load_percent']:.1f}", errors(given)]
         cells += [errors(each, 1e3, 1) for each in without]
         print(f"| {name} | {' | '.join(cells)} |", flush=True)
 
 
-def cia402() -> None:
-    """Print the table of CiA 402 beside our own protocol."""
-    print("| | `virtual`, mm | `lab`, mm |\n|---|---|---|")
-    for row, (ending, changes) in CIA402.items():
-        found = []
-        for name, duration_s, torque in (("virtual", 4.0, 6.0), ("lab", 6.0, 0.32)):
-            change = dict(changes)
-            if change.get("drives") is _FINE:
-                change["drives"] = merged(_FINE, {"options": {"rated_torque_Nm": torque}})
-            found.append(errors(simulated(name + ending, change, duration_s)))
-        print(f"| {row} | {' | '.join(found)} |", flush=True)
-
-
 if __name__ == "__main__":
-    {"desktop": desktop, "cia402": cia402}[sys.argv[1]](*sys.argv[2:])
+    desktop(*sys.argv[1:])

@@ -178,6 +178,7 @@ def real(c: Configuration, minutes: float, folder: Path) -> list[Figure]:
         Figure("in real time", {"": minutes}, "min", note=f"{summary.get('ticks', 0)} ticks"),
         *(Figure(name, {"": float(bool(end))}, "", Mark(1.0, at_most=False)) for name, end in ends.items()),
         Figure("dropped ticks", {"": float(summary["dropped_ticks"])}, "", Mark(0.0)),
+        Figure("loop, resident", {"": max(seen)}, "MB", Mark(300.0)),
         Figure("loop, growth", {"": settled[-1] - settled[0]}, "MB", GROWTH),
     ]
 

@@ -36,9 +36,7 @@ def test_a_mark_is_met_where_every_value_is_within(values, mark, met):
     assert Figure("x", values, "us", mark).met is met
 
 
-REAL_TIME = {name: [pytest.mark.realtime(patient=True)] for name in ("realtime", "memory")} | {
-    "two_buses": [pytest.mark.realtime]
-}
+REAL_TIME = {"realtime": [pytest.mark.realtime(patient=True)], "two_buses": [pytest.mark.realtime]}
 """Parts that run processes in real time."""
 
 
@@ -46,7 +44,7 @@ REAL_TIME = {name: [pytest.mark.realtime(patient=True)] for name in ("realtime",
 @pytest.mark.parametrize("part", [pytest.param(name, marks=REAL_TIME.get(name, [])) for name in PARTS])
 def test_every_part_can_be_short_yields_its_figures_and_succeeds(part, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
-    words = ["--only", part, "--seconds", "2", "--memory-minutes", "0.05", "--json", "benchmark.json"]
+    words = ["--only", part, "--seconds", "2", "--json", "benchmark.json"]
     result = CliRunner().invoke(main, words)
     assert result.exit_code == 0, result.output
     summary = json.loads(Path("benchmark.json").read_text())

@@ -19,7 +19,7 @@ from hil.record import environment
 from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import EARLY, FAILED, Figure, lines
 from tools.benchmarks.fmu import fmu
-from tools.benchmarks.live import memory, realtime, two_buses
+from tools.benchmarks.live import realtime, two_buses
 from tools.benchmarks.lockstep import recorder, replaying, simulation
 from tools.benchmarks.tick import tick
 
@@ -31,10 +31,8 @@ PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {
     "replay": (replaying, "replay"),
     "recorder": (recorder, "recorder, fed without pause"),
     "fmu": (fmu, "FMU"),
-    "memory": (memory, "memory"),
 }
 """Name -> what measures it, and its title; in the order in which they run."""
-_POSITIVE = click.FloatRange(min=0, min_open=True)
 
 
 def machine(priority: int) -> dict[str, str]:
@@ -52,19 +50,15 @@ def machine(priority: int) -> dict[str, str]:
 @click.command(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.option("--only", type=click.Choice(list(PARTS)), help="Run one part.")
 @click.option(
-    "--seconds", type=_POSITIVE, default=60.0, show_default=True,
+    "--seconds", type=click.FloatRange(min=0, min_open=True), default=60.0, show_default=True,
     help="Length of the runs; on two buses at most 20 s, simulated to the end of the path.",
-)  # fmt: skip
-@click.option(
-    "--memory-minutes", type=_POSITIVE, default=1.0, show_default=True,
-    help="How long the daemon's memory is watched; 10 measures the mark, less extrapolates.",
 )  # fmt: skip
 @click.option(
     "--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
     help="Write the figures there, too.",
 )  # fmt: skip
-def main(only: str | None, seconds: float, memory_minutes: float, json_file: Path | None) -> None:
-    """Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU, memory.
+def main(only: str | None, seconds: float, json_file: Path | None) -> None:
+    """Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU.
 
     The marks are for two cores with SCHED_FIFO and nothing else to do. Logs go to a folder
     under runs/ that is removed at the end.
@@ -72,7 +66,7 @@ def main(only: str | None, seconds: float, memory_minutes: float, json_file: Pat
     try:
         if json_file is not None:
             check_json_path(json_file)
-        summary = run_parts([only] if only else list(PARTS), seconds, memory_minutes)
+        summary = run_parts([only] if only else list(PARTS), seconds)
         if json_file is not None:
             write_json(json_file, summary)
     except HilError as error:
@@ -81,7 +75,7 @@ def main(only: str | None, seconds: float, memory_minutes: float, json_file: Pat
     sys.exit(0 if summary["success"] else 1)
 
 
-def run_parts(names: list[str], seconds: float, memory_minutes: float) -> dict[str, Any]:
+def run_parts(names: list[str], seconds: float) -> dict[str, Any]:
     """Run parts, print each as soon as it is known, and return all as plain values.
 
     A part that fails says why in its place and does not stop the others.
@@ -90,9 +84,7 @@ def run_parts(names: list[str], seconds: float, memory_minutes: float) -> dict[s
     runs = Path("runs")
     runs.mkdir(exist_ok=True)
     with tempfile.TemporaryDirectory(prefix="benchmark-", dir=runs, ignore_cleanup_errors=True) as folder:
-        benchmark = Benchmark(
-            Path(folder), seconds, memory_minutes, lambda text: click.echo(f"... {text}", err=True)
-        )
+        benchmark = Benchmark(Path(folder), seconds, lambda text: click.echo(f"... {text}", err=True))
         here = machine(benchmark.configuration.loop.priority)
         click.echo(f"{', '.join(v if k != 'cores' else f'{v} cores' for k, v in here.items())}\n")
         parts: dict[str, list[Figure]] = {}

@@ -52,8 +52,6 @@ class Benchmark:
     """For logs; on a disk, so that the recorder's waits are real."""
     seconds: float
     """Of each run, in real time and simulated; a path that is shorter ends it."""
-    memory_minutes: float
-    """Over which the daemon's memory is watched."""
     say: Callable[[str], None]
     """Where progress goes."""
 

@@ -1,4 +1,4 @@
-"""`hil run` with its plant in real time, as users start it: what is in its log, and its memory."""
+"""`hil run` with its plant in real time, as users start it: what is in its log."""
 
 import json
 import subprocess
@@ -21,9 +21,6 @@ from tools.benchmarks.figures import EARLY, Figure, Mark, spread
 from tools.benchmarks.tick import COMPUTE
 
 TWO_BUSES_S = 20.0
-SETTLE_S = 10.0
-"""Engaging, and the first periods of the path; no longer than the memory is watched."""
-MARK_MINUTES = 10.0
 
 
 class LiveRun(NamedTuple):
@@ -121,28 +118,3 @@ def _share(name: str, count: int, of: int, most: float) -> Figure:
 
 def _lost(name: str, ticks: float, limit: int) -> Figure:
     return Figure(f"  {name}", {"": float(ticks)}, "ticks", note=f"the shipped limit, {limit}, ends a run")
-
-
-def memory(benchmark: Benchmark) -> list[Figure]:
-    """Run the daemon with its plant, and look at its memory once a second."""
-    minutes = benchmark.memory_minutes
-    settle_s = min(SETTLE_S, minutes * 60.0)
-    seconds = settle_s + minutes * 60.0
-    benchmark.say(f"memory of hil run for {minutes:g} min, after {settle_s:g} s to settle")
-    c = patient("virtual", benchmark.folder, seconds)
-    return memory_figures(live_run(c, seconds, benchmark.folder).resident_MB[round(settle_s) :], minutes)
-
-
-def memory_figures(samples_MB: list[float], minutes: float) -> list[Figure]:
-    """Peak and growth; a watch that is shorter than the mark's is extrapolated, and says so."""
-    short = minutes < MARK_MINUTES
-    grown_MB = samples_MB[-1] - samples_MB[0]
-    figures = [
-        Figure("daemon, resident", {"": max(samples_MB)}, "MB", Mark(300.0)),
-        Figure(f"its growth in {minutes:g} min", {"": grown_MB}, "MB", None if short else Mark(2.0)),
-    ]
-    if short:
-        each = grown_MB / minutes * MARK_MINUTES
-        note = f"EXTRAPOLATED from {minutes:g} min; --memory-minutes {MARK_MINUTES:g} measures it"
-        figures.append(Figure(f"  in {MARK_MINUTES:g} min", {"": each}, "MB", Mark(2.0), note))
-    return figures

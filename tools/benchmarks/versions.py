@@ -1,12 +1,10 @@
 """Two versions of the project in turn: what a tick of `hil sim` and of a replay takes in each.
 
     python -m tools.benchmarks.versions OLD NEW --duration 10 --rounds 5
-    python -m tools.benchmarks.versions OLD NEW --duration 3 --rounds 1 --table
 
 OLD and NEW are checkouts. Each round starts a process for each, with this Python and its libraries. It runs
 the configuration in lockstep without a recorder, then replays a recorded run from memory. The figure is the
-median of the quietest tenth of all blocks of 128 ticks on the path. --table: `virtual`, others of the shipped
-configurations, a fused pose, and `desktop` with the drives of each family.
+median of the quietest tenth of all blocks of 128 ticks on the path.
 """
 
 import argparse
@@ -18,7 +16,6 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from importlib import resources
 from pathlib import Path
 from statistics import median
 from types import SimpleNamespace
@@ -97,24 +94,6 @@ def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str,
     return dict(json.loads(done.stdout.splitlines()[-1]))
 
 
-def table(folder: Path) -> Iterator[tuple[str, str]]:
-    """Write the configurations of --table into a folder; yield what each is, and its name or file."""
-    from hil.app.configuration.changes import with_changes  # noqa: PLC0415
-    from tools.drive_families import FAMILIES, Changes  # noqa: PLC0415
-
-    for name in ("virtual", "lab", "two_buses", "virtual-cia402"):
-        yield f"`{name}`", name
-    tracker = {"rate_Hz": 200, "position_std_m": 1e-3, "orientation_std_deg": 0.1}
-    fused: Changes = {"sensors": {"tracker": tracker}, "estimation": {"pose": "fused"}}
-    changed: list[tuple[str, str, Changes]] = [("`virtual`, fused pose", "virtual", fused)]
-    changed += [(f"`desktop`, {family}", "desktop", changes) for family, changes in FAMILIES.items()]
-    for what, base, changes in changed:
-        text = resources.files("configs").joinpath(f"{base}.yaml").read_text(encoding="utf-8")
-        file = folder / f"{len(list(folder.iterdir()))}.yaml"
-        file.write_text(with_changes(text, changes), encoding="utf-8")
-        yield what, str(file)
-
-
 def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> Iterator[str]:
     """Measure two versions in turn; yield cells of a table for each kind: us of a tick, times as fast."""
     found = [[measured(each, *run) for each in checkouts] for _ in range(rounds)]
@@ -137,17 +116,13 @@ def main() -> None:
     parser.add_argument("--configuration", default="virtual")
     parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="3 at least")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--table", action="store_true", help="several configurations in place of one")
     given = parser.parse_args()
     if not given.checkouts:
         print(json.dumps(measure(given.configuration, given.duration)))
         return
     print("| | lockstep, us | times | replay, us | times |\n|---|---|---|---|---|")
-    with tempfile.TemporaryDirectory() as folder:
-        one = [(f"`{given.configuration}`", given.configuration)]
-        for what, configuration in table(Path(folder)) if given.table else one:
-            cells = compare(given.checkouts, (configuration, given.duration), given.rounds)
-            print(f"| {what} | {' | '.join(cells)} |", flush=True)
+    cells = compare(given.checkouts, (given.configuration, given.duration), given.rounds)
+    print(f"| `{given.configuration}` | {' | '.join(cells)} |")
 
 
 if __name__ == "__main__":

@@ -39,17 +39,11 @@ AREAS = {
         hil/test_live hil/test_reference hil/test_operating* loop/test_operate loop/test_paths
         loop/test_setpoints""",
     ),
-    "drivers": (
-        "drivers/**/*",
-        "drivers/test_* hil/test_frames",
-    ),
-    "plant_fmu": (
-        "plant_fmu/**/*",
-        "plant_fmu/test_* drivers/test_*",
-    ),
+    "drivers": ("drivers/**/*", "drivers/test_* hil/test_frames"),
+    "plant_fmu": ("plant_fmu/**/*", "plant_fmu/test_* drivers/test_*"),
     "record": (
         """hil/record/child hil/record/encode hil/record/environment hil/record/figures hil/record/layout
-        hil/record/live hil/record/metrics hil/record/mirror hil/record/packer hil/record/publish
+        hil/record/metrics hil/record/mirror hil/record/packer hil/record/publish
         hil/record/recorder hil/record/recording hil/record/ring hil/record/row hil/record/scene
         hil/record/schema""",
         """hil/test_ring hil/test_mirror* hil/test_figures hil/test_metrics hil/test_monitor
@@ -64,10 +58,7 @@ AREAS = {
         replay/test_suite replay/test_what_if* replay/test_replay replay/test_tampered_log
         replay/test_versions hil/app/test_controller_file""",
     ),
-    "salvage": (
-        "hil/record/salvage",
-        "hil/test_salvage* hil/test_log*",
-    ),
+    "salvage": ("hil/record/salvage", "hil/test_salvage* hil/test_log*"),
     "log": (
         """hil/record/log hil/record/log_file hil/record/mcap_file hil/record/mcap_read hil/record/data_frame
         hil/record/entries hil/record/selection hil/record/unpack""",

@@ -21,7 +21,8 @@ from hil.loop.cycle import Cycle
 from hil.loop.replay import Block, Recorded, blocks
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
-from hil.record.divergence import Divergence, named
+from hil.record.divergence import Divergence
+from hil.record.selection import name_of
 
 BLOCK = 1024
 """Ticks whose rows are compared at once."""
@@ -186,7 +187,7 @@ class _Blocks:
                     if fault & now & ~before
                 ]
         self._faults = faults[-1]
-        self._answer.last_mode = named(COLUMNS["mode"], int(recorded["mode"][-1]))
+        self._answer.last_mode = name_of(COLUMNS["mode"], int(recorded["mode"][-1]))
 
 
 def _warn(answer: Answer, recorded: Rows, answered: Rows) -> None:

@@ -44,11 +44,7 @@ def data_frame(
 ) -> pd.DataFrame:
     """Return columns of a log, and of its plant's, as `hil.record.log.Log.frame` describes it.
 
-    Raises
-    ------
-    LogError
-        No such column, pandas is not installed, or the plant's log is missing or of another run.
-
+    Raises LogError: no such column, pandas is not installed, or the plant's log is missing or of another run.
     """
     try:
         import pandas as pd  # noqa: PLC0415 - an extra
@@ -134,11 +130,7 @@ def require_one_run(log: LogFile, plant: LogFile, places: Ints) -> None:
     In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, both ends
     have one configuration, and one identity of the run.
 
-    Raises
-    ------
-    LogError
-        They are not of one run.
-
+    Raises LogError: they are not of one run.
     """
     texts = [each.attachments.get(CONFIGURATION) for each in (log, plant)]
     runs = [each.metadata[IDENTITY].get(RUN) for each in (log, plant)]

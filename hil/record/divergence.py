@@ -20,8 +20,6 @@ class Tolerance(NamedTuple):
 
 
 EXACT = Tolerance()
-named = name_of
-"""A value as text."""
 
 
 class Place(NamedTuple):
@@ -38,7 +36,7 @@ class Place(NamedTuple):
 
     def values(self, column: Column) -> tuple[str, str]:
         """Return both values in words: by name where the column has names."""
-        return named(column, self.one), named(column, self.other)
+        return name_of(column, self.one), name_of(column, self.other)
 
 
 @dataclass

@@ -56,18 +56,11 @@ class Log(LogFile):
     A log that is cut is read as far as it goes, and `cut` says so. Nothing but metadata and attachments stays
     in memory; each call reads the file again.
 
-    Parameters
-    ----------
-    path
-        The MCAP file of `hil run`, `hil sim` or `hil plant`.
-    plant
-        The plant's log of the same run; without, the one that `hil run --plant` writes beside it.
+    path: the MCAP file of `hil run`, `hil sim` or `hil plant`.
+    plant: the plant's log of the same run; without, the one that `hil run --plant` writes beside it.
 
-    Raises
-    ------
-    LogError
-        No such file, no MCAP, damaged, not written by this product, or cut within its first bytes.
-
+    Raises LogError: no such file, no MCAP, damaged, not written by this product, or cut within its first
+    bytes.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, plant: str | os.PathLike[str] | None = None) -> None:
@@ -81,11 +74,7 @@ class Log(LogFile):
     def open(cls, path: str | os.PathLike[str]) -> Log:
         """Open a log that has to be whole: all of it is read once, and its checksums compared.
 
-        Raises
-        ------
-        LogError
-            As the class; and where it is cut, or its checksum differs.
-
+        Raises LogError: as the class; and where it is cut, or its checksum differs.
         """
         log = cls(path)
         if log.cut:
@@ -97,11 +86,7 @@ class Log(LogFile):
     def plant(self) -> Log:
         """The plant's log of the same run.
 
-        Raises
-        ------
-        LogError
-            There is none, it cannot be read, or it is none of a plant.
-
+        Raises LogError: there is none, it cannot be read, or it is none of a plant.
         """
         if not self._plant_path.exists():
             raise LogError(
@@ -117,11 +102,7 @@ class Log(LogFile):
     def summary(self) -> LogStatistics:
         """Counts of the whole log; all of it is read once for them, and every checksum compared.
 
-        Raises
-        ------
-        LogError
-            The file is damaged.
-
+        Raises LogError: the file is damaged.
         """
         ticks, frames, times, end = 0, 0, np.zeros(0, np.int64), self.metadata.get(SUMMARY, {})
         for (table,) in self._decoded(lambda _, table: table):
@@ -140,11 +121,7 @@ class Log(LogFile):
     def figures(self) -> dict[str, Any]:
         """Return the run's figures as its summary has them: errors, forces, wake-ups, faults.
 
-        Raises
-        ------
-        LogError
-            The log is a plant's, or its columns are those of another version.
-
+        Raises LogError: the log is a plant's, or its columns are those of another version.
         """
         there = {c.name: (c.kind, c.shape) for c in self.columns}
         other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
@@ -155,38 +132,23 @@ class Log(LogFile):
         return figures(self.rows())
 
     def frame(
-        self,
-        *names: str,
-        start_s: float | None = None,
-        stop_s: float | None = None,
-        numbers: bool = False,
+        self, *names: str, start_s: float | None = None, stop_s: float | None = None, numbers: bool = False
     ) -> pd.DataFrame:
         """Return columns as a pandas DataFrame, one row a tick, one column a component.
 
-        Parameters
-        ----------
-        names
-            Columns (`tau`) or components (`tau.leg_3`, `p.z`); all of the log where none is given. Those of
-            the plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: what was true at the
-            tick's SYNC, to half an internal step of the plant (`plant.t_ns` is the instant), nan where the
-            plant has no row of that SYNC.
-        start_s, stop_s
-            First and last time, s from the first row.
-        numbers
-            Leave the numbers of enumerations and flags; else they are categories by name, flags joined by
-            `|`.
+        names: columns (`tau`) or components (`tau.leg_3`, `p.z`); all of the log where none is given. Those
+        of the plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: what was true at the
+        tick's SYNC, to half an internal step of the plant (`plant.t_ns` is the instant), nan where the plant
+        has no row of that SYNC.
+        start_s, stop_s: first and last time, s from the first row.
+        numbers: leave the numbers of enumerations and flags; else they are categories by name, flags joined
+        by `|`.
 
-        Returns
-        -------
-        pandas.DataFrame
-            Its index `t_s` is the time from the first row in s. `attrs` has `units` and `meanings` by column,
-            `epoch_ns`, the UTC of `t_ns` = 0, and `log`, the file.
+        The index of the result, `t_s`, is the time from the first row in s. `attrs` has `units` and
+        `meanings` by column, `epoch_ns`, the UTC of `t_ns` = 0, and `log`, the file.
 
-        Raises
-        ------
-        LogError
-            No such column, pandas is not installed, or the plant's log is missing or of another run.
-
+        Raises LogError: no such column, pandas is not installed, or the plant's log is missing or of another
+        run.
         """
         from hil.record.data_frame import data_frame  # noqa: PLC0415 - pandas: an extra
 
@@ -202,11 +164,7 @@ class Log(LogFile):
         Frames of one time stand in the order of the log. One that was consumed more than a second after it
         was received may come after later ones.
 
-        Raises
-        ------
-        LogError
-            The file is damaged.
-
+        Raises LogError: the file is damaged.
         """
         pending = np.zeros(0, ITEM)
         for (items,) in self._decoded(self._frames_in):
@@ -223,11 +181,7 @@ class Log(LogFile):
     def ticks(self) -> Iterator[Tick]:
         """Yield the ticks in their order, reading as it goes.
 
-        Raises
-        ------
-        LogError
-            The file is damaged.
-
+        Raises LogError: the file is damaged.
         """
         rows, items = np.zeros(0, self.dtype), np.zeros(0, ITEM)
         commands: list[Command] = []

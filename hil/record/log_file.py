@@ -21,15 +21,7 @@ from drivers.tick_columns import Column
 from hil.record.entries import Command, Event
 from hil.record.layout import RECORD_HEADER, frame_table
 from hil.record.mcap_file import MAGIC
-from hil.record.mcap_read import (
-    Allowance,
-    DamageError,
-    MessageTable,
-    Record,
-    messages_in,
-    record_at,
-    records,
-)
+from hil.record.mcap_read import Allowance, DamageError, MessageTable, Record, messages_in, record_at, records
 from hil.record.row import OLD, REFUSED, RowCodec, Run, Table, completed, why
 from hil.record.schema import (
     CAN_TOPIC,
@@ -60,11 +52,8 @@ MEND, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, an
 class LogFile:
     """A log's file. State: metadata, attachments, channels met so far.
 
-    Raises
-    ------
-    LogError
-        No such file, no MCAP, damaged, not written by this product, or cut within its first bytes.
-
+    Raises LogError: no such file, no MCAP, damaged, not written by this product, or cut within its first
+    bytes.
     """
 
     path: Path
@@ -125,11 +114,7 @@ class LogFile:
     def configuration(self) -> str:
         """Text of the configuration of the run.
 
-        Raises
-        ------
-        LogError
-            The log has none, or one that is no text.
-
+        Raises LogError: the log has none, or one that is no text.
         """
         if CONFIGURATION not in self.attachments:
             raise LogError(
@@ -227,11 +212,8 @@ class LogFile:
 
         A recorder writes a tick as its row and behind it its frames and commands.
 
-        Raises
-        ------
-        LogError
-            Rows are not in the order of their ticks, or something stands elsewhere than behind its row.
-
+        Raises LogError: rows are not in the order of their ticks, or something stands elsewhere than behind
+        its row.
         """
         rows = self._messages_of(table, self.topic)
         if (table.length[rows] != len(self._row[0].template)).any():
@@ -306,18 +288,10 @@ class LogFile:
     def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
         """Return rows in tick order: a structured array (n,), ``rows["tau"]`` is (n, 6).
 
-        Parameters
-        ----------
-        names
-            Columns to read; all where none is given.
-        start_s, stop_s
-            First and last time, s from the first row.
+        names: columns to read; all where none is given.
+        start_s, stop_s: first and last time, s from the first row.
 
-        Raises
-        ------
-        LogError
-            No such column, or the file is damaged.
-
+        Raises LogError: no such column, or the file is damaged.
         """
         found = np.zeros(0, self._chosen(names))
         return together((found, *self.blocks(*names, start_s=start_s, stop_s=stop_s)))
@@ -327,11 +301,7 @@ class LogFile:
     ) -> Iterator[Rows]:
         """Yield what `rows` returns in pieces, reading as it goes: for logs that do not fit into memory.
 
-        Raises
-        ------
-        LogError
-            As `rows`.
-
+        Raises LogError: as `rows`.
         """
         dtype, first_ns, last_ns = self._chosen(names), -np.inf, np.inf
         if start_s is not None:

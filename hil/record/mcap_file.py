@@ -88,17 +88,14 @@ class McapFile:
             self.discard()
             raise
 
-    def add_schema(self, schema: mcap.Schema) -> None:
-        """Write a schema."""
-        self._write(self._summarise(schema))
+    def add(self, record: mcap.Schema | mcap.Channel) -> None:
+        """Write a schema or a channel."""
+        self._write(self._summarise(record))
 
-    def add_channel(self, channel: mcap.Channel) -> None:
-        """Write a channel."""
-        self._write(self._summarise(channel))
-
-    def add_metadata(self, name: str, data: Mapping[str, str]) -> None:
-        """Write a metadata record."""
-        record = record_bytes(mcap.Metadata(name=name, metadata=dict(data)))
+    def add_metadata(self, name: str, data: Mapping[str, object]) -> None:
+        """Write a metadata record, its values as text."""
+        texts = {key: str(value) for key, value in data.items()}
+        record = record_bytes(mcap.Metadata(name=name, metadata=texts))
         self._summarise(mcap.MetadataIndex(self.position, len(record), name))
         self._write(record)
 
@@ -110,7 +107,7 @@ class McapFile:
         self._write(record)
 
     def add_chunk(self, data: bytes | memoryview, channel: Ints, log_time: Ints, offset: Ints) -> None:
-        """Compress and write the Message records in `data`; the arrays (n,) describe them in order."""
+        """Compress and write n > 0 Message records in `data`; the arrays (n,) describe them in order."""
         chunk = mcap.Chunk(
             compression="zstd",
             data=self._compressor.compress(data),
@@ -119,10 +116,6 @@ class McapFile:
             uncompressed_crc=zlib.crc32(data),
             uncompressed_size=len(data),
         )
-        self.add_compressed(chunk, channel, log_time, offset)
-
-    def add_compressed(self, chunk: mcap.Chunk, channel: Ints, log_time: Ints, offset: Ints) -> None:
-        """Write a chunk as it is, with the message index that the arrays give."""
         kinds = {kind: len(records) for kind, records in self._summary.items()}
         self._places.append((self.position, self._crc, self._span, dict(self._counts), kinds))
         record = record_bytes(chunk)
@@ -156,9 +149,8 @@ class McapFile:
             uncompressed_size=chunk.uncompressed_size,
         )
         self._summarise(index)
-        if len(channel):
-            start, stop = self._span or (chunk.message_start_time, chunk.message_end_time)
-            self._span = min(start, chunk.message_start_time), max(stop, chunk.message_end_time)
+        start, stop = self._span or (chunk.message_start_time, chunk.message_end_time)
+        self._span = min(start, chunk.message_start_time), max(stop, chunk.message_end_time)
         self._write(b"".join(parts))
 
     def sync(self) -> None:
@@ -192,7 +184,7 @@ class McapFile:
         os.fsync(self._fd)
         self.close()
 
-    def finish_within(self, name: str, metadata: Callable[[], Mapping[str, str]]) -> None:
+    def finish_within(self, name: str, metadata: Callable[[], Mapping[str, object]]) -> None:
         """Finish where the disk is full: the last chunks, one at least, make room for the end.
 
         `metadata` of the end is made again as chunks go. Without a chunk nothing is done. Raises OSError

@@ -88,11 +88,7 @@ class Record(NamedTuple):
     def parse(self) -> Any:
         """Return the record as an object of mcap.records, None for kinds that are not needed.
 
-        Raises
-        ------
-        LogError
-            A field reaches past the end or is no text, or the checksum of an attachment differs.
-
+        Raises LogError: a field reaches past the end or is no text, or the checksum of an attachment differs.
         """
         kind, stream = _KINDS.get(self.opcode), ReadDataStream(BytesIO(self.content))
         try:
@@ -159,14 +155,9 @@ def records(path: Path, skip: frozenset[int] = frozenset(), *, cut: bool = False
 
     Records of the kinds in `skip` are passed over, and so are attachments that are larger than any of ours.
 
-    Raises
-    ------
-    LogError
-        A file that is not cut stops making sense, or has a record larger than allowed; or the checksum of
-        the data section differs, which is looked at where nothing was passed over.
-    OSError
-        The file cannot be read.
-
+    Raises LogError: a file that is not cut stops making sense, or has a record larger than allowed; or the
+    checksum of the data section differs, which is looked at where nothing was passed over; OSError: the file
+    cannot be read.
     """
     with open_regular(path) as file:
         at, size = len(MAGIC), file.seek(0, os.SEEK_END)
@@ -219,11 +210,7 @@ def messages_in(record: Record, allowance: Allowance) -> tuple[bytes, MessageTab
 
     Of a chunk that is cut, those that are whole; none where it is damaged, too.
 
-    Raises
-    ------
-    LogError
-        The chunk is damaged, or larger than the allowance.
-
+    Raises LogError: the chunk is damaged, or larger than the allowance.
     """
     try:
         data = _unpacked(record, allowance)

@@ -12,16 +12,6 @@ from hil.robot.kinematics import jacobian, jacobian_rate
 from hil.trajectory.path import PoseSample
 
 
-def total_variation(x: Array) -> Array:
-    """Return sum |x_k - x_{k-1}| of each column of x (n, m): (m,), unit of x; 0 without two rows.
-
-    Of leg forces in N it measures chattering: a smooth rise and fall by A costs 2 A however long it takes,
-    a force that jumps by A at every tick costs A a tick.
-    """
-    variation: Array = np.abs(np.diff(x, axis=0)).sum(axis=0)
-    return variation
-
-
 def peak(x: Array) -> Array:
     """Return the largest |x| of each column of x (n, m): (m,), unit of x; 0 without a row."""
     largest: Array = np.abs(x).max(axis=0, initial=0.0)

@@ -1,22 +1,32 @@
-"""What the recorder shows of a run while it runs: the newest row, counts, the last events.
+"""What the recorder shows of a run: a status line, a mirror of the newest row, its messages on a websocket.
 
-It looks at the ring and copies; the ring is drained as it would be without it.
+It looks at the ring and copies; the ring is drained as it would be without it. The SDK of Foxglove sends in
+threads of its own; a client that reads too slowly loses the oldest messages.
 """
 
 import json
+import threading
 import time
 from collections import deque
-from typing import Any
+from collections.abc import Mapping
+from typing import Any, TextIO
 
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.signals import Warn
-from hil.record.encode import event_text
+from drivers.errors import LogError
+from drivers.signals import Mode, Warn
+from drivers.terminal_row import rewriting
+from hil.record.encode import Messages, event_text
+from hil.record.layout import RECORD_HEADER
 from hil.record.mirror import FIGURES, Mirror
 from hil.record.ring import DROPPED, EVENT, READ, Batch, Ring
-from hil.record.schema import LEVEL_NAMES
+from hil.record.schema import LEVEL_NAMES, LIBRARY, Schema
 
+TERMINAL_S = 0.2
+"""Time between two lines on a terminal, which overwrite one another."""
+PLAIN_S = 5.0
+"""Time between two lines elsewhere."""
 LAST_EVENTS = 40
 LONGEST_EVENT = 600
 """Characters that are shown of one; all are in the log."""
@@ -91,3 +101,132 @@ class Publisher:
         for name, column in _PEAKS.items():
             self._present[name] = max(self._present[name], int(rows[column].max()))
             figures[name] = max(self._before[name], self._present[name])
+
+
+class LiveView:
+    """Rewrites one line on a terminal, or adds one every few seconds elsewhere.
+
+    Mutable state: when the next line is due, and what has happened since the last one.
+    """
+
+    def __init__(self, out: TextIO, reference_s: float | None) -> None:
+        """Write to `out`; `reference_s` is the length of the reference, None if it has no end."""
+        self._out = out
+        self._reference_s = reference_s
+        self._terminal = out.isatty()
+        self._due = time.monotonic()
+        self._stale = self._skipped = 0
+        self._late_us = 0.0
+
+    def show(self, rows: Rows) -> None:
+        """Take a batch of rows of dtype ROW into account, and draw if it is time."""
+        if not len(rows):
+            return
+        self._stale += int(np.count_nonzero(rows["warnings"] & Warn.STALE))
+        self._skipped += int(rows["skipped"].sum())
+        self._late_us = max(self._late_us, float(rows["lateness_ns"].max()) / 1e3)
+        now = time.monotonic()
+        if now < self._due:
+            return
+        self._due = now + (TERMINAL_S if self._terminal else PLAIN_S)
+        self._draw(self.line(rows[-1]))
+        self._late_us = 0.0
+
+    def line(self, row: Any) -> str:
+        """Return the status as of one row."""
+        mode = Mode(int(row["mode"]))
+        parts = [f"{mode.name.lower():9s}"]
+        if mode is Mode.TRACKING:
+            t = float(row["reference_time_s"])
+            if self._reference_s:
+                done = min(1.0, t / self._reference_s)
+                parts.append(f"{'#' * round(20 * done):20s}| {t:5.1f} of {self._reference_s:g} s")
+            else:
+                parts.append(f"{t:6.1f} s")
+            parts.append(f"leg error {np.abs(row['q_d'] - row['q']).max() * 1e3:6.3f} mm")
+        parts.append(f"force {np.abs(row['tau']).max():7.1f} N")
+        parts.append(f"late {self._late_us:4.0f} us")
+        parts.append(f"stale {self._stale}, skipped {self._skipped}")
+        return "  ".join(parts)
+
+    def end(self) -> None:
+        """Leave the line."""
+        if self._terminal:
+            self._draw("")
+
+    def _draw(self, text: str) -> None:
+        try:
+            self._out.write(rewriting(text, self._out) if self._terminal else f"{text}\n")
+            self._out.flush()
+        except OSError:
+            self._due = float("inf")
+
+
+BACKLOG = 8192
+"""Messages that wait for one client, at most; a batch of 0.1 s at 1 kHz has some 1,600."""
+GOODBYE_S = 1.0
+"""Time that the clients have at the end of a run."""
+
+
+class LiveSocket:
+    """A server on which clients subscribe to the channels of a log. State: the server; None once it failed.
+
+    Raises LogError: foxglove-sdk is not installed, or nothing can listen at host and port.
+    """
+
+    def __init__(
+        self, host: str, port: int, channels: Mapping[int, tuple[str, Schema, dict[str, str]]]
+    ) -> None:
+        try:
+            import foxglove  # noqa: PLC0415 - an extra
+        except ImportError as error:
+            raise LogError(
+                f"recording.websocket: needs foxglove-sdk, which is not installed ({error}): "
+                'pip install "hexapod-hil[viewers]", or leave recording.websocket out'
+            ) from error
+        foxglove.set_log_level("CRITICAL")  # what a client does wrong is no news to the operator
+        self._context = foxglove.Context()  # the server holds it weakly
+        try:
+            self._server: Any = foxglove.start_server(
+                name=LIBRARY, host=host, port=port, context=self._context, message_backlog_size=BACKLOG
+            )
+        except RuntimeError as error:
+            raise LogError(
+                f"recording.websocket: {host}:{port}: {error}: name another port, or end who listens there"
+            ) from error
+        self._channels = {
+            number: foxglove.Channel(
+                topic,
+                schema=foxglove.Schema(name=schema.name, encoding="protobuf", data=schema.descriptors),
+                message_encoding="protobuf",
+                metadata=metadata,
+                context=self._context,
+            )
+            for number, (topic, schema, metadata) in channels.items()
+        }
+
+    def publish(self, messages: Messages) -> None:
+        """Hand a batch to the clients of its channels. Never raises, never waits for a client."""
+        if self._server is None:
+            return
+        heard = {number: channel for number, channel in self._channels.items() if channel.has_sinks()}
+        if not heard:
+            return
+        try:
+            for number, log_time, record in zip(
+                messages.channel.tolist(), messages.log_time.tolist(), messages.records(), strict=True
+            ):
+                if number in heard:
+                    heard[number].log(bytes(record[RECORD_HEADER:]), log_time=log_time)
+        except RuntimeError:  # the log goes on without its viewers
+            self.close()
+
+    def close(self) -> bool:
+        """Send what still waits and say goodbye; return whether all clients took it within GOODBYE_S."""
+        if self._server is None:
+            return True
+        goodbye = threading.Thread(target=self._server.stop, daemon=True)
+        self._server = None
+        goodbye.start()
+        goodbye.join(GOODBYE_S)
+        return not goodbye.is_alive()

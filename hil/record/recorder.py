@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import math
 import os
 import pickle
@@ -24,19 +23,16 @@ from typing import IO, Any
 import numpy as np
 from mcap.records import Channel, Schema
 
-from drivers.arrays import Ints
 from drivers.errors import LogError
 from hil.record.child import receive
 from hil.record.encode import TICK, Encoder, Messages
-from hil.record.live import LiveView
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
 from hil.record.mirror import Mirror
-from hil.record.publish import Publisher
+from hil.record.publish import LiveSocket, LiveView, Publisher
 from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
 from hil.record.row import Run, Table
 from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, PRODUCER_DIED, SUMMARY
-from hil.record.websocket import LiveSocket
 
 FLUSH_S = 0.1
 """Between two chunks in real time; half of what may be lost when all is killed at once."""
@@ -48,26 +44,6 @@ _MOST_TICKS = 2048
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 """No space on the disk, none of this user's share, or of what a process may write (`ulimit -f`)."""
 _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "text/plain", ".csv": "text/csv"}
-
-
-class Histogram:
-    """Ticks by lateness of their wake-up, bins doubling from 1 us. Mutable state: the counts."""
-
-    BINS = 21
-
-    def __init__(self) -> None:
-        self._counts = np.zeros(self.BINS, np.int64)
-
-    def add(self, lateness_ns: Ints) -> None:
-        """Count a batch."""
-        us = np.maximum(lateness_ns, 0) // 1000
-        _, exponents = np.frexp(us.astype(float))
-        self._counts += np.bincount(np.minimum(exponents, self.BINS - 1), minlength=self.BINS)
-
-    def table(self) -> dict[str, int]:
-        """Return {upper bound in us: ticks}; the last bin has no bound."""
-        bounds = [str(2**n) for n in range(self.BINS - 1)] + ["inf"]
-        return {bound: int(count) for bound, count in zip(bounds, self._counts, strict=True) if count}
 
 
 class Recorder:
@@ -87,7 +63,6 @@ class Recorder:
         # fixed batches make the whole data section, not only its messages, the same for the same run
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
-        self._lateness = Histogram() if "lateness_ns" in (ring.rows.dtype.names or ()) else None
         live: Live = setup["live"]
         self._live = LiveView(sys.stderr, live.reference_s) if live.status else None
         where = live.websocket
@@ -108,8 +83,8 @@ class Recorder:
             media_type = _MEDIA.get(Path(name).suffix, "application/octet-stream")
             self.file.add_attachment(name, data, setup["created_ns"], media_type)
         for channel_id, (topic, schema, metadata) in self._encoder.channels.items():
-            self.file.add_schema(Schema(channel_id, schema.descriptors, "protobuf", schema.name))
-            self.file.add_channel(Channel(channel_id, topic, "protobuf", metadata, channel_id))
+            self.file.add(Schema(channel_id, schema.descriptors, "protobuf", schema.name))
+            self.file.add(Channel(channel_id, topic, "protobuf", metadata, channel_id))
         self.file.sync()
 
     def run(self, control: _Control) -> None:
@@ -144,15 +119,13 @@ class Recorder:
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
         """Write the summary, close the file; `summary` is None when the producer died."""
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
-        if self._lateness is not None:
-            counts["wake_up_us"] = json.dumps(self._lateness.table())
-        self.file.add_metadata(SUMMARY, {**(summary or {}), **_texts(counts)})
+        self.file.add_metadata(SUMMARY, {**(summary or {}), **counts})
         self.file.finish()
         return self._told(counts)
 
     def close_full(self, error: OSError) -> dict[str, object]:
         """Close the file where it cannot grow any more, with what fits; return what the producer is told."""
-        self.file.finish_within(SUMMARY, lambda: _texts(self._counts(DISK_FULL)))
+        self.file.finish_within(SUMMARY, lambda: self._counts(DISK_FULL))
         return {
             **self._told(self._counts(DISK_FULL)),
             "error": f"{DISK_FULL}: {error.strerror}; the log is closed and holds the first "
@@ -179,8 +152,6 @@ class Recorder:
             return False
         messages = self._encoder.encode(batch)
         self._write(messages)
-        if self._lateness is not None:
-            self._lateness.add(batch.rows["lateness_ns"])
         if self._live is not None:
             self._live.show(batch.rows)
         if self._publisher is not None:
@@ -205,10 +176,6 @@ class Recorder:
                 messages.log_time[first:last],
                 start[first:last] - start[first],
             )
-
-
-def _texts(counts: Mapping[str, object]) -> dict[str, str]:
-    return {name: str(value) for name, value in counts.items()}
 
 
 def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> Publisher | None:

@@ -52,11 +52,8 @@ class Table(NamedTuple):
     def check(self) -> None:
         """Refuse a table that has not the constant layout, or whose enumerations protobuf cannot name.
 
-        Raises
-        ------
-        ValueError
-            No scalar integer `tick` or `t_ns`; a column that is too large, or whose names do not fit.
-
+        Raises ValueError: no scalar integer `tick` or `t_ns`; a column that is too large, or whose names do
+        not fit.
         """
         for name in ("tick", "t_ns"):
             if not any(c.name == name and c.kind == "<i8" and not c.shape for c in self.columns):
@@ -119,11 +116,8 @@ def describe(columns: Sequence[Column]) -> str:
 def columns_of(description: str) -> tuple[Column, ...]:
     """Return the table of columns that `describe` described; all are of part `output`.
 
-    Raises
-    ------
-    AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError
-        The text is no such table, or asks for larger rows than are recorded.
-
+    Raises AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError: the text is no such
+    table, or asks for larger rows than are recorded.
     """
     columns = []
     for entry in json.loads(description):

@@ -22,14 +22,7 @@ from drivers.files import open_regular
 from hil.record.encode import channels_of
 from hil.record.environment import product_version
 from hil.record.mcap_file import MAGIC, McapFile, record_bytes
-from hil.record.mcap_read import (
-    NOTHING,
-    Allowance,
-    Record,
-    messages_in,
-    record_at,
-    records,
-)
+from hil.record.mcap_read import NOTHING, Allowance, Record, messages_in, record_at, records
 from hil.record.row import OLD, REFUSED, Run, Table, why
 from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 
@@ -104,19 +97,12 @@ def _next(file: BinaryIO, start: int, size: int, allowance: Allowance) -> int | 
 class SalvageReport:
     """What was recovered and what was lost. Mutable while the salvage is at work."""
 
-    path: Path
     out: Path
-    bytes_read: int
     ticks: int = 0
-    messages: int = 0
-    chunks: int = 0
-    """Complete chunks."""
     bytes_lost: int = 0
     """Bytes of the original that gave nothing."""
     ticks_lost: int = 0
     """Ticks of damaged chunks, as far as the index behind them counts them."""
-    complete: bool = False
-    """Nothing but the index at the end was missing."""
     remarks: tuple[str, ...] = ()
 
 
@@ -151,11 +137,11 @@ class _Salvage:
     Raises OSError.
     """
 
-    def __init__(self, file: McapFile, report: SalvageReport, rows: Collection[int]) -> None:
-        """rows: the channels of rows."""
-        self.file, self.report = file, report
+    def __init__(self, source: Path, size: int, file: McapFile, out: Path, rows: Collection[int]) -> None:
+        """source: a log of `size` bytes; out: the name of the new file; rows: channels of rows."""
+        self.source, self.size, self.file, self.report = source, size, file, SalvageReport(out)
         self.remarks: list[str] = []
-        self._allowance, self._rows = Allowance(report.bytes_read), list(rows)
+        self._allowance, self._rows = Allowance(size), list(rows)
         self._end: dict[str, str] | None = None
         """What the run has said of its end."""
         self._damaged = False
@@ -163,7 +149,7 @@ class _Salvage:
 
     def work(self) -> None:
         """Take over what survives of the original."""
-        for record in surviving(self.report.path):
+        for record in surviving(self.source):
             if isinstance(record, Lost):
                 start, stop = record
                 self._lose(stop - start, f"bytes {start} to {stop} are damaged and left out")
@@ -175,7 +161,7 @@ class _Salvage:
                 self._lose(len(record.whole), f"left out: {error}")
         if not self.remarks:
             try:  # metadata have no checksum of their own
-                for _ in records(self.report.path, cut=True):
+                for _ in records(self.source, cut=True):
                     pass
             except LogError as error:
                 self.remarks.append(f"{error}: what was taken over may hold the damage")
@@ -213,7 +199,6 @@ class _Salvage:
             self.file.add_chunk(data[:end], table.channel, table.log_time, table.offset)
         self.report.ticks += len(begun)
         if record.complete:
-            self.report.chunks += 1
             self._damaged = False
         else:
             where = f"the file ends inside the chunk at byte {record.offset}"
@@ -227,19 +212,18 @@ class _Salvage:
         told = end.get("ticks", "")
         if not remarks and told.isdecimal() and told != str(report.ticks):
             remarks.append(f"its end counts {told:.20} ticks, {report.ticks} are there")
-        report.messages, report.remarks = self.file.messages, tuple(remarks)
-        report.complete = self._end is not None and not remarks
+        report.remarks = tuple(remarks)
         self.file.add_metadata(
             SALVAGE,
             {
-                "original": report.path.name,
-                "original_bytes": str(report.bytes_read),
-                "bytes_lost": str(report.bytes_lost),
-                "ticks_lost": str(report.ticks_lost),
+                "original": self.source.name,
+                "original_bytes": self.size,
+                "bytes_lost": report.bytes_lost,
+                "ticks_lost": report.ticks_lost,
                 "remarks": "; ".join(remarks),
             },
         )
-        if not report.complete:
+        if self._end is None or remarks:
             end["ticks"] = str(report.ticks)
             if end.get("closed", CLEAN) == CLEAN:
                 end["closed"] = "salvaged"
@@ -250,12 +234,8 @@ class _Salvage:
 def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> SalvageReport:
     """Write to `out` a valid log with all that is readable in `path`.
 
-    Raises
-    ------
-    LogError
-        `path` is missing or no log of ours, cut before its first record, or its table of columns is damaged;
-        or `out` exists, or cannot be written.
-
+    Raises LogError: `path` is missing or no log of ours, cut before its first record, or its table of columns
+    is damaged; or `out` exists, or cannot be written.
     """
     source, target = Path(path), Path(out)
     try:
@@ -276,7 +256,6 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
     own = channels_of(Table(run.topic, run.columns), run.can_channels)
     known = {topic: number for number, (topic, *_) in own.items()}
     numbers = {n: n for n in own} | {n: known[topic] for n, topic in topics.items() if topic in known}
-    report = SalvageReport(source, target, size)
     temporary = target.with_name(f".{target.name}.{os.getpid()}.part")
     try:
         try:
@@ -285,10 +264,11 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
             try:
                 file.add_metadata(IDENTITY, identity)
                 for number, (_, schema, _) in own.items():
-                    file.add_schema(Schema(number, schema.descriptors, "protobuf", schema.name))
+                    file.add(Schema(number, schema.descriptors, "protobuf", schema.name))
                 for number, k in numbers.items():
-                    file.add_channel(Channel(number, own[k][0], "protobuf", own[k][2], k))
-                work = _Salvage(file, report, [n for n, k in numbers.items() if k == known[run.topic]])
+                    file.add(Channel(number, own[k][0], "protobuf", own[k][2], k))
+                rows = [n for n, k in numbers.items() if k == known[run.topic]]
+                work = _Salvage(source, size, file, target, rows)
                 work.work()
                 work.close()
             finally:
@@ -300,7 +280,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
         raise LogError(f"{target}: {_EXISTS}") from None
     except OSError as error:
         raise LogError(f"{target}: cannot be written: {error.strerror}") from error
-    return report
+    return work.report
 
 
 def _give_name(temporary: Path, target: Path) -> None:

@@ -16,16 +16,33 @@ from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
 from google.protobuf.timestamp_pb2 import Timestamp
+from numpy.typing import NDArray
 
 from drivers.arrays import Array, Rows
 from hil.record.recording import Scene
-from hil.robot.around import around
 
 BASE = "base"
 _POSES = (("platform", "p", "R"), ("reference", "p_d", "R_d"))
 _GREY = Color(r=0.45, g=0.48, b=0.52, a=1.0)
 _BLUE = Color(r=0.12, g=0.42, b=0.71, a=1.0)
 _ORANGE = Color(r=0.93, g=0.55, b=0.14, a=1.0)
+
+
+_PLANES = ((0, 1), (1, 2), (2, 0))
+"""Of the axes of a frame, each from one towards the next."""
+
+
+def around(joints: Array) -> NDArray[np.intp]:
+    """Return the order (n,) of joints (n, 3) m by their angle about their centre, whatever plane they lie in.
+
+    As seen along the axis of the frame along which they cover the largest area; from x towards y of a ring
+    that is level.
+    """
+    x = joints - joints.mean(axis=0)
+    moments = (x[:, :, None] * x[:, None, :]).sum(axis=0)
+    areas = [moments[i, i] * moments[j, j] - moments[i, j] ** 2 for i, j in _PLANES]
+    i, j = _PLANES[int(np.argmax(areas))]
+    return np.argsort(np.arctan2(x[:, j], x[:, i]))
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:

@@ -90,11 +90,7 @@ def operator_schema() -> Schema:
     add_field(message, "tick", 3, Type.TYPE_SFIXED64)
     add_field(message, "index", 4, Type.TYPE_FIXED32)
     add_field(message, "setpoint", 5, Type.TYPE_DOUBLE, repeated=True)
-    comment(
-        file,
-        4,
-        "of SETPOINT: x, y, z in m and the rotation vector in rad; else the command's numbers",
-    )
+    comment(file, 4, "of SETPOINT: x, y, z in m and the rotation vector in rad; else the command's numbers")
     return schema_of(OPERATOR, [*files(timestamp_pb2.DESCRIPTOR), file])
 
 

@@ -43,11 +43,7 @@ def together(parts: Sequence[Rows]) -> Rows:
 def components(columns: Sequence[Column], names: Sequence[str], log: str) -> list[Component]:
     """Return the components of columns that are named, whole columns among them; all without a name.
 
-    Raises
-    ------
-    LogError
-        No such column or component; `log` is named in the message.
-
+    Raises LogError: no such column or component; `log` is named in the message.
     """
     every = {
         c.name: [

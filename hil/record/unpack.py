@@ -67,10 +67,8 @@ def unpack_frames(
             records = _stacked(data, starts[mine], size + length)
             constant = np.delete(records, np.s_[at : at + length], axis=1)
             found = _frames(constant, places, epoch_ns)
-            found["frame"]["length"], found["frame"]["data"][:, :length] = (
-                length,
-                records[:, at : at + length],
-            )
+            found["frame"]["length"] = length
+            found["frame"]["data"][:, :length] = records[:, at : at + length]
             good = ~((constant ^ template) & mask).any(axis=1) & (constant[:, at - 1] == length)
             good &= found["frame"]["kind"] <= TX - RX
             items[mine[good]] = found[good]
@@ -100,11 +98,8 @@ def _frames(records: Bytes, places: list[int], epoch_ns: int) -> Rows:
     items = np.zeros(len(records), ITEM)
     frames = items["frame"]
     frames["t_ns"] = varint(seconds) * 1_000_000_000 + varint(nanos) - epoch_ns
-    frames["id"], frames["kind"], frames["bus"] = (
-        number(can_id, "<u4"),
-        records[:, direction] - RX,
-        records[:, bus],
-    )
+    frames["id"], frames["bus"] = number(can_id, "<u4"), records[:, bus]
+    frames["kind"] = records[:, direction] - RX
     bits = zip(flags, FRAME_FLAGS.values(), strict=True)
     frames["flags"] = sum(np.where(records[:, place] != 0, bit, 0) for place, bit in bits)
     items["tick"], items["index"] = number(tick, "<i8"), number(index, "<u4")

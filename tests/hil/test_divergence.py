@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from drivers.signals import Mode, Warn
 from drivers.tick_columns import COLUMNS, ROW
-from hil.record.divergence import EXACT, ColumnDivergence, Divergence, Tolerance, named
+from hil.record.divergence import EXACT, ColumnDivergence, Divergence, Tolerance
 
 
 def rows(count=4, **columns):
@@ -98,20 +97,6 @@ def test_a_relative_tolerance_is_for_floats_without_one_of_their_own():
 
 
 @pytest.mark.parametrize(
-    ("column", "value", "text"),
-    [
-        ("mode", Mode.TRACKING, "TRACKING"),
-        ("mode", 99, "99"),
-        ("warnings", Warn.LATE | Warn.BUS, "LATE|BUS"),
-        ("warnings", 0, "NONE"),
-        ("condition", 1.5, "1.5"),
-    ],
-)
-def test_values_have_their_names(column, value, text):
-    assert named(COLUMNS[column], value) == text
-
-
-@pytest.mark.parametrize(
     ("parts", "first"),
     [
         ({}, []),
@@ -138,16 +123,6 @@ def test_whole_numbers_are_as_far_apart_as_they_are(by, tolerance, beyond):
     found, ticks = compared(rows(age=age), rows(), "age", Tolerance(tolerance))
     assert found.largest == 5.0
     assert ticks == [False, False, beyond, False]
-
-
-def test_of_equal_differences_the_first_is_the_largest():
-    found = ColumnDivergence(COLUMNS["tau"], EXACT)
-    for start in (10, 20):
-        one = rows(2, tau=3.0)
-        one["tick"] += start
-        found.take(one, rows(2), np.zeros(2))
-    assert found.at is not None
-    assert (found.largest, found.at.tick, found.at.label) == (3.0, 20, "tau.leg_0")
 
 
 def test_a_larger_difference_within_a_relative_tolerance_is_not_the_first():

@@ -7,7 +7,7 @@ import sys
 from importlib.metadata import version
 from pathlib import Path
 
-from hil.record.environment import PACKAGES, environment, product_version, scheduling
+from hil.record.environment import PACKAGES, environment, product_version
 
 ROOT = Path(__file__).parents[2]
 
@@ -26,10 +26,3 @@ def test_a_log_has_version_packages_processor_clock_and_sources():
         names = [found["git"].removesuffix("-dirty"), "HEAD"]
         done = subprocess.run(["git", "-C", ROOT, "rev-parse", *names], capture_output=True, check=True)
         assert len(set(done.stdout.split())) == 1
-
-
-def test_scheduler_and_processors_are_those_of_this_process():
-    found = scheduling()
-    assert found["scheduler"].split()[0] in {"other", "fifo", "rr", "batch"}
-    assert found["scheduler"].split()[1] == str(os.sched_getparam(0).sched_priority)
-    assert found["affinity"] == ",".join(map(str, sorted(os.sched_getaffinity(0))))

@@ -14,7 +14,7 @@ import pytest
 
 from drivers.signals import Mode, Warn
 from drivers.tick_columns import ROW
-from hil.record.live import LiveView
+from hil.record.publish import LiveView
 
 
 def rows(count, **columns):
@@ -82,19 +82,6 @@ def test_lines_come_every_0_2_s_on_a_terminal_and_every_5_s_elsewhere(now, termi
         view.show(rows(1))
         drawn += [k] if out.tries > before else []
     assert drawn == [0, 16, 32, 800, 816]
-
-
-def test_a_line_has_the_latest_wake_up_and_counts_since_the_start(now):
-    out = Out()
-    view = LiveView(out, None)
-    for now[0], lateness_us in ((0.0, 5000), (1.0, 300), (2.0, 700), (6.0, 40), (12.0, 30)):
-        view.show(rows(10, mode=Mode.IDLE, skipped=1, lateness_ns=1000 * lateness_us))
-    lines = [line.partition("late ")[2].split() for line in out.getvalue().splitlines()]
-    assert [(late, skipped) for late, _, _, _, _, skipped in lines] == [
-        ("5000", "10"),
-        ("700", "40"),
-        ("30", "50"),
-    ]
 
 
 @pytest.mark.parametrize("columns", [40, 80])

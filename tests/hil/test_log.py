@@ -113,7 +113,7 @@ def test_reading_in_pieces_takes_memory_for_a_piece_only(tmp_path):
     assert peak < 0.2 * count * ROW.itemsize
 
 
-@pytest.mark.parametrize("fraction", [0.15, 0.3, 0.5, 0.77, 0.9, 0.98])
+@pytest.mark.parametrize("fraction", [0.15, 0.5, 0.98])
 def test_a_cut_log_gives_what_a_salvage_gives(path, tmp_path, fraction):
     size = int(path.stat().st_size * fraction)
     bad = tmp_path / "cut.mcap"
@@ -331,12 +331,3 @@ def test_a_cut_chunk_gives_every_tick_but_the_last_begun(parts, tmp_path, left_o
     assert [frame.id for frame in log.can_frames()] == list(range(1, ticks + 1))
     assert log.summary._replace(duration_s=0.0) == LogStatistics(ticks, ticks, 0.0, 0, "cut")
     assert log.summary.duration_s == pytest.approx((ticks - 1) * 1e-3)
-
-
-def test_a_cut_log_lasts_from_its_earliest_message_to_its_latest(parts, tmp_path):
-    groups = parts.rows[5:15], parts.rows[20:30]
-    chunks = [parts.packed(group) for group in groups]
-    (tmp_path / "a.mcap").write_bytes(MAGIC + container.joined([*parts.head, *chunks]))
-    log = Log(tmp_path / "a.mcap")
-    assert (log.summary.ticks, log.summary.closed) == (20, "cut")
-    assert log.summary.duration_s == pytest.approx(24e-3)

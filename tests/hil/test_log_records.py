@@ -13,14 +13,7 @@ from mcap.records import Channel, Chunk, DataEnd, Schema
 from drivers.errors import LogError
 from hil.record import mcap_read
 from hil.record.mcap_file import MAGIC, record_bytes
-from hil.record.mcap_read import (
-    MAX_CHUNK,
-    MESSAGE_BYTES,
-    Allowance,
-    Record,
-    messages_in,
-    records,
-)
+from hil.record.mcap_read import MAX_CHUNK, Allowance, Record, messages_in, records
 from tests.hil.rewrite import metadata, placed
 
 MiB = 1024 * 1024
@@ -214,16 +207,6 @@ def test_a_cut_chunk_gives_the_messages_that_are_whole(name):
 # -- messages --------------------------------------------------------------------------------------------------
 
 
-def test_each_message_has_its_channel_its_time_its_place_and_its_length():
-    table, channels = split(message(65535, 7, 0) + message(3, 2**63 - 1, 5, 2**32 - 1) + message(258, 0, 1))
-    assert all(column.dtype == np.int64 for column in table)
-    expected = [[65535, 3, 258], [99, 2**32 - 1, 99], [7, 2**63 - 1, 0], [0, 31, 67], [31, 36, 32]]
-    assert [column.tolist() for column in table] == expected
-    assert channels == []
-    assert [column.tolist() for column in table.before(np.array([0, 2]))] == [each[:2] for each in expected]
-    assert table.before(np.zeros(0, int)).channel.tolist() == []
-
-
 def test_a_message_has_22_bytes_at_least():
     for size in (0, 13, 14, 21):
         short = raw(5, bytes(size))
@@ -265,13 +248,3 @@ def test_a_record_of_another_kind_in_a_chunk_is_refused(opcode):
     for size in (22, 50):
         with pytest.raises(LogError, match="no message, schema or channel"):
             split(message(1, 5, 0) + raw(opcode, bytes(size)))
-
-
-def test_a_message_counts_more_than_its_bytes():
-    """Of the shortest ones a small log could hold millions."""
-    data = message(1, 5, 0) * 10
-    free = Allowance(0)
-    free.spend(256 * MiB - len(data) - 10 * MESSAGE_BYTES)
-    assert len(split(data, allowance=free)[0].channel) == 10
-    with pytest.raises(LogError, match="unpacks to more than"):
-        free.spend(1)

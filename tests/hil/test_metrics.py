@@ -10,29 +10,11 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from hil.config.reference import WaypointReference
-from hil.record.metrics import (
-    bandwidth_Hz,
-    force_shares,
-    peak,
-    rms,
-    rotation_errors,
-    step_response,
-    total_variation,
-)
+from hil.record.metrics import bandwidth_Hz, force_shares, peak, rms, rotation_errors, step_response
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
-
-
-def test_total_variation_is_the_way_up_and_down():
-    """Three periods of a cosine of amplitude 2 go 24 up and down, a ramp its height, a jump each tick its size."""
-    t = np.linspace(0.0, 3.0, 3001)
-    x = np.column_stack([2.0 * np.cos(2 * np.pi * t), 5.0 * t])
-    assert total_variation(x) == pytest.approx([24.0, 15.0], rel=1e-12)
-    assert total_variation(np.array([[1.0], [-1.0]] * 50)) == pytest.approx([198.0])
-    for rows in (0, 1):
-        assert total_variation(np.zeros((rows, 6))).tolist() == [0.0] * 6
 
 
 def test_peak_and_rms_of_a_sine_and_of_nothing():

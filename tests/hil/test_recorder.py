@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import json
 import os
 import pickle
 import subprocess
@@ -15,19 +14,16 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from drivers.tick_columns import Column
 from hil.record import Recording, child
 from hil.record import recorder as module
 from hil.record.encode import Encoder, Messages
 from hil.record.mcap_file import CHUNK_SIZE, McapFile
-from hil.record.recorder import Histogram, Recorder, _Control, _recorded
+from hil.record.recorder import Recorder, _Control, _recorded
 from hil.record.recording import Live
 from hil.record.ring import DROPPED, Ring
-from hil.record.row import TICKS, Run, Table, describe
+from hil.record.row import TICKS, Run, describe
 from tests.hil.samples import random_rows
 
-TICK, TIME = (Column("output", name, int, "", "", (), ()) for name in ("tick", "t_ns"))
-SMALL = Table("/small", (TICK, TIME))
 IDENTITY = {"mode": "lockstep", "epoch_ns": "1000", "can_channel": "can0"}
 FILES = [
     ("config.yaml", b"a: 1\n"), ("b.json", b"{}"), ("c.dbc", b"VERSION"), ("d.csv", b"1,2"), ("e.fmu", b"\0\1"),
@@ -37,17 +33,17 @@ FILES = [
 class Bench:
     """Both ends of a ring, a recorder in this process."""
 
-    def __init__(self, folder, table=TICKS, capacity=256, **more):
-        self.ring = Ring.create(table.dtype, capacity)
+    def __init__(self, folder):
+        self.ring = Ring.create(TICKS.dtype, 256)
         self.path = folder / "a.mcap"
         nobody: Any = None
         self.producer = Recording(self.ring, nobody, self.path, lockstep=False)
-        identity = IDENTITY | {"topic": table.topic, "columns": describe(table.columns)}
+        identity = IDENTITY | {"topic": "/tick", "columns": describe(TICKS.columns)}
         setup = {
             "identity": identity, "environment": {"version": "1.2.3", "cpu": "some"}, "scene": None, "live": Live(),
-            "mirror": None, "attachments": FILES, "path": str(self.path), "created_ns": 77, **more,
+            "mirror": None, "attachments": FILES, "path": str(self.path), "created_ns": 77,
         }  # fmt: skip
-        self.recorder = Recorder(self.ring, Run.of(identity)._replace(columns=table.columns), setup)
+        self.recorder = Recorder(self.ring, Run.of(identity)._replace(columns=TICKS.columns), setup)
         self.ring.close_fd()
 
     def tick(self, *numbers):
@@ -101,28 +97,12 @@ def test_the_end_of_a_log_has_the_producers_entries_and_the_counts(tmp_path):
     bench.ring.counters[DROPPED] = 9
     bench.drain(2)
     answer = bench.recorder.close({"ending": "PARKED", "ticks": "of another"})
-    late = json.dumps({"1": 1, "2": 1, "8": 1})
-    counts = {"closed": "clean", "ticks": 3, "messages": 4, "dropped": 9, "wake_up_us": late}
+    counts = {"closed": "clean", "ticks": 3, "messages": 4, "dropped": 9}
     assert float(cast("float", answer.pop("recorder_cpu_s"))) > 0.0
     assert answer == counts | {"size_bytes": bench.path.stat().st_size}
     assert read(bench.path)[2]["summary"] == {"ending": "PARKED"} | {
         name: str(n) for name, n in counts.items()
     }
-
-
-def test_on_a_full_disk_the_end_has_the_counts_of_what_is_left(tmp_path):
-    bench = Bench(tmp_path)
-    bench.tick(0, 1, 2)
-    bench.producer.event(0, "info", "behind them")
-    bench.ring.counters[DROPPED] = 9
-    bench.drain(2)
-    answer = bench.recorder.close_full(OSError(errno.EDQUOT, "Disk quota exceeded"))
-    size = bench.path.stat().st_size
-    counts = {"closed": "disk_full", "ticks": 2, "messages": 2, "dropped": 9}
-    assert {name: answer[name] for name in (*counts, "size_bytes")} == counts | {"size_bytes": size}
-    for word in ("disk_full: Disk quota exceeded", "first 2 ticks", f"{size} bytes", str(bench.path)):
-        assert word in str(answer["error"])
-    assert read(bench.path)[2]["summary"] == {name: str(count) for name, count in counts.items()}
 
 
 @pytest.mark.parametrize("number", [errno.EDQUOT, errno.EIO])
@@ -149,52 +129,7 @@ def test_only_a_disk_without_room_closes_the_log_with_what_fits(tmp_path, monkey
         assert _recorded(bench.recorder, control)["closed"] == "disk_full"
 
 
-def test_wake_ups_are_counted_by_the_next_power_of_two_in_microseconds():
-    counts, last = Histogram(), 2**19
-    late_us = [-5.0, 0.0, 0.999, 1.0, 1.999, 2.0, 3.0, 4.0, last - 0.001, last, 2 * last, 1e9]
-    for part in (late_us, [], [0.0, 7.0, 7.0]):
-        counts.add((1000 * np.array(part)).astype(np.int64))
-    assert counts.table() == {"1": 4, "2": 2, "4": 2, "8": 3, "524288": 1, "inf": 3}
-
-
 # -- batches and chunks ----------------------------------------------------------------------------------------
-
-
-def test_what_is_drained_is_written_before_its_room_is_given_back(tmp_path):
-    bench = Bench(tmp_path)
-    recorder: Any = bench.recorder
-    did: list[tuple[str, int]] = []
-    ring, write = recorder._ring, recorder._write
-
-    def written(messages):
-        did.append(("write", len(messages.channel)))
-        write(messages)
-
-    def released(batch):
-        did.append(("release", len(batch.rows)))
-        ring.release(batch)
-
-    recorder._write = written
-    recorder._publisher = SimpleNamespace(drained=lambda batch: did.append(("show", len(batch.rows))))
-    recorder.socket = SimpleNamespace(publish=lambda messages: did.append(("send", len(messages.channel))))
-    recorder._ring = SimpleNamespace(take=ring.take, release=released)
-    bench.tick(0, 1, 2)
-    bench.producer.event(0, "info", "behind them")
-    assert [recorder._drain(2) for _ in range(3)] == [True, True, False]
-    first, second = ([("write", 2), ("show", n), ("release", n), ("send", 2)] for n in (2, 1))
-    assert did == [*first, *second]
-    recorder.file.discard()
-
-
-@pytest.mark.parametrize(
-    ("row_bytes", "capacity", "ticks"), [(16, 1024, 252), (16, 503, 251), (40_000, 256, 16)]
-)
-def test_a_batch_is_about_a_chunk_and_half_a_ring_at_most(tmp_path, row_bytes, capacity, ticks):
-    """A row has a kilobyte of frames; 16 ticks are the least."""
-    more = [Column("output", "x", float, "", "", (), ((row_bytes - 16) // 8,))] if row_bytes > 16 else []
-    bench = Bench(tmp_path, Table("/small", (TICK, TIME, *more)), capacity)
-    assert bench.recorder.batch == ticks
-    bench.recorder.file.discard()
 
 
 def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
@@ -335,11 +270,7 @@ WHOLE = pickle.dumps({"ending": "PARKED"})
 
 @pytest.mark.parametrize(
     ("sent", "closed", "summary"),
-    [
-        (WHOLE, False, {"ending": "PARKED"}),
-        (WHOLE[:-5], True, None),
-        (b"", True, None),
-    ],
+    [(WHOLE, False, {"ending": "PARKED"}), (WHOLE[:-5], True, None), (b"", True, None)],
     ids=["whole", "cut", "none"],
 )
 def test_a_producer_that_lives_ends_with_its_summary_or_its_pipe(held, producer, sent, closed, summary):

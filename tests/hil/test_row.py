@@ -132,12 +132,6 @@ def test_a_column_may_be_as_large_as_this(changes):
     assert found.names == changes.get("names", {})
 
 
-def test_a_column_with_names_for_a_part_of_its_elements_is_refused():
-    names = [f"e{k}" for k in range(63)]
-    with pytest.raises(ValueError, match="all or none with a name"):
-        read_with(shape=[100], elements=names)
-
-
 @pytest.mark.parametrize("changes", REFUSED)
 def test_a_column_beyond_its_limits_is_refused(changes):
     with pytest.raises(ValueError, match="allowed: "):

@@ -17,9 +17,9 @@ from hil.app.configuration.configuration import load, loads
 from hil.record import Live, Recording
 from hil.record.encode import Encoder
 from hil.record.log import Log
+from hil.record.publish import LiveSocket
 from hil.record.row import TICKS
 from hil.record.schema import Schema, message_class
-from hil.record.websocket import LiveSocket
 from tests.hil.foxglove_client import Client
 from tests.hil.samples import random_ticks
 

@@ -17,10 +17,9 @@ from drivers.tick_columns import Column
 from hil.app.configuration.configuration import loads
 from hil.app.configuration.platform import platform_dict
 from hil.record.log import Log
-from hil.record.scene import quaternion
+from hil.record.scene import around, quaternion
 from hil.record.schema import CONFIGURATION
 from hil.record.selection import Component, components, name_of
-from hil.robot.around import around
 from hil.study.log_columns import Curve, has_pose, row_groups
 from hil.study.view.panels import Plot, differences, plots, states
 

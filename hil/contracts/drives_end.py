@@ -13,12 +13,7 @@ from plant_fmu.drives.ends import READING
 
 
 def answers(
-    protocol: Any,
-    sync: Sync,
-    length: Array,
-    rate: Array,
-    force: Array,
-    state: Ints,
+    protocol: Any, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
 ) -> list[tuple[int, Frame]]:
     """Return what the drives answer to a SYNC or poll, each frame with its leg."""
     return reply(drives_end(protocol), sync, reading_of(length, rate, force, state))

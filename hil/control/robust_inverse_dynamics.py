@@ -17,15 +17,9 @@ dx/dt = A x - B (w + d). With V = x^T P x
 falls for |d| <= rho; inside, dV/dt <= -x^T Q x + rho epsilon / 2: x ends in a ball that shrinks with epsilon.
 Where rho comes from: `UncertaintySettings`.
 
-Q = diag(K_D K_P, K_D) weighs a length against a rate as the error dynamics does, and gives
-y = de + K_D / 2 e, in m/s. At damping ratio 1, K_D / 2 = wn, that is dy/dt = -wn y - w - d: |y| < epsilon is
-never left again and |e| <= epsilon / wn of each leg, as of a sliding variable, but all legs share one
-bound and wn y goes on growing where w no longer does.
-
-What it costs: inside, the law is linear with the gains K_P + rho / epsilon K_D / 2 and K_D + rho / epsilon
-(at damping ratio 1 poles at -wn and -(wn + rho / epsilon)), no better and no worse than exact inverse
-dynamics with these. A delay of T s bounds them: the loop crosses over at about w_c = 2 wn + rho / epsilon,
-and T takes 57 deg w_c T of its 76 to 90 deg of phase margin; see `hil.control.margin`.
+Q = diag(K_D K_P, K_D) gives y = de + K_D / 2 e, in m/s. At damping ratio 1, K_D / 2 = wn, that is
+dy/dt = -wn y - w - d: |y| < epsilon is never left again and |e| <= epsilon / wn of each leg, as of a sliding
+variable, but all legs share one bound. What it costs: docs/theory/robust.md.
 """
 
 from __future__ import annotations
@@ -39,13 +33,7 @@ from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import pointed
 from hil.config.values import NonNegative
 from hil.control.inverse_dynamics import linearise
-from hil.control.law import (
-    DesiredLoop,
-    ErrorDynamics,
-    ErrorGains,
-    LawContext,
-    ModelBasedSettings,
-)
+from hil.control.law import DesiredLoop, ErrorDynamics, ErrorGains, LawContext, ModelBasedSettings
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
 

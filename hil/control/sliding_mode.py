@@ -11,16 +11,9 @@ ds/dt = d - k sat(s / phi). For |d| <= D, k = D + eta, outside the boundary laye
 
     d/dt s^2 / 2 = s d - k |s| <= -eta |s|
 
-so that s is inside within |s(0)| / eta and stays there. Inside, e follows from de + lambda e = s, a lag of
-first order: |e| <= phi / lambda, whatever d is. Where D comes from: `UncertaintySettings`.
-
-What it costs: inside the layer the law is linear, e'' + (lambda + k / phi) e' + lambda k / phi e = d, no
-better and no worse than exact inverse dynamics with these gains. Its poles are -lambda and -k / phi, and
-the layer can be no thinner than the loop's delay T allows. With phi = k / lambda (the balance condition of
-7.2) both poles are -lambda, the bound is |e| <= k / lambda^2, and the loop crosses over at 2.06 lambda with
-a phase margin of 76 deg less 118 deg lambda T: 30 deg are left at lambda = 0.39 / T; 7.3 recommends
-1 / (3 T), 37 deg (`hil.control.margin`). Where phi = 0 the law switches: s runs on by up to (k + D) T before
-a changed sign acts, and the force chatters between its extremes.
+so that s is inside within |s(0)| / eta and stays there. Inside, de + lambda e = s is a lag of first order:
+|e| <= phi / lambda, whatever d is. Where D comes from: `UncertaintySettings`. What it costs, and how thin the
+layer may be: docs/theory/robust.md. Where phi = 0 the law switches, and the force chatters.
 """
 
 from __future__ import annotations
@@ -34,12 +27,7 @@ from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import pointed
 from hil.config.values import NonNegative, Positive
 from hil.control.inverse_dynamics import linearise
-from hil.control.law import (
-    DesiredLoop,
-    ErrorDynamics,
-    LawContext,
-    ModelBasedSettings,
-)
+from hil.control.law import DesiredLoop, ErrorDynamics, LawContext, ModelBasedSettings
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.control.uncertainty import ASSUMED_m_s2, UncertaintySettings
 

@@ -5,7 +5,7 @@
     y = [e; de]                                        of each axis, as the file's `inputs` say
     x[k+1] = A x[k] + B y[k] + L (what the limits took from u[k])
     u[k]   = C x[k] + D y[k]
-    ddq*   = ddq_d + u                                 then inverse dynamics: `hil.control.linearised_axes`
+    ddq*   = ddq_d + u                                 then inverse dynamics
 
 Anti-windup (K. J. Astrom and L. Rundqwist, Integrator windup and how to avoid it, ACC 1989: an observer of
 the controller's own state). Where a limit holds back forces, the axes accelerate by u + a with
@@ -15,7 +15,8 @@ a = J M^-1 J^T shortfall (legs) instead of u, and the state moves as if u + a ha
 
 which stays bounded wherever A - L C is stable, whatever A is. The map from force to acceleration is the
 inverse of the law's own linear part, by its own model at the present pose, and it is full: a leg that is held
-back slows its neighbours, and their controllers have to know.
+back slows its neighbours, and their controllers have to know. Axes of the pose have the error
+e = [p_d - p; log(R_d R^T)] of `hil.control.pose_inverse_dynamics`.
 
 No delay compensation: the delay is in the axis that the controller was designed for.
 """
@@ -28,17 +29,19 @@ import numpy as np
 from pydantic import model_validator
 
 from drivers.arrays import Array
-from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.compiler import INTEGER, MATRIX, VECTOR, helper, kernel, record
 from drivers.compiled.pointed import data_at, pointed, reals_at
 from drivers.errors import ConfigurationError
 from hil.config.linear_controller import LinearController
 from hil.control.inverse_dynamics import linearise
 from hil.control.law import DesiredLoop, LawContext, ModelBasedSettings
-from hil.control.linearised_axes import accelerations, pose_acceleration
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.control.pose_inverse_dynamics import demanded_dtwist, pose_errors
+from hil.mathematics.linear_algebra import lu_factor, lu_solve
+from hil.mathematics.rotations import rotation_motion_kernel, rotation_vector_rate
+from hil.mathematics.vectors import at, rotate
 from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
+from hil.robot.dynamics_kernels import SIZE, fill_jacobian, inverse_dynamics_kernel, model_inertia
 
 _INPUTS = {"error": 0, "rate_error": 1}
 """Row of the axes' errors."""
@@ -88,6 +91,48 @@ class StateSpaceSettings(ModelBasedSettings):
         """Return the shipped controller, at the rate and for the delay that it was made for."""
         del loop
         return {"controller_file": "hinf", "delay_compensation": None}
+
+
+@kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR)
+def accelerations(c: Array, code: int, p: Array, R: Array, tau: Array) -> Array:
+    """Return [M^-1 J^T tau; J M^-1 J^T tau] (2, 6), of platform and legs; nan: M is singular.
+
+    With the M and J of the variant. One leg's force moves all legs.
+    """
+    M = np.empty((6, 6))
+    model_inertia(c, code, p, R, M)
+    J = np.empty((6, 6))
+    fill_jacobian(c, code, p, R, J)
+    f = np.zeros(6)
+    for i in range(6):
+        for j in range(6):
+            f[j] += J[i, j] * tau[i]
+    answer = np.zeros((2, 6))
+    LU = np.empty((6, 6))
+    order = np.empty(6, np.int64)
+    if lu_factor(M, LU, order):
+        lu_solve(LU, order, f, answer[0])
+        for i in range(6):
+            for j in range(6):
+                answer[1, i] += J[i, j] * answer[0, j]
+    else:
+        answer[:] = np.nan
+    return answer
+
+
+@kernel(MATRIX, VECTOR)
+def pose_acceleration(errors: Array, dtwist: Array) -> Array:
+    """Return [dv; L(r)^-1 E domega] (6,) m/s^2, rad/s^2, for dtwist = [dv; domega] of the platform.
+
+    errors (2, 6): of `pose_errors`. Of the rotation vector r = log(R_d R^T) the second derivative is then
+    -L(r)^-1 E domega, E = R_d R^T.
+    """
+    r = errors[0, 3:].copy()
+    still = np.zeros(3)
+    E, _, _ = rotation_motion_kernel(r, still, still)
+    acceleration = dtwist.copy()
+    acceleration[3:] = rotation_vector_rate(r, np.array(rotate(E, at(dtwist, 3))))
+    return acceleration
 
 
 @helper

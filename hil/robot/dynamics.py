@@ -72,11 +72,15 @@ class Model:
     constants : (173,) read-only, and ``code``: int
         The first two arguments of the kernels.
 
-    Raises
-    ------
-    ModelError
-        Where the variant does not exist or lacks its pose, the platform lacks hinge axes, or a parameter
-        is not finite or negative.
+    Raises ModelError: where the variant does not exist or lacks its pose, the platform lacks hinge axes, or a
+    parameter is not finite or negative.
+
+    Notes
+    -----
+    What the methods take, all in the base frame: p (3,) m, platform origin; R (3, 3), x_base = p + R
+    x_platform; twist (6,) m/s and rad/s, [v of the platform origin; omega], and its derivative dtwist; tau
+    (6,) N, leg forces, > 0 extends; wrench (6,) N and N m, force and moment ON the platform at its origin, by
+    default none. Each raises KinematicsError where an argument is not finite or R is no rotation.
     """
 
     def __init__(
@@ -135,24 +139,9 @@ class Model:
     def inverse_dynamics(
         self, p: ArrayLike, R: ArrayLike, twist: ArrayLike, dtwist: ArrayLike, wrench: ArrayLike | None = None
     ) -> Array:
-        """Leg forces for a motion: tau = J^-T (M dtwist + H + G - wrench) + friction(J twist).
+        """Leg forces (6,) N for a motion: tau = J^-T (M dtwist + H + G - wrench) + friction(J twist).
 
-        Parameters
-        ----------
-        p : (3,) m, platform origin in the base frame.
-        R : (3, 3), x_base = p + R x_platform.
-        twist : (6,) m/s and rad/s, [v of the platform origin; omega], base frame.
-        dtwist : (6,) m/s^2 and rad/s^2, its time derivative.
-        wrench : (6,) N and N m, force and moment ON the platform at its origin, base frame. Default none.
-
-        Returns
-        -------
-        (6,) N, > 0 extends the leg.
-
-        Raises
-        ------
-        KinematicsError
-            Where an argument is not finite, R is no rotation, or J is singular.
+        Raises KinematicsError also where J is singular.
         """
         p, R, twist = self._state(p, R, twist)
         dtwist = check_vector("dtwist", dtwist, 6)
@@ -165,21 +154,8 @@ class Model:
     ) -> Array:
         """Acceleration for leg forces: dtwist = M^-1 (J^T (tau - friction(J twist)) + wrench - H - G).
 
-        At rest with Coulomb friction there is no stiction: sgn(0) = 0, the legs slide.
-
-        Parameters
-        ----------
-        p, R, twist, wrench : as in ``inverse_dynamics``.
-        tau : (6,) N, leg forces, > 0 extends.
-
-        Returns
-        -------
-        (6,) m/s^2 and rad/s^2, base frame.
-
-        Raises
-        ------
-        KinematicsError
-            Where an argument is not finite or R is no rotation.
+        At rest with Coulomb friction there is no stiction: sgn(0) = 0, the legs slide. Returns (6,) m/s^2 and
+        rad/s^2.
         """
         p, R, twist = self._state(p, R, twist)
         tau = check_vector("tau", tau, 6)
@@ -191,11 +167,6 @@ class Model:
 
         M = platform + sum J_i^T M_i J_i (Taghirad, 2013, 5.3) + J^T diag(reflected_mass) J. Current at p, R
         for every variant.
-
-        Raises
-        ------
-        KinematicsError
-            Where p is not finite or R no rotation.
         """
         p, R = check_vector("p", p, 3), check_rotation(R)
         return _finite("M", kernels.mass_matrix_kernel(self.constants, p, R), p, R)
@@ -204,67 +175,31 @@ class Model:
         """Centripetal and gyroscopic forces H (6,): N, N m. Current at p, R, twist for every variant.
 
         With J^T diag(reflected_mass) (dJ/dt) twist; without friction.
-
-        Raises
-        ------
-        KinematicsError
-            Where an argument is not finite or R is no rotation.
         """
         p, R, twist = self._state(p, R, twist)
         return _finite("H", kernels.coriolis_kernel(self.constants, p, R, twist), p, R)
 
     def gravity(self, p: ArrayLike, R: ArrayLike) -> Array:
-        """Return the forces G (6,) that hold platform and legs up: N, N m. Current at p, R for every variant.
-
-        Raises
-        ------
-        KinematicsError
-            Where p is not finite or R no rotation.
-        """
+        """Return the forces G (6,) that hold platform and legs up: N, N m. Current for every variant."""
         p, R = check_vector("p", p, 3), check_rotation(R)
         return _finite("G", kernels.gravity_kernel(self.constants, p, R), p, R)
 
     def friction(self, dq: ArrayLike) -> Array:
-        """Return what the drives lose to friction, viscous dq + coulomb sat(dq / sliding_speed).
+        """Return what the drives lose to friction at leg rates dq (6,) m/s: (6,) N, with the signs of dq.
 
-        Siciliano et al., Robotics, 2009, ch. 7: F_v dq + F_s sgn(dq), here with a slope for the jump at rest.
-        sat(x) is x clamped to -1 .. 1; with ``sliding_speed`` 0 it is sgn, sgn(0) = 0. The legs get
-        tau - friction; the power lost is dq.friction >= 0.
-
-        Parameters
-        ----------
-        dq : (6,) m/s, leg rates, > 0 extends.
-
-        Returns
-        -------
-        (6,) N, with the signs of dq.
-
-        Raises
-        ------
-        KinematicsError
-            Where dq is not six finite numbers.
+        viscous dq + coulomb sat(dq / sliding_speed); Siciliano et al., Robotics, 2009, ch. 7: F_v dq + F_s
+        sgn(dq), here with a slope for the jump at rest. sat(x) is x clamped to -1 .. 1; with
+        ``sliding_speed`` 0 it is sgn, sgn(0) = 0. The legs get tau - friction.
         """
         return kernels.friction_kernel(self.constants, check_vector("dq", dq, 6))
 
     def kinetic_energy(self, p: ArrayLike, R: ArrayLike, twist: ArrayLike) -> float:
-        """Kinetic energy twist^T M twist / 2 of platform, legs and drives, J.
-
-        Raises
-        ------
-        KinematicsError
-            Where an argument is not finite or R is no rotation.
-        """
+        """Kinetic energy twist^T M twist / 2 of platform, legs and drives, J."""
         p, R, twist = self._state(p, R, twist)
         return float(0.5 * twist @ self.mass_matrix(p, R) @ twist)
 
     def potential_energy(self, p: ArrayLike, R: ArrayLike) -> float:
-        """Potential energy -sum m g.x of platform and legs, J; zero at the base origin.
-
-        Raises
-        ------
-        KinematicsError
-            Where p is not finite or R no rotation.
-        """
+        """Potential energy -sum m g.x of platform and legs, J; zero at the base origin."""
         return kernels.potential_energy_kernel(self.constants, check_vector("p", p, 3), check_rotation(R))
 
     @staticmethod

@@ -76,10 +76,7 @@ class Platform:
     universal_joint_base_axes : (6, 3) or None
         Unit directions, base frame, of the hinge between base and leg i; needed where legs spin.
 
-    Raises
-    ------
-    GeometryError
-        Where a value is missing, not finite, of the wrong shape or not physical.
+    Raises GeometryError: where a value is missing, not finite, of the wrong shape or not physical.
     """
 
     base_joints: Array
@@ -118,10 +115,7 @@ class Platform:
         ``universal_joint_base_axes``. ``inertia_axial`` may be None, which counts as 0. Further keys at the
         top (a name, a source) are left alone.
 
-        Raises
-        ------
-        GeometryError
-            Where a key is missing or its value cannot be used.
+        Raises GeometryError: where a key is missing or its value cannot be used.
         """
         return cls(
             base_joints=_get(d, "base_joints"),

@@ -22,8 +22,6 @@ def product(A: Array, B: Array) -> Array:
 def turned(inertia: ArrayLike, R: ArrayLike) -> Array:
     """Inertia in other axes about the same point: R I R^T.
 
-    Parameters
-    ----------
     inertia : (3, 3) kg m^2, in its own axes.
     R : (3, 3), x_new = R x_own.
     """
@@ -104,21 +102,12 @@ def about_centre_of_mass(
 ) -> Array:
     """Inertia about the centre of mass, checked, from one about `point`: I - m (d.d 1 - d d^T).
 
-    Parameters
-    ----------
-    where : str
-        Name of the tensor in messages.
-    mass : float
-        kg
-    com, point : (3,) m
-        In the same axes as the tensor; without a point it is about the centre of mass already.
+    where: name of the tensor in messages; mass in kg; com, point: (3,) m in the axes of the tensor, which is
+    about the centre of mass already where there is no point.
     inertia : (3, 3) kg m^2
 
-    Raises
-    ------
-    GeometryError
-        The tensor is not symmetric, or no body has it. The message says what it is after the move, and
-        whether the other sign of the products would mend it.
+    Raises GeometryError: the tensor is not symmetric, or no body has it. The message says what it is after
+    the move, and whether the other sign of the products would mend it.
     """
     I = np.asarray(inertia, np.float64)
     if float(np.abs(I - I.T).max()) > TOLERANCE * float(np.abs(I).max()):

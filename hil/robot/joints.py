@@ -40,15 +40,10 @@ def in_pairs(
     The joints of a pair lie at exp(centre [z]x) (sqrt(r^2 - d^2/4), -+d/2, z), d the spacing, the one at the
     smaller angle first.
 
-    Parameters
-    ----------
-    radius, spacing, z : float
-        m; spacing is the distance between the two joints of a pair, 0 where they coincide.
-    centres_deg : (n,) deg
-        Direction of each pair, from x towards y.
-    begin : str
-        `first_leg`: the pairs are legs 0 and 1, 2 and 3, 4 and 5 of the list. `second_leg`: they are 1 and
-        2, 3 and 4, 5 and 0, as on the platform of a robot whose base pairs begin with the first leg.
+    radius, spacing, z: m; spacing is the distance between the two joints of a pair, 0 where they coincide.
+    centres_deg: (n,) direction of each pair, from x towards y.
+    begin: `first_leg`: the pairs are legs 0 and 1, 2 and 3, 4 and 5 of the list. `second_leg`: they are
+    1 and 2, 3 and 4, 5 and 0, as on the platform of a robot whose base pairs begin with the first leg.
     """
     half = spacing / 2
     depth = math.sqrt(radius**2 - half**2)

@@ -1,6 +1,8 @@
 """Leg lengths from a pose, rates through the Jacobian, and the pose from six lengths.
 
-Checked faces of ``hil.robot.kinematics_kernels``; the loop calls the kernels.
+Checked faces of ``hil.robot.kinematics_kernels``; the loop calls the kernels. Arguments, in the base frame:
+p (3,) m, platform origin; R (3, 3), x_base = p + R x_platform; twist (6,) m/s and rad/s, [v of the platform
+origin; omega]; q (6,) m, leg lengths. KinematicsError where one is not finite or R is no rotation.
 """
 
 from typing import NamedTuple
@@ -85,22 +87,7 @@ def check_rotation(R: ArrayLike) -> Array:
 def leg_lengths(platform: Platform, p: ArrayLike, R: ArrayLike) -> Array:
     """Inverse kinematics: leg lengths of a pose.
 
-    q_i = |p + R b_i - a_i| (Merlet, Parallel Robots, 2006, 2.4).
-
-    Parameters
-    ----------
-    platform : Platform
-    p : (3,) m, platform origin in the base frame.
-    R : (3, 3), x_base = p + R x_platform.
-
-    Returns
-    -------
-    (6,) m
-
-    Raises
-    ------
-    KinematicsError
-        Where p is not finite or R no rotation.
+    q_i = |p + R b_i - a_i|, (6,) m (Merlet, Parallel Robots, 2006, 2.4).
     """
     return kernels.leg_lengths_kernel(
         platform.base_joints, platform.platform_joints, check_vector("p", p, 3), check_rotation(R)
@@ -111,22 +98,8 @@ def jacobian(platform: Platform, p: ArrayLike, R: ArrayLike) -> Array:
     """Jacobian J of the leg lengths, dq = J twist.
 
     Row i is [s_i, (R b_i) x s_i], s_i the unit vector from base to platform joint (Merlet, 2006, 5.3).
-
-    Parameters
-    ----------
-    platform : Platform
-    p : (3,) m, platform origin in the base frame.
-    R : (3, 3), x_base = p + R x_platform.
-
-    Returns
-    -------
-    (6, 6); columns 0-2 have no unit, columns 3-5 are in m. twist is [v of the platform origin; omega] in the
-    base frame.
-
-    Raises
-    ------
-    KinematicsError
-        Where p is not finite or R no rotation, or a leg has length zero.
+    (6, 6); columns 0-2 have no unit, columns 3-5 are in m. Raises KinematicsError also where a leg has length
+    zero.
     """
     J = kernels.jacobian_kernel(
         platform.base_joints, platform.platform_joints, check_vector("p", p, 3), check_rotation(R)
@@ -138,23 +111,7 @@ def jacobian_rate(platform: Platform, p: ArrayLike, R: ArrayLike, twist: ArrayLi
     """Time derivative of J along a motion, ddq = J dtwist + jacobian_rate twist.
 
     Row i is [ds_i, (omega x r_i) x s_i + r_i x ds_i], r_i = R b_i, ds_i = (u_i - s_i s_i.u_i) / q_i,
-    u_i = v + omega x r_i.
-
-    Parameters
-    ----------
-    platform : Platform
-    p : (3,) m, platform origin in the base frame.
-    R : (3, 3), x_base = p + R x_platform.
-    twist : (6,) m/s and rad/s, [v of the platform origin; omega], base frame.
-
-    Returns
-    -------
-    (6, 6); columns 0-2 in 1/s, columns 3-5 in m/s.
-
-    Raises
-    ------
-    KinematicsError
-        Where an argument is not finite or R no rotation, or a leg has length zero.
+    u_i = v + omega x r_i. (6, 6); columns 0-2 in 1/s, columns 3-5 in m/s. Raises as ``jacobian``.
     """
     Jdot = kernels.jacobian_rate_kernel(
         platform.base_joints,
@@ -178,12 +135,7 @@ def condition(platform: Platform, p: ArrayLike, R: ArrayLike) -> float:
     """How far from singular a pose is: a bound on the condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r).
 
     r is ``platform.radius``. Never below the 2-norm condition number, at most 6^(1/8) = 1.251 times it;
-    inf where J is singular.
-
-    Raises
-    ------
-    KinematicsError
-        As ``jacobian``.
+    inf where J is singular. Raises as ``jacobian``.
     """
     return condition_kernel(jacobian(platform, p, R), platform.radius)
 
@@ -206,22 +158,12 @@ def forward_kinematics(
 
     Parameters
     ----------
-    platform : Platform
-    q : (6,) m, leg lengths.
-    p0 : (3,) m, first guess of the platform origin, base frame.
-    R0 : (3, 3), first guess of the rotation.
+    p0, R0 : first guess of p and R.
     tolerance : m, largest residual that ends the iteration.
     max_iterations : Newton steps before giving up.
 
-    Returns
-    -------
-    Pose(p, R, iterations, residual)
-
-    Raises
-    ------
-    KinematicsError
-        Where the lengths cannot be reached, the iteration meets a singular pose or does not converge, or an
-        argument is not finite, a length not positive, R0 no rotation.
+    Raises KinematicsError: also where the lengths cannot be reached or are not positive, the iteration meets
+    a singular pose or does not converge.
     """
     a, b, q = platform.base_joints, platform.platform_joints, _check_lengths(q)
     p, R, J, iterations, residual, _ = kernels.forward_kinematics_kernel(
@@ -250,12 +192,7 @@ def continue_kinematics(
 
     The lengths move on a straight line, in steps as long as Newton's method stays certain of its branch (see
     ``hil.estimation.pose``). The result is the assembly that the machine reaches from p0, R0 on that path.
-    ``iterations`` counts the steps tried.
-
-    Raises
-    ------
-    KinematicsError
-        As ``forward_kinematics``; also where the path meets a singular pose.
+    ``iterations`` counts the steps tried. Raises as ``forward_kinematics``.
     """
     q = _check_lengths(q)
     p, R, steps, residual = kernels.continuation_kernel(

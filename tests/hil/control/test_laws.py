@@ -270,15 +270,6 @@ def test_each_leg_has_its_own_gain(law, gain, side):
     assert differs[SIX != 1.0].min() > 1.0, "each gain counts"
 
 
-@pytest.mark.parametrize("largest", range(6))
-@pytest.mark.parametrize("law", PER_LEG)
-def test_the_largest_of_gains_per_leg_make_the_bandwidth(law, largest):
-    shares = np.linspace(0.2, 0.7, 6)
-    shares[largest] = 1.0
-    six = settings_of(law, **{name: (value * shares).tolist() for name, value in PD.items()})
-    assert six.bandwidth(300.0, 1200.0) == pytest.approx((81.64965809, 1.0206207))
-
-
 LOOP = DesiredLoop(wn=40.0, zeta=0.7, leg_mass=300.0, mass=1200.0, inertia=500.0, force_limit=9000.0)
 OF_LEGS = [("kp_N_m", "kv_N_s_m", 300.0)]
 OF_THE_POSE = [

@@ -71,11 +71,7 @@ def test_every_log_is_a_case_and_one_bad_log_is_not_the_end(folder, tmp_path):
 
 @pytest.mark.parametrize(
     ("place", "message"),
-    [
-        ("nowhere", "no such folder"),
-        ("empty", "has no file *.mcap"),
-        ("plants", "but 1 of other kinds"),
-    ],
+    [("nowhere", "no such folder"), ("empty", "has no file *.mcap"), ("plants", "but 1 of other kinds")],
 )
 def test_a_folder_with_nothing_to_replay_is_no_success(folder, place, message):
     (folder / "empty" / "folder.mcap").mkdir(parents=True)

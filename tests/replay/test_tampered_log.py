@@ -72,8 +72,7 @@ def test_a_log_whose_last_ticks_are_missing_is_no_success_though_all_that_is_the
     assert report.remarks == (f"its end counts {last + 1} ticks, {last - 8} are there",)
 
 
-@pytest.mark.parametrize("byte", [5, 0, 11])
-@pytest.mark.parametrize("mode", [Mode.IDLE, Mode.TRACKING, Mode.PARKED])
+@pytest.mark.parametrize(("mode", "byte"), [(Mode.IDLE, 5), (Mode.TRACKING, 0), (Mode.PARKED, 11)])
 def test_one_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_path, mode, byte):
     rows = Log.open(log).rows()
     ticks = rows["tick"][rows["mode"] == mode]

@@ -106,7 +106,7 @@ def test_without_its_index_alone_nothing_is_lost(path, tmp_path, out):
 def test_zeros_at_the_end_as_a_file_system_leaves_them_are_passed_over(path, chunks, tmp_path, out):
     report = salvage(cut(path, tmp_path, chunks[1].chunk_start_offset, bytes(5000)), out)
     assert report.bytes_lost == 5000
-    assert report.ticks == ticks_before(path, chunks[1].chunk_start_offset)
+    assert len(mcap_summary(out).chunk_indexes) == 1
     assert_same(Log.open(out).ticks(), TICKS[: report.ticks])
 
 

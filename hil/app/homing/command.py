@@ -18,7 +18,7 @@ def state_homing(
     *,
     emulated: bool = False,
     at_home: bool = False,
-    lengths_m: Sequence[float] = (),
+    lengths_m: Sequence[float] | None = None,
     legs_m: Mapping[int, float] | None = None,
 ) -> dict[str, Any]:
     """Write the lengths that are given to the homing file; without any show it. Return the summary.
@@ -30,7 +30,7 @@ def state_homing(
     path = homing_path(c, emulated=emulated)
     if path is None:
         raise ConfigurationError(f"{c.source}: plant.homing_file: missing, and --emulated means that file")
-    legs, by_hand, given = dict(legs_m or {}), list(range(LEGS)), list(lengths_m)
+    legs, by_hand, given = dict(legs_m or {}), list(range(LEGS)), list(lengths_m or ())
     if at_home:
         given = home_lengths(c).tolist()
     elif legs and not given:

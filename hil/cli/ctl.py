@@ -52,6 +52,4 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
         shared.finish_lines(operate.status_lines(summary), summary)
     if words == ("key",) and seconds is None:
         click.echo("the key is held; Ctrl-C lets go of it", err=True)
-    repeated = words == ("key",) or words[0] == "jog"
-    summary = operate.repeat(bus, words, seconds) if repeated else operate.command(bus, words)
-    shared.finish("ctl", summary)
+    shared.finish("ctl", operate.say(bus, words, seconds))

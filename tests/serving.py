@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from drivers.can.bus import Bus
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import Configuration
-from hil.app.plant import Bench, _no_hands, _serve, _Stop
-from hil.app.process_faults import ProcessFaults
+from hil.app.plant import Bench, ProcessFaults, _no_hands, _serve, _Stop
 from plant_fmu.drives.nodes import Nodes
 
 

@@ -26,11 +26,9 @@ from hil.app.configuration.fault_rules import refuse_what_no_bus_has
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.law_file import ATTACHMENT
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
-from hil.app.encoder_limits import believed_mass_kg, encoder_limits, read_noise
+from hil.app.encoder_limits import believed_mass_kg, encoder_limits, leg_errors, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
-from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
-from hil.app.run_description import run_description
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
 from hil.config.feedforward import FeedforwardSettings
@@ -327,6 +325,7 @@ def record(
 
     A run in real time shows itself to `hil watch`; `run` is the identity of a simulated one.
     """
+    from hil.app.watch.state import run_description
     from hil.record import Live, Recording
     from hil.record.mirror import mirror_path
     from hil.record.schema import RUN

@@ -4,11 +4,13 @@ It also tests somebody else's controller: it knows frames and time only.
 """
 
 import contextlib
+import os
 import select
 import signal
+import subprocess
 import time
 import traceback as tracebacks
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -28,12 +30,13 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
 from hil.app.plant_rows import PLANT, PlantRows, at_rest
-from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime, real_time
 from hil.loop.panel import signals_to
 from hil.record import Recording, scheduling
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.kinds import PROCESS, ProcessKill, ProcessSlow, ProcessStop
 from plant_fmu.plant import Plant
 
 IDLE_NS = 2_000_000
@@ -47,6 +50,43 @@ REST_NS = 200_000_000
 """An orphan at rest for this long ends."""
 CLOSING_S = 5.0
 """Closing an orphan's log takes no longer."""
+
+
+class ProcessFaults:
+    """Kills, stops and slows this process when its time has come.
+
+    Mutable state: which faults are still to come.
+    """
+
+    def __init__(self, faults: Iterable[Fault], t0_ns: int) -> None:
+        self._left = [
+            (t0_ns + round(fault.at_s * 1e9), fault) for fault in faults if isinstance(fault, PROCESS)
+        ]
+
+    def strike(self, now_ns: int) -> None:
+        """Let what is due happen."""
+        for entry in list(self._left):
+            at_ns, fault = entry
+            if now_ns < at_ns:
+                continue
+            match fault:
+                case ProcessKill():
+                    os.kill(os.getpid(), signal.SIGKILL)
+                case ProcessStop(for_s=for_s):
+                    self._left.remove(entry)
+                    _stop(for_s)
+                case ProcessSlow(by_ms=by_ms) if now_ns < at_ns + fault.lasts_ns:
+                    time.sleep(1e-3 * by_ms)
+                case _:
+                    self._left.remove(entry)
+
+
+def _stop(for_s: float) -> None:
+    """Stop this process; another one lets it go on."""
+    script = 'kill -STOP "$1"; sleep "$2"; kill -CONT "$1"'
+    subprocess.Popen(
+        ["/bin/sh", "-c", script, "sh", str(os.getpid()), f"{for_s:.6f}"], start_new_session=True
+    )
 
 
 class Bench(NamedTuple):

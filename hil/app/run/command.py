@@ -34,10 +34,9 @@ from hil.app.output import (
 )
 from hil.app.replay import measured
 from hil.app.run.consent import EnterKey
-from hil.app.run.plant_process import SupervisedPlant
+from hil.app.run.processes import SupervisedPlant, WatchProcess
 from hil.app.run.rate_selection import select_rate
 from hil.app.run.stretching import STRANGER, begin, bench_clock, stretches
-from hil.app.watch.process import WatchProcess
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import Shell, run

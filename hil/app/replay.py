@@ -175,6 +175,8 @@ def measured(result: dict[str, Any], path: Path, lost: str = "", *, check_replay
     except LogError as error:
         if not lost:
             fail(result, str(error))
+        elif "recorder" in result:
+            result["recorder"] += f"; {error}"
         return None
     if not len(rows):
         return rows

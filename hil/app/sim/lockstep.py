@@ -46,16 +46,6 @@ def _frames(at: Any, count: Any) -> Rows:
     return array_at(int(at), int(count), FRAME) if count else NO_FRAMES
 
 
-def nothing_given(tick: int) -> Given:
-    """Return the commands of a tick where there are none."""
-    del tick
-    return NOTHING
-
-
-def nobody_answered(operator: Sequence[str], orders: Sequence[str], setpoints: Sequence[str]) -> None:
-    """Take what became of a tick's commands where nobody asks."""
-
-
 @dataclass
 class Lockstep:
     """The buses between a Cycle and Nodes, and the time that both share.
@@ -174,13 +164,13 @@ class Lockstep:
         duration_s: float | None,
         observe: Observer | None,
         event: EventSink = no_event,
-        commands: Callable[[int], Given] = nothing_given,
+        commands: Callable[[int], Given] = lambda _: NOTHING,
         *,
         take: Taker | None = None,
         silent: Callable[[int], float] = lambda _: inf,
         armed: bool = True,
         over: Callable[[], bool] = lambda: False,
-        answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = nobody_answered,
+        answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = lambda *_: None,
     ) -> Ending:
         """Engage, run the reference, park. Return how the run ended.
 

@@ -16,8 +16,7 @@ from drivers.errors import RunError
 from hil.app.configuration.configuration import Configuration
 from hil.app.watch.access import Access
 from hil.app.watch.feed import Feed
-from hil.app.watch.operating import Operating
-from hil.app.watch.server import Server
+from hil.app.watch.server import Operating, Server
 from hil.record.mirror import mirror_path
 
 LOOPBACK = "127.0.0.1"

@@ -193,7 +193,7 @@ def show(title: str, summary: dict[str, Any]) -> None:
     """Print a summary: a headline and one aligned line for each figure, with its unit."""
     good = bool(summary["success"])
     click.secho(f"{title}: {'success' if good else 'failed'}", fg="green" if good else "red", bold=True)
-    rows = list(figure_rows(summary))
+    rows = figure_rows(summary)
     column = max((len(label) for label, _ in rows), default=0) + 2
     for label, value in rows:
         first, *rest = fold(value, _width() - column)
@@ -219,8 +219,12 @@ def fold(text: str, width: int) -> list[str]:
     return textwrap.wrap(text, max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]
 
 
-def figure_rows(values: dict[str, Any], indent: str = "") -> Iterator[tuple[str, str]]:
-    """Yield the figures of a summary as name and value with unit."""
+def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the figures of a summary as name and value with unit."""
+    return list(_rows(summary, ""))
+
+
+def _rows(values: dict[str, Any], indent: str) -> Iterator[tuple[str, str]]:
     for key, value in values.items():
         if key in _SILENT or value is None:
             continue
@@ -241,7 +245,7 @@ def figure_rows(values: dict[str, Any], indent: str = "") -> Iterator[tuple[str,
             yield label, ", ".join(acted) or "none"
         elif value:
             yield label, "" if value.get("success", True) else "failed"
-            yield from figure_rows(value, indent + "  ")
+            yield from _rows(value, indent + "  ")
 
 
 def replay_sentence(summary: dict[str, Any]) -> str:

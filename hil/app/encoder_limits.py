@@ -186,7 +186,10 @@ def leg_errors(c: Configuration) -> LegErrors:
     s, monitor = c.estimation.fusion, c.monitor
     length_std_m, rate_std_m_s, force_std_N = s.length_std_m, s.rate_std_m_s, s.leg_force_std_N
     if length_std_m is None:
-        length_std_m = _length_std_m(c)
+        length_std_m = read_noise(c, c.loop.rate_Hz).length_m / NOISE
+        if c.plant is not None:  # from the steps in which it comes
+            encoder_m = c.plant.drives.encoder_resolution_m
+            length_std_m = hypot(encoder_m, steps(c, c.loop.rate_Hz).length_m - encoder_m) / NOISE
     if rate_std_m_s is None:
         rate_std_m_s = read_noise(c, c.loop.rate_Hz).rate_m_s / NOISE
     if force_std_N is None:
@@ -199,11 +202,3 @@ def leg_errors(c: Configuration) -> LegErrors:
         force_std_N=force_std_N,
         force_time_s=1e-3 * s.leg_force_time_ms,
     )
-
-
-def _length_std_m(c: Configuration) -> float:
-    """Return the standard deviation of a length from the steps in which it comes."""
-    if c.plant is None:
-        return read_noise(c, c.loop.rate_Hz).length_m / NOISE
-    encoder_m = c.plant.drives.encoder_resolution_m
-    return hypot(encoder_m, steps(c, c.loop.rate_Hz).length_m - encoder_m) / NOISE

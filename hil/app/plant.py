@@ -30,7 +30,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
 from hil.app.plant_rows import PLANT, PlantRows, at_rest
-from hil.loop.clock import RealTime, real_time
+from hil.loop.clock import real_time
 from hil.loop.panel import signals_to
 from hil.record import Recording, scheduling
 from plant_fmu.drives.drive import Snapshot
@@ -74,19 +74,12 @@ class ProcessFaults:
                     os.kill(os.getpid(), signal.SIGKILL)
                 case ProcessStop(for_s=for_s):
                     self._left.remove(entry)
-                    _stop(for_s)
+                    script = f"kill -STOP {os.getpid()}; sleep {for_s:.6f}; kill -CONT {os.getpid()}"
+                    subprocess.Popen(["/bin/sh", "-c", script], start_new_session=True)
                 case ProcessSlow(by_ms=by_ms) if now_ns < at_ns + fault.lasts_ns:
                     time.sleep(1e-3 * by_ms)
                 case _:
                     self._left.remove(entry)
-
-
-def _stop(for_s: float) -> None:
-    """Stop this process; another one lets it go on."""
-    script = 'kill -STOP "$1"; sleep "$2"; kill -CONT "$1"'
-    subprocess.Popen(
-        ["/bin/sh", "-c", script, "sh", str(os.getpid()), f"{for_s:.6f}"], start_new_session=True
-    )
 
 
 class Bench(NamedTuple):
@@ -96,10 +89,6 @@ class Bench(NamedTuple):
     plant: Plant
     hands: Callable[[], None]
     """Called often: does what somebody has asked of the hands."""
-
-
-def _no_hands() -> None:
-    """Nobody touches a plant but the drives."""
 
 
 def run_plant(
@@ -125,7 +114,7 @@ def run_plant(
         ours = supervisor is not None or bench is not None  # a foreign controller does not hold time
         if ours and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
             bus.clock.holds = True
-        served = bench or Bench(*build_nodes(c), _no_hands)
+        served = bench or Bench(*build_nodes(c), lambda: None)
         stack.callback(served.plant.close)
         recording = None
         if c.plant.log:
@@ -160,7 +149,18 @@ def run_plant(
                 last, trouble = served.nodes.snapshot(), str(error)
             finally:
                 bus.clock.leave()
-        summary = _summary(last, trouble, stop.reason, granted)
+        summary = {
+            "success": not trouble,
+            "trouble": trouble or None,
+            "kind": "plant",
+            "ending": stop.reason,
+            "real_time": {"granted": granted.granted, "missing": granted.missing},
+            "syncs": last.syncs,
+            "commands": last.commands,
+            "rejected_frames": last.rejected,
+            "final_states": [DriveState(int(s)).name for s in last.state],
+            "peak_final_rate_m_s": float(np.abs(last.rate).max()),
+        }
         if recording is not None:
             closed = recording.close({k: v for k, v in summary.items() if k != "success"} | scheduled)
             summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped + closed.lost}
@@ -169,21 +169,6 @@ def run_plant(
             if closed.gave_up:
                 summary |= {"success": False, "trouble": trouble or closed.error}
     return summary
-
-
-def _summary(last: Snapshot, trouble: str, ending: str, granted: RealTime) -> dict[str, Any]:
-    return {
-        "success": not trouble,
-        "trouble": trouble or None,
-        "kind": "plant",
-        "ending": ending,
-        "real_time": {"granted": granted.granted, "missing": granted.missing},
-        "syncs": last.syncs,
-        "commands": last.commands,
-        "rejected_frames": last.rejected,
-        "final_states": [DriveState(int(s)).name for s in last.state],
-        "peak_final_rate_m_s": float(np.abs(last.rate).max()),
-    }
 
 
 def _open_bus(c: Configuration, patience_s: float) -> Bus:

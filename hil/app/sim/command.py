@@ -38,7 +38,6 @@ from hil.record.schema import RUN
 from hil.signals import SetPoint
 from hil.trajectory.sampled import read_poses
 from plant_fmu.config import FmuPlant
-from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 
 UNHEARD = "no commands are given: operator.start, deadman_s and stays are left out"
@@ -195,29 +194,17 @@ def simulate(
         result |= keeper.summary(cycle)
         fail(result, keeper.trouble)
         result["recorder_cpu_s"] = recorder.recorder_cpu_s
-        result |= _injected(c, nodes) | _commands(commands, operator)
+        injected, unmet = nodes.schedule.begun(nodes.now_ns), nodes.waiting
+        late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
+        struck = {"injected": injected, "mode_not_reached": unmet, "time_not_reached": late}
+        result |= {key: [show_fault(fault) for fault in which] for key, which in struck.items() if which}
+        if commands:
+            said = {"given": len(commands) - operator.left, "refused": operator.refused}
+            result["commands"] = said | {"not_reached": operator.left}
         if script is not None and script.left:
             result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
         result["success"] &= result.get("replay", {}).get("agrees", True)
     return result
-
-
-def _injected(c: Configuration, nodes: Nodes) -> dict[str, Any]:
-    """Return which faults have struck, and which could not."""
-    assert c.plant is not None
-    injected, unmet = nodes.schedule.begun(nodes.now_ns), nodes.waiting
-    late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
-    found = {"injected": injected, "mode_not_reached": unmet, "time_not_reached": late}
-    return {key: [show_fault(fault) for fault in which] for key, which in found.items() if which}
-
-
-def _commands(commands: Sequence[TimedCommand], operator: CommandScript) -> dict[str, Any]:
-    """Return how much of what the operator was to say was said, and how much of that did not count."""
-    if not commands:
-        return {}
-    left = operator.left
-    said = {"given": len(commands) - left, "refused": operator.refused, "not_reached": left}
-    return {"commands": said}
 
 
 def _run_to_end(

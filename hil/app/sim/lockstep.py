@@ -203,7 +203,12 @@ class Lockstep:
                     alone = any(given) or self.nodes.waiting
                     count = 1 if alone else int(min(course.quiet(tick), silent(tick), most))
                     begun_s = perf_counter()
-                    self._give(take, count, given)
+                    self.row.new = slice(0, 0)
+                    try:
+                        self.advance(count, given)
+                    finally:
+                        if take is not None and self.row.new.start < self.row.new.stop:
+                            take(self.row.ticks, self.row.new, given)
                     soon = perf_counter() - begun_s < LONGEST_S
                     most = min(2 * most, CAPACITY) if soon else max(most // 2, 1)
             except PlantError as error:
@@ -213,13 +218,3 @@ class Lockstep:
                 answered(refused, self.cycle.operating.answers, setpoints)
             ending = course.ending(self.tick)
         return ending
-
-    def _give(self, take: Taker | None, count: int, given: Given) -> None:
-        """Advance, and give what was done."""
-        row = self.row
-        row.new = slice(0, 0)
-        try:
-            self.advance(count, given)
-        finally:
-            if take is not None and row.new.start < row.new.stop:
-                take(row.ticks, row.new, given)

@@ -74,6 +74,7 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
     posed, led = _posed(row["p"], row["R"]), follows and _posed(row["p_d"], row["R_d"])
     heard = row["age"] < NEVER
     limit = about["force_limit_N"]
+    left = np.minimum(row["q"] - about["length_min_m"], about["length_max_m"] - row["q"])  # to the nearer end
     return {
         "n": piece.number,
         "age": round((now_ns - int(figures["seen_ns"])) * 1e-9, 3),
@@ -96,7 +97,7 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
         "e_r": numbers(1e3 * rotation_errors(row["R_d"], row["R"]), 4) if posed and led else [None] * 3,
         "legs": {
             "q": [x if h else None for x, h in zip(numbers(row["q"], 5), heard.tolist(), strict=True)],
-            "margin": _margins(row, heard, about),
+            "margin": numbers(np.where(heard, 1e3 * left, np.nan), 2),
             "tau": numbers(row["tau"], 3),
             "share": numbers(row["tau"] / limit, 4),
             "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
@@ -120,12 +121,6 @@ def _posed(p: ArrayLike, R: ArrayLike) -> bool:
 
 def _name(column: str, value: Any) -> str:
     return name_of(COLUMNS[column], int(value))
-
-
-def _margins(row: np.void, heard: Any, about: dict[str, Any]) -> list[float | None]:
-    """Return the way to the nearer end of each leg's stroke, mm."""
-    left = np.minimum(row["q"] - about["length_min_m"], about["length_max_m"] - row["q"])
-    return numbers(np.where(heard, 1e3 * left, np.nan), 2)
 
 
 def _marked(row: np.void, about: dict[str, Any]) -> list[str]:

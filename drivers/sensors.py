@@ -13,7 +13,7 @@ from drivers.compiled.pointed import FAILED
 from drivers.config import BusSettings, SensorSettings
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import FRAME, sent_frames
-from drivers.legs.messages import layout_of, parsed, read_dbc
+from drivers.legs.messages import layouts, read_dbc
 from drivers.protocol import Frame
 from drivers.sensor_kernels import FIELDS, QUANTITIES, encode, no_sensors
 
@@ -43,13 +43,13 @@ class SensorProtocol:
                 "use layout fd, or leave the sensors out"
             )
         self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
-        database = parsed(self.database[1])
-        self.sync_id: int = database.get_message_by_name("SYNC").frame_id
+        messages = layouts(self.database[1])
+        self.sync_id: int = messages["SYNC"].id
         self.tables = no_sensors()
         """Where the configured sensors have what in their frames."""
         for kind in self.rates_Hz:
             name, node = _MESSAGES[kind]
-            form = layout_of(database.get_message_by_name(name))
+            form = messages[name]
             identifier = form.id - node + getattr(sensors, kind).node_id
             try:
                 bus_index = bus.index_of(getattr(sensors, kind).channel)

@@ -3,12 +3,8 @@
 from pathlib import Path
 from pkgutil import resolve_name
 
-from plant_fmu.bench import Bench
 from plant_fmu.config import BenchPlant, FmuPlant, PlantModel, StewartPlant
-from plant_fmu.fmu.check import fmu_spec
-from plant_fmu.fmu.child import host
 from plant_fmu.plant import Plant, Robot
-from plant_fmu.stewart.plant import stewart_plant
 
 
 def open_plant(model: PlantModel, robot: Robot, folder: Path) -> Plant:
@@ -23,14 +19,21 @@ def open_plant(model: PlantModel, robot: Robot, folder: Path) -> Plant:
 
 def stewart(model: StewartPlant, robot: Robot, _: Path) -> Plant:
     """Open our FMU."""
+    from plant_fmu.stewart.plant import stewart_plant
+
     return stewart_plant(model, robot)
 
 
 def bench(model: BenchPlant, *_: object) -> Plant:
     """Open six uncoupled legs."""
+    from plant_fmu.bench import Bench
+
     return Bench(model)
 
 
 def fmu(model: FmuPlant, _: Robot, folder: Path) -> Plant:
     """Open the user's FMU."""
+    from plant_fmu.fmu.check import fmu_spec
+    from plant_fmu.fmu.child import host
+
     return host(fmu_spec(model, folder))

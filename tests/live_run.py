@@ -17,7 +17,7 @@ import numpy as np
 
 from drivers.child_process import start
 from hil.app.configuration.configuration import Configuration, load
-from hil.app.run_description import run_description
+from hil.app.watch.state import run_description
 from hil.operate.client import socket_path
 from hil.record.environment import product_version
 from hil.record.mirror import FIGURES, Mirror, mirror_path

@@ -10,8 +10,7 @@ from contextlib import contextmanager
 from drivers.can.bus import Bus
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import Configuration
-from hil.app.plant import Bench, _no_hands, _serve, _Stop
-from hil.app.process_faults import ProcessFaults
+from hil.app.plant import Bench, ProcessFaults, _serve, _Stop
 from plant_fmu.drives.nodes import Nodes
 
 
@@ -26,7 +25,7 @@ def serving(c: Configuration) -> Iterator[Nodes]:
 
     def serve() -> None:
         try:
-            _serve(Bench(nodes, physics, _no_hands), bus, None, stop, None, None, faults, protocol)
+            _serve(Bench(nodes, physics, lambda: None), bus, None, stop, None, None, faults, protocol)
         except Exception as error:  # noqa: BLE001 - raised in the test's thread below
             failed.append(error)
 

@@ -26,11 +26,9 @@ from hil.app.configuration.fault_rules import refuse_what_no_bus_has
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.law_file import ATTACHMENT
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
-from hil.app.encoder_limits import believed_mass_kg, encoder_limits, read_noise
+from hil.app.encoder_limits import believed_mass_kg, encoder_limits, leg_errors, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
-from hil.app.leg_errors import leg_errors
 from hil.app.loop_delay import loop_delay
-from hil.app.run_description import run_description
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
 from hil.config.feedforward import FeedforwardSettings
@@ -43,12 +41,8 @@ from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.predictor import Predictor
 from hil.loop.admission import Admission, Steering
-from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.loop.parts import Parts
-from hil.record import Live, Recording, Scene
-from hil.record.mirror import mirror_path
-from hil.record.schema import RUN
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.robot.geometry import Platform
@@ -61,13 +55,15 @@ from hil.trajectory.override import PEAK
 from hil.trajectory.path import Trajectory, axis_limits
 from hil.trajectory.time_optimal import plan
 from plant_fmu.config import BenchPlant
-from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.plants import open_plant
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # what only those need who run or record is imported then
     from hil.estimation.fusion import FusedEstimator
+    from hil.loop.cycle import Cycle
+    from hil.record import Recording, Scene
+    from plant_fmu.drives.nodes import Nodes
 
 LENGTH_TOLERANCE_M = 1e-3
 """How far the plant's initial lengths may be from those of the section `platform`."""
@@ -120,6 +116,8 @@ def build_cycle(
     the plan of its reference that a log carries. It follows `trajectory`; by default that of section
     `reference`. Drives that forget their turns were parked at `last_pose`; by default where the plant begins.
     """
+    from hil.loop.cycle import Cycle
+
     c = configuration
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
@@ -222,8 +220,7 @@ def build_admission(c: Configuration, platform: Platform) -> Admission:
 def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> FusedEstimator | None:
     if c.estimation.pose != "fused":
         return None
-    # A third of all compilation, for the few who fuse.
-    from hil.estimation.fusion import FusedEstimator  # noqa: PLC0415
+    from hil.estimation.fusion import FusedEstimator
 
     settings = c.estimation.fusion
     model = build_model(settings.model, platform, c.platform.leg_spin)
@@ -253,6 +250,8 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
     The faults of `plant.faults` come first, then those of `faults`, whose seed counts.
     Raises PlantError: the plant cannot be opened, or does not start at the configured platform's lengths.
     """
+    from plant_fmu.drives.nodes import Nodes
+
     c = configuration
     assert c.plant is not None
     p, R = pose_arrays(start_pose(c))
@@ -274,7 +273,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         sensors = build_sensors(c)
         if sensors is None:
             return Nodes(*drives), plant
-        from plant_fmu.drives.sensor_nodes import SensedNodes  # noqa: PLC0415 - its kernels
+        from plant_fmu.drives.sensor_nodes import SensedNodes
 
         gravity = c.platform.gravity_m_s2
         return SensedNodes(*drives, sensors, c.plant.sensors, gravity), plant
@@ -303,6 +302,8 @@ def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None
 
 def build_scene(configuration: Configuration) -> Scene:
     """Return what live views draw."""
+    from hil.record import Scene
+
     robot = platform_dict(configuration.platform)
     return Scene(robot["base_joints"], robot["platform_joints"])
 
@@ -322,6 +323,11 @@ def record(
 
     A run in real time shows itself to `hil watch`; `run` is the identity of a simulated one.
     """
+    from hil.app.watch.state import run_description
+    from hil.record import Live, Recording
+    from hil.record.mirror import mirror_path
+    from hil.record.schema import RUN
+
     rate_Hz, duration_s = cycle.parts.rate_Hz, cycle.parts.trajectory.duration_s
     database = cycle.parts.protocol.traits.database
     mirror = websocket = None

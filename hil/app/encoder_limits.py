@@ -1,6 +1,6 @@
-"""From a configuration to the limits of the rules on encoders."""
+"""From a configuration to the limits of the rules on encoders, and to leg errors for the fused pose."""
 
-from math import ceil, inf, sqrt
+from math import ceil, hypot, inf, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -13,6 +13,7 @@ from drivers.transmission import Transmission
 from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
+from hil.estimation.fusion_layout import LegErrors
 from hil.safety.encoder_kernels import RATE_MOVES
 from hil.safety.encoder_limits import UNASKED, UNSHARED, EncoderLimits
 from hil.safety.residuals import MOVED
@@ -36,6 +37,10 @@ LAGS = 3.0
 """Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
 REACHES_BACK = 2
 """Periods from a rate that is a slope of lengths to the first length that it is made of."""
+NOISE = sqrt(12.0)
+"""Largest deviation by standard deviation: a step, or 3 to 4 standard deviations of white noise."""
+UNKNOWN = sqrt(3.0)
+"""The same of a constant that may be anything from the bound to its negative."""
 
 
 def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
@@ -173,4 +178,27 @@ def friction_N(c: Configuration) -> float:
         return stated
     return max(
         stated, ASSUMED_FRICTION * min(c.limits.force_N, c.limits.force_window_N, c.drives.force_limit_N)
+    )
+
+
+def leg_errors(c: Configuration) -> LegErrors:
+    """Return the errors of the legs as the sections estimation, monitor and plant state them."""
+    s, monitor = c.estimation.fusion, c.monitor
+    length_std_m, rate_std_m_s, force_std_N = s.length_std_m, s.rate_std_m_s, s.leg_force_std_N
+    if length_std_m is None:
+        length_std_m = read_noise(c, c.loop.rate_Hz).length_m / NOISE
+        if c.plant is not None:  # from the steps in which it comes
+            encoder_m = c.plant.drives.encoder_resolution_m
+            length_std_m = hypot(encoder_m, steps(c, c.loop.rate_Hz).length_m - encoder_m) / NOISE
+    if rate_std_m_s is None:
+        rate_std_m_s = read_noise(c, c.loop.rate_Hz).rate_m_s / NOISE
+    if force_std_N is None:
+        force_std_N = max(0.0, friction_N(c) - float(np.min(s.model.coulomb_friction_N)))
+    return LegErrors(
+        length_std_m,
+        rate_std_m_s,
+        rate_skew_std_s=1e-6 * monitor.rate_skew_us / UNKNOWN,
+        rate_scale_std=1e-2 * monitor.rate_error_percent / UNKNOWN,
+        force_std_N=force_std_N,
+        force_time_s=1e-3 * s.leg_force_time_ms,
     )

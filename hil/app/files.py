@@ -9,7 +9,6 @@ from typing import NamedTuple
 from drivers.errors import LogError
 from drivers.files import real_path, whole_file
 from hil.app.terminal import one_line
-from hil.record.mcap_file import MAGIC
 
 
 def write_whole(path: Path, text: str) -> None:
@@ -47,6 +46,7 @@ def beginning(name: str, head: bytes) -> Kind:
     return Kind(name, lambda path: _begins(path, head))
 
 
+LOG = beginning("a log", b"\x89MCAP0\r\n")
 PICTURE = beginning("a PNG picture", b"\x89PNG\r\n")
 
 
@@ -65,7 +65,7 @@ def new_file(
         why = "is a folder; name a file"
     elif path.exists() and not path.is_file():
         why = "is a device or a pipe, which no file replaces; name a file"
-    elif _begins(path, MAGIC):
+    elif LOG.holds(path):
         why = "is a log, and no log is ever overwritten; name another file"
     elif own and path.exists() and path.stat().st_size and not own.holds(path):
         why = f"exists, is not {own.name} and is not overwritten; name another file"

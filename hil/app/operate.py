@@ -1,13 +1,17 @@
 """`hil ctl` and `hil setpoint`: an operator's words to a running controller, from a terminal."""
 
+from __future__ import annotations
+
 import contextlib
 import time
 from collections.abc import Iterable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drivers.bus_address import BusAddress
 from drivers.errors import RunError
-from hil.operate.client import OperatorClient
+
+if TYPE_CHECKING:
+    from hil.operate.client import OperatorClient
 
 REPEAT_S = 0.02
 """Between two key frames, or words of a jog."""
@@ -30,17 +34,9 @@ SHOWN = {
 }
 
 
-def command(bus: BusAddress, words: Sequence[str]) -> dict[str, Any]:
-    """Say one command; return the summary. Raises RunError where no controller runs or answers."""
-    with OperatorClient(*bus) as client:
-        answer = client.say(" ".join(words))
-    result = {"success": answer.taken, "kind": "ctl", "command": " ".join(words)}
-    return result if answer else result | {"trouble": f"refused: {answer.why}"}
-
-
 def status(bus: BusAddress) -> dict[str, Any]:
     """Return the controller's status as a summary. Raises RunError where no controller runs or answers."""
-    with OperatorClient(*bus) as client:
+    with _client(bus) as client:
         return {"success": True, "kind": "ctl", **client.status()}
 
 
@@ -57,32 +53,39 @@ def _shown(value: Any) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value) or "nothing"
 
 
-def repeat(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
-    """Hold the key, or repeat a jog word, until Ctrl-C or for `seconds`; return the summary.
+def _client(bus: BusAddress) -> OperatorClient:
+    from hil.operate import client
 
-    Its trouble is a controller that refused the word or ended meanwhile. Raises RunError where none runs or
-    answers.
+    return client.OperatorClient(*bus)
+
+
+def say(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
+    """Say one command; hold the key, or repeat a jog, until Ctrl-C or for `seconds`. Return the summary.
+
+    Its trouble is a controller that refused the word, or ended while one was repeated. Raises RunError where
+    none runs or answers.
     """
     line, sent, begun, trouble = " ".join(words), 0, time.monotonic(), ""
-    with OperatorClient(*bus) as client:
+    repeated = line == "key" or words[0] == "jog"
+    with _client(bus) as client:
         try:
-            with contextlib.suppress(KeyboardInterrupt):
-                while seconds is None or time.monotonic() - begun < seconds:
+            with contextlib.suppress(*[KeyboardInterrupt] * repeated):  # it lets go of a key or a jog
+                while not sent or (repeated and (seconds is None or time.monotonic() - begun < seconds)):
                     if line == "key":
                         client.key()
                     elif not (answer := client.say(line)):
                         trouble = f"refused: {answer.why}"
                         break
                     sent += 1
-                    time.sleep(REPEAT_S)
-            if line != "key" and not trouble:
+                    time.sleep(REPEAT_S * repeated)
+            if words[0] == "jog" and not trouble:
                 client.say(f"jog {words[1]} 0")
         except RunError as error:
             if not sent:
                 raise
             trouble = str(error)
-    result = {"success": not trouble, "kind": "ctl", "command": line, "sent": sent}
-    return result | {"trouble": trouble} if trouble else result
+    result = {"success": not trouble, "kind": "ctl", "command": line}
+    return result | ({"sent": sent} if repeated else {}) | ({"trouble": trouble} if trouble else {})
 
 
 def send_setpoints(bus: BusAddress, lines: Iterable[str]) -> dict[str, Any]:
@@ -92,7 +95,7 @@ def send_setpoints(bus: BusAddress, lines: Iterable[str]) -> dict[str, Any]:
     RunError when no controller listens, or none answers the first line.
     """
     sent, taken, refused, trouble = 0, 0, list[str](), ""
-    with OperatorClient(*bus) as client:
+    with _client(bus) as client:
         for line in filter(None, map(str.strip, lines)):
             sent += 1
             try:

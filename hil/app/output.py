@@ -5,51 +5,24 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import textwrap
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
+import click
 
 from drivers.errors import HilError, LogError
 from drivers.files import made_folder
-from drivers.signals import Mode
 from hil.app.files import PICTURE, Kind, new_file, printable, write_whole
 from hil.app.terminal import visible
 
 if TYPE_CHECKING:
     from hil.loop.run_end import Ending  # its kernels are for who runs
-
-
-class Terminal(Console):
-    """A console on which no text is markup."""
-
-    def __init__(self, **options: Any) -> None:
-        super().__init__(markup=False, emoji=False, highlight=False, **options)
-
-
-TABLE_WIDTH = 180
-"""Columns that a table takes at most where it goes to a file or a pipe."""
-
-
-def print_table(table: Table, width: int | None = None) -> None:
-    """Print a table as wide as it is, or folded to the terminal's width; no word of it is cut."""
-    out = Terminal(width=width)
-    for column in table.columns:
-        column.overflow = "fold"
-    needed = out.measure(table, options=out.options.update(width=10_000))
-    most = out.width if width is not None or out.is_terminal else TABLE_WIDTH
-    wide = max(needed.minimum, min(needed.maximum, most))
-    Terminal(width=wide).print(table, crop=False)
-
-
-console = Terminal(stderr=True)
 
 
 def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Path:
@@ -179,9 +152,23 @@ def closing(ending: Ending, trouble: str) -> dict[str, Any]:
     return end if ending.story is None else end | {"story": told(ending)}
 
 
+def after_run(ending: Ending) -> str:
+    """Say how a run that is over ended, for who does not wait for its summary."""
+    return f"after the run, which ended in {ending.mode.name}" + f": {ending.trouble}" * bool(ending.trouble)
+
+
+@contextmanager
+def leaving(there: Callable[[], str]) -> Iterator[None]:
+    """Add to a KeyboardInterrupt, where it says nothing yet, what there is: it is called then."""
+    try:
+        yield
+    except KeyboardInterrupt as interrupt:
+        raise KeyboardInterrupt(str(interrupt) or there()) from None
+
+
 def warn(text: str) -> None:
     """Print one message that deserves attention to standard error."""
-    console.print(Text(visible(text)), style="bold yellow", soft_wrap=True)
+    click.secho(visible(text), fg="yellow", bold=True, err=True)
 
 
 UNITS = {
@@ -198,45 +185,33 @@ UNITS = {
     "_percent": "%",
 }
 """End of a key -> unit of its value, the longest first."""
-_SILENT = frozenset({"success", "kind", "last_ticks", "story", "unwritten"})
+_SILENT = frozenset({"success", "kind", "story", "unwritten"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 
-def show(title: str, summary: dict[str, Any], width: int | None = None) -> None:
+def show(title: str, summary: dict[str, Any]) -> None:
     """Print a summary: a headline and one aligned line for each figure, with its unit."""
-    out = Terminal(width=width)
     good = bool(summary["success"])
-    headline = Text(f"{title}: {'success' if good else 'failed'}", style="bold green" if good else "bold red")
-    out.print(headline)
-    for line in table(summary, out.width):
-        out.print(Text(printable(line)), soft_wrap=True)
+    click.secho(f"{title}: {'success' if good else 'failed'}", fg="green" if good else "red", bold=True)
+    rows = figure_rows(summary)
+    column = max((len(label) for label, _ in rows), default=0) + 2
+    for label, value in rows:
+        first, *rest = fold(value, _width() - column)
+        for start, part in ((label, first), *(("", each) for each in rest)):
+            click.echo(printable(f"{start:<{column}}{part}".rstrip()))
 
 
 def show_lines(lines: Iterable[str]) -> None:
     """Print lines folded to the terminal, each under its own indentation."""
-    width = Terminal().width
     for line in map(visible, lines):
         text = line.lstrip()
         indent = len(line) - len(text)
-        for n, part in enumerate(fold(text, width - indent - 4)):
-            print(" " * (indent + 4 * (n > 0)) + part)
+        for n, part in enumerate(fold(text, _width() - indent - 4)):
+            click.echo(" " * (indent + 4 * (n > 0)) + part)
 
 
-def table(summary: dict[str, Any], width: int) -> list[str]:
-    """Return the lines below the headline, folded to `width` columns."""
-    rows = list(_rows(summary, ""))
-    column = max((len(label) for label, _ in rows), default=0) + 2
-    lines = []
-    for label, value in rows:
-        folded = fold(value, width - column)
-        lines.append(f"{label:<{column}}{folded[0]}".rstrip())
-        lines += [" " * column + rest for rest in folded[1:]]
-    return lines
-
-
-def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the figures of a summary as name and value with unit, for a table elsewhere."""
-    return list(_rows(summary, ""))
+def _width() -> int:
+    return shutil.get_terminal_size().columns
 
 
 def fold(text: str, width: int) -> list[str]:
@@ -244,7 +219,12 @@ def fold(text: str, width: int) -> list[str]:
     return textwrap.wrap(text, max(width, 20), break_long_words=False, break_on_hyphens=False) or [""]
 
 
-def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
+def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
+    """Return the figures of a summary as name and value with unit."""
+    return list(_rows(summary, ""))
+
+
+def _rows(values: dict[str, Any], indent: str) -> Iterator[tuple[str, str]]:
     for key, value in values.items():
         if key in _SILENT or value is None:
             continue
@@ -268,20 +248,6 @@ def _rows(values: dict[str, Any], indent: str) -> Iterable[tuple[str, str]]:
             yield from _rows(value, indent + "  ")
 
 
-def last_ticks_table(ticks: list[dict[str, Any]]) -> str:
-    """Return the ticks before a fault (`last_ticks` of a run's summary), one line each."""
-    lines = ["    tick  mode       late us  ages (ticks)        largest leg error mm  largest force N"]
-    for tick in ticks:
-        error = max(abs(d - q) for d, q in zip(tick["q_d"], tick["q"], strict=True)) * 1e3
-        force = max(abs(tau) for tau in tick["tau"])
-        ages = " ".join(str(min(age, 999)) for age in tick["age"])
-        lines.append(
-            f"{tick['tick']:8d}  {Mode(tick['mode']).name:9s}  {tick['lateness_ns'] / 1e3:7.0f}  {ages:18s}  "
-            f"{error:20.3f}  {force:15.0f}"
-        )
-    return "\n".join(lines)
-
-
 def replay_sentence(summary: dict[str, Any]) -> str:
     """Say in one sentence what a replay found (`hil.app.replay.summary`)."""
     ticks, different = summary["ticks"], summary["different_ticks"]
@@ -289,15 +255,9 @@ def replay_sentence(summary: dict[str, Any]) -> str:
         return "0 ticks: nothing to compare"
     sentence = f"{ticks} ticks, {different} difference{'s' * (different != 1)}"
     if different:
-        sentence += (
-            f" ({summary['wire_different_ticks']} in sent frames), the first in {_place(summary['first'][0])}"
-        )
+        place = summary["first"][0].partition(": recorded ")[0]
+        sentence += f" ({summary['wire_different_ticks']} in sent frames), the first in {place}"
     return "; ".join((sentence, *summary["gaps"]))
-
-
-def _place(difference: str) -> str:
-    """Return tick and column without the values."""
-    return difference.partition(": recorded ")[0]
 
 
 def _name_and_unit(key: str) -> tuple[str, str]:

@@ -4,11 +4,13 @@ It also tests somebody else's controller: it knows frames and time only.
 """
 
 import contextlib
+import os
 import select
 import signal
+import subprocess
 import time
 import traceback as tracebacks
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from types import FrameType
 from typing import Any, NamedTuple
@@ -28,12 +30,13 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
 from hil.app.plant_rows import PLANT, PlantRows, at_rest
-from hil.app.process_faults import ProcessFaults
-from hil.loop.clock import RealTime, real_time
+from hil.loop.clock import real_time
 from hil.loop.panel import signals_to
 from hil.record import Recording, scheduling
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.faults.fault import Fault
+from plant_fmu.faults.kinds import PROCESS, ProcessKill, ProcessSlow, ProcessStop
 from plant_fmu.plant import Plant
 
 IDLE_NS = 2_000_000
@@ -49,6 +52,36 @@ CLOSING_S = 5.0
 """Closing an orphan's log takes no longer."""
 
 
+class ProcessFaults:
+    """Kills, stops and slows this process when its time has come.
+
+    Mutable state: which faults are still to come.
+    """
+
+    def __init__(self, faults: Iterable[Fault], t0_ns: int) -> None:
+        self._left = [
+            (t0_ns + round(fault.at_s * 1e9), fault) for fault in faults if isinstance(fault, PROCESS)
+        ]
+
+    def strike(self, now_ns: int) -> None:
+        """Let what is due happen."""
+        for entry in list(self._left):
+            at_ns, fault = entry
+            if now_ns < at_ns:
+                continue
+            match fault:
+                case ProcessKill():
+                    os.kill(os.getpid(), signal.SIGKILL)
+                case ProcessStop(for_s=for_s):
+                    self._left.remove(entry)
+                    script = f"kill -STOP {os.getpid()}; sleep {for_s:.6f}; kill -CONT {os.getpid()}"
+                    subprocess.Popen(["/bin/sh", "-c", script], start_new_session=True)
+                case ProcessSlow(by_ms=by_ms) if now_ns < at_ns + fault.lasts_ns:
+                    time.sleep(1e-3 * by_ms)
+                case _:
+                    self._left.remove(entry)
+
+
 class Bench(NamedTuple):
     """Drives in front of something else than the configured plant, and whose hands are on it."""
 
@@ -56,10 +89,6 @@ class Bench(NamedTuple):
     plant: Plant
     hands: Callable[[], None]
     """Called often: does what somebody has asked of the hands."""
-
-
-def _no_hands() -> None:
-    """Nobody touches a plant but the drives."""
 
 
 def run_plant(
@@ -85,7 +114,7 @@ def run_plant(
         ours = supervisor is not None or bench is not None  # a foreign controller does not hold time
         if ours and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
             bus.clock.holds = True
-        served = bench or Bench(*build_nodes(c), _no_hands)
+        served = bench or Bench(*build_nodes(c), lambda: None)
         stack.callback(served.plant.close)
         recording = None
         if c.plant.log:
@@ -120,7 +149,18 @@ def run_plant(
                 last, trouble = served.nodes.snapshot(), str(error)
             finally:
                 bus.clock.leave()
-        summary = _summary(last, trouble, stop.reason, granted)
+        summary = {
+            "success": not trouble,
+            "trouble": trouble or None,
+            "kind": "plant",
+            "ending": stop.reason,
+            "real_time": {"granted": granted.granted, "missing": granted.missing},
+            "syncs": last.syncs,
+            "commands": last.commands,
+            "rejected_frames": last.rejected,
+            "final_states": [DriveState(int(s)).name for s in last.state],
+            "peak_final_rate_m_s": float(np.abs(last.rate).max()),
+        }
         if recording is not None:
             closed = recording.close({k: v for k, v in summary.items() if k != "success"} | scheduled)
             summary |= {"log": str(closed.path), "dropped_ticks": closed.dropped + closed.lost}
@@ -129,21 +169,6 @@ def run_plant(
             if closed.gave_up:
                 summary |= {"success": False, "trouble": trouble or closed.error}
     return summary
-
-
-def _summary(last: Snapshot, trouble: str, ending: str, granted: RealTime) -> dict[str, Any]:
-    return {
-        "success": not trouble,
-        "trouble": trouble or None,
-        "kind": "plant",
-        "ending": ending,
-        "real_time": {"granted": granted.granted, "missing": granted.missing},
-        "syncs": last.syncs,
-        "commands": last.commands,
-        "rejected_frames": last.rejected,
-        "final_states": [DriveState(int(s)).name for s in last.state],
-        "peak_final_rate_m_s": float(np.abs(last.rate).max()),
-    }
 
 
 def _open_bus(c: Configuration, patience_s: float) -> Bus:

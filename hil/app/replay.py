@@ -5,18 +5,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from drivers.arrays import Rows
 from drivers.errors import HilError, LogError
 from drivers.tick_columns import RECORDED
 from hil.app.compose import REFERENCE_PLAN, build_cycle, databases, version_of
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.law_file import ATTACHMENT, PATH, LawFile, UnreadLaw
 from hil.app.homing.last_pose import HOMING_JSON, recorded
-from hil.app.output import reason
+from hil.app.output import fail, reason
 from hil.app.readable import MOST_RATE_HZ, lacking
 from hil.app.recorded_files import attached
 from hil.loop.clock import collector_paused
 from hil.loop.replay import Comparison, other_columns, replay
 from hil.record import environment
+from hil.record.figures import figures
 from hil.record.log import Log
 from hil.record.schema import ENVIRONMENT, SUMMARY
 
@@ -83,7 +85,12 @@ def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[
     changed = [(name, text) for name, text in databases(configuration) if log.attachments.get(name) != text]
     if changed:
         name, text = changed[0]
-        raise _other_version(log, f"{_versions(log, name, text)}it was made with another {name}", "replay")
+        there = version_of(log.attachments.get(name, b"").decode("ascii", "replace"))
+        here = version_of(text.decode())
+        what = f"it was made with another {name}"
+        if there != here:
+            what = f"its protocol has version {there or 'unknown'}, this one {here}; {what}"
+        raise _other_version(log, what, "replay")
     return log, run, law_of_log(configuration, log, run, trust_code=trust_code)
 
 
@@ -159,16 +166,29 @@ def _require_as_many_as_counted(log: Log, comparison: Comparison) -> None:
         )
 
 
-def not_replayed(error: HilError | OSError) -> str:
-    """Say why a run that is over could not be replayed."""
-    return f"the log was not replayed: {reason(error)}"
+def measured(result: dict[str, Any], path: Path, lost: str = "", *, check_replay: bool = True) -> Rows | None:
+    """Add what the log of a run that is over shows, and its replay, to the run's summary; return its rows.
 
-
-def _versions(log: Log, name: str, own: bytes) -> str:
-    """Say which versions of a protocol two databases have, where they are two; else nothing."""
-    there = version_of(log.attachments.get(name, b"").decode("ascii", "replace"))
-    here = version_of(own.decode("ascii"))
-    return "" if there == here else f"its protocol has version {there or 'unknown'}, this one {here}; "
+    lost: why the log is not whole, where that is known; then it is no news that it cannot be read. What
+    cannot be read or replayed makes the run no success; a difference is left to the caller to judge.
+    """
+    try:
+        rows = Log.open(path).rows()
+    except LogError as error:
+        if not lost:
+            fail(result, str(error))
+        elif "recorder" in result:
+            result["recorder"] += f"; {error}"
+        return None
+    if not len(rows):
+        return rows
+    result |= figures(rows)
+    if check_replay:
+        try:
+            _, result["replay"] = replay_log(path)
+        except (HilError, OSError) as error:
+            fail(result, f"the log was not replayed: {reason(error)}")
+    return rows
 
 
 def _other_version(log: Log, difference: str, what: str) -> LogError:

@@ -1,15 +1,21 @@
-"""What safety has to allow for a payload that is known by ranges: accelerations and mobility at home."""
+"""How forces and a payload that is known by ranges move legs at home, and what safety has to allow for it.
+
+A step dF of the forces in frames leaves e'' + K_D e' + K_P e = d with |d| <= |P| dF, P the accelerations of
+the legs per force: at rest |e| <= |P| dF / K_P, leg by leg.
+"""
 
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from drivers import build_protocol
 from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.config.monitor import MonitorSettings
+from hil.control.law import ErrorDynamics
 from hil.mathematics.linear_algebra import solve
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
@@ -69,3 +75,25 @@ def unknown_payload(c: Configuration, along_legs_kg: ArrayLike = 0.0) -> Unknown
         float(accelerations[:, 3:].max()),
         np.max(held, axis=0),
     )
+
+
+def force_steps_N(c: Configuration) -> Array:
+    """Return what one step of the command's field is at each leg, (6,) N; 0: as fine as a number is."""
+    return build_protocol(c.bus, c.drives).traits.resolution.force
+
+
+def error_m(P: Array, steps_N: Array, K_P: Array | float) -> float:
+    """Return the largest error of a leg at rest, m, from P (..., 6, 6) 1/kg, steps (6,) N and K_P 1/s^2."""
+    return float((np.abs(P) @ steps_N / K_P).max())
+
+
+def stepped_error_m(c: Configuration) -> float | None:
+    """Return that error at home, m; None for a law whose error dynamics are not known by themselves."""
+    dynamics = c.controller.error_dynamics()
+    if not isinstance(dynamics, ErrorDynamics):
+        return None
+    K_P = float(dynamics.K_P.min()) if dynamics.pose else dynamics.K_P
+    P, believed = unknown_payload(c).mobility, c.controller.believed
+    if believed is not None:  # rotors and screws move along the legs
+        P = np.linalg.inv(np.linalg.inv(P) + believed.reflected_mass_kg * np.eye(6))
+    return error_m(P, force_steps_N(c), K_P)

@@ -93,7 +93,7 @@ class _Table(click.Group):
         """Call the command; Ctrl-C, and what a user can fix, end it in one line."""
         from hil.cli.shared import one_line_of_error
 
-        with one_line_of_interrupt(), one_line_of_error():
+        with one_line_of_error(), one_line_of_interrupt():
             return super().invoke(ctx)
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:

@@ -4,34 +4,19 @@ from typing import Any
 
 import click
 
+from hil.cli import shared
 from hil.cli.interrupts import pressed
-from hil.cli.shared import (
-    OUTPUT,
-    configuration_argument,
-    finish_briefly,
-    flag,
-    load,
-    log_option,
-    option,
-    reporting,
-)
 
 
 @click.command()
-@configuration_argument
-@flag("--rehearse", "On an emulated bench, in simulated time; nothing is moved.")
-@option(
-    "--mistake mistakes",
-    str,
-    "WORDS",
-    'With --rehearse: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
-    multiple=True,
-)
-@flag("--yes", "Agree to all steps, on a bench only.")
-@option("--state", OUTPUT, "FILE", "Where the answers are kept between runs.")
-@flag("--again", "Measure everything again, whatever the state file holds.")
-@log_option
-@reporting
+@shared.configuration_argument
+@shared.flag("--rehearse", "On an emulated bench, in simulated time; nothing is moved.")
+@shared.mistake_option
+@shared.flag("--yes", "Agree to all steps, on a bench only.")
+@shared.option("--state", shared.OUTPUT, "FILE", "Where the answers are kept between runs.")
+@shared.flag("--again", "Measure everything again, whatever the state file holds.")
+@shared.log_option
+@shared.reporting
 def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **options: Any) -> None:
     """Bring a machine up, from parts to a moving platform, one leg at a time.
 
@@ -43,7 +28,6 @@ def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **opt
     \b
     Examples:
       hil bringup my.yaml                                             at the machine
-      hil bringup virtual --rehearse                                  on an emulated bench
       hil bringup virtual                                             with `hil plant virtual --bench`
       hil bringup virtual --rehearse --yes --mistake "ids_swapped leg=1 other=4"
 
@@ -53,11 +37,11 @@ def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **opt
         raise click.UsageError(
             "--mistake is for a rehearsal: add --rehearse, or give it to `hil plant --bench`."
         )
-    loaded = load(configuration)
+    loaded = shared.load(configuration)
     from hil.lab.bringup.command import run_bringup
     from hil.loop.panel import signals_to
 
     with signals_to(pressed):  # a closed terminal leaves nothing under power
         rehearsed = mistakes if rehearse else None
         summary = run_bringup(configuration, loaded, mistakes=rehearsed, say=click.echo, **options)
-    finish_briefly("bringup", summary)
+    shared.finish("bringup", summary)

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, finish_lines, option, reporting
+from hil.cli import shared
 
 
 @click.command()
 @click.argument("configuration")
-@click.argument("poses", type=FILE)
-@option("--out", OUTPUT, "FILE", "Write the joints there as YAML; an existing file is refused.")
-@reporting
+@click.argument("poses", type=shared.FILE)
+@shared.option("--out", shared.OUTPUT, "FILE", "YAML file for the joints; an existing file is refused.")
+@shared.reporting
 def command(configuration: str, poses: Path, out: Path | None) -> None:
     """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.
 
@@ -34,4 +34,4 @@ def command(configuration: str, poses: Path, out: Path | None) -> None:
     show_lines(report.lines)
     if out is None or "unwritten" in report.figures:
         click.echo(report.fragment, nl=False)
-    finish_lines((), {"success": True, "kind": "calibrate", **report.figures})
+    shared.finish_lines((), {"success": True, "kind": "calibrate", **report.figures})

@@ -5,20 +5,7 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    DURATION,
-    NOT_NEGATIVE,
-    POSITIVE,
-    FiniteRange,
-    configuration_argument,
-    counted,
-    finish,
-    flag,
-    jobs_option,
-    load,
-    option,
-    reporting,
-)
+from hil.cli import shared
 
 
 def _names(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
@@ -30,41 +17,24 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     return names
 
 
+PATHS = "Laws to run also with the losses taken out, `all` or `none`; default: CONFIGURATION's."
+WRENCH = "Load ON the platform at its origin, N and N m, base frame."
+WRENCH_AT = "When --wrench comes, along the reference; default: at its start."
+FOLDER = click.Path(path_type=Path)
+
+
 @click.command()
-@configuration_argument
-@option("--laws", str, "A,B", "Laws to compare; default: compare.laws, else all.", callback=_names)
-@option(
-    "--paths path_laws",
-    str,
-    "A,B",
-    "Laws to run also with the losses taken out, `all` or `none`; default: the configuration's own.",
-    callback=_names,
-)
-@option(
-    "--duration duration_s", DURATION, "S", "Stop S seconds along the reference; default: one period of it."
-)
-@option(
-    "--inertia-scale",
-    POSITIVE,
-    "X",
-    "Masses that every law believes in, as a share of its own: 0.9 is 10 % too light.",
-)
-@option(
-    "--wrench",
-    (FiniteRange(),) * 6,
-    "FX FY FZ MX MY MZ",
-    "Load ON the platform at its origin, N and N m, base frame.",
-)
-@option("--wrench-at", NOT_NEGATIVE, "S", "When --wrench comes, along the reference; default: at its start.")
-@flag("--lift-limits", "Without the limits of error, force change and speed.")
-@jobs_option
-@option(
-    "--picture",
-    click.Path(path_type=Path),
-    "FILE",
-    "PNG file to draw, or a folder for it; an earlier picture is replaced.",
-)
-@reporting
+@shared.configuration_argument
+@shared.option("--laws", str, "A,B", "Laws to compare; default: compare.laws, else all.", callback=_names)
+@shared.option("--paths path_laws", str, "A,B", PATHS, callback=_names)
+@shared.option("--duration duration_s", shared.DURATION, "S", "Stop after S s; default: one period.")
+@shared.option("--inertia-scale", shared.POSITIVE, "X", "Masses that laws believe in: 0.9 is 10 % too light.")
+@shared.option("--wrench", (shared.FiniteRange(),) * 6, "FX FY FZ MX MY MZ", WRENCH)
+@shared.option("--wrench-at", shared.NOT_NEGATIVE, "S", WRENCH_AT)
+@shared.flag("--lift-limits", "Without the limits of error, force change and speed.")
+@shared.jobs_option
+@shared.option("--picture", FOLDER, "FILE", "PNG file, or a folder for it; an earlier picture is replaced.")
+@shared.reporting
 def command(configuration: str, **options: Any) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
@@ -75,22 +45,20 @@ def command(configuration: str, **options: Any) -> None:
 
     \b
     Examples:
-      hil compare                           every law on the default configuration
       hil compare lab --laws pd,inverse_dynamics,printed --paths all
       hil compare virtual --inertia-scale 0.9 --wrench 0 0 -500 0 0 0 --wrench-at 0.5
-      hil compare my.yaml --json my.json --picture plots/
 
     Guide: docs/guides/compare.md.
     """
     scale, wrench, at_s = (options.pop(name) for name in ("inertia_scale", "wrench", "wrench_at"))
     if at_s is not None and wrench is None:
         raise click.UsageError("--wrench-at says when --wrench comes: give both.")
-    loaded = load(configuration, "sim")
+    loaded = shared.load(configuration, "sim")
     from hil.study.compare import table
     from hil.study.compare.command import compare, with_options
 
     loaded = with_options(loaded, inertia_scale=scale, wrench=wrench, wrench_at_s=at_s or 0.0)
-    with counted("running the laws") as progress:
+    with shared.counted("running the laws") as progress:
         summary = compare(loaded, progress=progress, **options)
     table.show(summary)
-    finish("compare", summary, table.shown(summary))
+    shared.finish("compare", summary, table.shown(summary))

@@ -2,14 +2,14 @@
 
 import click
 
-from hil.cli.shared import POSITIVE, finish_briefly, finish_lines, option, reporting
+from hil.cli import shared
 
 
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("configuration")
 @click.argument("words", nargs=-1, required=True, metavar="WORD [ARGUMENTS]")
-@option("--for seconds", POSITIVE, "S", "Let go of the key, or of the jog, after S seconds.")
-@reporting
+@shared.option("--for seconds", shared.POSITIVE, "S", "Let go of the key, or of the jog, after S seconds.")
+@shared.reporting
 def command(configuration: str, words: tuple[str, ...], seconds: float | None) -> None:
     """Operate a running `hil run CONFIGURATION` from another terminal.
 
@@ -36,10 +36,8 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
 
     \b
     Examples:
-      hil ctl my.yaml status
       hil ctl my.yaml speed 25
-      hil ctl my.yaml key --for 10
-      hil ctl my.yaml jog leg3 -0.5
+      hil ctl my.yaml jog leg3 -0.5 --for 10
 
     Guide: docs/guides/operate.md.
     """
@@ -51,9 +49,7 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
     bus = address(configuration).bus
     if words == ("status",):
         summary = operate.status(bus)
-        finish_lines(operate.status_lines(summary), summary)
+        shared.finish_lines(operate.status_lines(summary), summary)
     if words == ("key",) and seconds is None:
         click.echo("the key is held; Ctrl-C lets go of it", err=True)
-    if words == ("key",) or words[0] == "jog":
-        finish_briefly("ctl", operate.repeat(bus, words, seconds))
-    finish_briefly("ctl", operate.command(bus, words))
+    shared.finish("ctl", operate.say(bus, words, seconds))

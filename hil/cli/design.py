@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, OUTPUT, finish_lines, option, reporting
+from hil.cli import shared
 
 METHODS = {
     "hinf": (
@@ -25,18 +25,18 @@ METHODS = {
     ),
 }
 """Name -> one line, and introduction; what it does is in the table of hil.app.design.command."""
-
 EXAMPLES = """
 
     \b
     Examples:
       hil design {name} {name} -o controller.yaml
-      hil design {name} my.yaml --model axis.yaml -o controller.yaml --plot design.png
-      hil design {name} my.yaml --model axis.yaml --robot robot.yaml -o controller.yaml
-      hil design {name} my.yaml --json design.json
+      hil design {name} my.yaml --model axis.yaml --robot robot.yaml --plot design.png
 
     Guide: docs/guides/design.md.
     """
+MODEL = "The axis, from `hil identify`; before DESIGN's own."
+ROBOT = "Stand the coupling of its axes, along its reference, at every corner of its payload's ranges."
+PLOT = "PNG file: S, T, K S against their weights, and the loop."
 
 
 @click.group()
@@ -47,46 +47,33 @@ def command() -> None:
 def _command(name: str, short: str, text: str) -> click.Command:
     @click.command(name, short_help=short, help=text + EXAMPLES.format(name=name))
     @click.argument("design", metavar="DESIGN")
-    @option("--model", FILE, "AXIS.yaml", "The axis, from `hil identify`; before DESIGN's own.")
-    @option(
-        "--robot",
-        str,
-        "CONFIG",
-        "Stand the coupling of its axes, along its reference, at every corner of its payload's ranges.",
-    )
-    @option("-o --out", OUTPUT, "FILE", "Write the controller there; an earlier one is replaced.")
-    @option("--plot", OUTPUT, "FILE", "PNG file: S, T, K S against their weights, and the loop.")
-    @reporting
+    @shared.option("--model", shared.FILE, "AXIS.yaml", MODEL)
+    @shared.option("--robot", str, "CONFIG", ROBOT)
+    @shared.option("-o --out", shared.OUTPUT, "FILE", "Controller to write; an earlier one is replaced.")
+    @shared.option("--plot", shared.OUTPUT, "FILE", PLOT)
+    @shared.reporting
     def command(
-        design: str,
-        model: Path | None,
-        robot: str | None,
-        out: Path | None,
-        plot: Path | None,
+        design: str, model: Path | None, robot: str | None, out: Path | None, plot: Path | None
     ) -> None:
         from hil.app.configuration.section_file import check_section_path
         from hil.app.design import command as app
-        from hil.app.files import write_whole
-        from hil.app.output import console, further, picture_path, show_lines
+        from hil.app.output import further, picture_path, show_lines
         from hil.config.linear_controller import LinearController
 
         if out is not None:
             check_section_path("-o", out, LinearController)
         picture = None if plot is None else picture_path(".", Path(design).stem, plot, "--plot")
-        with console.status("reading") as status:
-            controller, made, settings, axis = app.run_design(name, design, model, status.update, robot)
+        with shared.status("reading") as progress:
+            controller, made, settings, axis = app.run_design(name, design, model, progress, robot)
         show_lines(app.report(controller))
         summary = app.summary(controller, design)
-        if out is not None:
-            with further(summary):
-                write_whole(out, app.controller_text(controller, design))
-                click.echo(f"written: {out}")
+        shared.write(summary, out, app.controller_text(controller, design))
         if picture is not None:
             from hil.app.design.plot import draw
 
             with further(summary):
                 click.echo(f"drawn: {draw(settings, axis, made, picture, f'{design}: {name}')}")
-        finish_lines((), summary)
+        shared.finish_lines((), summary)
 
     return command
 

@@ -5,44 +5,30 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    configuration_argument,
-    counted,
-    finish,
-    jobs_option,
-    junit_option,
-    load,
-    option,
-    reporting,
-    write_cases,
-)
+from hil.cli import shared
+
+SEED = "Draws leg, size and sign of each case; default: leg 2 and the usual sizes."
 
 
-def _legs(text: str | None) -> tuple[int, ...]:
-    """Return the legs of a list with commas, each once. Raises ConfigurationError for what is none."""
-    from drivers.errors import ConfigurationError
-
-    words = [] if text is None else text.split(",")
+def _legs(_context: click.Context, _parameter: click.Parameter, value: str | None) -> tuple[int, ...]:
+    """Return the legs of a list with commas, each once."""
     try:
-        return tuple(dict.fromkeys(map(int, words)))
+        return tuple(dict.fromkeys(map(int, value.split(",") if value is not None else ())))
     except ValueError:
-        raise ConfigurationError(f"--legs {text}: allowed: numbers of legs with commas, as 0,3") from None
+        raise click.BadParameter(f"{value}, allowed: numbers of legs with commas, as 0,3") from None
 
 
 @click.command()
-@configuration_argument
-@option("--only", str, "GLOB", "Cases by KIND or KIND/MOMENT, as 'brake_*'; may be repeated.", multiple=True)
-@option("--legs", str, "LEG,...", "Whose faults, where they are a leg's: each once; default 2.")
-@option(
-    "--seed",
-    click.IntRange(min=0),
-    "N",
-    "Draws leg, size and sign of each case; default: leg 2 and the usual sizes.",
+@shared.configuration_argument
+@shared.option(
+    "--only", str, "GLOB", "Cases by KIND or KIND/MOMENT, as 'brake_*'; repeatable.", multiple=True
 )
-@jobs_option
-@junit_option
-@reporting
-def command(configuration: str, legs: str | None, junit: Path | None, **options: Any) -> None:
+@shared.option("--legs", str, "LEG,...", "Whose faults, where they are a leg's; default 2.", callback=_legs)
+@shared.option("--seed", click.IntRange(min=0), "N", SEED)
+@shared.jobs_option
+@shared.junit_option
+@shared.reporting
+def command(configuration: str, junit: Path | None, **options: Any) -> None:
     """Inject each kind of fault once at each moment of a run, in simulated time, and judge what follows.
 
     The moments: LOADING, APPROACH, TRACKING where the reference is fastest, HOLD, PARKING, UNLOADING. A case
@@ -51,19 +37,17 @@ def command(configuration: str, legs: str | None, junit: Path | None, **options:
 
     \b
     Examples:
-      hil faults                            the default configuration
       hil faults lab --legs 0,3 --only 'brake_*' --only 'encoder_*/TRACKING'
-      hil faults --seed 7                   other legs, sizes and signs, the same each time
-      hil faults my.yaml --jobs 4 --junit faults.xml --json faults.json
+      hil faults my.yaml --seed 7 --junit faults.xml
 
     Guide: docs/guides/faults.md.
     """
-    loaded = load(configuration, "sim")
+    loaded = shared.load(configuration, "sim")
     from hil.study.faults.command import run_matrix
     from hil.study.faults.report import show, shown, verdicts
 
-    with counted("injecting faults") as progress:
-        summary = run_matrix(loaded, legs=_legs(legs), progress=progress, **options)
+    with shared.counted("injecting faults") as progress:
+        summary = run_matrix(loaded, progress=progress, **options)
     show(summary)
-    write_cases(summary, junit, f"hil faults {summary['configuration']}", verdicts(summary))
-    finish("faults", summary, shown(summary))
+    shared.write_cases(summary, junit, f"hil faults {summary['configuration']}", verdicts(summary))
+    shared.finish("faults", summary, shown(summary))

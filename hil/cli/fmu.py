@@ -5,7 +5,9 @@ from typing import Literal
 
 import click
 
-from hil.cli.shared import FILE, finish, finish_lines, option, reporting
+from hil.cli import shared
+
+FOLDER = click.Path(file_okay=False, path_type=Path)
 
 
 @click.group()
@@ -17,16 +19,9 @@ def command() -> None:
 
 
 @command.command("build", short_help="Compile the platform's physics into FMUs.")
-@option(
-    "--fmi",
-    click.Choice(["2.0", "3.0", "both"]),
-    None,
-    "FMI version of the interface; the physics is the same.",
-    default="both",
-    show_default=True,
-)
-@option("--output", click.Path(file_okay=False, path_type=Path), "FOLDER", "Copy the .fmu there.")
-@reporting
+@shared.option("--fmi", click.Choice(["2.0", "3.0", "both"]), None, "FMI version.", default="both")
+@shared.option("--output", FOLDER, "FOLDER", "Copy the .fmu there.")
+@shared.reporting
 def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
@@ -43,12 +38,12 @@ def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -
 
     if output is not None:
         output.mkdir(parents=True, exist_ok=True)
-    finish("fmu build", build_fmus(fmi, output))
+    shared.finish("fmu build", build_fmus(fmi, output))
 
 
 @command.command("show", short_help="Variables of an FMU, and a proposal how to map them.")
-@click.argument("fmu", type=FILE)
-@reporting
+@click.argument("fmu", type=shared.FILE)
+@shared.reporting
 def fmu_show_command(fmu: Path) -> None:
     """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.
 
@@ -67,4 +62,4 @@ def fmu_show_command(fmu: Path) -> None:
     lines, summary = show_fmu(fmu)
     for line in lines:
         click.echo(one_line(line))  # not folded: the section is to be copied
-    finish_lines((), summary)
+    shared.finish_lines((), summary)

@@ -4,31 +4,19 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import (
-    FILE,
-    NOT_NEGATIVE,
-    OUTPUT,
-    POSITIVE,
-    FiniteRange,
-    OrOther,
-    finish_lines,
-    flag,
-    log_option,
-    option,
-    reporting,
-)
+from hil.cli import shared
+
+REFLECTED = "Reflected mass of motor and screw in each leg, where known; default: it is identified."
+FORCE = "Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it."
+DURATION = "Of the excitation, fading in and out included; default 12.5, with --delay 4."
+MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it."
 
 
 @click.command("payload")
-@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
-@option(
-    "--reflected",
-    NOT_NEGATIVE,
-    "KG",
-    "Reflected mass of motor and screw in each leg, where it is known; default: it is identified.",
-)
-@option("-o --out", OUTPUT, "FILE", "Write the block there as YAML; an earlier one is replaced.")
-@reporting
+@click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=shared.FILE)
+@shared.option("--reflected", shared.NOT_NEGATIVE, "KG", REFLECTED)
+@shared.option("-o --out", shared.OUTPUT, "FILE", "YAML of the block; an earlier one is replaced.")
+@shared.reporting
 def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
@@ -38,66 +26,44 @@ def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -
 
     \b
     Examples:
-      hil identify payload runs/today.mcap
       hil identify payload runs/a.mcap runs/b.mcap -o payload.yaml
       hil identify payload runs/today.mcap --reflected 9.9
 
     Guide: docs/guides/identify.md.
     """
-    from rich.text import Text
-
-    from hil.app.files import beginning, new_file, write_whole
-    from hil.app.output import console, further, show_lines
-    from hil.app.terminal import visible
+    from hil.app.files import beginning, new_file
+    from hil.app.output import show_lines
     from hil.lab.identify import payload_block, payload_report
     from hil.lab.identify.payload import identify_payload
 
     if out is not None:
         own = beginning("a file of hil identify payload", payload_block.REMARK.encode())
         new_file(out, option="-o", own=own)
-    with console.status("reading") as status:
-        found = identify_payload(list(logs), reflected, lambda what: status.update(Text(visible(what))))
+    with shared.status("reading") as progress:
+        found = identify_payload(list(logs), reflected, progress)
     show_lines(payload_report.report(found))
     summary = payload_report.summary(found)
     block = payload_block.block_text(found)
-    click.echo(f"\n{block}" if block else "Nothing to paste", nl=not block)
-    if out is not None:
-        with further(summary):
-            write_whole(out, payload_block.file_text(found))
-            click.echo(f"\nwritten: {out}")
-    finish_lines((), summary)
+    click.echo(f"\n{block}" if block else "Nothing to paste")
+    shared.write(summary, out, payload_block.file_text(found))
+    shared.finish_lines((), summary)
 
 
-class _OrPayload(OrOther):
+class _OrPayload(shared.OrOther):
     other = payload
 
 
 @click.command(cls=_OrPayload)
-@click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=FILE)
-@flag("--delay", "Only the delay, from the measurement to the force that answers it.")
-@flag("--run real_time", "In real time: moves real drives. Default is lockstep.")
-@flag("--plant with_plant", "With --run: start `hil plant` at the other end.")
-@flag("--arm", "With --run: move as soon as all drives are ready, without asking.")
-@option(
-    "--force",
-    POSITIVE,
-    "N",
-    "Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it.",
-)
-@option(
-    "--duration",
-    FiniteRange(min=1, max=1e5),
-    "S",
-    "Of the excitation, fading in and out included; default 12.5, with --delay 4.",
-)
-@option(
-    "-o --model",
-    OUTPUT,
-    "FILE",
-    "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it.",
-)
-@log_option
-@reporting
+@click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=shared.FILE)
+@shared.flag("--delay", "Only the delay, from the measurement to the force that answers it.")
+@shared.flag("--run real_time", "In real time: moves real drives. Default is lockstep.")
+@shared.flag("--plant with_plant", "With --run: start `hil plant` at the other end.")
+@shared.flag("--arm", "With --run: move as soon as all drives are ready, without asking.")
+@shared.option("--force", shared.POSITIVE, "N", FORCE)
+@shared.option("--duration", shared.FiniteRange(min=1, max=1e5), "S", DURATION)
+@shared.option("-o --model", shared.OUTPUT, "FILE", MODEL)
+@shared.log_option
+@shared.reporting
 def command(
     configuration: Path,
     delay: bool,
@@ -116,7 +82,6 @@ def command(
 
     \b
     Examples:
-      hil identify virtual -o axes.yaml           the axes of the virtual plant, in lockstep
       hil identify my.yaml --run --force 800      real drives; more force, where friction hides the answer
       hil identify runs/today.mcap                a run that is there already
       hil identify virtual --delay --run --plant --arm    only the delay, in real time
@@ -137,9 +102,7 @@ def command(
             )
         log = configuration
     else:
-        from hil.app.configuration.configuration import load
-
-        loaded = load(configuration)
+        loaded = shared.load(str(configuration))
         excite = delay_of.excited if delay else axes.excited_axes
         made = excite(loaded, force, duration)
         log = log_path(loaded.recording.folder, made.configuration.name, log)
@@ -148,10 +111,9 @@ def command(
     if made is not None:
         run = runs.run_for(made, log, **how)
         if not run["success"]:
-            click.echo(
-                f"hil: the run failed: {run['trouble'] or run['faults']}; its log is {run['log']}", err=True
-            )
-            finish_lines((), run)
+            why = run["trouble"] or run["faults"]
+            click.echo(f"hil: the run failed: {why}; its log is {run['log']}", err=True)
+            shared.finish_lines((), run)
     if files is None:
         result = delay_of.delay_of_log(log)
         lines = delay_of.report(result)
@@ -161,4 +123,4 @@ def command(
         lines = axes.report(result, found.model)
     if made is not None:
         result |= {"excitation_N": made.force_N, "run": run}
-    finish_lines(lines, result)
+    shared.finish_lines(lines, result)

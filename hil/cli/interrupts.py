@@ -83,15 +83,20 @@ def attached() -> Iterator[None]:
 
 @contextmanager
 def one_line_of_interrupt() -> Iterator[None]:
-    """Turn a KeyboardInterrupt into one line and exit code INTERRUPTED.
+    """Turn a KeyboardInterrupt, or the error that a library makes of it, into one line and INTERRUPTED.
 
     The text of the exception tells what there is: a log, as far as it goes.
     """
     try:
         yield
-    except KeyboardInterrupt as error:
+    except (KeyboardInterrupt, Exception) as error:
+        interrupt: BaseException | None = error
+        while interrupt is not None and not isinstance(interrupt, KeyboardInterrupt):
+            interrupt = interrupt.__cause__ or interrupt.__context__
+        if interrupt is None:
+            raise
         from hil.app.terminal import visible
 
         below = "\n" if sys.stderr.isatty() else ""  # of a terminal's ^C
-        click.echo(visible(f"{below}hil: interrupted {error}".rstrip()), err=True)
+        click.echo(visible(f"{below}hil: interrupted {interrupt}".rstrip()), err=True)
         sys.exit(INTERRUPTED)

@@ -2,59 +2,29 @@
 
 from __future__ import annotations
 
+import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, option, reporting
+from hil.cli import shared
 
-if TYPE_CHECKING:
-    from hil.lab.learn.command import Knowledge
+LIMIT = "Largest learned force of a leg; default feedforward.limit_N, else 20 % of limits.force_N."
+FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 
 
 @click.command()
-@click.argument("sources", metavar="LOG...|CONFIG", nargs=-1, required=True, type=FILE)
-@option(
-    "-o --out",
-    OUTPUT,
-    "FILE",
-    "CSV of the next run's feed-forward; an earlier one of this command is replaced.",
-)
-@option("--axes", FILE, "FILE", "Axes that `hil identify` found; default: the configuration's.")
-@option(
-    "--gain-error",
-    NOT_NEGATIVE,
-    "X",
-    "Without --axes: share by which an axis may be off.",
-    default=0.25,
-    show_default=True,
-)
-@option(
-    "--delay-error",
-    NOT_NEGATIVE,
-    "MS",
-    "Without --axes: time by which the loop's delay may be off.",
-    default=1.0,
-    show_default=True,
-)
-@option(
-    "--limit",
-    POSITIVE,
-    "N",
-    "Largest learned force of a leg; default feedforward.limit_N, without it 20 % of limits.force_N.",
-)
-@option("--runs", click.IntRange(1, 100), "N", "With CONFIG: make so many runs in lockstep.")
-@option(
-    "--inertia-scale", POSITIVE, "X", "With --runs: masses that the law believes in, as a share of its own."
-)
-@option(
-    "--logs",
-    click.Path(exists=True, file_okay=False, path_type=Path),
-    "FOLDER",
-    "With --runs: keep logs and feed-forwards there; it has to exist.",
-)
-@reporting
+@click.argument("sources", metavar="LOG...|CONFIG", nargs=-1, required=True, type=shared.FILE)
+@shared.option("-o --out", shared.OUTPUT, "FILE", "CSV of the feed-forward; an earlier one is replaced.")
+@shared.option("--axes", shared.FILE, "FILE", "Axes of `hil identify`; default: the configuration's.")
+@shared.option("--gain-error", shared.NOT_NEGATIVE, "X", "Share by which an axis may be off.", default=0.25)
+@shared.option("--delay-error", shared.NOT_NEGATIVE, "MS", "By what the delay may be off.", default=1.0)
+@shared.option("--limit", shared.POSITIVE, "N", LIMIT)
+@shared.option("--runs", click.IntRange(1, 100), "N", "With CONFIG: make so many runs in lockstep.")
+@shared.option("--inertia-scale", shared.POSITIVE, "X", "With --runs: masses that the law believes in.")
+@shared.option("--logs", FOLDER, "FOLDER", "With --runs: keep logs and feed-forwards there; it has to exist.")
+@shared.reporting
 def command(
     sources: tuple[Path, ...],
     out: Path | None,
@@ -70,23 +40,28 @@ def command(
 
     Each call takes the log of the last run and the one before, and writes the feed-forward that the next
     configuration names in section `feedforward`; the first call takes the log of a run without any. A run
-    whose error does not fall as predicted is refused. Nothing moves, except with --runs.
+    whose error does not fall as predicted is refused. --gain-error and --delay-error count without --axes.
+    Nothing moves, except with --runs.
 
     \b
     Examples:
-      hil learn runs/first.mcap -o next.csv
-      hil learn runs/first.mcap runs/second.mcap -o next.csv
-      hil learn runs/first.mcap -o next.csv --axes axes.yaml --limit 800
+      hil learn runs/first.mcap runs/second.mcap -o next.csv --axes axes.yaml --limit 800
       hil learn virtual --runs 10 --inertia-scale 0.9 -o learned.csv
 
     Guide: docs/guides/learning.md.
     """
     from hil.app.configuration.feedforward_file import BEGINNING
-    from hil.app.files import beginning, new_file
-    from hil.lab.learn.command import Knowledge
+    from hil.app.configuration.text_file import shipped
+    from hil.app.files import beginning, new_file, write_whole
+    from hil.app.output import further
+    from hil.lab.learn import report
+    from hil.lab.learn.command import Knowledge, learn, limit_of
+    from hil.lab.learn.rehearsal import rehearse, with_scale
 
-    if runs is None and _is_configuration(sources[0]):
-        raise click.UsageError(f"{sources[0]} is a configuration: name logs, or make runs with --runs")
+    first = sources[0]
+    is_log = first.suffix not in {".yaml", ".yml"} and (first.exists() or str(first) not in shipped())
+    if runs is None and not is_log:
+        raise click.UsageError(f"{first} is a configuration: name logs, or make runs with --runs")
     if out is None and runs is None:
         raise click.UsageError("name the file to write: -o FILE")
     if runs is None and (inertia_scale is not None or logs is not None):
@@ -96,62 +71,27 @@ def command(
     if out is not None:
         new_file(out, option="-o", own=beginning("a file of hil learn", BEGINNING))
     known = Knowledge(axes, gain_error, 1e-3 * delay_error, limit)
+    unwritten: dict[str, Any] = {}
+
+    def written(text: str | None) -> Path | None:
+        """Write the feed-forward, if there is one and a file for it; return that file."""
+        if text and out is not None:
+            with further(unwritten):
+                write_whole(out, text)
+        return None if unwritten else out
+
     if runs is None:
-        _from_logs(sources, known, out)
-    else:
-        _rehearse(sources[0], (runs, inertia_scale, logs), known, out)
-
-
-def _is_configuration(source: Path) -> bool:
-    from hil.app.configuration.text_file import shipped
-
-    return source.suffix in {".yaml", ".yml"} or (not source.exists() and str(source) in shipped())
-
-
-def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None) -> None:
-    from hil.app.files import write_whole
-    from hil.app.output import further
-    from hil.lab.learn import report
-    from hil.lab.learn.command import learn, limit_of
-
-    outcome = learn(logs, known)
-    unwritten: dict[str, Any] = {}
-    if outcome.text and out is not None:
-        with further(unwritten):
-            write_whole(out, outcome.text)
-    written = None if unwritten else out
-    lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), written)
-    finish_lines(lines, report.summary(outcome, written) | unwritten)
-
-
-def _rehearse(
-    configuration: Path,
-    how: tuple[int, float | None, Path | None],
-    known: Knowledge,
-    out: Path | None,
-) -> None:
-    import tempfile
-
-    from hil.app.files import write_whole
-    from hil.app.output import console, further
-    from hil.cli.shared import load
-    from hil.lab.learn import report
-    from hil.lab.learn.rehearsal import rehearse, with_scale
-
-    runs, scale, logs = how
-    c = load(str(configuration), "sim")
-    believed = None
-    if scale is not None:
-        c = with_scale(c, scale)
+        outcome = learn(sources, known)
+        file = written(outcome.text)
+        lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), file)
+        shared.finish_lines(lines, report.summary(outcome, file) | unwritten)
+    c, believed = shared.load(str(first), "sim"), None
+    if inertia_scale is not None:
+        c = with_scale(c, inertia_scale)
         believed = c.controller.believed
-    with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, console.status("run 0") as status:
+    with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, shared.status("run 0") as progress:
         made = rehearse(
-            c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
+            c, runs, known, logs or Path(folder), lambda step: progress(f"run {step.run.number + 1}")
         )
-    unwritten: dict[str, Any] = {}
-    if made.best and out is not None:
-        with further(unwritten):
-            write_whole(out, made.best)
-    written = None if unwritten else out
-    summary = report.series_summary(made, written) | unwritten
-    finish_lines(report.series(made, written, believed), summary)
+    file = written(made.best)
+    shared.finish_lines(report.series(made, file, believed), report.series_summary(made, file) | unwritten)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 import click
 
-from hil.cli.shared import FILE, finish_lines, flag, force_option, option, reporting
+from hil.cli import shared
 
 if TYPE_CHECKING:
     from hil.app.new.answers import Question
@@ -32,20 +32,13 @@ class _Asked(click.Command):
 
 
 @click.command(cls=_Asked)
-@click.argument("file", type=FILE)
+@click.argument("file", type=shared.FILE)
 @click.argument("name", required=False)
-@option("--fmu", FILE, None, "A co-simulation FMU of yours as the plant, instead of ours.")
-@flag("--yes", "Take defaults; ask nothing. What has none has to be an option.")
-@force_option
-@reporting
-def command(
-    file: Path,
-    name: str | None,
-    fmu: Path | None,
-    yes: bool,
-    force: bool,
-    **given: str | None,
-) -> None:
+@shared.option("--fmu", shared.FILE, None, "A co-simulation FMU of yours as the plant, instead of ours.")
+@shared.flag("--yes", "Take defaults; ask nothing. What has none has to be an option.")
+@shared.force_option
+@shared.reporting
+def command(file: Path, name: str | None, fmu: Path | None, yes: bool, force: bool, **given: Any) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
 
     `hil new law NAME` and `hil new protocol NAME` write a package for a law or a drive family of your own
@@ -57,7 +50,6 @@ def command(
 
     \b
     Examples:
-      hil new my.yaml
       hil new my.yaml --fmu my_robot.fmu
       hil new my.yaml --drives cubemars --model AK80-9 --travel 0.126
       hil new law soft
@@ -83,7 +75,7 @@ def command(
     show_lines([f"{file}: written", *(f"warning: {w}" for w in report.warnings)])
     click.echo(f"next: hil sim {shlex.quote(str(file))}")  # in one line: it is to be copied
     summary = {"success": True, "kind": "new", "file": str(file), "warnings": report.warnings}
-    finish_lines((), summary)
+    shared.finish_lines((), summary)
 
 
 def _skeleton(kind: str, name: str) -> NoReturn:
@@ -93,7 +85,7 @@ def _skeleton(kind: str, name: str) -> NoReturn:
         raise click.UsageError(f"{kind} {name}: allowed: FILE alone, `law NAME` or `protocol NAME`")
     written = [str(path) for path in write_skeleton(kind, name, Path())]
     lines = [*(f"{path}: written" for path in written), f"next: pip install -e {name}; pytest {name}/tests"]
-    finish_lines(lines, {"success": True, "kind": f"new {kind}", "files": written})
+    shared.finish_lines(lines, {"success": True, "kind": f"new {kind}", "files": written})
 
 
 def _answers(

@@ -7,36 +7,20 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    configuration_argument,
-    duration_option,
-    fault_option,
-    finish,
-    flag,
-    load,
-    log_option,
-    option,
-    reporting,
-)
+from hil.cli import shared
 
 
 @click.command()
-@configuration_argument
-@duration_option
-@log_option
-@fault_option
-@flag("--bench with_bench", "Legs on trestles, for a rehearsal of `hil bringup`.")
-@option(
-    "--mistake mistakes",
-    str,
-    "WORDS",
-    'With --bench: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
-    multiple=True,
-)
+@shared.configuration_argument
+@shared.duration_option
+@shared.log_option
+@shared.fault_option
+@shared.flag("--bench with_bench", "Legs on trestles, for a rehearsal of `hil bringup`.")
+@shared.mistake_option
 @click.option("--supervisor", type=int, hidden=True)
 @click.option("--report", type=int, hidden=True)
 @click.option("--watchdog", "watchdog_s", type=float, hidden=True)
-@reporting
+@shared.reporting
 def command(
     configuration: str,
     faults: tuple[str, ...],
@@ -55,14 +39,12 @@ def command(
 
     \b
     Examples:
-      hil plant                             then, in another terminal: hil run
       hil plant --duration 60 --fault "drive_silence leg=2 at=5 for=0.5"
-      hil plant vcan50                      on a SocketCAN bus, for any controller
       hil plant --bench --mistake "ids_swapped leg=1 other=4"   then, in another terminal: hil bringup
 
     Guide: docs/guides/foreign-controllers.md.
     """
-    loaded = load(configuration, "plant")
+    loaded = shared.load(configuration, "plant")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.plant import run_plant
 
@@ -89,4 +71,4 @@ def command(
     if report is not None:
         with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
             os.write(report, json.dumps(summary).encode())
-    finish("plant", summary)
+    shared.finish("plant", summary)

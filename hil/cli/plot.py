@@ -5,23 +5,19 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, finish, force_option, option, out_option, reporting
+from hil.cli import shared
+
+COLUMN = "A panel: column, column.element, or 'one - other'; may be repeated."
 
 
 @click.command()
-@click.argument("logs", type=FILE, nargs=-1, required=True, metavar="LOG...")
-@option(
-    "-c --column columns",
-    str,
-    "NAME",
-    "A panel: column, column.element, or 'one - other'; may be repeated.",
-    multiple=True,
-)
-@option("--from start_s", NOT_NEGATIVE, "S", "Begin S seconds after the first tick.")
-@option("--to end_s", NOT_NEGATIVE, "S", "End S seconds after the first tick.")
-@out_option
-@force_option
-@reporting
+@click.argument("logs", type=shared.FILE, nargs=-1, required=True, metavar="LOG...")
+@shared.option("-c --column columns", str, "NAME", COLUMN, multiple=True)
+@shared.option("--from start_s", shared.NOT_NEGATIVE, "S", "Begin S seconds after the first tick.")
+@shared.option("--to end_s", shared.NOT_NEGATIVE, "S", "End S seconds after the first tick.")
+@shared.out_option
+@shared.force_option
+@shared.reporting
 def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) -> None:
     """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
 
@@ -30,7 +26,6 @@ def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) ->
 
     \b
     Examples:
-      hil plot runs/virtual-20260131T120000.mcap
       hil plot before.mcap after.mcap -c tau.leg_3 -c "q_d - q" --from 2 --to 3 --out change.svg
       hil plot fault.mcap -c mode -c faults -c warnings -c lyapunov_share
 
@@ -41,4 +36,4 @@ def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) ->
         raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")
     from hil.study.plot.command import plot
 
-    finish("plot", plot(logs, columns, **options))
+    shared.finish("plot", plot(logs, columns, **options))

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from hil.cli.shared import FILE, finish_lines, reporting
+from hil.cli.shared import FILE, finish_lines, reporting, status
 
 
 @click.command()
@@ -34,10 +34,9 @@ def command(file: Path) -> None:
     Exit code 1: V is refuted or undecided. Guide: docs/theory/verifier.md.
     """
     from hil.app.configuration.section_file import read_section
-    from hil.app.output import console
     from hil.proof.question import Question
 
     question, _ = read_section(file, Question)
-    with console.status("proving"):
+    with status("proving"):
         report = question.answer()
     finish_lines(str(report).splitlines(), report.figures())

@@ -1,25 +1,12 @@
 """`hil replay`: a log again, what another controller would have sent, two logs compared, a folder of logs."""
 
-import sys
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import click
 
-from hil.cli.shared import (
-    FILE,
-    OUTPUT,
-    complete_configuration,
-    counted,
-    finish,
-    flag,
-    option,
-    reporting,
-    write_cases,
-)
+from hil.cli import shared
 
 _FORM_OF = {
     **dict.fromkeys(("words", "picture", "out"), "--what-if"),
@@ -27,52 +14,32 @@ _FORM_OF = {
     **dict.fromkeys(("jobs", "junit"), "--suite"),
 }
 """Options that belong to one form."""
+SALVAGE = "Recover a log cut by power loss into the new file OUT first, and replay that."
+WHAT_IF = "What the controller of CONFIG would have sent on the recorded measurements."
+SET = "The same with a key changed, as controller.wn_rad_s=25, of the log's configuration or of CONFIG."
+TOLERANCE = "With --against: allowed in the column's unit, inf: any; or one number, relative, for the others."
+ALIGN = "With --against: rows of one number (default), or counted from the first motion."
+TRUST = "Run a law in a file as the log carries it, if the disk has another one."
+CONFIGURATIONS = shared.complete_configuration
 
 
 @click.command()
-@click.argument("log", type=FILE, required=False)
-@option(
-    "--salvage",
-    OUTPUT,
-    "OUT",
-    "Recover a log cut by power loss into the new file OUT first, and replay that.",
+@click.argument("log", type=shared.FILE, required=False)
+@shared.option("--salvage", shared.OUTPUT, "OUT", SALVAGE)
+@shared.option("--what-if", str, "CONFIG", WHAT_IF, shell_complete=CONFIGURATIONS)
+@shared.option("--set words", str, "KEY=VALUE", SET, multiple=True)
+@shared.option("--plot picture", shared.OUTPUT, "FILE", "With a what-if: PNG or SVG of the forces.")
+@shared.option("--log out", shared.OUTPUT, "OUT", "With a what-if: write it as a log, too.")
+@shared.option("--against", shared.FILE, "OTHER", "Compare LOG with the log OTHER, column by column.")
+@shared.option("--tolerance tolerances", str, "COLUMN=VALUE", TOLERANCE, multiple=True)
+@shared.option("--align", click.Choice(["tick", "motion"]), None, ALIGN)
+@shared.option(
+    "--suite", click.Path(path_type=Path), "DIR", "Replay every *.mcap in the folder DIR and below."
 )
-@option(
-    "--what-if",
-    str,
-    "CONFIG",
-    "What the controller of CONFIG would have sent on the recorded measurements.",
-    shell_complete=complete_configuration,
-)
-@option(
-    "--set words",
-    str,
-    "KEY=VALUE",
-    "The same with a key changed, as controller.wn_rad_s=25: of the log's own configuration, or of "
-    "CONFIG; may be repeated.",
-    multiple=True,
-)
-@option("--plot picture", OUTPUT, "FILE", "With a what-if: PNG or SVG of the forces.")
-@option("--log out", OUTPUT, "OUT", "With a what-if: write it as a log, too.")
-@option("--against", FILE, "OTHER", "Compare LOG with the log OTHER, column by column.")
-@option(
-    "--tolerance tolerances",
-    str,
-    "COLUMN=VALUE",
-    "With --against: allowed in the column's unit, inf: not judged; or one number, relative, for the others.",
-    multiple=True,
-)
-@option(
-    "--align",
-    click.Choice(["tick", "motion"]),
-    None,
-    "With --against: rows of one number (default), or counted from the first motion.",
-)
-@option("--suite", click.Path(path_type=Path), "DIR", "Replay every *.mcap in the folder DIR and below.")
-@option("--jobs", click.IntRange(min=1), "N", "With --suite: processes at once; default: one a processor.")
-@option("--junit", OUTPUT, "FILE", "With --suite: a case a log as JUnit XML; an earlier one goes.")
-@flag("--trust-code", "Run a law in a file as the log carries it, if the disk has another one.")
-@reporting
+@shared.jobs_option
+@shared.junit_option
+@shared.flag("--trust-code", TRUST)
+@shared.reporting
 def command(log: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
@@ -83,7 +50,6 @@ def command(log: Path | None, **given: Any) -> None:
 
     \b
     Examples:
-      hil replay cut.mcap --salvage whole.mcap
       hil replay run.mcap --set controller.wn_rad_s=25 --plot forces.png
       hil replay run.mcap --against golden.mcap --tolerance 1e-9 --tolerance tau=0.5
       hil replay --suite runs --jobs 4 --junit replay.xml
@@ -93,16 +59,13 @@ def command(log: Path | None, **given: Any) -> None:
     form = _chosen_form(log, given)
     if form == "--suite":
         _suite(given["suite"], given)
-        return
     assert log is not None  # else it was refused
     if form == "--against":
         _against(log, given)
-        return
     log = _whole(log, given["salvage"])
     if form == "--what-if":
         _what_if(log, given)
-    else:
-        _replay(log, trust_code=given["trust_code"])
+    _replay(log, trust_code=given["trust_code"])
 
 
 def _chosen_form(log: Path | None, given: dict[str, Any]) -> str:
@@ -149,60 +112,49 @@ def _whole(log: Path, salvage: Path | None) -> Path:
     return salvage
 
 
-def _replay(log: Path, *, trust_code: bool) -> None:
+def _replay(log: Path, *, trust_code: bool) -> NoReturn:
     from hil.app.replay import replay_log
     from hil.app.terminal import one_line
 
-    with _counted_ticks() as progress:
-        comparison, summary = replay_log(log, progress, trust_code=trust_code)
+    with shared.status("") as progress:
+        comparison, summary = replay_log(log, lambda n: progress(f"{n} ticks"), trust_code=trust_code)
     for difference in comparison.first:
         click.echo(one_line(f"hil: {difference}"), err=True)
     result = {"success": summary["agrees"], "kind": "replay", "log": str(log), **summary}
     if comparison.story is not None:
         result["story"] = comparison.story.fields()
-    short = {key: result[key] for key in ("success", "log", "wall_s", "times_real_time")}
-    if "remark" in summary:
-        short["remark"] = summary["remark"]
+    short = {key: result.get(key) for key in ("success", "log", "wall_s", "times_real_time", "remark")}
     if not comparison.exact:
         short["largest_relative_difference"] = comparison.largest
-    finish("replay", result, {**short, "replay": summary})
+    shared.finish("replay", result, {**short, "replay": summary})
 
 
-@contextmanager
-def _counted_ticks() -> Iterator[Callable[[int], None] | None]:
-    """Yield what counts ticks on a terminal, over itself; None elsewhere."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    yield lambda ticks: click.echo(f"\r{ticks} ticks", err=True, nl=False)
-    click.echo("\r\x1b[K", err=True, nl=False)
-
-
-def _what_if(log: Path, given: dict[str, Any]) -> None:
+def _what_if(log: Path, given: dict[str, Any]) -> NoReturn:
     """Answer what another controller would have sent."""
     from hil.app.output import show_lines
     from hil.study.what_if import show
     from hil.study.what_if.command import what_if_log
 
     options = {name: given[name] for name in ("picture", "out", "trust_code")}
-    with _counted_ticks() as progress:
-        result = what_if_log(log, given["what_if"], given["words"], progress=progress, **options)
+    with shared.status("") as row:
+        options["progress"] = lambda ticks: row(f"{ticks} ticks")
+        result = what_if_log(log, given["what_if"], given["words"], **options)
     show.tables(result)
     show_lines(show.story(result))
-    finish("what-if", result, show.shown(result))
+    shared.finish("what-if", result, show.shown(result))
 
 
-def _against(log: Path, given: dict[str, Any]) -> None:
+def _against(log: Path, given: dict[str, Any]) -> NoReturn:
     """Say where two logs part."""
     from hil.study.against.command import against
     from hil.study.against.show import show, shown
 
     result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
     show(result)
-    finish("compared", result, shown(result))
+    shared.finish("compared", result, shown(result))
 
 
-def _suite(folder: Path, given: dict[str, Any]) -> None:
+def _suite(folder: Path, given: dict[str, Any]) -> NoReturn:
     """Replay every log of a folder."""
     from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
@@ -210,7 +162,7 @@ def _suite(folder: Path, given: dict[str, Any]) -> None:
     cases: list[Case] = []
     begun = time.perf_counter()
     try:
-        with counted("replaying") as progress:
+        with shared.counted("replaying") as progress:
             for case in run_suite(paths, given["jobs"], progress):
                 cases.append(case)  # noqa: PERF402 - one by one: an interrupt shows those that are done
     except KeyboardInterrupt:
@@ -219,6 +171,6 @@ def _suite(folder: Path, given: dict[str, Any]) -> None:
     wall_s = time.perf_counter() - begun
     show(folder, cases)
     result = summary(folder, cases, wall_s)
-    write_cases(result, given["junit"], f"hil replay {folder}", verdicts(folder, cases))
+    shared.write_cases(result, given["junit"], f"hil replay {folder}", verdicts(folder, cases))
     shown = {key: value for key, value in result.items() if key != "cases"}
-    finish("replay of a folder", result, shown)
+    shared.finish("replay of a folder", result, shown)

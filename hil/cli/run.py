@@ -4,36 +4,21 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    configuration_argument,
-    duration_option,
-    fault_option,
-    finish,
-    flag,
-    load,
-    log_option,
-    reporting,
-)
+from hil.cli import shared
 
 
 @click.command()
-@configuration_argument
-@flag("--plant with_plant", "Start and supervise `hil plant` at the other end of the bus.")
-@flag("--arm", "Let the platform move as soon as all drives are ready, without asking for Enter.")
-@flag(
-    "--wait-for-arm",
-    "Let the platform move on `hil ctl CONFIG arm` from another terminal; none is needed here.",
-)
-@flag("--reset", "Clear faults that the drives have latched before engaging.")
-@flag(
-    "--release",
-    "Tell a running `hil run CONFIG` to let go of a platform that it holds because a brake failed.",
-)
-@flag("--watch with_watch", "Start `hil watch` beside it, which prints the link of a page.")
-@duration_option
-@log_option
-@fault_option
-@reporting
+@shared.configuration_argument
+@shared.flag("--plant with_plant", "Start and supervise `hil plant` at the other end of the bus.")
+@shared.flag("--arm", "Let the platform move as soon as all drives are ready, without asking for Enter.")
+@shared.flag("--wait-for-arm", "Let the platform move on `hil ctl CONFIG arm`; no terminal is needed here.")
+@shared.flag("--reset", "Clear faults that the drives have latched before engaging.")
+@shared.flag("--release", "Tell a running `hil run` to let go of a platform whose brake failed.")
+@shared.flag("--watch with_watch", "Start `hil watch` beside it, which prints the link of a page.")
+@shared.duration_option
+@shared.log_option
+@shared.fault_option
+@shared.reporting
 def command(configuration: str, release: bool, **options: Any) -> None:
     """Run the daemon in real time.
 
@@ -48,18 +33,16 @@ def command(configuration: str, release: bool, **options: Any) -> None:
       hil run --plant --arm --watch         all virtual, with a live page; needs nothing but this machine
       hil run --plant --arm --duration 5 --fault "encoder_jump leg=0 at=2 by=5e-3"
       hil run socketcan --reset             real drives on can0; clears faults that the drives have latched
-      hil run my.yaml --release             let go of a held platform, from another terminal
 
     Guide: docs/guides/first-run.md; at a machine docs/guides/operate.md.
     """
     if release:
-        from hil.app.configuration.configuration import load as read
         from hil.app.run.command import release_held
 
-        finish("release", release_held(read(configuration)))
+        shared.finish("release", release_held(shared.load(configuration)))
     if options["arm"] and options["wait_for_arm"]:
         raise click.UsageError("--arm lets the platform move by itself: leave out --wait-for-arm, or --arm.")
-    loaded = load(configuration, "run")
+    loaded = shared.load(configuration, "run")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.run.command import run_daemon
 
@@ -67,4 +50,4 @@ def command(configuration: str, release: bool, **options: Any) -> None:
         raise click.UsageError("--fault acts on the plant: add --plant, or give it to `hil plant`.")
     if options["with_plant"]:
         with_faults(loaded, options["faults"]).require("plant")
-    finish("run", run_daemon(loaded, **options))
+    shared.finish("run", run_daemon(loaded, **options))

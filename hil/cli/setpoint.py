@@ -4,14 +4,16 @@ import sys
 
 import click
 
-from hil.cli.shared import configuration_argument, finish_briefly, option, reporting
+from hil.cli import shared
 
 
 @click.command()
-@configuration_argument
-@option("--position", float, "X Y Z", "Where to go, m.", nargs=3)
-@option("--rotation", float, "RX RY RZ", "Rotation vector, deg; with --position.  [default: 0 0 0]", nargs=3)
-@reporting
+@shared.configuration_argument
+@shared.option("--position", (float,) * 3, "X Y Z", "Where to go, m.")
+@shared.option(
+    "--rotation", (float,) * 3, "RX RY RZ", "Rotation vector, deg; with --position; default 0 0 0."
+)
+@shared.reporting
 def command(
     configuration: str,
     position: tuple[float, float, float] | None,
@@ -39,7 +41,5 @@ def command(
     lines = [" ".join(map(repr, pose))] if pose else sys.stdin
     controller = address(configuration)
     if not controller.live:
-        from hil.app.configuration.configuration import load
-
-        load(configuration).require_live()
-    finish_briefly("setpoint", send_setpoints(controller.bus, lines))
+        shared.load(configuration).require_live()
+    shared.finish("setpoint", send_setpoints(controller.bus, lines))

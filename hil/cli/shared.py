@@ -6,8 +6,10 @@ import itertools
 import math
 import shlex
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from datetime import timedelta
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
@@ -28,10 +30,8 @@ class FiniteRange(click.FloatRange):
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         """Return the number; refuse what is none, not finite or out of range."""
         number: float = super().convert(value, param, ctx)
-        if not math.isfinite(number):
-            self.fail(f"{value!r} is not a finite number.", param, ctx)
-        if not in_reason(number):
-            self.fail(f"{value!r} is not meant, allowed in size: {ALLOWED}.", param, ctx)
+        if not (math.isfinite(number) and in_reason(number)):
+            self.fail(f"{value!r}, allowed in size: {ALLOWED}.", param, ctx)
         return number
 
 
@@ -76,6 +76,13 @@ fault_option = option(
     'What goes wrong at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
     multiple=True,
 )
+mistake_option = option(
+    "--mistake mistakes",
+    str,
+    "WORDS",
+    'On a bench: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
+    multiple=True,
+)
 picture_option = option("--picture", OUTPUT, "FILE", "PNG file to draw; an earlier picture is replaced.")
 out_option = option("--out", OUTPUT, "FILE", "File to write; an existing one is refused.")
 jobs_option = option("--jobs", click.IntRange(min=1), "N", "Processes at once; default: one a processor.")
@@ -90,18 +97,18 @@ FULL = frozenset({"scipy", "sympy", "flint"})
 """Modules of the extra `full`."""
 _RAN = 1
 """Exit code of what had begun."""
+SAY_S = 20.0
+"""Where there is no terminal, a line of progress comes that often."""
 _REPORTED = frozenset({"run", "sim"})
 """Kinds of summary whose log `hil report` shows."""
 
 
-def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = None) -> None:
+def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = None) -> NoReturn:
     """Write a summary's JSON twin, print it (`shown`, where that says it better), exit 0 only on success."""
-    from hil.app.output import last_ticks_table, show
+    from hil.app.output import show
     from hil.app.terminal import visible
 
     unwritten = write_twin(summary)
-    if "last_ticks" in summary:
-        click.echo(last_ticks_table(summary["last_ticks"]), err=True)
     if summary.get("trouble"):
         click.echo(visible(f"hil: {summary['trouble']}"), err=True)
     if summary.get("story"):
@@ -110,23 +117,6 @@ def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = N
     show(title, summary if shown is None else shown)
     if summary.get("kind") in _REPORTED and summary.get("log") and summary.get("ticks"):
         click.echo(f"look at it: hil report {shlex.quote(summary['log'])}")
-    _end(summary, unwritten)
-
-
-def finish_briefly(title: str, summary: dict[str, Any]) -> None:
-    """As `finish`, for a few plain figures, without the imports that lay out tables: an operator waits."""
-    from hil.app.terminal import visible
-
-    unwritten = write_twin(summary)
-    if summary.get("trouble"):
-        click.echo(visible(f"hil: {summary['trouble']}"), err=True)
-    good = bool(summary["success"])
-    outcome = "success" if good else "failed"
-    click.echo(click.style(f"{title}: {outcome}", fg="green" if good else "red", bold=True))
-    for key, value in summary.items():
-        if key not in {"success", "kind", "trouble"}:
-            shown = "; ".join(value) or "none" if isinstance(value, list) else value
-            click.echo(visible(f"{key:<{max(map(len, summary)) + 2}}{shown}"))
     _end(summary, unwritten)
 
 
@@ -183,6 +173,17 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
     return cast("Callable[..., None]", reporting)
 
 
+def write(summary: dict[str, Any], out: Path | None, text: str) -> None:
+    """Write a further output, where a file is named; the summary tells if that fails."""
+    from hil.app.files import write_whole
+    from hil.app.output import further
+
+    if out is not None:
+        with further(summary):
+            write_whole(out, text)
+            click.echo(f"written: {out}")
+
+
 def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: Iterable[Verdict]) -> None:
     """Write the verdicts of a batch as JUnit XML, where a file is named; the summary tells if that fails."""
     if junit is not None:
@@ -208,16 +209,42 @@ class OrOther(click.Command):
 
 
 @contextmanager
+def status(text: str) -> Iterator[Callable[[str], None]]:
+    """Show what is being done in a row of the terminal, if there is one; yield what takes the next text."""
+    from drivers.terminal_row import rewriting
+    from hil.app.terminal import one_line
+
+    def show(text: str) -> None:
+        if sys.stderr.isatty():
+            click.echo(rewriting(one_line(text), sys.stderr), err=True, nl=False)
+
+    show(text)
+    try:
+        yield show
+    finally:
+        show("")
+
+
+@contextmanager
 def counted(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Draw how far a batch is, on a terminal alone; yield what takes the count of jobs done and of all."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+    """Show how far a batch is: in a row of the terminal, elsewhere in a line every SAY_S.
 
-    from hil.app.output import console
+    Yields what takes the count of jobs done and of all.
+    """
+    begun = said = time.monotonic()
 
-    columns = (TextColumn(text), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=None)
-        yield lambda done, of: bar.update(task, completed=done, total=of)
+    def count(done: int, of: int) -> None:
+        nonlocal said
+        now = time.monotonic()
+        left = timedelta(seconds=round((now - begun) * (of - done) / max(done, 1)))
+        line = f"{text}: {done} of {of}, {left} left"
+        show(line)
+        if not sys.stderr.isatty() and now - said >= SAY_S:
+            said = now
+            click.echo(line, err=True)
+
+    with status(text) as show:
+        yield count
 
 
 def _show_compilation() -> None:

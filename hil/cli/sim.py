@@ -6,39 +6,23 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    FILE,
-    configuration_argument,
-    duration_option,
-    fault_option,
-    finish,
-    flag,
-    load,
-    log_option,
-    option,
-    reporting,
-)
+from hil.cli import shared
+
+SETPOINTS = "CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg."
+COMMANDS = "What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`."
 
 
 @click.command()
-@configuration_argument
-@duration_option
-@log_option
-@fault_option
-@option(
-    "--setpoints", FILE, "FILE", "CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg."
+@shared.configuration_argument
+@shared.duration_option
+@shared.log_option
+@shared.fault_option
+@shared.option("--setpoints", shared.FILE, "FILE", SETPOINTS)
+@shared.option("--commands", shared.FILE, "FILE", COMMANDS)
+@shared.flag(
+    "--plant-log", "Record the plant's truth, too, as NAME-plant.mcap beside the log; takes no name."
 )
-@option(
-    "--commands",
-    FILE,
-    "FILE",
-    "What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`.",
-)
-@flag(
-    "--plant-log",
-    "Record the plant's truth, too, as NAME-plant.mcap beside NAME.mcap of --log; takes no name.",
-)
-@reporting
+@shared.reporting
 def command(configuration: str, faults: tuple[str, ...], commands: Path | None, **options: Any) -> None:
     """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
 
@@ -49,14 +33,12 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
 
     \b
     Examples:
-      hil sim ideal                         theory: exact lengths and rates, no bus time
-      hil sim lab --duration 3 --log lab.mcap --json lab.json
       hil sim my.yaml --setpoints poses.csv --commands operator.txt --duration 10
       hil sim virtual --duration 2 --fault "brake_stuck_open leg=3 mode=PARKING"
 
     Guide: docs/guides/first-run.md.
     """
-    loaded = load(configuration, "sim")
+    loaded = shared.load(configuration, "sim")
     from hil.app.check.fmu import falls
     from hil.app.configuration.fault_words import with_faults
     from hil.app.output import warn
@@ -67,5 +49,4 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
     if danger := falls(loaded):
         warn(f"hil: {danger}")
     said = () if commands is None else read_commands(commands)
-    summary = simulate(loaded, live=sys.stderr.isatty(), commands=said, **options)
-    finish("sim", summary)
+    shared.finish("sim", simulate(loaded, live=sys.stderr.isatty(), commands=said, **options))

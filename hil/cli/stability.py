@@ -5,15 +5,7 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    NOT_NEGATIVE,
-    FiniteRange,
-    configuration_argument,
-    finish_lines,
-    load,
-    option,
-    reporting,
-)
+from hil.cli import shared
 from hil.config.number import in_reason
 
 Point = tuple[float, float, float]
@@ -34,37 +26,20 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
     return kg, (x, y, z)
 
 
+FORCE = "Unknown force on the platform, of any direction, changing as it likes."
+TORQUE = "Unknown torque about the platform's origin, likewise."
+SHARE = shared.FiniteRange(min=0, max=1, max_open=True)
+MODEL = "Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %."
+PAYLOAD = "A mass that the law does not know of, and its place in m: 230kg@0.5,0.3,0.5."
+
+
 @click.command()
-@configuration_argument
-@option(
-    "--disturbance-force force_N",
-    NOT_NEGATIVE,
-    "N",
-    "Unknown force on the platform, of any direction, changing as it likes.",
-    default=0.0,
-)
-@option(
-    "--disturbance-torque torque_N_m",
-    NOT_NEGATIVE,
-    "N_M",
-    "Unknown torque about the platform's origin, likewise.",
-    default=0.0,
-)
-@option(
-    "--model-error",
-    FiniteRange(min=0, max=1, max_open=True),
-    "SHARE",
-    "Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %.",
-    default=0.0,
-)
-@option(
-    "--payload",
-    str,
-    "KG@X,Y,Z",
-    "A mass on the platform that the law does not know of, and its place in m: 230kg@0.5,0.3,0.5.",
-    callback=mass_at,
-)
-@reporting
+@shared.configuration_argument
+@shared.option("--disturbance-force force_N", shared.NOT_NEGATIVE, "N", FORCE, default=0.0)
+@shared.option("--disturbance-torque torque_N_m", shared.NOT_NEGATIVE, "N_M", TORQUE, default=0.0)
+@shared.option("--model-error", SHARE, "SHARE", MODEL, default=0.0)
+@shared.option("--payload", str, "KG@X,Y,Z", PAYLOAD, callback=mass_at)
+@shared.reporting
 def command(configuration: str, payload: tuple[float, Point] | None, **options: Any) -> None:
     """Print what is proven of the law of CONFIGURATION, by which function, and under which conditions.
 
@@ -74,20 +49,16 @@ def command(configuration: str, payload: tuple[float, Point] | None, **options: 
 
     \b
     Examples:
-      hil stability                                      the default configuration
-      hil stability virtual --disturbance-force 10000    and 10 kN that nobody measures
       hil stability virtual --payload 230kg@0.5,0.3,0.5  and a load that the law does not know
       hil stability my.yaml --disturbance-force 2000 --model-error 0.1 --json proof.json
 
     Guide: docs/theory/stability.md.
     """
-    from hil.app.output import console
-
-    loaded = load(configuration)
+    loaded = shared.load(configuration)
     from hil.app.stability.command import assess, shown
     from hil.app.stability.subject import NO_PAYLOAD, Payload
 
-    with console.status("looking for a proof"):
+    with shared.status("looking for a proof"):
         mass = NO_PAYLOAD if payload is None else Payload(*payload)
         summary = assess(loaded, payload=mass, **options)
-    finish_lines(shown(summary), summary)
+    shared.finish_lines(shown(summary), summary)

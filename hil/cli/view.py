@@ -5,23 +5,18 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, finish, flag, force_option, option, out_option, reporting
+from hil.cli import shared
+
+VIEWER = click.Choice(["rerun", "foxglove", "plotjuggler"])
 
 
 @click.command()
-@click.argument("log", type=FILE)
-@option(
-    "--with viewer",
-    click.Choice(["rerun", "foxglove", "plotjuggler"]),
-    None,
-    "Which viewer.",
-    default="rerun",
-    show_default=True,
-)
-@flag("--no-start", "Write the file, start nothing.")
-@out_option
-@force_option
-@reporting
+@click.argument("log", type=shared.FILE)
+@shared.option("--with viewer", VIEWER, None, "Which viewer; default: rerun.", default="rerun")
+@shared.flag("--no-start", "Write the file, start nothing.")
+@shared.out_option
+@shared.force_option
+@shared.reporting
 def command(log: Path, viewer: str, no_start: bool, **options: Any) -> None:
     """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
 
@@ -30,7 +25,6 @@ def command(log: Path, viewer: str, no_start: bool, **options: Any) -> None:
 
     \b
     Examples:
-      hil view runs/today.mcap
       hil view runs/today.mcap --with plotjuggler
       hil view runs/today.mcap --with foxglove --no-start --out layout.json
 
@@ -38,4 +32,4 @@ def command(log: Path, viewer: str, no_start: bool, **options: Any) -> None:
     """
     from hil.study.view.command import view
 
-    finish("view", view(log, viewer, start=not no_start, **options))
+    shared.finish("view", view(log, viewer, start=not no_start, **options))

@@ -4,15 +4,15 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import configuration_argument, finish, option, reporting
+from hil.cli import shared
 
 
 @click.command()
-@configuration_argument
-@option("--host", str, "ADDRESS", "Address or name to listen on.", default="127.0.0.1")
-@option("--port", click.IntRange(0, 65535), "N", "Port; without it 8642, or a free one.")
+@shared.configuration_argument
+@shared.option("--host", str, "ADDRESS", "Address or name to listen on.", default="127.0.0.1")
+@shared.option("--port", click.IntRange(0, 65535), "N", "Port; without it 8642, or a free one.")
 @click.option("--supervisor", "alive", type=int, hidden=True)
-@reporting
+@shared.reporting
 def command(configuration: str, **options: Any) -> None:
     """Serve a live page about the run on the bus of CONFIG: pose, legs, forces, errors, timing, faults.
 
@@ -22,18 +22,12 @@ def command(configuration: str, **options: Any) -> None:
 
     \b
     Examples:
-      hil watch                             the page of the configuration `virtual`
       hil watch my.yaml --port 9000
       hil watch my.yaml --host 0.0.0.0      for other machines and phones, with a token
 
     Guide: docs/guides/watch.md.
     """
-    from hil.app.configuration.configuration import load
+    loaded = shared.load(configuration)
     from hil.app.watch.command import watch
 
-    summary = watch(
-        load(configuration),
-        announce=lambda link: click.echo(f"hil: watch at {link}", err=True),
-        **options,
-    )
-    finish("watch", summary)
+    shared.finish("watch", watch(loaded, **options))

@@ -4,51 +4,23 @@ from typing import Any
 
 import click
 
-from hil.cli.shared import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    configuration_argument,
-    finish,
-    load,
-    option,
-    picture_option,
-    reporting,
-)
+from hil.cli import shared
+
+XYZ = (float, float, float)
+PAYLOAD_AT = "Its centre of mass, m in the platform frame; default: the origin."
 
 
 @click.command()
-@configuration_argument
-@option(
-    "--resolution",
-    click.IntRange(8, 160),
-    "N",
-    "Steps of the grid along the longest side of the workspace.",
-    default=60,
-    show_default=True,
+@shared.configuration_argument
+@shared.option("--resolution", click.IntRange(8, 160), "N", "Steps along the longest side.", default=60)
+@shared.option("--position", XYZ, "X Y Z", "Where to map orientations, m in the base frame; default: home.")
+@shared.option(
+    "--payload payload_kg", shared.NOT_NEGATIVE, "KG", "Further mass on the platform.", default=0.0
 )
-@option(
-    "--position",
-    (float, float, float),
-    "X Y Z",
-    "Where to map orientations, m in the base frame; default: home.",
-)
-@option(
-    "--payload payload_kg",
-    NOT_NEGATIVE,
-    "KG",
-    "Further mass on the platform, for the static leg forces.",
-    default=0.0,
-)
-@option(
-    "--payload-at",
-    (float, float, float),
-    "X Y Z",
-    "Its centre of mass, m in the platform frame; default: the origin.",
-    default=(0.0, 0.0, 0.0),
-)
-@option("--leg-diameter leg_diameter_m", POSITIVE, "M", "Look at collisions of legs this thick, too.")
-@picture_option
-@reporting
+@shared.option("--payload-at", XYZ, "X Y Z", PAYLOAD_AT, default=(0.0, 0.0, 0.0))
+@shared.option("--leg-diameter leg_diameter_m", shared.POSITIVE, "M", "Look at collisions of legs so thick.")
+@shared.picture_option
+@shared.reporting
 def command(configuration: str, **options: Any) -> None:
     """Map the poses that the platform can reach from home within stroke, joint angle and force limits.
 
@@ -58,18 +30,14 @@ def command(configuration: str, **options: Any) -> None:
 
     \b
     Examples:
-      hil workspace                         the default configuration
-      hil workspace lab --picture lab.png --json lab.json
-      hil workspace lab --payload 200 --position 0 0 0.9
+      hil workspace lab --payload 200 --position 0 0 0.9 --picture lab.png
       hil workspace my.yaml --resolution 120 --leg-diameter 0.08
 
     Guide: docs/guides/workspace.md.
     """
-    from hil.app.output import console
-
-    loaded = load(configuration)
+    loaded = shared.load(configuration)
     from hil.study.workspace.command import map_workspace, shown
 
-    with console.status("mapping") as status:
-        summary = map_workspace(loaded, progress=lambda what: status.update(f"mapping: {what}"), **options)
-    finish("workspace", summary, shown(summary))
+    with shared.status("mapping") as progress:
+        summary = map_workspace(loaded, progress=lambda what: progress(f"mapping: {what}"), **options)
+    shared.finish("workspace", summary, shown(summary))

@@ -1,10 +1,16 @@
 """What a run reports of its cycle: legs that move, drives that are not ready, or that hear nothing."""
 
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
 from drivers.protocol import DriveSetup
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState
-from hil.loop.cycle import Cycle
 from hil.loop.parts import Parts
 from hil.safety.motion import REST_m_s
+
+if TYPE_CHECKING:
+    from hil.loop.cycle import Cycle
 
 
 def because(fault: int, meaning: str = "") -> str:

@@ -3,11 +3,22 @@
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
+from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hil.app.output import number, print_table
+from hil.app.output import number
 from hil.app.terminal import visible
+
+TABLE_WIDTH = 180
+"""Columns that a table takes at most where it goes to a file or a pipe."""
+
+
+class Terminal(Console):
+    """A console on which no text is markup."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__(markup=False, emoji=False, highlight=False, **options)
 
 
 class Column(NamedTuple):
@@ -38,7 +49,18 @@ def print_rows(
             *(cell if isinstance(cell, Text) else Text(visible(str(cell)), style(row)) for cell in cells)
         )
     if table.row_count:
-        print_table(table, width)
+        _print(table, width)
+
+
+def _print(table: Table, width: int | None) -> None:
+    """Print a table as wide as it is, or folded to the terminal's width; no word of it is cut."""
+    out = Terminal(width=width)
+    for column in table.columns:
+        column.overflow = "fold"
+    needed = out.measure(table, options=out.options.update(width=10_000))
+    most = out.width if width is not None or out.is_terminal else TABLE_WIDTH
+    wide = max(needed.minimum, min(needed.maximum, most))
+    Terminal(width=wide).print(table, crop=False)
 
 
 def figure(value: Any, form: str = "") -> str:

@@ -238,7 +238,7 @@ def test_a_watchdog_that_is_given_is_set_in_the_drives_and_else_the_configured_o
 
 def test_forces_that_were_learned_for_the_reference_do_not_act_on_another_one(monkeypatch):
     monkeypatch.setattr(compose, "learned_forces", lambda *_: "learned")
-    monkeypatch.setattr(compose, "Cycle", lambda parts: parts)
+    monkeypatch.setattr("hil.loop.cycle.Cycle", lambda parts: parts)
     other = HoldTrajectory(np.zeros(3), np.eye(3))
     given: Any = build_cycle(VIRTUAL, 1000.0, 0.01, trajectory=other)
     own: Any = build_cycle(VIRTUAL, 1000.0, 0.01)

@@ -208,14 +208,6 @@ def test_a_killed_plant_faults_the_daemon_within_five_periods(
     assert modes.count(DriveMode.READY) <= round(1.1e9 / period_ns)
 
     summary = run.summary
-    last = summary["last_ticks"]
-    until = rows["tick"][rows["tick"] <= fault["tick"]]
-    assert [tick["tick"] for tick in last] == until[-50:].tolist()
-    assert len(last) == 50
-    assert last[-1]["tick"] == fault["tick"]
-    assert last[-1]["faults"] & Fault.STALE
-    shown = [int(line[:8]) for line in run.errors.splitlines() if line[:8].strip().isdigit()]
-    assert shown == [tick["tick"] for tick in last]
     for text in (summary["trouble"], run.errors):
         assert "STALE" in text
         assert f"process {family['plant']}, was killed by SIGKILL" in text

@@ -9,9 +9,6 @@ from hil.app.check.subject import Subject, robot, static_N
 from hil.app.compose import build_nodes
 from hil.app.configuration.configuration import Configuration
 from plant_fmu.config import FmuPlant
-from plant_fmu.fmu.archive import open_archive
-from plant_fmu.fmu.check import fmu_spec, read_interface, shown
-from plant_fmu.fmu.probe import probe
 
 PUSH = 0.01
 """Share of limits.force_N that each leg is pushed with."""
@@ -22,6 +19,10 @@ def plant(report: Report) -> None:
     s, c = report.s, report.s.c
     if c.plant is None or not isinstance(c.plant.model, FmuPlant):
         return
+    from plant_fmu.fmu.archive import open_archive
+    from plant_fmu.fmu.check import fmu_spec, read_interface, shown
+    from plant_fmu.fmu.probe import probe
+
     model = c.plant.model
     spec = fmu_spec(model, c.folder)
     with open_archive(Path(spec.path)) as archive:

@@ -29,10 +29,9 @@ from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.encoder_limits import encoder_limits
-from hil.app.force_steps import force_steps_N, stepped_error_m
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import Violation, Walk, span_s, violations, walk
-from hil.app.unknown_payload import UnknownPayload, unknown_payload
+from hil.app.unknown_payload import UnknownPayload, force_steps_N, stepped_error_m, unknown_payload
 from hil.config.reference import LiveReference
 from hil.control.law import ErrorDynamics
 from hil.control.margin import cross_over, phase_margin_deg

@@ -1,8 +1,7 @@
 """`hil homing`: show where the legs of a robot are believed to stand, and say where they do."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
-from pathlib import Path
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from typing import Any
 
 from drivers.can.runtime_folder import RoleLock
@@ -18,7 +17,7 @@ def state_homing(
     *,
     emulated: bool = False,
     at_home: bool = False,
-    lengths_m: Sequence[float] = (),
+    lengths_m: Sequence[float] | None = None,
     legs_m: Mapping[int, float] | None = None,
 ) -> dict[str, Any]:
     """Write the lengths that are given to the homing file; without any show it. Return the summary.
@@ -30,7 +29,7 @@ def state_homing(
     path = homing_path(c, emulated=emulated)
     if path is None:
         raise ConfigurationError(f"{c.source}: plant.homing_file: missing, and --emulated means that file")
-    legs, by_hand, given = dict(legs_m or {}), list(range(LEGS)), list(lengths_m)
+    legs, by_hand, given = dict(legs_m or {}), list(range(LEGS)), list(lengths_m or ())
     if at_home:
         given = home_lengths(c).tolist()
     elif legs and not given:
@@ -49,7 +48,14 @@ def state_homing(
             raise ConfigurationError(
                 f"{'; '.join(wrong)}: outside the stroke, allowed: {low:g} to {high:g} m"
             )
-        with _no_run(c, path):
+        with ExitStack() as stack:
+            try:
+                for bus in c.bus.buses:
+                    lock = RoleLock(bus.interface, str(bus.channel), "controller")
+                    stack.callback(lock.close)
+            except RunError as error:
+                why = f"is not written while a run may move the legs: {error}"
+                raise ConfigurationError(f"{path}: {why}") from None
             write_homing(c, path, homing_file(c, "stated", given, None, by_hand))
     file = read_homing(c, path)
     return {
@@ -61,18 +67,3 @@ def state_homing(
         "lengths_m": ", ".join(f"{q:.6f}" for q in file.lengths_m),
         "motor_turns": "not read" if file.turns is None else ", ".join(f"{n:.4f}" for n in file.turns),
     }
-
-
-@contextmanager
-def _no_run(c: Configuration, path: Path) -> Iterator[None]:
-    """Hold the buses, so that no run begins here. Raises ConfigurationError: one is in progress."""
-    with ExitStack() as stack:
-        for bus in c.bus.buses:
-            try:
-                lock = RoleLock(bus.interface, str(bus.channel), "controller")
-            except RunError as error:
-                raise ConfigurationError(
-                    f"{path}: is not written while a run may move the legs: {error}"
-                ) from None
-            stack.callback(lock.close)
-        yield

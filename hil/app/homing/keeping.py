@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from typing import Any
 
 from drivers.errors import ConfigurationError
@@ -55,10 +56,13 @@ class Keeper:
             file = homing_file(self._c, "parked", cycle.tick["length"].tolist(), turns)
         elif cycle.homing.opened:
             return
+        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # Ctrl-C waits until it is written
         try:
             write_homing(self._c, self._path, file)
         except ConfigurationError as error:
             self.trouble = f"{error}; it still says `moved`: say where the legs are with `hil homing`"
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
     def summary(self, cycle: Cycle) -> dict[str, Any]:
         """Return what a run's summary says of it; nothing where no drive forgets."""

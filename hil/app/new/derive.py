@@ -16,11 +16,11 @@ from drivers.errors import ConfigurationError
 from drivers.mit.fields import TURN
 from drivers.signals import LEGS
 from hil.app.configuration.bus_budget import bus_budget
-from hil.app.force_steps import error_m
 from hil.app.new import drives
 from hil.app.new.robot import Answers, AtHome, platform_settings, platform_values, robot_at_home
 from hil.app.new.text import settings
 from hil.app.reachability import Walk, span_s, walk, window_swing
+from hil.app.unknown_payload import error_m
 from hil.config.monitor import MonitorSettings
 from hil.config.operator import OperatorSettings
 from hil.config.reference import SinusoidReference

@@ -3,6 +3,7 @@
 import contextlib
 import os
 import signal
+import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,22 +13,30 @@ import numpy as np
 
 from drivers.arrays import Rows
 from drivers.can.bus import Bus
-from drivers.errors import HilError, LogError, RunError
+from drivers.errors import RunError
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_names, loads, shortest_answer_ns
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.homing.keeping import Keeper
-from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import closing, console, fail, further, log_path, picture_beside, told, warn
-from hil.app.replay import not_replayed, replay_log
+from hil.app.output import (
+    after_run,
+    closing,
+    fail,
+    further,
+    leaving,
+    log_path,
+    picture_beside,
+    told,
+    warn,
+)
+from hil.app.replay import measured
 from hil.app.run.consent import EnterKey
-from hil.app.run.plant_process import SupervisedPlant
+from hil.app.run.processes import SupervisedPlant, WatchProcess
 from hil.app.run.rate_selection import select_rate
 from hil.app.run.stretching import STRANGER, begin, bench_clock, stretches
-from hil.app.watch.process import WatchProcess
 from hil.loop.clock import Deadlines, RealTime, real_time, resident_MB
 from hil.loop.cycle import Cycle
 from hil.loop.daemon import Shell, run
@@ -36,15 +45,10 @@ from hil.loop.run_end import NO_DRIVES, NO_DRIVES_S, Course, Ending
 from hil.operate.channel import OperatorChannel
 from hil.operate.client import OperatorClient
 from hil.record import LogSummary, scheduling
-from hil.record.figures import figures, picture
-from hil.record.log import Log, plant_log_beside
+from hil.record.figures import picture
+from hil.record.log import plant_log_beside
 
-FAULT_TICKS_SHOWN = 50
 _ENDINGS = {Mode.PARKED: "parked", Mode.FAULT: "fault", Mode.HELD: "held"}
-_TAIL_COLUMNS = (
-    "tick", "lateness_ns", "skipped", "mode", "faults", "warnings", "age", "drive_state", "q", "dq", "q_d",
-    "tau",
-)  # fmt: skip
 
 
 def run_daemon(
@@ -91,7 +95,7 @@ def run_daemon(
             plant_log = plant_log_beside(path)
             plant = stack.enter_context(SupervisedPlant(c, plant_log, faults, watchdog_s))
         recording = stack.enter_context(
-            record(c, cycle, path, "run", live=console.is_terminal, clock=bus.clock)
+            record(c, cycle, path, "run", live=sys.stderr.isatty(), clock=bus.clock)
         )
         channel = stack.enter_context(OperatorChannel(c.bus.interface, c.bus.channel))
         if removed:
@@ -130,14 +134,16 @@ def run_daemon(
         closed = recording.close(closing(ending, trouble) | scheduled)
         if plant is not None:
             plant_summary = plant_summary or plant.finish()
-    with leaving(lambda: _what_there_is(ending, trouble, closed)):
-        result = _summary(c, cycle, ending, trouble, granted, closed, stretching=clock is not None)
+    with leaving(lambda: f"{after_run(ending)}; its log, not replayed: {closed.path}"):
+        result, rows = _summary(c, cycle, ending, granted, closed)
+        if clock is not None and rows is not None:
+            result["bench_time"] = stretches(rows["stretched_ns"])
         result |= keeper.summary(cycle)
         fail(result, keeper.trouble)
-        if drawn is not None and result.get("tracking", {}).get("ticks"):
+        if drawn is not None and rows is not None and result.get("tracking", {}).get("ticks"):
             title = f"{c.name}: {result['tracking']['ticks']} ticks at {result['rate_Hz']:g} Hz"
             with further(result):
-                result["picture"] = str(picture(Log.open(closed.path).rows(), drawn, title))
+                result["picture"] = str(picture(rows, drawn, title))
     if interrupted:
         warn(f"hil: {STRANGER}")
     if removed:
@@ -148,12 +154,6 @@ def run_daemon(
         result["plant"] = plant_summary
         result["success"] = result["success"] and plant_summary["success"]
     return result
-
-
-def _what_there_is(ending: Ending, trouble: str, closed: LogSummary) -> str:
-    """Say of a run that is over how it ended, for an operator who does not wait for its summary."""
-    ended = f"after the run, which ended in {ending.mode.name}" + (f": {trouble}" if trouble else "")
-    return f"{ended}; its log, not replayed: {closed.path}"
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:
@@ -198,71 +198,33 @@ def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
 
 
 def _summary(
-    c: Configuration,
-    cycle: Cycle,
-    ending: Ending,
-    trouble: str,
-    granted: RealTime,
-    closed: LogSummary,
-    *,
-    stretching: bool,
-) -> dict[str, Any]:
-    rate = cycle.parts.rate_Hz
+    c: Configuration, cycle: Cycle, ending: Ending, granted: RealTime, closed: LogSummary
+) -> tuple[dict[str, Any], Rows | None]:
+    """Return what there is to say of a run, and the rows of its log, if it can be read."""
+    rate, dropped = cycle.parts.rate_Hz, closed.dropped + closed.lost
     result: dict[str, Any] = {
-        "success": ending.success and not trouble,
+        "success": ending.success and not ending.trouble,
         "kind": "run",
         "ending": _ENDINGS.get(ending.mode, "not begun") + (" on request" if ending.requested else ""),
         "configuration": c.source,
         "log": str(closed.path),
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),
-        "trouble": trouble or None,
+        "trouble": ending.trouble or None,
         "story": told(ending),
         "real_time": {"granted": granted.granted, "missing": granted.missing},
         **loads(c.bus, c.drives, c.sensors, rate),
         "resident_MB": resident_MB(),
+        "dropped_ticks": dropped,
     }
-    dropped = closed.dropped + closed.lost
     if not closed.complete:
         result["recorder"] = f"{closed.error or 'too slow'}: {dropped} ticks are not in the log"
     if closed.gave_up:
         fail(result, result["recorder"])
-    if not closed.ticks:
-        return result | {"dropped_ticks": dropped}
-    try:
-        rows = Log.open(closed.path).rows()
-    except LogError as error:
-        if closed.error:
-            result["recorder"] += f"; {error}"
-        else:  # it was closed, and nothing proves what is in it
-            fail(result, str(error))
-        return result | {"dropped_ticks": dropped}
-    result |= figures(rows)
-    if stretching:
-        result["bench_time"] = stretches(rows["stretched_ns"])
-    result["dropped_ticks"] = dropped
-    try:
-        _, result["replay"] = replay_log(closed.path)
-    except (HilError, OSError) as error:  # the platform has moved: what is known of that is told
-        fail(result, not_replayed(error))
-    else:
-        lossy = _missing(rows) == closed.dropped > 0 and not result["replay"]["different_ticks"]
-        result["success"] = result["success"] and (result["replay"]["agrees"] or lossy)
-    if ending.fault_tick >= 0:
-        result["last_ticks"] = _tail(rows, ending.fault_tick)
-    return result
-
-
-def _missing(rows: Rows) -> int:
-    """Return how many ticks the loop made and the log does not have: gaps, less skipped periods."""
-    steps = np.diff(rows["tick"], prepend=-1) - 1 - rows["skipped"]
-    return int(steps.sum())
-
-
-def _tail(rows: Rows, fault_tick: int) -> list[dict[str, Any]]:
-    """Return the ticks up to the fault, the last FAULT_TICKS_SHOWN of them."""
-    until = int(np.searchsorted(rows["tick"], fault_tick, side="right"))
-    return [
-        {name: row[name].tolist() for name in _TAIL_COLUMNS}
-        for row in rows[max(0, until - FAULT_TICKS_SHOWN) : until]
-    ]
+    rows = measured(result, closed.path, closed.error) if closed.ticks else None
+    result["dropped_ticks"] = dropped  # those of the whole run, not those that the log tells of
+    if rows is not None and "replay" in result:
+        steps = np.diff(rows["tick"], prepend=-1) - 1 - rows["skipped"]  # made by the loop, not in the log
+        lossy = int(steps.sum()) == closed.dropped > 0 and not result["replay"]["different_ticks"]
+        result["success"] &= result["replay"]["agrees"] or lossy
+    return result, rows

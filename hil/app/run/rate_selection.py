@@ -3,14 +3,7 @@
 from drivers.errors import RunError
 from hil.app.configuration.configuration import Configuration
 from hil.app.output import warn
-from hil.loop.clock import (
-    LATE_PERIODS,
-    LATE_SHARE,
-    STALL_S,
-    fifo_allowed,
-    holdable_rate,
-    late_share,
-)
+from hil.loop.clock import LATE_PERIODS, LATE_SHARE, STALL_S, fifo_allowed, holdable_rate, late_share
 
 RELAXED_WATCHDOG_S = 0.2
 """Watchdog of emulated drives where the loop has no real time. Real drives keep the configured one."""
@@ -38,15 +31,11 @@ def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False)
             f"{lack}: this machine holds {slow:g} Hz now, drives.watchdog_ms {watchdog_s * 1e3:g} needs at "
             f"least {3.0 / watchdog_s:.0f} Hz; grant SCHED_FIFO or lengthen the watchdog"
         )
-    consequences = []
-    if slow < rate:
-        consequences.append(f"the loop runs at {slow:g} Hz instead of {rate:g} Hz")
+    text = f"{lack}: the loop runs at {slow:g} Hz instead of {rate:g} Hz" if slow < rate else lack
     if with_plant:
-        consequences.append(f"emulated drives' watchdog {watchdog_s * 1e3:g} ms")
-    text = lack + (f": {', '.join(consequences)}" if consequences else "")
+        text += f", emulated drives' watchdog {watchdog_s * 1e3:g} ms"
     if worst_s * slow > patience(c):
-        stall_ms = worst_s * 1e3
-        text += f"; stalls of {stall_ms:.0f} ms now: expect a controlled stop, or take load off this machine"
+        text += f"; stalls of {1e3 * worst_s:.0f} ms now: expect a controlled stop, or free this machine"
     warn(text)
     return slow, watchdog_s
 
@@ -59,7 +48,8 @@ def _lack(c: Configuration, *, with_plant: bool) -> str:
     """
     if not fifo_allowed(c.loop.priority):
         return "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
-    if not with_plant or _patience_s(c) >= STALL_S:
+    stall_s = min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)  # one that ends no run
+    if not with_plant or stall_s >= STALL_S:
         return ""
     late = late_share(c.loop.rate_Hz, c.loop.priority)
     if late <= LATE_SHARE:
@@ -73,8 +63,3 @@ def _lack(c: Configuration, *, with_plant: bool) -> str:
 def patience(c: Configuration) -> int:
     """Return how many periods a stall may last without ending the run."""
     return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks)
-
-
-def _patience_s(c: Configuration) -> float:
-    """Return the longest stall (s) that does not end a run at the configured rate."""
-    return min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError, HilError, LogError
+from drivers.errors import ConfigurationError
 from drivers.files import open_regular
 from drivers.frame_array import NO_FRAMES
 from drivers.signals import Mode
@@ -18,11 +18,10 @@ from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
 from hil.app.configuration.unattended import without_operator
 from hil.app.homing.keeping import Keeper
-from hil.app.interrupted import leaving
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import closing, fail, log_path, told
+from hil.app.output import after_run, closing, fail, leaving, log_path, told
 from hil.app.plant_rows import PLANT, plant_row
-from hil.app.replay import not_replayed, replay_log
+from hil.app.replay import measured
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.app.sim.lockstep import Lockstep
@@ -33,14 +32,12 @@ from hil.loop.homing import LastPose
 from hil.loop.run_end import Ending
 from hil.loop.tick_row import Given, Ticks
 from hil.record import Recording
-from hil.record.figures import figures
-from hil.record.log import Log, plant_log_beside
+from hil.record.log import plant_log_beside
 from hil.record.recording import RecorderEndedError
 from hil.record.schema import RUN
 from hil.signals import SetPoint
 from hil.trajectory.sampled import read_poses
 from plant_fmu.config import FmuPlant
-from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 
 UNHEARD = "no commands are given: operator.start, deadman_s and stays are left out"
@@ -76,45 +73,6 @@ class Script:
         return tuple(self._setpoints[first : self._given])
 
 
-def _run(
-    lockstep: Lockstep,
-    recording: Recording,
-    truth: Recording | None,
-    duration_s: float | None,
-    setpoints: Script | None,
-    script: CommandScript,
-) -> Ending:
-    def take(ticks: Ticks, new: slice, given: Given) -> None:
-        rows, frames, ends = ticks.recorded(new)
-        if any(given):
-            recording.tick_of_items(rows[0], frames, NO_FRAMES, given.operator, given.setpoints, given.orders)
-        else:
-            recording.ticks_of_items(rows, frames, ends)
-        if truth is not None:
-            truth.tick(plant_row(int(rows["tick"][0]), lockstep.nodes.snapshot()), (), ())
-
-    def said(tick: int) -> Given:
-        given = script(tick)
-        return given if setpoints is None else given._replace(setpoints=setpoints(tick) + given.setpoints)
-
-    def answered(operator: Sequence[str], orders: Sequence[str], answers: Sequence[str]) -> None:
-        refused = script.answered(operator, orders, answers)
-        if refused:
-            recording.event(lockstep.tick * lockstep.period_ns, "warning", REFUSED + "; ".join(refused))
-
-    return lockstep.run(
-        duration_s,
-        None,
-        recording.event,
-        said,
-        take=take,
-        silent=script.silent if setpoints is None and truth is None else lambda _: 1,
-        armed=not script.arms,
-        over=lambda: script.over,
-        answered=answered,
-    )
-
-
 def run_identity(
     c: Configuration,
     duration_s: float | None,
@@ -140,9 +98,7 @@ def run_identity(
             digest.update(b"\0" + stood.tobytes())
     if c.plant is not None and isinstance(c.plant.model, FmuPlant):
         with open_regular(c.folder / c.plant.model.path) as fmu:
-            digest.update(b"\0")
-            while block := fmu.read(1 << 20):
-                digest.update(block)
+            digest.update(hashlib.file_digest(fmu, "sha256").digest())
     return digest.hexdigest()[:32]
 
 
@@ -195,35 +151,32 @@ def simulate(
     truth_path = plant_log_beside(path)
     if plant_log:
         log_path(c.recording.folder, c.name, truth_path)
-    nodes, physics = build_nodes(c, faults)
-    try:
+    with contextlib.ExitStack() as stack:
+        nodes, physics = build_nodes(c, faults)
+        stack.callback(physics.close)
         run = run_identity(c, duration_s, faults, setpoints, commands, keeper.last_pose)
         lockstep = build_lockstep(c, cycle, nodes, attended=bool(commands))
-        with contextlib.ExitStack() as stack:
-            recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True, run=run))
-            truth = stack.enter_context(_record_plant(c, truth_path, run)) if plant_log else None
-            stack.enter_context(collector_paused())
-            if removed:
-                recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")
-            if c is not configuration:
-                recording.event(0, "info", UNHEARD)
-            for fault in c.plant.faults:
-                recording.event(0, "info", f"to be injected: {show_fault(fault)}")
-            stack.callback(keeper.close)
-            keeper.begin(cycle)
-            begun = time.perf_counter()
-            ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
-            wall = time.perf_counter() - begun
-            with leaving(lambda: f"after the run, which {_ended(ending)}; its log: {path}"):
-                recorder = recording.close(closing(ending, ending.trouble))
-                lost = recorder.error or ("" if truth is None else truth.close().error)
-    finally:
-        physics.close()
-    trouble = "; ".join(filter(None, (ending.trouble, lost)))
+        recording = stack.enter_context(record(c, cycle, path, "sim", live=live, lockstep=True, run=run))
+        truth = stack.enter_context(_record_plant(c, truth_path, run)) if plant_log else None
+        stack.enter_context(collector_paused())
+        if removed:
+            recording.event(0, "info", f"removed for recording.budget_GB: {', '.join(removed)}")
+        if c is not configuration:
+            recording.event(0, "info", UNHEARD)
+        for fault in c.plant.faults:
+            recording.event(0, "info", f"to be injected: {show_fault(fault)}")
+        stack.callback(keeper.close)
+        keeper.begin(cycle)
+        begun = time.perf_counter()
+        ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
+        wall = time.perf_counter() - begun
+        with leaving(lambda: f"{after_run(ending)}; its log: {path}"):
+            recorder = recording.close(closing(ending, ending.trouble))
+            lost = recorder.error or ("" if truth is None else truth.close().error)
     result: dict[str, Any] = {
         "success": ending.success and not lost,
         "kind": "sim",
-        "trouble": trouble or None,
+        "trouble": "; ".join(filter(None, (ending.trouble, lost))) or None,
         "story": told(ending),
         "configuration": c.source,
         "log": str(path),
@@ -234,43 +187,24 @@ def simulate(
         **bus_load,
         "wall_s": wall,
     }
-    with leaving(lambda: f"after the run, which {_ended(ending)}; its log is whole: {path}"):
-        measured, unreadable = _figures(path, rate, wall)
-        result |= measured | keeper.summary(cycle)
+    with leaving(lambda: f"{after_run(ending)}; its log is whole: {path}"):
+        rows = measured(result, path, lost, check_replay=check_replay and not lost)
+        if rows is not None and len(rows):
+            result["real_time_factor"] = (len(rows) - 1) / rate / wall
+        result |= keeper.summary(cycle)
         fail(result, keeper.trouble)
-        if unreadable and not lost:
-            lost = unreadable
-            fail(result, lost)
         result["recorder_cpu_s"] = recorder.recorder_cpu_s
-        result |= _injected(c, nodes) | _commands(commands, operator)
+        injected, unmet = nodes.schedule.begun(nodes.now_ns), nodes.waiting
+        late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
+        struck = {"injected": injected, "mode_not_reached": unmet, "time_not_reached": late}
+        result |= {key: [show_fault(fault) for fault in which] for key, which in struck.items() if which}
+        if commands:
+            said = {"given": len(commands) - operator.left, "refused": operator.refused}
+            result["commands"] = said | {"not_reached": operator.left}
         if script is not None and script.left:
             result["setpoints"] = result.get("setpoints", {}) | {"not_reached": script.left}
-        if check_replay and not lost:
-            try:
-                _, result["replay"] = replay_log(path)
-            except (HilError, OSError) as error:
-                fail(result, not_replayed(error))
-            else:
-                result["success"] = result["success"] and result["replay"]["agrees"]
+        result["success"] &= result.get("replay", {}).get("agrees", True)
     return result
-
-
-def _injected(c: Configuration, nodes: Nodes) -> dict[str, Any]:
-    """Return which faults have struck, and which could not."""
-    assert c.plant is not None
-    injected, unmet = nodes.schedule.begun(nodes.now_ns), nodes.waiting
-    late = [fault for fault in c.plant.faults if fault not in injected and fault not in unmet]
-    found = {"injected": injected, "mode_not_reached": unmet, "time_not_reached": late}
-    return {key: [show_fault(fault) for fault in which] for key, which in found.items() if which}
-
-
-def _commands(commands: Sequence[TimedCommand], operator: CommandScript) -> dict[str, Any]:
-    """Return how much of what the operator was to say was said, and how much of that did not count."""
-    if not commands:
-        return {}
-    left = operator.left
-    said = {"given": len(commands) - left, "refused": operator.refused, "not_reached": left}
-    return {"commands": said}
 
 
 def _run_to_end(
@@ -283,8 +217,36 @@ def _run_to_end(
     """Run until the run ends, or until its recorder does; interrupted, close the log before it is told."""
     recording, truth, path = logs
     cycle = lockstep.cycle
+
+    def take(ticks: Ticks, new: slice, given: Given) -> None:
+        rows, frames, ends = ticks.recorded(new)
+        if any(given):
+            recording.tick_of_items(rows[0], frames, NO_FRAMES, given.operator, given.setpoints, given.orders)
+        else:
+            recording.ticks_of_items(rows, frames, ends)
+        if truth is not None:
+            truth.tick(plant_row(int(rows["tick"][0]), lockstep.nodes.snapshot()), (), ())
+
+    def said(tick: int) -> Given:
+        given = script(tick)
+        return given if setpoints is None else given._replace(setpoints=setpoints(tick) + given.setpoints)
+
+    def answered(operator: Sequence[str], orders: Sequence[str], answers: Sequence[str]) -> None:
+        if refused := script.answered(operator, orders, answers):
+            recording.event(lockstep.tick * lockstep.period_ns, "warning", REFUSED + "; ".join(refused))
+
     try:
-        ending = _run(lockstep, recording, truth, duration_s, setpoints, script)
+        ending = lockstep.run(
+            duration_s,
+            None,
+            recording.event,
+            said,
+            take=take,
+            silent=script.silent if setpoints is None and truth is None else lambda _: 1,
+            armed=not script.arms,
+            over=lambda: script.over,
+            answered=answered,
+        )
         if ending.trouble:
             recording.event(lockstep.tick * lockstep.period_ns, "error", ending.trouble)
     except RecorderEndedError:
@@ -294,18 +256,3 @@ def _run_to_end(
         t_s = 1e-9 * lockstep.tick * lockstep.period_ns
         raise KeyboardInterrupt(f"at {t_s:.3f} s of simulated time; the log until then: {path}") from None
     return ending
-
-
-def _ended(ending: Ending) -> str:
-    return f"ended in {ending.mode.name}" + (f": {ending.trouble}" if ending.trouble else "")
-
-
-def _figures(path: Path, rate_Hz: float, wall_s: float) -> tuple[dict[str, Any], str]:
-    """Return what is measured of a log, and why nothing is of one that cannot be read, else nothing."""
-    try:
-        rows = Log.open(path).rows()
-    except LogError as error:
-        return {}, str(error)
-    if not len(rows):
-        return {}, ""
-    return {"real_time_factor": (len(rows) - 1) / rate_Hz / wall_s, **figures(rows)}, ""

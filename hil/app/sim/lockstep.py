@@ -46,16 +46,6 @@ def _frames(at: Any, count: Any) -> Rows:
     return array_at(int(at), int(count), FRAME) if count else NO_FRAMES
 
 
-def nothing_given(tick: int) -> Given:
-    """Return the commands of a tick where there are none."""
-    del tick
-    return NOTHING
-
-
-def nobody_answered(operator: Sequence[str], orders: Sequence[str], setpoints: Sequence[str]) -> None:
-    """Take what became of a tick's commands where nobody asks."""
-
-
 @dataclass
 class Lockstep:
     """The buses between a Cycle and Nodes, and the time that both share.
@@ -174,13 +164,13 @@ class Lockstep:
         duration_s: float | None,
         observe: Observer | None,
         event: EventSink = no_event,
-        commands: Callable[[int], Given] = nothing_given,
+        commands: Callable[[int], Given] = lambda _: NOTHING,
         *,
         take: Taker | None = None,
         silent: Callable[[int], float] = lambda _: inf,
         armed: bool = True,
         over: Callable[[], bool] = lambda: False,
-        answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = nobody_answered,
+        answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = lambda *_: None,
     ) -> Ending:
         """Engage, run the reference, park. Return how the run ended.
 
@@ -213,7 +203,12 @@ class Lockstep:
                     alone = any(given) or self.nodes.waiting
                     count = 1 if alone else int(min(course.quiet(tick), silent(tick), most))
                     begun_s = perf_counter()
-                    self._give(take, count, given)
+                    self.row.new = slice(0, 0)
+                    try:
+                        self.advance(count, given)
+                    finally:
+                        if take is not None and self.row.new.start < self.row.new.stop:
+                            take(self.row.ticks, self.row.new, given)
                     soon = perf_counter() - begun_s < LONGEST_S
                     most = min(2 * most, CAPACITY) if soon else max(most // 2, 1)
             except PlantError as error:
@@ -223,13 +218,3 @@ class Lockstep:
                 answered(refused, self.cycle.operating.answers, setpoints)
             ending = course.ending(self.tick)
         return ending
-
-    def _give(self, take: Taker | None, count: int, given: Given) -> None:
-        """Advance, and give what was done."""
-        row = self.row
-        row.new = slice(0, 0)
-        try:
-            self.advance(count, given)
-        finally:
-            if take is not None and row.new.start < row.new.stop:
-                take(row.ticks, row.new, given)

@@ -8,16 +8,15 @@ import secrets
 import select
 import signal
 import socket
+import sys
 import threading
-from collections.abc import Callable
 from typing import Any
 
 from drivers.errors import RunError
 from hil.app.configuration.configuration import Configuration
 from hil.app.watch.access import Access
 from hil.app.watch.feed import Feed
-from hil.app.watch.operating import Operating
-from hil.app.watch.server import Server
+from hil.app.watch.server import Operating, Server
 from hil.record.mirror import mirror_path
 
 LOOPBACK = "127.0.0.1"
@@ -41,13 +40,11 @@ def watch(
     host: str = LOOPBACK,
     port: int | None = None,
     alive: int | None = None,
-    announce: Callable[[str], None],
 ) -> dict[str, Any]:
     """Serve until Ctrl-C, SIGTERM or the end of file of `alive`; return the summary.
 
     host: address or name to listen on; beyond the loopback the token is needed for everything. port: None is
-    PORT, or a free one where that is taken; 0 is a free one. announce: takes the link. Raises RunError where
-    it cannot listen.
+    PORT, or a free one where that is taken; 0 is a free one. Raises RunError where it cannot listen.
     """
     listening = _listen(host, port)
     port = int(listening.getsockname()[1])
@@ -65,7 +62,8 @@ def watch(
     shown = _reachable(listening.family) if address.is_unspecified else host
     link = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    announce(f"{link}?token={access.token}")  # of a full house, those with it stay
+    # of a full house, those with the token stay
+    print(f"hil: watch at {link}?token={access.token}", file=sys.stderr, flush=True)
     _wait(alive)
     return {
         "success": True,

@@ -1,6 +1,7 @@
 """One row of a run as the page shows it: plain values in the units of the screen, all of them finite."""
 
 from math import isfinite
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,8 @@ from numpy.typing import ArrayLike
 
 from drivers.signals import NEVER, Mode
 from drivers.tick_columns import COLUMNS
+from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.platform import platform_dict, pose_arrays
 from hil.mathematics.rotations import rotation_vector
 from hil.record.metrics import rotation_errors
 from hil.record.mirror import Piece
@@ -31,6 +34,32 @@ WAITS = {
 _FOLLOWS = range(Mode.RELEASING, Mode.PARKING + 1)
 
 
+def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: float | None) -> dict[str, Any]:
+    """Return name, geometry (joints (6, 3) m, home p (3,) m and R (9,)), limits, rate and log of a run.
+
+    duration_s: of the reference; None where it has no end.
+    """
+    robot = platform_dict(c.platform)
+    p, R = pose_arrays(c.platform.home)
+    return {
+        "name": c.name,
+        "configuration": c.source,
+        "log": str(log),
+        "rate_Hz": rate_Hz,
+        "bus": f"{c.bus.interface}:{c.bus.channel}",
+        "law": c.controller.law,
+        "base": [[float(x) for x in joint] for joint in robot["base_joints"]],
+        "platform": [[float(x) for x in joint] for joint in robot["platform_joints"]],
+        "home_p": p.tolist(),
+        "home_R": R.ravel().tolist(),
+        "length_min_m": c.platform.length_min_m,
+        "length_max_m": c.platform.length_max_m,
+        "force_limit_N": min(c.limits.force_N, c.drives.force_limit_N),
+        "stale_fault_ticks": c.limits.stale_fault_ticks,
+        "reference_s": duration_s,
+    }
+
+
 def numbers(values: ArrayLike, digits: int) -> list[float | None]:
     """Return values as a flat list, rounded; None for what is not finite."""
     flat = np.asarray(values, np.float64).ravel().tolist()
@@ -38,13 +67,14 @@ def numbers(values: ArrayLike, digits: int) -> list[float | None]:
 
 
 def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
-    """Return what the page shows of a piece. about: `hil.app.run_description`; now_ns: CLOCK_MONOTONIC."""
+    """Return what the page shows of a piece. about: `run_description`; now_ns: CLOCK_MONOTONIC."""
     row, figures = piece.row, piece.figures
     mode = Mode(int(row["mode"]))
     follows = mode in _FOLLOWS
     posed, led = _posed(row["p"], row["R"]), follows and _posed(row["p_d"], row["R_d"])
     heard = row["age"] < NEVER
     limit = about["force_limit_N"]
+    left = np.minimum(row["q"] - about["length_min_m"], about["length_max_m"] - row["q"])  # to the nearer end
     return {
         "n": piece.number,
         "age": round((now_ns - int(figures["seen_ns"])) * 1e-9, 3),
@@ -67,7 +97,7 @@ def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
         "e_r": numbers(1e3 * rotation_errors(row["R_d"], row["R"]), 4) if posed and led else [None] * 3,
         "legs": {
             "q": [x if h else None for x, h in zip(numbers(row["q"], 5), heard.tolist(), strict=True)],
-            "margin": _margins(row, heard, about),
+            "margin": numbers(np.where(heard, 1e3 * left, np.nan), 2),
             "tau": numbers(row["tau"], 3),
             "share": numbers(row["tau"] / limit, 4),
             "e": numbers(1e3 * (row["q_d"] - row["q"]), 4) if led else [None] * 6,
@@ -91,12 +121,6 @@ def _posed(p: ArrayLike, R: ArrayLike) -> bool:
 
 def _name(column: str, value: Any) -> str:
     return name_of(COLUMNS[column], int(value))
-
-
-def _margins(row: np.void, heard: Any, about: dict[str, Any]) -> list[float | None]:
-    """Return the way to the nearer end of each leg's stroke, mm."""
-    left = np.minimum(row["q"] - about["length_min_m"], about["length_max_m"] - row["q"])
-    return numbers(np.where(heard, 1e3 * left, np.nan), 2)
 
 
 def _marked(row: np.void, about: dict[str, Any]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import LogError
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text, largest_written
-from hil.app.leg_errors import leg_errors
+from hil.app.encoder_limits import leg_errors
 from hil.config.feedforward import FeedforwardHead, MadeFor
 from hil.lab.learn.judgement import Contradiction, Floor, State, contradiction, floor, in_band, state
 from hil.lab.learn.model import Learner, belief_of, learner

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from hil.app.interrupted import leaving
+from hil.app.output import leaving
 from hil.study.campaign import dask_cluster, parquet
 from hil.study.campaign.parquet import Row, cell
 from hil.study.campaign.plan import Plan, identity

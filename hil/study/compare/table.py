@@ -5,8 +5,7 @@ from typing import Any
 
 from rich.text import Text
 
-from hil.app.output import Terminal
-from hil.study.table import Column, figure, print_rows
+from hil.study.table import Column, Terminal, figure, print_rows
 
 Figures = Sequence[tuple[str, str, str]]
 """Title, key of a law's figures, format; empty: as in summaries, whatever the robot's size."""

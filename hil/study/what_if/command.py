@@ -16,8 +16,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.files import PICTURE, beginning, new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
-from hil.app.interrupted import leaving
-from hil.app.output import further, log_path
+from hil.app.output import further, leaving, log_path
 from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
 from hil.app.replay import WHAT_IF, law_of_log, open_replayable

@@ -5,8 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -16,7 +14,6 @@ from mcap.reader import make_reader
 
 from hil.cli import main
 from plant_fmu.stewart.build import build
-from tests.broad import broad
 from tests.hil.app.texts import VIRTUAL, edited
 
 FIRST_TIME = re.compile(r"^compiling the mathematics, once: .*\n", re.MULTILINE)
@@ -216,23 +213,3 @@ def test_a_log_damaged_in_its_ticks_is_refused_with_the_place(refused, log, tmp_
     data[at : at + 64] = bytes(64)
     (tmp_path / "damaged.mcap").write_bytes(data)
     assert f"damaged.mcap: damaged at byte {chunk.chunk_start_offset}" in refused("replay", "damaged.mcap")
-
-
-# -- the program itself --------------------------------------------------------------------------------------
-
-PROGRAM = [
-    (["sim", "nowhere.yaml"], "nowhere.yaml: no such file"),
-    (["simulate"], "No such command"),
-    (["sim", "--duration", "-1"], "-1"),
-]
-
-
-@pytest.mark.parametrize(("words", "message"), broad(PROGRAM, quick=2), ids=[" ".join(w) for w, _ in PROGRAM])
-def test_the_installed_program_refuses_the_same_way(tmp_path, words, message):
-    done = subprocess.run(
-        [sys.executable, "-m", "hil.cli", *words], cwd=tmp_path, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 2
-    assert message in done.stderr
-    assert ("Traceback" in done.stderr, done.stdout) == (False, "")
-    assert list(tmp_path.rglob("*")) == []

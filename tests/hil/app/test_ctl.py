@@ -267,7 +267,7 @@ def test_a_controller_that_ends_meanwhile_is_a_failure(tmp_path, monkeypatch, wo
     """One that never answered is a refusal."""
     file = tmp_path / "a.json"
     monkeypatch.setattr(operate, "REPEAT_S", 0.0)
-    monkeypatch.setattr(operate, "OperatorClient", lambda *_: Ending(answers))
+    monkeypatch.setattr("hil.operate.client.OperatorClient", lambda *_: Ending(answers))
     result = ctl(*words.split(), "--json", str(file))
     assert (result.exit_code, "has it ended?" in result.stderr) == (code, True)
     assert file.exists() is bool(answers)

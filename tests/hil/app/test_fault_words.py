@@ -129,7 +129,7 @@ def test_sim_refuses_process_faults_and_real_time_those_of_a_mode():
         (("run", "virtual", "--plant", "--fault", "drive_silence leg=0 mode=HOLD"), "does not know"),
         (("run", "virtual", "--fault", "drive_silence leg=0"), "add --plant"),
         (("faults", "virtual", "--only", "nothing*"), "matches no case"),
-        (("faults", "virtual", "--legs", "two"), "--legs two: allowed: numbers of legs with commas"),
+        (("faults", "virtual", "--legs", "two"), "two, allowed: numbers of legs with commas"),
         (("faults", "virtual", "--legs", "0,6"), "6 is no leg, allowed: 0 to 5"),
         (("faults", "virtual", "--only", "plant_nan/HOLD", "--junit", "/nowhere/x.xml"), "no folder"),
     ],

@@ -10,8 +10,9 @@ from types import SimpleNamespace
 
 import pytest
 
+from hil.app import replay
 from hil.app.configuration.configuration import load
-from hil.app.interrupted import leaving
+from hil.app.output import leaving
 from hil.app.sim import command
 from hil.cli import check, main
 from hil.cli.interrupts import INTERRUPTED
@@ -55,6 +56,17 @@ def test_an_interrupt_is_one_line_and_exit_code_130(process, monkeypatch):
     interrupted_in(monkeypatch, press)
     assert process("check") == (INTERRUPTED, "hil: interrupted\n") == (130, "hil: interrupted\n")
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
+def test_an_error_that_a_library_makes_of_an_interrupt_is_none(process, monkeypatch):
+    def work():
+        try:
+            press()
+        except KeyboardInterrupt as interrupt:
+            raise OSError("aborted") from interrupt
+
+    interrupted_in(monkeypatch, work)
+    assert process("check") == (INTERRUPTED, "hil: interrupted\n")
 
 
 def test_an_interrupt_of_a_question_says_which_one(process, monkeypatch, tmp_path):
@@ -148,7 +160,7 @@ def test_an_interrupt_while_the_recorder_writes_leaves_a_whole_log(process, monk
 
 
 def test_an_interrupt_of_the_replay_says_how_the_simulation_ended(monkeypatch, tmp_path):
-    monkeypatch.setattr(command, "replay_log", lambda _: press())
+    monkeypatch.setattr(replay, "replay_log", lambda _: press())
     with pytest.raises(
         KeyboardInterrupt, match=r"after the run, which ended in PARKED; its log is whole: .*a\.mcap"
     ):

@@ -27,8 +27,8 @@ from drivers.protocol import Frame, Received
 from hil.app import plant
 from hil.app.compose import build_nodes, build_protocol
 from hil.app.configuration.configuration import load
+from hil.app.plant import ProcessFaults
 from hil.app.plant_rows import PLANT, plant_row
-from hil.app.process_faults import ProcessFaults
 from hil.loop.clock import RealTime
 from hil.record import Recording
 from hil.record.log import Log
@@ -192,7 +192,7 @@ def test_the_truth_of_the_plant_comes_back_from_its_log(tmp_path):
 LOOP = """
 import sys, time
 from hil.app.configuration.fault_words import read_fault
-from hil.app.process_faults import ProcessFaults
+from hil.app.plant import ProcessFaults
 faults, begun = ProcessFaults([read_fault(sys.argv[1])], 0), time.monotonic()
 print("loops", flush=True)
 t_ns = 0

@@ -22,8 +22,8 @@ from drivers.signals import Command, DriveMode, Reaction
 from hil.app import plant
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load
-from hil.app.run import plant_process
-from hil.app.run.plant_process import LAST_LINES, SupervisedPlant
+from hil.app.run import processes
+from hil.app.run.processes import LAST_LINES, SupervisedPlant
 from hil.cli import main
 from hil.contracts.by_value import ByValue
 from hil.contracts.messages import Configure
@@ -43,7 +43,7 @@ def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
         return subprocess.Popen(["/bin/bash", "-c", f"report={report}; {given[-1]}"], **options)
 
     given: list[str] = []
-    monkeypatch.setattr(plant_process, "start", start)
+    monkeypatch.setattr(processes, "start", start)
 
     def run(script: str) -> SupervisedPlant:
         given.append(script)
@@ -73,7 +73,7 @@ def test_the_plant_gets_the_watchdog_that_the_run_has_chosen(
         return subprocess.Popen(["/bin/true"], **options)
 
     monkeypatch.setattr(plant, "run_plant", serve)
-    monkeypatch.setattr(plant_process, "start", start)
+    monkeypatch.setattr(processes, "start", start)
     with SupervisedPlant(load(str(file)), tmp_path / "x-plant.mcap", watchdog_s=given_s):
         (c,) = served
     protocol = ByValue(build_protocol(c.bus, c.drives))
@@ -97,7 +97,7 @@ def test_a_plant_that_does_not_serve_in_time_is_reported(
         os.kill(slow.pid, signal.SIGCONT)
         return [], [], []
 
-    monkeypatch.setattr(plant_process, "select", SimpleNamespace(select=time_is_over))
+    monkeypatch.setattr(processes, "select", SimpleNamespace(select=time_is_over))
     with pytest.raises(PlantError) as refused, slow:
         pass
     text = str(refused.value)

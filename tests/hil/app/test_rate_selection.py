@@ -8,7 +8,6 @@ import pytest
 
 from drivers.errors import RunError
 from hil.app.configuration.configuration import load
-from hil.app.output import console
 from hil.app.run import rate_selection
 
 
@@ -28,7 +27,7 @@ def chosen(monkeypatch):
         monkeypatch.setattr(rate_selection, "fifo_allowed", lambda _: machine.late is not None)
         monkeypatch.setattr(rate_selection, "late_share", lambda *_: machine.late)
         monkeypatch.setattr(rate_selection, "holdable_rate", lambda *_: held)
-        monkeypatch.setattr(console, "print", lambda text, **_: said.append(str(text)))
+        monkeypatch.setattr(rate_selection, "warn", said.append)
         c = load(name)
         for section, values in changes.items():
             c = c.model_copy(update={section: getattr(c, section).model_copy(update=values)})

@@ -13,6 +13,7 @@ import pytest
 from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
+from hil.app import replay
 from hil.app.output import closing
 from hil.app.run import command
 from hil.loop.clock import RealTime
@@ -22,7 +23,6 @@ from hil.record.log import Log
 
 TICKS = 12
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", TICKS)
-STOPPED = replace(PARKED, mode=Mode.FAULT, faults=Fault.ESTOP, fault_tick=7)
 C: Any = SimpleNamespace(source="a.yaml", controller=None, bus=None, drives=None, sensors=None)
 CYCLE: Any = SimpleNamespace(parts=SimpleNamespace(rate_Hz=1000.0, law=None))
 FULL = "disk_full: No space left on device"
@@ -52,14 +52,15 @@ def verdict(tmp_path, monkeypatch):
         rows["tick"][ticks // 2 :] += missing + skipped
         rows["skipped"][ticks // 2 :][:1] = skipped
         monkeypatch.setattr(Log, "open", opened)
-        monkeypatch.setattr(command, "replay_log", replayed)
-        for name in ("figures", "law_figures", "loads"):
-            monkeypatch.setattr(command, name, lambda *_: {})
+        monkeypatch.setattr(replay, "replay_log", replayed)
+        for module, name in ((replay, "figures"), (command, "law_figures"), (command, "loads")):
+            monkeypatch.setattr(module, name, lambda *_: {})
         whole = not (dropped or lost or error)
         closed = LogSummary(
             tmp_path / "a.mcap", ticks, 0, dropped, lost, 0, 0.0, whole, error, gave_up=bool(error)
         )
-        return command._summary(C, CYCLE, ending, trouble, RealTime([], []), closed, stretching=False)
+        said = replace(ending, reason=trouble) if trouble else ending
+        return command._summary(C, CYCLE, said, RealTime([], []), closed)[0]
 
     return summed
 
@@ -118,13 +119,6 @@ def test_a_summary_says_how_the_run_ended_and_whether_on_request(verdict, mode, 
     found = verdict(ending=replace(PARKED, mode=mode, requested=requested))
     assert found["ending"] == ENDINGS[mode] + (" on request" if requested else "")
     assert found["success"] is (mode is Mode.PARKED)
-
-
-@pytest.mark.parametrize(("tick", "last"), [(-1, None), (0, 0), (5, 5), (TICKS - 1, TICKS - 1)])
-def test_the_last_ticks_end_with_that_of_the_fault(verdict, tick, last):
-    found = verdict(ending=replace(STOPPED, fault_tick=tick), fails=LogError("no such file"))
-    shown = [each["tick"] for each in found.get("last_ticks", [])]
-    assert shown == ([] if last is None else list(range(last + 1)))
 
 
 @pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.SPEED])

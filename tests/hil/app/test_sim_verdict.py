@@ -12,9 +12,11 @@ import pytest
 
 from drivers.errors import LogError
 from drivers.signals import Fault, Mode
+from hil.app import replay
 from hil.app.configuration.configuration import load
 from hil.app.sim import command
 from hil.loop.run_end import Ending
+from hil.record.log import Log
 
 VIRTUAL = load("virtual")
 PARKED = Ending(Mode.PARKED, Fault.NONE, "", 9)
@@ -31,14 +33,13 @@ def simulated(
     *,
     agrees: bool = True,
     fails: Exception | None = None,
-    figures: dict[str, Any] | None = None,
     unreadable: str = "",
     **more: Any,
 ) -> dict[str, Any]:
     """Return the summary of a simulation of no tick.
 
     own, plant: why its log, and that of the plant, is not whole; plant None: there is none. fails: what its
-    replay raises. figures: of its log; unreadable: why it has none.
+    replay raises. unreadable: why its log cannot be read.
     """
 
     def replayed(_: Path) -> tuple[None, dict[str, Any]]:
@@ -51,11 +52,17 @@ def simulated(
         log = SimpleNamespace(event=lambda *_: None, close=lambda *_: closed)
         return lambda *_, **__: contextlib.nullcontext(log)
 
+    def opened(_: Path) -> Any:
+        if unreadable:
+            raise LogError(unreadable)
+        return SimpleNamespace(rows=lambda: range(2))
+
     monkeypatch.setattr(command, "record", recording(own))
     monkeypatch.setattr(command, "_record_plant", recording(plant or ""))
     monkeypatch.setattr(command, "_run_to_end", lambda *_: ending)
-    monkeypatch.setattr(command, "_figures", lambda *_: (dict(figures or {}), unreadable))
-    monkeypatch.setattr(command, "replay_log", replayed)
+    monkeypatch.setattr(Log, "open", opened)
+    monkeypatch.setattr(replay, "figures", lambda _: {})
+    monkeypatch.setattr(replay, "replay_log", replayed)
     return command.simulate(
         VIRTUAL, log=folder / "a.mcap", duration_s=0.1, plant_log=plant is not None, **more
     )
@@ -88,24 +95,22 @@ def test_a_loss_is_never_a_success(monkeypatch, tmp_path, ending, run, success, 
     assert "replay" not in found or trouble == "", "there is nothing to compare"
 
 
-def ended(monkeypatch: pytest.MonkeyPatch, ends: Any, faults: Fault) -> list[tuple[Any, ...]]:
+def ended(ends: Any, faults: Fault) -> list[tuple[Any, ...]]:
     """Return what is written into the log of a simulation whose loop ends so in its tick 7, of 2 ms."""
     written: list[tuple[Any, ...]] = []
 
-    def run(*_: Any) -> Any:
+    def run(*_: Any, **__: Any) -> Any:
         if isinstance(ends, Ending):
             return ends
         raise ends
 
-    monkeypatch.setattr(command, "_run", run)
-    lockstep: Any = SimpleNamespace(
-        cycle=SimpleNamespace(mode=Mode.TRACKING, faults=faults), tick=7, period_ns=2_000_000
-    )
+    cycle = SimpleNamespace(mode=Mode.TRACKING, faults=faults)
+    lockstep: Any = SimpleNamespace(cycle=cycle, tick=7, period_ns=2_000_000, run=run)
     recording: Any = SimpleNamespace(
         event=lambda *each: written.append(("event", *each)),
         close=lambda each: written.append(("close", each)),
     )
-    operator: Any = None
+    operator: Any = SimpleNamespace(arms=False, silent=None)
     try:
         command._run_to_end(lockstep, (recording, None, Path("a.mcap")), 1.0, None, operator)
     except KeyboardInterrupt as interrupt:
@@ -114,8 +119,8 @@ def ended(monkeypatch: pytest.MonkeyPatch, ends: Any, faults: Fault) -> list[tup
 
 
 @pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.ESTOP])
-def test_an_interrupted_simulation_closes_its_log_with_its_faults(monkeypatch, faults):
-    assert ended(monkeypatch, KeyboardInterrupt(), faults) == [
+def test_an_interrupted_simulation_closes_its_log_with_its_faults(faults):
+    assert ended(KeyboardInterrupt(), faults) == [
         ("close", {"ending": "TRACKING", "reason": "interrupted", "faults": int(faults)}),
         ("at 0.014 s of simulated time; the log until then: a.mcap",),
     ]

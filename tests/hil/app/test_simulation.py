@@ -1,6 +1,7 @@
 """`hil.sim`: a run from Python with changes, its log, its summary and the truth of the plant."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,32 +82,22 @@ plant: {model: {type: stewart, friction: 0}, log: true}
 """
 
 
-def changed(**changes):
+CHANGES: dict[str, tuple[Any, Any]] = {
+    "loop": ({"rate_Hz": 500}, {"rate_Hz": 500, "note": "no"}),
+    "controller": ({"law": "pid", "ki": 2}, {"law": "pid", "ki": 2}),
+    "plant": ({"model": {"type": "bench"}, "log": None}, {"model": {"type": "bench"}}),
+    "name": ("other", "other"),
+}
+"""Section, a change of it, and what it is then: of another `law` or `type` nothing is taken over."""
+
+
+@pytest.mark.parametrize("section", CHANGES)
+def test_a_change_touches_its_key_alone(section):
     """What YAML 1.2 reads: PyYAML agrees where text that could be something else is quoted."""
-    return yaml.safe_load(with_changes(TEXT, changes))
-
-
-def test_a_change_touches_its_key_alone():
+    change, there = CHANGES[section]
     before = yaml.safe_load(TEXT) | {"controller": {"law": "pd", "kp": 1000.0, "gains": [1, 2.5e-7]}}
-    after = changed(loop={"rate_Hz": 500})
-    assert after.pop("loop") == {"rate_Hz": 500, "note": "no"}
-    before.pop("loop")
-    assert after == before
-
-
-def test_another_law_or_type_takes_nothing_over():
-    assert changed(controller={"law": "pid", "ki": 2})["controller"] == {"law": "pid", "ki": 2}
-    assert changed(plant={"model": {"type": "bench"}})["plant"] == {"model": {"type": "bench"}, "log": True}
-    assert changed(controller={"law": "pd", "kp": 2})["controller"] == {
-        "law": "pd",
-        "kp": 2,
-        "gains": [1, 2.5e-7],
-    }
-
-
-def test_none_takes_a_key_away():
-    assert "plant" not in changed(plant=None)
-    assert changed(plant={"log": None})["plant"] == {"model": {"type": "stewart", "friction": 0}}
+    assert yaml.safe_load(with_changes(TEXT, {section: change})) == before | {section: there}
+    assert section not in yaml.safe_load(with_changes(TEXT, {section: None}))
 
 
 @pytest.mark.parametrize("duration_s", [0, -1.0, float("nan"), float("inf"), 1e306])

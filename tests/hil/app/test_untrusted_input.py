@@ -2,11 +2,8 @@
 
 import os
 import re
-import string
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load, loads
@@ -23,9 +20,6 @@ VIRTUAL = load("virtual").text
 def pipe(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     return tmp_path / "pipe"
-
-
-# -- what is no regular file ---------------------------------------------------------------------------------
 
 
 # -- names and texts -----------------------------------------------------------------------------------------
@@ -94,42 +88,3 @@ def test_damaged_input_is_answered(sound, target):
 def test_damaged_input_is_answered_from_many_seeds(sound, target):
     results = [case.run(seed, sound, target) for seed in range(1000, 1000 + 20 * QUICK[target])]
     assert [r for r in results if r.problem] == []
-
-
-TEXT = load("ideal").text
-LINES = TEXT.splitlines()
-WORDS = st.sampled_from([
-    *("", "x", "-", "[", "]", "{", "}", ":", "? ", "*a", "&a", "!t", "|", "'", '"', "\t", "%", "@", ".nan", "1e999", "~"),
-    *("[1, [2]]", "{a: b}", "null", "true", "-0", "9" * 400, "\u00e9", "\u2028", "\ufeff", "0x", "1e", "...", "---", "#"),
-])  # fmt: skip
-
-
-@st.composite
-def damaged(draw):
-    """The text with one to three lines changed in their value, their indentation or as a whole."""
-    lines = list(LINES)
-    for _ in range(draw(st.integers(1, 3))):
-        k = draw(st.integers(0, len(lines) - 1))
-        word = draw(WORDS | st.text(string.printable, max_size=6))
-        key = lines[k].partition(":")[0]
-        lines[k] = draw(
-            st.sampled_from([word, f"{key}: {word}", f"{lines[k]}{word}", f" {lines[k]}", lines[k].lstrip()])
-        )
-        if draw(st.booleans()):
-            del lines[draw(st.integers(0, len(lines) - 1))]
-    return "\n".join(lines) + "\n"
-
-
-@settings(max_examples=200)
-@given(damaged())
-def test_a_damaged_file_never_ends_in_a_traceback(text):
-    found: tuple[str, ...] = ()
-    try:
-        loads(text, "damaged.yaml")
-    except ConfigurationError as error:
-        found = error.problems or ("an error without a problem",)
-    for problem in found:
-        place, line, column = problem.split(":")[:3]
-        assert place == "damaged.yaml"
-        assert 1 <= int(line) <= text.count("\n") + 2
-        assert int(column) >= 1

@@ -15,12 +15,10 @@ import pytest
 from drivers.signals import DriveFault
 from drivers.tick_columns import ROW
 from hil.app.configuration.configuration import load
-from hil.app.run_description import run_description
 from hil.app.watch.access import Access, Refused, Request
 from hil.app.watch.feed import Feed
-from hil.app.watch.operating import WORDS, line_of
-from hil.app.watch.server import MOST_COMMANDS, Server
-from hil.app.watch.state import state
+from hil.app.watch.server import MOST_COMMANDS, WORDS, Server, line_of
+from hil.app.watch.state import run_description, state
 from hil.record.mirror import FIGURES, Piece
 
 TOKEN = "s3cret"

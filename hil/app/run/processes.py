@@ -1,4 +1,4 @@
-"""`hil plant` as a child of `hil run --plant`: started, watched, asked to end, never orphaned for long."""
+"""`hil plant` and `hil watch` as children of `hil run`: started, watched, ended, never orphaned for long."""
 
 import json
 import os
@@ -8,7 +8,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, Self
+from typing import IO, Any, Self
 
 from drivers.child_process import start
 from drivers.errors import PlantError
@@ -18,18 +18,60 @@ START_S = 60.0
 """Building the FMU and compiling may come first, or a plant whose daemon was killed may have to leave."""
 END_S = 20.0
 """Longest time to close the plant's log."""
+WATCH_END_S = 5.0
 LAST_BYTES = 4096
 LAST_LINES = 10
 """So much is told of what the plant has said: its model may say something at each step."""
 
 
-class SupervisedPlant:
-    """The other end of the bus in a process of its own.
+class _Child:
+    """A command of ours in a process and a session of its own: Ctrl-C reaches the daemon alone.
 
-    It has its own session, so that Ctrl-C reaches the daemon alone and the platform is parked before the
-    plant ends. It notices the daemon's death by a closed pipe and then ends by itself. What it says comes
-    through a second pipe (an empty line when it serves, its summary at the end) and an unnamed file, so
-    that nothing is left behind whoever dies first.
+    It notices the daemon's end, however it comes, by a closed pipe.
+    """
+
+    def __init__(self, *words: str, pass_fds: tuple[int, ...] = (), stderr: IO[bytes] | None = None) -> None:
+        alive, self._alive = os.pipe()
+        self._process = start(
+            "hil.cli",
+            *words,
+            "--supervisor",
+            str(alive),
+            pass_fds=(alive, *pass_fds),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            start_new_session=True,
+        )
+        os.close(alive)
+
+    def _wait(self, longest_s: float) -> None:
+        try:
+            self._process.wait(longest_s)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+
+class WatchProcess(_Child):
+    """`hil watch`, which prints its own link and leaves with the run."""
+
+    def __init__(self, c: Configuration) -> None:
+        super().__init__("watch", c.source)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        os.close(self._alive)
+        self._wait(WATCH_END_S)
+
+
+class SupervisedPlant(_Child):
+    """`hil plant`, the other end of the bus.
+
+    The platform is parked before it ends. What it says comes through a second pipe (an empty line when it
+    serves, its summary at the end) and an unnamed file, so that nothing is left behind whoever dies first.
 
     Mutable state: the process, the pipes, how it was found when it was first asked about.
     """
@@ -44,22 +86,16 @@ class SupervisedPlant:
         """Start it. watchdog_s: of drives that no frame tells theirs; default: the configured one."""
         self._said = b""
         self._trouble: str | None = None
-        alive_read, self._alive = os.pipe()
-        self._report, report_write = os.pipe()
+        self._report, report = os.pipe()
         self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed by __exit__
-        self._process = start(
-            "hil.cli", "plant", configuration.source, "--log", str(log),
-            "--supervisor", str(alive_read), "--report", str(report_write),
-            *(word for fault in faults for word in ("--fault", fault)),
-            *(() if watchdog_s is None else ("--watchdog", repr(watchdog_s))),
-            pass_fds=(alive_read, report_write),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=self._errors,
-            start_new_session=True,
+        words = [word for fault in faults for word in ("--fault", fault)]
+        if watchdog_s is not None:
+            words += ["--watchdog", repr(watchdog_s)]
+        super().__init__(
+            "plant", configuration.source, "--log", str(log), "--report", str(report), *words,
+            pass_fds=(report,), stderr=self._errors,
         )  # fmt: skip
-        os.close(alive_read)
-        os.close(report_write)
+        os.close(report)
 
     def __enter__(self) -> Self:
         """Wait until the plant serves its drives.
@@ -105,21 +141,15 @@ class SupervisedPlant:
     def _end(self) -> None:
         if self._process.poll() is None:
             self._process.send_signal(signal.SIGTERM)
-            try:
-                self._process.wait(END_S)
-            except subprocess.TimeoutExpired:
-                self._process.kill()
-                self._process.wait()
+            self._wait(END_S)
 
     def _message(self) -> str:
         """Return how the plant ended, and its last words."""
         text = self._last_words()
         code = self._process.returncode
-        how = (
-            f"was killed by {signal.Signals(-code).name}"
-            if code and code < 0
-            else f"ended with exit code {code}"
-        )
+        how = f"ended with exit code {code}"
+        if code and code < 0:
+            how = f"was killed by {signal.Signals(-code).name}"
         return f"{how}: {text}" if text else how
 
     def _last_words(self) -> str:

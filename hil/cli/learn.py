@@ -1,16 +1,11 @@
 """`hil learn`: the feed-forward of the next run, from the logs of those before."""
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
-from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, option, reporting
-
-if TYPE_CHECKING:
-    from hil.lab.learn.command import Knowledge
+from hil.cli.shared import FILE, NOT_NEGATIVE, OUTPUT, POSITIVE, finish_lines, load, option, reporting
 
 
 @click.command()
@@ -81,9 +76,13 @@ def command(
 
     Guide: docs/guides/learning.md.
     """
+    from tempfile import TemporaryDirectory
+
     from hil.app.configuration.feedforward_file import BEGINNING
-    from hil.app.files import beginning, new_file
-    from hil.lab.learn.command import Knowledge
+    from hil.app.files import beginning, new_file, write_whole
+    from hil.app.output import console, further
+    from hil.lab.learn import report
+    from hil.lab.learn.command import Knowledge, learn, rehearse, with_scale
 
     if runs is None and _is_configuration(sources[0]):
         raise click.UsageError(f"{sources[0]} is a configuration: name logs, or make runs with --runs")
@@ -96,62 +95,27 @@ def command(
     if out is not None:
         new_file(out, option="-o", own=beginning("a file of hil learn", BEGINNING))
     known = Knowledge(axes, gain_error, 1e-3 * delay_error, limit)
+    believed = None
     if runs is None:
-        _from_logs(sources, known, out)
+        made = learn(sources, known)
     else:
-        _rehearse(sources[0], (runs, inertia_scale, logs), known, out)
+        c = load(str(sources[0]), "sim")
+        if inertia_scale is not None:
+            c = with_scale(c, inertia_scale)
+            believed = c.controller.believed
+        with TemporaryDirectory(prefix="hil-learn-") as folder, console.status("run 0") as status:
+            made = rehearse(
+                c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
+            )
+    unwritten: dict[str, Any] = {}
+    if made.best and out is not None:
+        with further(unwritten):
+            write_whole(out, made.best)
+    written = None if unwritten else out
+    finish_lines(report.lines(made, written, believed), report.summary(made, written) | unwritten)
 
 
 def _is_configuration(source: Path) -> bool:
     from hil.app.configuration.text_file import shipped
 
     return source.suffix in {".yaml", ".yml"} or (not source.exists() and str(source) in shipped())
-
-
-def _from_logs(logs: tuple[Path, ...], known: Knowledge, out: Path | None) -> None:
-    from hil.app.files import write_whole
-    from hil.app.output import further
-    from hil.lab.learn import report
-    from hil.lab.learn.command import learn, limit_of
-
-    outcome = learn(logs, known)
-    unwritten: dict[str, Any] = {}
-    if outcome.text and out is not None:
-        with further(unwritten):
-            write_whole(out, outcome.text)
-    written = None if unwritten else out
-    lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), written)
-    finish_lines(lines, report.summary(outcome, written) | unwritten)
-
-
-def _rehearse(
-    configuration: Path,
-    how: tuple[int, float | None, Path | None],
-    known: Knowledge,
-    out: Path | None,
-) -> None:
-    import tempfile
-
-    from hil.app.files import write_whole
-    from hil.app.output import console, further
-    from hil.cli.shared import load
-    from hil.lab.learn import report
-    from hil.lab.learn.rehearsal import rehearse, with_scale
-
-    runs, scale, logs = how
-    c = load(str(configuration), "sim")
-    believed = None
-    if scale is not None:
-        c = with_scale(c, scale)
-        believed = c.controller.believed
-    with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, console.status("run 0") as status:
-        made = rehearse(
-            c, runs, known, logs or Path(folder), lambda s: status.update(f"run {s.run.number + 1}")
-        )
-    unwritten: dict[str, Any] = {}
-    if made.best and out is not None:
-        with further(unwritten):
-            write_whole(out, made.best)
-    written = None if unwritten else out
-    summary = report.series_summary(made, written) | unwritten
-    finish_lines(report.series(made, written, believed), summary)

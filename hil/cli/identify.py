@@ -6,7 +6,6 @@ import click
 
 from hil.cli.shared import (
     FILE,
-    NOT_NEGATIVE,
     OUTPUT,
     POSITIVE,
     FiniteRange,
@@ -21,15 +20,9 @@ from hil.cli.shared import (
 
 @click.command("payload")
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=FILE)
-@option(
-    "--reflected",
-    NOT_NEGATIVE,
-    "KG",
-    "Reflected mass of motor and screw in each leg, where it is known; default: it is identified.",
-)
 @option("-o --out", OUTPUT, "FILE", "Write the block there as YAML; an earlier one is replaced.")
 @reporting
-def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -> None:
+def payload(logs: tuple[Path, ...], out: Path | None) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
     Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
@@ -40,30 +33,26 @@ def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -
     Examples:
       hil identify payload runs/today.mcap
       hil identify payload runs/a.mcap runs/b.mcap -o payload.yaml
-      hil identify payload runs/today.mcap --reflected 9.9
 
     Guide: docs/guides/identify.md.
     """
-    from rich.text import Text
-
     from hil.app.files import beginning, new_file, write_whole
     from hil.app.output import console, further, show_lines
-    from hil.app.terminal import visible
-    from hil.lab.identify import payload_block, payload_report
+    from hil.lab.identify import payload_report
     from hil.lab.identify.payload import identify_payload
 
     if out is not None:
-        own = beginning("a file of hil identify payload", payload_block.REMARK.encode())
+        own = beginning("a file of hil identify payload", payload_report.REMARK.encode())
         new_file(out, option="-o", own=own)
-    with console.status("reading") as status:
-        found = identify_payload(list(logs), reflected, lambda what: status.update(Text(visible(what))))
+    with console.status("reading the logs, and fitting"):
+        found = identify_payload(list(logs))
     show_lines(payload_report.report(found))
     summary = payload_report.summary(found)
-    block = payload_block.block_text(found)
+    block = payload_report.block_text(found)
     click.echo(f"\n{block}" if block else "Nothing to paste", nl=not block)
     if out is not None:
         with further(summary):
-            write_whole(out, payload_block.file_text(found))
+            write_whole(out, payload_report.file_text(found))
             click.echo(f"\nwritten: {out}")
     finish_lines((), summary)
 
@@ -141,8 +130,8 @@ def command(
 
         loaded = load(configuration)
         excite = delay_of.excited if delay else axes.excited_axes
-        made = excite(loaded, force, duration)
-        log = log_path(loaded.recording.folder, made.configuration.name, log)
+        made, force = excite(loaded, force, duration)
+        log = log_path(loaded.recording.folder, made.name, log)
     if not delay:
         files = axes.outputs(log, model)
     if made is not None:
@@ -160,5 +149,5 @@ def command(
         result = axes.summary(found, log, axes.save(found, files, log.stem))
         lines = axes.report(result, found.model)
     if made is not None:
-        result |= {"excitation_N": made.force_N, "run": run}
+        result |= {"excitation_N": force, "run": run}
     finish_lines(lines, result)

@@ -7,11 +7,9 @@ the one that changes the momentum as observed. The two are compared period by pe
     needed = gain * force(transport, lag) + offset - viscous * rate - coulomb * sgn(rate),
 
 over periods in which the leg slides: a leg that sticks hides any force. Gain, offset and friction of each leg
-absorb the errors of the model; they do not change the time. Where masses or drives are off, the friction is
-viscous / gain and coulomb / gain in the force that the drive makes: that is what is returned. Transport and
-lag, common to all legs, minimise the sum of squares (separable least squares: Golub and Pereyra, SIAM J.
-Numer. Anal. 10, 1973). Both delay, but only the lag attenuates high frequencies: slow motion gives their sum
-alone.
+absorb the errors of the model; they do not change the time. Transport and lag, common to all legs, minimise
+the sum of squares (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay,
+but only the lag attenuates high frequencies: slow motion gives their sum alone.
 
 Standard deviations are those of all parameters together, linearised at the least squares, for coloured
 residuals (`coloured_covariance`).
@@ -27,6 +25,7 @@ from scipy.signal import lfilter
 from drivers.arrays import ZERO6, Array, Flags
 from drivers.errors import IdentificationError
 from hil.estimation.observer import unexplained
+from hil.lab.identify.estimators.axis_fit import Delays
 from hil.lab.identify.estimators.body_fit import coloured_covariance
 from hil.robot.dynamics import SLIDING_SPEED, Model
 from hil.robot.kinematics_kernels import jacobian_kernel
@@ -62,28 +61,15 @@ class Motion(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """From measurement to force, s, with standard deviations."""
+    """Delays, and how sure they are."""
 
-    transport_s: float
-    transport_std_s: float
-    lag_s: float
-    lag_std_s: float
-    hold_s: float
-    """Half a period; known."""
-    total_s: float
-    total_std_s: float
+    delays: Delays
     separable: bool
     """Whether transport and lag could be separated; if not, lag is 0 and transport is their sum."""
     explained: float
     """Share of the varying force that is explained, 0 .. 1."""
     gain: Array
     """(6,) of each leg: 1 where model and drives agree."""
-    viscous: Array
-    """(6,) N s/m of the drive's own force, beyond the model's."""
-    viscous_std: Array
-    coulomb: Array
-    """(6,) N of the drive's own force, beyond the model's."""
-    coulomb_std: Array
     periods: int
     """In which the leg that moved least was used."""
 
@@ -102,31 +88,25 @@ def force_delay(motion: Motion, model: Model) -> Delay:
         )
     found = fit.search(STARTS)
     covariance = fit.covariance(found)
-    std = T * np.sqrt(np.diag(covariance)[:2])
+    std = T * np.sqrt(np.diag(covariance))
     # at the end of what is possible its slope says nothing
     at_end = found[0] < 1e-3 and found[1] > 0.02
     separable = bool(std.max() <= SURE_S) and not at_end
     if not separable:
         found = fit.search([(float(found.sum()),)])
         covariance = fit.covariance(found)
-        std = np.array([T * np.sqrt(covariance[0, 0]), 0.0])
-    n = len(found)
-    total_std = T * float(np.sqrt(covariance[:n, :n].sum()))
-    residual, of_legs = fit.residual(found), fit.of_legs(found)
+        std = np.append(T * np.sqrt(covariance[0]), 0.0)
+    total_std = T * float(np.sqrt(covariance.sum()))
     varying = sum(((fit.needed[k] - fit.needed[k].mean()) ** 2).sum() for k in fit.rows)
-    explained = 1.0 - float((residual**2).sum() / varying)
+    explained = 1.0 - float((fit.residual(found) ** 2).sum() / varying)
     if not (explained > 0.5 and total_std <= SURE_S):
         raise IdentificationError(
             f"the commands explain {100 * max(explained, 0.0):.0f} % of the varying forces and the delay is "
             f"known to {1e3 * total_std:.2g} ms: too little excitation, or another robot than the model's"
         )
-    (transport, lag), hold = T * np.append(found, 0.0)[:2], 0.5 * T
-    gain, _, viscous, coulomb = of_legs.T
-    spread = np.sqrt(np.diag(covariance)[n:]).reshape(6, 4)
-    return Delay(
-        float(transport), float(std[0]), float(lag), float(std[1]), hold, float(transport + lag + hold),
-        total_std, separable, explained, gain, viscous, spread[:, 2], coulomb, spread[:, 3], periods,
-    )  # fmt: skip
+    transport, lag = (T * np.append(found, 0.0)[:2]).tolist()
+    delays = Delays(transport, float(std[0]), lag, float(std[1]), transport + lag + 0.5 * T, total_std)
+    return Delay(delays, separable, explained, fit.coefficients(found)[:, 0], periods)
 
 
 def needed_forces(motion: Motion, model: Model) -> Array:
@@ -166,8 +146,7 @@ def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -
 class _Fit:
     """The separable least squares of one log: a row for each leg and period in which the leg slides one way.
 
-    Delays x are transport and lag in periods, or transport alone. Each leg has gain, offset, and viscous and
-    Coulomb friction of the drive's own force.
+    Delays x are transport and lag in periods, or transport alone.
     """
 
     def __init__(self, motion: Motion, needed: Array) -> None:
@@ -184,20 +163,18 @@ class _Fit:
         T = self._motion.period_s
         return mean_forces(self._motion.tau, T, transport * T, lag * T)[self._sample, self._leg]
 
-    def _fitted(self, x: Sequence[float] | Array) -> tuple[Array, Array]:
-        """Return the regressors (m, 4) and their coefficients (6, 4): gain, offset, viscous, coulomb."""
-        A = np.column_stack([self._force(*x), np.ones(len(self.needed)), self._friction])
-        return A, np.array([np.linalg.lstsq(A[k], self.needed[k], rcond=None)[0] for k in self.rows])
+    def _regressors(self, x: Sequence[float] | Array) -> Array:
+        return np.column_stack([self._force(*x), np.ones(len(self.needed)), self._friction])
+
+    def coefficients(self, x: Sequence[float] | Array) -> Array:
+        """Return gain, offset, viscous and Coulomb friction (6, 4) of the legs with delays."""
+        A = self._regressors(x)
+        return np.array([np.linalg.lstsq(A[k], self.needed[k], rcond=None)[0] for k in self.rows])
 
     def residual(self, x: Sequence[float] | Array) -> Array:
         """Return what delays leave of the forces, (m,) N."""
-        A, c = self._fitted(x)
-        return np.asarray(self.needed - (A * c[self._leg]).sum(axis=1), np.float64)
-
-    def of_legs(self, x: Array) -> Array:
-        """Return gain, offset and frictions (6, 4) with delays."""
-        c = self._fitted(x)[1]
-        return np.hstack([c[:, :2], c[:, 2:] / c[:, :1]])
+        of_rows = self.coefficients(x)[self._leg]
+        return np.asarray(self.needed - (self._regressors(x) * of_rows).sum(axis=1), np.float64)
 
     def search(self, starts: Sequence[tuple[float, ...]]) -> Array:
         """Return the delays that leave least, from the best of some starts."""
@@ -213,16 +190,16 @@ class _Fit:
         return np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, np.float64)
 
     def covariance(self, x: Array) -> Array:
-        """Return the covariance of delays and, leg by leg, `of_legs`."""
-        A, c = self._fitted(x)
-        gain = c[self._leg, 0]
-        Z = np.zeros((len(A), len(x) + 24))
-        for n in range(len(x)):
+        """Return the covariance of the delays, beside the coefficients of the legs; inf: none are shown."""
+        A, n = self._regressors(x), len(x)
+        Z = np.empty((len(A), n))
+        for k in range(n):
             low, high = x.copy(), x.copy()
-            low[n], high[n] = max(x[n] - DIFFERENCE, 0.0), x[n] + DIFFERENCE
-            Z[:, n] = gain * (self._force(*high) - self._force(*low)) / (high[n] - low[n])
-        A[:, 0] += (self._friction * (c[self._leg, 2:] / gain[:, None])).sum(axis=1)
-        A[:, 2:] *= gain[:, None]
-        for column in range(4):
-            Z[np.arange(len(A)), len(x) + 4 * self._leg + column] = A[:, column]
+            low[k], high[k] = max(x[k] - DIFFERENCE, 0.0), x[k] + DIFFERENCE
+            Z[:, k] = (self._force(*high) - self._force(*low)) / (high[k] - low[k])
+        Z *= self.coefficients(x)[self._leg, :1]
+        for rows in self.rows:  # what the coefficients of a leg make up for says nothing
+            Z[rows] -= A[rows] @ np.linalg.lstsq(A[rows], Z[rows], rcond=None)[0]
+        if np.linalg.matrix_rank(Z) < n:
+            return np.full((n, n), np.inf)
         return coloured_covariance(Z, self.residual(x), self._sample)

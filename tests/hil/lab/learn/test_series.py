@@ -30,18 +30,13 @@ FIRST_MM = 1.6
 OUT = Path("next.csv")
 MADE_FOR = made_for(C.reference, C.controller, C.platform, C.folder)
 ERROR = np.zeros((LEAD + COUNT, 6))
-ERROR[LEAD:] = np.sin(2.0 * np.pi * 6.0 * T * np.arange(COUNT))[:, None] * (
-    5e-4,
-    4e-4,
-    -5e-4,
-    3e-4,
-    -2e-4,
-    5e-4,
+ERROR[LEAD:] = np.outer(
+    np.sin(2.0 * np.pi * 6.0 * T * np.arange(COUNT)), [5e-4, 4e-4, -5e-4, 3e-4, -2e-4, 5e-4]
 )
 
 
-def head_of(run: int, **changes: Any) -> FeedforwardHead:
-    head = FeedforwardHead(
+def head_of(run: int) -> FeedforwardHead:
+    return FeedforwardHead(
         kind="feedforward",
         source="first.mcap",
         run=run,
@@ -54,7 +49,6 @@ def head_of(run: int, **changes: Any) -> FeedforwardHead:
         peak_N=100.0,
         rows=LEAD + COUNT,
     )
-    return head.model_copy(update=changes)
 
 
 def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun:

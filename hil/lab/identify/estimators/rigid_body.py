@@ -100,7 +100,7 @@ def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
 
 def _cross(x: Array) -> Array:
     """Return the matrices (n, 3, 3) of x cross."""
-    return np.swapaxes(np.cross(x[:, None], np.eye(3)), 1, 2)
+    return np.asarray(np.cross(x[:, None], np.eye(3)).transpose(0, 2, 1), np.float64)
 
 
 def _inertia_times(x: Array) -> Array:

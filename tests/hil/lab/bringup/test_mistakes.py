@@ -100,7 +100,7 @@ def rehearse(family: str, wiring: Wiring, expected: Named) -> None:
 @pytest.mark.parametrize(("family", "name"), design())
 def test_each_of_several_mistakes_is_named_with_its_legs(family, name):
     words = ROUNDS[name]
-    expected = OTHERWISE.get((family, name)) or set().union(*map(case_of, words))
+    expected = OTHERWISE.get((family, name)) or Named().union(*map(case_of, words))
     rehearse(family, wired(*map(mistake_of, words)), expected)
 
 

@@ -6,7 +6,6 @@ import click
 
 from hil.cli import shared
 
-REFLECTED = "Reflected mass of motor and screw in each leg, where known; default: it is identified."
 FORCE = "Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it."
 DURATION = "Of the excitation, fading in and out included; default 12.5, with --delay 4."
 MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it."
@@ -14,10 +13,9 @@ MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml.
 
 @click.command("payload")
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=shared.FILE)
-@shared.option("--reflected", shared.NOT_NEGATIVE, "KG", REFLECTED)
 @shared.option("-o --out", shared.OUTPUT, "FILE", "YAML of the block; an earlier one is replaced.")
 @shared.reporting
-def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -> None:
+def payload(logs: tuple[Path, ...], out: Path | None) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
     Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
@@ -27,25 +25,24 @@ def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -
     \b
     Examples:
       hil identify payload runs/a.mcap runs/b.mcap -o payload.yaml
-      hil identify payload runs/today.mcap --reflected 9.9
 
     Guide: docs/guides/identify.md.
     """
     from hil.app.files import beginning, new_file
     from hil.app.output import show_lines
-    from hil.lab.identify import payload_block, payload_report
+    from hil.lab.identify import payload_report
     from hil.lab.identify.payload import identify_payload
 
     if out is not None:
-        own = beginning("a file of hil identify payload", payload_block.REMARK.encode())
+        own = beginning("a file of hil identify payload", payload_report.REMARK.encode())
         new_file(out, option="-o", own=own)
-    with shared.status("reading") as progress:
-        found = identify_payload(list(logs), reflected, progress)
+    with shared.status("reading the logs, and fitting"):
+        found = identify_payload(list(logs))
     show_lines(payload_report.report(found))
     summary = payload_report.summary(found)
-    block = payload_block.block_text(found)
+    block = payload_report.block_text(found)
     click.echo(f"\n{block}" if block else "Nothing to paste")
-    shared.write(summary, out, payload_block.file_text(found))
+    shared.write(summary, out, payload_report.file_text(found))
     shared.finish_lines((), summary)
 
 
@@ -104,8 +101,8 @@ def command(
     else:
         loaded = shared.load(str(configuration))
         excite = delay_of.excited if delay else axes.excited_axes
-        made = excite(loaded, force, duration)
-        log = log_path(loaded.recording.folder, made.configuration.name, log)
+        made, force = excite(loaded, force, duration)
+        log = log_path(loaded.recording.folder, made.name, log)
     if not delay:
         files = axes.outputs(log, model)
     if made is not None:
@@ -122,5 +119,5 @@ def command(
         result = axes.summary(found, log, axes.save(found, files, log.stem))
         lines = axes.report(result, found.model)
     if made is not None:
-        result |= {"excitation_N": made.force_N, "run": run}
+        result |= {"excitation_N": force, "run": run}
     shared.finish_lines(lines, result)

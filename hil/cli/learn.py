@@ -1,8 +1,5 @@
 """`hil learn`: the feed-forward of the next run, from the logs of those before."""
 
-from __future__ import annotations
-
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +47,14 @@ def command(
 
     Guide: docs/guides/learning.md.
     """
+    from tempfile import TemporaryDirectory
+
     from hil.app.configuration.feedforward_file import BEGINNING
     from hil.app.configuration.text_file import shipped
     from hil.app.files import beginning, new_file, write_whole
     from hil.app.output import further
     from hil.lab.learn import report
-    from hil.lab.learn.command import Knowledge, learn, limit_of
-    from hil.lab.learn.rehearsal import rehearse, with_scale
+    from hil.lab.learn.command import Knowledge, learn, rehearse, with_scale
 
     first = sources[0]
     is_log = first.suffix not in {".yaml", ".yml"} and (first.exists() or str(first) not in shipped())
@@ -71,27 +69,21 @@ def command(
     if out is not None:
         new_file(out, option="-o", own=beginning("a file of hil learn", BEGINNING))
     known = Knowledge(axes, gain_error, 1e-3 * delay_error, limit)
-    unwritten: dict[str, Any] = {}
-
-    def written(text: str | None) -> Path | None:
-        """Write the feed-forward, if there is one and a file for it; return that file."""
-        if text and out is not None:
-            with further(unwritten):
-                write_whole(out, text)
-        return None if unwritten else out
-
+    believed = None
     if runs is None:
-        outcome = learn(sources, known)
-        file = written(outcome.text)
-        lines = report.lines(outcome, limit_of(outcome.steps[-1].run, known), file)
-        shared.finish_lines(lines, report.summary(outcome, file) | unwritten)
-    c, believed = shared.load(str(first), "sim"), None
-    if inertia_scale is not None:
-        c = with_scale(c, inertia_scale)
-        believed = c.controller.believed
-    with tempfile.TemporaryDirectory(prefix="hil-learn-") as folder, shared.status("run 0") as progress:
-        made = rehearse(
-            c, runs, known, logs or Path(folder), lambda step: progress(f"run {step.run.number + 1}")
-        )
-    file = written(made.best)
-    shared.finish_lines(report.series(made, file, believed), report.series_summary(made, file) | unwritten)
+        made = learn(sources, known)
+    else:
+        c = shared.load(str(first), "sim")
+        if inertia_scale is not None:
+            c = with_scale(c, inertia_scale)
+            believed = c.controller.believed
+        with TemporaryDirectory(prefix="hil-learn-") as folder, shared.status("run 0") as progress:
+            made = rehearse(
+                c, runs, known, logs or Path(folder), lambda step: progress(f"run {step.run.number + 1}")
+            )
+    unwritten: dict[str, Any] = {}
+    if made.best and out is not None:
+        with further(unwritten):
+            write_whole(out, made.best)
+    file = None if unwritten else out
+    shared.finish_lines(report.lines(made, file, believed), report.summary(made, file) | unwritten)

@@ -64,7 +64,7 @@ def command(
     with contextlib.ExitStack() as stack:
         bench = None
         if with_bench:
-            from hil.lab.bringup.hands import served_bench
+            from hil.lab.bringup.ends import served_bench
 
             bench = stack.enter_context(served_bench(loaded, mistakes))
         summary = run_plant(loaded, ready=tell, bench=bench, **options)

@@ -48,7 +48,7 @@ class Made(NamedTuple):
 def made(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Made:
     path = tmp_path_factory.mktemp("axes") / "a.mcap"
     c = changed("virtual", controller={"law": request.param, "wn_rad_s": 20})
-    summary = simulate(excited_axes(c, None, 10.5).configuration, log=path, check_replay=False)
+    summary = simulate(excited_axes(c, None, 10.5)[0], log=path, check_replay=False)
     assert summary["success"], summary
     rows, found = Log.open(path).rows(), axes_of_log(path)
     return Made(path, rows[rows["mode"] == Mode.TRACKING], found.model, found.fit, summary)
@@ -79,12 +79,12 @@ def test_the_slope_of_the_phase_is_the_total_delay_of_transport_and_lag(made):
     omega = 2 * pi * f[f <= 30.0]
     slope_ms = -1e3 * (omega @ phase[f <= 30.0]) / (omega @ omega)
     assert slope_ms == pytest.approx(TOTAL_MS, abs=0.05)
-    assert 1e3 * made.fit.total_s == pytest.approx(TOTAL_MS, abs=0.05)
+    assert 1e3 * made.fit.delays.total_s == pytest.approx(TOTAL_MS, abs=0.05)
     if made.model.axes == "joint":
-        assert made.fit.transport_s == pytest.approx(TRANSPORT_S, abs=0.1e-3)
-        assert made.fit.lag_s == pytest.approx(LAG_S, abs=0.1e-3)
+        assert made.fit.delays.transport_s == pytest.approx(TRANSPORT_S, abs=0.1e-3)
+        assert made.fit.delays.lag_s == pytest.approx(LAG_S, abs=0.1e-3)
         assert made.fit.gain == pytest.approx(np.ones(6), abs=0.01)
-        assert 2 * made.fit.total_std_s < 0.02e-3
+        assert 2 * made.fit.delays.total_std_s < 0.02e-3
 
 
 def test_the_bound_covers_the_truth(made):

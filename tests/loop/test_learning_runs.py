@@ -21,8 +21,7 @@ from hil.app.replay import replay_log
 from hil.cli import main
 from hil.lab.identify.runs import recorded_run
 from hil.lab.learn import runs
-from hil.lab.learn.command import Knowledge, learn
-from hil.lab.learn.rehearsal import Rehearsal, rehearse, with_scale
+from hil.lab.learn.command import Knowledge, Series, learn, rehearse, with_scale
 from hil.lab.learn.runs import learning_run
 from hil.record.log import Log
 
@@ -44,7 +43,7 @@ def short(**sections: Any) -> Configuration:
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Rehearsal]:
+def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Series]:
     """Four runs with a law whose masses are a tenth too small."""
     folder = tmp_path_factory.mktemp("learn")
     return folder, rehearse(short(), 4, Knowledge(), folder, lambda _: None)

@@ -3,6 +3,7 @@
 import contextlib
 import time
 from collections.abc import Callable, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -11,26 +12,23 @@ import numpy as np
 from drivers.can.bus import Bus
 from drivers.clock import MONOTONIC, Clock
 from drivers.errors import ConfigurationError, RunError
-from drivers.family import Family
 from drivers.protocol import Frame, Received
 from drivers.signals import Fault
 from drivers.tick_columns import Record, row_of
 from hil.app.compose import attachments, build_protocol, build_scene
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import write_whole
+from hil.app.homing.file import homing_file, homing_path, read_homing, write_homing
 from hil.app.output import further, log_path
 from hil.app.run.command import run_daemon
 from hil.app.run.stretching import stood_still_line, stretches
-from hil.lab.bringup.checklist import checklist
-from hil.lab.bringup.context import Context, Finding, RefusedError, Request
-from hil.lab.bringup.drives import Drives
-from hil.lab.bringup.ends import End, bus_line, served_end
+from hil.lab.bringup.context import Context, Finding, Operator, RefusedError, Request
+from hil.lab.bringup.drives import Drives, Line
+from hil.lab.bringup.ends import asked, bus_line, hands_socket, served_end
 from hil.lab.bringup.found import FIRST_M, found_text, mended
-from hil.lab.bringup.hands import asked, hands_socket
 from hil.lab.bringup.machine import bringup_rate, build_machine, known_poses
-from hil.lab.bringup.procedure import Outcome, bring_up
-from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, build_bench, wiring_of
-from hil.lab.bringup.release import Together, lines_of, mark_moved, six_legs, state_lengths
+from hil.lab.bringup.procedure import Outcome, bring_up, checklist
+from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, build_bench, six_legs, wiring_of
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
 from hil.loop.clock import real_time
@@ -39,31 +37,35 @@ from plant_fmu.rehearsal.bench import RehearsalBench
 
 _SERVED = "a bench that another process serves"
 _MOUNT = "Fix the platform to its legs, take the levers off the brakes, keep the hoist slack, and stand clear"
+_TOGETHER = "together: six legs at reduced limits"
 
 
-class Files(NamedTuple):
-    """Where a bring-up writes."""
+class Together(NamedTuple):
+    """How the six legs ran."""
 
-    state: Path
-    found: Path
-    checklist: Path
+    success: bool
+    lines: list[str]
+    """For the checklist."""
+    brake_failed: bool = False
+    """A brake did not hold, or did not open: the brakes are to be tested again."""
 
 
-def files_of(configuration: str, c: Configuration, state: Path | None, *, rehearsal: bool) -> Files:
-    """Return files beside a given configuration, in this folder for a shipped one; none is written over."""
+def files_of(
+    configuration: str, c: Configuration, state: Path | None, *, rehearsal: bool
+) -> tuple[Path, Path, Path]:
+    """Return the files of state, configuration found and checklist; but for the state none is there yet.
+
+    They are beside a given configuration, in this folder for a shipped one.
+    """
     given = Path(configuration)
     folder = given.parent if given.is_file() else Path()
-    stem = given.stem if given.is_file() else c.name
-    kind = "rehearsal" if rehearsal else "bringup"
-    number, end = 1, ""
-    while any((folder / f"{stem}.{kind}{end}{tail}").exists() for tail in (".yaml", ".txt")):
-        number += 1
-        end = f"-{number}"
-    return Files(
-        folder / f"{stem}.{kind}.state.json" if state is None else state,
-        folder / f"{stem}.{kind}{end}.yaml",
-        folder / f"{stem}.{kind}{end}.txt",
-    )
+    stem = f"{given.stem if given.is_file() else c.name}.{'rehearsal' if rehearsal else 'bringup'}"
+    for number in count(1):
+        end = f"-{number}" if number > 1 else ""
+        found, checked = (folder / f"{stem}{end}{tail}" for tail in (".yaml", ".txt"))
+        if not found.exists() and not checked.exists():
+            break
+    return folder / f"{stem}.state.json" if state is None else state, found, checked
 
 
 def run_bringup(
@@ -90,12 +92,12 @@ def run_bringup(
         raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
     protocol = build_protocol(c)
     bench = None if mistakes is None else build_bench(c, wiring_of(mistakes, protocol))
-    files = files_of(configuration, c, state, rehearsal=bench is not None)
-    store = Store(files.state, identity(c, [_SERVED] if served else mistakes or ()), again=again)
+    state, found_file, checklist_file = files_of(configuration, c, state, rehearsal=bench is not None)
+    store = Store(state, identity(c, [_SERVED] if served else mistakes or ()), again=again)
     if store.changed:
-        say(f"other hardware than in {files.state} ({store.changed}): everything is measured again")
+        say(f"other hardware than in {state} ({store.changed}): everything is measured again")
     elif store.facts:
-        say(f"{files.state}: what it holds is not asked again; --again begins anew")
+        say(f"{state}: what it holds is not asked again; --again begins anew")
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
     with contextlib.ExitStack() as outer:
         steps = outer.enter_context(contextlib.ExitStack())
@@ -106,34 +108,37 @@ def run_bringup(
         agree: Agree = (lambda *_: True) if yes else terminal.consent
         with steps:
             if bench is not None:
-                line = BenchLine(bench.nodes, bringup_rate(c))
-                end = End(line, BenchHands(bench, known_poses(c), agree, said))
+                line: Line = BenchLine(bench.nodes, bringup_rate(c))
+                operator: Operator = BenchHands(bench, known_poses(c), agree, said)
             elif served and bus is not None:
-                end = steps.enter_context(served_end(c, bus, protocol, terminal, agree, said))
+                line, operator = steps.enter_context(served_end(c, bus, protocol, terminal, agree, said))
             else:
                 assert bus is not None
                 mark_moved(c, said)
                 steps.enter_context(real_time(c.loop.priority, c.loop.cpu))
-                end = End(bus_line(c, bus, protocol), terminal)
-            outcome, context, reason = _proceed(c, protocol, end, store, said, hang=bench is None)
+                line, operator = bus_line(c, bus, protocol), terminal
+            machine = build_machine(c, protocol)
+            drives = Drives(protocol, line, machine.watchdog_s, said.tick)
+            context = Context(machine, drives, operator, store.facts, store.save)
+            outcome, reason = _proceed(context, hang=bench is None)
         bench_time = stretches(np.array(said.stood_ns, np.int64))
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
         together = Together(success=False, lines=[])
         unwritten: dict[str, Any] = {}
         if outcome.success and not reason:
-            write_whole(files.found, text)
-            found = loads(text, str(files.found), c.folder)
+            write_whole(found_file, text)
+            found = loads(text, str(found_file), c.folder)
             together = _release(found, bench, context, said, agree, served=served)
             if together.success:
                 with further(unwritten):
-                    write_whole(files.found, found_text(c, context, (), released=True, rehearsed=rehearsed))
+                    write_whole(found_file, found_text(c, context, (), released=True, rehearsed=rehearsed))
             if together.brake_failed:
                 store.forget_brakes()
         lines = checklist(context, outcome, together.lines)
         lines += filter(None, [stood_still_line(bench_time)])
         if outcome.findings:
             with further(unwritten):
-                next_ = _write_mended(c, context, files.found, text, outcome.findings, rehearsed=rehearsed)
+                next_ = _write_mended(c, context, found_file, text, outcome.findings, rehearsed=rehearsed)
                 said(next_)
                 lines.append(next_)
         stamp = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
@@ -141,7 +146,7 @@ def run_bringup(
         if rehearsed:
             head.insert(0, "REHEARSAL on an emulated bench, no machine was measured:")
         with further(unwritten):
-            write_whole(files.checklist, "\n".join([*head, *lines, ""]))
+            write_whole(checklist_file, "\n".join([*head, *lines, ""]))
         for each in lines:
             said.event(each)
         store.forget(outcome.findings)
@@ -157,9 +162,9 @@ def run_bringup(
         "passed": list(outcome.passed),
         "not_provable": [f"{step}: {gap.line}" for step, gap in outcome.gaps],
         "findings": [finding.line for finding in outcome.findings],
-        "checklist": str(files.checklist),
-        **({"found": str(files.found)} if files.found.exists() else {}),
-        "state": str(files.state),
+        "checklist": str(checklist_file),
+        **({"found": str(found_file)} if found_file.exists() else {}),
+        "state": str(state),
         "log": str(path),
         **unwritten,
     }
@@ -225,13 +230,8 @@ class _Said:
             self._recording.tick(row_of(record), received, sent)
 
 
-def _proceed(
-    c: Configuration, protocol: Family, end: End, store: Store, said: _Said, *, hang: bool
-) -> tuple[Outcome, Context, str]:
-    """Do the steps, then have the platform fixed if `hang`; return how far, what is known, why ended."""
-    machine = build_machine(c, protocol)
-    drives = Drives(protocol, end.line, machine.watchdog_s, said.tick)
-    context = Context(machine, drives, end.operator, store.facts, store.save)
+def _proceed(context: Context, *, hang: bool) -> tuple[Outcome, str]:
+    """Do the steps, then have the platform fixed if `hang`; return how far, and why it ended."""
     try:
         outcome = bring_up(context)
         if outcome.success and hang:
@@ -241,8 +241,8 @@ def _proceed(
     except KeyboardInterrupt:
         why = "interrupted: forces zero, brakes shut; what was found is kept"
     else:
-        return outcome, context, ""
-    return Outcome(tuple(store.facts.get("passed", {})), (), stopped="ended"), context, why
+        return outcome, ""
+    return Outcome(tuple(context.facts.get("passed", {})), (), stopped="ended"), why
 
 
 def _release(
@@ -260,7 +260,7 @@ def _release(
     """
     why = "not begun, since the log is not whole" if said.trouble else ""
     if not why:
-        said("together: six legs at reduced limits")
+        said(_TOGETHER)
         will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
         try:
             agree("six legs together", will, "Ctrl-C parks, twice stops")
@@ -268,21 +268,41 @@ def _release(
             why = str(refusal) or "interrupted before it began"
     if why:
         return Together(success=False, lines=[f"[ ] together: {why}"])
-    if bench is None:
+    if bench is not None:
+        ending = six_legs(found, bench)
+        success, brake_failed, words = ending.success, Fault.BRAKE in ending.faults, [ending.trouble]
+    else:
         if not served:
             state_lengths(found, context, said)
         summary = run_daemon(found, draw=False, arm=True, on_bench=served)
-        success, faults = summary["success"], summary.get("faults", ())
-        stood = stood_still_line(summary["bench_time"]) if "bench_time" in summary else ""
-        lines = lines_of(success, summary["trouble"] or f"log {summary['log']}", stood)
-        together = Together(success, lines, "BRAKE" in faults)
-    else:
-        ending = six_legs(found, bench)
-        lines = lines_of(ending.success, ending.trouble)
-        together = Together(ending.success, lines, Fault.BRAKE in ending.faults)
+        success, brake_failed = summary["success"], "BRAKE" in summary.get("faults", ())
+        words = [summary["trouble"] or f"log {summary['log']}"]
+        words += [stood_still_line(summary["bench_time"])] if "bench_time" in summary else []
+    done = "brakes carried the platform, first motion done, parked" if success else "ended early"
+    mark, figures = "x" if success else "!", "; ".join(filter(None, (done, *words)))
+    together = Together(success, [f"[{mark}] {_TOGETHER}", f"      {figures}"], brake_failed)
     for line in together.lines:
         said(line)
     return together
+
+
+def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
+    """Mark the homing file, if any, before legs are moved by hand. Raises ConfigurationError."""
+    path = None if c.drives.homing is None else homing_path(c, emulated=False)
+    if path is None or not path.exists():
+        return
+    file = read_homing(c, path)
+    write_homing(c, path, homing_file(c, "moved", file.lengths_m, file.turns))
+    say(f"{path}: marked as moved, since legs are moved by hand; it is written anew once the platform hangs")
+
+
+def state_lengths(found: Configuration, context: Context, say: Callable[[str], None]) -> None:
+    """Write the lengths of the last known pose, where the platform was fixed. Raises ConfigurationError."""
+    path = None if found.drives.homing is None else homing_path(found, emulated=False)
+    if path is not None:
+        lengths = context.machine.pose_lengths[-1].tolist()
+        write_homing(found, path, homing_file(found, "stated", lengths, None))
+        say(f"{path}: says that the platform hangs at the last known pose")
 
 
 def _log(c: Configuration, path: Path, clock: Clock | None) -> Recording:

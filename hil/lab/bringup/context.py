@@ -37,21 +37,7 @@ class Request(NamedTuple):
     word: str = ""
     """What he types for it to count as done; empty: Enter."""
     within: tuple[float, float] | None = None
-    """Readings outside are asked for again: another unit, or a slip."""
-
-
-class Gap(NamedTuple):
-    """What a step cannot prove with these drives."""
-
-    text: str
-    """What is not proven, and why."""
-    instead: str
-    """What the operator has to see to, since nothing here does."""
-
-    @property
-    def line(self) -> str:
-        """As it is read."""
-        return f"not provable with these drives: {self.text}. {self.instead}"
+    """Of a reading: those outside are asked for again, another unit or a slip. None: an act is to be done."""
 
 
 class Finding(NamedTuple):
@@ -69,6 +55,11 @@ class Finding(NamedTuple):
         """As it is read: which leg, what, how to mend it."""
         which = f"leg{'s' * (len(self.legs) > 1)} {', '.join(map(str, self.legs))}: " if self.legs else ""
         return f"{self.name}: {which}{self.text}. {self.mend}"
+
+
+def gap_of(text: str, instead: str) -> Finding:
+    """Return what a step cannot prove with these drives, and what the operator has to see to instead."""
+    return Finding("not provable with these drives", (), text, instead)
 
 
 class Operator(Protocol):
@@ -324,14 +315,10 @@ class Step(NamedTuple):
     """A finding ends the bring-up here; else the next steps still look for its cause."""
     by_drive: bool = False
     """It finds a fact of each drive."""
-    gap: Callable[[Context], Gap | None] = lambda _: None
+    gap: Callable[[Context], Finding | None] = lambda _: None
     """What it cannot prove with these drives, by the facts; it has not passed then."""
     tables: tuple[str, ...] = ()
     """Where it keeps its facts, if not under its own name."""
-
-    def measured(self, c: Context) -> bool:
-        """Whether all that the step is to find has been found."""
-        return not self.by_drive or len(c.facts.get(self.name, {})) == LEGS
 
     def kept_whole(self, c: Context, many: int) -> bool:
         """Whether it has passed before, and none of its facts, `many` in each table, is lost since."""

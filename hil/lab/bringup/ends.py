@@ -1,25 +1,37 @@
-"""The other end of a bring-up: a machine, a bench that another process serves, or one in this process."""
+"""The other end of a bring-up: a machine on a bus, or a bench that another process serves there.
+
+`hil plant --bench` has hands, `hil bringup` asks them by a datagram socket beside the bus's own files;
+request and answer are JSON. Readings come from the bench's truth, with the errors of tape and gauge.
+"""
 
 import contextlib
+import json
+import os
+import socket
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from pathlib import Path
 
 from drivers.bus_address import BusAddress
 from drivers.can.bus import Bus
-from drivers.errors import BusError
+from drivers.can.runtime_folder import runtime_folder, safe_name
+from drivers.errors import BusError, RunError
 from drivers.family import Family
 from drivers.frame_array import joined, received_frames, sent_array
 from drivers.protocol import Frame
-from hil.app.compose import drive_setup
+from hil.app.compose import build_protocol, drive_setup
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.fault_rules import refuse_on_trestles
+from hil.app.plant import Bench
 from hil.app.run.stretching import STRANGER, begin, bench_clock
-from hil.lab.bringup.context import Operator
+from hil.lab.bringup.context import Operator, Request
 from hil.lab.bringup.drives import Heard, Line
-from hil.lab.bringup.hands import RemoteHands
-from hil.lab.bringup.machine import WINDOW, bringup_rate
-from hil.lab.bringup.rehearsal import Agree, Say
+from hil.lab.bringup.machine import WINDOW, bringup_rate, known_poses
+from hil.lab.bringup.rehearsal import Agree, BenchHands, Hands, Say, build_bench, mounted, wiring_of
 from hil.loop.clock import Deadlines, real_time
 from hil.loop.report import NO_WATCHDOG
+
+_LONGEST = 4096
+_ENDED = "the bench has ended; its own last line says why"
 
 
 class BusLine:
@@ -59,18 +71,11 @@ class BusLine:
         self._bus.send(sent_array(frames))
 
 
-class End(NamedTuple):
-    """A line to six drives, and who works beside them."""
-
-    line: Line
-    operator: Operator
-
-
 @contextlib.contextmanager
 def served_end(
     c: Configuration, bus: Bus, protocol: Family, beside: Operator, agree: Agree, say: Say
-) -> Iterator[End]:
-    """Yield the ends of a bench that another process serves on a bus; its time stands still where it may."""
+) -> Iterator[tuple[Line, Operator]]:
+    """Yield the line to a bench that another process serves, and its hands; its time may stand still."""
     say("a rehearsal bench is served on this bus: its hands do what you are asked")
     clock, rate = bench_clock(c, bus), bringup_rate(c)
 
@@ -88,7 +93,7 @@ def served_end(
             opening = protocol.controller_end(drive_setup(c, rate)).begin(0)
             begin(clock, c, protocol, opening, round(1e9 * WINDOW / rate))
         try:
-            yield End(bus_line(c, bus, protocol), hands)
+            yield bus_line(c, bus, protocol), hands
         finally:
             bus.clock.leave()
             if clock is not None and clock.interrupted:
@@ -99,3 +104,96 @@ def bus_line(c: Configuration, bus: Bus, protocol: Family) -> BusLine:
     """Return the ticks of a bring-up on an open bus."""
     rate = bringup_rate(c)
     return BusLine(bus, rate, WINDOW / rate, watched=protocol.traits.has_watchdog)
+
+
+def hands_socket(interface: str, channel: str) -> Path:
+    """Return where the hands of a bus are asked."""
+    return runtime_folder() / f"hands-{safe_name(interface)}-{safe_name(channel)}"
+
+
+@contextlib.contextmanager
+def served_bench(c: Configuration, mistakes: Sequence[str]) -> Iterator[Bench]:
+    """Yield a bench with mistakes, whose hands are asked by a socket. Raises ConfigurationError, RunError."""
+    refuse_on_trestles([] if c.plant is None else c.plant.faults)
+    path = hands_socket(c.bus.interface, c.bus.channel)
+    if asked(path):
+        raise RunError(f"{path}: another bench is served on this bus; end it first")
+    bench = build_bench(c, wiring_of(mistakes, build_protocol(c)))
+    with (
+        contextlib.closing(mounted(c, bench.wiring)) as platform,
+        contextlib.closing(_bound(path)) as door,
+    ):
+        hands = BenchHands(bench, known_poses(c), platform=platform)
+        try:
+            yield Bench(bench.nodes, bench.cables, lambda: _serve(door, hands))
+        finally:
+            path.unlink(missing_ok=True)
+
+
+def asked(path: Path) -> bool:
+    """Tell whether somebody serves hands there."""
+    with contextlib.closing(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)) as probe:
+        try:
+            probe.connect(str(path))
+        except OSError:
+            return False
+    return True
+
+
+def _bound(path: Path, server: Path | None = None) -> socket.socket:
+    """Return a socket at a path, connected to a server where there is one. Raises RunError."""
+    door = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    door.setblocking(False)
+    try:
+        path.unlink(missing_ok=True)
+        door.bind(str(path))
+        if server is not None:
+            door.connect(str(server))
+    except OSError as error:
+        door.close()
+        what = "the bench's hands cannot listen there" if server is None else "nobody serves a bench there"
+        raise RunError(f"{server or path}: {what}: {error}") from None
+    return door
+
+
+def _serve(door: socket.socket, hands: BenchHands) -> None:
+    """Do what has been asked for, and answer."""
+    with contextlib.suppress(BlockingIOError):
+        data, sender = door.recvfrom(_LONGEST)
+        act, leg, value = json.loads(data)
+        hands.ask(Request(act, leg, value))
+        with contextlib.suppress(OSError):
+            door.sendto(json.dumps(hands.answer()).encode(), sender)
+
+
+class RemoteHands(Hands):
+    """The hands of a served bench. Mutable state: the socket."""
+
+    def __init__(self, address: BusAddress, agree: Agree, say: Say) -> None:
+        """Ask the hands of a bus. Raises RunError where there are none."""
+        super().__init__(agree, say)
+        self._server = hands_socket(address.interface, address.channel)
+        self._own = self._server.with_name(f"{self._server.name}-{os.getpid()}")
+        self._socket = _bound(self._own, self._server)
+
+    def ask(self, request: Request) -> None:
+        """Send what is to be done."""
+        self._say(f"    {request.text}")
+        try:
+            self._socket.send(json.dumps([request.act, request.leg, request.value]).encode())
+        except OSError:
+            raise RunError(_ENDED) from None
+
+    def answer(self) -> float | None:
+        """Return the bench's answer once it is there."""
+        try:
+            return float(json.loads(self._socket.recv(_LONGEST)))
+        except OSError as error:
+            if isinstance(error, BlockingIOError) and asked(self._server):
+                return None
+            raise RunError(_ENDED) from None
+
+    def close(self) -> None:
+        """Leave the hands alone."""
+        self._socket.close()
+        self._own.unlink(missing_ok=True)

@@ -143,15 +143,11 @@ def _transmission(c: Configuration, context: Context, findings: Sequence[Finding
 def _sources(context: Context) -> list[str]:
     """Return where numbers come from, as far as they were measured."""
     lines = ["drives.node_ids: each leg moved by hand and by its drive"]
-    watchdogs, encoders = context.table("watchdog").values(), context.table("encoder").values()
+    watchdogs = context.table("watchdog").values()
     latest = [fact["until_s"] for fact in watchdogs if fact["until_s"] is not None]
     if len(latest) < LEGS and not context.drives.protocol.traits.has_watchdog:
         lines.append("drives.watchdog_ms: NOT proven, none is set from here; cut the drives' power otherwise")
     elif latest:
         lines.append(f"drives.watchdog_ms: proven by silence, {1e3 * max(latest):.4g} ms at the latest")
-    if encoders:
-        low, high = zip(*(fact["tape_m"] for fact in encoders), strict=True)
-        scales = ", ".join(f"{fact['scale']:.4f}" for fact in encoders)
-        lines.append(f"platform: legs of {max(low):.4f} to {min(high):.4f} m by tape")
-        lines.append(f"drives: their encoders read {scales} m a m by tape")
+    lines.append("platform, drives.transmission: lengths by tape, which the checklist has")
     return lines

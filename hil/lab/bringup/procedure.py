@@ -1,12 +1,13 @@
-"""The bring-up: the steps in their order, each with consent, until one names a mistake.
+"""The bring-up: the steps in their order, each with consent, until one names a mistake; and its checklist.
 
 Nothing later begins while a gate has findings. Facts that are known are not asked for again.
 """
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Any, NamedTuple
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Gap, RefusedError, Request, Step, StoppedError
+from hil.lab.bringup.context import Context, Finding, RefusedError, Request, Step, StoppedError
 from hil.lab.bringup.steps import brakes, encoder, force, gauge, ids, mounted, scan, silence
 
 STEPS: tuple[Step, ...] = tuple(
@@ -23,7 +24,7 @@ class Outcome(NamedTuple):
     passed: tuple[str, ...]
     """Steps without a finding."""
     findings: tuple[Finding, ...]
-    gaps: tuple[tuple[str, Gap], ...] = ()
+    gaps: tuple[tuple[str, Finding], ...] = ()
     """Steps that cannot prove all with these drives, and what; the operator has taken that over."""
     stopped: str = ""
     """Step at which it ended early; empty: all steps were done."""
@@ -51,7 +52,7 @@ def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
 def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
     passed: list[str] = []
     findings: list[Finding] = []
-    gaps: list[tuple[str, Gap]] = []
+    gaps: list[tuple[str, Finding]] = []
     stopped = ""
     for step in steps:
         if findings and step.gate:
@@ -72,7 +73,7 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
             text = f"{step.name} is not proven: take it over by typing `accept`"
             c.ask(Request("accept", text=text, word="accept"))
             gaps.append((step.name, gap))
-        elif not step.measured(c):
+        elif step.by_drive and len(c.facts.get(step.name, {})) < LEGS:
             c.operator.tell("  not measured: see the findings above")
         else:
             passed.append(step.name)
@@ -112,3 +113,49 @@ def merged(findings: list[Finding]) -> list[Finding]:
             mend = "Turn the drive's direction of rotation."
             named["drive_reversed", legs] = Finding("drive_reversed", legs, text, mend)
     return [*named.values(), *more]
+
+
+_UNITS = {"m", "s", "N", "kg"}
+
+
+def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
+    """Return the lines: a line a step with its verdict, below it the figures of each leg."""
+    lines, gaps = [], dict(outcome.gaps)
+    for step in STEPS:
+        figures, gap = _figures(c, step), gaps.get(step.name)
+        mark = "x" if step.name in outcome.passed else "!" if figures and outcome.findings else " "
+        lines.append(f"[{'-' if gap else mark}] {step.name}: {step.title}")
+        if gap:
+            figures.append(f"{gap.line}; taken over by the operator")
+        lines += [f"      {line}" for line in figures]
+    return [*lines, *(f"    ! {finding.line}" for finding in outcome.findings), *together]
+
+
+def _figures(c: Context, step: Step) -> list[str]:
+    tables = ("identity", "scan") if step is scan.STEP else step.tables or (step.name,)
+    lines = [
+        f"{table} {name}: {_words(fact)}" for table in tables for name, fact in c.facts.get(table, {}).items()
+    ]
+    gains = gauge.gains(c) if step is gauge.STEP else {}
+    for drive, gain in gains.items():
+        within = 100.0 * (gauge.WITHIN + gain.error + c.machine.losses)
+        lines.append(f"drive {drive}: {gain.value:.3f} N a commanded N; right is 1 within {within:.2g} %")
+    return lines
+
+
+def _words(value: Any) -> str:
+    """Return a fact with the figures and units of its keys."""
+    match value:
+        case dict():
+            words = []
+            for key, each in value.items():
+                name, _, unit = key.rpartition("_")
+                words.append(f"{name} {_words(each)} {unit}" if unit in _UNITS else f"{key} {_words(each)}")
+            return ", ".join(words)
+        case list():
+            return " ".join(map(_words, value)) or "none"
+        case None | "":
+            return "none"
+        case float():
+            return f"{value:.5g}"
+    return str(value)

@@ -4,6 +4,7 @@ Its mistakes come in words: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1
 """
 
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from math import nan
 
 import numpy as np
@@ -12,18 +13,22 @@ from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.family import Family
 from drivers.protocol import Frame, Received
-from hil.app.compose import build_protocol
+from hil.app.compose import build_cycle, build_protocol
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_dict
+from hil.app.configuration.unattended import unattended
+from hil.app.homing.last_pose import home_lengths, last_pose_of
+from hil.app.sim.build import build_lockstep
 from hil.lab.bringup.context import Request
 from hil.lab.bringup.drives import Heard
 from hil.lab.bringup.machine import known_poses, presses
+from hil.loop.run_end import Ending
 from plant_fmu.config import PlantSettings, StewartPlant
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
-from plant_fmu.rehearsal.bench import RehearsalBench, Stand, joints_of
-from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, RANGES, Mistake, Wiring, legs_of, wired
+from plant_fmu.rehearsal.bench import RehearsalBench, Stand, WiredNodes, joints_of
+from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, Mistake, Wiring, legs_of, wired
 from plant_fmu.stewart.plant import stewart_plant
 
 COMMAND_SHARE = 0.4
@@ -174,6 +179,18 @@ def mounted(c: Configuration, wiring: Wiring) -> Plant:
     )
 
 
+def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
+    """Run the first motion of a found configuration in lockstep, with its brake tests. Raises PlantError."""
+    c = unattended(c)
+    pose = last_pose_of(c, None)
+    pose = None if pose is None else pose._replace(length=home_lengths(c))
+    cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms, last_pose=pose)
+    with closing(mounted(c, bench.wiring)) as plant:
+        cables = bench.behind_cables(plant)
+        nodes = WiredNodes(bench.wiring, cables, bench.protocol, emulated(c).drives, c.drives)
+        return build_lockstep(c, cycle, nodes).run(None, lambda *_: None)
+
+
 _LEG_KEYS = ("leg", "other", "third")
 
 
@@ -183,9 +200,10 @@ def mistake_of(words: str) -> Mistake:
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
     keys = _LEG_KEYS[: legs_of(name)]
-    low, high = RANGES.get(name, (0.0, 0.0))
+    _, _, of_size, what = MISTAKES[name]
+    low, high = of_size[1:] or (0.0, 0.0)
     given = dict(word.split("=", 1) for word in rest if "=" in word)
-    size = given.pop("value", None) if name in RANGES else None
+    size = given.pop("value", None) if of_size[1:] else None
     try:
         value = None if size is None else float(size)
         legs = {key: int(text) for key, text in given.items()}
@@ -193,7 +211,7 @@ def mistake_of(words: str) -> Mistake:
         legs, value = {}, nan
     many = len(legs) + (size is not None)
     if legs.keys() != set(keys) or many != len(rest) or not low <= (low if value is None else value) <= high:
-        sizes = f" value={low:g} to {high:g}, {MISTAKES[name][3]}" if name in RANGES else ""
+        sizes = f" value={low:g} to {high:g}, {what}" if of_size[1:] else ""
         allowed = " ".join([name, *(f"{key}=0 to 5" for key in keys)])
         raise ConfigurationError(f"--mistake {words!r}: allowed: {allowed}{sizes}")
     return Mistake(name, **{"leg": 0, **legs}, value=value)

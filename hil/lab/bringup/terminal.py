@@ -13,12 +13,11 @@ from typing import TextIO
 
 from hil.lab.bringup.context import RefusedError, Request
 
-READINGS = frozenset({"measure", "read_gauge", "read_push", "read_held", "weigh", "read_way"})
 _CHUNK = 4096
 
 
 def _how(request: Request) -> str:
-    if request.act in READINGS:
+    if request.within is not None:
         return "type the number"
     return f"type `{request.word}`" if request.word else "then Enter"
 
@@ -58,7 +57,7 @@ class Terminal:
             return None
         assert self._open is not None
         typed, value = self._line(), math.nan
-        if self._open.act not in READINGS:
+        if self._open.within is None:
             value = 0.0 if typed == self._open.word else math.nan
         else:
             with contextlib.suppress(ValueError):
@@ -72,14 +71,15 @@ class Terminal:
 
     def _has_line(self) -> bool:
         """Take what has been typed; return whether a line is whole or the input has ended."""
-        while b"\n" not in self._typed and not self._ended:
-            if not select.select([self._source], [], [], 0.0)[0]:
-                return False
+        while not (whole := self._whole()) and select.select([self._source], [], [], 0.0)[0]:
             self._take()
-        return True
+        return whole
+
+    def _whole(self) -> bool:
+        return b"\n" in self._typed or self._ended
 
     def _line(self) -> str:
-        while b"\n" not in self._typed and not self._ended:
+        while not self._whole():
             self._take()
         line, newline, self._typed = self._typed.partition(b"\n")
         typed = line.decode(errors="replace").strip().lower()

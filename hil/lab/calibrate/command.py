@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import CalibrationError, ConfigurationError
+from drivers.errors import ConfigurationError
 from drivers.files import read_regular
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
@@ -21,7 +21,6 @@ from hil.config.number import ALLOWED, in_reason, plain_number
 from hil.config.values import AXES
 from hil.lab.calibrate.fit import (
     NAMES,
-    WEAK,
     Calibration,
     Combination,
     Measurements,
@@ -48,13 +47,6 @@ FRAMES = (
 )
 
 
-class Pairs(NamedTuple):
-    """A file of measured pairs, and the line of each row."""
-
-    measured: Measurements
-    lines: list[int]
-
-
 class Report(NamedTuple):
     """Figures of a calibration as lines, and as plain values."""
 
@@ -72,19 +64,22 @@ def run_calibration(path: str | Path, poses: Path, out: Path | None = None) -> R
     if out is not None:
         new_file(out)
     configuration = load(path)
-    pairs = read_pairs(poses)
+    measured, at = read_pairs(poses)
     robot = build_platform(configuration.platform)
-    _refuse_strange(configuration, robot, pairs, poses)
-    fit = calibrate(robot, pairs.measured)
-    report = describe(configuration, robot, pairs, poses, fit)
+    _refuse_strange(configuration, robot, measured, poses, at)
+    fit = calibrate(robot, measured)
+    report = describe(configuration, robot, measured, poses, at, fit)
     if out is not None:
         with further(report.figures), made_whole(out, overwrite=False) as file:
             file.write_text(report.fragment, encoding="utf-8")
     return report
 
 
-def read_pairs(path: Path) -> Pairs:
-    """Read the CSV file, columns in any order. Raises ConfigurationError with each problem as `file:line`."""
+def read_pairs(path: Path) -> tuple[Measurements, list[int]]:
+    """Read the CSV file, columns in any order; return the line of each row, too.
+
+    Raises ConfigurationError with each problem as `file:line`.
+    """
     try:
         reader = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
         header = [word.strip() for word in next(reader, [])]
@@ -94,20 +89,21 @@ def read_pairs(path: Path) -> Pairs:
     wrong = [f"{path}:1: {problem}" for problem in _header_problems(header)] or [
         f"{path}:{number}: {text}" for number, words in lines if (text := _row_problem(header, words))
     ]
+    if not wrong and not lines:
+        wrong = [f"{path}: no rows, allowed: at least 8 poses"]
     if wrong:
         raise ConfigurationError(*wrong)
-    table = np.array([list(map(plain_number, words)) for _, words in lines]).reshape(len(lines), len(header))
+    table = np.array([list(map(plain_number, words)) for _, words in lines])
     columns = dict(zip(header, table.T, strict=True))
-    turn = np.deg2rad(columns["rotation_std_deg"]) if "rotation_std_deg" in columns else None
     measured = Measurements(
         p=np.stack([columns[name] for name in AXES[:3]], axis=1),
         rotation_vector=np.deg2rad(np.stack([columns[name] for name in AXES[3:]], axis=1)),
         q=np.stack([columns[name] for name in LENGTHS], axis=1),
         length_std=columns.get("length_std_m"),
-        position_std=columns.get("position_std_m"),
-        rotation_std=turn,
+        position_std=columns.get("position_std_m", 0.0),
+        rotation_std=np.deg2rad(columns.get("rotation_std_deg", 0.0)),
     )
-    return Pairs(measured, [number for number, _ in lines])
+    return measured, [number for number, _ in lines]
 
 
 def _header_problems(header: list[str]) -> list[str]:
@@ -142,11 +138,10 @@ def _row_problem(header: list[str], words: list[str]) -> str:
     return ""
 
 
-def _refuse_strange(c: Configuration, robot: Platform, pairs: Pairs, poses: Path) -> None:
+def _refuse_strange(
+    c: Configuration, robot: Platform, measured: Measurements, poses: Path, at: list[int]
+) -> None:
     """Refuse readings of another unit or robot before a fit bends the joints to explain them."""
-    measured = pairs.measured
-    if not len(measured.p):
-        raise CalibrationError(f"{poses}: no rows, allowed: at least 8 poses")
     guess = suspicion(robot, measured)
     if guess is not None:
         raise ConfigurationError(
@@ -161,29 +156,31 @@ def _refuse_strange(c: Configuration, robot: Platform, pairs: Pairs, poses: Path
     for row, leg in np.argwhere(np.abs(away) > REACH * asked):
         q = measured.q[row, leg]
         text = f"{LENGTHS[leg]} is {q:.4f} where the pose asks for {q - away[row, leg]:.4f}"
-        found.append(f"{poses}:{pairs.lines[row]}: {text} (configured joints, offset of the other rows)")
+        found.append(f"{poses}:{at[row]}: {text} (configured joints, offset of the other rows)")
     for row in np.flatnonzero(beyond.max(axis=1) > REACH * (high - low)):
         leg = int(np.argmax(beyond[row]))
         text = f"the pose asks {asked[row, leg]:.4f} m of {_leg(leg)}, stroke {low:g} to {high:g} m"
-        found.append(f"{poses}:{pairs.lines[row]}: out of reach: {text}")
+        found.append(f"{poses}:{at[row]}: out of reach: {text}")
     if found:
         raise ConfigurationError(*found[:10], *[f"{poses}: and {len(found) - 10} more"][: len(found) > 10])
 
 
-def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: Calibration) -> Report:
+def describe(
+    c: Configuration, robot: Platform, measured: Measurements, poses: Path, at: list[int], fit: Calibration
+) -> Report:
     """Return the report on a fit: what changed, how sure it is, what the poses do not tell."""
-    n = len(pairs.lines)
-    before = pairs.measured.q - predicted(robot, pairs.measured)
+    n = len(at)
+    before = measured.q - predicted(robot, measured)
     before = before - before.mean(axis=0)
     rms, rms_before = (1e3 * float(np.sqrt(np.mean(e**2))) for e in (fit.residuals, before))
     row, leg = (int(i) for i in np.unravel_index(np.argmax(np.abs(fit.residuals)), fit.residuals.shape))
-    at = f"{poses.name}:{pairs.lines[row]} {_leg(leg)}"
+    largest = f"{poses.name}:{at[row]} {_leg(leg)}"
     lines = [
         f"calibration of {c.name} from {poses.name}",
         f"  poses        {n}, {6 * n} equations",
         f"  parameters   {6 * n - fit.dof} of 42 determined, {fit.dof} degrees of freedom",
         f"  residuals    rms {rms:.4g} mm (offsets alone fitted: {rms_before:.4g} mm)",
-        f"  largest      {1e3 * fit.residuals[row, leg]:.4g} mm at {at}",
+        f"  largest      {1e3 * fit.residuals[row, leg]:.4g} mm at {largest}",
     ]
     if fit.chi_square is None:
         lines.append(f"  reading      standard deviation {1e3 * fit.sigma:.4g} mm, from the residuals")
@@ -191,7 +188,7 @@ def describe(c: Configuration, robot: Platform, pairs: Pairs, poses: Path, fit: 
         lines.append(f"  chi-square   {fit.chi_square:.1f} for {fit.dof} (p {fit.p_value:.3g})")
     lines += _table(robot, fit)
     lines += ["frames", f"  {FRAMES}"]
-    warnings = list(_warnings(pairs, poses, fit))
+    warnings = list(_warnings(poses, at, fit))
     lines += [f"warning: {w}" for w in warnings]
     return Report(lines, _figures(c, poses, fit, rms, rms_before, warnings), _fragment(c, poses, fit, rms, n))
 
@@ -208,7 +205,7 @@ def _table(robot: Platform, fit: Calibration) -> Iterator[str]:
         yield "   +-" + " ".join(f"{1e3 * s:8.3f}" if s == s else f"{'?':>8}" for s in fit.std[leg])  # noqa: PLR0124
 
 
-def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> Iterator[str]:
+def _warnings(poses: Path, at: list[int], fit: Calibration) -> Iterator[str]:
     legs: dict[str, list[int]] = {}
     for leg in range(6):
         if lost := sorted(_sum(x) for x in fit.undetermined if x.leg == leg):
@@ -218,12 +215,6 @@ def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> Iterator[str]:
             f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. Along these joints "
             f"stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
         )
-    if fit.weak:
-        each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
-        yield (
-            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(fit.weak)} Lengths and "
-            "poses close to the measured ones are better known than these"
-        )
     if fit.p_value is not None and fit.chi_square is not None and not DOUBT < fit.p_value < 1 - DOUBT:
         yield (
             f"residuals are {math.sqrt(fit.chi_square / fit.dof):.2f} times the given standard deviations, "
@@ -232,7 +223,7 @@ def _warnings(pairs: Pairs, poses: Path, fit: Calibration) -> Iterator[str]:
         )
     for row, leg in np.argwhere(np.abs(fit.standardised) > OUTLIER)[:10]:
         yield (
-            f"{poses.name}:{pairs.lines[row]}: {_leg(leg)} is {abs(fit.standardised[row, leg]):.1f} standard "
+            f"{poses.name}:{at[row]}: {_leg(leg)} is {abs(fit.standardised[row, leg]):.1f} standard "
             "deviations off: a slip of that measurement?"
         )
 
@@ -263,10 +254,7 @@ def _leg(leg: int) -> str:
 def _figures(
     c: Configuration, poses: Path, fit: Calibration, rms: float, rms_before: float, warnings: list[str]
 ) -> dict[str, Any]:
-    undetermined, weak = (
-        [{"leg": _leg(x.leg), "coefficients": x.coefficients, "std_m": x.std} for x in some]
-        for some in (fit.undetermined, fit.weak)
-    )
+    undetermined = [{"leg": _leg(x.leg), "coefficients": x.coefficients} for x in fit.undetermined]
     return {
         "configuration": c.name,
         "poses": str(poses),
@@ -285,8 +273,6 @@ def _figures(
         "std_m": fit.std.tolist(),
         "covariance_m2": fit.covariance.tolist(),
         "undetermined": undetermined,
-        "weak": weak,
-        "weak_std_m": WEAK,
         "warnings": warnings,
     }
 

@@ -25,8 +25,6 @@ NOISE = 5.0
 """The same in multiples of what the noise of the measured poses alone would show."""
 SHARE = 0.02
 """A parameter with more than this in what is not determined is not determined by itself."""
-WEAK = 1e-3
-"""m: a combination less certain than this is worth a warning."""
 
 
 class Measurements(NamedTuple):
@@ -40,9 +38,9 @@ class Measurements(NamedTuple):
     """(n, 6) m, joint centre to joint centre plus an unknown offset a leg."""
     length_std: Array | None = None
     """(n,) m, standard deviation of each reading; None: unknown, estimated from the residuals."""
-    position_std: Array | None = None
+    position_std: Array | float = 0.0
     """(n,) m, of each coordinate of a measured pose; only with `length_std`."""
-    rotation_std: Array | None = None
+    rotation_std: Array | float = 0.0
     """(n,) rad, of each angle of it."""
 
     def rotations(self) -> Array:
@@ -51,13 +49,11 @@ class Measurements(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """A combination of one leg's parameters that the poses do not determine, or hardly."""
+    """A combination of one leg's parameters that the poses do not determine."""
 
     leg: int
     coefficients: dict[str, float]
     """Name of the parameter -> its share, the largest 1."""
-    std: float | None
-    """m; None where nothing is determined."""
 
 
 class Calibration(NamedTuple):
@@ -86,8 +82,6 @@ class Calibration(NamedTuple):
     """m, standard deviation of a reading: as estimated, or root mean square of the given ones."""
     undetermined: list[Combination]
     """Kept at the start values."""
-    weak: list[Combination]
-    """Known to less than `WEAK`."""
 
 
 def predicted(platform: Platform, measured: Measurements) -> Array:
@@ -148,7 +142,7 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
     basis = block_diag(*kept)
     rank = basis.shape[1]
     # Weights depend on the directions of the legs alone: a second pass settles them.
-    for _ in range(1 if measured.position_std is None and measured.rotation_std is None else 2):
+    for _ in range(2):
         theta, J, white = _solve(theta, measured, R, basis)
     cov_z = cho_solve(cho_factor(J.T @ J), np.eye(rank))
     chi_square, dof = float(white @ white), 6 * n - rank
@@ -172,7 +166,6 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
         p_value=float(gammaincc(dof / 2, chi_square / 2)) if given else None,
         sigma=float(np.sqrt(scale if measured.length_std is None else np.mean(measured.length_std**2))),
         undetermined=[c for leg in range(6) for c in _combinations(leg, lost[leg])],
-        weak=[c for leg in range(6) for c in _weak(leg, covariance)],
     )
 
 
@@ -197,12 +190,13 @@ def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
     _, slopes = _model(theta, measured.p, R)
     s = -slopes[:, :, 0:3]
     arm = np.einsum("kij,lj->kli", R, theta[:, 3:6])
-    given = measured.position_std, measured.rotation_std
-    var_p, var_r = (np.zeros(n) if std is None else std**2 for std in given)
+    var_q, var_p, var_r = (
+        np.reshape(np.square(std), (-1, 1, 1))
+        for std in (measured.length_std, measured.position_std, measured.rotation_std)
+    )
     turn = np.cross(arm, s)
-    C = np.einsum("kli,kmi->klm", s, s) * var_p[:, None, None]
-    C = C + np.einsum("kli,kmi->klm", turn, turn) * var_r[:, None, None]
-    return np.asarray(C + np.eye(6) * (measured.length_std**2)[:, None, None])
+    C = np.einsum("kli,kmi->klm", s, s) * var_p + np.einsum("kli,kmi->klm", turn, turn) * var_r
+    return np.asarray(C + np.eye(6) * var_q)
 
 
 def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tuple[Array, Array, Array]:
@@ -233,13 +227,9 @@ def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tupl
 
 def _floor(theta: Array, measured: Measurements) -> float:
     """Return the relative singular value below which a direction counts as not determined."""
-    noise = 0.0
-    if measured.rotation_std is not None:
-        noise += float(np.sqrt(np.mean(measured.rotation_std**2)))
-    if measured.position_std is not None:
-        length = np.sqrt(((measured.p[:, None] - theta[None, :, 0:3]) ** 2).sum(axis=2)).mean()
-        noise += float(np.sqrt(np.mean(measured.position_std**2)) / length)
-    return max(RANK, NOISE * noise)
+    turn, shift = (np.sqrt(np.mean(np.square(std))) for std in (measured.rotation_std, measured.position_std))
+    length = np.linalg.norm(measured.p[:, None] - theta[None, :, 0:3], axis=2).mean()
+    return max(RANK, NOISE * float(turn + shift / length))
 
 
 def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
@@ -261,16 +251,7 @@ def _combinations(leg: int, V: Array) -> list[Combination]:
     _, R, order = qr(V.T, mode="economic", pivoting=True)
     A = np.empty((k, 7))
     A[:, order] = np.linalg.solve(R[:, :k], R)
-    return [Combination(leg, _named(vector), None) for vector in A]
-
-
-def _weak(leg: int, covariance: Array) -> list[Combination]:
-    variance, V = np.linalg.eigh(covariance[7 * leg : 7 * leg + 7, 7 * leg : 7 * leg + 7])
-    return [
-        Combination(leg, _named(V[:, j]), float(np.sqrt(variance[j])))
-        for j in range(6, -1, -1)
-        if variance[j] > WEAK**2
-    ]
+    return [Combination(leg, _named(vector)) for vector in A]
 
 
 def _named(vector: Array) -> dict[str, float]:

@@ -30,7 +30,6 @@ from hil.lab.identify.estimators.excitation import axis_excitation
 from hil.lab.identify.estimators.response import Response, estimate, periodic, segmented
 from hil.lab.identify.linearised import linearised_law, repeating, settled, signals_of
 from hil.lab.identify.runs import (
-    Excited,
     exact_model,
     excitation_force,
     excitation_pose,
@@ -53,8 +52,10 @@ class Identified(NamedTuple):
     motion_mm: float
 
 
-def excited_axes(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
-    """Return the configuration with a multisine on each of its law's axes for its reference.
+def excited_axes(
+    c: Configuration, force_N: float | None, duration_s: float | None
+) -> tuple[Configuration, float]:
+    """Return the configuration with a multisine on each of its law's axes, and its largest force, N.
 
     Raises ConfigurationError: a fused pose, a law that does not linearise, a force that the limits would
     cut, or a pose that cannot be reached; IdentificationError: too short.
@@ -63,7 +64,7 @@ def excited_axes(c: Configuration, force_N: float | None, duration_s: float | No
     space = linearised_law(c).space
     force = excitation_force(c, force_N)
     made = axis_excitation(exact_model(c), excitation_pose(c), space, c.loop.rate_Hz, force, duration_s)
-    return excited_by(c, made, force)
+    return excited_by(c, made), force
 
 
 def outputs(log: Path, model: Path | None) -> tuple[Path, Path]:
@@ -97,7 +98,7 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
     lines = repeating(c.reference, rate_Hz)
     if lines is not None:
         assert isinstance(c.reference, SinusoidReference | MultisineReference)
-        good = settled(signals, t, c.reference, lines.length)
+        good = settled(signals, t, c.reference, lines[0])
         spectra = periodic(signals._replace(good=good), *lines)
     else:
         spectra = segmented(signals)
@@ -111,8 +112,8 @@ def _identified(path: Path, c: Configuration, rows: Rows, rate_Hz: float) -> Ide
         rate_Hz=rate_Hz,
         nominal=NominalAxis(
             gain=_rounded(fit.gain),
-            transport_ms=_rounded([1e3 * fit.transport_s])[0],
-            lag_ms=_rounded([1e3 * fit.lag_s])[0],
+            transport_ms=_rounded([1e3 * fit.delays.transport_s])[0],
+            lag_ms=_rounded([1e3 * fit.delays.lag_s])[0],
         ),
         uncertainty=UncertaintyProfile(
             frequency_Hz=_rounded(bound.frequency_Hz), bound=_rounded(bound.bound)
@@ -163,8 +164,8 @@ def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> d
         "log": str(path),
         **written,
         "axes": model.axes,
-        **delay_figures(fit, 0.5 / model.rate_Hz),
-        "delay_compensation": compensation(fit, 0.5 / model.rate_Hz),
+        **delay_figures(fit.delays, 0.5 / model.rate_Hz),
+        "delay_compensation": compensation(fit.delays, 0.5 / model.rate_Hz),
         "gain": fit.gain.tolist(),
         "gain_std": fit.gain_std.tolist(),
         "coherent_lines": fit.used.sum(axis=0).tolist(),

@@ -7,11 +7,10 @@ import numpy as np
 
 from drivers.arrays import Rows
 from hil.app.configuration.configuration import Configuration
-from hil.lab.identify.estimators.axis_fit import Fit
+from hil.lab.identify.estimators.axis_fit import Delays
 from hil.lab.identify.estimators.excitation import delay_excitation
-from hil.lab.identify.estimators.force_delay import Delay, Motion, force_delay
+from hil.lab.identify.estimators.force_delay import Motion, force_delay
 from hil.lab.identify.runs import (
-    Excited,
     brakes_open,
     episode,
     exact_model,
@@ -21,21 +20,19 @@ from hil.lab.identify.runs import (
     recorded_run,
     refuse_fused,
 )
-from hil.robot.dynamics import Model
-from hil.robot.dynamics_kernels import COULOMB, VISCOUS
 
 DURATION_S = 4.0
 
 
-def excited(c: Configuration, force_N: float | None, duration_s: float | None) -> Excited:
-    """Return the configuration with a small excitation about the held pose (else home) for its reference.
+def excited(c: Configuration, force_N: float | None, duration_s: float | None) -> tuple[Configuration, float]:
+    """Return the configuration with an excitation about the held pose (else home), and its largest force, N.
 
     Raises ConfigurationError: a fused pose, a force that the limits would cut, a pose that cannot be reached.
     """
     refuse_fused(c, c.source)
     force, pose = excitation_force(c, force_N), excitation_pose(c)
     made = delay_excitation(exact_model(c), pose, c.loop.rate_Hz, force, duration_s or DURATION_S)
-    return excited_by(c, made, force)
+    return excited_by(c, made), force
 
 
 def motion_of(rows: Rows, period_s: float) -> Motion:
@@ -56,27 +53,22 @@ def delay_of_log(path: Path) -> dict[str, Any]:
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
     motion = motion_of(recorded.rows, 1.0 / recorded.rate_Hz)
-    model = exact_model(recorded.configuration)
-    delay = force_delay(motion, model)
+    delay = force_delay(motion, exact_model(recorded.configuration))
+    hold_s = 0.5 * motion.period_s
     return {
         "success": True,
         "kind": "identify",
         "log": str(path),
-        **delay_figures(delay, delay.hold_s),
+        **delay_figures(delay.delays, hold_s),
         "separable": delay.separable,
         "explained_percent": 100.0 * delay.explained,
         "gain": delay.gain.tolist(),
-        "viscous_friction_N_s_m": delay.viscous.tolist(),
-        "viscous_friction_std_N_s_m": delay.viscous_std.tolist(),
-        "coulomb_friction_N": delay.coulomb.tolist(),
-        "coulomb_friction_std_N": delay.coulomb_std.tolist(),
         "periods": delay.periods,
-        "delay_compensation": compensation(delay, delay.hold_s),
-        "friction": friction_block(delay, model),
+        "delay_compensation": compensation(delay.delays, hold_s),
     }
 
 
-def compensation(found: Delay | Fit, hold_s: float) -> dict[str, float]:
+def compensation(found: Delays, hold_s: float) -> dict[str, float]:
     """Return the keys of section `controller.delay_compensation`."""
     return {
         "bus_ms": round(1e3 * found.transport_s, 4),
@@ -91,32 +83,10 @@ def compensation_lines(keys: dict[str, float]) -> list[str]:
     return ["", "controller:", f"  delay_compensation: {{{values}}}"]
 
 
-def friction_block(delay: Delay, model: Model) -> dict[str, list[float]]:
-    """Return keys of `controller.model`: friction of the model and beyond it, where that is surely there.
-
-    No key unless all six legs show more than three standard deviations: a leg alone may be a model error.
-    """
-    found = {}
-    for key, value, std, at in (
-        ("viscous_friction_N_s_m", delay.viscous, delay.viscous_std, VISCOUS),
-        ("coulomb_friction_N", delay.coulomb, delay.coulomb_std, COULOMB),
-    ):
-        if (value > 3.0 * std).all():
-            found[key] = [float(f"{x:.4g}") for x in model.constants[at : at + 6] + value]
-    return found
-
-
-def delay_figures(found: Delay | Fit, hold_s: float) -> dict[str, float]:
+def delay_figures(found: Delays, hold_s: float) -> dict[str, float]:
     """Return transport, lag, hold and their sum in ms, with standard deviations."""
-    return {
-        "total_ms": 1e3 * found.total_s,
-        "total_std_ms": 1e3 * found.total_std_s,
-        "transport_ms": 1e3 * found.transport_s,
-        "transport_std_ms": 1e3 * found.transport_std_s,
-        "lag_ms": 1e3 * found.lag_s,
-        "lag_std_ms": 1e3 * found.lag_std_s,
-        "hold_ms": 1e3 * hold_s,
-    }
+    figures = {f"{key.removesuffix('_s')}_ms": 1e3 * value for key, value in found._asdict().items()}
+    return figures | {"hold_ms": 1e3 * hold_s}
 
 
 def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
@@ -152,9 +122,4 @@ def report(result: dict[str, Any]) -> list[str]:
         lines.append(
             f"A leg's force is {100 * worst:.0f} % off the model's: wrong masses, or the scale of its drive."
         )
-    block = compensation_lines(result["delay_compensation"])
-    if result["friction"]:
-        lines.append("Friction of the drives, beside what the model has, is in the block below.")
-        rows = [f"    {key}: {value}" for key, value in result["friction"].items()]
-        block += ["  model:", *rows]
-    return [*lines, *block]
+    return [*lines, *compensation_lines(result["delay_compensation"])]

@@ -45,15 +45,6 @@ class LinearisedLaw(NamedTuple):
     takes_wrench_off: bool
 
 
-class Lines(NamedTuple):
-    """Frequencies of an excitation that repeats."""
-
-    length: int
-    """Ticks in a period."""
-    harmonics: Ints
-    """Of 1/period."""
-
-
 def linearised_law(c: Configuration) -> LinearisedLaw:
     """Return the linearising part of the configured law. Raises ConfigurationError: there is none."""
     settings = c.controller
@@ -95,8 +86,8 @@ def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSign
     return AxisSignals(1.0 / rate_Hz, v, y, r, good), rows["reference_time_s"]
 
 
-def repeating(reference: ReferenceSettings, rate_Hz: float) -> Lines | None:
-    """Return the lines of a reference that repeats in a whole number of ticks; None where it does not.
+def repeating(reference: ReferenceSettings, rate_Hz: float) -> tuple[int, Ints] | None:
+    """Return the ticks of a period, and the harmonics, of a reference that repeats; None where it does not.
 
     Lines above 0.45 of the rate are not looked at. Sinusoids of which less than a quarter of a turn is seen
     are a drift, no line.
@@ -120,7 +111,7 @@ def repeating(reference: ReferenceSettings, rate_Hz: float) -> Lines | None:
         return None
     if abs(length - round(length)) > 1e-6:
         return None
-    return Lines(round(length), np.array([h for h in harmonics if h < 0.45 * round(length)], np.int64))
+    return round(length), np.array([h for h in harmonics if h < 0.45 * round(length)], np.int64)
 
 
 def settled(

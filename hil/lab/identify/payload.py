@@ -1,6 +1,5 @@
 """`hil identify payload`: masses, inertia and friction from logs of ordinary runs."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,8 +47,12 @@ HIDDEN = 0.1
 WRONG = 0.3
 """Residual, of the leg forces, from which nothing is printed."""
 HALVES = ("first half", "second half")
-DRIVES = {"viscous_friction_N_s_m": VISCOUS, "coulomb_friction_N": COULOMB, "reflected_mass_kg": REFLECTED}
-"""First columns of the drives' parts, by their key in `controller.model`."""
+DRIVES = {
+    "viscous_friction_N_s_m": (VISCOUS, "viscous friction", "N s/m"),
+    "coulomb_friction_N": (COULOMB, "Coulomb friction", "N"),
+    "reflected_mass_kg": (REFLECTED, "reflected mass", "kg"),
+}
+"""First columns of the drives' parts, by their key in `controller.model`, and their words."""
 
 
 class Source(NamedTuple):
@@ -83,8 +86,6 @@ class Found(NamedTuple):
     """Platform with all that it carries."""
     payload: Consistent | None
     """Platform and a payload that is a body by itself; None where nothing is carried that is not known."""
-    reflected_kg: float | None
-    """Of each leg, where it was given; None: identified."""
     rms_believed_N: float
     rms_force_N: float
     """Of the leg forces less what the legs themselves take."""
@@ -102,20 +103,15 @@ class Found(NamedTuple):
         return self.payload.theta if self.payload is not None and self.split else self.whole.theta
 
 
-def identify_payload(
-    paths: list[Path], reflected_kg: float | None, progress: Callable[[str], None] = lambda _: None
-) -> Found:
+def identify_payload(paths: list[Path]) -> Found:
     """Return what logs of `hil run` or `hil sim` say of masses and friction.
 
-    `reflected_kg` of each leg, where it is known. Raises LogError for what is no such log, ConfigurationError
-    for a fused pose, IdentificationError where the logs do not hold enough or are of different platforms.
+    Raises LogError for what is no such log, ConfigurationError for a fused pose, IdentificationError where
+    the logs do not hold enough or are of different platforms.
     """
     if len({real_path(path) for path in paths}) < len(paths):
         raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
-    sources = []
-    for path in paths:
-        progress(f"reading {path.name}")
-        sources.append(_source(path, reflected_kg))
+    sources = [_source(path) for path in paths]
     first = sources[0]
     for other in sources[1:]:
         for what, here, there in (
@@ -126,14 +122,12 @@ def identify_payload(
                 raise IdentificationError(
                     f"{other.path}: its {what} is not that of {first.path}; identify each by itself"
                 )
-    progress("least squares")
     platform = first.model.platform
-    believed = _believed(first, reflected_kg)
-    scale, free = unknowns_scale(platform), reflected_kg is None
+    believed, scale = _believed(first), unknowns_scale(platform)
     together = joined([s.equations for s in sources])
     logs = ", ".join(str(s.path) for s in sources)
     try:
-        estimate = solve(together, believed, scale, reflected=free)
+        estimate = solve(together, believed, scale)
     except IdentificationError as error:
         raise IdentificationError(f"{logs}: {error}") from None
     rms = prediction_error(together, believed), prediction_error(together, np.zeros(COLUMNS))
@@ -146,15 +140,13 @@ def identify_payload(
     carrier = _carrier(first)
     more = float(estimate.theta[0] - carrier[0])
     carried = more > max(SURE * float(estimate.std[0]), LEAST_PAYLOAD * carrier[0])
-    progress("physical consistency")
     whole = consistent(estimate, platform.radius)
     payload = consistent(estimate, platform.radius, carrier) if carried else None
-    progress("held-out logs")
-    held_out = _held_out(sources, believed, scale, reflected=free)
-    return Found(sources, believed, carrier, estimate, whole, payload, reflected_kg, *rms, held_out)
+    held_out = _held_out(sources, believed, scale)
+    return Found(sources, believed, carrier, estimate, whole, payload, *rms, held_out)
 
 
-def _source(path: Path, reflected_kg: float | None) -> Source:
+def _source(path: Path) -> Source:
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
     c, period = recorded.configuration, 1.0 / recorded.rate_Hz
@@ -162,7 +154,6 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
     sliding_m_s = (c.controller.believed or ModelSettings()).sliding_speed_m_s
     exact = ModelSettings(sliding_speed_m_s=sliding_m_s)
     model = build_model(exact, build_platform(c.platform), c.platform.leg_spin)
-    given = None if reflected_kg is None else np.full(6, reflected_kg)
     try:
         brakes_open(recorded.rows)
         rows, p, R, good = episode(recorded.rows)
@@ -176,19 +167,19 @@ def _source(path: Path, reflected_kg: float | None) -> Source:
             force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
         good = good & running & np.isfinite(force).all(axis=1)
         signals = LegSignals(period, np.ascontiguousarray(rows["q"]), force, p, R, good)
-        equations = equations_of(model, signals, given)
+        equations = equations_of(model, signals)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None
     return Source(path, c, model, equations, sent, float(running.sum()) * period)
 
 
-def _believed(source: Source, reflected_kg: float | None) -> Array:
+def _believed(source: Source) -> Array:
     """Return what section platform and `controller.model` say (29,), without `inertia_scale`."""
     b = source.configuration.controller.believed
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(source.model.platform.platform)
-    for key, at in DRIVES.items():
-        if b is not None and (at != REFLECTED or reflected_kg is None):
+    for key, (at, *_) in DRIVES.items():
+        if b is not None:
             theta[at : at + 6] = getattr(b, key)
     return theta
 
@@ -206,16 +197,14 @@ def _carrier(source: Source) -> Array:
     return parameters_of(platform_body(settings.model_copy(update={"platform": bare})))
 
 
-def _held_out(
-    sources: list[Source], believed: Array, scale: Array, *, reflected: bool
-) -> dict[str, tuple[float, float]]:
+def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str, tuple[float, float]]:
     """Return how well each log, or half of the only one, is predicted from the others."""
     parts = [s.equations for s in sources] if len(sources) > 1 else halves(sources[0].equations)
     names = [str(s.path) for s in sources] if len(sources) > 1 else HALVES
     found = {}
     for k, (name, part) in enumerate(zip(names, parts, strict=True)):
         try:
-            fit = solve(joined(parts[:k] + parts[k + 1 :]), believed, scale, reflected=reflected)
+            fit = solve(joined(parts[:k] + parts[k + 1 :]), believed, scale)
         except IdentificationError:
             continue
         if len(part.y):
@@ -224,10 +213,6 @@ def _held_out(
 
 
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
-    """Return value and standard error (6,) of the drives' parts, by key; not of reflected masses if given."""
+    """Return value and standard error (6,) of the drives' parts, by key."""
     std = found.estimate.std
-    return {
-        key: (found.theta[at : at + 6], std[at : at + 6])
-        for key, at in DRIVES.items()
-        if key != "reflected_mass_kg" or found.reflected_kg is None
-    }
+    return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, (at, *_) in DRIVES.items()}

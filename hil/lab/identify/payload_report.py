@@ -1,31 +1,130 @@
-"""What `hil identify payload` prints beside the block."""
+"""What `hil identify payload` prints: figures, and the block to paste with what is known now, not before."""
 
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import yaml
 
 from drivers.arrays import Array
 from hil.app.configuration.payload_box import shown_ranges
-from hil.config.platform import PayloadSettings
+from hil.app.files import printable
 from hil.lab.identify.estimators.leg_equations import LATE
 from hil.lab.identify.estimators.rigid_body import NAMES, SIZE, UNITS, body_of
-from hil.lab.identify.payload import HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
-from hil.lab.identify.payload_block import block, body_differs, body_shown
+from hil.lab.identify.payload import DRIVES, HIDDEN, LEAST_PAYLOAD, SURE, Found, drives_of, ranged_body
+from hil.robot.geometry import Body
 
 POOR = 0.05
 """Residual, of the leg forces, from which the figures are doubted."""
+DIGITS = 1e-7
+"""Of the largest element: figures are rounded to that, and a tensor is kept as far from being none."""
+SIGNIFICANT = 2.0
+"""Standard errors, rms over the legs, from which friction and reflected masses are not zero."""
+READ_AS: dict[str, Any] = {
+    "shape": None,
+    "frame": {"origin_m": [0.0, 0.0, 0.0], "rotation_vector_deg": [0.0, 0.0, 0.0]},
+    "inertia_about": {"point_m": None, "rotation_vector_deg": [0.0, 0.0, 0.0]},
+    "products": "negative_integral",
+}
+"""How the figures of a body in the block are read, whatever the section says."""
+REMARK = "# Made by hil identify payload: paste into the configuration, in the place of these keys.\n"
+
+
+def block(found: Found) -> dict[str, Any]:
+    """Return the keys to paste: the body where it is shown and another, and the drives' part of the model."""
+    c = found.sources[0].configuration
+    result: dict[str, Any] = {}
+    if body_shown(found) and body_differs(found):
+        result["platform"] = {"platform": _body(found)}
+    believed = c.controller.believed
+    if believed is not None:
+        model = _drives(found)
+        if believed.inertia_scale != 1.0:
+            model["inertia_scale"] = 1.0
+        result["controller"] = {"model": model}
+    return result
+
+
+def body_shown(found: Found) -> bool:
+    """Tell whether the motion shows all ten parameters of the body."""
+    return bool((found.estimate.unknown[:SIZE] <= HIDDEN).all())
+
+
+def body_differs(found: Found) -> bool:
+    """Tell whether the body is another one than section `platform` has."""
+    e = found.estimate
+    change = np.abs(found.theta - found.believed)[:SIZE]
+    return bool((change > np.maximum(SURE * e.std, LEAST_PAYLOAD * e.scale)[:SIZE]).any())
+
+
+def _body(found: Found) -> dict[str, Any]:
+    """Return section `platform.platform`: a payload more, in place of one known by ranges; else its own."""
+    c = found.sources[0].configuration
+    payload = c.platform.platform.payload
+    if not found.split:
+        own = _body_keys(body_of(found.theta[:SIZE])) | READ_AS
+        return {**own, "payload": []} if payload else own
+    known = [b.model_dump(mode="json", exclude_defaults=True) for b in payload if not b.ranged]
+    return {"payload": [*known, _body_keys(body_of(found.theta[:SIZE] - found.carrier))]}
+
+
+def _body_keys(body: Body) -> dict[str, Any]:
+    """Return mass_kg, com_m and inertia_kg_m2 of a body, rounded so that it stays one."""
+    return {
+        "mass_kg": float(f"{body.mass:.7g}"),
+        "com_m": [round(float(x), 7) for x in body.com],
+        "inertia_kg_m2": _rounded(_thickened(body.inertia)).tolist(),
+    }
+
+
+def _thickened(inertia: Array) -> Array:
+    """Return the tensor of a body that is not thinner about its centre of mass than the rounding."""
+    values, vectors = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
+    values = np.maximum(values, 10.0 * DIGITS * max(float(values.max()), DIGITS))
+    return np.asarray(values.sum() * np.eye(3) - vectors @ np.diag(values) @ vectors.T, np.float64)
+
+
+def _rounded(x: Array) -> Array:
+    unit = 10.0 ** np.floor(np.log10(DIGITS * np.abs(x).max()))
+    rounded = np.round(np.round(x / unit) * unit, 12)
+    return np.asarray(0.5 * (rounded + rounded.T) + 0.0, np.float64)
+
+
+def _drives(found: Found) -> dict[str, Any]:
+    """Return the drives' keys that the motion shows of every leg, none negative.
+
+    Friction within two standard errors of zero is none. Motors are alike: their reflected masses are zero
+    together, or none is.
+    """
+    keys: dict[str, Any] = {}
+    for key, (value, std) in drives_of(found).items():
+        at = DRIVES[key][0]
+        if (found.estimate.unknown[at : at + 6] > HIDDEN).any():
+            continue
+        sure = value > SIGNIFICANT * std
+        if key == "reflected_mass_kg":
+            sure[:] = np.sum((value / std) ** 2) > len(value) * SIGNIFICANT**2
+        keys[key] = [float(f"{v:.5g}") for v in np.where(sure, np.maximum(value, 0.0), 0.0)]
+    return keys
+
+
+def block_text(found: Found) -> str:
+    """Return the block as YAML; nothing where all is as believed."""
+    keys = block(found)
+    return yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=110) if keys else ""
+
+
+def file_text(found: Found) -> str:
+    """Return the file of `-o`."""
+    logs = "".join(f"# {printable(s.path)}\n" for s in found.sources)
+    return REMARK + logs + block_text(found)
 
 
 def unseen(found: Found) -> list[str]:
     """Return the unknowns that the motion does not show."""
-    unknown = found.estimate.unknown
-    viscous, coulomb, reflected = (
-        [f"{name} of leg {k}" for k in range(6)]
-        for name in ("viscous friction", "Coulomb friction", "reflected mass")
-    )
-    names = [*NAMES, *viscous, *coulomb, "delay of the forces", *reflected]
-    return [name for name, share in zip(names, unknown, strict=True) if share > HIDDEN]
+    names = dict(enumerate(NAMES)) | {LATE: "delay of the forces"}
+    names |= {at + k: f"{what} of leg {k}" for at, what, _ in DRIVES.values() for k in range(6)}
+    return [names[k] for k in np.flatnonzero(found.estimate.unknown > HIDDEN).tolist()]
 
 
 def summary(found: Found) -> dict[str, Any]:
@@ -46,7 +145,6 @@ def summary(found: Found) -> dict[str, Any]:
         "payload": _plain(found.theta[:SIZE] - found.carrier) if found.split else None,
         **{key: value.tolist() for key, (value, _) in drives.items()},
         **{f"{key}_std": std.tolist() for key, (_, std) in drives.items()},
-        "reflected_mass": "identified" if found.reflected_kg is None else "given",
         "late_ms": 1e3 * float(found.theta[LATE]),
         "late_std_ms": 1e3 * float(e.std[LATE]),
         "condition": e.condition,
@@ -83,9 +181,8 @@ def report(found: Found) -> Iterator[str]:
     yield "Drives, leg 0 to 5:"
     for key, (value, std) in drives_of(found).items():
         figures = ", ".join(f"{v:.2f} +- {2.0 * s:.2g}" for v, s in zip(value, std, strict=True))
-        yield f"  {_WORDS[key]}: {figures}"
-    if found.reflected_kg is not None:
-        yield f"  reflected mass: {found.reflected_kg:g} kg each, given, not identified"
+        _, what, unit = DRIVES[key]
+        yield f"  {what}, {unit}: {figures}"
     late_ms, late_std_ms = 1e3 * found.theta[LATE], 1e3 * e.std[LATE]
     yield f"Forces are {late_ms:.3f} +- {2.0 * late_std_ms:.2g} ms late against the lengths"
     residual = f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as believed"
@@ -104,13 +201,6 @@ def report(found: Found) -> Iterator[str]:
     shown = f"not shown about the platform's origin: {names}" if names else "the motion shows every unknown"
     yield f"Condition number {e.condition:.3g}; {shown}"
     yield from _physics(found)
-
-
-_WORDS = {
-    "viscous_friction_N_s_m": "viscous friction, N s/m",
-    "coulomb_friction_N": "Coulomb friction, N",
-    "reflected_mass_kg": "reflected mass, kg, identified",
-}
 
 
 def believed_scale(found: Found) -> float:
@@ -143,11 +233,11 @@ def _physics(found: Found) -> Iterator[str]:
             f"the rest (the nearest one is {payload.shift:.1f} standard errors away, allowed: {SURE:g}): the "
             "figures of the platform itself are off"
         )
-    yield _in_block(found, ranged)
+    yield _in_block(found, "" if ranged is None else shown_ranges(ranged))
 
 
-def _in_block(found: Found, ranged: PayloadSettings | None) -> str:
-    """Return what the block has of the body, and why."""
+def _in_block(found: Found, ranges: str) -> str:
+    """Return what the block has of the body, and why; ranges: of a payload that is known by these."""
     if not body_shown(found):
         return (
             "The block leaves the body out, this motion does not show all of it: log motion along and about "
@@ -158,15 +248,7 @@ def _in_block(found: Found, ranged: PayloadSettings | None) -> str:
             f"The block leaves the body out: it is that of section platform within {SURE:g} standard errors "
             f"or {100.0 * LEAST_PAYLOAD:g} % of the platform's size"
         )
+    lost = f"; state the ranges of {ranges} again beside it" if ranges else ""
     if not found.split:
-        lost = "" if ranged is None else f"; state the ranges of {shown_ranges(ranged)} again beside it"
         return f"The block has the ten parameters of all of it, in platform axes, and no payload{lost}"
-    if ranged is None:
-        return "The block has it as one more body"
-    wide = block(found)["platform"]["platform"]["payload"][-1]
-    before = ranged.model_dump(mode="json", include={"mass_range_kg", "com_range_m"})
-    wider = any(wide.get(key, value) != value for key, value in before.items())
-    return (
-        f"The block has it in the place of {shown_ranges(ranged)}; its ranges stay"
-        + ", wide enough for it now: was the range wrong, or is this another payload?" * wider
-    )
+    return f"The block has it {f'in place of {ranges}' if ranges else 'as one more body'}{lost}"

@@ -31,14 +31,6 @@ STEP_SHARE = 0.1
 """... and at most of limits.force_step_N and limits.force_window_N."""
 
 
-class Excited(NamedTuple):
-    """A configuration with its reference replaced by an excitation."""
-
-    configuration: Configuration
-    force_N: float
-    """Largest leg force of the excitation."""
-
-
 class Recorded(NamedTuple):
     """A log of a run."""
 
@@ -95,7 +87,7 @@ def excitation_pose(c: Configuration) -> Pose:
     return held or c.platform.home
 
 
-def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excited:
+def excited_by(c: Configuration, reference: Evaluated) -> Configuration:
     """Return the configuration with another reference. Raises ConfigurationError: it cannot be reached."""
     document = dict(parse(c.text).value or {})
     document["name"] = f"{c.name[:80]}-identify"
@@ -105,7 +97,7 @@ def excited_by(c: Configuration, reference: Evaluated, force_N: float) -> Excite
     text += yaml.safe_dump(document, sort_keys=False, allow_unicode=True)
     made = loads(text, c.source, c.folder)
     refuse_unreachable(made)
-    return Excited(made, force_N)
+    return made
 
 
 def exact_model(c: Configuration) -> Model:
@@ -116,10 +108,9 @@ def exact_model(c: Configuration) -> Model:
 
 
 def run_for(
-    made: Excited, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
+    c: Configuration, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
 ) -> dict[str, Any]:
     """Run it in lockstep, or in real time as `run_daemon`; return the summary. Raises ConfigurationError."""
-    c = made.configuration
     if real_time:
         return run_daemon(c, log=log, with_plant=with_plant, draw=False, arm=arm)
     if c.plant is None:

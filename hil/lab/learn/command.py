@@ -1,17 +1,23 @@
-"""`hil learn LOG...`: judge the runs that there are, and write the feed-forward of the next one."""
+"""`hil learn`: judge the runs that there are, or make them, for the feed-forward of the next one."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array
-from drivers.errors import LogError
+from drivers.errors import ConfigurationError, HilError, LogError
+from hil.app.check.command import refuse_unreachable
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text, largest_written
+from hil.app.configuration.unattended import unattended
 from hil.app.encoder_limits import leg_errors
+from hil.app.sim.command import simulate
 from hil.config.feedforward import FeedforwardHead, MadeFor
+from hil.lab.identify.runs import refuse_fused
 from hil.lab.learn.judgement import Contradiction, Floor, State, contradiction, floor, in_band, state
 from hil.lab.learn.model import Learner, belief_of, learner
 from hil.lab.learn.runs import LearningRun, learning_run
@@ -45,11 +51,6 @@ class Step(NamedTuple):
     learned_peak_N: float
     contradicted: Contradiction | None
 
-    @property
-    def figures(self) -> dict[str, float | None]:
-        """By name."""
-        return {key: value for key, value in self._asdict().items() if key not in {"run", "contradicted"}}
-
 
 class Outcome(NamedTuple):
     """What becomes of learning."""
@@ -66,17 +67,32 @@ class Outcome(NamedTuple):
     """Error of the next run by the nominal axes, with the forces as they are cut."""
 
 
-def learn(paths: Sequence[Path], known: Knowledge) -> Outcome:
-    """Return what the logs of consecutive runs teach; the last one is learned from.
+class Series(NamedTuple):
+    """What became of a series of runs: of logs, or made one after the other."""
+
+    steps: list[Step]
+    outcome: Outcome | None
+    """Of the last run that could be learned from; None where the first one failed."""
+    limit_N: float
+    best: str
+    """Text of the file to write: what logs teach, or that of the run with the smallest error; or empty."""
+    trouble: str = ""
+    """Why a run failed, or that it was interrupted; empty where none was."""
+    interrupted: bool = False
+
+
+def learn(paths: Sequence[Path], known: Knowledge) -> Series:
+    """Return what the logs of consecutive runs teach; the last one is learned from. Raises as `learned`."""
+    outcome = learned([learning_run(path) for path in paths], known)
+    return Series(outcome.steps, outcome, limit_of(outcome.steps[-1].run, known), outcome.text)
+
+
+def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
+    """Return what consecutive runs teach.
 
     Raises LogError for logs that cannot teach or do not follow each other, ConfigurationError for a law whose
     loop is not known, ModelError where no filter makes the error fall.
     """
-    return learned([learning_run(path) for path in paths], known)
-
-
-def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
-    """As `learn`, of runs that have been read."""
     _require_consecutive(runs)
     last = runs[-1]
     c, samples = last.configuration, len(last.trial.e)
@@ -191,3 +207,75 @@ def _rounded(value: float) -> float:
 
 def _rms(x: Array) -> float:
     return float(np.sqrt((x**2).mean()))
+
+
+def rehearse(
+    c: Configuration, runs: int, known: Knowledge, folder: Path, tell: Callable[[Step], None]
+) -> Series:
+    """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
+
+    It ends early at the floor, where a run contradicts the condition, where one fails, cannot begin or cannot
+    teach, and by an interrupt behind the first run.
+
+    Raises what keeps the first run from being made or learned from: ConfigurationError, LogError, PlantError,
+    ModelError, OSError.
+    """
+    c.require("sim")
+    refuse_fused(c, c.source, "learn")
+    c = unattended(c)
+    refuse_unreachable(c)
+    if known.limit_N is None and c.feedforward is not None:
+        known = known._replace(limit_N=c.feedforward.limit_N)
+    text, limit_N, trouble, interrupted = "", 0.0, "", False
+    past: list[LearningRun] = []
+    steps: list[Step] = []
+    texts: list[str] = []
+    outcome: Outcome | None = None
+    try:
+        for number in range(runs):
+            log = folder / f"{c.name}-run-{number:02d}.mcap"
+            file = folder / f"{c.name}-run-{number:02d}.csv"
+            try:
+                made = simulate(_with(c, text, file, limit_N), log=log, check_replay=False)
+                if not made["success"]:
+                    why = made["trouble"] or ", ".join(made["faults"])
+                    trouble = f"run {number}: {why}; --logs FOLDER keeps its log"
+                    break
+                past = [*past[-1:], learning_run(log)]
+                limit_N = limit_of(past[-1], known)
+                outcome = learned(past, known)
+            except (HilError, OSError) as error:
+                if not steps:
+                    raise
+                trouble = f"run {number}: {error}"
+                break
+            texts.append(text)
+            steps.append(outcome.steps[-1])
+            tell(steps[-1])
+            if outcome.state != "learned":
+                break
+            text = outcome.text
+    except KeyboardInterrupt:
+        if not steps:
+            raise
+        trouble, interrupted = f"run {number}: interrupted", True
+    best = min(range(len(steps)), key=lambda k: steps[k].rms_mm, default=0)
+    return Series(steps, outcome, limit_N, texts[best] if texts else "", trouble, interrupted)
+
+
+def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:
+    """Return the configuration with a feed-forward of this text; without any where the text is empty."""
+    section: dict[str, Any] | None = None
+    if text:
+        path.write_text(text, encoding="utf-8")
+        section = {"file": str(path.absolute()), "limit_N": limit_N}
+    return loads(with_changes(c.text, {"name": c.name, "feedforward": section}), c.source, c.folder)
+
+
+def with_scale(c: Configuration, scale: float) -> Configuration:
+    """Return the configuration with its law's masses scaled. Raises ConfigurationError: no model."""
+    believed = c.controller.believed
+    if believed is None or "model" not in type(c.controller).model_fields:
+        raise ConfigurationError(f"--inertia-scale: law {c.controller.law} has no model of the masses")
+    change = {"controller": {"model": {"inertia_scale": scale * believed.inertia_scale}}, "name": c.name}
+    return loads(with_changes(c.text, change), c.source, c.folder)

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from hil.config.model import ModelSettings
-from hil.lab.learn.command import Outcome, Step
+from hil.lab.learn.command import Outcome, Series, Step
 from hil.lab.learn.convergence import FLAT
 from hil.lab.learn.judgement import Floor
-from hil.lab.learn.rehearsal import Rehearsal
 
 CAUSES = {
     "encoder_m": "steps of the encoders and of their frames",
@@ -41,14 +40,38 @@ def _floor_mm(floor: Floor) -> dict[str, float]:
     return {key.removesuffix("_m"): 1e3 * value for key, value in floor._asdict().items()}
 
 
-def lines(outcome: Outcome, limit_N: float, out: Path | None) -> Iterator[str]:
-    """Return what the user reads; out: where the next file is written, None for none."""
+def lines(made: Series, out: Path | None, believed: ModelSettings | None = None) -> Iterator[str]:
+    """Return what the user reads; out: where the file is written; believed: those of --inertia-scale."""
+    if made.outcome is not None:
+        yield from table(made.steps)
+        yield from _judged(made.outcome, made.limit_N)
+        first, last = made.steps[0], made.steps[-1]
+        if last is not first and last.rms_mm > 0.0 and last.peak_mm > 0.0:
+            yield (
+                f"From run {first.run.number} to run {last.run.number}: rms {first.rms_mm / last.rms_mm:.3g}"
+                f"-fold, peak {first.peak_mm / last.peak_mm:.3g}-fold smaller"
+            )
+    if made.trouble:
+        yield f"Stopped    {made.trouble}"
+    if made.best and out is not None:
+        yield f"written    {out}"
+        yield f"feedforward: {{file: {out.name}, limit_N: {made.limit_N:.15g}}}"
+        if believed is not None:
+            yield (
+                "           The file belongs to a law with controller.model.inertia_scale: "
+                f"{believed.inertia_scale!r} (--inertia-scale): set that key, too"
+            )
+    elif made.outcome is not None and out is not None:
+        yield f"{out} is not written"
+
+
+def _judged(outcome: Outcome, limit_N: float) -> Iterator[str]:
+    """Return filter and floor, and how learning goes on."""
     floor, choice, last = outcome.floor, outcome.learner.choice, outcome.steps[-1]
     end_Hz = choice.Q.end_Hz
     parts = ", ".join(f"{name.replace('_', ' ')} {mm:.2g}" for name, mm in _floor_mm(floor).items())
     band = f"1 up to {FLAT * end_Hz:.3g} Hz, 0 from {end_Hz:.3g} Hz on"
     least = f"|Q (1 - L P)| <= {choice.contraction:.2f} (largest at {choice.at_Hz:.3g} Hz)"
-    yield from table(outcome.steps)
     yield f"Filter     zero phase, {band}: the widest with {least}"
     yield f"Plants     {outcome.learner.belief.source}"
     yield f"Floor      {1e3 * floor.total_m:.2g} mm rms, largest part {cause(floor)}: {parts}"
@@ -70,25 +93,21 @@ def lines(outcome: Outcome, limit_N: float, out: Path | None) -> Iterator[str]:
             f"Cut        at {outcome.cut} instants a leg asks for more than {limit_N:g} N: the error "
             "does not fall there; allow more with --limit or feedforward.limit_N"
         )
-    if out is not None and outcome.state == "learned":
-        yield from written(out, limit_N)
 
 
-def written(out: Path, limit_N: float, what: str = "") -> list[str]:
-    """Return that a file is written, and the section that names it."""
-    return [f"written    {out}{what}", f"feedforward: {{file: {out.name}, limit_N: {limit_N:.15g}}}"]
-
-
-def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
-    """Return the outcome as plain values."""
+def summary(made: Series, out: Path | None) -> dict[str, Any]:
+    """Return a series of runs as plain values."""
+    outcome = made.outcome
+    if outcome is None:
+        return {"success": False, "kind": "learn", "state": "failed", "trouble": made.trouble, "runs": []}
     choice, found = outcome.learner.choice, outcome.steps[-1].contradicted
+    ended = "interrupted" if made.interrupted else "failed" if made.trouble else outcome.state
     return {
-        "success": outcome.state != "contradicted",
+        "success": outcome.state != "contradicted" and not made.trouble,
         "kind": "learn",
-        "state": outcome.state,
-        "runs": [
-            {"log": str(step.run.path), "run": step.run.number} | step.figures for step in outcome.steps
-        ],
+        "state": ended,
+        "trouble": made.trouble or None,
+        "runs": [{"log": str(step.run.path), "run": step.run.number} | _figures(step) for step in made.steps],
         "filter_end_Hz": choice.Q.end_Hz,
         "contraction_bound": choice.contraction,
         "contraction_bound_at_Hz": choice.at_Hz,
@@ -98,41 +117,9 @@ def summary(outcome: Outcome, out: Path | None) -> dict[str, Any]:
         "contradiction": None if found is None else found._asdict(),
         "cut_instants": outcome.cut,
         "predicted_next_mm": outcome.predicted_mm,
-        "written": str(out) if out is not None and outcome.state == "learned" else None,
-    }
-
-
-def series(made: Rehearsal, out: Path | None, believed: ModelSettings | None = None) -> Iterator[str]:
-    """Return what the user reads of a series of runs; believed: those of --inertia-scale."""
-    if made.outcome is not None:
-        yield from lines(made.outcome._replace(steps=made.steps), made.limit_N, None)
-        first, last = made.steps[0], made.steps[-1]
-        if last is not first and last.rms_mm > 0.0 and last.peak_mm > 0.0:
-            yield (
-                f"From run {first.run.number} to run {last.run.number}: rms {first.rms_mm / last.rms_mm:.3g}"
-                f"-fold, peak {first.peak_mm / last.peak_mm:.3g}-fold smaller"
-            )
-    if made.trouble:
-        yield f"Stopped    {made.trouble}"
-    if made.best and out is not None:
-        yield from written(out, made.limit_N, ", of the run with the smallest error")
-        if believed is not None:
-            yield (
-                "           The file belongs to a law with controller.model.inertia_scale: "
-                f"{believed.inertia_scale!r} (--inertia-scale): set that key, too"
-            )
-    elif made.outcome is not None and out is not None:
-        yield f"{out} is not written: the run with the smallest error had no feed-forward"
-
-
-def series_summary(made: Rehearsal, out: Path | None) -> dict[str, Any]:
-    """Return a series of runs as plain values."""
-    if made.outcome is None:
-        return {"success": False, "kind": "learn", "state": "failed", "trouble": made.trouble, "runs": []}
-    found = summary(made.outcome._replace(steps=made.steps), None)
-    return found | {
-        "success": found["success"] and not made.trouble,
-        "state": "interrupted" if made.interrupted else "failed" if made.trouble else found["state"],
-        "trouble": made.trouble or None,
         "written": str(out) if made.best and out is not None else None,
     }
+
+
+def _figures(step: Step) -> dict[str, float | None]:
+    return {key: value for key, value in step._asdict().items() if key not in {"run", "contradicted"}}

@@ -10,7 +10,7 @@ from statistics import median
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Gap, Request, Step
+from hil.lab.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Request, Step, gap_of
 
 PUSH_S = 0.15
 RATE_WITHIN = 0.6, 1.6
@@ -206,13 +206,13 @@ def friction(c: Context) -> list[Finding]:
     ]
 
 
-def gap(c: Context) -> Gap | None:
+def gap(c: Context) -> Finding | None:
     """Say whose rate was not seen: a leg that gave way too slowly, or too little."""
     unseen = [drive for drive, fact in c.table("opens").items() if fact["rate_share"] is None]
     if not unseen:
         return None
     legs = ", ".join(map(str, unseen))
-    return Gap(
+    return gap_of(
         f"drives {legs} moved too little, or too slowly, for their rate to be compared with what they read",
         f"Push again after `--again`, by {1e3 * RATE_STEPS * RATE_STEP_M:g} mm or more at "
         f"{1e3 * RATE_STEP_M / RATE_STEP_S:g} mm/s or more; or compare sign and unit of their speed by hand",

@@ -6,7 +6,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Gap, Request, Step
+from hil.lab.bringup.context import Context, Finding, Request, Step, gap_of
 
 FIT_M = 4e-3
 """Largest accepted difference of a length at a pose that is known by a jig."""
@@ -94,19 +94,18 @@ def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
     return (int(base), int(platform)) if worst[base, platform] <= FIT_M else None
 
 
-def gap(c: Context) -> Gap | None:
+def gap(c: Context) -> Finding | None:
     """Say where drives that forget their turns read alike at other joints, and that nothing was weighed."""
     gaps, forgotten = [], c.machine.forgotten_m
     least_m = np.inf if forgotten is None else float(forgotten.min())
     if least_m <= 4.0 * FIT_M:
         text = f"they forget multiples of {1e3 * least_m:.3g} mm, so a leg elsewhere may read as it should"
-        gaps.append(Gap(text, "Compare the length of each leg at both poses by tape"))
+        gaps.append((text, "Compare the length of each leg at both poses by tape"))
     if c.facts["load"]["mass_kg"] == 0.0:
         text = "the platform was not weighed, so it may drop or leap as the brakes open"
-        gaps.append(Gap(text, f"See that all of it weighs {c.machine.platform_kg:.4g} kg"))
-    if not gaps:
-        return None
-    return Gap("; ".join(gap.text for gap in gaps), ". ".join(gap.instead for gap in gaps))
+        gaps.append((text, f"See that all of it weighs {c.machine.platform_kg:.4g} kg"))
+    texts, instead = zip(*gaps, strict=True) if gaps else ((), ())
+    return gap_of("; ".join(texts), ". ".join(instead)) if gaps else None
 
 
 STEP = Step(

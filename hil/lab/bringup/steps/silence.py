@@ -11,7 +11,7 @@ from typing import Any
 
 from drivers.signals import LEGS, DriveMode, DriveState
 from drivers.tick_columns import Record
-from hil.lab.bringup.context import Context, Finding, Gap, Step
+from hil.lab.bringup.context import Context, Finding, Step, gap_of
 
 POWER_S = 0.1
 WAIT, WAIT_S = 6.0, 0.4
@@ -165,7 +165,7 @@ def judge(c: Context) -> Iterator[Finding]:
             yield Finding(name, (leg,), f"{text}, set were {1e3 * wait:g} ms", mend)
 
 
-def gap(c: Context) -> Gap | None:
+def gap(c: Context) -> Finding | None:
     """Say which drives have no watchdog that can be proven, if they are of a family without one."""
     legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
     if c.drives.protocol.traits.has_watchdog or not legs:
@@ -173,7 +173,7 @@ def gap(c: Context) -> Gap | None:
     shown = f"those of legs {', '.join(map(str, legs))} stay enabled in silence"
     if not _observable(c):
         shown = "their answers do not tell whether they are enabled"
-    return Gap(
+    return gap_of(
         f"they have no watchdog that is set from here, and {shown}",
         "When the program dies a drive keeps its last torque. See that something independent of program and "
         "bus cuts the drives' power and shuts the brakes, try it now, and keep it in reach",

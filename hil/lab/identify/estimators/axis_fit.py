@@ -43,19 +43,25 @@ SEPARATED = 10.0
 """Largest condition number of the directions of six lines that still determine a coupling matrix."""
 
 
+class Delays(NamedTuple):
+    """From measurement to force, s, with standard deviations."""
+
+    transport_s: float
+    transport_std_s: float
+    lag_s: float
+    lag_std_s: float
+    total_s: float
+    """Transport, lag and half a period, which the force is held: slope of the phase at low frequency."""
+    total_std_s: float
+
+
 class Fit(NamedTuple):
     """gain exp(-transport s) / (lag s + 1) / s^2 with standard deviations."""
 
     gain: Array
     """(6,)."""
     gain_std: Array
-    transport_s: float
-    transport_std_s: float
-    lag_s: float
-    lag_std_s: float
-    total_s: float
-    """Phase slope at low frequency: transport, lag and half a period."""
-    total_std_s: float
+    delays: Delays
     used: Flags
     """(lines, 6) what the fit was made from: excited and coherent."""
 
@@ -121,10 +127,9 @@ def fit_axes(response: Response) -> Fit:
     std = np.sqrt(np.diag(C))
     both = float(np.sqrt(C[6, 6] + C[7, 7] + 2.0 * C[6, 7]))
     transport, lag = float(best.x[6]) * T, float(best.x[7]) * T
-    return Fit(
-        np.asarray(best.x[:6], np.float64), std[:6], transport, float(std[6]) * T, lag, float(std[7]) * T,
-        transport + lag + 0.5 * T, both * T, used,
-    )  # fmt: skip
+    total = transport + lag + 0.5 * T
+    delays = Delays(transport, float(std[6]) * T, lag, float(std[7]) * T, total, both * T)
+    return Fit(np.asarray(best.x[:6], np.float64), std[:6], delays, used)
 
 
 def uncertainty(response: Response, fit: Fit) -> Uncertainty:
@@ -146,7 +151,8 @@ def uncertainty(response: Response, fit: Fit) -> Uncertainty:
     lines = np.flatnonzero(measured.any(axis=1))
     lines = lines[(lines >= coherent[0]) & (lines <= coherent[-1])]
     f = response.frequency_Hz[lines]
-    P0 = axis_response(f, response.period_s, fit.transport_s, fit.lag_s)[:, None] * fit.gain
+    found = fit.delays
+    P0 = axis_response(f, response.period_s, found.transport_s, found.lag_s)[:, None] * fit.gain
     own = measured[lines]
     error = np.where(own, np.abs(response.G[lines] / P0 - 1.0), 0.0)
     circle = np.where(own, response.radius[lines] * np.abs(response.G[lines] / P0), 0.0)

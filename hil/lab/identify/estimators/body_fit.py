@@ -17,9 +17,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.optimize import least_squares
 
-from drivers.arrays import Array, Flags, Ints
+from drivers.arrays import Array, Ints
 from drivers.errors import IdentificationError
-from hil.lab.identify.estimators.leg_equations import COLUMNS, REFLECTED, Equations
+from hil.lab.identify.estimators.leg_equations import Equations
 from hil.lab.identify.estimators.rigid_body import (
     SIZE,
     from_log_cholesky,
@@ -53,11 +53,9 @@ class Estimate(NamedTuple):
     shown: Array
     """(29, k) columns: directions of theta / scale that the motion shows."""
     hidden: Array
-    """(29, h) columns: free directions that it does not show."""
-    free: Flags
-    """(29,): unknowns; the others are given."""
+    """(29, h) columns: directions that it does not show."""
     condition: float
-    """Of the free columns, each scaled to unit length."""
+    """Of the columns, each scaled to unit length."""
     residual_N: Array
     """(6,) rms of each leg."""
     root: Array
@@ -68,7 +66,7 @@ class Estimate(NamedTuple):
 
     @property
     def std(self) -> Array:
-        """(29,) standard errors; 0 for what is given. For a hidden one that of what is shown of it."""
+        """(29,) standard errors. For a hidden one that of what is shown of it."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
@@ -83,11 +81,11 @@ def unknowns_scale(platform: Platform) -> Array:
     return np.array([m, *3 * (m * r,), *6 * (m * r * r,), *12 * (m * WEIGHT / 6.0,), 1e-3, *6 * (m / 6.0,)])
 
 
-def solve(equations: Equations, believed: Array, scale: Array, *, reflected: bool) -> Estimate:
+def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
     """Return the weighted least squares of the equations of all logs.
 
-    believed (29,) is kept in the directions that are not shown; scale: `unknowns_scale`; reflected: whether
-    reflected masses are unknowns, else their columns are empty. Raises IdentificationError: too few samples.
+    believed (29,) is kept in the directions that are not shown; scale: `unknowns_scale`. Raises
+    IdentificationError: too few samples.
     """
     count = np.bincount(equations.leg, minlength=6)
     if count.min() < FEWEST_SAMPLES:
@@ -95,13 +93,12 @@ def solve(equations: Equations, believed: Array, scale: Array, *, reflected: boo
             f"too little motion: leg {int(count.argmin())} slides one way, with open brakes and fresh "
             f"encoders, in {count.min()} samples, allowed: at least {FEWEST_SAMPLES}; log a longer motion"
         )
-    free = np.arange(COLUMNS) < (COLUMNS if reflected else REFLECTED)
     X, noise = equations.A * scale, equations.noise * scale
     rest = equations.y - equations.A @ believed
     weight = np.ones(6)
     for _ in range(ROUNDS):
         w = weight[equations.leg]
-        shown, hidden = _directions(X[:, free] * w[:, None], noise[:, free] * w[:, None], free)
+        shown, hidden = _directions(X * w[:, None], noise * w[:, None])
         Z = (X @ shown) * w[:, None]
         z = np.linalg.lstsq(Z, rest * w, rcond=None)[0]
         theta = believed + scale * (shown @ z)
@@ -113,24 +110,22 @@ def solve(equations: Equations, believed: Array, scale: Array, *, reflected: boo
     Z = (X @ shown) * w[:, None]
     spread = coloured_covariance(Z, y - A @ theta, equations.sample)
     root = np.asarray(np.linalg.qr(A, mode="r"), np.float64)
-    columns = A[:, free] / np.linalg.norm(A[:, free], axis=0)
+    columns = A / np.linalg.norm(A, axis=0)
     T = scale[:, None] * shown
     return Estimate(
-        theta, T @ spread @ T.T, shown, hidden, free, float(np.linalg.cond(columns)), rms,
+        theta, T @ spread @ T.T, shown, hidden, float(np.linalg.cond(columns)), rms,
         root, scale, len(np.unique(equations.sample)),
     )  # fmt: skip
 
 
-def _directions(X: Array, noise: Array, free: Flags) -> tuple[Array, Array]:
+def _directions(X: Array, noise: Array) -> tuple[Array, Array]:
     """Return the directions of all unknowns that weighted equations show, and do not; columns, orthonormal.
 
     X (m, n) has a residual of unit variance; noise (m, n) is its error.
     """
     _, s, Vt = np.linalg.svd(X, full_matrices=False)
-    V = np.zeros((len(free), int(free.sum())))
-    V[free] = Vt.T
     seen = (s * FAINT > 1.0) & (np.linalg.norm(noise @ Vt.T, axis=0) < DROWNED * s)
-    return V[:, seen], V[:, ~seen]
+    return Vt[seen].T, Vt[~seen].T
 
 
 def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
@@ -198,14 +193,14 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
     smallest = float(np.linalg.eigvalsh(pseudo_inertia(own))[0])
     if smallest > 0.0:
         return Consistent(estimate.theta, smallest, 0.0)
-    scale, n = estimate.scale, int(estimate.free[SIZE:].sum())
+    scale = estimate.scale
     unit = float(np.abs(own).max())
     H = estimate.hidden.T / scale
 
     def theta_of(x: Array) -> Array:
         theta = estimate.theta.copy()
         theta[:SIZE] = base + unit * from_log_cholesky(x[:SIZE]) * radius**_POWERS
-        theta[SIZE : SIZE + n] = x[SIZE:] * scale[SIZE : SIZE + n]
+        theta[SIZE:] = x[SIZE:] * scale[SIZE:]
         return theta
 
     def residual(x: Array) -> Array:
@@ -214,9 +209,9 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
 
     begin = np.concatenate([
         np.clip(log_cholesky(_nearest(own / unit)), 1e-3 - FARTHEST, FARTHEST - 1e-3),
-        estimate.theta[SIZE : SIZE + n] / scale[SIZE : SIZE + n],
+        estimate.theta[SIZE:] / scale[SIZE:],
     ])  # fmt: skip
-    end = np.full(SIZE + n, np.inf)
+    end = np.full(len(begin), np.inf)
     end[:4] = FARTHEST  # a, d1, d2, d3
     fit = least_squares(residual, begin, bounds=(-end, end), x_scale="jac", max_nfev=500)
     theta, to_shown = theta_of(fit.x), estimate.shown.T / scale

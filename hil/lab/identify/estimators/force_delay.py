@@ -7,37 +7,39 @@ the one that changes the momentum as observed. The two are compared period by pe
     needed = gain * force(transport, lag) + offset - viscous * rate - coulomb * sgn(rate),
 
 over periods in which the leg slides: a leg that sticks hides any force. Gain, offset and friction of each leg
-absorb the errors of the model; they do not change the time. Where masses or drives are off, the friction is
-viscous / gain and coulomb / gain in the force that the drive makes: that is what is returned. Transport and
-lag, common to all legs, minimise the sum of squares (separable least squares: Golub and Pereyra, SIAM J.
-Numer. Anal. 10, 1973). Both delay, but only the lag attenuates high frequencies: slow motion gives their sum
-alone.
+absorb the errors of the model; they do not change the time. Transport and lag, common to all legs, minimise
+the sum of squares (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay,
+but only the lag attenuates high frequencies: slow motion gives their sum alone.
 
-Standard deviations are those of a delete-a-block jackknife over time (Kuensch, Ann. Statist. 17, 1989), which
-needs neither white nor equal noise.
+Standard deviations are those of all parameters together, linearised at the least squares, for coloured
+residuals (`coloured_covariance`).
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
 from drivers.arrays import ZERO6, Array, Flags
 from drivers.errors import IdentificationError
 from hil.estimation.observer import unexplained
+from hil.lab.identify.estimators.axis_fit import Delays
+from hil.lab.identify.estimators.body_fit import coloured_covariance
 from hil.robot.dynamics import SLIDING_SPEED, Model
 from hil.robot.kinematics_kernels import jacobian_kernel
 
-BLOCKS = 10
-"""Of the jackknife."""
 LONGEST_PERIODS = 8.0
 """Longest delay considered, in periods."""
 FEWEST_PERIODS = 100
 """Usable periods of motion that each leg needs."""
 SURE_S = 2e-4
 """Largest standard deviation, s, of a delay that is reported."""
+STARTS = [(transport, lag) for transport in (0.25, 1.5, 3.5) for lag in (0.1, 1.0)]
+"""Transport and lag, in periods, from which the search begins."""
+DIFFERENCE = 0.01
+"""Periods to either side, of the slopes of a force over transport and lag."""
 
 
 class Motion(NamedTuple):
@@ -59,28 +61,15 @@ class Motion(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """From measurement to force, s, with standard deviations."""
+    """Delays, and how sure they are."""
 
-    transport_s: float
-    transport_std_s: float
-    lag_s: float
-    lag_std_s: float
-    hold_s: float
-    """Half a period; known."""
-    total_s: float
-    total_std_s: float
+    delays: Delays
     separable: bool
     """Whether transport and lag could be separated; if not, lag is 0 and transport is their sum."""
     explained: float
     """Share of the varying force that is explained, 0 .. 1."""
     gain: Array
     """(6,) of each leg: 1 where model and drives agree."""
-    viscous: Array
-    """(6,) N s/m of the drive's own force, beyond the model's."""
-    viscous_std: Array
-    coulomb: Array
-    """(6,) N of the drive's own force, beyond the model's."""
-    coulomb_std: Array
     periods: int
     """In which the leg that moved least was used."""
 
@@ -90,42 +79,34 @@ def force_delay(motion: Motion, model: Model) -> Delay:
 
     Raises IdentificationError: too little motion, or nothing in it that the commands explain.
     """
-    fit = _Fit(motion, needed_forces(motion, model))
-    periods = int((motion.usable[:, None] & fit.slides).sum(axis=0).min())
+    T, fit = motion.period_s, _Fit(motion, needed_forces(motion, model))
+    periods = min(map(len, fit.rows))
     if periods < FEWEST_PERIODS:
         raise IdentificationError(
             f"too little motion: a leg moves faster than {1e3 * SLIDING_SPEED:g} mm/s in {periods} periods "
             f"with open brakes and fresh legs, allowed: at least {FEWEST_PERIODS}"
         )
-    everything = np.flatnonzero(motion.usable)
-    transport, lag = fit.both(everything)
-    samples = np.array([fit.both(rest, (transport, lag)) for rest in _without_blocks(everything)])
-    (transport_std, lag_std), total_std = _jackknife(samples), float(_jackknife(samples.sum(axis=1)))
-    # At the end of what is possible a spread of zero says nothing.
-    at_end = transport < 1e-3 * motion.period_s and lag > 0.02 * motion.period_s
-    separable = bool(max(transport_std, lag_std) <= SURE_S) and not at_end
+    found = fit.search(STARTS)
+    covariance = fit.covariance(found)
+    std = T * np.sqrt(np.diag(covariance))
+    # at the end of what is possible its slope says nothing
+    at_end = found[0] < 1e-3 and found[1] > 0.02
+    separable = bool(std.max() <= SURE_S) and not at_end
     if not separable:
-        transport, lag = fit.transport(everything, transport + lag), 0.0
-        samples = np.array([fit.transport(rest, transport) for rest in _without_blocks(everything)])
-        transport_std, lag_std = float(_jackknife(samples)), 0.0
-        total_std = transport_std
-    explained, coefficients = fit.quality(transport, lag, everything)
-    gain, _, viscous, coulomb = _of_the_drive(coefficients).T
-    spread = _jackknife(
-        np.array([
-            _of_the_drive(fit.quality(transport, lag, rest)[1]) for rest in _without_blocks(everything)
-        ])
-    )  # fmt: skip
+        found = fit.search([(float(found.sum()),)])
+        covariance = fit.covariance(found)
+        std = np.append(T * np.sqrt(covariance[0]), 0.0)
+    total_std = T * float(np.sqrt(covariance.sum()))
+    varying = sum(((fit.needed[k] - fit.needed[k].mean()) ** 2).sum() for k in fit.rows)
+    explained = 1.0 - float((fit.residual(found) ** 2).sum() / varying)
     if not (explained > 0.5 and total_std <= SURE_S):
         raise IdentificationError(
             f"the commands explain {100 * max(explained, 0.0):.0f} % of the varying forces and the delay is "
             f"known to {1e3 * total_std:.2g} ms: too little excitation, or another robot than the model's"
         )
-    hold = 0.5 * motion.period_s
-    return Delay(
-        transport, float(transport_std), lag, float(lag_std), hold, transport + lag + hold, total_std,
-        separable, explained, gain, viscous, spread[:, 2], coulomb, spread[:, 3], periods,
-    )  # fmt: skip
+    transport, lag = (T * np.append(found, 0.0)[:2]).tolist()
+    delays = Delays(transport, float(std[0]), lag, float(std[1]), transport + lag + 0.5 * T, total_std)
+    return Delay(delays, separable, explained, fit.coefficients(found)[:, 0], periods)
 
 
 def needed_forces(motion: Motion, model: Model) -> Array:
@@ -163,81 +144,62 @@ def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -
 
 
 class _Fit:
-    """The separable least squares of one log."""
+    """The separable least squares of one log: a row for each leg and period in which the leg slides one way.
+
+    Delays x are transport and lag in periods, or transport alone.
+    """
 
     def __init__(self, motion: Motion, needed: Array) -> None:
-        self.motion, self.needed = motion, needed
-        self.rate = 0.5 * (motion.rate[1:] + motion.rate[:-1])
-        self.sign = np.sign(self.rate)
-        fast = np.minimum(np.abs(motion.rate[1:]), np.abs(motion.rate[:-1])) > SLIDING_SPEED
-        self.slides = fast & (motion.rate[1:] * motion.rate[:-1] > 0.0)
-        """(n - 1, 6): the leg moves one way over the whole period."""
+        self._motion = motion
+        before, after = motion.rate[:-1], motion.rate[1:]
+        slides = np.minimum(np.abs(before), np.abs(after)) > SLIDING_SPEED
+        slides &= (before * after > 0.0) & motion.usable[:, None]
+        self._sample, self._leg = np.nonzero(slides)
+        self.rows = [np.flatnonzero(self._leg == leg) for leg in range(6)]
+        rate = 0.5 * (before + after)[slides]
+        self.needed, self._friction = needed[slides], -np.column_stack([rate, np.sign(rate)])
 
-    def residual(self, transport_s: float, lag_s: float, use: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Return residuals (m,) N and the coefficients (6, 4): gain, offset, viscous, coulomb."""
-        force = mean_forces(self.motion.tau, self.motion.period_s, transport_s, lag_s)
-        residuals, coefficients = [], []
-        for leg in range(6):
-            k = use[self.slides[use, leg]]
-            A = np.column_stack([force[k, leg], np.ones(len(k)), -self.rate[k, leg], -self.sign[k, leg]])
-            c, *_ = np.linalg.lstsq(A, self.needed[k, leg], rcond=None)
-            residuals.append(self.needed[k, leg] - A @ c)
-            coefficients.append(c)
-        return np.concatenate(residuals), np.array(coefficients)
+    def _force(self, transport: float, lag: float = 0.0) -> Array:
+        T = self._motion.period_s
+        return mean_forces(self._motion.tau, T, transport * T, lag * T)[self._sample, self._leg]
 
-    def both(self, use: NDArray[np.intp], start: tuple[float, float] | None = None) -> tuple[float, float]:
-        """Return transport and lag, s, from the best of a few starts, or from one."""
-        T = self.motion.period_s
-        starts = [start] if start else [(a * T, b * T) for a in (0.25, 1.5, 3.5) for b in (0.1, 1.0)]
+    def _regressors(self, x: Sequence[float] | Array) -> Array:
+        return np.column_stack([self._force(*x), np.ones(len(self.needed)), self._friction])
+
+    def coefficients(self, x: Sequence[float] | Array) -> Array:
+        """Return gain, offset, viscous and Coulomb friction (6, 4) of the legs with delays."""
+        A = self._regressors(x)
+        return np.array([np.linalg.lstsq(A[k], self.needed[k], rcond=None)[0] for k in self.rows])
+
+    def residual(self, x: Sequence[float] | Array) -> Array:
+        """Return what delays leave of the forces, (m,) N."""
+        of_rows = self.coefficients(x)[self._leg]
+        return np.asarray(self.needed - (self._regressors(x) * of_rows).sum(axis=1), np.float64)
+
+    def search(self, starts: Sequence[tuple[float, ...]]) -> Array:
+        """Return the delays that leave least, from the best of some starts."""
         fits = [
             least_squares(
-                lambda x: self.residual(x[0] * T, x[1] * T, use)[0],
-                np.clip(np.array(each) / T, 1e-3, LONGEST_PERIODS - 1e-3),
+                self.residual,
+                np.clip(start, 1e-3, LONGEST_PERIODS - 1e-3),
                 bounds=(0.0, LONGEST_PERIODS),
-                x_scale=1.0,
                 xtol=1e-7,
             )
-            for each in starts
+            for start in starts
         ]
-        best = min(fits, key=lambda fit: float(fit.cost))
-        return float(best.x[0]) * T, float(best.x[1]) * T
+        return np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, np.float64)
 
-    def transport(self, use: NDArray[np.intp], start: float) -> float:
-        """Return the delay, s, if all of it is transport."""
-        T = self.motion.period_s
-        fit = least_squares(
-            lambda x: self.residual(x[0] * T, 0.0, use)[0],
-            [min(max(start / T, 1e-3), LONGEST_PERIODS - 1e-3)],
-            bounds=(0.0, LONGEST_PERIODS),
-        )
-        return float(fit.x[0]) * T
-
-    def quality(self, transport_s: float, lag_s: float, use: NDArray[np.intp]) -> tuple[float, Array]:
-        """Return the explained share of the forces' variance, and the coefficients (6, 4)."""
-        residuals, coefficients = self.residual(transport_s, lag_s, use)
-        varying = 0.0
-        for leg in range(6):
-            needed = self.needed[use[self.slides[use, leg]], leg]
-            varying += float(((needed - needed.mean()) ** 2).sum())
-        explained = 1.0 - float((residuals**2).sum()) / varying
-        return explained, coefficients
-
-
-def _of_the_drive(coefficients: Array) -> Array:
-    """Return gain, offset, viscous and coulomb (6, 4) with the frictions as forces that the drive makes."""
-    found = coefficients.copy()
-    found[:, 2:] /= coefficients[:, :1]
-    return found
-
-
-def _without_blocks(use: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Return the periods without the first tenth, without the second, and so on."""
-    blocks = np.array_split(use, BLOCKS)
-    return [np.concatenate(blocks[:k] + blocks[k + 1 :]) for k in range(BLOCKS)]
-
-
-def _jackknife(samples: Array) -> Array:
-    """Return the standard deviation of the whole's estimate from those without each block."""
-    n = len(samples)
-    spread: Array = np.sqrt((n - 1) / n * ((samples - samples.mean(axis=0)) ** 2).sum(axis=0))
-    return spread
+    def covariance(self, x: Array) -> Array:
+        """Return the covariance of the delays, beside the coefficients of the legs; inf: none are shown."""
+        A, n = self._regressors(x), len(x)
+        Z = np.empty((len(A), n))
+        for k in range(n):
+            low, high = x.copy(), x.copy()
+            low[k], high[k] = max(x[k] - DIFFERENCE, 0.0), x[k] + DIFFERENCE
+            Z[:, k] = (self._force(*high) - self._force(*low)) / (high[k] - low[k])
+        Z *= self.coefficients(x)[self._leg, :1]
+        for rows in self.rows:  # what the coefficients of a leg make up for says nothing
+            Z[rows] -= A[rows] @ np.linalg.lstsq(A[rows], Z[rows], rcond=None)[0]
+        if np.linalg.matrix_rank(Z) < n:
+            return np.full((n, n), np.inf)
+        return coloured_covariance(Z, self.residual(x), self._sample)

@@ -60,16 +60,16 @@ class Equations(NamedTuple):
         return Equations(self.A[which], self.y[which], self.noise[which], self.leg[which], self.sample[which])
 
 
-def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> Equations:
-    """Return what a log says of platform and drives; reflected (6,) kg where given, else columns of its own.
+def equations_of(model: Model, signals: LegSignals) -> Equations:
+    """Return what a log says of platform and drives.
 
-    Of the model legs, joints, gravity and sliding speed count; not its platform's masses nor its friction.
+    Of the model legs, joints, gravity and sliding speed count, neither other masses nor friction.
     """
     motion = platform_motion(model.platform, signals)
     c = model.constants.copy()
     c[kernels.MASS] = c[kernels.VISCOUS] = 0.0
     c[kernels.COM : kernels.INERTIA + 9] = 0.0
-    c[kernels.REFLECTED : kernels.REFLECTED + 6] = 0.0 if reflected is None else reflected
+    c[kernels.REFLECTED : kernels.REFLECTED + 6] = 0.0
     c[kernels.VISCOUS : kernels.COULOMB + 6] = 0.0
     needed = motion.force.copy()
     for k in np.flatnonzero(motion.good):
@@ -86,9 +86,7 @@ def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> 
     again = signals._replace(length=signals.length + reading_errors(signals) * error)
     A, B = (
         smooth(wide.value, x.reshape(len(x), -1)).reshape(x.shape)
-        for x in (
-            _columns(model.platform, m, reflected) for m in (motion, platform_motion(model.platform, again))
-        )
+        for x in (_columns(model.platform, m) for m in (motion, platform_motion(model.platform, again)))
     )
     at, legs = np.nonzero(usable)
     return Equations(
@@ -97,7 +95,7 @@ def equations_of(model: Model, signals: LegSignals, reflected: Array | None) -> 
     )  # fmt: skip
 
 
-def _columns(platform: Platform, motion: PlatformMotion, reflected: Array | None) -> Array:
+def _columns(platform: Platform, motion: PlatformMotion) -> Array:
     """Return A (n, 6, 29) at every tick."""
     A = np.zeros((len(motion.p), 6, COLUMNS))
     Y = regressor(motion.R, motion.twist, motion.dtwist, platform.gravity)
@@ -106,7 +104,7 @@ def _columns(platform: Platform, motion: PlatformMotion, reflected: Array | None
         A[:, leg, VISCOUS + leg] = motion.dq[:, leg]
         A[:, leg, COULOMB + leg] = np.sign(motion.dq[:, leg])
         A[:, leg, LATE] = -motion.dforce[:, leg]
-        A[:, leg, REFLECTED + leg] = motion.ddq[:, leg] if reflected is None else 0.0
+        A[:, leg, REFLECTED + leg] = motion.ddq[:, leg]
     return A
 
 

@@ -17,6 +17,8 @@ UNITS = ("kg", "kg m", "kg m", "kg m", *6 * ("kg m^2",))
 SIZE = len(NAMES)
 _TENSOR = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
 """Which of the six elements stands where in the tensor."""
+_ELEMENTS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
+"""Where in the tensor each of the six stands."""
 
 
 def tensor(elements: Array) -> Array:
@@ -28,9 +30,7 @@ def tensor(elements: Array) -> Array:
 def parameters_of(body: Body) -> Array:
     """Return theta (10,) of a body in platform axes."""
     I = body.inertia + steiner(body.mass, body.com)
-    return np.array([
-        body.mass, *(body.mass * body.com), I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]
-    ])  # fmt: skip
+    return np.array([body.mass, *(body.mass * body.com), *I[_ELEMENTS]])
 
 
 def body_of(theta: Array) -> Body:
@@ -53,7 +53,7 @@ def pseudo_inertia(theta: Array) -> Array:
 def from_pseudo_inertia(P: Array) -> Array:
     """Return theta (10,) of a pseudo-inertia (4, 4): I = tr(S) 1 - S, S its upper left block."""
     I = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-    return np.array([P[3, 3], *P[:3, 3], I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2]])
+    return np.array([P[3, 3], *P[:3, 3], *I[_ELEMENTS]])
 
 
 def from_log_cholesky(x: Array) -> Array:
@@ -100,10 +100,7 @@ def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
 
 def _cross(x: Array) -> Array:
     """Return the matrices (n, 3, 3) of x cross."""
-    S = np.zeros((len(x), 3, 3))
-    S[:, 0, 1], S[:, 0, 2], S[:, 1, 2] = -x[:, 2], x[:, 1], -x[:, 0]
-    S[:, 1, 0], S[:, 2, 0], S[:, 2, 1] = x[:, 2], -x[:, 1], x[:, 0]
-    return S
+    return np.asarray(np.cross(x[:, None], np.eye(3)).transpose(0, 2, 1), np.float64)
 
 
 def _inertia_times(x: Array) -> Array:

@@ -1,16 +1,17 @@
 """Rehearsals in process, with an eye on what the plant is made to do."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.protocol import Frame
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import Configuration, load
 from hil.lab.bringup.context import Context, Request, Step
-from hil.lab.bringup.drives import Drives
+from hil.lab.bringup.drives import Drives, Heard
 from hil.lab.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.lab.bringup.procedure import STEPS, Outcome, bring_up
 from hil.lab.bringup.rehearsal import BenchHands, BenchLine, build_bench, mistake_of
@@ -117,6 +118,11 @@ class Rehearsal:
         self.machine = build_machine(c, protocol)
         self.drives = Drives(protocol, BenchLine(bench.nodes, bringup_rate(c)), self.machine.watchdog_s)
         self.context = Context(self.machine, self.drives, self.hands, {} if facts is None else facts)
+
+    def hears(self, change: Callable[[Heard, Sequence[Frame]], Heard]) -> None:
+        """Let what comes in a tick be changed: called with it, and with what opened the tick."""
+        exchange = self.drives.line.exchange
+        self.drives.line.exchange = lambda opening: change(exchange(opening), opening)  # type: ignore[method-assign]
 
     def run(self, steps: tuple[Step, ...] = STEPS) -> Outcome:
         return bring_up(self.context, steps)

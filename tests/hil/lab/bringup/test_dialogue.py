@@ -15,7 +15,7 @@ from plant_fmu.rehearsal.wiring import Wiring
 from tests.hil.lab.bringup.families import family
 
 VIRTUAL = build_protocol(load("virtual"))
-MEASURE = Request("measure", 1, 0.0, "Measure leg 1")
+MEASURE = Request("measure", 1, 0.0, "Measure leg 1", within=(0.0, 1.0))
 PUSH = Request("push", 1, 0.0, "Push leg 1")
 DOWN = Request("take_down", text="Take the platform off", word="down")
 

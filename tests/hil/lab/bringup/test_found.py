@@ -6,10 +6,9 @@ import yaml
 
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
-from hil.lab.bringup.checklist import checklist
 from hil.lab.bringup.context import Finding
 from hil.lab.bringup.found import found_text, mended
-from hil.lab.bringup.procedure import STEPS
+from hil.lab.bringup.procedure import STEPS, checklist
 from tests.hil.lab.bringup.kit import Rehearsal
 
 LEGS = range(6)
@@ -76,47 +75,32 @@ def test_with_a_corrected_lead_or_sign_each_leg_reads_the_tape(machines):
     assert np.abs(np.subtract(gear["offset_m"], zeros)).min() > 1e-3, "each zero has moved"
 
 
-def test_exchanged_numbers_alone_are_fixed_in_the_file():
-    """Drives 1 and 4 were read with each other's sign: exchanged, they are right."""
-    rehearsal = Rehearsal("desktop")
-    c = rehearsal.c
-    facts = {
-        str(leg): {"drive": drive, "tape_m": [0.25, 0.4], "scale": -1.0, "offset_m": 0.0, "bent_m": 0.0}
-        for leg, drive in ((1, 4), (4, 1))
+MISREAD: dict[str, tuple[dict[int, int], tuple[str, ...], list[int]]] = {
+    "each other's number": ({1: 4, 4: 1}, ("ids",), [0, 4, 2, 3, 1, 5]),
+    "each other's encoder": ({0: 2, 2: 0}, ("encoder_crossed",), [0, 1, 2, 3, 4, 5]),
+    "both": ({0: 2, 2: 0, 1: 4, 4: 1}, ("ids", "encoder_crossed"), [0, 4, 2, 3, 1, 5]),
+}
+"""Leg that each drive counts, what is found, and the numbers that are written."""
+
+
+@pytest.mark.parametrize("case", MISREAD)
+def test_drives_that_were_read_as_another_leg_change_no_transmission_in_the_file(machines, case):
+    """They were read with each other's sign, lead and zero: exchanged, they are right."""
+    desktop, (reads, names, order) = machines["desktop"], MISREAD[case]
+    desktop.context.facts = {
+        "encoder": {str(leg): fact(drive, scale=-1.0, offset_m=2e-3) for drive, leg in reads.items()}
     }
-    rehearsal.context.facts["encoder"] = facts
-    findings = [
-        Finding("ids", (1, 4), "exchanged", ""),
-        Finding("drive_reversed", (1,), "", ""),
-        Finding("offset", (4,), "", ""),
-        Finding("wrong_lead", (4,), "", ""),
+    crossed = {"ids": (1, 4), "encoder_crossed": (0, 2)}
+    first = [Finding(name, crossed[name], "", "") for name in names]
+    others = [
+        Finding(name, (next(iter(reads)),), "", "") for name in ("drive_reversed", "offset", "wrong_lead")
     ]
-    assert mended(c, rehearsal.context, findings) == findings[:1]
-    assert mended(c, rehearsal.context, findings[1:]) == findings[1:]
-    found = loads(found_text(c, rehearsal.context, findings), "found", c.folder)
-    n = list(c.drives.node_ids)
-    assert list(found.drives.node_ids) == [n[0], n[4], n[2], n[3], n[1], n[5]]
+    c = desktop.c
+    assert mended(c, desktop.context, [*first, *others]) == [each for each in first if each.name == "ids"]
+    assert mended(c, desktop.context, others) == others
+    found = loads(found_text(c, desktop.context, [*first, *others]), "found", c.folder)
+    assert list(found.drives.node_ids) == [c.drives.node_ids[k] for k in order]
     assert found.drives.transmission == c.drives.transmission
-
-
-def test_crossed_encoder_cables_change_no_transmission_in_the_file():
-    """Drives 0 and 2 have each other's encoder, drives 1 and 4 each other's number."""
-    rehearsal = Rehearsal("desktop")
-    c = rehearsal.c
-    reads = {0: 2, 2: 0, 1: 4, 4: 1}
-    rehearsal.context.facts["encoder"] = {
-        str(leg): {"drive": drive, "tape_m": [0.25, 0.4], "scale": -1.0, "offset_m": 2e-3, "bent_m": 0.0}
-        for drive, leg in reads.items()
-    }
-    crossed = Finding("encoder_crossed", (0, 2), "crossed", "")
-    others = [Finding("offset", (0,), "", ""), Finding("drive_reversed", (2,), "", "")]
-    exchanged = Finding("ids", (1, 4), "exchanged", "")
-    for findings, done in (([crossed, *others], []), ([exchanged, crossed, *others], [exchanged])):
-        assert mended(c, rehearsal.context, findings) == done
-        found = loads(found_text(c, rehearsal.context, findings), "found", c.folder)
-        n = list(c.drives.node_ids)
-        assert list(found.drives.node_ids) == ([n[0], n[4], n[2], n[3], n[1], n[5]] if done else n)
-        assert found.drives.transmission == c.drives.transmission
 
 
 def test_limits_are_reduced_once_however_often_the_file_is_given(machines):

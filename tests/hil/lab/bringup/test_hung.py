@@ -10,12 +10,10 @@ from typing import Any
 import pytest
 
 from drivers.tick_columns import new_record
-from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.lab.bringup import command
 from hil.lab.bringup.context import Finding
 from hil.lab.bringup.drives import Drives
-from hil.lab.bringup.ends import End
 from hil.lab.bringup.procedure import STEPS, Outcome
 from hil.lab.bringup.steps import brakes, encoder, ids
 from hil.lab.bringup.store import Store, identity
@@ -149,7 +147,7 @@ ENDS = {
 
 @pytest.mark.parametrize("machine", [True, False])
 @pytest.mark.parametrize("case", ENDS)
-def test_platform_is_to_be_fixed_at_a_machine_without_findings_alone(case, machine, tmp_path, monkeypatch):
+def test_platform_is_to_be_fixed_at_a_machine_without_findings_alone(case, machine, monkeypatch):
     outcome, good = ENDS[case]
     asked: list[str] = []
     operator: Any = SimpleNamespace(
@@ -161,8 +159,7 @@ def test_platform_is_to_be_fixed_at_a_machine_without_findings_alone(case, machi
     )
     monkeypatch.setattr(command, "bring_up", lambda _: outcome)
     monkeypatch.setattr(Drives, "step", lambda *_: new_record())
-    c, store = load("virtual"), Store(tmp_path / "s.json", {})
-    line: Any = SimpleNamespace(rate_Hz=500.0)
-    said: Any = SimpleNamespace(tick=None)
-    command._proceed(c, build_protocol(c), End(line, operator), store, said, hang=machine)
+    context = Rehearsal("virtual").context
+    context.operator = operator
+    command._proceed(context, hang=machine)
     assert asked == ["mount"] * (good and machine)

@@ -8,9 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.cia402 import objects
-from drivers.mit.robstride import RobStrideProtocol
-from drivers.odrive import ODriveProtocol
-from drivers.protocol import EXTENDED, REMOTE, REVISION, SERIAL, Frame, Said
+from drivers.protocol import REVISION, SERIAL, Frame
 from hil.app.compose import build_protocol
 from hil.lab.bringup.drives import ASKED_TIMES
 from hil.lab.bringup.procedure import STEPS
@@ -22,73 +20,44 @@ from tests.hil.lab.bringup.kit import Rehearsal, named
 SCAN, BY_HAND = STEPS[:1], STEPS[:4]
 
 
-class LossyLine:
-    """A line that loses the first answers of each drive to who it is."""
+def asked_over(name, lost):
+    """Ask drives whose first answers are lost; return what is known then, and the number of requests."""
+    rehearsal, left = Rehearsal(name), dict.fromkeys(range(6), lost)
+    protocol, line = rehearsal.drives.protocol, rehearsal.drives.line
+    asking = {frame for asked in protocol.traits.identity_requests for frame in asked}
+    sent: list[Frame] = []
+    send = line.send
 
-    def __init__(self, rehearsal: Rehearsal, lost: int) -> None:
-        self._line = rehearsal.drives.line
-        self._protocol = rehearsal.drives.protocol
-        self._left = dict.fromkeys(range(6), lost)
-        self.answers: list[Frame] = []
-        self.requests = 0
-        self.rate_Hz = self._line.rate_Hz
-        requests = self._protocol.traits.identity_requests
-        self._asking = {frame for asked in requests for frame in asked}
+    def sends(frames):
+        sent.extend(frame for frame in frames if frame in asking)
+        send(frames)
 
-    def exchange(self, opening):
-        heard = self._line.exchange(opening)
+    def lossy(heard, _):
         kept = []
         for received in heard.frames:
-            said = self._protocol.identity(received.frame)
+            said = protocol.identity(received.frame)
             if said is not None:
-                self.answers.append(received.frame)
-                self._left[said.leg] -= 1
-            if said is None or self._left[said.leg] < 0:
+                left[said.leg] -= 1
+            if said is None or left[said.leg] < 0:
                 kept.append(received)
         return heard._replace(frames=tuple(kept))
 
-    def send(self, frames):
-        self.requests += sum(frame in self._asking for frame in frames)
-        self._line.send(frames)
-
-
-def asked_over(name, lost):
-    rehearsal = Rehearsal(name)
-    line = LossyLine(rehearsal, lost)
-    rehearsal.drives.line = line
-    return rehearsal.drives.identities(), line
+    line.send = sends  # type: ignore[method-assign]
+    rehearsal.hears(lossy)
+    return rehearsal.drives.identities(), len(sent)
 
 
 @pytest.mark.parametrize("name", ["damiao", "odrive"])
 def test_only_drives_whose_answers_are_lost_are_requested_again(name):
     rounds = {"damiao": 2, "odrive": 1}[name]
-    whole, line = asked_over(name, 0)
-    assert line.requests == 6 * rounds
-    late, line = asked_over(name, ASKED_TIMES - 1)
+    whole, requests = asked_over(name, 0)
+    assert requests == 6 * rounds
+    late, _ = asked_over(name, ASKED_TIMES - 1)
     assert late == whole
     assert [who[SERIAL] for who in whole] == [1, 2, 3, 4, 5, 6]
-    never, line = asked_over(name, 100)
+    never, requests = asked_over(name, 100)
     assert never == ({},) * 6
-    assert line.requests == 6 * rounds * ASKED_TIMES
-
-
-class TwinLine(LossyLine):
-    """A line with a second drive of one number behind it, at the same length: it differs by its serial number."""
-
-    def __init__(self, rehearsal: Rehearsal, leg: int, name: str) -> None:
-        super().__init__(rehearsal, 0)
-        self._leg, self._lowest = leg, _LOWEST[name]
-
-    def exchange(self, opening):
-        heard = super().exchange(opening)
-        frames = list(heard.frames)
-        for each in heard.frames:
-            said = self._protocol.identity(each.frame)
-            if said is not None and said.leg == self._leg and said.what == SERIAL:
-                data = bytearray(each.frame.data)
-                data[self._lowest] += 32
-                frames.append(each._replace(frame=each.frame._replace(data=bytes(data))))
-        return heard._replace(frames=tuple(frames))
+    assert requests == 6 * rounds * ASKED_TIMES
 
 
 _LOWEST = {"damiao": 4, "odrive": 1, "robstride": 0, "cia402_pdo": 4}
@@ -97,8 +66,20 @@ _LOWEST = {"damiao": 4, "odrive": 1, "robstride": 0, "cia402_pdo": 4}
 
 @pytest.mark.parametrize("name", broad([*_LOWEST], quick=2))
 def test_two_serial_numbers_of_one_node_are_two_drives(name):
+    """A second drive of that number at the same length: it differs by its serial number alone."""
     rehearsal = Rehearsal(name)
-    rehearsal.drives.line = TwinLine(rehearsal, 2, name)
+
+    def twin(heard, _):
+        frames = list(heard.frames)
+        for each in heard.frames:
+            said = rehearsal.drives.protocol.identity(each.frame)
+            if said is not None and said.leg == 2 and said.what == SERIAL:
+                data = bytearray(each.frame.data)
+                data[_LOWEST[name]] += 32
+                frames.append(each._replace(frame=each.frame._replace(data=bytes(data))))
+        return heard._replace(frames=tuple(frames))
+
+    rehearsal.hears(twin)
     outcome = rehearsal.run(SCAN)
     assert named(outcome) == {("same_id", (2,))}
     assert "2" not in rehearsal.context.facts["identity"]
@@ -189,11 +170,6 @@ def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
     assert third.context.facts["watchdog"].keys() == set("012345")
 
 
-def requests_of(name):
-    protocol = build_protocol(family(name))
-    return protocol.traits.identity_requests
-
-
 def test_each_family_with_identities_reports_them():
     told = {}
     for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
@@ -205,26 +181,5 @@ def test_each_family_with_identities_reports_them():
     assert told["moteus_stopped"][4] == {"serial number": 5, "revision": 0x010000}
     assert told["damiao"][5] == {"serial number": 6, "revision": 1}
     assert told["cubemars"] == told["legs_fd"] == ({},) * 6
-    silent = {name for name in FAMILIES if not requests_of(name)}
+    silent = {name for name in FAMILIES if not build_protocol(family(name)).traits.identity_requests}
     assert silent == {"legs_fd", "legs_classic", "cubemars", "mini_cheetah"}
-
-
-def test_serial_numbers_are_read_as_their_makers_write_them():
-    """ODrive: tests/data/drives/odrive.json, 0.6: Address. RobStride: type 0 from motor 5 to 0xFE."""
-    odrive = build_protocol(family("odrive"))
-    robstride = build_protocol(family("robstride"))
-    assert isinstance(odrive, ODriveProtocol)
-    assert isinstance(robstride, RobStrideProtocol)
-    said = odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("05ab896745230107")))
-    assert said == Said(4, "serial number", 1250999896491)
-    assert odrive.identity(Frame(5 << 5 | 6, bytes.fromhex("3fab896745230107"))) is None, (
-        "gives it another number"
-    )
-    assert odrive.traits.identity_requests[0][4] == Frame(5 << 5 | 6, b"", REMOTE)
-    assert robstride.identity(Frame(0x0005FE, (1 << 60 | 7).to_bytes(8, "little"), EXTENDED)) == Said(
-        4, "serial number", 1 << 60 | 7
-    )
-    assert robstride.traits.identity_requests[0][0].id == 0xFD01
-    to_the_host = Frame(0x0005FD, (7).to_bytes(8, "little"), EXTENDED)
-    assert robstride.identity(to_the_host) == Said(4, "serial number", 7)
-    assert robstride.identity(Frame(0x00FD01, bytes(8), EXTENDED)) is None

@@ -11,7 +11,7 @@ from drivers.clock import Clock
 from drivers.errors import BusError
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import Frame, Received
-from hil.lab.bringup.drives import Heard, Line
+from hil.lab.bringup.drives import Heard
 from hil.lab.bringup.ends import BusLine
 from hil.lab.bringup.rehearsal import BenchLine
 from hil.lab.bringup.steps import scan, silence
@@ -78,21 +78,16 @@ def test_watchdog_that_late_ticks_hide_each_time_is_named_unmeasured(family):
 
 
 class AfterSilence:
-    """A line on which the first answers after a silence miss their window: they stand in the next tick."""
+    """The first answers after a silence miss their window: they stand in the next tick."""
 
-    def __init__(self, line: Line) -> None:
-        self.rate_Hz, self._line = line.rate_Hz, line
+    def __init__(self) -> None:
         self._silent, self._late = False, tuple[Received, ...]()
 
-    def exchange(self, opening: Sequence[Frame]) -> Heard:
-        heard = self._line.exchange(opening)
+    def __call__(self, heard: Heard, opening: Sequence[Frame]) -> Heard:
         frames = (*self._late, *heard.frames)
         self._late = heard.frames if self._silent and opening else ()
         self._silent = not opening
         return Heard(heard.since_ns, frames[: -len(self._late)] if self._late else frames)
-
-    def send(self, frames: Sequence[Frame]) -> None:
-        self._line.send(frames)
 
 
 @pytest.mark.parametrize(
@@ -105,7 +100,7 @@ class AfterSilence:
 )
 def test_watchdog_is_proven_although_an_answer_is_late(wiring, findings):
     rehearsal = Rehearsal("moteus_zero_velocity", wiring)
-    rehearsal.drives.line = AfterSilence(rehearsal.drives.line)
+    rehearsal.hears(AfterSilence())
     assert named(rehearsal.run((scan.STEP, silence.STEP))) == findings
 
 

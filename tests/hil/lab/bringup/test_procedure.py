@@ -176,7 +176,7 @@ def test_what_is_not_proven_is_accepted_by_a_word_and_has_not_passed():
     assert outcome.passed == ("scan",)
     ((step, gap),) = outcome.gaps
     assert step == "watchdog"
-    assert gap.instead
+    assert gap.mend
     assert [(r.act, r.word) for r in rehearsal.hands.requests] == [("accept", "accept")]
     assert rehearsal.watched.most_open == 0
 

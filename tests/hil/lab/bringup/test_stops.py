@@ -120,31 +120,21 @@ def test_impossible_readings_end_a_bring_up_after_a_few(
         c.ask(asked, partial(c.drive, 2) if open_brake else None)
 
 
-def powered(states):
-    """What steps share, with drives that report some states whatever they are commanded."""
-    record = new_record()
-    record["age"], record["drive_state"] = 0, states
-    protocol = SimpleNamespace(fault_text=lambda _code: "")
-    drives = SimpleNamespace(record=record, protocol=protocol, step=lambda *_: record)
-    return Context(None, drives, None)  # type: ignore[arg-type]
-
-
 @pytest.mark.parametrize("state", [s for s in DriveState if s is not DriveState.RUN])
 def test_drive_that_has_left_run_by_itself_is_pushed_no_further(state):
     for leg in range(6):
-        states = np.full(6, int(DriveState.RUN))
-        states[leg] = state
-        context = powered(states)
+        c, drives = context()
+        drives.record["drive_state"][leg] = state
         with pytest.raises(StoppedError, match=f"gone from RUN to {state.name}") as stop:
-            context.drive(leg, 10.0)
+            c.drive(leg, 10.0)
         assert (stop.value.finding.name, stop.value.finding.legs) == ("lost_power", (leg,))
 
 
 def test_drive_that_runs_goes_on_whatever_the_locked_ones_report():
     for leg in range(6):
-        states = np.full(6, int(DriveState.FAULT))
-        states[leg] = DriveState.RUN
-        powered(states).drive(leg, 10.0)
+        c, drives = context()
+        drives.record["drive_state"][np.arange(6) != leg] = DriveState.FAULT
+        c.drive(leg, 10.0)
 
 
 def test_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
@@ -169,23 +159,6 @@ def test_leg_that_slips_off_the_gauge_while_it_is_read_is_switched_off():
     assert abs(bench.length(2) - late[0]) < 0.02
 
 
-def test_drive_that_falls_silent_with_its_brake_open_is_named():
-    rehearsal = Rehearsal("virtual")
-    step = rehearsal.drives.line.exchange
-
-    def deaf(opening):
-        heard = step(opening)
-        if np.abs(rehearsal.drives.record["tau"][2]) > 0.0:
-            lost = rehearsal.c.drives.node_ids[2]
-            kept = tuple(each for each in heard.frames if each.frame.id & 0x7F != lost)
-            heard = heard._replace(frames=kept)
-        return heard
-
-    rehearsal.drives.line.exchange = deaf  # type: ignore[method-assign]
-    outcome = rehearsal.run()
-    assert ("lost_power", (2,)) in named(outcome)
-
-
 def test_leg_that_runs_away_is_stopped_and_named():
     rehearsal = Rehearsal("virtual", "force_scale leg=3 value=60.0")
     outcome = rehearsal.run(STEPS[:6])
@@ -198,22 +171,9 @@ def begins(name):
     """When a good machine begins each step, s, and when it has ended the last one."""
     rehearsal = Rehearsal(name)
     ticks: list[int] = []
-
-    def consent(*_: str) -> bool:
-        ticks.append(rehearsal.drives.tick)
-        return True
-
-    rehearsal.hands.consent = consent  # type: ignore[method-assign]
+    rehearsal.hands.consent = lambda *_: not ticks.append(rehearsal.drives.tick)  # type: ignore[method-assign, func-returns-value]
     rehearsal.run()
-    ends = [*ticks, ticks[-1] + 20]
-    return [tick / rehearsal.drives.line.rate_Hz for tick in ends]
-
-
-def until(step, share, name):
-    """When a good machine is at a share of a step, s."""
-    number = [each.name for each in STEPS].index(step)
-    first, last = begins(name)[number : number + 2]
-    return first + share * (last - first)
+    return [tick / rehearsal.drives.line.rate_Hz for tick in (*ticks, ticks[-1] + 20)]
 
 
 FAULTS: dict[str, tuple[Any, dict[str, float]]] = {
@@ -235,8 +195,9 @@ PLACES = [
 @pytest.mark.parametrize(("fault", "step", "name"), PLACES)
 def test_fault_of_one_leg_in_mid_step_is_named_at_that_leg(fault, step, name):
     kind, more = FAULTS[fault]
-    at_s = until(step, 0.3, name)
-    plan = FaultPlan([kind(kind=fault, leg=3, at_s=at_s, **more)])
+    number = [each.name for each in STEPS].index(step)
+    first, last = begins(name)[number : number + 2]
+    plan = FaultPlan([kind(kind=fault, leg=3, at_s=first + 0.3 * (last - first), **more)])
     rehearsal = Rehearsal(name, faults=plan)
     outcome = rehearsal.run()
     assert any(3 in legs for _, legs in named(outcome)), outcome.findings
@@ -245,14 +206,12 @@ def test_fault_of_one_leg_in_mid_step_is_named_at_that_leg(fault, step, name):
 
 def test_cable_off_during_a_step_ends_it_with_the_legs_that_are_silent():
     rehearsal = Rehearsal("virtual")
-    exchange = rehearsal.drives.line.exchange
 
-    def unplugged(opening):
-        heard = exchange(opening)
+    def unplugged(heard, _):
         gone = any(request.act == "measure" and request.leg == 2 for request in rehearsal.hands.requests)
         return heard._replace(frames=()) if gone else heard
 
-    rehearsal.drives.line.exchange = unplugged  # type: ignore[method-assign]
+    rehearsal.hears(unplugged)
     outcome = rehearsal.run(STEPS)
     assert named(outcome) == {("not_heard", (0, 1, 2, 3, 4, 5))}
     assert outcome.stopped == "encoder"

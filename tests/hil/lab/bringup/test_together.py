@@ -11,7 +11,7 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import loads
 from hil.cli import main
 from hil.lab.bringup.found import found_text
-from hil.lab.bringup.release import six_legs
+from hil.lab.bringup.rehearsal import six_legs
 from tests.broad import broad
 from tests.hil.lab.bringup.kit import Rehearsal
 

@@ -147,9 +147,9 @@ def test_without_noise_response_gain_transport_and_lag_are_the_plants(quiet):
         np.testing.assert_allclose(quiet.G[own, axis], GAIN[axis] * truth(quiet.frequency_Hz[own]), rtol=2e-3)
     fit = fit_axes(quiet)
     assert fit.gain == pytest.approx(GAIN, rel=1e-3)
-    assert fit.transport_s == pytest.approx(T, abs=0.01e-3)
-    assert fit.lag_s == pytest.approx(LAG, abs=0.01e-3)
-    assert fit.total_s == pytest.approx(T + LAG + T / 2, abs=0.005e-3)
+    assert fit.delays.transport_s == pytest.approx(T, abs=0.01e-3)
+    assert fit.delays.lag_s == pytest.approx(LAG, abs=0.01e-3)
+    assert fit.delays.total_s == pytest.approx(T + LAG + T / 2, abs=0.005e-3)
 
 
 def test_axes_that_move_together_tell_no_coupling(quiet):

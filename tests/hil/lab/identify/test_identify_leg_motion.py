@@ -27,11 +27,11 @@ OMEGA = 2 * np.pi * np.array([0.5, 0.7, 0.9, 0.8, 1.1, 1.3])
 CENTRE = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
-def state(t):
-    """P, R, twist, dtwist of sinusoids on six axes."""
-    chi = CENTRE + AMPLITUDE * np.sin(OMEGA * t)
-    rate = AMPLITUDE * OMEGA * np.cos(OMEGA * t)
-    second = -AMPLITUDE * OMEGA**2 * np.sin(OMEGA * t)
+def state(t, axes=range(6)):
+    """P, R, twist, dtwist of sinusoids on some axes."""
+    moved = AMPLITUDE * np.isin(np.arange(6), list(axes))
+    chi = CENTRE + moved * np.sin(OMEGA * t)
+    rate, second = moved * OMEGA * np.cos(OMEGA * t), -moved * OMEGA**2 * np.sin(OMEGA * t)
     R, w, dw = rotation_motion_kernel(chi[3:].copy(), rate[3:].copy(), second[3:].copy())
     return chi[:3], R, np.concatenate([rate[:3], w]), np.concatenate([second[:3], dw])
 

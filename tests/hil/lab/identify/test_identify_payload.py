@@ -23,15 +23,13 @@ from hil.lab.identify.estimators.leg_equations import (
 )
 from hil.lab.identify.estimators.leg_motion import LegSignals
 from hil.lab.identify.estimators.rigid_body import SIZE, body_of, parameters_of, pseudo_inertia
-from hil.mathematics.rotations import rotation_motion_kernel
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Body, Platform
 from hil.robot.inertia import combine, physical
 from hil.robot.kinematics import leg_lengths
-from tests.hil.lab.identify.test_identify_leg_motion import AMPLITUDE, CENTRE, OMEGA, T
+from tests.hil.lab.identify.test_identify_leg_motion import PLATFORM, T, state
 from tests.hil.test_dynamics import BOOK
 
-PLATFORM = Platform.from_dict(BOOK["geometry"])
 LOAD = Body(230.0, np.array([0.5, 0.3, 0.5]), np.diag([11.7, 7.9, 9.97]))
 LADEN = Platform.from_dict(
     {
@@ -49,14 +47,6 @@ FRICTION: dict[str, Any] = {
 }
 
 
-def state(t, axes=range(6)):
-    moved = AMPLITUDE * np.isin(np.arange(6), list(axes))
-    chi = CENTRE + moved * np.sin(OMEGA * t)
-    rate, second = moved * OMEGA * np.cos(OMEGA * t), -moved * OMEGA**2 * np.sin(OMEGA * t)
-    R, w, dw = rotation_motion_kernel(chi[3:].copy(), rate[3:].copy(), second[3:].copy())
-    return chi[:3], R, np.concatenate([rate[:3], w]), np.concatenate([second[:3], dw])
-
-
 def made(model, seconds=6.0, axes=range(6), late_s=0.0):
     """What a noiseless log would hold of a motion; the forces are those of `late_s` before."""
     states = [state(k * T, axes) for k in range(round(seconds / T))]
@@ -71,9 +61,8 @@ def made(model, seconds=6.0, axes=range(6), late_s=0.0):
     )
 
 
-def fitted(signals, reflected=None, platform=PLATFORM):
-    equations = equations_of(Model(platform), signals, reflected)
-    return solve(equations, BELIEVED, SCALE, reflected=reflected is None)
+def fitted(signals):
+    return solve(equations_of(Model(PLATFORM), signals), BELIEVED, SCALE)
 
 
 @pytest.fixture(scope="module")
@@ -99,7 +88,7 @@ def test_platform_friction_reflected_mass_and_lateness_are_found_all_at_once(lad
 
 def test_what_one_axis_cannot_show_stays_as_believed_and_is_named():
     """Straight up and down: mass shows, and where it is across; no inertia, no height."""
-    found = fitted(made(Model(LADEN), 6.0, axes=[2]), np.zeros(6))
+    found = fitted(made(Model(LADEN), 6.0, axes=[2]))
     assert found.theta[0] == pytest.approx(1380.0, rel=1e-3)
     assert found.theta[1:3] == pytest.approx([115.0, 69.0], abs=0.2)
     assert found.theta[3:SIZE] == pytest.approx(BELIEVED[3:SIZE], abs=1e-6)

@@ -14,7 +14,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
 from hil.lab.identify.estimators.leg_equations import COLUMNS, REFLECTED
 from hil.lab.identify.estimators.rigid_body import SIZE, parameters_of
-from hil.lab.identify.payload_block import block_text
+from hil.lab.identify.payload_report import block_text
 from hil.robot.geometry import Body
 from tests.loop.laden import changed
 
@@ -33,20 +33,18 @@ REFLECTED_KG = [9.0, 9.9, 18.0, 1.8, 27.0, 3.6]
 BODY = Body(85.0, np.array([0.02, 0.03, 0.15]), TENSOR)
 
 
-def whole(c, hidden=0.0, reflected_kg=None):
+def whole(c):
     """A body that is another than that of section `platform`, and drives, as found from a log."""
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(BODY)
     theta[REFLECTED:] = REFLECTED_KG
-    shown = np.zeros(COLUMNS)
-    shown[:SIZE] = hidden
     estimate = SimpleNamespace(
-        std=np.full(COLUMNS, 0.01), unknown=shown, scale=np.ones(COLUMNS), residual_N=np.ones(6),
+        std=np.full(COLUMNS, 0.01), unknown=np.zeros(COLUMNS), scale=np.ones(COLUMNS), residual_N=np.ones(6),
         condition=5.0, samples=100,
     )  # fmt: skip
     made: Any = SimpleNamespace(
         theta=theta, believed=np.zeros(COLUMNS), carrier=np.zeros(SIZE), split=False, payload=None,
-        reflected_kg=reflected_kg, estimate=estimate, whole=SimpleNamespace(smallest=1.0),
+        estimate=estimate, whole=SimpleNamespace(smallest=1.0),
         sources=[SimpleNamespace(configuration=c, seconds=1.0, reported=True)],
         rms_believed_N=9.0, rms_force_N=100.0, held_out={},
     )  # fmt: skip

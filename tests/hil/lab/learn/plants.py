@@ -9,6 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from hil.design.stability.sampled import gains
+from hil.design.stability.sampled_loop import sampled_axis
+from hil.lab.learn.convergence import AxisLoop, axis_loop, frequencies
+from hil.mathematics.linear_system import lag
+
 T = 1e-3
 PARTS = 10
 K_P, K_D = 400.0, 40.0
@@ -81,3 +86,9 @@ def run(plant: Plant, a: Any, believed: float, seed: int = 0) -> tuple[Any, Any]
             dy += h * (push - plant.friction * np.tanh(dy / 1e-3))
             y = y + h * dy
     return e, de
+
+
+def nominal(e: Any) -> tuple[list[AxisLoop], Any]:
+    """The nominal loop of each leg, and its frequencies, for errors (n, 6)."""
+    f = frequencies(len(e), T)
+    return [axis_loop(sampled_axis(1e-3, lag(0.8e-3), T), gains(K_P, K_D, T), f, looks_ahead=False)] * 6, f

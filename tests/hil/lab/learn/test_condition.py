@@ -25,11 +25,9 @@ from hil.lab.learn.judgement import contradiction
 from hil.lab.learn.model import belief_of, learner
 from hil.lab.learn.trial import predicted, trial, updated
 from hil.mathematics.linear_system import lag
-from tests.hil.lab.learn.plants import K_D, K_P, LEAD, Plant, T, run
+from tests.hil.lab.learn.plants import K_D, K_P, LEAD, Plant, T, nominal, run
 
-F = frequencies(2500, T)
-AXIS = sampled_axis(1e-3, lag(0.8e-3), T)
-LOOP = axis_loop(AXIS, gains(K_P, K_D, T), F, looks_ahead=False)
+(LOOP, *_), F = nominal(np.empty(2500))
 
 
 def worst(loop: AxisLoop, W: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
@@ -86,8 +84,7 @@ def test_loop_predicts_what_a_learned_acceleration_does_to_a_simulated_leg() -> 
     assert without is not None
     assert with_a is not None
     first = trial(T, LEAD, *without, np.zeros_like(a), np.full(6, 20.0))
-    f = frequencies(len(first.e), T)
-    loops = [axis_loop(AXIS, gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+    loops, _ = nominal(first.e)
     ahead = predicted(first, a, loops)
     change = np.abs(ahead - first.tracked).max()
     assert np.abs(ahead - with_a[0][LEAD:]).max() < 0.03 * change
@@ -118,8 +115,7 @@ def test_update_with_the_true_axis_takes_the_error_away_but_for_the_filter() -> 
     assert e0 is not None
     assert de0 is not None
     first = trial(T, LEAD, e0, de0, np.zeros_like(e0), np.full(6, 20.0))
-    f = frequencies(len(first.e), T)
-    loops = [axis_loop(AXIS, gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+    loops, f = nominal(first.e)
     a = updated(first, loops, Filter(80.0), f)
     assert not a[0].any(), "it begins at nothing"
     assert np.abs(predicted(first, a, loops)).max() < 0.01 * first.peak_m
@@ -133,8 +129,7 @@ def test_error_that_grows_without_a_change_contradicts() -> None:
     e = zero.copy()
     e[LEAD:, 2] = 1e-4 * np.sin(2.0 * np.pi * 20.0 * T * np.arange(1000))
     before, now = (trial(T, LEAD, k * e, zero, zero, np.full(6, 20.0)) for k in (1.0, 3.0))
-    f = frequencies(len(now.e), T)
-    loops = [axis_loop(AXIS, gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+    loops, f = nominal(now.e)
     unknown = np.full(len(f), np.inf)
     said = contradiction(before, now, loops, unknown, Filter(80.0), f, first_rms_m=before.rms_m, noise_m=0.0)
     assert said is not None

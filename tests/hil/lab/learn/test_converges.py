@@ -6,14 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.design.stability.sampled import gains
-from hil.design.stability.sampled_loop import sampled_axis
-from hil.lab.learn.convergence import Uncertainty, axis_loop, choose, contraction, frequencies, stated
+from hil.lab.learn.convergence import Uncertainty, choose, contraction, stated
 from hil.lab.learn.judgement import contradiction, in_band, state
 from hil.lab.learn.trial import FIRST_STEP, Trial, trial, updated
-from hil.mathematics.linear_system import lag
 from tests.broad import broad
-from tests.hil.lab.learn.plants import K_D, K_P, LEAD, Plant, T, run
+from tests.hil.lab.learn.plants import K_P, LEAD, Plant, T, nominal, run
 
 STATED = stated(0.25, 1e-3, 100.0)
 WN = np.full(6, K_P**0.5)
@@ -34,9 +31,7 @@ def learn(plant: Plant, runs: int, believed: float = 0.9, uncertainty: Uncertain
         if now is None:
             return errors, "fault"
         if model is None:
-            f = frequencies(len(now.e), T)
-            axis = sampled_axis(1e-3, lag(0.8e-3), T)
-            loops = [axis_loop(axis, gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+            loops, f = nominal(now.e)
             c = contraction(loops, f, uncertainty)
             model = loops, f, c, choose(c, f).Q
         loops, f, c, Q = model
@@ -59,8 +54,7 @@ def contradicted_by(plant: Plant) -> Any:
     """The contradiction that the second run of a plant shows."""
     first = of(plant, np.zeros((LEAD + 1000, 6)), 0.9)
     assert first is not None
-    f = frequencies(len(first.e), T)
-    loops = [axis_loop(sampled_axis(1e-3, lag(0.8e-3), T), gains(K_P, K_D, T), f, looks_ahead=False)] * 6
+    loops, f = nominal(first.e)
     c = contraction(loops, f, STATED)
     Q = choose(c, f).Q
     second = of(plant, updated(first, loops, Q, f, FIRST_STEP), 0.9)

@@ -17,10 +17,9 @@ from hil.app.configuration.feedforward_file import (
     read_feedforward,
 )
 from hil.config.feedforward import FeedforwardHead, FeedforwardSettings
-from hil.lab.learn import rehearsal
-from hil.lab.learn.command import Knowledge, learned
-from hil.lab.learn.rehearsal import Rehearsal, rehearse
-from hil.lab.learn.report import series_summary, summary, written
+from hil.lab.learn import command
+from hil.lab.learn.command import Knowledge, Outcome, Series, learned, rehearse
+from hil.lab.learn.report import lines, summary
 from hil.lab.learn.runs import LearningRun
 from hil.lab.learn.trial import trial
 
@@ -28,20 +27,16 @@ C = load("virtual")
 T, LEAD, COUNT = 1e-3, 450, 500
 FIRST_MM = 1.6
 """Error of the first run of a series whose first log is not given."""
+OUT = Path("next.csv")
 MADE_FOR = made_for(C.reference, C.controller, C.platform, C.folder)
 ERROR = np.zeros((LEAD + COUNT, 6))
-ERROR[LEAD:] = np.sin(2.0 * np.pi * 6.0 * T * np.arange(COUNT))[:, None] * (
-    5e-4,
-    4e-4,
-    -5e-4,
-    3e-4,
-    -2e-4,
-    5e-4,
+ERROR[LEAD:] = np.outer(
+    np.sin(2.0 * np.pi * 6.0 * T * np.arange(COUNT)), [5e-4, 4e-4, -5e-4, 3e-4, -2e-4, 5e-4]
 )
 
 
-def head_of(run: int, **changes: Any) -> FeedforwardHead:
-    head = FeedforwardHead(
+def head_of(run: int) -> FeedforwardHead:
+    return FeedforwardHead(
         kind="feedforward",
         source="first.mcap",
         run=run,
@@ -54,7 +49,6 @@ def head_of(run: int, **changes: Any) -> FeedforwardHead:
         peak_N=100.0,
         rows=LEAD + COUNT,
     )
-    return head.model_copy(update=changes)
 
 
 def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun:
@@ -96,9 +90,11 @@ def test_runs_of_another_machine_do_not_teach_one_feed_forward(what: str, other:
         learned(series, Knowledge())
 
 
-def printed(limit_N: float) -> dict[str, Any]:
+def printed(outcome: Outcome, limit_N: float) -> dict[str, Any]:
     """The section that is printed for a file."""
-    section: dict[str, Any] = yaml.safe_load(written(Path("next.csv"), limit_N)[-1])["feedforward"]
+    series = Series(outcome.steps, outcome, limit_N, outcome.text)
+    line = next(line for line in lines(series, OUT) if line.startswith("feedforward:"))
+    section: dict[str, Any] = yaml.safe_load(line)["feedforward"]
     return section
 
 
@@ -125,11 +121,10 @@ def test_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
 ) -> None:
     outcome = learned([run_of(0)], Knowledge(limit_N=limit_N))
     assert outcome.cut > 0
-    assert taken(tmp_path, outcome.text, printed(limit_N)) == peak_N
+    assert taken(tmp_path, outcome.text, printed(outcome, limit_N)) == peak_N
     assert taken(tmp_path, outcome.text, {"file": "next.csv", "limit_N": limit_N}) == peak_N
 
 
-OUT = Path("next.csv")
 SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
 """State -> error of the second run as a share of the first one's."""
 
@@ -138,13 +133,11 @@ SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
 @pytest.mark.parametrize("trouble", ["", "run 2: a fault", "interrupted"])
 def test_series_is_a_success_where_no_run_contradicts_and_none_failed(state: str, trouble: str) -> None:
     outcome = learned([run_of(0), run_of(1, SHARES[state])], Knowledge())
-    found = summary(outcome, OUT)
-    assert (found["state"], found["success"]) == (state, state != "contradicted")
-    assert found["written"] == (str(OUT) if state == "learned" else None)
     interrupted = trouble == "interrupted"
-    series = series_summary(Rehearsal(outcome.steps, outcome, 300.0, "a text", trouble, interrupted), OUT)
-    assert series["success"] is (state != "contradicted" and not trouble)
-    assert series["state"] == ("interrupted" if interrupted else "failed" if trouble else state)
+    found = summary(Series(outcome.steps, outcome, 300.0, outcome.text, trouble, interrupted), OUT)
+    assert found["success"] is (state != "contradicted" and not trouble)
+    assert found["state"] == ("interrupted" if interrupted else "failed" if trouble else state)
+    assert found["written"] == (str(OUT) if state == "learned" else None)
 
 
 FAILURES = [
@@ -195,15 +188,16 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
             return answer
 
         for name in stand_ins:
-            monkeypatch.setattr(rehearsal, name, called(name))
+            monkeypatch.setattr(command, name, called(name))
 
-    monkeypatch.setattr(rehearsal, "refuse_unreachable", lambda _: None)
-    monkeypatch.setattr(rehearsal, "limit_of", lambda *_: 100.0)
+    monkeypatch.setattr(command, "refuse_unreachable", lambda _: None)
+    monkeypatch.setattr(command, "limit_of", lambda *_: 100.0)
     return fails
 
 
-@pytest.mark.parametrize("number", [1, 2])
-@pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
+@pytest.mark.parametrize(
+    ("number", "call", "error"), [(1 + k % 2, *each) for k, each in enumerate(FAILURES)], ids=str
+)
 def test_later_run_that_fails_ends_the_series_and_what_was_best_is_kept(
     runs: Any, tmp_path: Path, number: int, call: str, error: Exception
 ) -> None:

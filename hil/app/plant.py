@@ -149,7 +149,7 @@ def run_plant(
                 last, trouble = served.nodes.snapshot(), str(error)
             finally:
                 bus.clock.leave()
-        summary = {
+        summary: dict[str, Any] = {
             "success": not trouble,
             "trouble": trouble or None,
             "kind": "plant",

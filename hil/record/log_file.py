@@ -202,7 +202,7 @@ class LogFile:
                 if not record.complete:
                     raise record.damaged("no record in the index")
                 if record.opcode == Opcode.STATISTICS:
-                    counts = record.parse().channel_message_counts
+                    counts: dict[int, int] = record.parse().channel_message_counts
                     return sum(counts.get(n, 0) for n, topic in self._topics.items() if topic == self.topic)
                 at = record.end
         return None

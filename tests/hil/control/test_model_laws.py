@@ -138,7 +138,7 @@ def test_every_key_of_the_section_model_arrives_in_SI():
 
 @pytest.mark.parametrize(("evaluation", "share"), [("online", 1.0), ("offline", 0.0)])
 def test_a_feedforward_as_if_made_before_the_run_leaves_the_load_out(evaluation, share):
-    settings = FeedforwardPDSettings(law="feedforward_pd", **PD, evaluation=evaluation)
+    settings = FeedforwardPDSettings.model_validate({"law": "feedforward_pd", **PD, "evaluation": evaluation})
     law, load = settings.build(context_of()), np.array([1e3, 2e3, 3e3, 100.0, 200.0, 300.0])
     bare = arrived(PLATFORM, PoseSample(*HOME, NONE, NONE))
     carried = asked(law, bare) - asked(law, altered(bare, wrench=load.tolist()))

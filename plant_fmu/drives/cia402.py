@@ -81,7 +81,6 @@ class Cia402Drives(DrivesEnd):
         self.say(leg, Frame(base + self.nodes[leg], data, BUS * self._bus_of[leg]))
 
     def _on_nmt(self, leg: int, command: int) -> None:
-        """Follow an NMT command that addresses a drive."""
         d = self.state[leg]
         if d["nmt"] == o.BOOTS:
             return

@@ -142,7 +142,6 @@ def parse(d: Any, frame_address: int, messages: int) -> int:
 
 @helper
 def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
-    """Fill in what a drive reads; tell whether these are numbers."""
     state = reading.state[leg] & ~INVALID
     said.leg, said.runs, said.fails, said.fault = leg, state == _RUNS, state == _FAILS, reading.fault[leg]
     said.code = d.codes[said.fault] if said.fails else 0

@@ -8,17 +8,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.cia402 import objects as o
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
 from drivers.family import Family
 from drivers.signals import LEGS
 from plant_fmu.bench import UncoupledLegs
 from plant_fmu.config import DriveEmulation
+from plant_fmu.drives.nodes import Nodes
+from plant_fmu.drives.record import MUTE
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant
-from plant_fmu.rehearsal.wired_drives import WiredNodes
 from plant_fmu.rehearsal.wired_plant import WiredPlant
-from plant_fmu.rehearsal.wiring import Wiring
+from plant_fmu.rehearsal.wiring import OWN, Wiring
 
 TAPE_M = 2e-4
 """Standard deviation of a length that is measured by tape."""
@@ -70,6 +72,27 @@ class TrestleLegs(UncoupledLegs):
         if not legs["stiffness"].any():
             raise PlantError("rehearsal: no leg is clamped to the force gauge")
         return float(np.sum(legs["stiffness"] * (legs["x"] - legs["origin"])))
+
+
+class WiredNodes(Nodes):
+    """`Nodes` whose drives are set up as a wiring has them.
+
+    What drives remember is by the number that they answer to: two with one number share it.
+    """
+
+    def __init__(self, wiring: Wiring, *given: Any) -> None:
+        """Take the wiring, and what `Nodes` takes."""
+        self._wiring = wiring
+        super().__init__(*given)
+
+    def start(self, t0_ns: int) -> None:
+        """As `Nodes.start`."""
+        super().start(t0_ns)
+        n, w = self._record, self._wiring
+        strange, absent = np.array(w.other_protocol), ~np.array(w.present)
+        n["number"], n["waits"] = np.where(strange | absent, MUTE, w.answers_as), w.watchdog
+        n["strange"] = np.where(strange, o.HEARTBEAT_ID + np.array(self._settings.node_ids), 0)
+        n["wired"] = (n["number"] != OWN).any()
 
 
 class Stand(NamedTuple):
@@ -140,7 +163,6 @@ class RehearsalBench:
         return float(self._legs.legs["x"][leg])
 
     def _read(self, value: float) -> float:
-        """Read the force gauge or the scales, at which this is."""
         return value * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
 
     def do(self, act: str, leg: int = -1, value: float = 0.0) -> float:

@@ -94,77 +94,54 @@ class Mistake:
     """Size; None is the one of the table."""
 
 
-MISTAKES: dict[str, tuple[tuple[str, ...], int, float | None, str]] = {
-    "ids_swapped": (("motor", "encoder", "brake"), 2, None, "node numbers of two drives exchanged"),
-    "ids_rotated": (("motor", "encoder", "brake"), 3, None, "node numbers of three drives handed round"),
-    "motor_crossed": (("motor",), 2, None, "motor cables of two drives exchanged"),
-    "encoder_crossed": (("encoder",), 2, None, "encoder cables of two drives exchanged"),
-    "brake_crossed": (("brake",), 2, None, "brake cables of two drives exchanged"),
-    "brake_of_another": (("brake",), 1, None, "the drive's output opens another leg's brake, too"),
-    "mounted_elsewhere": (("base_joint",), 2, None, "two legs mounted at each other's base joint"),
-    "platform_end_elsewhere": (("platform_joint",), 2, None, "two legs at each other's platform joint"),
-    "encoder_counts_another": (("encoder",), 1, None, "an encoder counts another leg, beside that leg's own"),
-    "same_id": (("answers_as",), 1, None, "a drive has the node number of another one"),
-    "encoder_sign": (("scale",), 1, -1.0, "the encoder counts backwards"),
-    "encoder_scale": (("scale",), 1, 2.0, "the encoder counts too much or too little"),
-    "rate_sign": (("rate_scale",), 1, -1.0, "the drive's rate has the other sign than its position"),
-    "rate_scale": (("rate_scale",), 1, 2.0, "the drive's rate has another unit than its position"),
-    "force_one_way": (("force_one_way",), 1, 1.0, "the motor pulls, and does not push, or the reverse"),
-    "force_saturates": (("force_most",), 1, 0.008, "weak supply, or a limit: most force, share of rated"),
-    "force_sign": (("force_gain",), 1, -1.0, "motor phases exchanged: force the other way, a runaway sign"),
-    "force_scale": (("force_gain",), 1, 0.5, "force too large or too small"),
-    "wrong_lead": (("scale", "force_gain"), 1, 1.25, "another lead or gear than the drive believes"),
-    "drive_reversed": (("scale", "force_gain"), 1, -1.0, "motor and encoder mounted the other way round"),
-    "encoder_frozen": (("frozen",), 1, 1.0, "the encoder stands still"),
-    "encoder_jumps": (("jump_m",), 1, 6e-3, "the encoder reads so much more beyond mid-stroke, m"),
-    "encoder_stops": (("stops",), 1, 1.0, "the encoder stands still beyond mid-stroke"),
-    "backlash": (("play_m",), 1, 5e-3, "play between leg and encoder, m"),
-    "offset": (("offset_m",), 1, 4e-3, "homed at another length, m"),
-    "brake_stuck_shut": (("stuck",), 1, 1.0, "the brake does not open"),
-    "brake_stuck_open": (("stuck",), 1, 0.0, "the brake does not shut"),
-    "brake_inverted": (("brake_inverted",), 1, 1.0, "the brake shuts when it should open"),
-    "brake_weak": (("brake_share",), 1, 0.01, "the brake has this share of its force"),
-    "friction": (("friction",), 1, 0.012, "friction beyond the usual, share of the rated force"),
-    "end_stop": (("shorter",), 1, 0.15, "an end stop in the way, share of the stroke"),
-    "watchdog_missing": (("watchdog",), 1, inf, "the drive has no watchdog"),
-    "watchdog_long": (("watchdog",), 1, 8.0, "the watchdog takes so many times what was set"),
-    "watchdog_short": (("watchdog",), 1, 0.3, "the watchdog takes this share of what was set"),
-    "absent": (("present",), 1, 0.0, "no power, or no bus, at a drive"),
-    "wrong_protocol": (("other_protocol",), 1, 1.0, "the drive speaks CANopen as delivered"),
-    "joint_elsewhere": (("joint_off_m",), 1, 0.03, "the base joint is so much further outside, m"),
-    "wrong_home": (("home_off_m",), 0, 0.015, "the platform hangs so much above where it should, m"),
-    "payload": (("payload",), 0, 2.0, "the platform weighs so many times what is configured"),
-    "upside_down": (("gravity",), 0, -1.0, "the machine hangs from the ceiling"),
+MISTAKES: dict[str, tuple[str, int, float | None, tuple[float, float] | None, str]] = {
+    "ids_swapped": ("motor encoder brake", 2, None, None, "node numbers of two drives exchanged"),
+    "ids_rotated": ("motor encoder brake", 3, None, None, "node numbers of three drives handed round"),
+    "motor_crossed": ("motor", 2, None, None, "motor cables of two drives exchanged"),
+    "encoder_crossed": ("encoder", 2, None, None, "encoder cables of two drives exchanged"),
+    "brake_crossed": ("brake", 2, None, None, "brake cables of two drives exchanged"),
+    "brake_of_another": ("brake", 1, None, None, "the drive's output opens another leg's brake, too"),
+    "mounted_elsewhere": ("base_joint", 2, None, None, "two legs mounted at each other's base joint"),
+    "platform_end_elsewhere": ("platform_joint", 2, None, None, "two legs at each other's platform joint"),
+    "encoder_counts_another": ("encoder", 1, None, None, "it counts another leg, beside that leg's own"),
+    "same_id": ("answers_as", 1, None, None, "a drive has the node number of another one"),
+    "encoder_sign": ("scale", 1, -1.0, (-4.0, -0.25), "the encoder counts backwards"),
+    "encoder_scale": ("scale", 1, 2.0, (0.01, 100.0), "the encoder counts too much or too little"),
+    "rate_sign": ("rate_scale", 1, -1.0, (-100.0, -0.01), "the rate has the other sign than the position"),
+    "rate_scale": ("rate_scale", 1, 2.0, (0.0, 100.0), "the drive's rate has another unit than its position"),
+    "force_one_way": ("force_one_way", 1, 1.0, None, "the motor pulls, and does not push, or the reverse"),
+    "force_saturates": ("force_most", 1, 0.008, (0.0, 1.0), "weak supply: most force, as a share of rated"),
+    "force_sign": ("force_gain", 1, -1.0, (-4.0, -0.25), "motor phases exchanged: force the other way"),
+    "force_scale": ("force_gain", 1, 0.5, (0.0, 100.0), "force too large or too small"),
+    "wrong_lead": ("scale force_gain", 1, 1.25, (0.25, 4.0), "another lead or gear than the drive believes"),
+    "drive_reversed": ("scale force_gain", 1, -1.0, (-4.0, -0.25), "motor and encoder the other way round"),
+    "encoder_frozen": ("frozen", 1, 1.0, None, "the encoder stands still"),
+    "encoder_jumps": ("jump_m", 1, 6e-3, (-0.1, 0.1), "the encoder reads so much more beyond mid-stroke, m"),
+    "encoder_stops": ("stops", 1, 1.0, None, "the encoder stands still beyond mid-stroke"),
+    "backlash": ("play_m", 1, 5e-3, (0.0, 0.1), "play between leg and encoder, m"),
+    "offset": ("offset_m", 1, 4e-3, (-0.1, 0.1), "homed at another length, m"),
+    "brake_stuck_shut": ("stuck", 1, 1.0, None, "the brake does not open"),
+    "brake_stuck_open": ("stuck", 1, 0.0, None, "the brake does not shut"),
+    "brake_inverted": ("brake_inverted", 1, 1.0, None, "the brake shuts when it should open"),
+    "brake_weak": ("brake_share", 1, 0.01, (0.0, 1.0), "the brake has this share of its force"),
+    "friction": ("friction", 1, 0.012, (0.0, 1.0), "friction beyond the usual, share of the rated force"),
+    "end_stop": ("shorter", 1, 0.15, (0.0, 0.9), "an end stop in the way, share of the stroke"),
+    "watchdog_missing": ("watchdog", 1, inf, None, "the drive has no watchdog"),
+    "watchdog_long": ("watchdog", 1, 8.0, (1.0, 100.0), "the watchdog takes so many times what was set"),
+    "watchdog_short": ("watchdog", 1, 0.3, (0.01, 1.0), "the watchdog takes this share of what was set"),
+    "absent": ("present", 1, 0.0, None, "no power, or no bus, at a drive"),
+    "wrong_protocol": ("other_protocol", 1, 1.0, None, "the drive speaks CANopen as delivered"),
+    "joint_elsewhere": ("joint_off_m", 1, 0.03, (-0.1, 0.1), "the base joint is so much further outside, m"),
+    "wrong_home": ("home_off_m", 0, 0.015, (-0.1, 0.1), "the platform hangs so much too high, m"),
+    "payload": ("payload", 0, 2.0, (0.1, 10.0), "the platform weighs so many times what is configured"),
+    "upside_down": ("gravity", 0, -1.0, None, "the machine hangs from the ceiling"),
 }
 """Name -> fields of Wiring that it changes, legs that take part, usual size, what it is.
 
-One in which no leg takes part is of the whole machine.
+Between the last two: the least and largest size that somebody may ask for, None where it has no size. One in
+which no leg takes part is of the whole machine.
 """
-
-RANGES: dict[str, tuple[float, float]] = {
-    "encoder_sign": (-4.0, -0.25),
-    "encoder_scale": (0.01, 100.0),
-    "rate_sign": (-100.0, -0.01),
-    "rate_scale": (0.0, 100.0),
-    "force_saturates": (0.0, 1.0),
-    "joint_elsewhere": (-0.1, 0.1),
-    "wrong_home": (-0.1, 0.1),
-    "payload": (0.1, 10.0),
-    "force_sign": (-4.0, -0.25),
-    "force_scale": (0.0, 100.0),
-    "wrong_lead": (0.25, 4.0),
-    "drive_reversed": (-4.0, -0.25),
-    "encoder_jumps": (-0.1, 0.1),
-    "backlash": (0.0, 0.1),
-    "offset": (-0.1, 0.1),
-    "brake_weak": (0.0, 1.0),
-    "friction": (0.0, 1.0),
-    "end_stop": (0.0, 0.9),
-    "watchdog_long": (1.0, 100.0),
-    "watchdog_short": (0.01, 1.0),
-}
-"""Name -> least and largest size that somebody may ask for; a mistake that is not here has no size."""
-OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watchdog" in fields)
+OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if fields == "watchdog")
 """Mistakes of drives that have a watchdog."""
 
 
@@ -184,13 +161,13 @@ def legs_of(name: str) -> int:
 def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
     if mistake.name not in MISTAKES:
         raise ValueError(f"mistake {mistake.name!r}: unknown, allowed: {', '.join(MISTAKES)}")
-    fields, count, usual, _ = MISTAKES[mistake.name]
+    fields, count, usual, *_ = MISTAKES[mistake.name]
     legs = (mistake.leg, mistake.other, mistake.third)[: legs_of(mistake.name)]
     if any(not 0 <= leg < LEGS for leg in legs) or len(set(legs)) != len(legs):
         raise ValueError(f"mistake {mistake.name}: different legs 0 to 5 are allowed, given: {list(legs)}")
     value = usual if mistake.value is None else mistake.value
     changes: dict[str, object] = {}
-    for field in fields:
+    for field in fields.split():
         there = getattr(wiring, field)
         new = [] if count == 0 else list(there)
         if count > 1:

@@ -16,9 +16,9 @@ import numba
 import pytest
 from llvmlite import binding
 
-from drivers.cache_folder import cache_folder
 from drivers.compiled import cache
 from drivers.compiled.compiler import OPTIONS, REAL, kernel
+from drivers.files import cache_folder
 from tools.compile_kernels import PACKAGES, modules
 
 ROOT = Path(__file__).parents[2]

@@ -13,7 +13,7 @@ from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
-from plant_fmu.rehearsal.wired_drives import WiredNodes
+from plant_fmu.rehearsal.bench import WiredNodes
 from plant_fmu.rehearsal.wiring import Wiring
 from tests.drivers.legs_frames import decode, opening
 from tests.plant_fmu.rig import MS, REST, Masses, Rig

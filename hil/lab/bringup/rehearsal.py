@@ -23,7 +23,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
 from plant_fmu.rehearsal.bench import RehearsalBench, Stand, joints_of
-from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, RANGES, Mistake, Wiring, legs_of, wired
+from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, Mistake, Wiring, legs_of, wired
 from plant_fmu.stewart.plant import stewart_plant
 
 COMMAND_SHARE = 0.4
@@ -183,9 +183,10 @@ def mistake_of(words: str) -> Mistake:
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
     keys = _LEG_KEYS[: legs_of(name)]
-    low, high = RANGES.get(name, (0.0, 0.0))
+    *_, sized, what = MISTAKES[name]
+    low, high = sized or (0.0, 0.0)
     given = dict(word.split("=", 1) for word in rest if "=" in word)
-    size = given.pop("value", None) if name in RANGES else None
+    size = given.pop("value", None) if sized else None
     try:
         value = None if size is None else float(size)
         legs = {key: int(text) for key, text in given.items()}
@@ -193,7 +194,7 @@ def mistake_of(words: str) -> Mistake:
         legs, value = {}, nan
     many = len(legs) + (size is not None)
     if legs.keys() != set(keys) or many != len(rest) or not low <= (low if value is None else value) <= high:
-        sizes = f" value={low:g} to {high:g}, {MISTAKES[name][3]}" if name in RANGES else ""
+        sizes = f" value={low:g} to {high:g}, {what}" if sized else ""
         allowed = " ".join([name, *(f"{key}=0 to 5" for key in keys)])
         raise ConfigurationError(f"--mistake {words!r}: allowed: {allowed}{sizes}")
     return Mistake(name, **{"leg": 0, **legs}, value=value)

@@ -13,8 +13,7 @@ from hil.app.sim.build import build_lockstep
 from hil.lab.bringup.context import Context
 from hil.lab.bringup.rehearsal import emulated, mounted
 from hil.loop.run_end import Ending
-from plant_fmu.rehearsal.bench import RehearsalBench
-from plant_fmu.rehearsal.wired_drives import WiredNodes
+from plant_fmu.rehearsal.bench import RehearsalBench, WiredNodes
 
 
 class Together(NamedTuple):

@@ -164,16 +164,6 @@ def test_without_a_folder_to_write_a_kernel_is_compiled_in_each_process(package,
     assert [package.compiles(), package.compiles()] == [True, True]
 
 
-def test_a_closure_is_kept_nowhere():
-    inner = 2.0
-
-    def closure(x):
-        return inner * x
-
-    assert cache.place_of(closure, "kind") is None
-    assert cache.place_of(imported, "kind") != cache.place_of(imported, "other kind")
-
-
 def test_a_loaded_kernel_computes_raises_and_serves_other_kernels(package, monkeypatch):
     package.loaded()
     with monkeypatch.context() as patch:

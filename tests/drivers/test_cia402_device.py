@@ -25,8 +25,7 @@ from hil.contracts.messages import (
     Sync,
 )
 from plant_fmu.drives.cia402_dictionary import PLACE
-from tests.drivers.cia402_drives import changed, drives, holding, made
-from tests.drivers.motor_families import UNLIKE, UNLIKE_GEAR
+from tests.drivers.cia402_drives import changed, drives, holding
 
 LEG, NODE = 3, 4
 P = ByValue(drives((1, 2, 3, NODE, 5, 6), lead_m=2 * np.pi * 9e-3 / 2.5, counts_per_turn=4096))
@@ -225,48 +224,7 @@ def test_write_acts_as_its_object_does():
 # reports
 
 
-@pytest.mark.parametrize(
-    ("fault", "emcy"),
-    [
-        (DriveFault.WATCHDOG, "3081110000000000"),
-        (DriveFault.OVERFORCE, "1183010000000000"),
-        (DriveFault.SENSOR, "0573010000000000"),
-        (DriveFault.STROKE, "1286010000000000"),
-        (DriveFault.ESTOP, ""),
-    ],
-)
-def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault, emcy):
-    memory = drive(objects={o.COMMUNICATION_ERROR: 1})
-    for _ in range(2):
-        for state, data in ((DriveState.FAULT, emcy), (DriveState.OFF, "0000000000000000")):
-            sent = []
-            for _ in range(3):
-                memory, more = report(memory, state, fault if state == DriveState.FAULT else DriveFault.NONE)
-                sent += more
-            assert sent == ([f"84 {data}"] if emcy else [])
-    assert (raw(memory, o.ERROR_CODE), raw(memory, o.ERROR_REGISTER)) == (0, 0)
-    for reaction, nmt, after in ((0, 5, 127), (1, 5, 5), (0, 4, 4)):
-        memory, _ = report(drive(objects={o.COMMUNICATION_ERROR: reaction}, nmt=nmt), DriveState.FAULT, fault)
-        assert field(memory, "nmt") == (after if fault == DriveFault.WATCHDOG else nmt)
-
-
 # six drives behind one bus
-
-
-def test_each_drive_answers_with_its_own_position_speed_and_torque():
-    protocol, six = ByValue(made((1, 2, 3, 4, 5, 6), UNLIKE_GEAR, force_limit_N=100.0)), np.arange(1.0, 7.0)
-    sign = np.array([1, -1, 1, 1, -1, 1])
-    length, rate, force = UNLIKE.length(0.001 * six), UNLIKE.rate(0.002 * six) * sign, 3.0 * UNLIKE.N_per_Nm
-    _, sent = protocol.answer(holding(protocol.protocol, ALL_RUN), Sync(0), length, rate, force, ALL_RUN)
-    places = {leg: struct.unpack("<Hih", f.data) for leg, f in sent if len(f.data) == 8}
-    speeds = {leg: struct.unpack("<i", f.data)[0] for leg, f in sent if len(f.data) == 4}
-    counts = UNLIKE.counts
-    assert [places[leg][1] for leg in range(6)] == np.rint(counts * 0.001 * six).tolist()
-    assert [speeds[leg] for leg in range(6)] == np.rint(counts * 0.002 * six * sign).tolist()
-    # 3 N m without losses are 333.3 thousandths of 9 N m
-    shares = UNLIKE.torque(force, rate) / 3.0
-    assert len({round(share, 3) for share in shares}) > 2
-    assert [places[leg][2] for leg in range(6)] == np.rint(1e3 / 3.0 * shares).tolist()
 
 
 def test_only_drives_that_run_and_have_a_position_answer():

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.states import STATUSWORDS, UNHEARD, State
+from drivers.cia402.states import STATUSWORDS, State
 from drivers.frame_array import received_array
 from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
-from drivers.signals import NEVER, DriveFault, DriveState, Foreign
+from drivers.signals import DriveFault, DriveState, Foreign
 from drivers.tick_columns import Record, new_record
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.ends import SETUP
@@ -22,7 +22,6 @@ P = ByValue(drives(NODES, lead_m=[0.01, 0.02, 0.03, 0.04, 0.05, 0.06]))
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
 WOKE_NS = 1_000
 """When the loop woke up; the SYNC of this tick ended 500 ns later, on the bus of the last leg 800 ns later."""
-KEPT = ("length", "rate", "drive_force", "drive_state")
 FAULTS = [0, 1, 0, 3, 4, 5]
 """Of the tick before: a stop, 2, is over where the drive is not stopped any more."""
 
@@ -58,39 +57,6 @@ def told(
         tick[name] = 9
     before = last_tick() if last is None else last
     return tick, protocol.decode(begun(protocol, **fields), received_array(timed), before, tick, WOKE_NS)
-
-
-def test_tick_without_frames_keeps_the_measurement_and_counts_nothing():
-    before = last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1])
-    tick, _ = told(last=before)
-    for name in KEPT:
-        assert tick[name].tolist() == before[name].tolist()
-    assert tick["drive_fault"].tolist() == FAULTS
-    assert tick["age"].tolist() == tick["counted_age"].tolist() == [3, 5, 8, NEVER, NEVER, 4]
-    assert tick["blind"].tolist() == [0] * 6
-    assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4
-    assert told(last=last_tick(-1, 4))[0]["age"].tolist() == [5] * 6
-    assert told(last=last_tick(0, 4))[0]["age"].tolist() == [17] * 6
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_two_tpdos_measure_their_leg_and_no_other(leg):
-    tick, dialogue = told(speed(leg, -262144), place(leg, 131072, -100))
-    t, before = P.transmission, last_tick()
-    six = np.ones(6)
-    measured = {
-        "length": t.length(six)[leg],
-        "rate": t.rate(-2.0 * six)[leg],
-        "drive_force": -100 * 9e-3 * t.N_per_Nm[leg],
-        "drive_state": RUN,
-        "age": 0,
-    }
-    before["age"] = 1
-    for name, value in measured.items():
-        expected = before[name].copy()
-        expected[leg] = value
-        np.testing.assert_allclose(tick[name], expected, rtol=1e-12, err_msg=name)
-    assert dialogue.rate == tuple(tick["rate"].tolist())
 
 
 def test_tpdo_without_its_speed_gives_the_state_and_no_length():
@@ -138,15 +104,6 @@ def test_second_answer_doubles_its_node_where_the_drive_owes_none(leg):
     assert told(*frames, place(leg, 101), missed=(4,) * 6, owed=owes)[0]["doubled"] == 1 << leg
 
 
-def test_owed_answers_are_counted_by_drive_and_kind_up_to_eight():
-    ages = [0, 1, 0, 2, 0, 0]
-    _, dialogue = told(
-        place(1), speed(4), last=last_tick(12, ages), missed=(5, 5, 4, 5, 5, 5), owed=tuple(range(12))
-    )
-    assert dialogue.missed == (5, 12, 4, 12, 5, 5)
-    assert dialogue.owed == (1, 1, 1, 4, 5, 6, 7, 8, 1, 8, 8, 8)
-
-
 def doubled(*ticks: int) -> int:
     """Return what is doubled in the last of some ticks, after calm ones, with so many answers of leg 4 each."""
     dialogue, m = P.start(SETUP), new_record()
@@ -166,19 +123,6 @@ def test_drive_that_missed_a_tick_may_catch_up_once_and_soon():
     assert doubled(0, *[1] * 8, 2) == 1 << 4, "an answer that was lost does not come"
 
 
-def test_broken_frames_are_counted_and_change_nothing():
-    bad = {
-        0x182: (bytes(7), b"\xff\xff" + bytes(6)), 0x282: (bytes(8),), 0x082: (bytes(7),),
-        0x702: (b"\6", b"\5\5"), 0x582: (bytes(7),),
-    }  # fmt: skip
-    tick, dialogue = told(*(Frame(identifier, data) for identifier, each in bad.items() for data in each))
-    assert (tick["rejected"], tick["foreign"]) == (7, 0)
-    for name in KEPT:
-        assert tick[name].tolist() == last_tick()[name].tolist()
-    assert tick["drive_fault"].tolist() == FAULTS
-    assert dialogue.at == begun().at
-
-
 def test_frames_of_another_controller_are_foreign_and_unknown_ones_are_not():
     for frame, name in (
         (Frame(0x080, b""), Foreign.SYNC),
@@ -194,28 +138,6 @@ def test_frames_of_another_controller_are_foreign_and_unknown_ones_are_not():
     )
     assert (tick["foreign"], tick["rejected"]) == (0, 0)
     assert tick["drive_state"].tolist() == [0, 1, 2, RUN, 4, 1]
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_emcy_is_the_fault_of_its_drive_low_byte_first_or_that_it_is_over(leg):
-    for data, code in (("0573010000000000", 0x7305), ("0000000000000000", 0)):
-        tick, _ = told(Frame(0x081 + leg, bytes.fromhex(data)))
-        assert tick["drive_fault"].tolist() == [code if each == leg else n for each, n in enumerate(FAULTS)]
-
-
-@pytest.mark.parametrize("leg", range(6))
-def test_drive_that_boots_loses_its_fault_its_answer_and_its_set_up(leg):
-    before, mine = last_tick(), [each == leg for each in range(6)]
-    before["drive_fault"] = 0x7305
-    booted = place(leg), speed(leg), Frame(0x701 + leg, b"\0")
-    tick, dialogue = told(*booted, last=before, tries=(4,) * 6, asked=(3,) * 6)
-    states = [BOOT if m else state for m, state in zip(mine, before["drive_state"].tolist(), strict=True)]
-    assert tick["drive_state"].tolist() == states
-    assert tick["age"].tolist() == [1] * 6
-    assert tick["drive_fault"].tolist() == [0 if m else 0x7305 for m in mine]
-    assert dialogue.states == tuple(UNHEARD if m else State.ENABLED for m in mine)
-    assert dialogue.at == tuple(0 if m else n for m, n in zip(mine, begun().at, strict=True))
-    assert (dialogue.tries[leg], dialogue.asked[leg]) == (0, -1)
 
 
 @pytest.mark.parametrize(
@@ -253,19 +175,6 @@ def test_drive_that_stopped_quickly_is_in_fault_until_it_is_switched_on(leg):
     assert tick["drive_fault"].tolist() == [2 if each == leg else 0 for each in range(6)]
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_first_answer_after_the_start_ends_the_set_up_of_its_drive(leg):
-    last_step = tuple(n - 1 for n in begun().at)
-    asked = tuple(0 if each == leg else -1 for each in range(6))
-    frames = [frame for each in range(6) for frame in (place(each), speed(each))]
-    _, dialogue = told(*frames, at=last_step, asked=asked)
-    assert P.legs_set_up(dialogue) == tuple(each == leg for each in range(6))
-    late = [(WOKE_NS, frame) for frame in frames]
-    assert told(*late, at=last_step, asked=asked, last=last_tick(age=3))[1].at == last_step
-    earlier = tuple(n - 2 for n in begun().at)
-    assert told(*frames, at=earlier, asked=(9,) * 6)[1].at == earlier
-
-
 @pytest.mark.parametrize("changes", [{}, {"efficiency": 1.0}, {"back_driving_efficiency": 1.0}])
 def test_forces_are_read_with_the_losses_of_each_leg_at_its_rate(changes):
     lossy = ByValue(made(NODES, UNLIKE_GEAR.model_copy(update=changes), force_limit_N=100.0))
@@ -274,13 +183,6 @@ def test_forces_are_read_with_the_losses_of_each_leg_at_its_rate(changes):
     tick, _ = told(*frames, protocol=lossy)
     expected = lossy.transmission.force(np.full(6, 100 * 9e-3), tick["rate"])
     np.testing.assert_allclose(tick["drive_force"], expected, rtol=1e-9)
-
-
-def test_force_of_a_drive_without_losses_follows_from_its_torque_alone():
-    last = last_tick()
-    last["rate"] = np.nan
-    tick, _ = told(*(place(leg, 0, 100) for leg in range(6)), last=last)
-    np.testing.assert_allclose(tick["drive_force"], 100 * 9e-3 * P.transmission.N_per_Nm, rtol=1e-12)
 
 
 # rates of lengths

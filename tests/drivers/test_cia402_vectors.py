@@ -130,11 +130,6 @@ def test_emcy_and_boot_up_have_the_bytes_of_canopen():
         assert sent == (frame(vectors(what)[0]),)
 
 
-@each("EMCY")
-def test_emcy_is_the_drives_fault(v):
-    assert decoded([frame(v)])["drive_fault"].tolist() == [0] * 4 + [v["inputs"]["error_code"], 0]
-
-
 def test_force_just_beyond_the_field_is_refused():
     fits = np.array([0, 32767.4 * PERMILLE_N, 0, 0, 0, 0])
     P.command(P.start(SETUP), Command(DriveMode.RUN, fits), 0)

@@ -13,7 +13,7 @@ import pytest
 from drivers.cia402.objects import check_eds
 from drivers.cia402.states import State, commanded, controlword
 from drivers.config import BusSettings, DriveSettings
-from drivers.errors import ConfigurationError, ProtocolError
+from drivers.errors import ConfigurationError
 from drivers.protocol import (
     BUS,
     ERROR,
@@ -145,12 +145,6 @@ def test_heartbeat_comes_four_times_within_the_watchdog_whatever_is_commanded(wa
             assert found == [() if n % beat else (Frame(0x77F, b"\5"),) for n in range(60)]
 
 
-def test_force_that_fits_is_that_of_the_weakest_leg():
-    unlike = ByValue(made(NODES, UNLIKE_GEAR, force_limit_N=100.0))
-    with pytest.raises(ProtocolError, match=r"up to 18529\.3 N"):
-        unlike.command(unlike.start(SETUP), Command(RUN, np.full(6, 1e5)), 1)
-
-
 RATE = (0.2, -0.2, 0.2, 0.0, -0.2, 0.05)
 
 
@@ -180,21 +174,6 @@ U = drives(UNLIKE_NODES)
 
 
 @pytest.mark.parametrize("leg", ALL)
-def test_frame_is_to_or_from_the_drive_of_its_node_or_for_all(leg):
-    node = UNLIKE_NODES[leg]
-    for kind in range(0x080, 0x780, 0x80):
-        sends = kind in (0x080, 0x180, 0x280, 0x380, 0x480, 0x580, 0x700)
-        assert [U.sender(Frame(kind + n, b"")) for n in (node, 9)] == [leg if sends else -1, -1]
-        if kind in (0x200, 0x300, 0x400, 0x500, 0x600):
-            assert [U.addressed(Frame(kind + n, b"")) for n in (node, 9)] == [(leg,), ()]
-        elif kind in (0x080, 0x180, 0x280, 0x580, 0x700):
-            assert U.addressed(Frame(kind + node, b"")) == ALL
-    assert [U.addressed(Frame(0, data)) for data in (bytes((1, node)), b"\1\0")] == [(leg,), ALL]
-    assert [U.addressed(Frame(0, data)) for data in (b"\1\x09", b"\1", b"")] == [()] * 3
-    assert U.addressed(Frame(0x080, b"")) == ALL
-
-
-@pytest.mark.parametrize("leg", ALL)
 def test_answer_identifies_its_drive_and_nothing_else_does(leg):
     asked = tuple(bytes.fromhex(f"401810{sub:02x}00000000") for sub in (4, 3))
     assert U.traits.identity_requests == tuple(
@@ -209,12 +188,6 @@ def test_answer_identifies_its_drive_and_nothing_else_does(leg):
     wrong += [good._replace(id=identifier) for identifier in ids]
     wrong += [good._replace(flags=flags) for flags in (EXTENDED, FD, REMOTE, ERROR, BUS)]
     assert [U.identity(frame) for frame in wrong] == [None] * len(wrong)
-
-
-def test_tick_has_a_sync_six_rpdos_and_one_or_two_tpdos_a_drive():
-    assert P.traits.emergency_stop == tuple(Frame(0x200 + node, b"\2\0\0\0") for node in NODES)
-    for velocity, kinds in ((True, [1, *[4] * 6, *[3, 5] * 6]), (False, [1, *[4] * 6, *[3] * 6])):
-        assert [frame.id >> 7 for frame in drives(velocity=velocity).traits.cyclic_frames] == kinds
 
 
 def test_lengths_can_be_reported_that_are_32_bits_of_counts():

@@ -9,8 +9,8 @@ import pytest
 
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import ALWAYS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
-from drivers.signals import INVALID, NEVER, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
+from drivers.protocol import ALWAYS, DriveSetup, Frame, Received
+from drivers.signals import INVALID, Command, DriveFault, DriveMode, DriveState, Foreign, Reaction
 from drivers.tick_columns import Record, new_record
 from hil.contracts.drives_end import answers, reports
 from hil.contracts.messages import Configure, Status, Sync
@@ -58,33 +58,6 @@ def taken(
     end = P[layout].controller_end(SETUP)
     end.take(received_array([Received(t_ns, f) for f in frames]), before, tick, since_ns)
     return tick
-
-
-@layouts
-def test_a_tick_without_frames_keeps_the_measurement_and_counts_nothing(layout):
-    before = last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1])
-    tick = taken(layout, last=before)
-    for name in KEPT:
-        assert tick[name].tolist() == before[name].tolist()
-    assert tick["age"].tolist() == tick["counted_age"].tolist() == [3, 5, 8, NEVER, NEVER, 4]
-    assert tick["blind"].tolist() == [0] * 6
-    assert [int(tick[name]) for name in COUNTS] == [0] * 4
-    assert taken(layout, last=last_tick(-1, 4))["age"].tolist() == [5] * 6
-    assert taken(layout, last=last_tick(0, 4))["age"].tolist() == [17] * 6
-
-
-@layouts
-@legs
-def test_a_feedback_measures_its_leg_and_no_other(layout, leg):
-    tick, before = taken(layout, sent(layout)[leg]), last_tick(age=1)
-    measured = {"length": LENGTH, "rate": RATE, "drive_state": RUN, "age": 0 * RUN}
-    measured |= {"drive_force": FORCE} if layout != "classic" else {}
-    for name in ("length", "rate", "drive_force", "drive_state", "age"):
-        expected = before[name].copy()
-        expected[leg] = measured[name][leg] if name in measured else expected[leg]
-        np.testing.assert_allclose(tick[name], expected, rtol=0, atol=1e-9, err_msg=name)
-    assert tick["counted_age"].tolist() == tick["age"].tolist()
-    assert tick["drive_fault"].tolist() == before["drive_fault"].tolist()
 
 
 @layouts
@@ -229,12 +202,3 @@ def test_the_held_answer_may_come_again_and_its_state_is_compared(layout, leg):
     assert [doubled(frame, blind_before=leg) for frame in again] == [0, 0]
     assert [doubled(frame, blind_before=(leg + 1) % 6) for frame in again] == [0, 1 << leg]
     assert [doubled(blind, frame) for frame in again] == [0, 0]
-
-
-@layouts
-@pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 128 * BUS], ids=str)
-def test_frames_of_another_kind_or_bus_are_ignored(layout, flag):
-    frames = [*sent(layout), *opening(P[layout], 0), *P[layout].traits.emergency_stop]
-    tick = taken(layout, *(frame._replace(flags=frame.flags | flag) for frame in frames))
-    assert tick["age"].tolist() == [1] * 6
-    assert [int(tick[name]) for name in COUNTS] == [0] * 4

@@ -17,7 +17,7 @@ from drivers.errors import ConfigurationError
 from drivers.mit.fields import VARIANTS, Ranges
 from drivers.mit.protocol import ENABLE
 from drivers.protocol import EXTENDED, Frame
-from drivers.signals import Command, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveMode, Reaction
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue
 from hil.contracts.ends import SETUP, Ends
@@ -116,12 +116,6 @@ DATA: dict[str, Any] = {
 }
 
 
-def vectors(name: str, begins: str) -> list[Any]:
-    found = [v for v in DATA[name]["vectors"] if v["what"].startswith(begins)]
-    assert found, begins
-    return found
-
-
 def ranges(name: str, model: str) -> Ranges:
     """Return them from position, velocity, kp, kd, torque, or without gains."""
     p, v, *gains = DATA[name]["ranges"][model]
@@ -151,40 +145,6 @@ def test_ranges_of_a_model_are_those_of_its_libraries(variant, model, name):
 
 def damiao(motor: str = "DM4310") -> MitProtocol:
     return MitProtocol("damiao", ranges("damiao", motor), ALL_NODES, 16, GEAR)
-
-
-def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
-    protocol = damiao()
-    start = protocol.start(BRAKES)
-    # 0.1 s are 2000 steps of 50 us
-    found = protocol.exchanges(BRAKES._replace(watchdog_s=0.1))[4]
-    asked = {exchange.name.split()[0]: exchange.frames[0] for exchange in found}
-    faulted = start._replace(mode=DriveMode.RESET, power=(DriveState.FAULT,) * 6)
-    for sent, what in (
-        (protocol.poll(start, 4), "disable"),
-        (protocol.poll(start._replace(mode=DriveMode.RUN), 4), "enable"),
-        (protocol.poll(faulted, 4), "clear error"),
-        (asked["CTRL_MODE"], "write parameter CTRL_MODE"),
-        (asked["PMAX"], "read parameter PMAX"),
-        (asked["TMAX"], "read parameter TMAX"),
-        (asked["TIMEOUT"], "write parameter TIMEOUT"),
-    ):
-        assert sent == frame(vectors("damiao", what)[0]), what
-
-
-def test_robstride_special_frames_are_those_of_its_libraries():
-    protocol = robstride()
-    start = protocol.start(BRAKES)
-    written, read = protocol.exchanges(BRAKES)[0][0].frames
-    for sent, what in (
-        (protocol.poll(start._replace(mode=DriveMode.RUN), 0), "type 3 enable"),
-        (protocol.poll(start, 0), "type 4 disable"),
-        (written, "type 18 write parameter run_mode 0"),
-        (read, "type 17 read parameter run_mode"),
-    ):
-        assert [sent] == [frame(v) for v in vectors("robstride", what)]
-    heard = protocol.hear(frame(vectors("robstride", "type 17 reply run_mode")[0]))
-    assert heard.answer == (0x7005, 2.0)
 
 
 @given(torque=st.floats(-20.0, 20.0), position=st.floats(-15.0, 15.0))

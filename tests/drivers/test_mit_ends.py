@@ -14,7 +14,7 @@ from drivers.protocol import BUS, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
-from hil.contracts.messages import Answer, Configure, Rejected, Sync
+from hil.contracts.messages import Configure, Rejected, Sync
 from tests.drivers.motor_families import MIT_NODES, ROBSTRIDE_NODES, UNLIKE, Heard, mit, robstride
 
 VARIANTS: dict[str, Any] = {name: mit(name, UNLIKE) for name in ("mini_cheetah", "cubemars", "damiao")}
@@ -136,36 +136,6 @@ def request(kind: int, register: int, value: bytes = bytes(4), node: int = 4) ->
     return Frame(0x7FF, struct.pack("<HBB", node, kind, register) + value)
 
 
-def reply(kind: int, register: int, value: bytes) -> Answer:
-    return Answer(3, Frame(20, bytes((4, 0, kind, register)) + value))
-
-
-def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
-    ticks, one, other = struct.pack("<I", 1000), struct.pack("<I", 1), struct.pack("<f", 7.5)
-    limit = Configure(3, 0.05, Reaction.BRAKE)
-    memory, found = told(
-        "damiao",
-        request(WRITE, 9, ticks),
-        request(WRITE, 10, one),
-        request(READ, 9),
-        Frame(4, ENABLE),
-        request(WRITE, 9, bytes(4)),
-        request(WRITE, 21, other),
-        request(READ, 21),
-    )
-    assert found == [
-        (limit, reply(WRITE, 9, ticks)),
-        (reply(WRITE, 10, one),),
-        (reply(READ, 9, ticks),),
-        (limit, command(3, DriveMode.READY, 1), command(3, DriveMode.RUN, 2), *SYNC),
-        (reply(WRITE, 9, bytes(4)),),
-        (reply(WRITE, 21, other),),
-        (reply(READ, 21, other),),
-    ]
-    assert memory.registers[3][:3] == [1.0, 0.0, 7.5]
-    assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
-
-
 def test_request_is_for_the_damiao_of_its_node_and_an_unknown_one_is_refused():
     memory = DAMIAO.power_up()
     for leg, node in enumerate(MIT_NODES):
@@ -183,36 +153,6 @@ def test_request_is_for_the_damiao_of_its_node_and_an_unknown_one_is_refused():
 
 
 # what drives send
-
-
-@pytest.mark.parametrize(
-    ("fault", "cubemars", "damiao"),
-    [
-        (DriveFault.NONE, 0, 0),
-        (DriveFault.WATCHDOG, 0, 13),
-        (DriveFault.ESTOP, 0, 0),
-        (DriveFault.OVERFORCE, 2, 10),
-        (DriveFault.SENSOR, 5, 8),
-        (DriveFault.STROKE, 0, 14),
-    ],
-)
-def test_state_and_fault_are_where_each_variant_has_them(fault, cubemars, damiao):
-    faults = np.array([0, 0, fault, 0, 0, 0])
-    for state in DriveState:
-        states = np.array([1, 1, state, 1, 1, 1])
-        frames = {}
-        for name, protocol in VARIANTS.items():
-            six = np.ones(6)
-            frames[name] = protocol.answer(protocol.power_up(), Sync(0), six, six, six, states, faults)[1][2][
-                1
-            ]
-            assert frames[name].id == (19 if name == "damiao" else 0)
-            assert name == "damiao" or frames[name].data[0] == 3
-        assert frames["cubemars"].data[6:] == bytes((30, cubemars if state == FAULT else 0))
-        assert frames["mini_cheetah"].data[6:] == b"\x99"
-        status = damiao if state == FAULT else int(state == RUN)
-        assert frames["damiao"].data[0] == status << 4 | 3
-        assert frames["damiao"].data[6:] == bytes((30, 30))
 
 
 # what replies are heard as

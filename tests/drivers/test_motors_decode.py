@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import struct
 from math import nan
-from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.frame_array import received_array
 from drivers.moteus import pad
-from drivers.motor_kernels import wire_state
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
-from drivers.signals import NEVER, DriveMode, DriveState, Foreign
+from drivers.signals import NEVER, DriveMode, DriveState
 from hil.contracts.ends import at_tick
 from tests.drivers.motor_families import (
     LATE,
@@ -30,7 +28,6 @@ from tests.drivers.motor_families import (
 )
 
 OFF, READY, RUN, FAULT, BOOT = (DriveState[name] for name in ("OFF", "READY", "RUN", "FAULT", "BOOT"))
-KEPT = ("length", "rate", "drive_force", "drive_state", "drive_fault")
 P, DAMIAO, ODRIVE = moteus(UNLIKE, 2.0), mit("damiao", UNLIKE), odrive(UNLIKE)
 
 
@@ -61,22 +58,8 @@ def status(leg: int, code: int = 0) -> Frame:
     return Frame(16 + node, bytes((code << 4 | node, 0x80, 0, 0x80, 8, 0, 30, 30)))
 
 
-COMMAND = Frame(3, bytes(8), FD)
-"""To leg 2 of moteus."""
-NOBODYS = Frame(0x600, bytes(8))
-
-
 def length(turns: float, leg: int) -> float:
     return float(UNLIKE.length(np.full(6, turns))[leg])
-
-
-def test_tick_without_frames_keeps_the_measurement_and_counts_nothing():
-    tick, dialogue = measured(P)
-    for name in KEPT:
-        assert tick[name].tolist() == last_tick()[name].tolist()
-    assert tick["blind"].tolist() == [0] * 6
-    assert [int(tick[name]) for name in ("rejected", "doubled", "foreign")] == [0, 0, 0]
-    assert dialogue == begun(P, owed=(1,) * 6)
 
 
 def test_ages_grow_by_the_ticks_since_the_last_one_up_to_never():
@@ -87,27 +70,6 @@ def test_ages_grow_by_the_ticks_since_the_last_one_up_to_never():
         assert tick["age"].tolist() == [grown + k for k in range(6)], "of a first tick"
 
 
-@pytest.mark.parametrize("leg", range(6))
-def test_answer_measures_its_leg_through_its_transmission_and_no_other(leg):
-    tick, dialogue = measured(P, reply(leg, 0.5, 0.25, 1.5, mode=1, fault=39))
-    t, six = UNLIKE, np.ones(6)
-    figures = {
-        "length": t.length(0.5 * six)[leg],
-        "rate": t.rate(0.25 * six)[leg],
-        "drive_force": t.force(1.5 * six, t.rate(0.25 * six))[leg],
-        "drive_fault": 0x100 + 39,
-    }
-    for name, value in figures.items():
-        expected = last_tick()[name].copy()
-        expected[leg] = value
-        assert tick[name].tolist() == expected.tolist(), name
-    assert dialogue.rate == tuple(tick["rate"].tolist())
-    assert (
-        tick["drive_state"].tolist() == list(dialogue.power) == [FAULT if k == leg else OFF for k in range(6)]
-    )
-    assert dialogue.said == tuple(13 if k == leg else 0 for k in range(6))
-
-
 def test_answer_without_motion_is_blind_and_one_without_torque_leaves_the_force():
     tick, _ = measured(P, reply(4, nan, torque=1.5), reply(1), reply(0, torque=0.0))
     assert tick["blind"].tolist() == [0, 0, 0, 0, 1, 0]
@@ -115,17 +77,6 @@ def test_answer_without_motion_is_blind_and_one_without_torque_leaves_the_force(
     for name in ("length", "rate"):
         assert tick[name][4] == last_tick()[name][4]
     assert tick["drive_force"].tolist() == [0.0, *last_tick()["drive_force"][1:].tolist()]
-
-
-def test_broken_and_foreign_frames_are_counted_and_say_nothing():
-    broken = reply(2)._replace(data=b"\x21")
-    for frames, rejected, name in (((broken,) * 3, 3, 0), ((COMMAND, NOBODYS), 0, Foreign.COMMAND)):
-        tick, dialogue = measured(P, *frames)
-        assert (tick["rejected"], tick["foreign"]) == (rejected, name)
-        assert tick["age"].tolist() == [1] * 6
-        assert dialogue == begun(P, owed=(1,) * 6)
-    tick, _ = measured(P, NOBODYS, reply(5), broken, reply(0))
-    assert tick["age"].tolist() == [0, 1, 1, 1, 1, 0], "the next ones count"
 
 
 # late answers
@@ -272,22 +223,6 @@ def test_drive_that_ran_and_is_off_while_run_is_asked_for_has_restarted():
     assert dialogue.ran == ran, "until RUN is asked for again"
 
 
-@pytest.mark.parametrize("mode", DriveMode)
-def test_state_follows_from_what_a_drive_says_and_is_asked_for(mode):
-    for ran in (False, True):
-        for set_up in (False, True):
-            for power in (RUN, FAULT):
-                assert wire_state(power, mode, set_up=set_up, ran=ran) == power
-        assert wire_state(OFF, mode, set_up=False, ran=ran) == BOOT
-        disabled = {
-            DriveMode.OFF: OFF,
-            DriveMode.RESET: OFF,
-            DriveMode.READY: READY,
-            DriveMode.RUN: (READY, BOOT)[ran],
-        }
-        assert wire_state(OFF, mode, set_up=True, ran=ran) == disabled[mode]
-
-
 @pytest.mark.parametrize(("age", "done"), [(19, 6), (20, 0)])
 def test_drive_silent_for_more_than_twenty_ticks_is_set_up_again_and_no_other(age, done):
     _, dialogue = measured(DAMIAO, last=last_tick(age=[0, 0, 0, age, 0, 0]), done=(0, 6, 6, 6, 6, 6))
@@ -297,12 +232,3 @@ def test_drive_silent_for_more_than_twenty_ticks_is_set_up_again_and_no_other(ag
 def test_state_is_unknown_once_its_report_is_older_than_its_patience():
     _, dialogue = measured(P, power=(int(RUN),) * 6, said=(1, 2, 3, 4, 5, 6), patience_ticks=10)
     assert dialogue.power == (BOOT, BOOT, RUN, RUN, RUN, RUN)
-
-
-def test_fresh_awaited_and_sender_follow_from_what_a_frame_says():
-    frames: list[Any] = [estimate(0), beat(3), NOBODYS, estimate(5), Frame(2 << 5 | 0xE, bytes(8))]
-    assert [ODRIVE.awaited(each) for each in frames] == [9, -1, -1, 62 << 5 | 9, -1]
-    assert [ODRIVE.sender(each) for each in frames] == [0, 3, -1, 5, -1]
-    fresh = [ODRIVE.fresh(Received(SINCE_NS, each), 13, SINCE_NS) for each in frames]
-    assert [bool(each) for each in fresh] == [True, False, False, True, False]
-    assert not ODRIVE.fresh(Received(LATE, frames[0]), 13, SINCE_NS)

@@ -8,7 +8,6 @@ from math import inf, nan
 import numpy as np
 import pytest
 
-from drivers.mit.fields import TURN
 from drivers.moteus import STOP
 from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import INVALID, LEGS, DriveState
@@ -20,8 +19,6 @@ from tests.drivers.motor_families import (
     MOTORS,
     ODRIVE_NODES,
     ROBSTRIDE_NODES,
-    UNLIKE,
-    motors,
 )
 
 ZEROS = np.zeros(LEGS)
@@ -39,30 +36,6 @@ def sent(name: str, length: float, lost: int = -1, state: DriveState = DriveStat
 # readings
 
 
-STEPS = {  # turns, turns/s, N m that a reading is off by at most
-    "mini_cheetah": (191 / 65535 / TURN, 800 / 4095 / TURN, 288 / 4095),
-    "robstride": (191 / 65535 / TURN, 800 / 65535 / TURN, 288 / 65535),
-    "odrive": (1e-6, 1e-6, None),
-    "moteus": (1e-6, 1e-6, 1e-5),
-}
-UNLIKES = motors(UNLIKE)
-
-
-@pytest.mark.parametrize("name", MOTORS)
-def test_each_drive_answers_with_its_own_numbers_in_the_order_of_the_poll(name):
-    protocol, turns = UNLIKES[name], np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])
-    rate = UNLIKE.rate(turns / 4)
-    reading = UNLIKE.length(turns), rate, UNLIKE.force(turns * 2, rate), np.ones(6, np.int64)
-    found = answers(protocol, Sync(0, (5, 0, 2)), *reading)
-    assert [leg for leg, _ in found] == [5, 0, 2]
-    for leg, frame in found:
-        heard, (place, speed, torque) = protocol.hear(frame), STEPS.get(name, STEPS["mini_cheetah"])
-        assert (heard.leg, heard.feedback, heard.fault) == (leg, True, 0)
-        assert heard.motion[0] == pytest.approx(turns[leg], abs=place)
-        assert heard.motion[1] == pytest.approx(turns[leg] / 4, abs=speed)
-        assert heard.torque == (torque and pytest.approx(turns[leg] * 2, abs=torque))
-
-
 @pytest.mark.parametrize("state", DriveState)
 @pytest.mark.parametrize("name", MOTORS)
 def test_no_length_is_read_of_a_lost_encoder_in_any_state(name, state):
@@ -77,14 +50,6 @@ def test_no_length_is_read_of_a_lost_encoder_in_any_state(name, state):
         assert [each.leg for each in heard] == list(range(LEGS))
         assert [each.leg for each in heard if each.motion is None] == [lost]
         assert all(each.feedback and not each.broken for each in heard)
-
-
-@pytest.mark.parametrize("end", [-1.0, 1.0])
-@pytest.mark.parametrize("name", ["cubemars", "damiao", "robstride"])
-def test_position_past_either_end_of_its_range_is_no_length(name, end):
-    past, inside = (1.75 + end * 0.1 * turns / (2 * np.pi) for turns in (96.0, 95.0))
-    assert [MOTORS[name].hear(frame).motion for frame in sent(name, past)] == [None] * LEGS
-    assert all(MOTORS[name].hear(frame).motion is not None for frame in sent(name, inside))
 
 
 @pytest.mark.parametrize("place", [0.5, nan, inf, -inf])

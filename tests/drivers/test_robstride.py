@@ -5,24 +5,20 @@ from __future__ import annotations
 import struct
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.frame_array import received_array
-from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received, Said
-from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
+from drivers.protocol import BUS, EXTENDED, FD, REMOTE, DriveSetup, Frame, Received, Said
+from drivers.signals import LEGS, DriveState, Reaction
 from hil.contracts.by_value import Remembered
-from hil.contracts.drives_end import command, plain
+from hil.contracts.drives_end import plain
 from hil.contracts.ends import at_tick
-from hil.contracts.messages import Answer, Configure, Rejected, Sync
+from hil.contracts.messages import Answer
 from tests.drivers.motor_families import ROBSTRIDE_NODES as NODES
 from tests.drivers.motor_families import UNLIKE, Heard, robstride
 
 P = robstride(UNLIKE)
 SETUP = DriveSetup(0.05, Reaction.BRAKE, 250.0)
-DELIVERED = Configure(3, 1e6, Reaction.BRAKE)
-SYNC, REFUSED = (Sync(0, (3,)),), (Rejected(),)
-TURNS = np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0])
 
 
 def to(kind: int, data: bytes = bytes(8), middle: int = 253, leg: int = 3, flags: int = EXTENDED) -> Frame:
@@ -39,30 +35,6 @@ def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
         memory, messages = P.parse(memory, frame)
         found.append(plain(messages))
     return memory, found
-
-
-def test_cut_frame_is_refused_and_an_unknown_one_is_ignored():
-    assert told(to(3), to(4, b"\2" + bytes(7)))[1][1] == (command(3, DriveMode.OFF, 3), *SYNC), "no clearing"
-    assert told(*(to(kind, bytes(7)) for kind in (1, 3, 4, 17, 18)))[1] == [REFUSED] * 5
-    assert told(*(to(kind) for kind in (2, 5, 6, 7, 16, 19, 21)))[1] == [()] * 7
-    for flags in (0, *(EXTENDED | each for each in (FD, REMOTE, ERROR, BUS))):
-        assert told(to(3, flags=flags))[1] == [()]
-        assert P.hear(to(3, flags=flags)) is None
-    assert told(Frame(3 << 24 | 253 << 8 | 6, bytes(8), EXTENDED))[1] == [()]
-
-
-def test_run_mode_is_written_and_read_back_and_another_register_is_refused():
-    read, write = to(17, parameter(0x7005)), to(18, parameter(0x7005, 2))
-    memory, found = told(read, write, read, to(17, parameter(0x7006)), to(18, parameter(0x7006)))
-
-    def answer(mode: int) -> tuple[Answer]:
-        return (Answer(3, Frame(17 << 24 | 4 << 8 | 253, parameter(0x7005, mode), EXTENDED)),)
-
-    assert found == [answer(0), (DELIVERED, *SYNC), answer(2), REFUSED, REFUSED]
-    assert [each[0] for each in memory.registers] == [0, 0, 0, 2, 0, 0]
-    for leg, (exchange,) in enumerate(P.exchanges(SETUP)):
-        assert exchange.frames == (to(18, parameter(0x7005), leg=leg), to(17, parameter(0x7005), leg=leg))
-        assert (exchange.register, exchange.value) == (0x7005, 0)
 
 
 @pytest.mark.parametrize("leg", range(LEGS))
@@ -99,37 +71,6 @@ def test_drive_says_who_it_is_to_whoever_asks(leg):
 
 
 # feedback
-
-
-def sent(**changes: Any) -> list[tuple[int, Frame]]:
-    """Return what all drives answer, each with numbers of its own, from inside their ranges."""
-    given: dict[str, Any] = {"state": np.full(6, 1), "fault": None} | changes
-    rate = UNLIKE.rate(TURNS / 4)
-    reading = UNLIKE.length(TURNS), rate, UNLIKE.force(TURNS * 2, rate), given["state"], given["fault"]
-    return P.answer(P.power_up(), Sync(0), *reading)[1]
-
-
-@pytest.mark.parametrize(
-    ("fault", "bits"),
-    [
-        (DriveFault.NONE, 4),
-        (DriveFault.WATCHDOG, 4),
-        (DriveFault.OVERFORCE, 2),
-        (DriveFault.SENSOR, 8),
-        (DriveFault.STROKE, 16),
-    ],
-)
-def test_state_and_faults_are_in_the_identifier_of_a_feedback(fault, bits):
-    faults = np.array([0, 0, fault, 0, 0, 0])
-    for state in DriveState:
-        states = np.array([1, 1, state | INVALID, 1, 1, 1])
-        for leg, frame in sent(state=states, fault=faults):
-            mode = 2 if (leg, state) == (2, DriveState.RUN) else 0
-            said = bits if (leg, state) == (2, DriveState.FAULT) else 0
-            assert frame.id == 2 << 24 | mode << 22 | said << 16 | NODES[leg] << 8 | 253
-            assert (frame.data[:2] == b"\0\0") == (leg == 2), "the encoder is lost"
-            assert (frame.data[6:], frame.flags) == ((250).to_bytes(2, "big"), EXTENDED), "its temperature"
-            assert frame.data[2:] == sent()[leg][1].data[2:]
 
 
 def feedback(mode: int, faults: int, data: bytes = b"\x80\0\x80\0\x80\0\0\xfa") -> Any:

@@ -1,14 +1,13 @@
 """What every plant owes its callers, whatever stands behind it."""
 
 from pathlib import Path
-from pkgutil import resolve_name
 
 import numpy as np
 import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.bench import Bench
-from plant_fmu.config import PLANTS, BenchPlant, FmuPlant, StewartPlant
+from plant_fmu.config import BenchPlant, FmuPlant, StewartPlant
 from plant_fmu.plant import Robot, whole_steps
 from plant_fmu.stewart.build import build
 
@@ -49,18 +48,6 @@ MADE = {
     "foreign-2.0-in_process": mapped("2.0", "in_process"),
     "foreign-3.0-child_process": mapped("3.0", "child_process"),
 }
-OPENED = {
-    "stewart": StewartPlant(type="stewart"),
-    "bench": BenchPlant(type="bench"),
-    "fmu": FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]),
-}
-
-
-def test_every_registered_plant_has_the_name_and_opener_of_its_section():
-    assert {name: model.type for name, model in OPENED.items()} == {name: name for name in PLANTS}
-    for model in OPENED.values():
-        assert isinstance(model, PLANTS[model.type])
-        assert callable(resolve_name(model.opens))
 
 
 @pytest.fixture(scope="module", params=MADE)

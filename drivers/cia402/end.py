@@ -141,11 +141,7 @@ def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tupl
         Step("read", o.DEVICE_TYPE, o.PROFILE_402, mask=0xFFFF),
         Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL),
         Step(
-            "read",
-            o.SUPPORTED_MODES,
-            o.SUPPORTS_CYCLIC_TORQUE,
-            optional=True,
-            mask=o.SUPPORTS_CYCLIC_TORQUE,
+            "read", o.SUPPORTED_MODES, o.SUPPORTS_CYCLIC_TORQUE, optional=True, mask=o.SUPPORTS_CYCLIC_TORQUE
         ),
         Step("read", o.RATED_TORQUE, family.rated_torque_mNm),
     ]

@@ -41,10 +41,7 @@ def begun(protocol: ByValue = P, **fields: Any) -> Remembered:
 
 
 def told(
-    *frames: Frame | tuple[int, Frame],
-    last: Record | None = None,
-    protocol: ByValue = P,
-    **fields: Any,
+    *frames: Frame | tuple[int, Frame], last: Record | None = None, protocol: ByValue = P, **fields: Any
 ) -> tuple[Any, Remembered]:
     """Return a tick and the dialogue after these frames; one with a time came then, the others in time."""
     timed = [
@@ -227,12 +224,7 @@ def test_step_of_half_a_period_to_fifty_makes_a_rate():
     protocol = ByValue(drives(NODES, velocity=False))
     run = received_array([Received(2_000, place(leg, 131072)) for leg in range(6)])
     before = {"mean": 0.5, "T": 0.004, "latched_ns": 0, "length": 0.0, "has_length": 1}
-    for t_ns, kind in (
-        (1_999_999, "kept"),
-        (2_000_001, "new"),
-        (199_999_999, "new"),
-        (200_000_001, "begun"),
-    ):
+    for t_ns, kind in ((1_999_999, "kept"), (2_000_001, "new"), (199_999_999, "new"), (200_000_001, "begun")):
         tick = new_record()
         tick["tick"], tick["t_ns"] = 13, t_ns
         dialogue = protocol.decode(begun(protocol, **before), run, last_tick(), tick, 1_000)

@@ -14,18 +14,7 @@ from drivers.cia402.objects import check_eds
 from drivers.cia402.states import State, commanded, controlword
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError
-from drivers.protocol import (
-    BUS,
-    ERROR,
-    EXTENDED,
-    FD,
-    REMOTE,
-    REVISION,
-    SERIAL,
-    DriveSetup,
-    Frame,
-    Said,
-)
+from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, REVISION, SERIAL, DriveSetup, Frame, Said
 from drivers.registry import loaded
 from drivers.signals import Command, DriveMode, Reaction
 from hil.contracts.by_value import ByValue, Remembered

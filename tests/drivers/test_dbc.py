@@ -21,14 +21,7 @@ from drivers.protocol import Frame, Received
 from drivers.sensors import SensorProtocol
 from drivers.signals import NEVER, Command, DriveMode, DriveState, Reaction
 from hil.contracts.messages import DeviceCommand, Rejected
-from tests.drivers.legs_frames import (
-    bitwise_crc,
-    command_frames,
-    decode,
-    one_feedback,
-    parse,
-    resealed,
-)
+from tests.drivers.legs_frames import bitwise_crc, command_frames, decode, one_feedback, parse, resealed
 
 HERE = Path(drivers.__file__).parent
 DATABASES: list[Any] = [cantools.database.load_file(HERE / name) for name in ("legs/legs.dbc", "sensors.dbc")]

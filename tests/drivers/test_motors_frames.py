@@ -13,13 +13,7 @@ from drivers.protocol import BRS, EXTENDED, FD, Frame
 from drivers.signals import INVALID, LEGS, DriveState
 from hil.contracts.drives_end import answers
 from hil.contracts.messages import Sync
-from tests.drivers.motor_families import (
-    MIT_NODES,
-    MOTEUS_NODES,
-    MOTORS,
-    ODRIVE_NODES,
-    ROBSTRIDE_NODES,
-)
+from tests.drivers.motor_families import MIT_NODES, MOTEUS_NODES, MOTORS, ODRIVE_NODES, ROBSTRIDE_NODES
 
 ZEROS = np.zeros(LEGS)
 

@@ -7,11 +7,7 @@ from typing import Any
 
 import pytest
 
-from plant_fmu.rehearsal.wiring import (
-    Mistake,
-    Wiring,
-    wired,
-)
+from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 
 
 def changed(wiring: Wiring) -> dict[str, Any]:

@@ -275,7 +275,6 @@ class MoteusProtocol(MotorProtocol):
     fault_names = FAULTS
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "moteus", "fd", ("host_id", "timeout_mode", "torque_N_m"))
         transmission, nodes = options.transmission, drives.node_ids
         self._reaction = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]

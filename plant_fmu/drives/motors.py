@@ -195,7 +195,6 @@ class MotorDrives(ends.DrivesEnd):
     """What is sent for a fault of the drive's own, and for others."""
 
     def __init__(self, family: Any) -> None:
-        """Power the drives of a `drivers.motors.MotorProtocol` up."""
         d: Any = np.zeros((), DEVICES)
         super().__init__(d, parse, answer, self.beat)
         self.family = family

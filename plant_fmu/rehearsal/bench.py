@@ -81,7 +81,6 @@ class WiredNodes(Nodes):
     """
 
     def __init__(self, wiring: Wiring, *given: Any) -> None:
-        """Take the wiring, and what `Nodes` takes."""
         self._wiring = wiring
         super().__init__(*given)
 

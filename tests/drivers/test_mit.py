@@ -209,37 +209,6 @@ def test_setting_that_the_variant_does_not_have_is_refused_by_name(changes, mess
         made(**changes)
 
 
-@pytest.mark.parametrize(
-    ("variant", "model", "host", "last"),
-    [
-        ("mini_cheetah", "mini_cheetah", 0, 127),
-        ("cubemars", "AK80-6", 0, 127),
-        ("damiao", "DM4340", 16, 15),
-        ("robstride", "rs-03", 253, 127),
-    ],
-)
-def test_settings_reach_the_nodes_ranges_and_identifiers_of_a_variant(variant, model, host, last):
-    nodes = [7, 2, 3, 4, 1, last]
-    options = {"variant": variant, "model": model}
-    delivered = VARIANTS[variant].models[model]
-    keys = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
-    for key, field in keys.items():
-        found = made(node_ids=nodes, options=options | {key: 33.5}).ranges
-        assert found == delivered._replace(**{field: 33.5})
-    for host_id, other in ((None, host), (200, 200)):
-        protocol = made(node_ids=nodes, options=options | ({} if host_id is None else {"host_id": host_id}))
-        frames = protocol.traits.cyclic_frames
-        if variant == "robstride":
-            assert [frame.id for frame in protocol.traits.emergency_stop] == [
-                4 << 24 | other << 8 | n for n in nodes
-            ]
-        else:
-            assert [frame.id for frame in frames[:6]] == nodes
-            assert [frame.id for frame in frames[6:]] == [other + n * (variant == "damiao") for n in nodes]
-    assert len(frames) == 12
-    made(node_ids=nodes, options=options | {"host_id": 255 if variant == "robstride" else 0x7FE - 15})
-
-
 @pytest.mark.parametrize("variant", ["mini_cheetah", "cubemars", "damiao"])
 def test_lengths_that_a_drive_can_report_end_with_the_range_of_its_position(variant):
     """12.5 rad on a pulley of 20 mm are 0.25 m, either way from where the motor reads zero."""

@@ -14,7 +14,6 @@ _WORD = 8
 
 
 def _place(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-    """Return the address of words[index]."""
     words = signature.args[0]
     array = context.make_array(words)(context, builder, values[0])
     return cgutils.get_item_pointer(context, builder, words, array, [values[1]])  # type: ignore[no-untyped-call]

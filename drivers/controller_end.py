@@ -78,7 +78,7 @@ class ControllerEnd(ABC):
         """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
 
         since_ns: when the loop woke up; the SYNC or poll of each leg was out `latch_ns` of the tick later.
-        Fills every column of the part. Frames that are nobody's are ignored; those of another controller and
+        Fills every column of the part. Frames of no drive here are ignored; those of another controller and
         a second answer of one node are named in `foreign` and `doubled`, a set-up that is not ours in
         `altered`, as far as the protocol can tell. A fault code that is not a DriveFault is the drive's own.
         """

@@ -37,7 +37,7 @@ class Family(ABC):
         self.nodes = tuple(nodes)
         self.legs = tuple(map(tuple, legs))
         self.buses = len(legs)
-        """How many there are; frames of others are nobody's."""
+        """How many there are; frames of other buses are ignored."""
         self.bus_of = tuple(next(bus for bus, own in enumerate(legs) if leg in own) for leg in range(LEGS))
         """Index of each leg's bus."""
 

@@ -13,6 +13,8 @@ from collections.abc import Iterator
 from io import BufferedReader
 from pathlib import Path
 
+from drivers.errors import RunError
+
 MOST_BYTES = 4 << 20
 """Of a configuration, a controller, a design or a CSV file."""
 
@@ -108,3 +110,22 @@ def own_folder(path: Path) -> Path:
             str(path),
         )
     return path
+
+
+def cache_folder() -> Path:
+    """Make the cache folder of this user alone, or make sure that the one that is there is one.
+
+    ``hexapod-hil`` under ``$XDG_CACHE_HOME``, where that is an absolute path, else under ``~/.cache``.
+
+    Raises RunError where it cannot be made or others have a right to it: their code would be run.
+    """
+    given = os.environ.get("XDG_CACHE_HOME", "")
+    # Path.home raises for a user without a home folder.
+    parent = given if Path(given).is_absolute() else os.path.expanduser("~/.cache")  # noqa: PTH111
+    folder = Path(parent) / "hexapod-hil"
+    try:
+        return own_folder(folder)
+    except OSError as error:
+        raise RunError(
+            f"cache folder {folder}: {error.strerror}; or set XDG_CACHE_HOME to a folder of your own"
+        ) from error

@@ -161,13 +161,11 @@ def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -
 
 @helper
 def _is_whole(number: float) -> bool:
-    """Tell whether this is a whole number."""
     return bool(np.isfinite(number) and number == np.floor(number))
 
 
 @helper
 def _names_drive(has: int, values: Array) -> bool:
-    """Tell whether registers say who a drive is."""
     if has >> _FIRMWARE & 1:
         return _is_whole(values[_FIRMWARE])
     for k in range(_SERIAL, _SERIAL + 3):  # noqa: SIM110 - compiled
@@ -277,7 +275,6 @@ class MoteusProtocol(MotorProtocol):
     fault_names = FAULTS
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "moteus", "fd", ("host_id", "timeout_mode", "torque_N_m"))
         transmission, nodes = options.transmission, drives.node_ids
         self._reaction = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]

@@ -241,7 +241,6 @@ def _take(m: Any, heard: Any, early: bool, last: Any, tick: Any) -> int:
 
 @helper
 def _set_up(m: Any) -> int:
-    """Return bits of the drives that are set up and have said whether they are enabled."""
     legs = 0
     for leg in range(LEGS):
         legs |= int(m.done[leg] > m.exchanges[leg] and m.power[leg] != DriveState.BOOT) << leg

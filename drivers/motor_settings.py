@@ -67,7 +67,6 @@ class Options:
         return int(self._fitting(key, value, fits, f"a whole number{within}"))
 
     def _fitting(self, key: str, value: Any, fits: bool, allowed: str) -> Any:
-        """Return a value. Raises ConfigurationError unless it fits."""
         if not fits:
             raise ConfigurationError(
                 f"drives.options: {key} of protocol {self._protocol}: allowed: {allowed}, given: "

@@ -135,7 +135,6 @@ class ODriveProtocol(MotorProtocol):
     fault_names, fault_bits = ERRORS, True
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "odrive", "classic", (UNASKED,))
         transmission, nodes = options.transmission, drives.node_ids
         self._unasked_s = 1e-3 * options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)

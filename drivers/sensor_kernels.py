@@ -81,7 +81,6 @@ def _is_later(one: Any, tick: int, offset_s: float, values: Array) -> bool:
 
 @helper
 def _keep(s: Any, kind: int, tick: int, offset_s: float, values: Array) -> None:
-    """Put a sample among those of its tick."""
     place = s.count[kind]
     s.count[kind] += 1
     samples = samples_of(s, kind)

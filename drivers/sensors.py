@@ -17,11 +17,7 @@ from drivers.legs.messages import layouts, read_dbc
 from drivers.protocol import Frame
 from drivers.sensor_kernels import FIELDS, QUANTITIES, encode, no_sensors
 
-_MESSAGES = {
-    "tracker": ("TRACKER_7", 7),
-    "imu": ("IMU_8", 8),
-    "wrench": ("WRENCH_9", 9),
-}
+_MESSAGES = {"tracker": ("TRACKER_7", 7), "imu": ("IMU_8", 8), "wrench": ("WRENCH_9", 9)}
 """Kind -> message of sensors.dbc, and the node number in its identifier."""
 KINDS = tuple(_MESSAGES)
 _TABLES = ("id", "flags", "bus", "length", "start", "bits", "scale", "low", "high")

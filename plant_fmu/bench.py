@@ -98,7 +98,6 @@ def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int
 
 @pointed(record(BENCH), INTEGER)
 def _applied(_b: Any, _force: int) -> int:
-    """As `Moved.applied`: there is no lag to know of."""
     return 0
 
 
@@ -140,7 +139,7 @@ class UncoupledLegs(PointedPlant):
 class Bench(UncoupledLegs):
     """Plant: the legs of a configuration, from rest at their rest lengths."""
 
-    def __init__(self, settings: BenchPlant) -> None:
+    def __init__(self, settings: BenchPlant, *_: object) -> None:
         super().__init__(
             settings.internal_step_us / 1e6,
             mass=settings.mass_kg,

@@ -1,5 +1,6 @@
 """Configuration section `plant`: the other end of a virtual bus."""
 
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, Union
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
@@ -7,6 +8,11 @@ from pydantic import AfterValidator, Field, ValidationInfo, field_validator, mod
 from drivers.registry import sections
 from drivers.section import Section
 from plant_fmu.faults import AnyFault
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from plant_fmu.plant import Plant, Robot
 
 SLOWEST_Hz = 0.1
 """Of a force loop: below that its lag would be that of no drive, and what remembers it had no end."""
@@ -47,12 +53,20 @@ class PlantModel(Section):
     opens: ClassVar[str]
     """`module:function` that opens the plant from this section, the robot and the configuration's folder."""
 
+    def open(self, robot: "Robot", folder: "Path") -> "Plant":
+        """Open the plant; a kind that has a robot of its own ignores this one. Raises PlantError.
+
+        folder: the configuration's, where a relative path starts.
+        """
+        plant: Plant = resolve_name(self.opens)(self, robot, folder)
+        return plant
+
 
 class StewartPlant(PlantModel):
     """Our FMU: the platform of section `platform` with drives, friction, brakes and end stops."""
 
     type: Literal["stewart"]
-    opens = "plant_fmu.plants:stewart"
+    opens = "plant_fmu.stewart.plant:stewart_plant"
     fmi_version: Literal["2.0", "3.0"] = "3.0"
     isolation: Literal["in_process", "child_process"] = "in_process"
     force_bandwidth_Hz: Bandwidth = 200.0
@@ -72,7 +86,7 @@ class BenchPlant(PlantModel):
     """Six uncoupled legs, m x'' + b x'|x'| + k0 x + k1 x^3 = f: for commissioning drives."""
 
     type: Literal["bench"]
-    opens = "plant_fmu.plants:bench"
+    opens = "plant_fmu.bench:Bench"
     mass_kg: Annotated[float, Field(gt=0)] = 200.0
     damping_N_s2_m2: Annotated[float, Field(ge=0)] = 500.0
     stiffness_N_m: Annotated[float, Field(ge=0)] = 5_000.0
@@ -86,7 +100,7 @@ class FmuPlant(PlantModel):
     """Any co-simulation FMU, with a map from our six legs to its variables."""
 
     type: Literal["fmu"]
-    opens = "plant_fmu.plants:fmu"
+    opens = "plant_fmu.fmu.child:fmu_plant"
     path: str
     """The .fmu file, relative to the configuration file."""
     isolation: Literal["in_process", "child_process"] = "child_process"

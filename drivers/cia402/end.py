@@ -88,16 +88,14 @@ def _period(rate_Hz: float) -> tuple[int, int]:
 
 def _pdo(index: int, n: int, cob: int, transmission: int, entries: tuple[tuple[Key, int], ...]) -> list[Step]:
     parameters, mapping = index + n, index + 0x200 + n
-    steps = [
+    return [
         Step("write", (parameters, 1), o.NOT_VALID | cob),
         Step("write", (parameters, 2), transmission, 1),
         Step("write", (mapping, 0), 0, 1),
+        *(Step("write", (mapping, k), o.mapped(key, bits)) for k, (key, bits) in enumerate(entries, 1)),
+        Step("write", (mapping, 0), len(entries), 1),
+        Step("write", (parameters, 1), cob),
     ]
-    for k, (key, bits) in enumerate(entries):
-        steps.append(Step("write", (mapping, k + 1), o.mapped(key, bits)))
-    steps.append(Step("write", (mapping, 0), len(entries), 1))
-    steps.append(Step("write", (parameters, 1), cob))
-    return steps
 
 
 def _drive(setup: DriveSetup, family: Any) -> list[Step]:
@@ -141,11 +139,7 @@ def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tupl
         Step("read", o.DEVICE_TYPE, o.PROFILE_402, mask=0xFFFF),
         Step("nmt", o.DEVICE_TYPE, o.PRE_OPERATIONAL),
         Step(
-            "read",
-            o.SUPPORTED_MODES,
-            o.SUPPORTS_CYCLIC_TORQUE,
-            optional=True,
-            mask=o.SUPPORTS_CYCLIC_TORQUE,
+            "read", o.SUPPORTED_MODES, o.SUPPORTS_CYCLIC_TORQUE, optional=True, mask=o.SUPPORTS_CYCLIC_TORQUE
         ),
         Step("read", o.RATED_TORQUE, family.rated_torque_mNm),
     ]

@@ -230,7 +230,6 @@ def _begin(c: Any, last: Any, tick: Any) -> None:
 
 @helper
 def _measure(c: Any, leg: int, last: Any, tick: Any) -> None:
-    """Put what a drive has sent into the tick."""
     held, late = c.held[leg], c.late[leg] != 0
     state = _STATE_OF[held & 0x7F]
     if state == s.QUICK_STOP or (c.states[leg] == s.ENABLED and state == s.DISABLED):
@@ -256,7 +255,6 @@ def _measure(c: Any, leg: int, last: Any, tick: Any) -> None:
 
 @helper
 def _set_up(c: Any) -> int:
-    """Return bits of the drives that have been set up."""
     legs = 0
     for leg in range(LEGS):
         legs |= int(c.at[leg] == c.steps[leg]) << leg

@@ -160,20 +160,9 @@ def mapped(key: Key, bits: int) -> int:
 
 
 _WRITTEN: tuple[Key, ...] = (
-    CONSUMER_HEARTBEAT,
-    PRODUCER_HEARTBEAT,
-    (RPDO, 1),
-    (RPDO, 2),
-    (RPDO_MAP, 0),
-    (TPDO, 1),
-    (TPDO, 2),
-    (TPDO_MAP, 0),
-    ABORT_CONNECTION,
-    QUICK_STOP,
-    FAULT_REACTION,
-    MODE,
-    MAX_TORQUE,
-)
+    CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, (RPDO, 1), (RPDO, 2), (RPDO_MAP, 0), (TPDO, 1), (TPDO, 2),
+    (TPDO_MAP, 0), ABORT_CONNECTION, QUICK_STOP, FAULT_REACTION, MODE, MAX_TORQUE,
+)  # fmt: skip
 _READ: tuple[Key, ...] = (DEVICE_TYPE, MODE_SHOWN, RATED_TORQUE)
 _MAPPED: tuple[Key, ...] = (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TORQUE)
 

@@ -48,7 +48,6 @@ class Cia402Protocol(Family):
     fresh_by, addressed_by = end.fresh, end.addressed
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         options = Options(bus, drives, "cia402", "classic", _ALLOWED)
         self.transmission = transmission = options.transmission
         super().__init__(drives.node_ids, bus.legs)

@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from drivers import BEGAN_NS
-from drivers.cache_folder import CACHE_FOLDER
+from drivers.files import cache_folder
 
+CACHE_FOLDER = cache_folder()
 _ROOT = Path(__file__).resolve().parents[2]
 ROOMS = {
     "drivers": (),

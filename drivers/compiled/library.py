@@ -60,7 +60,6 @@ class Library(JITCodeLibrary):
 
     @classmethod
     def _unserialize(cls, codegen: Any, state: Any) -> Any:
-        """Load what `Kept` has of a library."""
         name, code, names, bitcode = state
         library = codegen.create_library(name)
         library.bitcode = bitcode

@@ -92,11 +92,7 @@ VARIANTS = {
         silence=13,
     ),
     "robstride": Variant(
-        {
-            "rs-02": Ranges(FOUR_PI, 44.0, 17.0),
-            "rs-03": Ranges(FOUR_PI, 50.0, 60.0),
-        },
-        ROBSTRIDE_FAULTS,
+        {"rs-02": Ranges(FOUR_PI, 44.0, 17.0), "rs-03": Ranges(FOUR_PI, 50.0, 60.0)}, ROBSTRIDE_FAULTS
     ),
 }
 """`drives.options.variant`."""

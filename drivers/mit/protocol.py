@@ -147,7 +147,6 @@ class MitProtocol(MitFamily):
     number_at = 0, ANY
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         super().__init__(bus, drives, (6, 12))
         variant, host, end = self.variant, self.host, self.ranges.torque
         known, damiao = VARIANTS[variant], variant == "damiao"

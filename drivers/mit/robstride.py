@@ -68,7 +68,6 @@ class RobStrideProtocol(MitFamily):
     fault_names, fault_bits = ROBSTRIDE_FAULTS, True
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        """Take the sections. Raises ConfigurationError for what such drives do not have or cannot carry."""
         super().__init__(bus, drives, (IN_IDENTIFIER, 16))
         self.torque_limit = self.ranges.torque
         self.refuse_nodes(1, 127, "variant robstride")

@@ -57,7 +57,6 @@ from hil.trajectory.time_optimal import plan
 from plant_fmu.config import BenchPlant
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
-from plant_fmu.plants import open_plant
 
 if TYPE_CHECKING:  # what only those need who run or record is imported then
     from hil.estimation.fusion import FusedEstimator
@@ -262,7 +261,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         p0=p,
         R0=R,
     )
-    plant = open_plant(c.plant.model, robot, c.folder or Path())
+    plant = c.plant.model.open(robot, c.folder or Path())
     try:
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)

@@ -29,7 +29,6 @@ class Cia402Drives(DrivesEnd):
     """Six drives. Mutable state: their elements of DEVICE."""
 
     def __init__(self, family: Any) -> None:
-        """Power the drives of a `drivers.cia402.protocol.Cia402Protocol` up."""
         d: Any = np.zeros((), kernels.DEVICES)
         super().__init__(d, kernels.parse, kernels.answer, kernels.report)
         for name in ("nodes", "N_per_permille", "buses", "bus_of"):
@@ -81,7 +80,6 @@ class Cia402Drives(DrivesEnd):
         self.say(leg, Frame(base + self.nodes[leg], data, BUS * self._bus_of[leg]))
 
     def _on_nmt(self, leg: int, command: int) -> None:
-        """Follow an NMT command that addresses a drive."""
         d = self.state[leg]
         if d["nmt"] == o.BOOTS:
             return

@@ -116,7 +116,6 @@ def control(c: Any, leg: int, word: int, messages: int) -> int:
 
 @helper
 def _carried(d: Any, k: int, data: Any) -> tuple[int, int, int]:
-    """Return controlword, target torque and mode of operation after an RPDO."""
     at, word, torque, mode = 0, d.values[_WORD], d.values[_TARGET], d.values[_MODE]
     for j in range(d.counts[0, k]):
         what = d.places[0, k, j]

@@ -97,7 +97,6 @@ def _to_report(n: Any, leg: int) -> None:
 
 @helper
 def _fail(n: Any, legs: Any, fault: int) -> int:
-    """Let drives fault now."""
     status = move_to(n, n.t_ns)
     for leg in legs:
         if status == r.DONE and fail(n, leg, fault, n.t_ns):

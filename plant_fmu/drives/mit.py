@@ -103,7 +103,6 @@ class MitDrives(drives.MotorDrives):
     obey, encode = obey, encode
 
     def __init__(self, family: Any) -> None:
-        """Power them up."""
         self.codes = CODES.get(family.variant, {})
         super().__init__(family)
 

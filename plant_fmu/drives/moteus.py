@@ -47,7 +47,6 @@ def ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
 
 @helper
 def _take_torque(d: Any, leg: int, values: Array, messages: int) -> int:
-    """Take a command of position mode."""
     torque, most, timeout_s = values[1], values[4], values[5]
     if np.isnan(torque) or most <= 0.0 or values[2] != 0.0 or values[3] != 0.0:
         return drives.rejects(leg, messages)
@@ -88,7 +87,6 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 
 @helper
 def _is_known(name: int) -> bool:
-    """Tell whether a register is the firmware's version or the serial number."""
     return name == k.FIRMWARE or k.SERIAL_NUMBER <= name < k.SERIAL_NUMBER + 3
 
 

@@ -142,7 +142,6 @@ def parse(d: Any, frame_address: int, messages: int) -> int:
 
 @helper
 def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
-    """Fill in what a drive reads; tell whether these are numbers."""
     state = reading.state[leg] & ~INVALID
     said.leg, said.runs, said.fails, said.fault = leg, state == _RUNS, state == _FAILS, reading.fault[leg]
     said.code = d.codes[said.fault] if said.fails else 0
@@ -196,7 +195,6 @@ class MotorDrives(ends.DrivesEnd):
     """What is sent for a fault of the drive's own, and for others."""
 
     def __init__(self, family: Any) -> None:
-        """Power the drives of a `drivers.motors.MotorProtocol` up."""
         d: Any = np.zeros((), DEVICES)
         super().__init__(d, parse, answer, self.beat)
         self.family = family

@@ -132,7 +132,6 @@ class Nodes:
         return self._drives.out[: self._record["sent"]]
 
     def _decide(self, status: int) -> None:
-        """Do what the pass has stopped for."""
         n = self._record
         t_ns = int(n["t_ns"])
         match status:
@@ -221,7 +220,6 @@ class Nodes:
         self._record["wrench"] = wrench
 
     def _know(self) -> Truth | None:
-        """Return the plant's truth, asked for once per instant."""
         k = int(self._record["k"])
         if self._truth_k != k:
             self._truth = self._plant.truth()

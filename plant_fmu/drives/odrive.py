@@ -21,7 +21,6 @@ _STATE, _CONTROL_MODE = 0, 1
 
 @helper
 def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
-    """Take an axis state that is asked for."""
     state, held, count = whole(data, 0), d.registers[leg], 0
     if state not in (o.IDLE, o.CLOSED_LOOP):
         return drives.rejects(leg, messages)

@@ -4,17 +4,7 @@ import numpy as np
 
 from drivers.signals import LEGS
 
-(
-    DONE,
-    PLANT,
-    UNSORTED,
-    FULL,
-    EDGE,
-    PARSE,
-    BEFORE_READING,
-    AFTER_READING,
-    ANSWER,
-) = range(9)
+(DONE, PLANT, UNSORTED, FULL, EDGE, PARSE, BEFORE_READING, AFTER_READING, ANSWER) = range(9)
 """Why the pass ends: all is done; the plant refuses; the frames are not in the order of time; there is no
 room for what is sent; a fault of the plan begins or ends at `t_ns`; a frame is not decoded; something acts
 before or after the encoders are read; what is read is not a number."""

@@ -105,7 +105,6 @@ class SensedNodes(Nodes):
         return both[np.argsort(both["t_ns"], kind="stable")]
 
     def _sense(self, t_ns: int) -> None:
-        """Let the sensors act that do at `t_ns`."""
         truth, grid_ns = self._know(), self._grid_ns()
         if truth is None:
             raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")

@@ -17,17 +17,9 @@ from drivers.section import Section
 from drivers.signals import LEGS
 
 Moment = Literal[
-    "IDLE",
-    "LOADING",
-    "RELEASING",
-    "APPROACH",
-    "TRACKING",
-    "HOLD",
-    "STOPPING",
-    "PARKING",
-    "UNLOADING",
-    "PARKED",
-]
+    "IDLE", "LOADING", "RELEASING", "APPROACH", "TRACKING",
+    "HOLD", "STOPPING", "PARKING", "UNLOADING", "PARKED",
+]  # fmt: skip
 """Modes of the controller; HOLD: the reference is at rest in TRACKING."""
 NEVER_NS = 1 << 62
 Effect = tuple[str, Callable[[Any, Any], Any] | None, object]

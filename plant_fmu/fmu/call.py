@@ -81,7 +81,6 @@ def _fetch(fmu: Any) -> int:
 
 @helper
 def _do_step(fmu: Any, t_s: float, dt_s: float) -> int:
-    """Step from `t_s` by `dt_s` and return the FMU's status."""
     at = np.int64(fmu.flags.ctypes.data)
     counted = (at, at + 1, at + 2, np.int64(fmu.last.ctypes.data))
     return _called(fmu, fmu.step, (t_s, dt_s, np.int32(1)), counted)  # 1: no step is ever taken back

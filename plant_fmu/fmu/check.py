@@ -91,8 +91,6 @@ def stated_unit(variable: Any) -> str | None:
 
 
 class _Reader:
-    """Looks variables up by name and says what is wrong with them."""
-
     def __init__(self, description: Any, spec: FmuSpec) -> None:
         self.path = spec.path
         self.assume_unit = spec.assume_unit

@@ -15,6 +15,7 @@ import sys
 import tempfile
 import threading
 from multiprocessing.connection import Connection, Pipe
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,9 +23,10 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.child_process import start
 from drivers.errors import HilError, PlantError
-from plant_fmu.fmu.check import FmuSpec
+from plant_fmu.config import FmuPlant
+from plant_fmu.fmu.check import FmuSpec, fmu_spec
 from plant_fmu.fmu.host import FmuHost
-from plant_fmu.plant import Plant, Truth
+from plant_fmu.plant import Plant, Robot, Truth
 
 START_TIMEOUT_S = 60.0
 STEP_TIMEOUT_S = 5.0
@@ -82,7 +84,6 @@ class ChildHost:
         return PlantError(reason)
 
     def _ask(self, question: Any, timeout_s: float, what: str) -> Any:
-        """Return the child's answer; pass its refusal on."""
         if self._ended is not None:
             raise PlantError(self._ended)
         try:
@@ -147,6 +148,11 @@ class ChildHost:
 def host(spec: FmuSpec) -> Plant:
     """Load an FMU where its isolation says. Raises PlantError."""
     return FmuHost(spec) if spec.isolation == "in_process" else ChildHost(spec)
+
+
+def fmu_plant(model: FmuPlant, _: Robot, folder: Path) -> Plant:
+    """Host the user's FMU. Raises PlantError."""
+    return host(fmu_spec(model, folder))
 
 
 def _follow(child: int) -> None:

@@ -69,7 +69,6 @@ _read_at = kernel(record(WIRES), VECTOR, VECTOR, OUT_VECTOR, OUT_VECTOR)(_read)
 
 @pointed(record(WIRES), *[INTEGER] * 5)
 def _move(w: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """As `Moved.move`: what the drives see and do."""
     at_leg, held, reads = np.empty(LEGS), np.empty(LEGS), reals_at(measured, 2 * LEGS)
     _connect(w, reals_at(force, LEGS), reals_at(brake, LEGS), at_leg, held)
     given = np.int64(at_leg.ctypes.data), np.int64(held.ctypes.data)
@@ -81,7 +80,6 @@ def _move(w: Any, force: int, brake: int, wrench: int, steps: int, measured: int
 
 @pointed(record(WIRES), INTEGER)
 def _applied(_w: Any, _force: int) -> int:
-    """As `Moved.applied`: what cables carry is not known."""
     return 0
 
 

@@ -15,16 +15,14 @@ from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
-from drivers.cache_folder import cache_folder
 from drivers.errors import PlantError
-from drivers.files import made_folder, whole_file
+from drivers.files import cache_folder, made_folder, whole_file
 from plant_fmu.stewart.description import (
     COMPILER_OPTIONS,
     MODEL_IDENTIFIER,
     FmiVersion,
     build_description,
     model_description,
-    terminals,
 )
 from plant_fmu.stewart.variables import header, tables
 
@@ -151,7 +149,6 @@ def _pack(
     members = {"modelDescription.xml": model_description(version, guid, units)}
     if version == "3.0":
         members["sources/buildDescription.xml"] = build_description(units)
-        members["terminalsAndIcons/terminalsAndIcons.xml"] = terminals()
     members |= {f"sources/{name}": data for name, data in sorted(sources.items())}
     for key, data in binaries.items():
         target = TARGETS[key]

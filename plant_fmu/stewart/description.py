@@ -1,4 +1,4 @@
-"""Model descriptions for FMI 2.0 and 3.0, build description and terminals, from the variable table."""
+"""Model descriptions for FMI 2.0 and 3.0, and build description, from the variable table."""
 
 from collections.abc import Sequence
 from typing import Literal
@@ -63,7 +63,6 @@ _VARIABILITY: dict[table.Causality, dict[str, str]] = {
 
 
 def _value(kind: str, start: Sequence[float] | None) -> dict[str, str]:
-    """Return type, unit and start value of a variable or an element."""
     value = {} if kind == "Mixed" else {"declaredType": kind}
     if unit := table.TYPES[kind].unit:
         value["unit"] = unit
@@ -157,35 +156,7 @@ def build_description(sources: Sequence[str]) -> bytes:
     """Return sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=MODEL_IDENTIFIER)
-    files = ET.SubElement(
-        configuration,
-        "SourceFileSet",
-        language="C99",
-        compilerOptions=COMPILER_OPTIONS,
-    )
+    files = ET.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions=COMPILER_OPTIONS)
     for name in sources:
         ET.SubElement(files, "SourceFile", name=name)
     return _text(root)
-
-
-def terminals() -> bytes:
-    """Return terminalsAndIcons.xml of FMI 3.0: one terminal per leg and one for the platform.
-
-    A terminal member names a whole array variable; which element belongs to the leg is in its member name.
-    """
-    root = ET.Element("fmiTerminalsAndIcons", fmiVersion="3.0")
-    group = ET.SubElement(root, "Terminals")
-    for leg in range(1, 7):
-        names = ("force", "brake", "length", "rate", "applied_force")
-        members = {f"{name}[{leg}]": name for name in names}
-        _terminal(group, f"leg{leg}", f"Drive and encoder of leg {leg}", members)
-    names = ("wrench", "position", "rotation", "twist", "acceleration")
-    _terminal(group, "platform", "Motion of the platform, wrench on it", dict(zip(names, names, strict=True)))
-    return _text(root)
-
-
-def _terminal(group: ET.Element, name: str, description: str, members: dict[str, str]) -> None:
-    terminal = ET.SubElement(group, "Terminal", name=name, matchingRule="plug", description=description)
-    for member, variable in members.items():
-        about = {"variableName": variable, "memberName": member, "variableKind": "signal"}
-        ET.SubElement(terminal, "TerminalMemberVariable", about)

@@ -48,7 +48,7 @@ def stewart_parameters(settings: StewartPlant, robot: Robot) -> dict[str, Parame
     return parameters
 
 
-def stewart_plant(settings: StewartPlant, robot: Robot) -> Plant:
+def stewart_plant(settings: StewartPlant, robot: Robot, *_: object) -> Plant:
     """Build our FMU (or take it from the cache) and host it with `stewart_parameters`; `truth()` is known.
 
     Raises PlantError: no compiler, a robot without meaning, an initial pose outside the strokes.

@@ -61,11 +61,7 @@ def _drives(protocol: Any) -> tuple[DrivesEnd, Any]:
 
 
 def decode(
-    protocol: Any,
-    frames: Sequence[Received],
-    tick: int,
-    last: Record | None = None,
-    since_ns: int = ALWAYS,
+    protocol: Any, frames: Sequence[Received], tick: int, last: Record | None = None, since_ns: int = ALWAYS
 ) -> Any:
     """Return the record of a tick with what the drives said since the last one, FIRST if there is none."""
     record = new_record()

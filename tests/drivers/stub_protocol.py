@@ -23,24 +23,8 @@ from drivers.controller_end import ControllerEnd
 from drivers.errors import ConfigurationError, ProtocolError
 from drivers.family import Family
 from drivers.frame_array import FRAME, NO_FRAMES, received_frames, sent_array
-from drivers.protocol import (
-    ERROR,
-    EXTENDED,
-    REMOTE,
-    SINGLE,
-    DriveSetup,
-    Frame,
-    Resolution,
-    Traits,
-)
-from drivers.signals import (
-    INVALID,
-    LEGS,
-    NEVER,
-    DriveMode,
-    DriveState,
-    Reaction,
-)
+from drivers.protocol import ERROR, EXTENDED, REMOTE, SINGLE, DriveSetup, Frame, Resolution, Traits
+from drivers.signals import INVALID, LEGS, NEVER, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, tick_at
 from plant_fmu.drives import ends
 from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd

@@ -36,15 +36,6 @@ def sends(bus: Bus, *frames: Frame) -> int:
     return bus.send(sent_array(frames))
 
 
-def test_refused_frames_are_counted_and_nothing_is_not_sent():
-    bus, link, _ = one()
-    for takes, refused in ((2, 0), (1, 1), (0, 2)):
-        link.takes = takes
-        assert sends(bus, *PAIR) == refused
-    link.calls.clear()
-    assert (sends(bus), link.calls) == (0, [])
-
-
 def test_a_bus_that_takes_nothing_for_50_ms_is_off_until_it_takes_a_frame():
     bus, link, clock = one()
     link.takes = 0
@@ -60,21 +51,6 @@ def test_a_bus_that_takes_nothing_for_50_ms_is_off_until_it_takes_a_frame():
     clock.t_ns += 50_000_000
     sends(bus, *PAIR)
     assert bus.events().off == 0, "refused for no time"
-
-
-def test_a_bus_that_goes_off_drops_its_waiting_frames_once_each_time():
-    bus, link, _ = one()
-    for off, state, seen, dropped in (
-        (False, BusState.PASSIVE, 0, 0),
-        (True, BusState.PASSIVE, 1, 1),
-        (True, BusState.ACTIVE, 1, 1),
-        (False, BusState.ACTIVE, 0, 1),
-        (False, BusState.OFF, 1, 2),
-    ):
-        link.off, link.state = off, state
-        events = bus.events()
-        assert (events.off, events.state) == (seen, state)
-        assert link.calls.count("died") == dropped
 
 
 def test_error_frames_and_losses_are_counted_and_not_returned():

@@ -9,12 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.can.arbitration import priority
-from drivers.can.bus_time import (
-    FD_LENGTHS,
-    BitTiming,
-    frame_bits,
-    frame_time_ns,
-)
+from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_bits, frame_time_ns
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame

@@ -16,9 +16,9 @@ import numba
 import pytest
 from llvmlite import binding
 
-from drivers.cache_folder import cache_folder
 from drivers.compiled import cache
 from drivers.compiled.compiler import OPTIONS, REAL, kernel
+from drivers.files import cache_folder
 from tools.compile_kernels import PACKAGES, modules
 
 ROOT = Path(__file__).parents[2]
@@ -162,16 +162,6 @@ def test_without_a_folder_to_write_a_kernel_is_compiled_in_each_process(package,
     (package.folder.parent / "file").touch()
     monkeypatch.setattr(cache, "CACHE_FOLDER", package.folder.parent / "file")
     assert [package.compiles(), package.compiles()] == [True, True]
-
-
-def test_a_closure_is_kept_nowhere():
-    inner = 2.0
-
-    def closure(x):
-        return inner * x
-
-    assert cache.place_of(closure, "kind") is None
-    assert cache.place_of(imported, "kind") != cache.place_of(imported, "other kind")
 
 
 def test_a_loaded_kernel_computes_raises_and_serves_other_kernels(package, monkeypatch):

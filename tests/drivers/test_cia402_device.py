@@ -25,13 +25,11 @@ from hil.contracts.messages import (
     Sync,
 )
 from plant_fmu.drives.cia402_dictionary import PLACE
-from tests.drivers.cia402_drives import changed, drives, holding, made
-from tests.drivers.motor_families import UNLIKE, UNLIKE_GEAR
+from tests.drivers.cia402_drives import changed, drives, holding
 
 LEG, NODE = 3, 4
 P = ByValue(drives((1, 2, 3, NODE, 5, 6), lead_m=2 * np.pi * 9e-3 / 2.5, counts_per_turn=4096))
 """Force at leg 3 of a permille: -2.5 N."""
-NEW = P.power_up()
 ALL_RUN = np.full(6, DriveState.RUN)
 HELD = holding(P.protocol, ALL_RUN)
 OFF, READY, RUN, RESET = DriveMode
@@ -72,25 +70,11 @@ def control(memory: Remembered, word: int, torque: int = 0) -> tuple[Remembered,
     return given(memory, 0x200 + NODE, struct.pack("<Hh", word, torque))
 
 
-def on_sdo(memory: Remembered, text: str) -> tuple[Remembered, list[Any]]:
-    return given(memory, 0x600 + NODE, bytes.fromhex(text))
-
-
 def report(
     memory: Remembered, state: DriveState, fault: DriveFault = DriveFault.NONE
 ) -> tuple[Remembered, list[str]]:
     memory, frames = P.report(memory, Status(LEG, int(state), int(fault)))
     return memory, [f"{frame.id:x} {frame.data.hex()}" for frame in frames]
-
-
-def test_new_drive_boots_into_pre_operational_and_a_boot_loses_its_set_up():
-    memory, sent = report(NEW, DriveState.BOOT)
-    assert (field(memory, "nmt"), field(memory, "state"), sent) == (127, State.DISABLED, ["704 00"])
-    assert report(memory, DriveState.BOOT)[1] == []
-    again, _ = report(drive(objects={o.CONTROLWORD: 15, o.TARGET_TORQUE: 3}), DriveState.BOOT)
-    assert again.values[LEG] == memory.values[LEG]
-    beats = drive(objects={o.PRODUCER_HEARTBEAT: 24}, nmt=4)
-    assert report(beats, DriveState.RUN)[1] == ["704 04"], "a heartbeat with its NMT state"
 
 
 @pytest.mark.parametrize(
@@ -189,84 +173,10 @@ def test_pdo_is_taken_in_operational_and_a_cut_one_is_refused_with_an_emcy():
 # SDO
 
 
-REPLIES = """
-4060600000000000:4f6060000a000000 4041600000000000:4b41600037020000 4064600000000000:43646000feffffff
-4077600000000000:4b776000fcff0000 4071600000000000:4b71600032000000 403f600000000000:4b3f600030810000
-4000210000000000:8000210000000206 4060600100000000:8060600111000906 2f6060000a000000:6060600000000000
-2260600004000000:6060600000000000 2f60600003000000:8060600030000906 2b60600004000000:8060600012000706
-2f17100001000000:8017100013000706 2060600004000000:8060600012000706 2f61600001000000:8061600002000106
-6060600004000000:8060600001000405 a060600004000000:8060600001000405
-"""
-
-
-@pytest.mark.parametrize(("request_", "reply"), [each.split(":") for each in REPLIES.split()])
-def test_request_is_answered_by_its_value_its_confirmation_or_its_abort_code(request_, reply):
-    read = {o.POSITION: -2, o.TORQUE: -4, o.ERROR_CODE: 0x8130, o.TARGET_TORQUE: 50}
-    memory = drive(objects=read)
-    assert on_sdo(memory, request_)[1] == [reply]
-    for nmt in (0, 4):
-        assert on_sdo(memory._replace(nmt=nmt), request_)[1] == []
-    assert on_sdo(memory, "8060600000000206")[1] == [], "an abort of the client"
-    assert on_sdo(memory, "40606000000000")[1] == [Rejected()]
-
-
-def test_write_acts_as_its_object_does():
-    memory, found = on_sdo(drive(objects={o.TARGET_TORQUE: 100}), "2b4060000f000000")
-    assert found == [command(RUN, 9, -250.0), "6040600000000000"]
-    assert raw(memory, o.CONTROLWORD) == 0x0F
-    memory, found = on_sdo(drive(), "2b7160009cff0000")
-    assert (raw(memory, o.TARGET_TORQUE), found) == (-100, ["6071600000000000"])
-    configured = [Configure(LEG, 0.1, Reaction.DAMP), "6016100100000000"]
-    assert on_sdo(drive(), "2316100164007f00")[1] == configured
-    assert on_sdo(drive(started=False), "2316100164007f00")[1] == configured[1:]
-    assert on_sdo(drive(), "2b5e600000000000")[1] == [Configure(LEG, 1e6, Reaction.BRAKE), "605e600000000000"]
-
-
 # reports
 
 
-@pytest.mark.parametrize(
-    ("fault", "emcy"),
-    [
-        (DriveFault.WATCHDOG, "3081110000000000"),
-        (DriveFault.OVERFORCE, "1183010000000000"),
-        (DriveFault.SENSOR, "0573010000000000"),
-        (DriveFault.STROKE, "1286010000000000"),
-        (DriveFault.ESTOP, ""),
-    ],
-)
-def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault, emcy):
-    memory = drive(objects={o.COMMUNICATION_ERROR: 1})
-    for _ in range(2):
-        for state, data in ((DriveState.FAULT, emcy), (DriveState.OFF, "0000000000000000")):
-            sent = []
-            for _ in range(3):
-                memory, more = report(memory, state, fault if state == DriveState.FAULT else DriveFault.NONE)
-                sent += more
-            assert sent == ([f"84 {data}"] if emcy else [])
-    assert (raw(memory, o.ERROR_CODE), raw(memory, o.ERROR_REGISTER)) == (0, 0)
-    for reaction, nmt, after in ((0, 5, 127), (1, 5, 5), (0, 4, 4)):
-        memory, _ = report(drive(objects={o.COMMUNICATION_ERROR: reaction}, nmt=nmt), DriveState.FAULT, fault)
-        assert field(memory, "nmt") == (after if fault == DriveFault.WATCHDOG else nmt)
-
-
 # six drives behind one bus
-
-
-def test_each_drive_answers_with_its_own_position_speed_and_torque():
-    protocol, six = ByValue(made((1, 2, 3, 4, 5, 6), UNLIKE_GEAR, force_limit_N=100.0)), np.arange(1.0, 7.0)
-    sign = np.array([1, -1, 1, 1, -1, 1])
-    length, rate, force = UNLIKE.length(0.001 * six), UNLIKE.rate(0.002 * six) * sign, 3.0 * UNLIKE.N_per_Nm
-    _, sent = protocol.answer(holding(protocol.protocol, ALL_RUN), Sync(0), length, rate, force, ALL_RUN)
-    places = {leg: struct.unpack("<Hih", f.data) for leg, f in sent if len(f.data) == 8}
-    speeds = {leg: struct.unpack("<i", f.data)[0] for leg, f in sent if len(f.data) == 4}
-    counts = UNLIKE.counts
-    assert [places[leg][1] for leg in range(6)] == np.rint(counts * 0.001 * six).tolist()
-    assert [speeds[leg] for leg in range(6)] == np.rint(counts * 0.002 * six * sign).tolist()
-    # 3 N m without losses are 333.3 thousandths of 9 N m
-    shares = UNLIKE.torque(force, rate) / 3.0
-    assert len({round(share, 3) for share in shares}) > 2
-    assert [places[leg][2] for leg in range(6)] == np.rint(1e3 / 3.0 * shares).tolist()
 
 
 def test_only_drives_that_run_and_have_a_position_answer():

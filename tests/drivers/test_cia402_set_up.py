@@ -119,14 +119,6 @@ def test_most_torque_is_that_of_the_weakest_leg_within_16_bits():
     assert max_torque(65534.5, [1.0]) == max_torque(1e6, [1.0]) == 65535
 
 
-@pytest.mark.parametrize("leg", range(LEGS))
-def test_drive_of_the_weakest_leg_may_give_the_rated_force(leg):
-    for name, own, others in (("lead_m", 0.04, 0.02), ("gear_ratio", 0.5, 1.0), ("efficiency", 0.5, 1.0)):
-        protocol = drives(**{name: [own if each == leg else others for each in range(LEGS)]})
-        # 10 kN of 2 pi 9 N m / 0.04 m = 1413.7 N a thousandth
-        assert values(protocol, "write", o.MAX_TORQUE) == [[int(10_000 / 1.41372) + 1]] * LEGS
-
-
 # whose turn it is
 
 
@@ -168,14 +160,6 @@ def asked(frames: tuple[Frame, ...]) -> list[int]:
 def of(end: ends.Cia402End, name: str) -> list[int]:
     found: list[int] = end.state[name].tolist()
     return found
-
-
-@pytest.mark.parametrize(("number", "legs"), [(0, [0, 1, 2]), (1, [3, 4, 5]), (2, [0, 1, 2]), (3, [3, 4, 5])])
-def test_three_drives_are_asked_in_a_tick_in_turn(number, legs):
-    end = begun()
-    assert asked(sent(end, number)) == legs
-    assert of(end, "asked") == [number if leg in legs else -1 for leg in range(6)]
-    assert of(end, "tries") == [int(leg in legs) for leg in range(6)]
 
 
 def test_drives_that_are_done_or_wait_or_are_powered_are_passed_over():
@@ -270,15 +254,6 @@ def same(end: ends.Cia402End, other: ends.Cia402End) -> bool:
     return all(of(end, name) == of(other, name) for name in ("at", "asked", "tries", "refused"))
 
 
-def test_answer_leads_its_drive_alone_to_the_next_step():
-    for leg_at, data in ((0, read(7)), (0, read(0xAB07)), (1, WROTE)):
-        end = at(leg_at)
-        assert answered(end, data)["rejected"] == 0
-        assert of(end, "at") == [0, 0, leg_at + 1, 0, 0, 0]
-        assert of(end, "asked") == [9, 9, -1, 9, 9, 9]
-        assert of(end, "tries") == [1, 1, 0, 1, 1, 1]
-
-
 def test_answer_to_another_request_changes_nothing_or_is_rejected():
     others = (0, WROTE), (1, read(7)), (1, read(10, 0x6060)), (0, read(7, 0x1001)), (2, read(1)), (3, read(7))
     for leg_at, data in (*others, (2, read(1, 0x000C))):
@@ -325,13 +300,6 @@ def test_refusal_is_kept_until_the_drive_is_set_up_and_waits_its_patience():
     assert "abort 0x05040001" in end.lacks()[2], "an unknown command, where no code is given"
 
 
-def test_another_value_is_reported_in_the_bits_that_count():
-    end = at(0)
-    answered(end, read(0xAB08))
-    assert "device type is 8, expected 7" in end.lacks()[2]
-    assert (of(end, "at")[2], of(end, "asked")[2]) == (0, 100)
-
-
 @pytest.mark.parametrize(("code", "passes"), [(0x06020000, True), (0x06090011, True), (0x06090030, False)])
 @pytest.mark.parametrize("optional", [False, True])
 def test_missing_object_is_passed_over_where_it_is_optional(code, passes, optional):
@@ -339,8 +307,3 @@ def test_missing_object_is_passed_over_where_it_is_optional(code, passes, option
     answered(end, bytes.fromhex("80001000") + code.to_bytes(4, "little"))
     found = of(end, "at")[2], "refused" in end.lacks()[2]
     assert found == ((1, False) if passes and optional else (0, True))
-
-
-def test_drive_that_was_started_lacks_its_tpdo_and_one_before_its_answer():
-    assert "no TPDO" in at(2).lacks()[2]
-    assert "no answer to 5 requests for 0x6060:0" in at(1).lacks()[2]

@@ -17,20 +17,11 @@ import drivers
 from drivers.config import BusSettings, SensorSettings, TrackerSettings
 from drivers.legs.messages import COMMANDS
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import BRS, ESI, FD, Frame, Received
+from drivers.protocol import Frame, Received
 from drivers.sensors import SensorProtocol
-from drivers.signals import NEVER, Command, DriveMode, DriveState, Foreign, Reaction
-from hil.contracts.drives_end import reports
-from hil.contracts.messages import DeviceCommand, EmergencyStop, Rejected, Status
-from tests.drivers.legs_frames import (
-    bitwise_crc,
-    command_frames,
-    decode,
-    one_feedback,
-    opening,
-    parse,
-    resealed,
-)
+from drivers.signals import NEVER, Command, DriveMode, DriveState, Reaction
+from hil.contracts.messages import DeviceCommand, Rejected
+from tests.drivers.legs_frames import bitwise_crc, command_frames, decode, one_feedback, parse, resealed
 
 HERE = Path(drivers.__file__).parent
 DATABASES: list[Any] = [cantools.database.load_file(HERE / name) for name in ("legs/legs.dbc", "sensors.dbc")]
@@ -121,51 +112,7 @@ def test_fd_attributes_and_cycle_times():
 # frames of a tick
 
 
-@all_layouts
-def test_node_numbers_move_identifiers_and_keep_legs(layout):
-    protocol = LegsProtocol(layout, (127, 20, 30, 40, 50, 1))
-    base = {"classic": 0x180, "fd": 0x280, "ideal": 0x380}[layout]
-    frames = [one_feedback(protocol, leg, 1.0 + leg, 0.0, 0.0, 1, 3) for leg in range(6)]
-    assert [frame.id - base for frame in frames] == [127, 20, 30, 40, 50, 1]
-    assert decode(protocol, received(*frames), 3)["length"].tolist() == [1, 2, 3, 4, 5, 6]
-    configs = protocol.configure(0.01, Reaction.DAMP)
-    assert [frame.id - 0x600 for frame in configs] == [127, 20, 30, 40, 50, 1]
-    assert reports(protocol, Status(1, 1, 0))[0].id == 0x714
-
-
-@pytest.mark.parametrize(
-    ("layout", "lengths"),
-    [
-        ("classic", [2, 8, 8, 8, 8, 8, 8, 8, 8]),
-        ("fd", [2, 32, 12, 12, 12, 12, 12, 12]),
-        ("ideal", [2, 64, 32, 32, 32, 32, 32, 32]),
-    ],
-)
-def test_cyclic_frames_are_those_of_one_tick(layout, lengths):
-    frames = P[layout].traits.cyclic_frames
-    assert [len(frame.data) for frame in frames] == lengths
-    assert len({frame.id for frame in frames}) == len(frames)
-    assert P[layout].traits.feedback_ids < {frame.id for frame in frames}
-    assert {frame.flags for frame in frames[1:]} == {0 if layout == "classic" else FD | BRS}
-
-
 # what does not fit
-
-
-@pytest.mark.parametrize(
-    ("layout", "ends"),
-    [
-        ("classic", (214.7483647, 3.2767, 0.0)),
-        ("fd", (214.7483647, 214.7483647, 122_876.25)),
-        ("ideal", (1e9, 1e9, 1e9)),
-    ],
-)
-def test_a_drive_saturates_what_its_feedback_cannot_carry(layout, ends):
-    frame = one_feedback(P[layout], 2, 1e12, np.inf, 1e12, DriveState.RUN, 0)
-    measurement = decode(P[layout], received(frame), 0)
-    got = (measurement["length"][2], measurement["rate"][2], measurement["drive_force"][2])
-    assert got == pytest.approx(ends, rel=1e-12)
-    assert measurement["rejected"] == 0
 
 
 # decode: what is refused
@@ -209,43 +156,6 @@ def test_a_status_that_is_cut_damaged_or_of_an_unknown_state_is_refused(data):
         assert measurement["drive_fault"].tolist() == [0] * 6
 
 
-def test_a_tick_reports_all_its_doubled_altered_and_foreign_frames():
-    protocol = P["fd"]
-    frames = [feedback("fd", 5, leg=leg, length=length) for length in (1.5, 1.6) for leg in (1, 4)]
-    frames += [reports(protocol, Status(leg, DriveState.OFF, 0, None))[0] for leg in (2, 5)]
-    frames += [reports(protocol, Status(3, DriveState.BOOT, 0, None))[0]]
-    frames += [*opening(protocol, 5), protocol.configure(0.01, Reaction.BRAKE)[0]]
-    m = decode(protocol, received(*frames), 5)
-    assert m["doubled"] == 1 << 1 | 1 << 4
-    assert m["altered"] == 1 << 2 | 1 << 5, "a drive that boots has none yet"
-    assert m["foreign"] == Foreign.SYNC | Foreign.CONFIG
-
-
-def test_other_identifiers_and_layouts_are_ignored():
-    others = Frame(0x555, b"\1"), Frame(0x200, b""), feedback("classic", 5), feedback("ideal", 5)
-    measurement = decode(P["fd"], received(*others, *opening(P["fd"], 5)), 5)
-    assert (measurement["rejected"], measurement["age"][0]) == (0, NEVER)
-    frame = feedback("fd", 5)
-    assert decode(P["fd"], received(frame._replace(flags=frame.flags | ESI)), 5)["age"][0] == 0
-
-
-@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
-def test_the_newer_of_two_feedbacks_wins_in_either_order(order):
-    frames = [feedback("fd", 8, length=1.8), feedback("fd", 7, length=1.7)]
-    measurement = decode(P["fd"], received(*(frames[i] for i in order)), 8)
-    assert (measurement["age"][0], measurement["rejected"]) == (0, 0)
-    assert measurement["length"][0] == pytest.approx(1.8)
-
-
-def test_decode_leaves_the_previous_measurement_alone():
-    before = decode(P["fd"], received(feedback("fd", 5)), 5)
-    kept = before.tobytes()
-    frames = received(feedback("fd", 6, length=2.0), *reports(P["fd"], Status(0, 4, 2)))
-    after = decode(P["fd"], frames, 6, before)
-    assert before.tobytes() == kept
-    assert (after["length"][0], after["drive_fault"][0]) == (2.0, 2)
-
-
 # device side
 
 
@@ -275,17 +185,6 @@ def test_a_senseless_configuration_is_refused_by_the_drives(at, byte):
     frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: byte 0 alone holds the watchdog
     assert isinstance(parse(P["fd"], resealed(frame, at, bytes([byte]))), Rejected)
     assert isinstance(parse(P["fd"], damaged(frame, 3)), Rejected)
-
-
-@pytest.mark.parametrize("data", [b"", b"\0", b"\x55\xaa"])
-def test_an_emergency_stop_counts_whatever_it_carries(data):
-    assert parse(P["fd"], Frame(0x001, data)) == EmergencyStop()
-
-
-def test_drives_ignore_what_is_not_for_them():
-    assert parse(P["fd"], feedback("fd", 1)) is None
-    assert parse(P["fd"], Frame(0x100, bytes(8))) is None
-    assert isinstance(parse(P["fd"], Frame(0x080, b"")), Rejected)
 
 
 # round trips
@@ -351,11 +250,3 @@ def test_command_round_trip_and_cantools_agree(layout, force, mode, tick):
     assert sorted(back) == [0, 1, 2, 3, 4, 5]
     for leg in range(6):
         assert abs(back[leg] - force[leg]) <= FORCE_RESOLUTION[layout] / 2 * (1 + 1e-6)
-
-
-@given(st.floats(1e-6, 4000), st.sampled_from(Reaction))
-def test_configuration_round_trip(watchdog_s, reaction):
-    for leg, frame in enumerate(P["fd"].configure(watchdog_s, reaction)):
-        parsed: Any = parse(P["fd"], frame)
-        assert (parsed.leg, parsed.reaction) == (leg, reaction)
-        assert parsed.watchdog_s == pytest.approx(watchdog_s, abs=0.51e-6)

@@ -11,7 +11,7 @@ from drivers.errors import ConfigurationError, ProtocolError
 from drivers.frame_array import received_array
 from drivers.legs.messages import set_up_checksum
 from drivers.legs.protocol import LegsProtocol
-from drivers.protocol import ALL_LEGS, BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
+from drivers.protocol import BUS, ERROR, EXTENDED, REMOTE, DriveSetup, Frame, Received
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from hil.contracts.by_value import ByValue, Remembered
@@ -153,29 +153,6 @@ def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
 # traits
 
 
-def test_the_own_protocol_has_its_traits():
-    t = P.traits
-    assert (t.command_delay_ticks, t.set_up_frames, t.reset_ticks, t.power_told) == (0, 1, 5, "feedback")
-    has = (t.stop_latches, t.force_on_brakes, t.has_watchdog, t.answers_name_sync, t.latches_together)
-    assert (has, t.shares_identifiers) == ((True,) * 5, False)
-    assert (t.unasked_s, t.dangers, t.reactions, t.reported_lengths) == (0.0, (), tuple(Reaction), None)
-    force = np.arange(6.0)
-    assert P.controller_end(SETUP).carried(force) is force
-
-
-def test_a_config_is_for_one_leg_and_sync_and_stop_are_for_all():
-    config = P.configure(0.0125, Reaction.HOLD)
-    assert [P.addressed(each) for each in config] == [(leg,) for leg in range(6)]
-    assert P.addressed(opening(P, 0)[0]) == P.addressed(P.traits.emergency_stop[0]) == ALL_LEGS
-    assert P.sender(config[0]) == -1
-
-
-@pytest.mark.parametrize("nodes", [(1, 2, 0, 4, 5, 6), (128, 2, 3, 4, 5, 6)])
-def test_nodes_are_numbers_of_1_to_127(nodes):
-    with pytest.raises(ConfigurationError, match="node_ids"):
-        LegsProtocol("fd", nodes)
-
-
 @pytest.mark.parametrize("rated_N", [0.000999, 0.001, 4294967.295, 4294967.296])
 def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
     if 0.001 <= rated_N <= 4294967.295:
@@ -209,31 +186,6 @@ def test_drives_refuse_a_frame_that_is_cut_repeated_or_of_another_sync():
     newer.tables["version"] = 3
     assert parse(P, newer.configure(0.0125, Reaction.HOLD)[2]) == Rejected()
     assert parse(P, placed(1, 2, 6, 4, 5, 3).configure(0.0125, Reaction.HOLD)[2]) == Rejected()
-
-
-@pytest.mark.parametrize(
-    ("layout", "low", "high", "beyond"),
-    [
-        ("classic", -32_768.0, 32_766.0, 2.0),
-        ("fd", -2_147_483.648, 2_147_483.647, 0.001),
-        ("ideal", -1e9, 1e9, 1.0),
-    ],
-)
-@pytest.mark.parametrize("leg", range(6))
-def test_a_force_reaches_its_drive_up_to_the_end_of_its_field(layout, low, high, beyond, leg):
-    protocol = LegsProtocol(layout, NODES, 32_000.0)
-    for force, outside in ((low, low - beyond), (high, high + beyond)):
-        six = np.zeros(6)
-        six[leg] = force
-        commands: list[Any] = [
-            parse(protocol, frame) for frame in command_frames(protocol, Command(DriveMode.RUN, six), 7)
-        ]
-        taken = [each for command in commands for each in command.force.tolist()]
-        assert taken == pytest.approx(six.tolist(), rel=1e-12)
-        assert {command.mode for command in commands} == {DriveMode.RUN}
-        six[leg] = outside
-        with pytest.raises(ProtocolError, match=f"does not fit layout {layout}"):
-            command_frames(protocol, Command(DriveMode.RUN, six), 7)
 
 
 def test_another_rated_force_has_another_checksum():

@@ -9,11 +9,7 @@ import pytest
 from drivers.can.bus import Bus
 from drivers.can.localcan.bench_clock import BenchClock
 from drivers.clock import Clock
-from drivers.signals import Command, DriveMode, DriveState
-from hil.contracts.messages import Alive, EmergencyStop, Sync
-from tests.drivers.cia402_drives import holding
 from tests.drivers.made_links import MadeLink, Standing
-from tests.drivers.test_several_buses import FAMILIES, FORCE, ODD, SETUP, family
 
 DEADLINE_NS = 900_000_000
 
@@ -81,27 +77,3 @@ def test_files_are_awaited_to_the_deadline_and_shortly_while_time_stands(
     waits_on(clock, deadline_ns, {"file": 0}, {"file": 9, **link})
     assert waits == ([([0, 9], [], [], wait_s)] if wait_s else [])
     assert clock.told == [deadline_ns, "works"]
-
-
-@pytest.mark.parametrize("name", FAMILIES)
-def test_sync_heartbeat_and_stop_of_one_bus_reach_its_drives_alone(name):
-    protocol = family(name, ODD)
-    dialogue, sent = protocol.start(SETUP), list(protocol.traits.emergency_stop)
-    for tick in range(60):
-        sent += protocol.begin(dialogue, tick)
-        dialogue, frames = protocol.command(dialogue, Command(DriveMode.OFF, 0.0 * FORCE), tick)
-        sent += frames
-    for bus, there in enumerate(ODD):
-        memory, heard = protocol.power_up(), set()
-        if name == "cia402":
-            memory = holding(protocol.protocol, [DriveState.READY] * 6)
-        for frame in sent:
-            if frame.bus == bus:
-                memory, messages = protocol.parse(memory, frame)
-                for each in messages:
-                    if isinstance(each, Sync | Alive | EmergencyStop):
-                        assert set(each.legs) <= set(there)
-                        heard.add(type(each))
-        assert Sync in heard
-        assert (EmergencyStop in heard) is (name in {"legs", "odrive"})
-        assert (Alive in heard) is (name == "cia402")

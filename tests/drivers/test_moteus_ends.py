@@ -6,11 +6,10 @@ import struct
 from math import inf, nan
 from typing import Any
 
-import numpy as np
 import pytest
 
-from drivers.moteus import READ, REPLY, STOP, WRITE, pad, torque_command
-from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
+from drivers.moteus import READ, REPLY, STOP, WRITE, pad
+from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
@@ -35,30 +34,6 @@ def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
         memory, messages = P.parse(memory, frame)
         found.append(plain(messages))
     return memory, found
-
-
-def test_drive_is_enabled_by_its_first_torque_and_resets_by_a_stop():
-    torque = to(4, torque_command(0.5, 2.0, 0.03))
-    memory, found = told(torque, to(4, torque_command(-0.25, 2.0, 0.04)), to(4, STOP), torque)
-    kept = round(float(np.float32(0.03)), 9)
-    assert found == [
-        (
-            Configure(4, kept, Reaction.DAMP),
-            command(4, READY, 1, 0.5 * PER[4]),
-            command(4, RUN, 2, 0.5 * PER[4]),
-            Sync(0, (4,)),
-        ),
-        (command(4, RUN, 3, -0.25 * PER[4]), Sync(0, (4,))),
-        (command(4, RESET, 4), Configure(4, 0.1, Reaction.DAMP), Sync(0, (4,))),
-        (
-            Configure(4, kept, Reaction.DAMP),
-            command(4, READY, 5, 0.5 * PER[4]),
-            command(4, RUN, 6, 0.5 * PER[4]),
-            Sync(0, (4,)),
-        ),
-    ]
-    assert memory.heard == (0, 0, 0, 0, 6, 0)
-    assert memory.enabled == (False, False, False, False, True, False)
 
 
 def written(**values: float) -> Frame:
@@ -89,13 +64,6 @@ def test_position_mode_is_a_torque_without_gains_and_with_a_limit(changes, torqu
     assert messages[0] == Configure(1, 0.1, Reaction.DAMP), "its own time: the command gives none"
 
 
-@pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (nan, 0.1), (0.0, 0.1)])
-def test_command_without_a_time_leaves_the_drive_the_delivered_one(sent_s, kept_s):
-    _, ((first, *_),) = told(to(3, torque_command(0.5, 2.0, sent_s)))
-    assert first.leg == 3
-    assert first.watchdog_s == pytest.approx(kept_s, rel=1e-6)
-
-
 def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():
     fd, enabled = FD | EXTENDED, P.power_up()._replace(enabled=(True,) * 6)
     own = [(0x104, FD), (0x8104, fd), (0xFF04, fd)]
@@ -107,46 +75,6 @@ def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():
             memory, messages = P.parse(enabled, Frame(identifier, STOP, flags))
             assert [leg for leg in range(6) if not memory.enabled[leg]] == legs, hex(identifier)
             assert bool(messages) == bool(legs)
-
-
-def states(**changes: Any) -> list[tuple[int, Frame]]:
-    """Return what all drives answer to our query: each with numbers of its own."""
-    turns, six = np.array([0.5, -0.5, 1.5, 2.5, -3.0, 4.0]), np.full(6, 3)
-    given: dict[str, Any] = {"state": six, "fault": 0 * six, "legs": tuple(range(6))} | changes
-    reading = UNLIKE.length(turns), UNLIKE.rate(turns / 4), UNLIKE.force(turns * 2, UNLIKE.rate(turns / 4))
-    return P.answer(P.power_up(), Sync(0, given["legs"]), *reading, given["state"], given["fault"])[1]
-
-
-def test_reply_is_to_the_controller_on_the_drives_own_identifier():
-    sent = states(legs=(5, 0, 2))
-    ids = (126 << 8 | 1, ALL), (9 << 8 | 1, ALL), (3 << 8 | 1, FD | BRS)
-    assert tuple((frame.id, frame.flags) for _, frame in sent) == ids
-    expected = {0: 10.0, 1: 4.0, 2: 1.0, 3: 8.0, 0xD: 24.0, 0xE: 30.0, 0xF: 0.0}
-    found: Any = registers(sent[0][1].data, 0x20)
-    assert found == pytest.approx(expected, rel=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("state", "fault", "mode", "code"),
-    [
-        (DriveState.BOOT, 0, 0, 0),
-        (DriveState.OFF, 3, 0, 0),
-        (DriveState.READY, 0, 0, 0),
-        (DriveState.RUN, 3, 10, 0),
-        (DriveState.FAULT, DriveFault.WATCHDOG, 11, 0),
-        (DriveState.FAULT, DriveFault.OVERFORCE, 1, 33),
-        (DriveState.FAULT, DriveFault.SENSOR, 1, 35),
-        (DriveState.FAULT, DriveFault.STROKE, 1, 39),
-        (DriveState.FAULT, DriveFault.ESTOP, 1, 33),
-        (DriveState.FAULT, DriveFault.NONE, 1, 33),
-    ],
-)
-def test_mode_and_fault_of_an_answer_follow_from_the_drives_state(state, fault, mode, code):
-    six, faults = np.full(6, 1), np.zeros(6, np.int64)
-    six[2], faults[2] = state, fault
-    for leg, frame in states(state=six, fault=faults):
-        said: Any = registers(frame.data, 0x20)
-        assert (said[0], said[0xF]) == ((mode, code) if leg == 2 else (0, 0))
 
 
 # the controller's end
@@ -211,19 +139,6 @@ def test_command_of_another_controller_is_foreign_of_its_leg():
     assert P.hear(Frame(0x10002, STOP, FD | EXTENDED)) is None
     for flags in (0, BRS, FD | REMOTE, FD | ERROR, FD | BUS, FD | EXTENDED):
         assert P.hear(Frame(2, STOP, flags)) is None
-
-
-def test_drive_that_ran_and_reports_off_is_stopped_in_run_and_no_other():
-    six: dict[str, Any] = {"power": (1, 1, 3, 0, 4, 1), "ran": (True, False, True, True, True, True)}
-    begun = P.start(DriveSetup(0.05, Reaction.DAMP, 250.0))._replace(
-        torque=(0.1, 0.2, 0.3, 0.4, 0.5, 0.6), **six
-    )
-    for mode in DriveMode:
-        polls = P.begin(begun._replace(mode=int(mode)), 0)
-        for leg, frame in enumerate(polls):
-            stops = mode != DriveMode.RUN or leg in (0, 5)
-            data = STOP if stops else pad(torque_command(begun.torque[leg], 2.0, 0.05))
-            assert frame == Frame(0x8100 | NODES[leg], data, ALL)
 
 
 # subframes: widths, scales, counts, and where a frame ends

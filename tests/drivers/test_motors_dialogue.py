@@ -8,15 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.config import BusSettings, DriveSettings, TransmissionSettings
+from drivers.config import TransmissionSettings
 from drivers.errors import ConfigurationError, ProtocolError
-from drivers.motor_settings import Options, refuse_torque
+from drivers.motor_settings import refuse_torque
 from drivers.protocol import DriveSetup, Frame
-from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, new_record
 from drivers.transmission import Transmission
-from hil.contracts.messages import Status
-from tests.drivers.motor_families import MIT_NODES, MOTORS, UNLIKE, begun, measured, mit, moteus
+from tests.drivers.motor_families import MIT_NODES, UNLIKE, begun, measured, mit, moteus
 
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
 P, DAMIAO = moteus(UNLIKE, 2.0), mit("damiao", UNLIKE)
@@ -102,12 +101,6 @@ def test_drive_that_cannot_be_asked_does_not_hold_up_the_next_one():
         assert frame.data[0] == node
 
 
-@pytest.mark.parametrize("mode", DriveMode)
-def test_no_drive_is_asked_while_ready_or_run_is(mode):
-    _, frames = DAMIAO.set_up(begun(DAMIAO, done=(1,) * 6, mode=int(mode)), at(13))
-    assert bool(frames) == (mode in (DriveMode.OFF, DriveMode.RESET))
-
-
 def test_answer_of_the_value_as_a_single_confirms_its_exchange():
     before: dict[str, Any] = {"done": (3,) * 6, "asked": (9,) * 6, "read": 4.0, "has_read": 1}
     tick, dialogue = measured(DAMIAO, answer(3, PMAX, 95.5), **before)
@@ -147,63 +140,7 @@ def test_each_drive_lacks_its_answer_its_register_or_its_state():
 # what the families are
 
 
-TRAITS = {
-    # command a tick later, frames of set-up a tick, stop latches, identifiers shared, watchdog, power, reaction
-    "mini_cheetah": (1, 0, False, True, False, "never", Reaction.BRAKE),
-    "cubemars": (1, 0, False, True, False, "never", Reaction.BRAKE),
-    "damiao": (1, 1, False, True, True, "feedback", Reaction.BRAKE),
-    "robstride": (1, 2, False, True, False, "feedback", Reaction.BRAKE),
-    "odrive": (0, 0, True, False, True, "heartbeat", Reaction.BRAKE),
-    "moteus": (1, 0, False, False, True, "feedback", Reaction.DAMP),
-}
-
-
-@pytest.mark.parametrize("name", MOTORS)
-def test_each_family_has_its_traits(name):
-    t = MOTORS[name].traits
-    told = t.command_delay_ticks, t.set_up_frames, t.stop_latches, t.shares_identifiers, t.has_watchdog
-    assert (*told, t.power_told, *t.reactions) == TRAITS[name]
-    assert {t.force_on_brakes, t.answers_name_sync, t.latches_together} == {False}
-    assert (t.unasked_s, t.database, t.reset_ticks) == (0.0, None, 3)
-    assert "brake" in t.dangers[0]
-    assert len(t.dangers) == (1 if name == "damiao" else 2), "its watchdog is set from here"
-    if t.shares_identifiers:
-        assert t.feedback_ids == frozenset(range(6))
-        assert [MOTORS[name].awaited(each) for each in t.cyclic_frames] == [-1] * 6 + list(range(6))
-
-
-@pytest.mark.parametrize("name", [name for name in MOTORS if name != "odrive"])
-def test_drives_that_speak_when_asked_report_nothing(name):
-    memory = MOTORS[name].power_up()
-    for state in DriveState:
-        assert MOTORS[name].report(memory, Status(2, state, DriveFault.SENSOR)) == (memory, ())
-    assert (memory.heard, memory.enabled) == ((0,) * 6, (0,) * 6)
-
-
 # settings
-
-
-def options(*known: str, **given: Any) -> Options:
-    drives = DriveSettings(transmission=TransmissionSettings(lead_m=0.5), options={})
-    return Options(BusSettings(), drives.model_copy(update={"options": given}), "kite", "fd", known)
-
-
-@pytest.mark.parametrize(
-    ("take", "given", "message"),
-    [
-        (lambda _: None, {"c": 1, "d": 3}, "has a, given: c, d"),
-        (lambda o: o.choice("a", ("x", "y")), {}, "one of x, y, given: nothing"),
-        (lambda o: o.choice("a", ("x", "y")), {"a": "z"}, "one of x, y, given: z"),
-        *(
-            (lambda o: o.positive("a", 1.0), {"a": a}, f"given: {a}")
-            for a in (0, -1.0, True, "2", float("nan"))
-        ),
-        *((lambda o: o.whole("a", 1), {"a": a}, f"given: {a}") for a in (True, 2.0, "2")),
-    ],
-)
-def test_option_that_does_not_fit_is_refused_by_name(take, given, message):
-    with pytest.raises(ConfigurationError, match=rf"^drives\.options: .*{message}$"):
-        take(options("a", **given))
 
 
 @pytest.mark.parametrize("leg", range(6))
@@ -219,11 +156,3 @@ def test_leg_that_needs_most_torque_decides_and_is_named_where_legs_are_unlike(l
     alike = Transmission(TransmissionSettings(lead_m=0.2, efficiency=0.8))
     with pytest.raises(ConfigurationError, match=r"100 N need 3\.979 N m of the motor \("):
         refuse_torque(alike, 100.0, 3.97, "kite")
-
-
-def test_force_that_needs_just_the_torque_of_the_field_is_taken():
-    unit = Transmission(TransmissionSettings(lead_m=1.0))
-    needed = float((100.0 / unit.N_per_Nm)[0])
-    refuse_torque(unit, 100.0, needed, "kite")
-    with pytest.raises(ConfigurationError):
-        refuse_torque(unit, 100.0, needed * (1 - 1e-12), "kite")

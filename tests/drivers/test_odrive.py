@@ -18,7 +18,7 @@ from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import command, plain, reports
 from hil.contracts.ends import SETUP
-from hil.contracts.messages import Answer, Configure, DeviceMessage, EmergencyStop, Rejected, Status, Sync
+from hil.contracts.messages import Configure, DeviceMessage, EmergencyStop, Rejected, Status
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
 from tests.drivers.motor_families import UNIT, UNLIKE, ODriveProtocol, odrive
@@ -120,13 +120,6 @@ def sent_to(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]
     return memory, found
 
 
-def test_polls_and_requests_for_the_address_are_remote_frames_without_data():
-    address = Answer(4, Frame(5 << 5 | 6, bytes.fromhex("0505000000000000")))
-    polls = to(0x09, flags=REMOTE), to(0x06, flags=REMOTE)
-    others = to(0x09, b"\0", REMOTE), to(0x06, b"\0", REMOTE), to(0x01, flags=REMOTE), to(0x09)
-    assert sent_to(*polls, *others)[1] == [(Sync(0, (4,)),), (address,), (), (), (), ()]
-
-
 @pytest.mark.parametrize("flags", [EXTENDED, FD, ERROR, BUS, 3 * BUS])
 def test_frame_with_another_flag_or_node_is_neither_obeyed_nor_heard(flags):
     enabled = AXES.power_up()._replace(enabled=(True,) * 6)
@@ -196,25 +189,6 @@ def test_axis_closes_its_loop_under_torque_control_alone():
     for number in (0, 2, 3, 7, 9):
         memory, found = sent_to(TORQUE_CONTROL, state(8), state(number))
         assert (found[-1], memory.enabled[4]) == (REFUSED, True), "neither idle nor closed loop"
-
-
-@pytest.mark.parametrize(
-    ("fault", "error"),
-    [
-        (DriveFault.NONE, 0),
-        (DriveFault.WATCHDOG, 0x1000000),
-        (DriveFault.ESTOP, 0x2000000),
-        (DriveFault.OVERFORCE, 0x1000),
-        (DriveFault.SENSOR, 0x8),
-        (DriveFault.STROKE, 0x10000),
-    ],
-)
-def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_in_run_alone(fault, error):
-    for now in DriveState:
-        _, (beat,) = AXES.report(AXES.power_up(), Status(4, now, fault))
-        closed = 8 if now == DriveState.RUN else 1
-        assert beat == Frame(5 << 5 | 1, struct.pack("<IBBBB", error, closed, 0, 0, 0))
-    assert AXES.report(AXES.power_up(), Status(4, DriveState.FAULT, fault, due=False))[1] == ()
 
 
 @pytest.mark.parametrize(

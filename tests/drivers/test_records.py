@@ -1,7 +1,5 @@
 """Arguments of kernels: arrays and records, what is read, written and refused, and that nothing is kept."""
 
-import gc
-import sys
 from typing import Any
 
 import numpy as np
@@ -87,17 +85,6 @@ def test_argument_of_another_kind_is_refused_and_nothing_is_filled(name, value):
     with pytest.raises(TypeError):
         look(given)
     assert not given["out"].any()
-
-
-def test_no_argument_is_kept_and_none_is_lost():
-    given = arguments()
-    counts = [sys.getrefcount(array) for array in given.values()]
-    for _ in range(100):
-        look(given)
-        with pytest.raises(TypeError):
-            look(given | {"marks": None})
-    gc.collect()
-    assert [sys.getrefcount(array) for array in given.values()] == counts
 
 
 @kernel(OUT_VECTOR)

@@ -95,26 +95,6 @@ def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_ignored(kind):
     assert (again.lost, getattr(again, kind), again.rejected) == (0, (), 0)
 
 
-def test_every_damaged_frame_of_a_tick_is_counted():
-    bad = [damaged(sample(kind, 9, 1), 3) for kind in KINDS]
-    stray = sample("imu", 11, 2)  # a stamp in the future
-    for frames in ((*bad, *bad, stray), (stray, *bad, *bad), (*bad, stray, *bad)):
-        assert decode(10, *frames) == Readings(rejected=7)
-    assert decode(10, sample("imu", 9, 1), *bad).rejected == 3, "a good one before takes nothing back"
-    assert decode(10, *bad, sample("imu", 9, 1)).rejected == 3, "nor does one behind"
-
-
-@every_kind
-def test_all_gaps_of_a_tick_count_as_lost(kind):
-    last = decode(9, *(sample(each, 9, 0) for each in KINDS))
-    gaps = [sample(kind, 9, counter) for counter in (3, 4, 8, 9)]  # 1, 2, 5, 6 and 7 are missing
-    whole = [sample(each, 9, 1) for each in KINDS if each != kind]
-    for frames in ((*gaps, *whole), (*whole, *gaps), (*gaps[:3], *whole, gaps[3])):
-        assert decode(10, *frames, before=last).lost == 5
-    readings = decode(10, *(sample(each, 9, 3) for each in KINDS), before=last)
-    assert readings.lost == 6, "two of each sensor"
-
-
 def test_several_samples_of_a_tick_come_in_the_order_of_their_instants():
     readings = decode(20, sample("tracker", 18, 2), sample("tracker", 15, 1))
     assert [s.tick for s in readings.tracker] == [15, 18]
@@ -152,15 +132,6 @@ def test_an_unknown_validity_is_refused(kind):
         data = frame.data[:at] + bytes([validity << 4 | 3]) + frame.data[at + 1 : -1]
         readings = decode(5, frame._replace(data=data + bytes([check(frame.id, data, 1)])))
         assert (len(getattr(readings, kind)), readings.rejected) == (there, rejected), validity
-
-
-def test_node_numbers_move_the_identifiers():
-    nodes = {"tracker": 120, "imu": 121, "wrench": 122}
-    settings = {kind: {"node_id": node} for kind, node in nodes.items()}
-    moved = SensorProtocol(BusSettings(), SensorSettings.model_validate(settings))
-    for kind, node in nodes.items():
-        before, after = P.encode(kind, VALUES, 0, 0.0, 0).id, moved.encode(kind, VALUES, 0, 0.0, 0).id
-        assert before & ~0x7F == after & ~0x7F == after - node
 
 
 def test_layout_classic_has_no_room():

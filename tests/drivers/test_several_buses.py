@@ -24,10 +24,9 @@ from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
 from hil.contracts.ends import PERIOD_NS, Ends, shapes
-from hil.contracts.messages import Answer, Configure, DeviceCommand, Sync, hear
+from hil.contracts.messages import Answer, Configure, Sync, hear
 from plant_fmu.drives import drives_end
 from tests.drivers.cia402_drives import holding
-from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, opening, parse
 from tests.sensed import Readings
 from tests.sensed import decode as decode_samples
@@ -169,37 +168,6 @@ def test_answers_are_on_the_bus_of_their_drive_and_count_there_alone(name):
         assert (tick["age"] == 0).sum() in ((0,) if strays else (6,)) or name == "cia402"
 
 
-@pytest.mark.parametrize("name", ["legs", "cia402"])
-def test_stray_cut_and_unknown_frames_of_several_buses_are_rejected(name):
-    protocol = family(name)
-    answers, begun = answers_of(name, protocol), protocol.begin(protocol.start(SETUP), 0)
-    first, stray = answers[0][1], answers[-1][1]
-    tick = decoded(
-        protocol,
-        [
-            first._replace(data=first.data[:-1]),
-            stray._replace(flags=stray.flags - BUS),
-            begun[0]._replace(flags=begun[0].flags + 2 * BUS),
-        ],
-    )
-    assert (tick["rejected"], tick["foreign"]) == (3, 0)
-
-
-@pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
-@pytest.mark.parametrize(
-    "legs", [((0, 1, 2), (3, 4, 5)), ODD, ((4,), (2, 0), (5, 1, 3)), ((1, 0, 2, 3, 4), (5,))]
-)
-def test_every_leg_gets_its_own_force_whatever_the_assignment(layout, legs):
-    protocol = LegsProtocol(layout, NODES, 100.0, [sorted(there) for there in legs])
-    end = drives_end(protocol)
-    got: dict[int, float] = {}
-    for frame in opening(protocol, 9) + command_frames(protocol, Command(DriveMode.RUN, FORCE), 9):
-        for message in hear(end, frame):
-            if isinstance(message, DeviceCommand):
-                got |= dict(zip(message.legs, message.force.tolist(), strict=True))
-    assert got == pytest.approx(dict(enumerate(FORCE.tolist())), abs=0.01)
-
-
 def test_drive_is_told_its_slot_in_the_command_of_its_bus():
     protocol = LegsProtocol("fd", NODES, 100.0, ODD)
     frames = protocol.configure(0.01, Reaction.BRAKE)
@@ -278,21 +246,6 @@ class FakeLink(Link):
 
 def fakes(count: int) -> list[Any]:
     return [FakeLink(Still()) for _ in range(count)]
-
-
-def test_frames_go_to_their_bus_and_come_back_with_its_index_by_time():
-    links = fakes(2)
-    group = Bus(links)
-    assert group.send(sent_array([Frame(1, b"a"), Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)])) == 0
-    assert links[0].sent == [Frame(1, b"a")]
-    assert links[1].sent == [Frame(1, b"b", BUS), Frame(2, b"c", BUS | 2)]
-    links[0].inbox, links[1].inbox = [Received(20, Frame(7, b"x"))], [Received(10, Frame(8, b"y", 2))]
-    assert got(group.receive()) == [Received(10, Frame(8, b"y", BUS | 2)), Received(20, Frame(7, b"x"))]
-    group.block(99, {7, 8})
-    assert (links[0].blocked, links[1].blocked) == ([{7}], []), "each identifier where it was heard"
-    group.block(99, {8})
-    assert links[1].blocked == [{8}]
-    assert group.events().overflow == 6
 
 
 def test_skew_is_of_the_first_frames_and_each_frame_has_the_time_of_its_bus():

@@ -111,12 +111,7 @@ def test_losses_are_those_of_the_formula_to_the_last_bit(force, rate, eta_d, eta
     [
         ({}, "given: neither"),
         ({"lead_m": 0.005, "pulley_radius_m": 0.02}, "given: lead_m and pulley_radius_m"),
-        ({"lead_m": 0.0}, "greater than 0"),
-        ({"lead_m": [0.005] * 5}, "at least 6"),
-        ({"lead_m": 0.005, "sign": 0}, "1 or -1"),
-        ({"lead_m": 0.005, "efficiency": 1.2}, "less than or equal to 1"),
         ({"lead_m": 0.005, "back_driving_efficiency": 0.0}, "greater than 0"),
-        ({"lead_m": 0.005, "slip": 1}, "Extra inputs"),
     ],
 )
 def test_invalid_transmission_is_refused(wrong, message):

@@ -32,8 +32,7 @@ DATABASE: Any = cantools.database.Database()
 DATABASE.add_dbc_string(P["fd"].database[1])
 DATABASE.add_dbc_file(Path(drivers.__file__).parent / "sensors.dbc")
 S = SensorProtocol(
-    BusSettings(),
-    SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings()),
+    BusSettings(), SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings())
 )
 CLASSIC_FORCE = np.array([1000.0, -2000.0, 30_000.0, 2.0, -2.0, -30_000.0])
 FD_FORCE = np.array([1000.5, -0.001, 60_000.0, -60_000.0, 0.0, 0.256])

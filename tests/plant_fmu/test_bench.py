@@ -56,14 +56,6 @@ def test_a_brake_stops_with_its_bounded_force_and_then_holds():
     assert (q3 > q2 + 1e-4).all()
 
 
-def test_each_leg_has_its_own_brake():
-    """2000 N on 200 kg, and brakes of no force to 0.05 of theirs, 1000 N: (2000 N - brake) / 200 kg."""
-    plant = bench(damping_N_s2_m2=0.0, stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=200.0)
-    brake = np.array([0.0, 0.01, 0.02, 0.03, 0.04, 0.05])
-    _, dq = plant.step(np.full(6, 2000.0), brake, CALM, 0.1)
-    assert dq == pytest.approx((2000.0 - BRAKE_FORCE_N * brake) / 200.0 * 0.1, rel=1e-9)
-
-
 def test_under_the_opposite_force_it_moves_the_opposite_way():
     """Damping and springs are odd: there, back through the rest length, and at the brake."""
     force = np.array([500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16_000.0])

@@ -7,11 +7,10 @@ from math import exp
 import numpy as np
 import pytest
 
-from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
+from drivers.signals import DriveFault, DriveMode, DriveState, Reaction
 from plant_fmu.config import DriveEmulation
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import BrakeStuckOpen, FramesCorrupt, FramesLoss
-from tests.drivers.legs_frames import command_frames
 from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push, starve
 
 
@@ -76,17 +75,6 @@ def test_watchdog_runs_in_ready_and_not_in_off():
     rig.command(200 * MS, DriveMode.READY)
     rig.at(211 * MS)
     assert rig.states == [DriveState.FAULT] * 6
-
-
-def test_a_repeated_counter_does_not_feed_the_watchdog():
-    rig = Rig()
-    rig.run()
-    frame = command_frames(rig.protocol, Command(DriveMode.RUN, np.full(6, 5.0)), rig.tick)
-    for k in range(1, 15):
-        rig.at(k * MS, *frame)
-    assert rig.states == [DriveState.FAULT] * 6
-    snapshot = rig.nodes.snapshot()
-    assert (snapshot.repeated, snapshot.commands) == (14, 2)
 
 
 def test_damaged_commands_do_not_feed_the_watchdog():
@@ -165,19 +153,6 @@ def test_an_emergency_stop_brakes_in_every_state_whatever_the_reaction(reaction)
         assert len(path) == 2 or (snapshot.length == REST).all(), "no fault opens a closed brake"
 
 
-def test_emergency_stop_faults_all_drives_and_latches_until_reset():
-    rig = Rig()
-    rig.run()
-    rig.at(1 * MS, *rig.protocol.traits.emergency_stop)
-    assert rig.nodes.snapshot().fault.tolist() == [DriveFault.ESTOP] * 6
-    for k, mode in enumerate((DriveMode.OFF, DriveMode.READY, DriveMode.RUN)):
-        rig.command((2 + k) * MS, mode)
-        assert rig.states == [DriveState.FAULT] * 6
-    rig.command(6 * MS, DriveMode.RESET)
-    assert rig.states == [DriveState.OFF] * 6
-    assert rig.nodes.snapshot().fault.tolist() == [DriveFault.NONE] * 6
-
-
 @pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
 def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
     for stop in ("estop", "off"):
@@ -221,14 +196,6 @@ def running(rig: Rig, until_ms: int = 100, force: float = LOAD) -> None:
 def free_ms(rig: Rig, leg: int = 0) -> float:
     """Return how long a leg's brake was open since the calls of the plant were cleared, ms."""
     return 1e3 * sum(dt for dt, _, brake in rig.plant.calls if brake[leg] == 0.0)
-
-
-def test_a_brake_holds_until_it_has_opened():
-    a = rig()
-    a.run(3 * LOAD)
-    feed(a, 5, 60, DriveMode.RUN, 3 * LOAD)
-    assert free_ms(a) == pytest.approx(60 - OPEN_MS)
-    np.testing.assert_allclose(a.nodes.snapshot().rate, 2 * LOAD / MASS * 0.010)
 
 
 def test_a_brake_is_open_until_it_has_closed_and_the_drive_obeys_meanwhile():

@@ -1,16 +1,14 @@
 """What every plant owes its callers, whatever stands behind it."""
 
 from pathlib import Path
-from pkgutil import resolve_name
 
 import numpy as np
 import pytest
 
 from drivers.errors import PlantError
 from plant_fmu.bench import Bench
-from plant_fmu.config import PLANTS, BenchPlant, FmuPlant, StewartPlant
+from plant_fmu.config import BenchPlant, FmuPlant, StewartPlant
 from plant_fmu.plant import Robot, whole_steps
-from plant_fmu.plants import open_plant
 from plant_fmu.stewart.build import build
 
 BOOK = {
@@ -28,7 +26,7 @@ OPEN, SHUT, CALM = np.zeros(6), np.ones(6), np.zeros(6)
 
 def stewart(version, isolation):
     settings = StewartPlant(type="stewart", fmi_version=version, isolation=isolation)
-    return lambda: open_plant(settings, ROBOT, Path())
+    return lambda: settings.open(ROBOT, Path())
 
 
 def mapped(version, isolation):
@@ -39,29 +37,17 @@ def mapped(version, isolation):
         for name in ("force", "length", "rate", "brake"):
             settings[name] = [f"{name}[{i}]" for i in range(1, 7)] if version == "2.0" else [name]
         model = FmuPlant.model_validate({**settings, "wrench": ["wrench"]})
-        return open_plant(model, ROBOT, Path())
+        return model.open(ROBOT, Path())
 
     return make
 
 
 MADE = {
-    "bench": lambda: open_plant(BenchPlant(type="bench"), ROBOT, Path()),
+    "bench": lambda: BenchPlant(type="bench").open(ROBOT, Path()),
     **{f"stewart-{v}-{i}": stewart(v, i) for v in ("2.0", "3.0") for i in ("in_process", "child_process")},
     "foreign-2.0-in_process": mapped("2.0", "in_process"),
     "foreign-3.0-child_process": mapped("3.0", "child_process"),
 }
-OPENED = {
-    "stewart": StewartPlant(type="stewart"),
-    "bench": BenchPlant(type="bench"),
-    "fmu": FmuPlant(type="fmu", path="a.fmu", force=["f"], length=["q"], rate=["v"]),
-}
-
-
-def test_every_registered_plant_has_the_name_and_opener_of_its_section():
-    assert {name: model.type for name, model in OPENED.items()} == {name: name for name in PLANTS}
-    for model in OPENED.values():
-        assert isinstance(model, PLANTS[model.type])
-        assert callable(resolve_name(model.opens))
 
 
 @pytest.fixture(scope="module", params=MADE)

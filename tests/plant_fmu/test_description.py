@@ -59,17 +59,10 @@ def test_fmpy_finds_no_problem(version):
     assert validate_fmu(str(build(version))) == []
 
 
-@pytest.mark.parametrize(
-    ("member", "schema"),
-    [
-        ("terminalsAndIcons/terminalsAndIcons.xml", "fmi3TerminalsAndIcons.xsd"),
-        ("sources/buildDescription.xml", "fmi3BuildDescription.xsd"),
-    ],
-)
-def test_terminals_and_build_description_follow_the_schema(member, schema):
+def test_the_build_description_follows_its_schema():
     with zipfile.ZipFile(build("3.0")) as archive:
-        root = etree.fromstring(archive.read(member))
-    etree.XMLSchema(file=str(SCHEMA / "fmi3" / schema)).assertValid(root)
+        root = etree.fromstring(archive.read("sources/buildDescription.xml"))
+    etree.XMLSchema(file=str(SCHEMA / "fmi3" / "fmi3BuildDescription.xsd")).assertValid(root)
 
 
 def elements(version: str) -> list[tuple[Any, ...]]:
@@ -87,20 +80,12 @@ def elements(version: str) -> list[tuple[Any, ...]]:
 
 def test_both_descriptions_state_the_same_values_and_units():
     two, three = elements("2.0"), elements("3.0")
-    mixed = {
-        "initial_twist",
-        "wrench",
-        "twist",
-        "acceleration",
-    }  # of two units each, which FMI 3 cannot state
+    # of two units each, which FMI 3 cannot state
+    mixed = {"initial_twist", "wrench", "twist", "acceleration"}
     assert [each[:3] for each in two] == [each[:3] for each in three]
     assert [each for each in two if each[0] not in mixed] == [each for each in three if each[0] not in mixed]
-    for name, half in (
-        ("wrench", ("N", "N.m")),
-        ("twist", ("m/s", "rad/s")),
-        ("initial_twist", ("m/s", "rad/s")),
-    ):
-        assert [each[3] for each in two if each[0] == name] == [half[0]] * 3 + [half[1]] * 3
+    for name, line, turn in (("wrench", "N", "N.m"), ("twist", "m/s", "rad/s")):
+        assert [each[3] for each in two if each[0] == name] == [line] * 3 + [turn] * 3
     for name, values in BOOK.items():
         assert [each[2] for each in two if each[0] == name] == values, name
     outputs = {v.name for v in VARIABLES if v.causality == "output"}
@@ -130,15 +115,3 @@ def test_direct_feedthrough_is_stated_where_it_exists():
     assert depends["length"] == depends["twist"] == depends["kinetic_energy"] == set()
     first = {u.variable.name: {d.name for d in u.dependencies} for u in described("3.0").initialUnknowns}
     assert first["length"] == {"base_joints", "platform_joints", "initial_position", "initial_rotation"}
-
-
-def test_a_terminal_holds_what_belongs_to_its_leg():
-    with zipfile.ZipFile(build("3.0")) as archive:
-        root = etree.fromstring(archive.read("terminalsAndIcons/terminalsAndIcons.xml"))
-    found = {
-        t.get("name"): {m.get("memberName"): m.get("variableName") for m in t} for t in root.iter("Terminal")
-    }
-    names = ("force", "brake", "length", "rate", "applied_force")
-    for leg in range(1, 7):
-        assert found[f"leg{leg}"] == {f"{name}[{leg}]": name for name in names}
-    assert set(found) == {"platform", *(f"leg{leg}" for leg in range(1, 7))}

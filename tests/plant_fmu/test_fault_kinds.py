@@ -19,8 +19,6 @@ from plant_fmu.faults.kinds import (
     BrakeSlow,
     BrakeStuckClosed,
     BrakeStuckOpen,
-    BusFlood,
-    BusOff,
     DriveGain,
     DriveReset,
     DriveSaturation,
@@ -30,7 +28,6 @@ from plant_fmu.faults.kinds import (
     FramesDelay,
     FramesForgedCommand,
     FramesForgedFeedback,
-    FramesLoss,
     PayloadStep,
     PlantCrash,
     PlantHang,
@@ -125,18 +122,6 @@ def test_a_silent_drive_still_obeys():
     assert rig.nodes.snapshot().rate[3] == pytest.approx(5e-3)
 
 
-def test_feedback_is_lost_at_its_rate():
-    rig = Rig(faults=[FramesLoss(identifier=0x283, probability=0.25)])
-    rig.configure()
-    ages = []
-    for k in range(1, 2001):
-        rig.tick = k
-        ages.append(rig.sync(k * MS)["age"].tolist())
-    lost = np.count_nonzero(ages, axis=0)
-    assert lost[[0, 1, 3, 4, 5]].tolist() == [0] * 5
-    assert abs(lost[2] - 500) < 5 * (2000 * 0.25 * 0.75) ** 0.5  # five standard deviations
-
-
 def test_a_delayed_command_is_obeyed_later():
     rig = Rig("fd", faults=[FramesDelay(by_ms=2.0, identifier=0x110, at_s=0.5e-3)])
     rig.configure()
@@ -173,25 +158,6 @@ def test_a_forged_answer_reports_another_length(leg, by_m):
     answers = [Received(t, frame) for t, frame in sent if frame.id == 0x281 + leg]
     said = [decode(rig.protocol, [each], rig.tick, new_record())["length"][leg] for each in answers]
     assert said == pytest.approx([REST[leg], REST[leg] + by_m], abs=1e-6)
-
-
-def test_bus_off_cuts_both_directions_and_is_reported():
-    rig = accelerating(BusOff(at_s=2e-3, for_s=5e-3), layout="fd")
-    assert not rig.nodes.bus_off
-    rig.at(2 * MS)
-    assert rig.nodes.bus_off
-    assert rig.at(3 * MS, *opening(rig.protocol, 200)) == []
-    rig.at(7 * MS)
-    assert not rig.nodes.bus_off
-    assert len(rig.at(8 * MS, *opening(rig.protocol, 201))) >= 6
-
-
-def test_a_flood_has_its_rate():
-    rig = Rig("fd", faults=[BusFlood(rate_Hz=4000.0, at_s=10e-3, for_s=10e-3)])
-    flood = []
-    for t_ms in range(1, 40):
-        flood += [t for t, frame in rig.at(t_ms * MS) if frame.id == 0]
-    assert flood == [10 * MS + k * MS // 4 for k in range(40)]
 
 
 # plant

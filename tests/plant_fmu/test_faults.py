@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from functools import partial
 from math import inf, nan
 from typing import Any, get_args
 
@@ -11,6 +12,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Frame
+from plant_fmu.config import DriveEmulation, StewartPlant
 from plant_fmu.faults import FAULTS, AnyFault
 from plant_fmu.faults.fault import NEVER_NS, Fault
 from plant_fmu.faults.kinds import (
@@ -188,3 +190,12 @@ def test_several_faults_of_one_leg_join_by_the_rule_of_their_kind():
     assert present.forged_m == [None, 2e-3, None, None, None, None]
     assert [leg for leg, *_ in present.noise] == [1, 1, 2]
     assert [mass for mass, _ in present.masses] == [10.0, 20.0]
+
+
+@pytest.mark.parametrize("section", [DriveEmulation, partial(StewartPlant, type="stewart")])
+def test_a_force_loop_is_ideal_or_at_least_0_1_hz(section):
+    for bandwidth_Hz in (0.0, 0.1, 1e6):
+        section(force_bandwidth_Hz=bandwidth_Hz)
+    for bandwidth_Hz in (0.0999, 1e-60, -1.0):
+        with pytest.raises(ValidationError):
+            section(force_bandwidth_Hz=bandwidth_Hz)

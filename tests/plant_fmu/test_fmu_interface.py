@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,9 +9,8 @@ import fmpy
 import pytest
 
 from drivers.errors import PlantError
-from plant_fmu.config import FmuPlant
-from plant_fmu.fmu import check, child
-from plant_fmu.fmu.check import FmuSpec, Interface, fmu_spec, read_interface
+from plant_fmu.fmu import check
+from plant_fmu.fmu.check import FmuSpec, Interface, read_interface
 
 LIBRARY = f"binaries/{fmpy.platform_tuple}/model{fmpy.sharedLibraryExtension}"
 UNITS = {"force": "N", "length": "m", "rate": "m/s"}
@@ -70,16 +68,6 @@ def read(monkeypatch: pytest.MonkeyPatch) -> Any:
     return of
 
 
-def test_channels_have_the_references_of_their_variables(read):
-    face = read()
-    assert (face.inputs, face.outputs) == ({"force": (3,)}, {"length": (13,), "rate": (23,)})
-    assert (face.major, face.library, face.starts, face.assumed) == (3, LIBRARY, (), {})
-    face = read(brake=["brake"], wrench=["wrench"], truth=list(TRUTH))
-    assert face.inputs == {"force": (3,), "brake": (33,), "wrench": (43,)}
-    assert list(face.outputs) == ["length", "rate", *TRUTH]
-    assert face.outputs["applied"] == (83,)
-
-
 @pytest.mark.parametrize("key", ["force", "length", "rate", "brake", "wrench"])
 def test_a_channel_has_six_reals_of_its_causality_each_mapped_once(read, key):
     other = "output" if key in INPUTS else "input"
@@ -98,12 +86,6 @@ def test_a_channel_has_six_reals_of_its_causality_each_mapped_once(read, key):
     assert {**face.inputs, **face.outputs}[key] == (0, 1, 2, 3, 4, 5)
     with pytest.raises(PlantError, match="mapped twice"):
         read(variables(*legs), **{key: [*names[:5], names[0]]})
-
-
-@pytest.mark.parametrize(("name", "size"), [*zip(TRUTH, (3, 9, 6, 6), strict=True)])
-def test_a_part_of_the_truth_has_its_number_of_values(read, name, size):
-    with pytest.raises(PlantError, match=f"{size + 1} values; {size} are needed"):
-        read(variables(**{name: {"shape": (size + 1,)}}), truth=list(TRUTH))
 
 
 def test_the_configured_unit_of_a_name_goes_before_that_of_its_key(read):
@@ -144,22 +126,6 @@ def test_a_defined_unit_is_known_by_its_exponents_and_has_no_factor(read, key, e
     for change in ({"factor": 1e3}, {"offset": 1.0}, *({base: 9.0} for base in NOTHING)):
         with pytest.raises(PlantError, match=f"is in 'x'; {UNITS[key]} is needed"):
             stated(**change)
-
-
-@pytest.mark.parametrize(
-    ("causality", "variability", "allowed"),
-    [
-        *(("parameter", "fixed", True), ("parameter", "tunable", True), ("input", "continuous", True)),
-        *(("parameter", "constant", False), ("output", "continuous", False), ("local", "constant", False)),
-    ],
-)
-def test_only_parameters_and_inputs_can_be_set(read, causality, variability, allowed):
-    given = variables(variable("k", 71, causality=causality, variability=variability, shape=(2,)))
-    if allowed:
-        (start,) = read(given, parameters={"k": [1.5, 2.0]}).starts
-        assert (start.name, start.references, start.values) == ("k", (71,), (1.5, 2.0))
-    with pytest.raises(PlantError, match="2 elements but 3 are given" if allowed else "only parameters"):
-        read(given, parameters={"k": [1.0, 2.0, 3.0]})
 
 
 ITEMS = SimpleNamespace(items=[SimpleNamespace(name="off", value="4"), SimpleNamespace(name="on", value="9")])
@@ -223,25 +189,3 @@ def test_a_needed_tool_must_be_allowed(read):
     read(needs_tool=True, allow_execution_tool=True)
     with pytest.raises(PlantError, match="needs maker at run time"):
         read(needs_tool=True)
-
-
-@pytest.mark.parametrize(
-    ("isolation", "path", "whole"),
-    [
-        ("in_process", "models/a.fmu", "/etc/robot/models/a.fmu"),
-        ("child_process", "/models/a.fmu", "/models/a.fmu"),
-    ],
-)
-def test_settings_are_hosted_in_their_process_with_a_path_from_the_folder(
-    monkeypatch, isolation, path, whole
-):
-    names = {name: [name] for name in UNITS}
-    more = {"parameters": {"m": 1.5}, "memory_GB": 2.5, "step_us": 250.0, "isolation": isolation}
-    settings = FmuPlant.model_validate({"type": "fmu", "path": path, **names, **more})
-    spec = fmu_spec(settings, Path("/etc/robot"))
-    assert spec.model_dump() == {**settings.model_dump(), "path": whole, "truth": []}
-    assert spec.step_s == 250e-6
-    for name in ("FmuHost", "ChildHost"):
-        monkeypatch.setattr(child, name, lambda given, name=name: (name, given))
-    found: Any = child.host(spec)
-    assert found == ({"in_process": "FmuHost", "child_process": "ChildHost"}[isolation], spec)

@@ -16,7 +16,7 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.drive import at_motor
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import FramesLoss
-from tests.drivers.legs_frames import command_frames, decode, opening
+from tests.drivers.legs_frames import command_frames, opening
 from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push
 
 
@@ -101,20 +101,6 @@ def test_a_constant_force_moves_the_legs_in_closed_form():
     np.testing.assert_allclose(snapshot.rate, a * 0.05, rtol=0, atol=1e-13)
 
 
-def test_ideal_layout_latches_and_acts_exactly_at_the_tick():
-    rig = Rig("ideal", t0_ns=123_456_789_012_345)
-    rig.run()
-    q, dq = REST.copy(), np.zeros(6)
-    for k in range(1, 8):
-        force = 100.0 * k
-        measurement = rig.sync(k * MS)
-        np.testing.assert_allclose(measurement["length"], q, rtol=0, atol=1e-15)
-        np.testing.assert_allclose(measurement["rate"], dq, rtol=0, atol=1e-15)
-        rig.command(k * MS, DriveMode.RUN, force)
-        q = q + dq * 1e-3 + force / MASS * 1e-6 / 2
-        dq = dq + force / MASS * 1e-3
-
-
 @pytest.mark.parametrize("offset_us", [0, 13, 49, 50, 51, 99])
 def test_latch_between_grid_points_errs_by_at_most_an_eighth_a_h_squared(offset_us):
     rig = Rig("ideal")
@@ -134,19 +120,6 @@ def test_a_command_acts_at_the_nearest_grid_point(arrival_us, acts_us):
     rig.command(arrival_us * US, DriveMode.RUN, 200.0)
     rig.at(9 * MS)
     assert rig.nodes.snapshot().rate[0] == pytest.approx(9e-3 - acts_us * 1e-6, abs=1e-12)
-
-
-@pytest.mark.parametrize("late_us", [0, 100, 700])
-def test_a_command_acts_from_its_own_instant_on(late_us):
-    rig = Rig()
-    rig.run()
-    rig.tick += 1
-    command = Command(DriveMode.RUN, np.arange(1.0, 7.0) * MASS)
-    rig.at(1 * MS, *opening(rig.protocol, rig.tick))
-    rig.at(1 * MS + 1000 * late_us, *command_frames(rig.protocol, command, rig.tick))
-    rig.at(3 * MS)
-    moved_s = 2e-3 - 1e-6 * late_us
-    np.testing.assert_allclose(rig.nodes.snapshot().rate, np.arange(1.0, 7.0) * moved_s, rtol=1e-9)
 
 
 def test_frames_in_one_call_or_many_give_the_same_motion():
@@ -203,17 +176,6 @@ def test_the_force_lag_is_of_first_order():
     rig.command(9 * MS, DriveMode.RUN, -200.0)
     reached = 200.0 * (1.0 - exp(-w * 9e-3))
     np.testing.assert_allclose(rig.nodes.snapshot().force, reached, rtol=1e-9, err_msg="no leap")
-
-
-def test_feedback_is_queued_at_its_sync_with_its_counter():
-    rig = Rig()
-    rig.tick = 0x1A7
-    sent = rig.at(3 * MS + 77 * US, *opening(rig.protocol, rig.tick))
-    feedback = [(t, frame) for t, frame in sent if frame.id in rig.protocol.traits.feedback_ids]
-    assert [t for t, _ in feedback] == [3 * MS + 77 * US] * 6
-    assert [frame.id for _, frame in feedback] == [0x281, 0x282, 0x283, 0x284, 0x285, 0x286]
-    measurement = decode(rig.protocol, [Received(0, f) for _, f in feedback], 0x1A7)
-    assert measurement["age"].tolist() == [0] * 6
 
 
 def test_encoder_reads_whole_quanta():

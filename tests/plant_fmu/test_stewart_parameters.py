@@ -39,9 +39,6 @@ SETTINGS = StewartPlant(
 )
 
 
-AXES = "universal_joint_base_axes"
-
-
 def test_each_figure_of_a_robot_reaches_the_parameter_of_its_name():
     assert stewart_parameters(SETTINGS, ROBOT) == {
         "base_joints": [100.0 + k for k in range(18)],
@@ -69,10 +66,3 @@ def test_each_figure_of_a_robot_reaches_the_parameter_of_its_name():
         "initial_rotation": [0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0],
         "internal_step": 5e-5,
     }
-
-
-def test_legs_do_not_spin_by_default():
-    plain = {name: value for name, value in PLATFORM.items() if name not in {"leg_spin", AXES}}
-    found = stewart_parameters(SETTINGS, ROBOT._replace(platform=plain))
-    assert found["leg_spin"] == "none"
-    assert AXES not in found

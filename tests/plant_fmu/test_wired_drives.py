@@ -45,15 +45,6 @@ class WiredRig(Rig):
 
 
 @pytest.mark.parametrize("mute", range(LEGS))
-def test_a_drive_without_power_sends_nothing(mute):
-    rig = WiredRig(Wiring(present=tuple(leg != mute for leg in range(LEGS))))
-    others = [leg for leg in range(LEGS) if leg != mute]
-    assert [frame.id - 0x701 for _, frame in rig.at(BEAT_NS - 1)] == others
-    sent = rig.at(BEAT_NS - 1, *opening(rig.protocol, 1))
-    assert [frame.id - 0x281 for _, frame in sent] == others
-
-
-@pytest.mark.parametrize("mute", range(LEGS))
 def test_a_drive_as_delivered_sends_a_preoperational_heartbeat_alone(mute):
     """CiA 301: heartbeat 0x7F."""
     other = tuple(leg == mute for leg in range(LEGS))

@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-from drivers.cache_folder import CACHE_FOLDER
+from drivers.compiled.cache import CACHE_FOLDER
 from tests.realtime.rig import ROOT, Process, configuration
 
 pytestmark = pytest.mark.realtime

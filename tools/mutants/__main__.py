@@ -19,7 +19,7 @@ from pathlib import Path
 import click
 from scipy.stats import binomtest
 
-from drivers.cache_folder import CACHE_FOLDER
+from drivers.compiled.cache import CACHE_FOLDER
 from tools.mutants.areas import AREAS, ROOT, sources_of, tests_of
 from tools.mutants.mutant import Mutant, equivalents, mutants
 

@@ -76,7 +76,6 @@ def read(words: Ints, state: Ints) -> int:
 
 @helper
 def _go_on(words: Ints, state: Ints) -> None:
-    """Let time go on from where it stands."""
     raise_to(words, at.OFFSET_AT, state[_FREE] - state[_NOW])
 
 

@@ -7,14 +7,12 @@ from collections import deque
 from typing import Any
 
 import can
-from can.typechecking import AutoDetectedConfig, CanFilters, Channel
+from can.typechecking import CanFilters, Channel
 
 from drivers.can.bus_time import BitTiming
 from drivers.can.link import collect
-from drivers.can.localcan.layout import VERSION
 from drivers.can.localcan.participant import DEFAULT_TIMING, Participant
 from drivers.can.messages import from_message, to_message
-from drivers.can.runtime_folder import runtime_folder
 from drivers.errors import HilError
 from drivers.frame_array import sent_array, unpack_frames
 
@@ -99,9 +97,3 @@ class LocalCanBus(can.BusABC):
         super().shutdown()
         if hasattr(self, "_node"):
             self._node.close()
-
-    @staticmethod
-    def _detect_available_configs() -> list[AutoDetectedConfig]:
-        suffix = f".wire{VERSION}"
-        names = [path.name.removesuffix(suffix) for path in runtime_folder().glob(f"*{suffix}")]
-        return [{"interface": "localcan", "channel": name} for name in names]

@@ -11,9 +11,8 @@ from typing import Any, NamedTuple, TypeGuard
 
 from pydantic import ConfigDict
 
-from drivers.cache_folder import CACHE_FOLDER
 from drivers.errors import ConfigurationError
-from drivers.files import own_folder, read_regular
+from drivers.files import cache_folder, own_folder, read_regular
 from drivers.registry import named
 from hil.control.law import Law, LawContext, LawSettings
 
@@ -21,7 +20,7 @@ ATTACHMENT = "law.py"
 """Attachment of a log: the source of its law."""
 PATH = "law_path"
 """Key of a log's metadata: where the file of its law was."""
-_KNOWN = CACHE_FOLDER / "laws"
+_KNOWN = cache_folder() / "laws"
 """Digests of the laws that this user has run."""
 _NAMED = re.compile(r".+\.py:[A-Za-z_]\w*")
 

@@ -1,10 +1,12 @@
-"""Section `limits`: what safety refuses."""
+"""Sections `limits`, `monitor` and `reactions`: what safety refuses, and what is done about it."""
 
-from typing import Annotated, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
 from drivers.section import Section
+from drivers.signals import Fault
+from hil.config.delay import Delay
 from hil.config.values import NonNegative, Positive
 
 
@@ -55,3 +57,82 @@ class LimitSettings(Section):
                 f"given: {self.stale_warn_ticks}"
             )
         return self
+
+
+class MonitorSettings(Section):
+    """What is done where the error grows as its Lyapunov function forbids."""
+
+    action: Literal["log", "warn", "fault"] = "log"
+    """`log` records V, its rate and its bound; `warn` warns, too (CERTIFICATE); `fault` ends the run."""
+    disturbance_m_s2: Positive = 8.0
+    """Acceleration of a leg, or of the platform along an axis, that need not alarm: of loads, friction and
+    whatever else is not in the law's model. 10 kN on the book's platform are up to 7.9 in a leg."""
+    disturbance_rad_s2: Positive = 8.0
+    """The same of the platform about an axis, for laws in pose space."""
+    confirm_ticks: Annotated[int, Field(ge=1)] = 3
+    """So many ticks in a row have to say it."""
+    length_noise_m: NonNegative = 2e-6
+    """Largest deviation of a reading of a length from the true one: the encoder's step, or 3 to 4 standard
+    deviations of its noise. No reading may be off by more."""
+    rate_noise_m_s: NonNegative = 1e-4
+    """Largest deviation of a measured leg rate, as of the length."""
+    rate_skew_us: NonNegative = 50.0
+    """So far beside the length a leg rate may be latched, filtered or computed."""
+    rate_error_percent: NonNegative = 1.0
+    """Share of a leg rate that may be wrong: scale."""
+    friction_N: NonNegative | None = None
+    """Dry friction that may hold a leg still. Default: the largest that the law's model and the virtual plant
+    have; without a plant, or with an FMU of one's own, at least 5 % of the smallest of limits.force_N,
+    limits.force_window_N and drives.force_limit_N."""
+    drive_lag_ms: Delay = 0.8
+    """Time constant of the drives' force loop: 1000 / (2 pi bandwidth in Hz)."""
+
+
+Stop = Literal["ss1", "sbc", "sto"]
+"""ss1: a stop under control, along the path, within `engage.stop_s`; then as sbc. sbc: the brakes at once,
+and the force stays on until they are proven shut. sto: no force and the brakes, at once, unproven."""
+Brake = Literal["sbc", "sto"]
+
+
+class ReactionSettings(Section):
+    """What is done about each fault that strikes while the brakes are open, by what is still known.
+
+    The words are those of IEC 61800-5-2: safe stop 1, safe brake control, safe torque off. After the first
+    two a platform whose brakes are not proven shut keeps its force where there is any; `sto` takes it off at
+    once, in every mode. Of several faults the strongest reaction counts. An emergency stop, a bus that is
+    down, another controller, and drives that none of them is heard of any more, are always `sto`: there is
+    nobody who could obey.
+    """
+
+    stale: Brake = "sbc"
+    """A leg is not heard."""
+    drive: Brake = "sbc"
+    """One drive has failed; the others hold."""
+    stroke: Stop = "sbc"
+    speed: Stop = "sbc"
+    following: Stop = "sbc"
+    """The legs do not follow the reference: a stop along it cannot be relied on."""
+    kinematics: Brake = "sbc"
+    assembly: Brake = "sbc"
+    condition: Stop = "sbc"
+    not_finite: Brake = "sbc"
+    law: Brake = "sbc"
+    encoder: Brake = "sbc"
+    """An encoder is not believed."""
+    uncertain: Brake = "sbc"
+    certificate: Stop = "ss1"
+    duplicate_node: Brake = "sbc"
+    refused_frames: Stop = "ss1"
+    set_up: Stop = "ss1"
+    silence: Literal["brake", "damp", "hold", "zero"] = "brake"
+    """What a drive does by itself when it hears no command in motion. `brake`: its brake, and its last force
+    until that has closed; `damp`, `hold`: against its speed, or in its place, then its brake, see
+    `drives.brake_after_ms`; `zero`: no force and no brake. An emergency stop always brakes."""
+
+    def led_to(self, reaction: str) -> Fault:
+        """Return the faults that lead to a reaction."""
+        faults = Fault.NONE
+        for name in Fault.__members__:
+            if getattr(self, name.lower(), "") == reaction:
+                faults |= Fault[name]
+        return faults

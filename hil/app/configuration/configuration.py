@@ -24,16 +24,17 @@ from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
 from hil.config.feedforward import FeedforwardSettings
-from hil.config.limits import LimitSettings
-from hil.config.loop import LoopSettings
-from hil.config.monitor import MonitorSettings
+from hil.config.limits import LimitSettings, MonitorSettings, ReactionSettings
 from hil.config.number import LEAST, MOST
-from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
-from hil.config.reactions import ReactionSettings
 from hil.config.reference import ReferenceSettings
-from hil.config.running import EngageSettings, RecordingSettings
-from hil.config.watch import WatchSettings
+from hil.config.running import (
+    EngageSettings,
+    LoopSettings,
+    OperatorSettings,
+    RecordingSettings,
+    WatchSettings,
+)
 from hil.control import ControllerSettings
 from hil.control.law import LawSettings
 from plant_fmu.config import PlantSettings

@@ -2,7 +2,7 @@
 
 from math import ceil
 
-from hil.config.loop import LoopSettings
+from hil.config.running import LoopSettings
 from plant_fmu.config import FmuPlant, PlantSettings
 
 MOST_STEPS = 10_000

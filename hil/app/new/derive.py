@@ -21,9 +21,9 @@ from hil.app.new import drives
 from hil.app.new.robot import Answers, AtHome, platform_settings, platform_values, robot_at_home
 from hil.app.new.text import settings
 from hil.app.reachability import Walk, span_s, walk, window_swing
-from hil.config.monitor import MonitorSettings
-from hil.config.operator import OperatorSettings
+from hil.config.limits import MonitorSettings
 from hil.config.reference import SinusoidReference
+from hil.config.running import OperatorSettings
 from hil.mathematics.rounding import lowered, raised, rounded
 from hil.safety.guard import WINDOW_S
 from hil.trajectory.build import build_trajectory

@@ -16,8 +16,8 @@ from hil.app.configuration.bus_budget import bus_budget
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import path_text
+from hil.config.limits import ReactionSettings
 from hil.config.number import plain_number
-from hil.config.reactions import ReactionSettings
 from hil.config.running import EngageSettings
 from tests.broad import broad
 

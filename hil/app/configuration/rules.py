@@ -17,14 +17,24 @@ from drivers import build_protocol
 from drivers.errors import ConfigurationError, HilError
 from drivers.sensors import KINDS
 from drivers.signals import Reaction
-from hil.app.configuration.bounds import BOUNDS, EXCLUSIONS, Finding, Folder, MissingSectionError, Sections
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bounds import (
+    MOST_STEPS,
+    Finding,
+    Folder,
+    MissingSectionError,
+    Sections,
+    bounds,
+    exclusions,
+    step_key,
+)
+from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.controller_file import unusable
 from hil.app.configuration.fault_rules import not_brought_about, not_carried, of_no_bus
 from hil.app.configuration.feedforward_file import learned_forces
-from hil.app.configuration.plant_step import MOST_STEPS, step_key
 from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.problems import split_unit
 from hil.app.configuration.yaml_positions import Path
+from hil.config.platform import LegBodySettings, PlatformSettings, RigidBodySettings
 from hil.config.reference import LiveReference, SampledReference
 from hil.design.stability.monitor import certified_law
 from hil.robot.geometry import GeometryError
@@ -53,18 +63,20 @@ def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
             yield (*where, "data_bitrate_bit_s"), f"{message}, given: {each.data_bitrate_bit_s}"
 
 
-_KEYED = re.compile(r"(?:(bus|drives|sensors)((?:\.\w+)*)(?:\[(\d+)\])?: )?(.*)", re.DOTALL)
-"""An error that may begin with the key that it objects to."""
+def _keyed(error: HilError, sections: str, key: Path) -> Finding:
+    """Return the key that an error begins with, of one of these sections, or `key`; and the rest of it."""
+    named = re.fullmatch(rf"((?:{sections})[\w.\[\]]*): (.*)", str(error), re.DOTALL)
+    if named is None:
+        return key, str(error)
+    return tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
 
 
 def bus_load(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse what the protocol or the sensors cannot do, and frames that do not fit the period."""
     try:
-        bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+        bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     except HilError as error:
-        section, keys, index, message = _KEYED.fullmatch(str(error)).groups()  # type: ignore[union-attr]
-        where: Path = (section or "bus", *filter(None, (keys or "").split(".")))
-        yield (*where, int(index)) if index else where, message
+        yield _keyed(error, "bus|drives|sensors", ("bus",))
 
 
 def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
@@ -92,14 +104,9 @@ def geometry(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 KEYS = {
-    "base_joints": "base_joints_m",
-    "platform_joints": "platform_joints_m",
-    "mass": "mass_kg",
-    "com": "com_m",
-    "inertia": "inertia_kg_m2",
-    "inertia_axial": "inertia_axial_kg_m2",
-    "inertia_transverse": "inertia_transverse_kg_m2",
-    "gravity": "gravity_m_s2",
+    split_unit(key)[0]: key
+    for section in (PlatformSettings, RigidBodySettings, LegBodySettings)
+    for key in section.model_fields
 }
 """Names of `hil.robot.geometry` -> keys of the configuration."""
 
@@ -141,11 +148,7 @@ def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
     try:
         trajectory = build_trajectory(c.reference, c.platform.home, folder or FilePath())
     except ConfigurationError as error:
-        named = re.fullmatch(r"(reference[\w.\[\]]*): (.*)", str(error), re.DOTALL)
-        if named:
-            yield tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
-        else:
-            yield ("reference", "path") if sampled else ("reference",), str(error)
+        yield _keyed(error, "reference", ("reference", "path") if sampled else ("reference",))
         return
     if c.controller.endless is not None and trajectory.duration_s is None:
         key, reason = c.controller.endless
@@ -245,7 +248,7 @@ def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
     try:
         check_eds(str(sheet), velocity=options.get("velocity", "pdo") == "pdo")
     except ConfigurationError as error:
-        yield ("drives", "options", "eds"), str(error).removeprefix("drives.options.eds: ")
+        yield _keyed(error, "drives", ("drives", "options", "eds"))
 
 
 def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -258,6 +261,6 @@ def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[Sections, Folder], Iterator[Finding]], ...] = (
-    *BOUNDS, *EXCLUSIONS, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
+    bounds, exclusions, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
     designed_controllers, certificate, whole_steps, fmu_file, faults, drives, data_sheet, usable_feedforward,
 )  # fmt: skip

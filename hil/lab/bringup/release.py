@@ -5,8 +5,8 @@ from contextlib import closing
 from typing import NamedTuple
 
 from hil.app.compose import build_cycle
+from hil.app.configuration.changes import unattended
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.unattended import unattended
 from hil.app.homing.file import homing_file, homing_path, read_homing, write_homing
 from hil.app.homing.last_pose import home_lengths, last_pose_of
 from hil.app.sim.build import build_lockstep

@@ -6,9 +6,8 @@ from typing import Any, NamedTuple
 
 from drivers.errors import ConfigurationError, HilError
 from hil.app.check.command import refuse_unreachable
-from hil.app.configuration.changes import with_changes
+from hil.app.configuration.changes import unattended, with_changes
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.configuration.unattended import unattended
 from hil.app.sim.command import simulate
 from hil.lab.identify.runs import refuse_fused
 from hil.lab.learn.command import Knowledge, Outcome, Step, learned, limit_of

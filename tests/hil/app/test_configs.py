@@ -105,16 +105,6 @@ def test_the_books_path_is_the_books(name):
         )
 
 
-def test_ideal_is_ideal():
-    c: Any = load("ideal")
-    assert c.bus.layout == "ideal"
-    assert c.plant.model.force_bandwidth_Hz == 0
-    assert c.plant.drives.encoder_resolution_m == 0
-    assert (c.engage.force_ramp_s, c.engage.brake_release_s, c.engage.blend_s) == (0, 0, 0)
-    assert c.controller.wn_rad_s == 20
-    assert c.reference.periods == 1
-
-
 PDO = ("velocity: difference", "velocity: pdo"), ("  rate_Hz: 400", "  rate_Hz: 312.5")
 
 

@@ -16,8 +16,7 @@ class WrenchSettings(ForceDelay):
     source: Literal["none", "observer", "sensor"] = "none"
     """`observer`: from the forces sent and the motion they caused. `sensor`: the wrench of `sensors`."""
     bandwidth_Hz: Annotated[float, Field(gt=0, le=100)] = 15.0
-    """Of the observer: a step is seen to 1 - exp(-2 pi bandwidth t). More is faster, noisier, and less
-    forgiving of wrong delays and masses."""
+    """Of the observer. More is faster, noisier, and less forgiving of wrong delays and masses."""
     model: ModelSettings = ModelSettings()
     """Of the observer: what it does not hold, friction included, counts as external."""
 
@@ -53,8 +52,7 @@ class FusionSettings(Section):
     lost_at_once: Annotated[int, Field(ge=1, le=6)] = 1
     """More lost encoders than this at once fault."""
     tracker_gap_max_ms: Positive = 100.0
-    """With a leg lost, more time than this without a sample of the tracker that was of use faults: nothing
-    else holds the pose, which is an inverted pendulum to its own model."""
+    """With a leg lost, longer than this without a useful sample of the tracker, the only hold, faults."""
     position_std_max_m: Positive = 5e-3
     """The filter's own standard deviation of the platform's position that faults, over all directions."""
     imu_biases: bool = True

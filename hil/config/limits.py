@@ -9,6 +9,8 @@ from drivers.signals import Fault
 from hil.config.delay import Delay
 from hil.config.values import NonNegative, Positive
 
+Ticks = Annotated[int, Field(ge=1, le=1000)]
+
 
 class LimitSettings(Section):
     """Safety limits of the controller."""
@@ -32,18 +34,16 @@ class LimitSettings(Section):
     following_error_s: NonNegative = 0.0
     """Added per m/s of reference leg rate."""
     standstill_m: Positive = 5e-4
-    """A leg that moves farther on its closed brake is a fault. More than brakes give way under load, and more
-    than encoders are uncertain by."""
+    """A leg that moves farther on its closed brake faults. More than brakes give way and encoders err."""
     consistency_m: Positive = 1e-4
     """Residual of forward kinematics that faults."""
     condition: Positive = 50.0
     """Condition number of J (lengths made comparable) that faults."""
-    stale_warn_ticks: Annotated[int, Field(ge=1, le=1000)] = 2
-    stale_fault_ticks: Annotated[int, Field(ge=1, le=1000)] = 5
+    stale_warn_ticks: Ticks = 2
+    stale_fault_ticks: Ticks = 5
     sync_skew_us: Positive | None = None
-    """Several buses: a tick whose SYNCs are farther apart counts as late, for its legs are not read at one
-    instant. Default: a tenth of the period."""
-    missed_stop_ticks: Annotated[int, Field(ge=1, le=1000)] = 5
+    """Several buses: SYNCs farther apart than this make a tick late. Default: a tenth of the period."""
+    missed_stop_ticks: Ticks = 5
     """Periods missed in a row that ask for a controlled stop."""
     stretch_percent: Annotated[float, Field(ge=0, le=100)] = 5.0
     """Share of the run for which the time of a virtual bench may stand still in stretches of 4 ms and more,
@@ -72,8 +72,7 @@ class MonitorSettings(Section):
     confirm_ticks: Annotated[int, Field(ge=1)] = 3
     """So many ticks in a row have to say it."""
     length_noise_m: NonNegative = 2e-6
-    """Largest deviation of a reading of a length from the true one: the encoder's step, or 3 to 4 standard
-    deviations of its noise. No reading may be off by more."""
+    """Largest deviation of a read length: the encoder's step, or 3 to 4 standard deviations of its noise."""
     rate_noise_m_s: NonNegative = 1e-4
     """Largest deviation of a measured leg rate, as of the length."""
     rate_skew_us: NonNegative = 50.0

@@ -15,8 +15,7 @@ class MechanicsSettings(Section):
     """All masses, all inertias and the platform's centre of mass times this. The centres of mass along the
     legs stay exact, as do lengths, J, its rate, gravity and friction."""
     reflected_mass_kg: NonNegative | SixNonNegative = 0.0
-    """Motor and screw inertia seen along each leg: rotary inertia times (2 pi / lead)^2. One for all legs,
-    or one per leg; so are the frictions."""
+    """Of motor and screw: rotary inertia times (2 pi / lead)^2. One for all legs, or one each; so below."""
     viscous_friction_N_s_m: NonNegative | SixNonNegative = 0.0
     coulomb_friction_N: NonNegative | SixNonNegative = 0.0
     sliding_speed_m_s: NonNegative = 1e-3

@@ -228,8 +228,7 @@ class PlatformSettings(Section):
     platform_joint_angle_max_deg: JointAngle | None = None
     """The same for the platform joint."""
     base_joint_axes: SixVectors | None = None
-    """Axes of the base joints' cones: directions from base to platform, base frame. Default: each leg's own
-    direction at home."""
+    """Axes of the base joints' cones, base to platform, base frame. Default: each leg's direction at home."""
     platform_joint_axes: SixVectors | None = None
     """Axes of the platform joints' cones: directions from base to platform, platform frame. Same default."""
 

@@ -69,8 +69,7 @@ class OperatorSettings(Section):
     setup_speed_deg_s: Positive = 5.0
     """The same for turns."""
     stays: bool = False
-    """The run goes on after it has parked and after a fault, so that `reset`, `arm` and `start` make it move
-    again. Ctrl-C or `hil ctl end` ends it."""
+    """The run goes on after parking and faults, to be armed again. Ctrl-C or `hil ctl end` ends it."""
 
 
 class WebsocketSettings(Section):

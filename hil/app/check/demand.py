@@ -36,17 +36,6 @@ STEEPEST = 1.875
 """Largest slope of the smooth step by which a feed-forward fades, of its height over its length."""
 
 
-class Beyond(NamedTuple):
-    """Where on the path silence would drive a leg farthest into a hard end."""
-
-    t: float
-    leg: int
-    travel_m: float
-    """How far it may travel there until it rests on its brake."""
-    free_m: float
-    """How far it is from the end there."""
-
-
 class Silence(NamedTuple):
     """Travel of a leg that moves at v when the bus falls silent: v T + a T^2 / 2."""
 
@@ -59,14 +48,18 @@ class Silence(NamedTuple):
         """Return the longest on the path: that from the top speed."""
         return float(self._travel(np.abs(w.dq)).max())
 
-    def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> Beyond | None:
-        """Return where a leg would hit a hard end; None if all stop before."""
+    def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> dict[str, float] | None:
+        """Return where on the path a leg would be driven farthest into a hard end; None if all stop before.
+
+        Instant t, leg, travel_m until it rests on its brake, and free_m before the end.
+        """
         travel = np.stack((self._travel(np.maximum(-w.dq, 0.0)), self._travel(np.maximum(w.dq, 0.0))))
         free = np.stack((w.q - length_min_m, length_max_m - w.q))
         at = np.unravel_index(int(np.argmax(travel - free)), free.shape)
         if travel[at] <= free[at]:
             return None
-        return Beyond(float(w.t[at[1]]), int(at[2]), float(travel[at]), float(free[at]))
+        found = {"travel_m": float(travel[at]), "free_m": float(free[at])}
+        return found | {"t": float(w.t[at[1]]), "leg": int(at[2])}
 
     def _travel(self, speed: Array) -> Array:
         return speed * self.T + 0.5 * self.a * self.T**2

@@ -233,7 +233,7 @@ HARDWARE = {
     ),
     "plant.model.brake_force_N": Warning(
         lambda s: above(s.weight_N, None if s.stewart is None else s.stewart.brake_force_N),
-        "plant.model.brake_force_N {limit:g}: the emulated brakes slip under a weight of {value:.3g} N a leg",
+        "plant.model.brake_force_N {limit:g}: the emulated brakes slip under {value:.3g} N; state yours",
     ),
     "plant.drives brake times": Warning(
         lambda s: " and ".join(

@@ -174,11 +174,11 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
     ),
     "controller.delay_compensation": (
         lambda c: isinstance(c.reference, LiveReference) and c.controller.lookahead is not None,
-        "looks ahead along the reference, and nobody knows where a live one will go; leave it out",
+        "looks ahead along a path, and a live reference has none, allowed with it: leave it out",
     ),
     "feedforward": (
         lambda c: isinstance(c.reference, LiveReference) and c.feedforward is not None,
-        "was learned on a path, and nobody knows where a live reference will go; leave it out",
+        "was learned on a path, and a live reference has none, allowed with it: leave it out",
     ),
     "plant.model.type": (
         lambda c: (
@@ -202,7 +202,7 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
             and isinstance(c.plant.model, BenchPlant)
             and not c.platform.length_min_m < c.plant.model.rest_length_m < c.platform.length_max_m
         ),
-        "not between platform.length_min_m and length_max_m, given: {c.plant.model.rest_length_m:g}",
+        "outside the stroke, allowed: {c.platform.length_min_m:g} to {c.platform.length_max_m:g} m",
     ),
     "drives.homing": (
         lambda c: c.drives.homing is not None and c.drives.transmission is None,

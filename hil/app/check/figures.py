@@ -16,9 +16,6 @@ from hil.loop.clock import real_time_rights
 from hil.loop.report import KEPT
 from hil.robot.kinematics import condition, leg_lengths
 from plant_fmu.config import FmuPlant
-from plant_fmu.fmu.archive import open_archive
-from plant_fmu.fmu.check import fmu_spec, read_interface, shown
-from plant_fmu.fmu.probe import probe
 
 PUSH = 0.01
 """Share of limits.force_N that each leg of an FMU is pushed with."""
@@ -317,6 +314,10 @@ def plant(r: Report) -> None:
     s, c = r.s, r.s.c
     if c.plant is None or not isinstance(c.plant.model, FmuPlant):
         return
+    from plant_fmu.fmu.archive import open_archive  # noqa: PLC0415 - FMU tools, where one is the plant
+    from plant_fmu.fmu.check import fmu_spec, read_interface, shown  # noqa: PLC0415
+    from plant_fmu.fmu.probe import probe  # noqa: PLC0415
+
     model = c.plant.model
     spec = fmu_spec(model, c.folder)
     with open_archive(Path(spec.path)) as archive:

@@ -44,7 +44,7 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
     Guide: docs/guides/operate.md.
     """
     from hil.app import operate
-    from hil.app.configuration.text_file import address
+    from hil.app.configuration.address import address
 
     if seconds is not None and words[0] not in operate.REPEATED:
         raise click.UsageError("--for goes with the words key and jog.")

@@ -30,7 +30,7 @@ def command(
 
     Guide: docs/guides/references.md.
     """
-    from hil.app.configuration.text_file import address
+    from hil.app.configuration.address import address
     from hil.app.operate import send_setpoints
 
     if position is None and rotation is not None:

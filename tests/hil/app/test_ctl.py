@@ -17,8 +17,9 @@ from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, RunError
 from hil.app import operate
+from hil.app.configuration.address import address
 from hil.app.configuration.configuration import load
-from hil.app.configuration.text_file import address, read_configuration
+from hil.app.configuration.text_file import read_configuration
 from hil.app.sim.commands import CommandScript, read_commands
 from hil.cli import main
 from hil.operate.channel import OperatorChannel

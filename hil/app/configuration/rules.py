@@ -56,11 +56,11 @@ def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
     for n, each in enumerate(c.bus.buses):
         where: Path = ("bus", "channels", n) if c.bus.channels else ("bus",)
         if each.bitrate_bit_s > 1_000_000:
-            message = f"too fast for arbitration, allowed: at most 1000000, given: {each.bitrate_bit_s}"
-            yield (*where, "bitrate_bit_s"), message
+            fast = f"too fast for arbitration, allowed: at most 1000000, given: {each.bitrate_bit_s}"
+            yield (*where, "bitrate_bit_s"), fast
         if each.layout == "fd" and each.data_bitrate_bit_s < each.bitrate_bit_s:
-            message = f"slower than arbitration, allowed: at least {each.bitrate_bit_s} (bus.bitrate_bit_s)"
-            yield (*where, "data_bitrate_bit_s"), f"{message}, given: {each.data_bitrate_bit_s}"
+            slow = f"slower than arbitration, bus.bitrate_bit_s, allowed: at least {each.bitrate_bit_s}"
+            yield (*where, "data_bitrate_bit_s"), f"{slow}, given: {each.data_bitrate_bit_s}"
 
 
 def _keyed(error: HilError, sections: str, key: Path) -> Finding:
@@ -88,8 +88,7 @@ def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
             continue
         number = settings.node_id
         if number in taken:
-            message = f"already the number of another node, allowed: one that {taken[number]} does not have"
-            yield ("sensors", kind, "node_id"), f"{message}, given: {number}"
+            yield ("sensors", kind, "node_id"), f"{number}, allowed: one that {taken[number]} does not have"
         taken.setdefault(number, f"sensors.{kind}.node_id")
 
 
@@ -130,11 +129,9 @@ def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
         if pose is not None:
             q = leg_lengths(robot, *pose_arrays(pose))
             legs = ", ".join(f"leg {i} {q[i]:.4f}" for i in np.flatnonzero((q < low) | (q > high)))
+            reach = f"out of reach, allowed leg lengths: {low:g} to {high:g} m (soft ends), given: "
             if legs:
-                yield (
-                    path,
-                    f"out of reach, allowed leg lengths: {low:g} to {high:g} m (soft ends), given: {legs} m",
-                )
+                yield path, f"{reach}{legs} m"
 
 
 def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -179,11 +176,9 @@ def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
     step_us: float = getattr(c.plant.model, key)
     steps = period_us / step_us
     if steps <= MOST_STEPS and (steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps):
-        message = (
-            f"the period is no whole number of steps, allowed: {period_us:g} us (loop.rate_Hz) divided by a "
-            f"whole number, as {period_us / ceil(steps):.12g}, given: {step_us:g}"
-        )
-        yield ("plant", "model", key), message
+        parts = f"allowed: {period_us:g} us (loop.rate_Hz) divided by a whole number"
+        given = f"as {period_us / ceil(steps):.12g}, given: {step_us:g}"
+        yield ("plant", "model", key), f"the period is no whole number of steps, {parts}, {given}"
 
 
 def fmu_file(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -215,22 +210,15 @@ def drives(c: Sections, _: Folder) -> Iterator[Finding]:
     except HilError:  # which the rule on the bus load says
         return
     if Reaction[c.reactions.silence.upper()] not in traits.reactions:
-        allowed = ", ".join(each.name.lower() for each in traits.reactions)
-        message = (
-            f"not what these drives do by themselves, allowed with drives.protocol {c.drives.protocol} and "
-            f"its options: {allowed}, given: {c.reactions.silence}"
-        )
-        yield ("reactions", "silence"), message
+        allowed = f"allowed: {', '.join(each.name.lower() for each in traits.reactions)}"
+        what = f"not what these drives do by themselves (drives.protocol {c.drives.protocol} and its options)"
+        yield ("reactions", "silence"), f"{what}, {allowed}, given: {c.reactions.silence}"
     low, high = traits.reported_lengths or (np.array([-inf]), np.array([inf]))
     beyond = np.flatnonzero((low > c.platform.length_min_m) | (high < c.platform.length_max_m))
     for leg in beyond[:1].tolist():
-        message = (
-            f"the position that drive {leg} reports ends at leg lengths of {low[leg]:.4g} and "
-            f"{high[leg]:.4g} m, allowed: platform.length_min_m {c.platform.length_min_m:g} to length_max_m "
-            f"{c.platform.length_max_m:g} within them; change offset_m, gear_ratio or lead, or the range of "
-            "the drive"
-        )
-        yield ("drives", "transmission"), message
+        ends = f"the position that drive {leg} reports ends at {low[leg]:.4g} and {high[leg]:.4g} m"
+        allowed = f"allowed: beyond the leg's {c.platform.length_min_m:g} to {c.platform.length_max_m:g} m"
+        yield ("drives", "transmission"), f"{ends}, {allowed}; change offset_m, gear_ratio, lead or range"
 
 
 def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:

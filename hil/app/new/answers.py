@@ -99,8 +99,8 @@ def _stroke(a: Answers) -> str | None:
         )
     if not (number := condition_at_home(a)) < WORST_CONDITION:
         return (
-            f"the condition number of J at mid-stroke is {number:.3g}, allowed: below {WORST_CONDITION:g}; make "
-            "one radius smaller, or the pairs of joints narrower"
+            f"the condition number of J at mid-stroke is {number:.3g}, allowed: below {WORST_CONDITION:g}; "
+            "make one radius smaller, or the pairs of joints narrower"
         )
     return None
 

@@ -52,10 +52,8 @@ class LimitSettings(Section):
     @model_validator(mode="after")
     def _warn_before_fault(self) -> Self:
         if self.stale_warn_ticks > self.stale_fault_ticks:
-            raise ValueError(
-                f"stale_warn_ticks is above stale_fault_ticks, allowed: at most {self.stale_fault_ticks}, "
-                f"given: {self.stale_warn_ticks}"
-            )
+            allowed = f"allowed: at most {self.stale_fault_ticks}, given: {self.stale_warn_ticks}"
+            raise ValueError(f"stale_warn_ticks is above stale_fault_ticks, {allowed}")
         return self
 
 

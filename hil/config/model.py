@@ -32,12 +32,9 @@ class ModelSettings(MechanicsSettings):
     @model_validator(mode="after")
     def _frozen_somewhere(self) -> Self:
         constant = self.variant in {"constant", "constant_MG"}
-        if constant and self.frozen_at is None:
+        if constant != (self.frozen_at is not None):
             raise ValueError(
-                f"frozen_at is missing: variant {self.variant} needs the pose at which it is frozen"
-            )
-        if self.frozen_at is not None and not constant:
-            raise ValueError(
-                f"frozen_at has no meaning for variant {self.variant}, allowed: constant, constant_MG"
+                "frozen_at is for the variants constant and constant_MG, allowed: with them, where it is "
+                f"needed, given: variant {self.variant} with{'out' * constant} it"
             )
         return self

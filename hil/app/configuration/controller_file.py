@@ -39,8 +39,7 @@ def read_controller(path: Path) -> LinearController:
     if radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True:
         message = (
             f"the sampled controller is unstable by itself, allowed: poles up to 1 in magnitude, given: "
-            f"{radius:.6g}; it runs away where a limit opens the loop. Design again with softer weights, or "
-            "state design.unstable_controller: true where only the closed loop is to be stable"
+            f"{radius:.6g}; design with softer weights, or state design.unstable_controller: true"
         )
         raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))
     return controller

@@ -41,15 +41,10 @@ def write_section(path: Path, section: Section, remark: str) -> None:
 
     Raises ConfigurationError if it cannot be written.
     """
-    text = f"# {printable(remark)}\n" + yaml.safe_dump(
-        section.model_dump(mode="json"),
-        sort_keys=False,
-        allow_unicode=True,
-        width=110,
-        default_flow_style=None,
-    )
+    data = section.model_dump(mode="json")
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=110, default_flow_style=None)
     try:
-        write_whole(path, text)
+        write_whole(path, f"# {printable(remark)}\n{text}")
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None
 

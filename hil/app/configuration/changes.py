@@ -87,9 +87,10 @@ def _plain(value: Any, place: str) -> Any:
     )
 
 
-OPERATOR = {"operator": ("start", "deadman_s", "stays")}
+Keys = Mapping[str, tuple[str, ...]]
+OPERATOR: Keys = {"operator": ("start", "deadman_s", "stays")}
 """Keys by which a run waits for somebody: where nobody is, it stands for ever and fails no limit."""
-UNATTENDED = {**OPERATOR, "plant": ("homing_file",)}
+UNATTENDED: Keys = {**OPERATOR, "plant": ("homing_file",)}
 """These, and the file by which one run begins where another has parked."""
 
 
@@ -103,15 +104,13 @@ def without_operator(c: Configuration) -> Configuration:
     return _without(c, OPERATOR)
 
 
-def unattended_data(
-    value: Mapping[str, Any], taken: Mapping[str, tuple[str, ...]] = UNATTENDED
-) -> dict[str, Any]:
+def unattended_data(value: Mapping[str, Any], taken: Keys = UNATTENDED) -> dict[str, Any]:
     """Return the data of a configuration without the keys that are taken from it."""
     there = {name: keys for name, keys in taken.items() if isinstance(value.get(name), dict)}
     return merged(value, {name: dict.fromkeys(keys) for name, keys in there.items()})
 
 
-def _without(c: Configuration, taken: Mapping[str, tuple[str, ...]]) -> Configuration:
+def _without(c: Configuration, taken: Keys) -> Configuration:
     changes = {}
     for name, keys in taken.items():
         if section := getattr(c, name):

@@ -126,7 +126,7 @@ class Configuration(Section):
         Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus,
         no section `plant` where one is needed, faults that the command cannot bring about.
         """
-        found, faults = [], [] if self.plant is None else self.plant.faults
+        found: list[str] = []
         if command in ("run", "plant") and any(each.interface == "virtual" for each in self.bus.buses):
             found.append(
                 "bus.interface: python-can's `virtual` bus lives inside one process, and "
@@ -142,7 +142,7 @@ class Configuration(Section):
                 f"plant: missing, and `hil {command}` needs one: this configuration is for real drives "
                 "(`hil run`)"
             )
-        found += cannot_serve(command, faults)
+        found += cannot_serve(command, [] if self.plant is None else self.plant.faults)
         if found:
             raise ConfigurationError(*(f"{self._source}: {problem}" for problem in found))
 

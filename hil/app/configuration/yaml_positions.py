@@ -159,6 +159,7 @@ class _Walk:
                 self.keys[(*path, index)] = _position(item)
                 items.append(self.value(item, (*path, index)))
             return items
+        assert isinstance(node, yaml.ScalarNode)
         return self._scalar(node, path)
 
     def mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Value]:
@@ -179,7 +180,7 @@ class _Walk:
                 result[key] = self.value(value_node, here)
         return result
 
-    def _scalar(self, node: yaml.Node, path: Path) -> Value:
+    def _scalar(self, node: yaml.ScalarNode, path: Path) -> Value:
         text: str = node.value
         if found := _NO_TEXT.search(text):
             self.problem(node, path, f"character U+{ord(found[0]):04X} is not allowed, escaped either")

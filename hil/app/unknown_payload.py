@@ -14,7 +14,7 @@ from drivers.arrays import Array
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.config.monitor import MonitorSettings
+from hil.config.limits import MonitorSettings
 from hil.control.law import ErrorDynamics
 from hil.mathematics.linear_algebra import solve
 from hil.robot.dynamics import Model

@@ -39,7 +39,7 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
     Guide: docs/guides/first-run.md.
     """
     loaded = shared.load(configuration, "sim")
-    from hil.app.check.fmu import falls
+    from hil.app.check.warnings import falls
     from hil.app.configuration.fault_words import with_faults
     from hil.app.output import warn
     from hil.app.sim.command import simulate

@@ -33,9 +33,8 @@ class UncertaintyProfile(Section):
     @model_validator(mode="after")
     def _a_function(self) -> Self:
         if len(self.frequency_Hz) != len(self.bound):
-            raise ValueError(
-                f"{len(self.frequency_Hz)} frequencies and {len(self.bound)} bounds, allowed: as many of each"
-            )
+            counts = f"{len(self.frequency_Hz)} frequencies and {len(self.bound)} bounds"
+            raise ValueError(f"{counts}, allowed: as many of each")
         if any(b <= a for a, b in zip(self.frequency_Hz, self.frequency_Hz[1:], strict=False)):
             raise ValueError("frequency_Hz does not rise, allowed: each above the one before")
         return self

@@ -136,12 +136,10 @@ class Design(Section):
         if len(set(self.inputs)) != len(self.inputs):
             raise ValueError("inputs names one twice, allowed: each once")
         if "error" not in self.inputs:
-            raise ValueError(
-                "inputs lacks error: a rate alone cannot hold a position, allowed: error, rate_error"
-            )
+            raise ValueError("inputs lacks error, allowed: error, rate_error; a rate alone holds no position")
         if (self.weights.noise.rate_error_m_s is None) != ("rate_error" not in self.inputs):
             raise ValueError(
-                "weights.noise.rate_error_m_s and the input rate_error go together, allowed: both or neither"
+                "noise.rate_error_m_s and the input rate_error go together, allowed: both or neither"
             )
         if self.nominal is not None and self.model is not None:
             raise ValueError("nominal and model both say what the axis is, allowed: one of them")

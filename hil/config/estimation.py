@@ -1,13 +1,24 @@
-"""Section `estimation`: where the State comes from."""
+"""Section `estimation`: where the State comes from, and the external load on the platform."""
 
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator
 
 from drivers.section import Section
+from hil.config.delay import ForceDelay
 from hil.config.model import ModelSettings
 from hil.config.values import NonNegative, Positive
-from hil.config.wrench import WrenchSettings
+
+
+class WrenchSettings(ForceDelay):
+    """Where the external wrench of the State comes from; laws with a model compensate it."""
+
+    source: Literal["none", "observer", "sensor"] = "none"
+    """`observer`: from the forces sent and the motion they caused. `sensor`: the wrench of `sensors`."""
+    bandwidth_Hz: Annotated[float, Field(gt=0, le=100)] = 15.0
+    """Of the observer. More is faster, noisier, and less forgiving of wrong delays and masses."""
+    model: ModelSettings = ModelSettings()
+    """Of the observer: what it does not hold, friction included, counts as external."""
 
 
 class FusionSettings(Section):
@@ -41,8 +52,7 @@ class FusionSettings(Section):
     lost_at_once: Annotated[int, Field(ge=1, le=6)] = 1
     """More lost encoders than this at once fault."""
     tracker_gap_max_ms: Positive = 100.0
-    """With a leg lost, more time than this without a sample of the tracker that was of use faults: nothing
-    else holds the pose, which is an inverted pendulum to its own model."""
+    """With a leg lost, longer than this without a useful sample of the tracker, the only hold, faults."""
     position_std_max_m: Positive = 5e-3
     """The filter's own standard deviation of the platform's position that faults, over all directions."""
     imu_biases: bool = True

@@ -15,8 +15,7 @@ class MechanicsSettings(Section):
     """All masses, all inertias and the platform's centre of mass times this. The centres of mass along the
     legs stay exact, as do lengths, J, its rate, gravity and friction."""
     reflected_mass_kg: NonNegative | SixNonNegative = 0.0
-    """Motor and screw inertia seen along each leg: rotary inertia times (2 pi / lead)^2. One for all legs,
-    or one per leg; so are the frictions."""
+    """Of motor and screw: rotary inertia times (2 pi / lead)^2. One for all legs, or one each; so below."""
     viscous_friction_N_s_m: NonNegative | SixNonNegative = 0.0
     coulomb_friction_N: NonNegative | SixNonNegative = 0.0
     sliding_speed_m_s: NonNegative = 1e-3
@@ -33,12 +32,9 @@ class ModelSettings(MechanicsSettings):
     @model_validator(mode="after")
     def _frozen_somewhere(self) -> Self:
         constant = self.variant in {"constant", "constant_MG"}
-        if constant and self.frozen_at is None:
+        if constant != (self.frozen_at is not None):
             raise ValueError(
-                f"frozen_at is missing: variant {self.variant} needs the pose at which it is frozen"
-            )
-        if self.frozen_at is not None and not constant:
-            raise ValueError(
-                f"frozen_at has no meaning for variant {self.variant}, allowed: constant, constant_MG"
+                "frozen_at is for the variants constant and constant_MG, allowed: with them, where it is "
+                f"needed, given: variant {self.variant} with{'out' * constant} it"
             )
         return self

@@ -45,10 +45,8 @@ class JointCircle(Section):
         if self.pair_centres_deg is not None and halves.count(None) != 1:
             raise ValueError("allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m")
         if self.pair_spacing_m is not None and not self.pair_spacing_m < 2 * self.radius_m:
-            raise ValueError(
-                f"pair_spacing_m does not fit on the circle, allowed: less than {2 * self.radius_m:g} "
-                f"(2 radius_m), given: {self.pair_spacing_m:g}"
-            )
+            allowed = f"less than 2 radius_m, {2 * self.radius_m:g}, given: {self.pair_spacing_m:g}"
+            raise ValueError(f"pair_spacing_m does not fit on the circle, allowed: {allowed}")
         return self
 
 
@@ -86,10 +84,8 @@ class CylinderShape(Section):
     @model_validator(mode="after")
     def _wall(self) -> Self:
         if self.inner_radius_m >= self.radius_m:
-            raise ValueError(
-                f"inner_radius_m leaves no wall, allowed: less than {self.radius_m:g} (radius_m), "
-                f"given: {self.inner_radius_m:g}"
-            )
+            allowed = f"less than radius_m, {self.radius_m:g}, given: {self.inner_radius_m:g}"
+            raise ValueError(f"inner_radius_m leaves no wall, allowed: {allowed}")
         return self
 
 
@@ -164,16 +160,12 @@ class PayloadSettings(RigidBodySettings):
     def _the_model_is_within(self) -> Self:
         if self.mass_kg == 0.0 and (self.shape is None or self.mass_range_kg is None):
             raise ValueError("mass_kg 0 needs shape and mass_range_kg, allowed: more than 0 without them")
-        for key, figures, ranges in (
-            ("mass_kg", (self.mass_kg,), (self.mass_range_kg,)),
-            ("com_m", self.com_m, self.com_range_m or (None,) * 3),
-        ):
-            for figure, allowed in zip(figures, ranges, strict=True):
-                if allowed is not None and not allowed[0] <= figure <= allowed[1]:
-                    raise ValueError(
-                        f"{key} lies outside its range, allowed: {allowed[0]:g} to {allowed[1]:g}, given: "
-                        f"{figure:g}"
-                    )
+        ranges = (self.mass_range_kg, *(self.com_range_m or (None,) * 3))
+        keys = ("mass_kg", "com_m", "com_m", "com_m")
+        for key, figure, within in zip(keys, (self.mass_kg, *self.com_m), ranges, strict=True):
+            if within is not None and not within[0] <= figure <= within[1]:
+                allowed = f"allowed: {within[0]:g} to {within[1]:g}, given: {figure:g}"
+                raise ValueError(f"{key} lies outside its range, {allowed}")
         return self
 
 
@@ -187,10 +179,7 @@ class BodySettings(RigidBodySettings):
     def _one_range(self) -> Self:
         ranged = [k for k, body in enumerate(self.payload) if body.ranged]
         if len(ranged) > 1:
-            raise ValueError(
-                f"payload: bodies {', '.join(map(str, ranged))} have ranges, allowed: one body that has; put "
-                "what rides together into one"
-            )
+            raise ValueError(f"payload: bodies {', '.join(map(str, ranged))} have ranges, allowed: one body")
         return self
 
 
@@ -228,8 +217,7 @@ class PlatformSettings(Section):
     platform_joint_angle_max_deg: JointAngle | None = None
     """The same for the platform joint."""
     base_joint_axes: SixVectors | None = None
-    """Axes of the base joints' cones: directions from base to platform, base frame. Default: each leg's own
-    direction at home."""
+    """Axes of the base joints' cones, base to platform, base frame. Default: each leg's direction at home."""
     platform_joint_axes: SixVectors | None = None
     """Axes of the platform joints' cones: directions from base to platform, platform frame. Same default."""
 

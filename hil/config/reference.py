@@ -20,6 +20,9 @@ MOST_LINES = 1000
 """Sinusoids of a sum: each is evaluated at each tick."""
 MOST_AXES = 24
 """Groups of lines of a multisine."""
+Periods = Annotated[int, Field(ge=1, le=MOST_PERIODS)]
+Moment = Annotated[float, Field(ge=0, le=LONGEST_S)]
+Duration = Annotated[float, Field(gt=0, le=LONGEST_S)]
 
 
 class Evaluated(Section):
@@ -42,7 +45,7 @@ class HoldReference(Evaluated):
 class Waypoint(Section):
     """One way-point: pose at a time after the start."""
 
-    t_s: Annotated[float, Field(ge=0, le=LONGEST_S)]
+    t_s: Moment
     position_m: Vector3
     rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
 
@@ -54,7 +57,7 @@ class WaypointReference(Evaluated):
     interpolation: Literal["cubic", "quintic", "minimum_jerk"] = "quintic"
     """cubic and quintic rest at every point, minimum_jerk at the first and the last one."""
     points: Annotated[list[Waypoint], Field(min_length=2, max_length=MOST_POINTS)]
-    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] | None = 1
+    periods: Periods | None = 1
     """How many times the list is run through; null is for ever."""
 
 
@@ -79,7 +82,7 @@ class TimeOptimalReference(Evaluated):
     type: Literal["time_optimal"]
     points: Annotated[list[Pose], Field(min_length=2, max_length=MOST_PLANNED)]
     limits: AxisLimits
-    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] | None = 1
+    periods: Periods | None = 1
     """How many times the list is run through; null is for ever."""
 
 
@@ -100,8 +103,8 @@ class SinusoidReference(Evaluated):
     centre: Pose | None = None
     """Default: home."""
     components: Annotated[list[Sinusoid], Field(min_length=1, max_length=MOST_LINES)]
-    ramp_s: Annotated[float, Field(ge=0, le=LONGEST_S)] = 1.0
-    duration_s: Annotated[float, Field(gt=0, le=LONGEST_S)]
+    ramp_s: Moment = 1.0
+    duration_s: Duration
 
 
 class MultisineAxis(Section):
@@ -126,10 +129,10 @@ class MultisineReference(Evaluated):
     """Default: home."""
     axes: Annotated[list[MultisineAxis], Field(min_length=1, max_length=MOST_AXES)]
     """No two of them share a frequency."""
-    period_s: Annotated[float, Field(gt=0, le=LONGEST_S)]
-    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] = 1
+    period_s: Duration
+    periods: Periods = 1
     """Whole periods between the ramps."""
-    ramp_s: Annotated[float, Field(ge=0, le=LONGEST_S)] = 1.0
+    ramp_s: Moment = 1.0
 
 
 class SampledReference(Evaluated):
@@ -138,7 +141,7 @@ class SampledReference(Evaluated):
     type: Literal["sampled"]
     path: str
     """Relative to the configuration file."""
-    periods: Annotated[int, Field(ge=1, le=MOST_PERIODS)] = 1
+    periods: Periods = 1
 
 
 class LiveReference(Section):

@@ -1,4 +1,4 @@
-"""Sections `engage` and `recording`: how a run begins and ends, and what is kept of it."""
+"""Sections of a run: `loop`, `engage`, `operator`, `recording`, `watch`."""
 
 from typing import Annotated, Literal
 
@@ -8,6 +8,29 @@ from drivers.section import Section
 from hil.config.values import Positive
 
 UpToAMinute = Annotated[float, Field(ge=0, le=60)]
+
+
+class LoopSettings(Section):
+    """The fixed-rate loop."""
+
+    rate_Hz: Annotated[float, Field(ge=1, le=100_000)] = 1000.0
+    feedback_window_us: Positive | None = None
+    """Longest wait for the six feedbacks after SYNC; default 75 % of the period."""
+    cpu: Annotated[int, Field(ge=0, le=1023)] | None = None
+    """CPU to pin the loop to (only together with SCHED_FIFO)."""
+    priority: Annotated[int, Field(ge=1, le=99)] = 80
+    """SCHED_FIFO priority."""
+    spin_us: Annotated[float, Field(ge=0, le=10_000)] = 100.0
+    """Busy-wait this long before each deadline."""
+    without_realtime: Literal["slow", "refuse"] = "slow"
+    """Without SCHED_FIFO, or where `--plant` finds it not kept: drop to a rate that holds, or refuse."""
+    on_stall: Literal["stretch", "fault"] = "stretch"
+    """With `--plant`, or at a served bench, on localcan, while this machine holds one side up: let bench time
+    stand still, or go on as on hardware, where a long stall ends in a fault."""
+
+    def window_s(self, rate_Hz: float) -> float:
+        """Return the longest wait for the six feedbacks at a rate, s."""
+        return 0.75 / rate_Hz if self.feedback_window_us is None else self.feedback_window_us * 1e-6
 
 
 class EngageSettings(Section):
@@ -33,6 +56,22 @@ class EngageSettings(Section):
         return self.brake_release_s if self.brake_close_s is None else self.brake_close_s
 
 
+class OperatorSettings(Section):
+    """What the operator has to do; see the guide on operating a run."""
+
+    start: Literal["automatic", "asked"] = "automatic"
+    """`asked`: after the approach the platform waits at the start of the reference for `hil ctl start`."""
+    deadman_s: Positive | None = None
+    """Motion needs the operator's held key (`hil ctl key`), heard not longer ago than this. Else the platform
+    comes to rest along its path, and goes on with a new `start` only. Default: no key. No safety function."""
+    setup_speed_m_s: Positive = 0.05
+    """Of a jog, and of the ways back to the path and to the first pose."""
+    setup_speed_deg_s: Positive = 5.0
+    """The same for turns."""
+    stays: bool = False
+    """The run goes on after parking and faults, to be armed again. Ctrl-C or `hil ctl end` ends it."""
+
+
 class WebsocketSettings(Section):
     """Where Foxglove or Lichtblick connect while it runs. Who can connect reads all of the log."""
 
@@ -54,3 +93,10 @@ class RecordingSettings(Section):
     budget_GB: Annotated[float, Field(gt=0, le=1e9)] | None = None
     """Before a run the oldest logs of this configuration in `folder` are removed, those with faults last and
     the newest never, until its logs and this run fit. Default: nothing is ever removed."""
+
+
+class WatchSettings(Section):
+    """The live page of `hil watch`."""
+
+    operate: bool = False
+    """The page may operate the platform, not only show it; each of its commands carries the token."""

@@ -15,7 +15,7 @@ from drivers.arrays import Array
 from drivers.compiled.compiler import MATRIX, REAL, VECTOR, kernel, record
 from drivers.compiled.pointed import Callee, context_of, data_at, pointed
 from drivers.signals import Refusal
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.motion import Motion
 from hil.mathematics.linear_algebra import lu_factor, lu_solve
 from hil.mathematics.rotations import rotation_motion, rotation_vector_kernel

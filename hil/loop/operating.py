@@ -6,7 +6,7 @@ Pure: it judges by ticks. Orders come with a tick's input.
 from collections.abc import Callable, Sequence
 
 from drivers.signals import Mode
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.setup_moves import Inspection, at_setup_speed

@@ -12,9 +12,8 @@ from drivers.arrays import Array
 from drivers.family import Family
 from drivers.protocol import DriveSetup
 from drivers.sensors import SensorProtocol
-from hil.config.operator import OperatorSettings
-from hil.config.reactions import ReactionSettings
-from hil.config.running import EngageSettings
+from hil.config.limits import ReactionSettings
+from hil.config.running import EngageSettings, OperatorSettings
 from hil.control.law import Law
 from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor

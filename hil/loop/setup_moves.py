@@ -9,7 +9,7 @@ from math import ceil, hypot, radians, sqrt
 import numpy as np
 
 from drivers.arrays import Array
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.parts import Parts
 from hil.loop.reference import farthest_leg_m
 from hil.mathematics.rotations import relative_rotation

@@ -13,7 +13,7 @@ from drivers.can.bus_time import FD_LENGTHS, BitTiming, frame_bits, frame_time_n
 from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
-from hil.app.configuration.bus_budget import budget, check
+from hil.app.configuration.bus_budget import budget
 from tests.drivers.arbitrated import arbitrate
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
@@ -180,12 +180,12 @@ def test_worst_case_is_nearly_reached():
 def test_overload_is_refused_with_the_arithmetic():
     many = [Frame(1, bytes(8))] * 12
     with pytest.raises(ConfigurationError) as caught:
-        check(many, CLASSIC_1M, 1000, 70, either_layout=True)
+        budget(many, CLASSIC_1M, 1000, 70).require(either_layout=True)
     for part in ("12 x classic", "135.0 us each", "1620.0 us", "162.0 %", "617 Hz", "432 Hz", "layout: fd"):
         assert part in str(caught.value)
-    assert check(many, CLASSIC_1M, 432, 70).fits
+    budget(many, CLASSIC_1M, 432, 70).require()
     with pytest.raises(ConfigurationError) as caught:
-        check([*many, Frame(1, b"", FD)], CLASSIC_1M, 1000, either_layout=True)
+        budget([*many, Frame(1, b"", FD)], CLASSIC_1M, 1000).require(either_layout=True)
     assert "layout: fd" not in str(caught.value), "it has that"
 
 

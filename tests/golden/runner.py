@@ -16,10 +16,9 @@ from drivers.frame_array import received_frames, sent_frames
 from drivers.protocol import BUS, Frame, Received
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.changes import with_changes
+from hil.app.configuration.changes import with_changes, without_operator
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.fault_words import show_fault, with_faults
-from hil.app.configuration.unattended import without_operator
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
 from hil.loop.clock import collector_paused

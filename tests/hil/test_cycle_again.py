@@ -10,7 +10,7 @@ import pytest
 from drivers.signals import Fault, Mode, Refusal, Stop
 from hil.app.compose import build_cycle
 from hil.app.configuration.configuration import loads
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.cycle import Cycle
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove

@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 from drivers.signals import Mode, Refusal
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.jogging import (
     LIVE,
     NO_KEY,

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from drivers.signals import Refusal
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.signals import Operator, Order, explain

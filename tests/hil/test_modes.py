@@ -7,7 +7,7 @@ import math
 import pytest
 
 from drivers.signals import DriveMode, DriveState, Fault, Mode
-from hil.config.reactions import ReactionSettings
+from hil.config.limits import ReactionSettings
 from hil.loop.modes import (
     BEFORE,
     BRAKED,

@@ -12,8 +12,7 @@ from drivers.signals import DriveState, Mode, Warn
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
 from hil.config.delay import DelayCompensation
-from hil.config.limits import LimitSettings
-from hil.config.monitor import MonitorSettings
+from hil.config.limits import LimitSettings, MonitorSettings
 from hil.contracts.records import record_of
 from hil.control import LAWS
 from hil.control.inverse_dynamics import InverseDynamicsSettings

@@ -12,7 +12,7 @@ import pytest
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
-from hil.config.operator import OperatorSettings
+from hil.config.running import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
 from hil.loop.operating import NO_KEY, Operating

@@ -13,8 +13,8 @@ import pytest
 
 import configs
 from drivers.signals import Mode
+from hil.app.configuration.changes import without_operator
 from hil.app.configuration.configuration import Configuration, load
-from hil.app.configuration.unattended import without_operator
 from hil.loop.tick_row import Given, Ticks
 from tests.broad import broad
 from tests.loop.bench import bench, changed

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import pytest
 
 from drivers.signals import DriveMode, DriveState, Fault, Mode
-from hil.config.reactions import ReactionSettings
+from hil.config.limits import ReactionSettings
 from hil.loop.modes import (
     DRIVE_PATIENCE_S,
     MOVING,

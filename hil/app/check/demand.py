@@ -36,17 +36,6 @@ STEEPEST = 1.875
 """Largest slope of the smooth step by which a feed-forward fades, of its height over its length."""
 
 
-class Beyond(NamedTuple):
-    """Where on the path silence would drive a leg farthest into a hard end."""
-
-    t: float
-    leg: int
-    travel_m: float
-    """How far it may travel there until it rests on its brake."""
-    free_m: float
-    """How far it is from the end there."""
-
-
 class Silence(NamedTuple):
     """Travel of a leg that moves at v when the bus falls silent: v T + a T^2 / 2."""
 
@@ -59,14 +48,18 @@ class Silence(NamedTuple):
         """Return the longest on the path: that from the top speed."""
         return float(self._travel(np.abs(w.dq)).max())
 
-    def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> Beyond | None:
-        """Return where a leg would hit a hard end; None if all stop before."""
+    def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> dict[str, float] | None:
+        """Return where on the path a leg would be driven farthest into a hard end; None if all stop before.
+
+        Instant t, leg, travel_m until it rests on its brake, and free_m before the end.
+        """
         travel = np.stack((self._travel(np.maximum(-w.dq, 0.0)), self._travel(np.maximum(w.dq, 0.0))))
         free = np.stack((w.q - length_min_m, length_max_m - w.q))
         at = np.unravel_index(int(np.argmax(travel - free)), free.shape)
         if travel[at] <= free[at]:
             return None
-        return Beyond(float(w.t[at[1]]), int(at[2]), float(travel[at]), float(free[at]))
+        found = {"travel_m": float(travel[at]), "free_m": float(free[at])}
+        return found | {"t": float(w.t[at[1]]), "leg": int(at[2])}
 
     def _travel(self, speed: Array) -> Array:
         return speed * self.T + 0.5 * self.a * self.T**2
@@ -163,34 +156,27 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     beside_m = max(sqrt(following_m) - sqrt(2.0 * MOVED * limits.length_noise_m), 0.0)
     ticks = ceil(WINDOW_S / (w.t[1] - w.t[0])) if len(w.t) > 1 else 1
     force, window = c.limits.force_N, c.limits.force_window_N
-    ways, both = (1.0, "") if limits.sticks else (2.0, " both ways")
-    peak, swing = np.abs(w.tau).max(axis=0), window_swing(w.tau, ticks).max(axis=0)
+    swing = window_swing(w.tau, ticks).max(axis=0)
     room = {
-        f"limits.force_N {force:g}, of which the path takes {peak.max():.0f} N": force - peak,
-        f"limits.force_window_N {window:g}{both}, of which the path takes {swing.max():.0f} N": (
-            (window - swing) / ways
-        ),
+        f"limits.force_N {force:g}": force - np.abs(w.tau).max(axis=0),
+        f"limits.force_window_N {window:g}": (window - swing) / (1.0 if limits.sticks else 2.0),
     }
     if limits.sticks:
-        moves = "as a free leg moves until that is seen beside monitor.length_noise_m"
-        room[f"limits.following_error_m {following_m:g}, {moves}"] = (beside_m / late_s) ** 2 / A
+        room[f"limits.following_error_m {following_m:g}"] = (beside_m / late_s) ** 2 / A
     room = {what: most for what, most in room.items() if (most >= 0.0).all()}  # else the path breaks it alone
     if all((most >= limits.push_N).all() for most in room.values()):
         return None
     what, least = min(room.items(), key=lambda each: float((each[1] - limits.push_N).min()))
     beyond = least - limits.push_N
-    leg = int(np.argmin(beyond))
-    friction = friction_N(c)
+    leg, friction = int(np.argmin(beyond)), friction_N(c)
     driving, back_driving = efficiencies(c)
     most = friction + float(beyond[leg] / (1.0 / driving[leg] + back_driving[leg]))
-    losses = " and losses" if (driving * back_driving < 1.0).any() else ""
-    key = what.split()[0]
+    allowed = f"at most {most:.1f} N" if most >= 0.0 else "no such push"
+    assumed = " (assumed)" if friction > stated_friction_N(c) else ""
     return (
-        f"a leg that stands still is pushed by {limits.push_N[leg]:.0f} N, 2 x friction{losses} and what "
-        f"monitor.disturbance_m_s2 asks for; that is too much for {what}, allowed: "
-        f"{f'at most {most:.1f} N' if most >= 0.0 else 'no such push'}, given: {friction:g} N"
-        f"{' (assumed)' if friction > stated_friction_N(c) else ''}; state the friction as measured, "
-        f"or raise {key}"
+        f"a leg at rest is pushed by {limits.push_N[leg]:.0f} N, twice the friction, losses and what "
+        f"monitor.disturbance_m_s2 asks for, too much for {what}, allowed: {allowed}, given: {friction:g} N"
+        f"{assumed}; state the friction as measured, or raise {what.split()[0]}"
     )
 
 

@@ -7,15 +7,16 @@ import numpy as np
 
 from drivers.motors import MotorProtocol
 from drivers.transmission import Transmission
-from hil.app.check.fmu import backward, falls, uncoupled
 from hil.app.check.loose import FACTOR, loose
 from hil.app.check.report import Scaled
-from hil.app.check.subject import LEAST_MARGIN_DEG, Subject
+from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, static_N
+from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.schema import named_schema, schema_is_there
 from hil.app.operate import REPEAT_S
 from hil.control.uncertainty import UncertaintySettings
 from hil.mathematics.rounding import lowered
 from hil.safety.residuals import SUSPECT, gap_bound
+from plant_fmu.config import FmuPlant
 
 UNSTATED = 3.0
 """A rated force that nobody stated and that is this many times above the limit is a mistake."""
@@ -43,25 +44,24 @@ Values = Mapping[str, object]
 
 
 class Warning(NamedTuple):  # noqa: A001 - the word of the command
-    """A warning: its code, whether it holds, and its sentence.
+    """A warning: whether it holds, and its sentence.
 
     `found` returns what the sentence needs besides the subject `s` and its configuration `c`: figures, or
     `text`, or nothing (`True`); several of them for several sentences; none where the setting is harmless.
     """
 
-    code: str
     found: Callable[[Subject], "bool | str | Values | list[str] | list[Values] | None"]
     sentence: str
 
 
 def warnings(s: Subject) -> Iterator[tuple[str, str]]:
     """Yield code and sentence of each warning that holds."""
-    for row in WARNINGS if s.c.bus.layout == "ideal" else (*HARDWARE, *WARNINGS):
+    for code, row in (WARNINGS if s.c.bus.layout == "ideal" else HARDWARE | WARNINGS).items():
         found = row.found(s)
         for each in found if isinstance(found, list) else [found]:
             if each:
                 values = each if isinstance(each, Mapping) else {"text": each}
-                yield row.code, Scaled().vformat(row.sentence, (), {"s": s, "c": s.c, **values})
+                yield code, Scaled().vformat(row.sentence, (), {"s": s, "c": s.c, **values})
 
 
 def above(value: float | None, limit: float | None) -> Values | None:
@@ -78,8 +78,7 @@ def below(value: float | None, limit: float | None) -> Values | None:
 def _hard_end(s: Subject) -> Values | None:
     if s.silence is None or s.c.reactions.silence != "brake":
         return None
-    hit = s.silence.beyond(s.walk, s.c.platform.length_min_m, s.c.platform.length_max_m)
-    return hit and hit._asdict()
+    return s.silence.beyond(s.walk, s.c.platform.length_min_m, s.c.platform.length_max_m)
 
 
 def _motor(s: Subject) -> list[str]:
@@ -98,10 +97,11 @@ def _motor(s: Subject) -> list[str]:
     return [text for holds, text in rows if holds]
 
 
-def _jump_m(s: Subject) -> float:
-    """Smallest jump of a length that is seen."""
+def _jumps(s: Subject) -> Values | None:
+    """Return the smallest jump of a length that is seen, where that is much of the stroke."""
     e = s.encoders
-    return gap_bound(e.length_noise_m, e.rate_noise_m_s, 2.0 * e.disturbance_m_s2, e.period_s)
+    seen_m = gap_bound(e.length_noise_m, e.rate_noise_m_s, 2.0 * e.disturbance_m_s2, e.period_s)
+    return above(seen_m, JUMP_SHARE * s.stroke_m)
 
 
 def _asked(s: Subject) -> list[Values]:
@@ -111,7 +111,7 @@ def _asked(s: Subject) -> list[Values]:
     if s.slowed is not None and s.jogged is not None:
         what, mend = (
             "a change of speed along the reference",
-            "hold, start or a speed may fault there; " + stop,
+            f"hold, start or a speed may fault there; {stop}",
         )
         rows += [
             (what, s.slowed.acceleration_m_s2, "m/s^2", "acceleration_m_s2", mend),
@@ -149,122 +149,123 @@ def _unbraked(s: Subject) -> Values | None:
     return {"times": times, "able": able, "give": lowered(able)} if times > FACTOR else None
 
 
+def falls(c: Configuration) -> str:
+    """Say that a plant without brakes falls before the first command; empty where it does not."""
+    if c.plant is None or not isinstance(c.plant.model, FmuPlant) or c.plant.model.brake:
+        return ""
+    load_N = float(np.abs(static_N(c, robot(c))).max())
+    if load_N == 0.0:
+        return ""
+    return (
+        "plant.model.brake is empty: no brake holds this plant, and its legs carry up to "
+        f"{load_N:.3g} N; it falls from the first instant until the drives give force. Give the FMU six "
+        "brake inputs (1 holds the leg) and map them, as the page on FMUs shows"
+    )
+
+
+def _backward(s: Subject) -> str:
+    """Return the legs that a force > 0 shortens."""
+    legs = [] if s.probe is None else np.flatnonzero(np.diag(s.probe.mobility) < 0.0).tolist()
+    return ", ".join(map(str, legs))
+
+
+def _uncoupled(s: Subject) -> dict[str, float] | None:
+    """Return the largest mass of uncoupled legs, if the law has a platform between them."""
+    if s.probe is None or not s.probe.uncoupled or s.c.controller.believed is None:
+        return None
+    return {"m": float(1.0 / np.abs(np.diag(s.probe.mobility)).min())}
+
+
 _NOISE = "give the largest deviation of a reading, 3 to 4 standard deviations"
 _KEY = (
     "operator.deadman_s {value:g}: %s, and the platform comes to rest where one of them comes late or is "
     "lost; give {limit:.3g} or more"
 )
 
-HARDWARE = (
-    Warning(
-        "loop.feedback_window_us",
+HARDWARE = {
+    "loop.feedback_window_us": Warning(
         lambda s: above(max(s.answers_us), s.window_us),
-        "SYNC and six feedbacks take {value:.0f} us of bus time and the window is {limit:.0f} us "
-        "(loop.feedback_window_us): legs will be stale",
+        "loop.feedback_window_us {limit:.0f}: SYNC and feedbacks take {value:.0f} us, so legs will be stale",
     ),
-    Warning(
-        "reactions.silence",
+    "reactions.silence": Warning(
         lambda s: s.c.reactions.silence == "zero",
-        "reactions.silence zero: after silence nothing holds the platform, whose legs carry "
-        "up to {s.weight_N:.0f} N; write brake",
+        "reactions.silence zero: after silence nothing holds {s.weight_N:.0f} N a leg; write brake",
     ),
-    Warning(
-        "reactions sto",
+    "reactions sto": Warning(
         lambda s: ", ".join(str(fault.name).lower() for fault in s.c.reactions.led_to("sto")),
-        "reactions sto after {text}: the platform falls until the brakes act, and whether "
-        "they hold is not tested; sbc keeps the force on until they are proven",
+        "reactions sto after {text}: the platform falls until untested brakes act; sbc holds it till then",
     ),
-    Warning(
-        "engage.force_ramp_s",
+    "engage.force_ramp_s": Warning(
         lambda s: s.c.engage.force_ramp_s <= 0.0,
         "engage.force_ramp_s 0: no brake is ever tested, neither at the start nor when parking",
     ),
-    Warning(
-        "engage.brake_close_s",
+    "engage.brake_close_s": Warning(
         _hard_end,
-        "drives.watchdog_ms {c.drives.watchdog_ms:g} and engage.brake_close_s {c.engage.closing_s:g}: after "
-        "silence at t = {t:.3f} s leg {leg}, {free_m:milli.0f} mm from a hard end, travels up to "
-        "{travel_m:milli.0f} mm until it rests on its brake; shorten them, or speed or stroke of the path",
+        "engage.brake_close_s {c.engage.closing_s:g}: after silence at t = {t:.3f} s leg {leg}, "
+        "{free_m:milli.0f} mm from a hard end, travels up to {travel_m:milli.0f} mm until its brake holds; "
+        "shorten it, drives.watchdog_ms, or speed or stroke of the path",
     ),
-    Warning("drives.protocol", lambda s: [*s.protocol.traits.dangers], "{text}"),
-    Warning(
-        "drives.homing",
+    "drives.protocol": Warning(lambda s: [*s.protocol.traits.dangers], "{text}"),
+    "drives.homing": Warning(
         lambda s: isinstance(s.protocol, MotorProtocol) and s.c.drives.homing is None,
-        "drives.homing: left out, so after a power-off nothing compares lengths with where the legs were "
-        "parked, and a drive that has forgotten turns of its motor reads a length that is wrong by these",
+        "drives.homing is left out: a drive that forgets turns of its motor while its power is off reads a "
+        "wrong length, and nothing shows it; state a file to compare with",
     ),
-    Warning(
-        "drives.transmission",
+    "drives.transmission": Warning(
         _motor,
-        "drives.transmission: lead_m, pulley_radius_m or gear_ratio: {text} of the motor, as hardly any "
-        "does: state the leg length of a turn in m",
+        "drives.transmission: {text} of the motor, as hardly any does: lead_m and pulley_radius_m are in m",
     ),
-    Warning(
-        "monitor.length_noise_m and jumps",
-        lambda s: above(_jump_m(s), JUMP_SHARE * s.stroke_m),
-        "monitor.length_noise_m {c.monitor.length_noise_m:g}: a jump is seen from {value:milli.3g} mm on, "
-        "more than a tenth of the stroke ({limit:milli.3g} mm), so the rules on jumps are without effect; "
-        + _NOISE,
+    "monitor.length_noise_m and jumps": Warning(
+        _jumps,
+        "monitor.length_noise_m {c.monitor.length_noise_m:g}: only a jump beyond {value:milli.3g} mm is "
+        "seen, a tenth of the stroke is {limit:milli.3g} mm; " + _NOISE,
     ),
-    Warning(
-        "monitor.length_noise_m and standstill",
+    "monitor.length_noise_m and standstill": Warning(
         lambda s: above(SUSPECT * s.encoders.length_noise_m, s.c.limits.following_error_m),
-        "monitor.length_noise_m {c.monitor.length_noise_m:g}: a leg that stands still is suspected from "
-        "{value:milli.3g} mm on, above limits.following_error_m {limit:g}, so that rule is without effect; "
-        + _NOISE,
+        "monitor.length_noise_m {c.monitor.length_noise_m:g}: a leg at rest is suspected beyond "
+        "{value:milli.3g} mm, above limits.following_error_m {limit:g}; " + _NOISE,
     ),
-    Warning(
-        "limits.following_error_m and steps of the force",
+    "limits.following_error_m and steps of the force": Warning(
         lambda s: above(s.stepped_error_m, s.c.limits.following_error_m),
-        "limits.following_error_m {limit:g}: one code of torque is {s.force_step_N:.2g} N at the leg, which "
-        "alone may leave it {value:milli.3g} mm from its reference; raise the travel a turn "
-        "(drives.transmission), take a weaker model, or raise controller.wn_rad_s",
+        "limits.following_error_m {limit:g}: one code of torque, {s.force_step_N:.2g} N, may leave a leg "
+        "{value:milli.3g} mm off; raise drives.transmission or controller.wn_rad_s, or take a weaker motor",
     ),
-    Warning(
-        "plant.model.brake_force_N",
+    "plant.model.brake_force_N": Warning(
         lambda s: above(s.weight_N, None if s.stewart is None else s.stewart.brake_force_N),
-        "plant.model.brake_force_N {limit:g} is below the {value:.3g} N that hold the platform: the emulated "
-        "brakes slip under its weight; state that of your brakes",
+        "plant.model.brake_force_N {limit:g}: the emulated brakes slip under {value:.3g} N; state yours",
     ),
-    Warning(
-        "plant.drives brake times",
+    "plant.drives brake times": Warning(
         lambda s: " and ".join(
             f"plant.drives.{key}"
             for key in ("brake_open_ms", "brake_close_ms")
             if s.c.plant is not None and getattr(s.c.plant.drives, key) == 0.0
         ),
-        "{text} 0: the emulated brakes act at once, and nothing shows what real ones cost; state what "
-        "yours take",
+        "{text} 0: the emulated brakes act at once, and real ones do not; state what yours take",
     ),
-    Warning(
-        "drives.force_limit_N",
+    "drives.force_limit_N": Warning(
         lambda s: (
             "force_limit_N" not in s.c.drives.model_fields_set
             and above(s.c.drives.force_limit_N / s.c.limits.force_N, UNSTATED)
         ),
-        "drives.force_limit_N is not stated, and {c.drives.force_limit_N:.0f} N are assumed as the drives' "
-        "rated force, {value:.0f} times limits.force_N {c.limits.force_N:g}: state that of your drives",
+        "drives.force_limit_N is not stated, and {c.drives.force_limit_N:.0f} N are assumed, {value:.0f} "
+        "times limits.force_N {c.limits.force_N:g}: state the rated force of your drives",
     ),
-    Warning(
-        "limits",
+    "limits": Warning(
         loose,
         "limits.{name} {value:g} is {times:.1f} times the {needed:.3g} {unit} that are needed {by}; it would "
         "show a failure late, give {give:g}",
     ),
-    Warning(
-        "limits.deceleration_m_s2",
+    "limits.deceleration_m_s2": Warning(
         _unbraked,
         "limits.deceleration_m_s2 {c.limits.deceleration_m_s2:g} is {times:.1f} times the {able:.3g} m/s^2 "
-        "by which limits.force_N can brake a leg that bears the platform: it would not stop before a hard "
-        "end; give {give:g}",
+        "by which limits.force_N can brake a leg before a hard end; give {give:g}",
     ),
-    Warning(
-        "loop.without_realtime",
+    "loop.without_realtime": Warning(
         lambda s: "" if s.fifo else RATELESS[s.c.loop.without_realtime],
         "no SCHED_FIFO: `hil run` will {text}. To get it: `ulimit -r {c.loop.priority}` from a limits.conf "
         "entry `@realtime - rtprio {c.loop.priority}` (and `- memlock unlimited`), or CAP_SYS_NICE",
     ),
-)
+}
 """With the layout ideal, which drives no hardware, nobody can stand under these."""
 
 
@@ -277,122 +278,96 @@ def _unknown(name: str) -> str:
     return unknown_interface(name)
 
 
-WARNINGS = (
-    Warning(
-        "bus.interface",
+WARNINGS = {
+    "bus.interface": Warning(
         lambda s: [_unknown(name) for name in sorted({each.interface for each in s.c.bus.buses})],
         "{text}",
     ),
-    Warning(
-        "controller.model.variant",
+    "controller.model.variant": Warning(
         lambda s: MODELS.get(s.variant),
         "controller.model.variant {s.variant}: {text} off at the end of the book's path",
     ),
-    Warning(
-        "controller.boundary_layer_m_s",
+    "controller.boundary_layer_m_s": Warning(
         lambda s: s.switches,
-        "controller.boundary_layer_m_s 0 switches between two forces at every tick: with "
-        "{s.delay.total_s:milli.1f} ms of delay it chatters; make it thicker",
+        "controller.boundary_layer_m_s 0 chatters: {s.delay.total_s:milli.1f} ms of delay; make it thicker",
     ),
-    Warning(
-        "controller phase margin",
+    "controller phase margin": Warning(
         lambda s: s.margin and below(s.margin["phase_margin_deg"], LEAST_MARGIN_DEG),
         "controller.{c.controller.tuning[0]}: about {value:.0f} degrees of phase margin at loop.rate_Hz "
         "{c.loop.rate_Hz:g}, advised: at least {limit:g}; {c.controller.tuning[1]} or raise the rate",
     ),
-    Warning("controller.controller_file", lambda s: s.designed and s.designed.warnings, "{text}"),
-    Warning(
-        "controller.controller_file of another robot",
+    "controller.controller_file": Warning(lambda s: s.designed and s.designed.warnings, "{text}"),
+    "controller.controller_file of another robot": Warning(
         lambda s: s.proven is not None and s.proven.figures.get("coupled_axes_covered") is False,
-        "controller.controller_file: it was designed for another inertia than the platform and the ranges"
-        " of its payload have: `hil stability` shows both; design with `--robot`, or state smaller ranges",
+        "controller.controller_file: designed for another inertia than platform and payload have, see "
+        "`hil stability`; design with `--robot`, or state smaller ranges",
     ),
-    Warning(
-        "controller unstable",
+    "controller unstable": Warning(
         lambda s: s.proven is not None and s.proven.status == "unstable",
         "controller: {s.proven.claim}",
     ),
-    Warning(
-        "limits while operated",
+    "limits while operated": Warning(
         _asked,
         "{what} may ask for {value:.4g} {unit} of a leg, limits.{name} is {limit:g}: {mend}",
     ),
-    Warning(
-        "controller.uncertainty.acceleration_m_s2",
+    "controller.uncertainty.acceleration_m_s2": Warning(
         _felt,
-        "controller.uncertainty.acceleration_m_s2 {limit:g}: while the speed changes, forces over inertia "
-        "are {value:.3g} m/s^2 without the law's linear part; state no less",
+        "controller.uncertainty.acceleration_m_s2 {limit:g}: a change of speed needs {value:.3g} m/s^2 "
+        "without the law's linear part; state no less",
     ),
-    Warning(
-        "operator.deadman_s of hil ctl",
+    "operator.deadman_s of hil ctl": Warning(
         lambda s: below(s.c.operator.deadman_s, SEVERAL * REPEAT_S),
         _KEY % f"`hil ctl key` speaks every {1e3 * REPEAT_S:g} ms",
     ),
-    Warning(
-        "operator.deadman_s of the page",
+    "operator.deadman_s of the page": Warning(
         lambda s: s.c.watch.operate and below(s.c.operator.deadman_s, SEVERAL * PAGE_REPEAT_S),
         _KEY % f"the page of `hil watch` speaks every {1e3 * PAGE_REPEAT_S:g} ms",
     ),
-    Warning(
-        "operator.deadman_s in ticks",
+    "operator.deadman_s in ticks": Warning(
         lambda s: below(s.c.operator.deadman_s, SEVERAL / s.c.loop.rate_Hz),
-        "operator.deadman_s {value:g}: too few ticks at loop.rate_Hz {c.loop.rate_Hz:g} for the loop to "
-        "judge; give {limit:.3g} or more",
+        "operator.deadman_s {value:g}: too few ticks of the loop; give {limit:.3g} or more",
     ),
-    Warning(
-        "limits.force_N on the reference",
+    "limits.force_N on the reference": Warning(
         lambda s: s.peak_N > 0.9 * s.c.limits.force_N,
-        "the reference needs {s.peak_N:.0f} N of limits.force_N {c.limits.force_N:g}: less than 10 % "
-        "is left for control",
+        "the reference takes {s.peak_N:.0f} N, which leaves control less than 10 % of limits.force_N",
     ),
-    Warning(
-        "feedforward rate",
+    "feedforward rate": Warning(
         lambda s: s.learned is not None and s.learned.head.rate_Hz != s.c.loop.rate_Hz,
-        "the feed-forward was learned at {s.learned.head.rate_Hz:g} Hz and loop.rate_Hz is "
-        "{c.loop.rate_Hz:g}: what it knows of delays is wrong: learn again from a run at this rate",
+        "the feed-forward was learned at {s.learned.head.rate_Hz:g} Hz, with other delays than at "
+        "loop.rate_Hz {c.loop.rate_Hz:g}: learn again from a run at this rate",
     ),
-    Warning(
-        "feedforward.fade_s",
+    "feedforward.fade_s": Warning(
         lambda s: s.learned and above(s.learned.fading_N, s.c.limits.force_step_N),
-        "the learned feed-forward alone changes by up to {value:.3g} N a tick as it fades, more than "
-        "limits.force_step_N {limit:g}, which cuts it: lengthen feedforward.fade_s, or allow more",
+        "the feed-forward changes by up to {value:.3g} N a tick as it fades, and limits.force_step_N "
+        "{limit:g} cuts it: lengthen feedforward.fade_s, or allow more",
     ),
-    Warning(
-        "feedforward changes",
+    "feedforward changes": Warning(
         lambda s: s.learned and above(s.learned.along_N, s.c.limits.force_step_N),
-        "the learned feed-forward alone changes by up to {value:.3g} N a tick, more than limits.force_step_N "
-        "{limit:g}, which cuts it: lower feedforward.limit_N and learn again, or allow more",
+        "the feed-forward changes by up to {value:.3g} N a tick, and limits.force_step_N {limit:g} cuts it: "
+        "lower feedforward.limit_N and learn again, or allow more",
     ),
-    Warning(
-        "feedforward.limit_N",
+    "feedforward.limit_N": Warning(
         lambda s: s.learned and above(s.learned.pushed_m_s2, s.c.monitor.disturbance_m_s2),
-        "where the learned feed-forward is wrong it pushes a leg by {value:.2g} m/s^2, more than "
-        "monitor.disturbance_m_s2 {limit:g}: the certificate may alarm. Lower feedforward.limit_N and learn "
-        "again, or allow more",
+        "a wrong feed-forward pushes a leg by {value:.2g} m/s^2, above monitor.disturbance_m_s2 {limit:g}: "
+        "the certificate may alarm; lower feedforward.limit_N and learn again, or allow more",
     ),
-    Warning("plant.model.brake", lambda s: falls(s.c), "{text}"),
-    Warning(
-        "plant.model.allow_execution_tool",
+    "plant.model.brake": Warning(lambda s: falls(s.c), "{text}"),
+    "plant.model.allow_execution_tool": Warning(
         lambda s: s.needs_tool,
-        "{c.plant.model.path} needs {s.tool} at run time and is taken as plant.model.allow_execution_tool "
-        "says: it runs in a child process, and where the tool is missing the run does not start",
+        "{c.plant.model.path} needs {s.tool} at run time: where that is missing the run does not start",
     ),
-    Warning(
-        "plant.model force signs",
-        backward,
+    "plant.model force signs": Warning(
+        _backward,
         "a force > 0 shortens leg {text} of the FMU, and is to extend it: change the sign in the FMU",
     ),
-    Warning(
-        "plant.model coupling",
-        uncoupled,
-        "the legs of the FMU do not move each other, and controller.law {c.controller.law} compensates a "
-        "platform between them: write, as the shipped configuration bench, controller.law: pd with kp_N_m = "
-        "m wn^2, kv_N_s_m = 2 m wn, m = {m:.3g} kg of a leg, and platform.gravity_m_s2: [0, 0, 0]",
+    "plant.model coupling": Warning(
+        _uncoupled,
+        "no platform joins the legs of the FMU, and controller.law {c.controller.law} compensates one: "
+        "write, as the shipped configuration bench, controller.law: pd with kp_N_m = m wn^2, kv_N_s_m = 2 m "
+        "wn, m = {m:.3g} kg of a leg, and platform.gravity_m_s2: [0, 0, 0]",
     ),
-    Warning(
-        "schema",
+    "schema": Warning(
         lambda s: not schema_is_there(s.c.text, s.c.folder) and {"named": named_schema(s.c.text)},
-        "the first lines of {c.source} name the schema {named}, which is not there: an "
-        "editor says `Unable to load schema`. `hil schema {c.source}` names that of this installation",
+        "the schema {named} is not there (`Unable to load schema`): `hil schema {c.source}` names ours",
     ),
-)
+}

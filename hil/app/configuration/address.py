@@ -23,22 +23,19 @@ class Address(NamedTuple):
 def address(path: str | Path) -> Address:
     """Read the address from a file, or by the name of a shipped one.
 
-    Where its text is no plain mapping with these keys as text, the whole configuration is read.
-    Raises ConfigurationError with all problems found then.
+    Raises ConfigurationError with all problems found where its text is no mapping with these keys.
     """
     _, text = read_configuration(path)
     document = parse(text)
-    sections = document.value or {}
-    bus, reference = sections.get("bus"), sections.get("reference")
-    if not document.problems and isinstance(bus, dict) and isinstance(reference, dict):
-        default = BusAddress()
-        interface = bus.get("interface", default.interface)
-        several = bus.get("channels")
-        first = several[0] if isinstance(several, list) and several and isinstance(several[0], dict) else bus
-        channel = first.get("channel", default.channel)
-        if isinstance(interface, str) and isinstance(channel, str):
-            return Address(BusAddress(interface, channel), reference.get("type") == "live")
-    from hil.app.configuration.configuration import load  # noqa: PLC0415 - what this module is there to avoid
+    match None if document.problems else document.value:
+        case {"bus": dict(bus), "reference": dict(reference)}:
+            channels = bus.get("channels")
+            first = channels[0] if isinstance(channels, list) and channels else bus
+            if isinstance(first, dict):
+                words = bus.get("interface", "localcan"), first.get("channel", "hil0")
+                if all(isinstance(word, str) for word in words):
+                    return Address(BusAddress(*map(str, words)), reference.get("type") == "live")
+    from hil.app.configuration.configuration import load  # noqa: PLC0415 - what this function avoids
 
     c = load(path)
     return Address(BusAddress(c.bus.interface, c.bus.channel), c.reference.type == "live")

@@ -4,26 +4,46 @@ A rule sees the sections that are valid by themselves; one that needs another sa
 """
 
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
-from math import inf
+from contextlib import suppress
+from math import ceil, inf
 from pathlib import Path as FilePath
 from types import SimpleNamespace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from drivers.sensor_kernels import OLDEST
 from drivers.sensors import KINDS
 from drivers.transmission import forgotten_length
-from hil.app.configuration.plant_step import MOST_STEPS
 from hil.app.configuration.yaml_positions import Path
 from hil.config.reference import LiveReference
-from plant_fmu.config import BenchPlant, StewartPlant
+from hil.config.running import LoopSettings
+from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 
+MOST_STEPS = 10_000
+"""Of the plant in one tick: nobody waits for a simulation of more."""
 Folder = FilePath | None
 """Folder of the configuration file; None: do not look at other files."""
 Finding = tuple[Path, str]
 """A key, and what is wrong with its value."""
+
+
+def step_key(plant: PlantSettings) -> str:
+    """Return the name of the plant's step in its section `model`."""
+    return "step_us" if isinstance(plant.model, FmuPlant) else "internal_step_us"
+
+
+def fitted(plant: PlantSettings, loop: LoopSettings) -> PlantSettings:
+    """Return the section with a step that divides the period; as it is where the file states one."""
+    key = step_key(plant)
+    if key in plant.model.model_fields_set:
+        return plant
+    longest_us, period_us = getattr(plant.model, key), 1e6 / loop.rate_Hz
+    step_us = period_us / ceil(period_us / longest_us - 1e-9)
+    if abs(step_us - longest_us) <= 1e-9 * longest_us:
+        return plant
+    model = plant.model.model_copy(update={key: step_us})
+    return plant.model_copy(update={"model": model})
 
 
 class MissingSectionError(Exception):
@@ -38,27 +58,20 @@ class Sections(SimpleNamespace):
         raise MissingSectionError(name)
 
 
-@dataclass(frozen=True)
-class Bound:
-    """A value that other keys bound."""
-
-    key: str
-    """Dotted; * is each entry of a list, or each key of a section. What is not there is within bounds."""
-    relation: Literal["at least", "at most", "less than"]
-    bound: Callable[[Sections], float]
-    what: str
-
-    def __call__(self, c: Sections, _: Folder) -> Iterator[Finding]:
-        """Yield the values beyond their bound."""
-        for path, value in _values(c, self.key.split(".")):
-            bound = self.bound(c)
-            fine = {
-                "at least": value >= bound * (1 - 1e-9),
-                "at most": value <= bound * (1 + 1e-9),
-                "less than": value < bound,
-            }
-            if not fine[self.relation]:
-                yield path, f"{self.what}, allowed: {self.relation} {bound:g}, given: {value:g}"
+def bounds(c: Sections, _: Folder) -> Iterator[Finding]:
+    """Yield the values beyond a bound that other keys set."""
+    for relation, table in (("at least", AT_LEAST), ("at most", AT_MOST), ("less than", LESS_THAN)):
+        for key, (bound_of, what) in table.items():
+            with suppress(MissingSectionError):
+                for path, value in _values(c, key.split(".")):
+                    bound = bound_of(c)
+                    fine = {
+                        "at least": value >= bound * (1 - 1e-9),
+                        "at most": value <= bound * (1 + 1e-9),
+                        "less than": value < bound,
+                    }
+                    if not fine[relation]:
+                        yield path, f"{what}, allowed: {relation} {bound:g}, given: {value:g}"
 
 
 def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, float]]:
@@ -76,19 +89,12 @@ def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, 
         yield from _values(value, rest, (*path, key))
 
 
-@dataclass(frozen=True)
-class Exclusion:
-    """A value that other keys rule out."""
-
-    path: Path
-    wrong: Callable[[Sections], object]
-    sentence: str
-    """May name the configuration `c`."""
-
-    def __call__(self, c: Sections, _: Folder) -> Iterator[Finding]:
-        """Yield the sentence where the value is ruled out."""
-        if self.wrong(c):
-            yield self.path, self.sentence.format(c=c)
+def exclusions(c: Sections, _: Folder) -> Iterator[Finding]:
+    """Yield the values that other keys rule out."""
+    for key, (wrong, sentence) in EXCLUSIONS.items():
+        with suppress(MissingSectionError):
+            if wrong(c):
+                yield tuple(key.split(".")), sentence.format(c=c)
 
 
 def _shortest_step_us(c: Sections) -> float:
@@ -108,145 +114,99 @@ def _quarter_m(c: Sections) -> float:
     return 0.25 * float(np.min(forgotten_length(gear, homing.forgotten_turns)))
 
 
-BOUNDS = (
-    Bound(
-        "drives.watchdog_ms",
-        "at least",
-        lambda c: 3e3 / c.loop.rate_Hz,
-        "shorter than three periods of loop.rate_Hz",
-    ),
-    Bound(
-        "limits.force_N",
-        "at most",
-        lambda c: c.drives.force_limit_N,
-        "above the drives' rated force, drives.force_limit_N",
-    ),
-    Bound(
-        "loop.feedback_window_us", "less than", lambda c: 1e6 / c.loop.rate_Hz, "not shorter than the period"
-    ),
-    Bound(
-        "sensors.*.rate_Hz",
-        "at most",
-        lambda c: c.loop.rate_Hz,
-        "more than one sample a tick of loop.rate_Hz",
-    ),
-    Bound(
-        "sensors.tracker.latency_max_ms",
-        "at most",
-        lambda c: 1e3 * (OLDEST - 1) / c.loop.rate_Hz,
-        f"older than a stamp can tell, {OLDEST - 1} ticks of loop.rate_Hz",
-    ),
-    Bound(
-        "platform.length_min_m",
-        "less than",
-        lambda c: c.platform.length_max_m,
-        "not below platform.length_max_m",
-    ),
-    Bound(
-        "limits.stroke_margin_m",
-        "less than",
-        _half_stroke_m,
-        "leaves no stroke between the soft ends",
-    ),
-    Bound(
-        "plant.drives.brake_open_ms",
-        "at most",
-        lambda c: 1e3 * c.engage.brake_release_s,
-        "longer than the controller waits for its brakes, engage.brake_release_s",
-    ),
-    Bound(
-        "plant.drives.brake_close_ms",
-        "at most",
-        lambda c: 1e3 * c.engage.closing_s,
-        "longer than the controller waits for its brakes, engage.brake_close_s, by default brake_release_s",
-    ),
-    Bound(
-        "limits.standstill_m",
-        "at least",
+_STEPS = f"more than {MOST_STEPS} steps in each tick"
+Bounds = dict[str, tuple[Callable[[Sections], float], str]]
+"""Dotted key -> bound, and what is wrong beyond it. * is each entry of a list, or each key of a section."""
+AT_LEAST: Bounds = {
+    "drives.watchdog_ms": (lambda c: 3e3 / c.loop.rate_Hz, "shorter than three periods of loop.rate_Hz"),
+    "limits.standstill_m": (
         lambda c: 0.0 if c.plant is None else 4 * c.plant.drives.encoder_resolution_m,
         "too near to the resolution of the encoders, 4 x plant.drives.encoder_resolution_m",
     ),
-    Bound(
-        "reference.components.*.frequency_Hz",
-        "at most",
+    "plant.model.step_us": (_shortest_step_us, _STEPS),
+    "plant.model.internal_step_us": (_shortest_step_us, _STEPS),
+}
+AT_MOST: Bounds = {
+    "limits.force_N": (
+        lambda c: c.drives.force_limit_N,
+        "above the drives' rated force, drives.force_limit_N",
+    ),
+    "sensors.*.rate_Hz": (lambda c: c.loop.rate_Hz, "more than one sample a tick of loop.rate_Hz"),
+    "sensors.tracker.latency_max_ms": (
+        lambda c: 1e3 * (OLDEST - 1) / c.loop.rate_Hz,
+        f"older than a stamp can tell, {OLDEST - 1} ticks of loop.rate_Hz",
+    ),
+    "plant.drives.brake_open_ms": (
+        lambda c: 1e3 * c.engage.brake_release_s,
+        "longer than the controller waits for its brakes, engage.brake_release_s",
+    ),
+    "plant.drives.brake_close_ms": (
+        lambda c: 1e3 * c.engage.closing_s,
+        "longer than the controller waits for its brakes, engage.brake_close_s, by default brake_release_s",
+    ),
+    "reference.components.*.frequency_Hz": (
         lambda c: c.loop.rate_Hz / 2,
         "above half the rate, where legs follow another frequency (Shannon, 1949)",
     ),
-    Bound("reference.axes.*.band_Hz", "at most", lambda c: c.loop.rate_Hz / 2, "above half the rate"),
-    Bound("drives.homing.limit_m", "less than", _quarter_m, "a quarter of what forgotten_turns are, or more"),
-    Bound("plant.model.step_us", "at least", _shortest_step_us, f"more than {MOST_STEPS} steps in each tick"),
-    Bound(
-        "plant.model.internal_step_us",
-        "at least",
-        _shortest_step_us,
-        f"more than {MOST_STEPS} steps in each tick",
-    ),
-)
+    "reference.axes.*.band_Hz": (lambda c: c.loop.rate_Hz / 2, "above half the rate"),
+}
+LESS_THAN: Bounds = {
+    "loop.feedback_window_us": (lambda c: 1e6 / c.loop.rate_Hz, "not shorter than the period"),
+    "platform.length_min_m": (lambda c: c.platform.length_max_m, "not below platform.length_max_m"),
+    "limits.stroke_margin_m": (_half_stroke_m, "leaves no stroke between the soft ends"),
+    "drives.homing.limit_m": (_quarter_m, "a quarter of what forgotten_turns are, or more"),
+}
 
-EXCLUSIONS = (
-    Exclusion(
-        ("estimation", "fusion", "may_lose_legs"),
+EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
+    "estimation.fusion.may_lose_legs": (
         lambda c: (
             c.estimation.fusion.may_lose_legs and (c.estimation.pose != "fused" or c.sensors.tracker is None)
         ),
-        "without the pose from outside five legs do not hold the platform's pose, allowed: none, or "
-        "estimation.pose fused with sensors.tracker, given: {c.estimation.fusion.may_lose_legs}",
+        "five legs alone do not hold the pose, allowed: none, or estimation.pose fused with sensors.tracker",
     ),
-    Exclusion(
-        ("estimation", "pose"),
+    "estimation.pose": (
         lambda c: c.estimation.pose == "fused" and c.bus.layout == "classic",
-        "the filter needs the drives' forces, and the feedback of bus.layout classic carries none, allowed "
-        "with it: legs, given: fused",
+        "fused needs the drives' forces, which bus.layout classic does not carry, allowed with it: legs",
     ),
-    Exclusion(
-        ("estimation", "wrench", "source"),
+    "estimation.wrench.source": (
         lambda c: c.estimation.wrench.source == "sensor" and c.sensors.wrench is None,
         "there is no sensors.wrench, allowed without it: none, observer, given: sensor",
     ),
-    Exclusion(
-        ("controller", "delay_compensation"),
+    "controller.delay_compensation": (
         lambda c: isinstance(c.reference, LiveReference) and c.controller.lookahead is not None,
-        "looks ahead along the reference, and where set-points will send a live one is not known, "
-        "allowed with reference.type live: leave it out",
+        "looks ahead along a path, and a live reference has none, allowed with it: leave it out",
     ),
-    Exclusion(
-        ("feedforward",),
+    "feedforward": (
         lambda c: isinstance(c.reference, LiveReference) and c.feedforward is not None,
-        "where set-points will send a live reference is not known, allowed with it: leave it out",
+        "was learned on a path, and a live reference has none, allowed with it: leave it out",
     ),
-    Exclusion(
-        ("plant", "model", "type"),
+    "plant.model.type": (
         lambda c: (
             c.plant is not None
             and not isinstance(c.plant.model, StewartPlant)
             and any(getattr(c.sensors, kind) is not None for kind in KINDS)
         ),
-        "knows no pose that section sensors could measure, allowed with sensors: stewart, given: "
-        "{c.plant.model.type}",
+        "has no pose to measure, allowed with section sensors: stewart, given: {c.plant.model.type}",
     ),
-    Exclusion(
-        ("plant", "drives", "force_bandwidth_Hz"),
+    "plant.drives.force_bandwidth_Hz": (
         lambda c: (
             c.plant is not None
             and isinstance(c.plant.model, StewartPlant)
             and c.plant.drives.force_bandwidth_Hz > 0
         ),
-        "the lag would act twice, allowed: 0 for plant type stewart (the FMU has its own), given: "
-        "{c.plant.drives.force_bandwidth_Hz:g}",
+        "plant type stewart has that lag already, allowed: 0, given: {c.plant.drives.force_bandwidth_Hz:g}",
     ),
-    Exclusion(
-        ("plant", "model", "rest_length_m"),
+    "plant.model.rest_length_m": (
         lambda c: (
             c.plant is not None
             and isinstance(c.plant.model, BenchPlant)
             and not c.platform.length_min_m < c.plant.model.rest_length_m < c.platform.length_max_m
         ),
-        "outside the stroke, allowed: between {c.platform.length_min_m:g} and {c.platform.length_max_m:g} "
-        "(platform), given: {c.plant.model.rest_length_m:g}",
+        "outside the stroke, allowed: {c.platform.length_min_m:g} to {c.platform.length_max_m:g} m",
     ),
-    Exclusion(
-        ("drives", "homing"),
+    "drives.homing": (
         lambda c: c.drives.homing is not None and c.drives.transmission is None,
         "drives.protocol {c.drives.protocol} speaks of leg lengths, and forgets none; leave it out",
     ),
-)
+}
+"""Key -> when other keys rule its value out, and the sentence, which may name the configuration `c`."""

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable
 from math import floor
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from drivers import build_protocol
 from drivers.can.bus_time import BitTiming, frame_bits, frame_time_ns
@@ -44,11 +44,6 @@ class BusBudget(NamedTuple):
         """Rate at which the frames reach the allowed load."""
         return self.highest_rate_Hz * self.max_load_percent / 100.0
 
-    @property
-    def fits(self) -> bool:
-        """Whether the load is within what is allowed."""
-        return self.load_percent <= self.max_load_percent * (1 + 1e-12)
-
     def table(self) -> str:
         """Write the arithmetic out, one line per frame shape."""
         lines = []
@@ -67,6 +62,24 @@ class BusBudget(NamedTuple):
         )
         return "\n".join(lines)
 
+    def require(self, where: str = "bus", *, either_layout: bool = False) -> Self:
+        """Return the budget. Raises ConfigurationError with the arithmetic where the frames do not fit.
+
+        where: key of the bus. either_layout: the drives know frames of CAN FD and classic ones.
+        """
+        if self.load_percent <= self.max_load_percent * (1 + 1e-12):
+            return self
+        data_phase, instead = "", ", or use bus.layout: fd" if either_layout else ""
+        if any(flags & FD for _, flags in self.frames):
+            instead, data_phase = "", f" (data phase {self.timing.data_bitrate / 1e6:g} Mbit/s)"
+        raise ConfigurationError(
+            f"{where}: the frames of one tick do not fit at {self.timing.bitrate / 1e6:g} Mbit/s"
+            f"{data_phase}, worst-case stuffing:\n{self.table()}\n"
+            f"  these frames fit up to {self.allowed_rate_Hz:.0f} Hz ({self.highest_rate_Hz:.0f} Hz fill "
+            "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
+            f"(bus.channels){instead}"
+        )
+
 
 def budget(
     frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
@@ -79,38 +92,6 @@ def budget(
     shapes = Counter((len(frame.data), frame.flags) for frame in frames)
     total_ns = sum(count * frame_time_ns(*shape, timing) for shape, count in shapes.items())
     return BusBudget(shapes, timing, rate_Hz, max_load_percent, total_ns)
-
-
-def check(
-    frames: Iterable[Frame],
-    timing: BitTiming,
-    rate_Hz: float,
-    max_load_percent: float = 70.0,
-    where: str = "bus",
-    *,
-    either_layout: bool = False,
-) -> BusBudget:
-    """Return the budget, or refuse it with the arithmetic shown; `where` is the key of the bus.
-
-    either_layout: the drives know frames of CAN FD and classic ones.
-
-    Raises ConfigurationError when the frames take more than `max_load_percent` of the period, BusError for
-    a frame that cannot be on the bus.
-    """
-    frames = list(frames)
-    result = budget(frames, timing, rate_Hz, max_load_percent)
-    if not result.fits:
-        data_phase, instead = "", ", or use bus.layout: fd" if either_layout else ""
-        if any(frame.flags & FD for frame in frames):
-            instead, data_phase = "", f" (data phase {timing.data_bitrate / 1e6:g} Mbit/s)"
-        raise ConfigurationError(
-            f"{where}: the frames of one tick do not fit at {timing.bitrate / 1e6:g} Mbit/s"
-            f"{data_phase}, worst-case stuffing:\n{result.table()}\n"
-            f"  these frames fit up to {result.allowed_rate_Hz:.0f} Hz ({result.highest_rate_Hz:.0f} Hz fill "
-            "the bus): lower loop.rate_Hz, raise the bit rates, or spread the legs over several buses "
-            f"(bus.channels){instead}"
-        )
-    return result
 
 
 def bus_budgets(
@@ -136,17 +117,13 @@ def bus_budgets(
         return ()
     frames += nodes.cyclic_frames(rate_Hz) + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
     frames += unasked_readings(protocol, rate_Hz)
-    return tuple(
-        check(
-            [frame for frame in frames if frame.bus == index],
-            BitTiming.of(each),
-            rate_Hz,
-            each.max_load_percent,
-            f"bus.channels[{index}]" if bus.channels else "bus",
-            either_layout=drives.protocol == "legs",
-        )
-        for index, each in enumerate(bus.buses)
-    )
+    found = []
+    for index, each in enumerate(bus.buses):
+        own = [frame for frame in frames if frame.bus == index]
+        where = f"bus.channels[{index}]" if bus.channels else "bus"
+        taken = budget(own, BitTiming.of(each), rate_Hz, each.max_load_percent)
+        found.append(taken.require(where, either_layout=drives.protocol == "legs"))
+    return tuple(found)
 
 
 def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
@@ -188,14 +165,6 @@ def set_up_ns(bus: BusSettings, protocol: Family) -> tuple[int, ...]:
         2 * protocol.traits.set_up_frames * frame_time_ns(_SET_UP_BYTES, extended, BitTiming.of(each))
         for each in bus.buses
     )
-
-
-def bus_budget(
-    bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
-) -> BusBudget | None:
-    """Return the budget of the fullest bus, see `bus_budgets`; None for layout ideal, which takes no time."""
-    found = bus_budgets(bus, drives, sensors, rate_Hz)
-    return max(found, key=lambda each: each.load_percent) if found else None
 
 
 def shortest_answer_ns(bus: BusSettings, protocol: Family) -> int:

@@ -1,4 +1,4 @@
-"""A configuration's text with some values changed, as a new text: what a log carries has to be whole."""
+"""A configuration with some values changed, and its text anew: what a log carries has to be whole."""
 
 from collections.abc import Mapping
 from pathlib import PurePath
@@ -8,6 +8,7 @@ import numpy as np
 import yaml
 
 from drivers.errors import ConfigurationError
+from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.yaml_positions import parse
 
 KINDS = ("law", "type")
@@ -84,3 +85,39 @@ def _plain(value: Any, place: str) -> Any:
         f"{place}: {value!r} cannot stand in a configuration; allowed: numbers, text, true and false, lists, "
         "mappings"
     )
+
+
+Keys = Mapping[str, tuple[str, ...]]
+OPERATOR: Keys = {"operator": ("start", "deadman_s", "stays")}
+"""Keys by which a run waits for somebody: where nobody is, it stands for ever and fails no limit."""
+UNATTENDED: Keys = {**OPERATOR, "plant": ("homing_file",)}
+"""These, and the file by which one run begins where another has parked."""
+
+
+def unattended(c: Configuration) -> Configuration:
+    """Return the configuration as a command runs it in simulated time that lets no operator speak."""
+    return _without(c, UNATTENDED)
+
+
+def without_operator(c: Configuration) -> Configuration:
+    """Return the configuration as it runs where nobody gives commands; it keeps its homing file."""
+    return _without(c, OPERATOR)
+
+
+def unattended_data(value: Mapping[str, Any], taken: Keys = UNATTENDED) -> dict[str, Any]:
+    """Return the data of a configuration without the keys that are taken from it."""
+    there = {name: keys for name, keys in taken.items() if isinstance(value.get(name), dict)}
+    return merged(value, {name: dict.fromkeys(keys) for name, keys in there.items()})
+
+
+def _without(c: Configuration, taken: Keys) -> Configuration:
+    changes = {}
+    for name, keys in taken.items():
+        if section := getattr(c, name):
+            fields = type(section).model_fields
+            changes[name] = section.model_copy(update={key: fields[key].get_default() for key in keys})
+    if all(getattr(c, name) == section for name, section in changes.items()):
+        return c
+    found = c.model_copy(update=changes)
+    found._text = text_of(unattended_data(parse(c.text).value or {}, taken))  # noqa: SLF001
+    return found

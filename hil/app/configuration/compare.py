@@ -28,9 +28,8 @@ class DisturbanceSettings(Section):
     @model_validator(mode="after")
     def _some_time(self) -> Self:
         if self.stop_s is not None and self.stop_s <= self.start_s:
-            raise ValueError(
-                f"stop_s is not after start_s, allowed: more than {self.start_s:g}, given: {self.stop_s:g}"
-            )
+            allowed = f"allowed: more than {self.start_s:g}, given: {self.stop_s:g}"
+            raise ValueError(f"stop_s is not after start_s, {allowed}")
         return self
 
 

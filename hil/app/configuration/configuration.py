@@ -14,26 +14,27 @@ from pydantic import Field, PrivateAttr, ValidationError, ValidationInfo, create
 from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError
 from drivers.section import Section
+from hil.app.configuration.bounds import fitted
 from hil.app.configuration.compare import CompareSettings
 from hil.app.configuration.fault_rules import cannot_serve
 from hil.app.configuration.law_file import LawFile, UnreadLaw, is_file, read_law, run_law
-from hil.app.configuration.plant_step import fitted
 from hil.app.configuration.problems import problems
 from hil.app.configuration.rules import broken
 from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Problem, lines, parse
 from hil.config.estimation import EstimationSettings
 from hil.config.feedforward import FeedforwardSettings
-from hil.config.limits import LimitSettings
-from hil.config.loop import LoopSettings
-from hil.config.monitor import MonitorSettings
+from hil.config.limits import LimitSettings, MonitorSettings, ReactionSettings
 from hil.config.number import LEAST, MOST
-from hil.config.operator import OperatorSettings
 from hil.config.platform import PlatformSettings
-from hil.config.reactions import ReactionSettings
 from hil.config.reference import ReferenceSettings
-from hil.config.running import EngageSettings, RecordingSettings
-from hil.config.watch import WatchSettings
+from hil.config.running import (
+    EngageSettings,
+    LoopSettings,
+    OperatorSettings,
+    RecordingSettings,
+    WatchSettings,
+)
 from hil.control import ControllerSettings
 from hil.control.law import LawSettings
 from plant_fmu.config import PlantSettings
@@ -125,26 +126,25 @@ class Configuration(Section):
         Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus,
         no section `plant` where one is needed, faults that the command cannot bring about.
         """
-        found = []
+        found: list[str] = []
         if command in ("run", "plant") and any(each.interface == "virtual" for each in self.bus.buses):
             found.append(
-                f"{self._source}: bus.interface: python-can's `virtual` bus lives inside one process, and "
+                "bus.interface: python-can's `virtual` bus lives inside one process, and "
                 f"`hil {command}` is one end of a bus between two; use localcan here, or `hil sim`"
             )
         if command in ("run", "plant") and self.bus.layout == "ideal":
             found.append(
-                f"{self._source}: bus.layout: `ideal` is for theory: it takes no bus time and exists only in "
-                f"lockstep; use `hil sim`, or layout classic or fd for `hil {command}`"
+                "bus.layout: `ideal` is for theory: it takes no bus time and exists only in lockstep; use "
+                f"`hil sim`, or layout classic or fd for `hil {command}`"
             )
         if command in ("plant", "sim") and self.plant is None:
             found.append(
-                f"{self._source}: plant: missing, and `hil {command}` needs one: this configuration is for "
-                "real drives (`hil run`)"
+                f"plant: missing, and `hil {command}` needs one: this configuration is for real drives "
+                "(`hil run`)"
             )
-        faults = [] if self.plant is None else self.plant.faults
-        found += [f"{self._source}: {problem}" for problem in cannot_serve(command, faults)]
+        found += cannot_serve(command, [] if self.plant is None else self.plant.faults)
         if found:
-            raise ConfigurationError(*found)
+            raise ConfigurationError(*(f"{self._source}: {problem}" for problem in found))
 
     def require_live(self) -> None:
         """Raise ConfigurationError for a reference that takes no set-points."""

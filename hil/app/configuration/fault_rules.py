@@ -24,14 +24,11 @@ def not_brought_about(plant: PlantSettings, kind: str) -> str:
     model, acts = plant.model, FAULTS[kind]
     if isinstance(model, BenchPlant) and issubclass(acts, LOADS):
         return f"{kind} needs a platform, and plant type bench has none: use another plant or kind"
-    if not isinstance(model, FmuPlant):
-        return ""
-    if issubclass(acts, PayloadStep):
+    if isinstance(model, FmuPlant) and issubclass(acts, PayloadStep):
         return f"{kind} needs the pose of the platform, which no FMU of one's own tells: use wrench_step"
-    if issubclass(acts, WrenchStep) and not model.wrench:
-        return f"{kind} needs inputs of the FMU: map six in plant.model.wrench, or use another kind"
-    if issubclass(acts, BRAKES) and not model.brake:
-        return f"{kind} needs brakes of the FMU: map six inputs in plant.model.brake, or use another kind"
+    for kinds, key in ((WrenchStep, "wrench"), (BRAKES, "brake")):
+        if isinstance(model, FmuPlant) and issubclass(acts, kinds) and not getattr(model, key):
+            return f"{kind} needs inputs of the FMU: map six in plant.model.{key}, or use another kind"
     return ""
 
 
@@ -63,12 +60,8 @@ def of_no_bus(fault: Fault, bus: BusSettings) -> str:
 
 def refuse_what_no_bus_has(faults: Sequence[Fault], bus: BusSettings, drives: DriveSettings) -> None:
     """Raise ConfigurationError for a bus that there is not, and for a force that no frame carries."""
-    wrong = [
-        f"{fault.kind}: {text}"
-        for fault in faults
-        if (text := of_no_bus(fault, bus) or not_carried(fault, bus, drives))
-    ]
-    if wrong:
+    found = [(fault.kind, of_no_bus(fault, bus) or not_carried(fault, bus, drives)) for fault in faults]
+    if wrong := [f"{kind}: {text}" for kind, text in found if text]:
         raise ConfigurationError(*wrong)
 
 

@@ -3,7 +3,7 @@
 The kind, then its keys; a key may be written without its unit.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from difflib import get_close_matches
 
 from drivers.errors import ConfigurationError
@@ -32,32 +32,16 @@ def read_fault(text: str) -> Fault:
         near = get_close_matches(name, FAULTS, 1, 0.6)
         guess = f"did you mean {near[0]}? " if near else ""
         raise ConfigurationError(f"{where}: unknown kind {name!r}, {guess}allowed: {', '.join(FAULTS)}")
-    lines: dict[str, str] = {}
+    short, lines = short_keys(kind), [f"kind: {name}"]
     for word in words:
-        key, equals, value = word.partition("=")
-        whole = _whole(where, kind, name, key)
-        if not equals or not value:
+        key, _, value = word.partition("=")
+        if not value:
             raise ConfigurationError(f"{where}: {word}: no value, allowed: KEY=VALUE")
-        if whole in lines:
-            raise ConfigurationError(f"{where}: {key}: given twice")
-        lines[whole] = f"{whole}: [{value}]" if "," in value else f"{whole}: {value}"
-    document = parse("\n".join((f"kind: {name}", *lines.values())) + "\n")
-    fault, found = validated(kind, document)
-    if fault is not None:
-        return fault
-    raise ConfigurationError(*(f"{where}: {path_text(p.path)}: {p.message}" for p in found))
-
-
-def _whole(where: str, kind: type[Fault], name: str, key: str) -> str:
-    """Return a key with its unit."""
-    short = short_keys(kind)
-    if key in short:
-        return short[key]
-    if key in short.values():
-        return key
-    near = get_close_matches(key, short, 1, 0.6)
-    guess = f"did you mean {near[0]}? " if near else ""
-    raise ConfigurationError(f"{where}: {key}: unknown key of {name}, {guess}allowed: {', '.join(short)}")
+        lines.append(f"{short.get(key, key)}: " + (f"[{value}]" if "," in value else value))
+    fault, found = validated(kind, parse("\n".join(lines)))
+    if fault is None:
+        raise ConfigurationError(*(f"{where}: {path_text(p.path)}: {p.message}" for p in found))
+    return fault
 
 
 def show_fault(fault: Fault) -> str:
@@ -78,11 +62,7 @@ def with_faults(c: Configuration, texts: Iterable[str]) -> Configuration:
 
     Raises ConfigurationError for words that mean no fault, and for faults that its plant cannot have.
     """
-    return with_more(c, [read_fault(text) for text in texts])
-
-
-def with_more(c: Configuration, faults: Sequence[Fault]) -> Configuration:
-    """Return the configuration with more faults than its own. Raises ConfigurationError as `with_faults`."""
+    faults = [read_fault(text) for text in texts]
     if not faults:
         return c
     if c.plant is None:

@@ -6,6 +6,7 @@ The head says what the forces were learned on. A run on anything else is refused
 import hashlib
 import io
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ import yaml
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
+from drivers.files import MOST_BYTES as MOST_READ
 from drivers.files import read_regular
 from hil.app.configuration.controller_file import controller_path
 from hil.app.configuration.problems import checked
@@ -27,8 +29,7 @@ from hil.loop.learned import LearnedForces
 
 MOST_BYTES = 32 << 20
 """Some seven minutes at 1 kHz."""
-MOST_HEAD = 100
-"""Lines."""
+_HEAD = re.compile(r"(?:#.*\n){2,100}(?!#)")
 COLUMNS = ("t_s", *(f"leg_{leg}_N" for leg in range(6)))
 BEGINNING = b"# Made by hil learn"
 """By which an earlier file of the command is known."""
@@ -60,9 +61,9 @@ def made_for(
     )
 
 
-def _content(path: Path) -> bytes:
+def _content(path: Path, most: int = MOST_READ) -> bytes:
     try:
-        return read_regular(path)
+        return read_regular(path, most)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
 
@@ -117,9 +118,16 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
         text = raw.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigurationError(f"{name}: not UTF-8 text: {error.reason}") from None
-    head, body = _head(text, name)
+    top = _HEAD.match(text)
+    if top is None:
+        raise ConfigurationError(
+            f"{name}: has no head, allowed: a file that `hil learn` wrote, which begins with "
+            "2 to 100 lines of # and what it was learned on"
+        )
+    said = "\n".join(["#", *(line[2:] for line in top[0].split("\n")[1:])])
+    head = checked(FeedforwardHead, parse(said), name)
     try:
-        rows = io.StringIO(body.partition("\n")[2] or "nan")
+        rows = io.StringIO(text[top.end() :].partition("\n")[2] or "nan")
         table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
     except ValueError as error:
         raise ConfigurationError(f"{name}: {error}, in the rows below the head") from None
@@ -133,21 +141,6 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
     tau = np.ascontiguousarray(table[:, 1:])
     tau.flags.writeable = False
     return head, tau, start_s, (end_s - start_s) / (len(table) - 1)
-
-
-def _head(text: str, name: str) -> tuple[FeedforwardHead, str]:
-    """Return the head, and the text behind it."""
-    top: list[str] = []
-    rest = text
-    while rest.startswith("#") and len(top) <= MOST_HEAD:
-        line, _, rest = rest.partition("\n")
-        top.append(line[2:])
-    if len(top) < 2 or len(top) > MOST_HEAD:
-        raise ConfigurationError(
-            f"{name}: has no head, allowed: a file that `hil learn` wrote, which begins with "
-            f"2 to {MOST_HEAD} lines of # and what it was learned on"
-        )
-    return checked(FeedforwardHead, parse("\n".join(["#", *top[1:]])), name), rest
 
 
 def learned_forces(
@@ -165,15 +158,7 @@ def learned_forces(
     if settings is None:
         return None
     path = feedforward_path(settings, folder)
-    try:
-        raw = read_regular(path, MOST_BYTES)
-    except FileNotFoundError:
-        raise ConfigurationError(
-            f"no such file, allowed: one that `hil learn` wrote, given: {settings.file} (looked for {path})"
-        ) from None
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
-    head, tau, start_s, step_s = read_feedforward(raw, str(path))
+    head, tau, start_s, step_s = read_feedforward(_content(path, MOST_BYTES), str(path))
     now = made_for(reference, controller, platform, folder)
     for what in MadeFor.model_fields:
         there, here = getattr(head.made_for, what), getattr(now, what)

@@ -9,7 +9,7 @@ from itertools import product
 from typing import NamedTuple
 
 from hil.app.configuration.platform import frame_axes, platform_body, rigid_body
-from hil.config.platform import InertiaReference, PayloadSettings, PlatformSettings
+from hil.config.platform import Frame, InertiaReference, PayloadSettings, PlatformSettings
 from hil.config.values import Vector3
 
 
@@ -69,18 +69,10 @@ def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSett
     if mass == 0.0:
         return []
     changes: dict[str, object] = {"mass_kg": mass, "com_m": com, "mass_range_kg": None, "com_range_m": None}
-    if body.shape is None:
-        # about the centre of mass, whatever the given tensor was about
-        bare = body.frame.model_copy(
-            update={"origin_m": (0.0, 0.0, 0.0), "rotation_vector_deg": (0.0, 0.0, 0.0)}
-        )
-        own = rigid_body(body.model_copy(update={"frame": bare}), "platform.payload")
-        scaled = tuple(tuple(float(x) for x in row) for row in own.inertia * (mass / body.mass_kg))
-        changes |= {
-            "inertia_kg_m2": scaled,
-            "inertia_about": InertiaReference(),
-            "products": "negative_integral",
-        }
+    if body.shape is None:  # about the centre of mass, whatever the given tensor was about
+        own = rigid_body(body.model_copy(update={"frame": Frame()}), "platform.payload")
+        changes["inertia_kg_m2"] = tuple(map(tuple, (own.inertia * (mass / body.mass_kg)).tolist()))
+        changes |= {"inertia_about": InertiaReference(), "products": "negative_integral"}
     return [body.model_copy(update=changes)]
 
 

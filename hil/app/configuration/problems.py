@@ -69,40 +69,51 @@ def checked(kind: type[Of], document: Document, name: str) -> Of:
     return section
 
 
+_BOUNDS = {
+    "exclusiveMinimum": "greater than",
+    "minimum": "at least",
+    "exclusiveMaximum": "less than",
+    "maximum": "at most",
+}
+
+
 def describe(schema: Schema, root: Schema) -> str:
     """Say in words what a schema allows."""
-    schema = _dereference(schema, root)
-    if "discriminator" in schema:
-        chosen = schema["discriminator"]
-        return f"a section whose {chosen['propertyName']} is {', '.join(chosen['mapping'])}"
-    if "anyOf" in schema or "oneOf" in schema:
-        return " or ".join(dict.fromkeys(describe(s, root) for s in schema.get("anyOf") or schema["oneOf"]))
-    if "enum" in schema or "const" in schema:
-        return ", ".join(str(v) for v in schema.get("enum") or [schema["const"]])
-    kind = schema.get("type")
-    if kind in ("number", "integer"):
-        return _describe_number(schema, "a number" if kind == "number" else "a whole number")
-    if kind == "array":
-        low, high = schema.get("minItems"), schema.get("maxItems")
-        count = f"{low} " if low == high and low else f"at least {low} " if low else ""
-        items: Schema = schema.get("items") or next(iter(schema.get("prefixItems", [])), {})
-        entry = _dereference(items, root)
-        if entry.get("type") in ("number", "integer"):
-            return (
-                f"a list of {count}{describe(entry, root).removeprefix('a ').replace('number', 'numbers', 1)}"
-            )
-        if entry.get("type") == "array":
-            return f"a list of {count}lists, each {describe(entry, root)}"
-        return "a list of at least 1 entry" if low == 1 != high else f"a list of {count}entries"
-    if kind == "string" and "pattern" in schema:
-        return f"text of the form {schema['pattern'].strip('^$')}"
-    if kind == "object" and "minProperties" in schema:
-        low = schema["minProperties"]
-        return f"a section of at least {low} {'entry' if low == 1 else 'entries'}"
-    names = {"string": "text", "boolean": "true or false", "null": "null"}
-    if kind == "object" and "properties" in schema:
-        return "a section with the keys " + ", ".join(schema["properties"])
-    return names.get(str(kind), "a section")
+    match _dereference(schema, root):
+        case {"discriminator": {"propertyName": name, "mapping": mapping}}:
+            return f"a section whose {name} is {', '.join(mapping)}"
+        case {"anyOf": options} | {"oneOf": options}:
+            return " or ".join(dict.fromkeys(describe(each, root) for each in options))
+        case {"enum": words}:
+            return ", ".join(map(str, words))
+        case {"const": word}:
+            return str(word)
+        case {"type": "number" | "integer" as kind, **bounds}:
+            words = [f"{text} {bounds[key]:g}" for key, text in _BOUNDS.items() if key in bounds]
+            return f"a {'whole ' * (kind == 'integer')}number {' and '.join(words)}".rstrip()
+        case {"type": "array", **sizes}:
+            return _describe_list(sizes, root)
+        case {"type": "string", "pattern": form}:
+            return f"text of the form {form.strip('^$')}"
+        case {"type": "object", "properties": keys}:
+            return "a section with the keys " + ", ".join(keys)
+        case {"type": "object", "minProperties": 1}:
+            return "a section of at least 1 entry"
+        case {"type": "string" | "boolean" | "null" as kind}:
+            return {"string": "text", "boolean": "true or false", "null": "null"}[kind]
+    return "a section"
+
+
+def _describe_list(sizes: Schema, root: Schema) -> str:
+    low, high = sizes.get("minItems"), sizes.get("maxItems")
+    count = f"{low} " if low == high and low else f"at least {low} " if low else ""
+    items: Schema = sizes.get("items") or next(iter(sizes.get("prefixItems", [])), {})
+    entry, words = _dereference(items, root).get("type"), describe(items, root)
+    if entry in ("number", "integer"):
+        return f"a list of {count}{words.removeprefix('a ').replace('number', 'numbers', 1)}"
+    if entry == "array":
+        return f"a list of {count}lists, each {words}"
+    return "a list of at least 1 entry" if low == 1 != high else f"a list of {count}entries"
 
 
 def at(path: Path, data: Value, root: Schema) -> Schema:
@@ -121,17 +132,6 @@ def at(path: Path, data: Value, root: Schema) -> Schema:
             schema = schema.get("properties", {}).get(item, other)
             data = data.get(item) if isinstance(data, dict) else None
     return _choose(_dereference(schema, root), data, root)
-
-
-def _describe_number(schema: Schema, words: str) -> str:
-    bounds = {
-        "exclusiveMinimum": "greater than {}",
-        "minimum": "at least {}",
-        "exclusiveMaximum": "less than {}",
-        "maximum": "at most {}",
-    }
-    parts = [text.format(f"{schema[key]:g}") for key, text in bounds.items() if key in schema]
-    return words + (" " + " and ".join(parts) if parts else "")
 
 
 def _dereference(schema: Schema, root: Schema) -> Schema:
@@ -218,7 +218,7 @@ def unknown_key(path: Path, document: Document, schema: Schema) -> str:
         return f"no key: the reactions to {', '.join(fixed)} are fixed, always sto; leave it out"
     known = list(at(path[:-1], document.value, schema).get("properties", {}))
     key = str(path[-1])
-    free = [k for k in known if not document.has((*path[:-1], k))]
+    free = [k for k in known if (*path[:-1], k) not in document.values]
     for name in free:
         stem, unit = split_unit(name)
         if unit and stem.lower() == split_unit(key)[0].lower():
@@ -241,10 +241,8 @@ def split_unit(key: str) -> tuple[str, str]:
 
 
 def _show(value: object) -> str:
-    if isinstance(value, float) and math.isnan(value):
-        return ".nan"
-    if value in (float("inf"), float("-inf")):
-        return ".inf" if value == float("inf") else "-.inf"
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value).replace("nan", ".nan").replace("inf", ".inf")
     if isinstance(value, dict):
         return "a section"
     text = json.dumps(value, ensure_ascii=False, default=str)

@@ -17,14 +17,24 @@ from drivers import build_protocol
 from drivers.errors import ConfigurationError, HilError
 from drivers.sensors import KINDS
 from drivers.signals import Reaction
-from hil.app.configuration.bounds import BOUNDS, EXCLUSIONS, Finding, Folder, MissingSectionError, Sections
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bounds import (
+    MOST_STEPS,
+    Finding,
+    Folder,
+    MissingSectionError,
+    Sections,
+    bounds,
+    exclusions,
+    step_key,
+)
+from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.controller_file import unusable
 from hil.app.configuration.fault_rules import not_brought_about, not_carried, of_no_bus
 from hil.app.configuration.feedforward_file import learned_forces
-from hil.app.configuration.plant_step import MOST_STEPS, step_key
 from hil.app.configuration.platform import build_platform, pose_arrays
+from hil.app.configuration.problems import split_unit
 from hil.app.configuration.yaml_positions import Path
+from hil.config.platform import LegBodySettings, PlatformSettings, RigidBodySettings
 from hil.config.reference import LiveReference, SampledReference
 from hil.design.stability.monitor import certified_law
 from hil.robot.geometry import GeometryError
@@ -46,25 +56,27 @@ def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
     for n, each in enumerate(c.bus.buses):
         where: Path = ("bus", "channels", n) if c.bus.channels else ("bus",)
         if each.bitrate_bit_s > 1_000_000:
-            message = f"too fast for arbitration, allowed: at most 1000000, given: {each.bitrate_bit_s}"
-            yield (*where, "bitrate_bit_s"), message
+            fast = f"too fast for arbitration, allowed: at most 1000000, given: {each.bitrate_bit_s}"
+            yield (*where, "bitrate_bit_s"), fast
         if each.layout == "fd" and each.data_bitrate_bit_s < each.bitrate_bit_s:
-            message = f"slower than arbitration, allowed: at least {each.bitrate_bit_s} (bus.bitrate_bit_s)"
-            yield (*where, "data_bitrate_bit_s"), f"{message}, given: {each.data_bitrate_bit_s}"
+            slow = f"slower than arbitration, bus.bitrate_bit_s, allowed: at least {each.bitrate_bit_s}"
+            yield (*where, "data_bitrate_bit_s"), f"{slow}, given: {each.data_bitrate_bit_s}"
 
 
-_KEYED = re.compile(r"(?:(bus|drives|sensors)((?:\.\w+)*)(?:\[(\d+)\])?: )?(.*)", re.DOTALL)
-"""An error that may begin with the key that it objects to."""
+def _keyed(error: HilError, sections: str, key: Path) -> Finding:
+    """Return the key that an error begins with, of one of these sections, or `key`; and the rest of it."""
+    named = re.fullmatch(rf"((?:{sections})[\w.\[\]]*): (.*)", str(error), re.DOTALL)
+    if named is None:
+        return key, str(error)
+    return tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
 
 
 def bus_load(c: Sections, _: Folder) -> Iterator[Finding]:
     """Refuse what the protocol or the sensors cannot do, and frames that do not fit the period."""
     try:
-        bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
+        bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     except HilError as error:
-        section, keys, index, message = _KEYED.fullmatch(str(error)).groups()  # type: ignore[union-attr]
-        where: Path = (section or "bus", *filter(None, (keys or "").split(".")))
-        yield (*where, int(index)) if index else where, message
+        yield _keyed(error, "bus|drives|sensors", ("bus",))
 
 
 def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
@@ -76,8 +88,7 @@ def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
             continue
         number = settings.node_id
         if number in taken:
-            message = f"already the number of another node, allowed: one that {taken[number]} does not have"
-            yield ("sensors", kind, "node_id"), f"{message}, given: {number}"
+            yield ("sensors", kind, "node_id"), f"{number}, allowed: one that {taken[number]} does not have"
         taken.setdefault(number, f"sensors.{kind}.node_id")
 
 
@@ -92,14 +103,9 @@ def geometry(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 KEYS = {
-    "base_joints": "base_joints_m",
-    "platform_joints": "platform_joints_m",
-    "mass": "mass_kg",
-    "com": "com_m",
-    "inertia": "inertia_kg_m2",
-    "inertia_axial": "inertia_axial_kg_m2",
-    "inertia_transverse": "inertia_transverse_kg_m2",
-    "gravity": "gravity_m_s2",
+    split_unit(key)[0]: key
+    for section in (PlatformSettings, RigidBodySettings, LegBodySettings)
+    for key in section.model_fields
 }
 """Names of `hil.robot.geometry` -> keys of the configuration."""
 
@@ -123,11 +129,9 @@ def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
         if pose is not None:
             q = leg_lengths(robot, *pose_arrays(pose))
             legs = ", ".join(f"leg {i} {q[i]:.4f}" for i in np.flatnonzero((q < low) | (q > high)))
+            reach = f"out of reach, allowed leg lengths: {low:g} to {high:g} m (soft ends), given: "
             if legs:
-                yield (
-                    path,
-                    f"out of reach, allowed leg lengths: {low:g} to {high:g} m (soft ends), given: {legs} m",
-                )
+                yield path, f"{reach}{legs} m"
 
 
 def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -138,11 +142,7 @@ def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
     try:
         build_trajectory(c.reference, c.platform.home, folder or FilePath())
     except ConfigurationError as error:
-        named = re.fullmatch(r"(reference[\w.\[\]]*): (.*)", str(error), re.DOTALL)
-        if named:
-            yield tuple(int(w) if w.isdigit() else w for w in re.findall(r"\w+", named[1])), named[2]
-        else:
-            yield ("reference", "path") if sampled else ("reference",), str(error)
+        yield _keyed(error, "reference", ("reference", "path") if sampled else ("reference",))
 
 
 def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -169,11 +169,9 @@ def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
     step_us: float = getattr(c.plant.model, key)
     steps = period_us / step_us
     if steps <= MOST_STEPS and (steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps):
-        message = (
-            f"the period is no whole number of steps, allowed: {period_us:g} us (loop.rate_Hz) divided by a "
-            f"whole number, as {period_us / ceil(steps):.12g}, given: {step_us:g}"
-        )
-        yield ("plant", "model", key), message
+        parts = f"allowed: {period_us:g} us (loop.rate_Hz) divided by a whole number"
+        given = f"as {period_us / ceil(steps):.12g}, given: {step_us:g}"
+        yield ("plant", "model", key), f"the period is no whole number of steps, {parts}, {given}"
 
 
 def fmu_file(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -205,22 +203,15 @@ def drives(c: Sections, _: Folder) -> Iterator[Finding]:
     except HilError:  # which the rule on the bus load says
         return
     if Reaction[c.reactions.silence.upper()] not in traits.reactions:
-        allowed = ", ".join(each.name.lower() for each in traits.reactions)
-        message = (
-            f"not what these drives do by themselves, allowed with drives.protocol {c.drives.protocol} and "
-            f"its options: {allowed}, given: {c.reactions.silence}"
-        )
-        yield ("reactions", "silence"), message
+        allowed = f"allowed: {', '.join(each.name.lower() for each in traits.reactions)}"
+        what = f"not what these drives do by themselves (drives.protocol {c.drives.protocol} and its options)"
+        yield ("reactions", "silence"), f"{what}, {allowed}, given: {c.reactions.silence}"
     low, high = traits.reported_lengths or (np.array([-inf]), np.array([inf]))
     beyond = np.flatnonzero((low > c.platform.length_min_m) | (high < c.platform.length_max_m))
     for leg in beyond[:1].tolist():
-        message = (
-            f"the position that drive {leg} reports ends at leg lengths of {low[leg]:.4g} and "
-            f"{high[leg]:.4g} m, allowed: platform.length_min_m {c.platform.length_min_m:g} to length_max_m "
-            f"{c.platform.length_max_m:g} within them; change offset_m, gear_ratio or lead, or the range of "
-            "the drive"
-        )
-        yield ("drives", "transmission"), message
+        ends = f"the position that drive {leg} reports ends at {low[leg]:.4g} and {high[leg]:.4g} m"
+        allowed = f"allowed: beyond the leg's {c.platform.length_min_m:g} to {c.platform.length_max_m:g} m"
+        yield ("drives", "transmission"), f"{ends}, {allowed}; change offset_m, gear_ratio, lead or range"
 
 
 def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -238,7 +229,7 @@ def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
     try:
         check_eds(str(sheet), velocity=options.get("velocity", "pdo") == "pdo")
     except ConfigurationError as error:
-        yield ("drives", "options", "eds"), str(error).removeprefix("drives.options.eds: ")
+        yield _keyed(error, "drives", ("drives", "options", "eds"))
 
 
 def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
@@ -251,6 +242,6 @@ def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 RULES: tuple[Callable[[Sections, Folder], Iterator[Finding]], ...] = (
-    *BOUNDS, *EXCLUSIONS, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
+    bounds, exclusions, bit_rates, bus_load, node_numbers, geometry, reachable_poses, reference_path,
     designed_controllers, certificate, whole_steps, fmu_file, faults, drives, data_sheet, usable_feedforward,
 )  # fmt: skip

@@ -18,8 +18,6 @@ FILE = "hil.schema.json"
 MODELINE = "# yaml-language-server: $schema="
 HEAD_LINES = 10
 """Lines in which it is looked for."""
-_MARK = "\ufeff"
-"""Byte order mark, with which some editors begin a file; YAML allows it nowhere else."""
 
 
 def schema() -> dict[str, Any]:
@@ -58,10 +56,8 @@ def schema_line() -> str:
 
 def named_schema(text: str) -> str | None:
     """Return what the first lines of a configuration name as their schema; None where they name none."""
-    for line in text.removeprefix(_MARK).splitlines()[:HEAD_LINES]:
-        if line.startswith(MODELINE):
-            return line.removeprefix(MODELINE).strip()
-    return None
+    lines = text.removeprefix("\ufeff").splitlines()[:HEAD_LINES]
+    return next((line.removeprefix(MODELINE).strip() for line in lines if line.startswith(MODELINE)), None)
 
 
 def schema_is_there(text: str, folder: Path) -> bool:
@@ -73,15 +69,12 @@ def schema_is_there(text: str, folder: Path) -> bool:
 def with_schema(text: str) -> str:
     """Return the text of a configuration with the line that names this installation's schema.
 
-    A byte order mark goes: it may stand in front of the whole text only.
+    A byte order mark goes: YAML allows it in front of the whole text only.
     """
-    text = text.removeprefix(_MARK)
-    lines = text.splitlines(keepends=True)
-    for k, line in enumerate(lines[:HEAD_LINES]):
-        if line.startswith(MODELINE):
-            lines[k] = schema_line() + "\n"
-            return "".join(lines)
-    return schema_line() + "\n" + text
+    lines = text.removeprefix("\ufeff").splitlines(keepends=True)
+    there = next((k for k, line in enumerate(lines[:HEAD_LINES]) if line.startswith(MODELINE)), None)
+    lines[slice(0, 0) if there is None else slice(there, there + 1)] = [f"{schema_line()}\n"]
+    return "".join(lines)
 
 
 def _sections(section: type[Section]) -> Iterator[type[Section]]:

@@ -27,22 +27,13 @@ def read_section(path: Path, kind: type[Of]) -> tuple[Of, Document]:
         document = parse(read_text(path))
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file") from None
-    if document.value is not None:
-        _refuse_another_kind(path, document.value, kind)
+    value: dict[str, Any] = document.value or {}
+    given, strange = value.get("kind"), [key for key in value if key not in kind.model_fields]
+    if given != _name(kind) and (given is not None or 2 * len(strange) > len(value)):
+        # problems one by one would say nothing about a file of another kind
+        what = f"of kind {given!r:.60}, with the keys {', '.join(list(value)[:3])} ..."
+        raise ConfigurationError(f"{path}: is {what}; allowed: a file with `kind: {_name(kind)}`")
     return checked(kind, document, str(path)), document
-
-
-def _refuse_another_kind(path: Path, value: dict[str, Any], kind: type[Section]) -> None:
-    """Refuse, in one line, a file whose keys are another's: its own problems say nothing about it."""
-    name, known = _name(kind), kind.model_fields.keys()
-    given = value.get("kind")
-    strange = [key for key in value if key not in known]
-    if given == name or (given is None and 2 * len(strange) <= len(value)):
-        return
-    what = f"of kind {given!r:.60}"
-    if given is None:
-        what = f"another kind of file, with the keys {', '.join(map(str, strange[:3]))} ..."
-    raise ConfigurationError(f"{path}: is {what}; allowed: a file with `kind: {name}`")
 
 
 def write_section(path: Path, section: Section, remark: str) -> None:
@@ -50,15 +41,10 @@ def write_section(path: Path, section: Section, remark: str) -> None:
 
     Raises ConfigurationError if it cannot be written.
     """
-    text = f"# {printable(remark)}\n" + yaml.safe_dump(
-        section.model_dump(mode="json"),
-        sort_keys=False,
-        allow_unicode=True,
-        width=110,
-        default_flow_style=None,
-    )
+    data = section.model_dump(mode="json")
+    text = yaml.safe_dump(data, sort_keys=False, allow_unicode=True, width=110, default_flow_style=None)
     try:
-        write_whole(path, text)
+        write_whole(path, f"# {printable(remark)}\n{text}")
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}") from None
 

@@ -75,10 +75,6 @@ class Document(NamedTuple):
             value = value[item]
         return value  # type: ignore[no-any-return]
 
-    def has(self, path: Path) -> bool:
-        """Return whether the text gives a value at `path`."""
-        return path in self.values
-
 
 def path_text(path: Path) -> str:
     """Return `platform.base_joints_m[2]` for ("platform", "base_joints_m", 2)."""
@@ -132,14 +128,12 @@ class _Loader(yaml.BaseLoader):
     def compose_node(self, parent: yaml.Node | None, index: int) -> yaml.Node | None:
         self.composed += 1
         event = self.peek_event()  # type: ignore[no-untyped-call]
-        message = ""
-        if self.composed > MOST_VALUES:
-            message = f"allowed: {MOST_VALUES} values in a file"
-        elif self.check_event(yaml.AliasEvent):
+        if self.composed <= MOST_VALUES and not isinstance(event, yaml.AliasEvent):
+            return super().compose_node(parent, index)
+        message = f"allowed: {MOST_VALUES} values in a file"
+        if isinstance(event, yaml.AliasEvent):
             message = f"alias *{event.anchor} is not supported: write the value out"
-        if message:
-            raise yaml.composer.ComposerError(None, None, message, event.start_mark)
-        return super().compose_node(parent, index)
+        raise yaml.composer.ComposerError(None, None, message, event.start_mark)
 
 
 class _Walk:
@@ -155,18 +149,17 @@ class _Walk:
 
     def value(self, node: yaml.Node, path: Path) -> Value:
         self.values[path] = _position(node)
+        if node.tag not in _TAGS:
+            self.problem(node, path, f"tag {node.tag} is not supported: remove it")
         if isinstance(node, yaml.MappingNode):
-            self._tag(node, path, "tag:yaml.org,2002:map")
             return self.mapping(node, path)
         if isinstance(node, yaml.SequenceNode):
-            self._tag(node, path, "tag:yaml.org,2002:seq")
             items: list[Value] = []
             for index, item in enumerate(node.value):
                 self.keys[(*path, index)] = _position(item)
                 items.append(self.value(item, (*path, index)))
             return items
         assert isinstance(node, yaml.ScalarNode)
-        self._tag(node, path, "tag:yaml.org,2002:str")
         return self._scalar(node, path)
 
     def mapping(self, node: yaml.MappingNode, path: Path) -> dict[str, Value]:
@@ -178,21 +171,14 @@ class _Walk:
             key: str = key_node.value
             here = (*path, key)
             if key in result:
-                first = self.keys[here]
-                self.problem(
-                    key_node, here, f"key given twice, first in line {first.line}: remove one of them"
-                )
-                continue
-            if key == "<<" and key_node.style is None:
+                first = self.keys[here].line
+                self.problem(key_node, here, f"key given twice, first in line {first}: remove one of them")
+            elif key == "<<" and key_node.style is None:
                 self.problem(key_node, here, "merging (<<) is not supported: write the keys out")
-                continue
-            self.keys[here] = _position(key_node)
-            result[key] = self.value(value_node, here)
+            else:
+                self.keys[here] = _position(key_node)
+                result[key] = self.value(value_node, here)
         return result
-
-    def _tag(self, node: yaml.Node, path: Path, allowed: str) -> None:
-        if node.tag not in (allowed, "!"):
-            self.problem(node, path, f"tag {node.tag} is not supported: remove it")
 
     def _scalar(self, node: yaml.ScalarNode, path: Path) -> Value:
         text: str = node.value
@@ -208,6 +194,7 @@ class _Walk:
         return text
 
 
+_TAGS = {"!", *(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str"))}
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
 """What no name of a file can hold, and no UTF-8: escapes in quotes can say it."""
 

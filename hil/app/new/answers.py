@@ -91,35 +91,24 @@ class Question(NamedTuple):
 def _stroke(a: Answers) -> str | None:
     low, stroke = a["length_min_m"], a["stroke_m"]
     if stroke >= low:
+        return f"a telescopic leg of {low:g} m retracted, joint to joint, has less stroke, given: {stroke:g}"
+    if low <= (apart := joints_apart_m(a)):
         return (
-            f"a telescopic leg of {low:g} m retracted length has less than {low:g} m of stroke, given: "
-            f"{stroke:g}; lengths count from joint centre to joint centre"
+            f"retracted legs of {low:g} m do not lift the platform: its joints stand {apart:.4g} m beside "
+            "those of the base; take longer legs, or more equal radii"
         )
-    apart = joints_apart_m(a)
-    if low <= apart:
+    if not (number := condition_at_home(a)) < WORST_CONDITION:
         return (
-            f"retracted legs of {low:g} m do not lift the platform: its joints stand {apart:.4g} m next to "
-            "those of the base; take longer legs, or radii that are nearer to each other"
-        )
-    number = condition_at_home(a)
-    if not number < WORST_CONDITION:
-        return (
-            f"with these joints the legs hardly hold the platform at mid-stroke: the condition number of J "
-            f"is {number:.3g}, allowed: less than {WORST_CONDITION:g}. Make one radius smaller, or the pairs "
-            "of joints narrower: where the joints of both circles stand at equal angles nothing holds the "
-            "rotation about z"
+            f"the condition number of J at mid-stroke is {number:.3g}, allowed: below {WORST_CONDITION:g}; "
+            "make one radius smaller, or the pairs of joints narrower"
         )
     return None
 
 
 def _force(a: Answers) -> str | None:
     held, force = robot_at_home(a).held_N, a["drive_force_N"]
-    if held <= HOLD_SHARE * force:
-        return None
-    return (
-        f"a leg carries {held:.4g} N at rest, and drives of {force:g} N are to keep half of their force for "
-        f"motion and control: at least {held / HOLD_SHARE:.4g} N are needed"
-    )
+    needed = f"a leg carries {held:.4g} N at rest, and half the force is for motion: at least "
+    return None if held <= HOLD_SHARE * force else f"{needed}{held / HOLD_SHARE:.4g} N, given: {force:g} N"
 
 
 def _brakes(a: Answers) -> str | None:

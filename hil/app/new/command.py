@@ -35,7 +35,7 @@ def new_configuration(
     """
     values = derive.values(answers) | {"name": short_name(path)}
     if fmu is None:
-        values |= {"stewart": True, "internal_step_us": derive.step_us(answers["rate_Hz"], 100.0)}
+        values["stewart"] = True
     else:
         values |= _fmu_values(values, fmu[1], _named(fmu[0], path.parent))
     only_sim = fmu is None and answers["interface"] != "localcan"
@@ -82,6 +82,5 @@ def _fmu_values(values: dict[str, Any], proposal: Proposal, path: str) -> dict[s
         "needs_tool": proposal.needs_tool,
         **{key: list(proposal.mapped.get(key, ())) for key in ("force", "length", "rate", "brake")},
         "assume_unit": dict(proposal.unstated),
-        "step_us": derive.step_us(values["rate_Hz"], 1000.0),
         "parameters": {name: float(x) for name, x in known.items() if name in proposal.parameters},
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from decimal import Decimal
 from math import ceil, degrees, pi
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,15 @@ from drivers.config import BusSettings, DriveSettings, SensorSettings
 from drivers.errors import ConfigurationError
 from drivers.mit.fields import TURN
 from drivers.signals import LEGS
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.new import drives
 from hil.app.new.robot import Answers, AtHome, platform_settings, platform_values, robot_at_home
 from hil.app.new.text import settings
 from hil.app.reachability import Walk, span_s, walk, window_swing
 from hil.app.unknown_payload import error_m
-from hil.config.monitor import MonitorSettings
-from hil.config.operator import OperatorSettings
+from hil.config.limits import MonitorSettings
 from hil.config.reference import SinusoidReference
+from hil.config.running import OperatorSettings
 from hil.mathematics.rounding import lowered, raised, rounded
 from hil.safety.guard import WINDOW_S
 from hil.trajectory.build import build_trajectory
@@ -98,9 +97,8 @@ def frames(a: Answers, rate_Hz: float) -> dict[str, Any]:
         travel = a["travel_m"]
         found |= {
             "bought": True,
-            "torque_N_m": float(
-                f"{1.005 * a['drive_force_N'] * travel / TURN:.3g}"
-            ),  # rounding leaves it enough
+            # rounding leaves it enough
+            "torque_N_m": float(f"{1.005 * a['drive_force_N'] * travel / TURN:.3g}"),
             "counts_per_turn": max(1, round(travel / a["encoder_resolution_m"])),
             "model": drives.models(a) and drives.model(a),
             "middle_m": a["length_min_m"] + a["stroke_m"] / 2,
@@ -122,27 +120,20 @@ def loop_rate_Hz(a: Answers) -> float:
 def bus_trouble(a: Answers, rate_Hz: float) -> str | None:
     """Why the bus does not carry the drives' frames at a rate; None where it does."""
     try:
-        bus_budget(*_frames_of(a, rate_Hz), SensorSettings(), rate_Hz)
+        bus_budgets(*_frames_of(a, rate_Hz), SensorSettings(), rate_Hz)
     except ConfigurationError as error:
         return str(error)
     return None
 
 
 def rate_trouble(a: Answers) -> str | None:
-    """Why bus or steps of the force do not allow a rate, and how many buses do; None where they do."""
+    """Why the bus does not allow a rate, and how many buses do; None where it does."""
     rate_Hz = a["rate_Hz"]
     if trouble := bus_trouble(a, rate_Hz):
         more = [n for n in CHANNELS if int(n) > int(a["channels"])]
         enough = next((n for n in more if bus_trouble(a | {"channels": n}, rate_Hz) is None), None)
         return f"{trouble}; here --channels {enough} is enough" if enough else trouble
-    finest_m = _finest_m(a, rate_Hz)
-    if not drives.bought(a) or a["travel_m"] >= finest_m:
-        return None
-    return (
-        f"at {rate_Hz:g} Hz one code of torque is {drives.force_step_N(a, a['travel_m']):.2g} N at the "
-        f"leg and leaves it beyond 2 % of the stroke from its reference: take a higher rate, or --travel "
-        f"of at least {finest_m:.4g} m a turn"
-    )
+    return None
 
 
 def travel_trouble(a: Answers) -> str | None:
@@ -150,22 +141,12 @@ def travel_trouble(a: Answers) -> str | None:
     if not drives.models(a):
         return drives.travel_trouble(a, 0.0)
     assumed = {"layout": drives.family(a).layout, "channels": "1"} | a
-    return drives.travel_trouble(
-        a, _finest_m(a, loop_rate_Hz(assumed | {"travel_m": drives.travels_m(a)[1]}))
-    )
-
-
-def _finest_m(a: Answers, rate_Hz: float) -> float:
-    """Least leg length a turn, m, whose step of force stays within the following error; 0: no such steps.
-
-    A step is a torque over that length.
-    """
-    if not drives.models(a):
-        return 0.0
+    rate_Hz = loop_rate_Hz(assumed | {"travel_m": drives.travels_m(a)[1]})
     home = robot_at_home(a)
     P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)
-    at_a_metre = error_m(P, np.full(6, drives.force_step_N(a, 1.0)), wn_rad_s(rate_Hz) ** 2)
-    return ROOM * at_a_metre / rounded(0.02 * a["stroke_m"])
+    # a step of the force is a torque over the travel a turn
+    at_a_metre_m = error_m(P, np.full(6, drives.force_step_N(a, 1.0)), wn_rad_s(rate_Hz) ** 2)
+    return drives.travel_trouble(a, ROOM * at_a_metre_m / rounded(0.02 * a["stroke_m"]))
 
 
 def wn_rad_s(rate_Hz: float) -> float:
@@ -238,14 +219,3 @@ def closing_s(a: Answers, home: AtHome, speed_m_s: float) -> float:
     """How long a brake may take until the fastest leg rests on it, s: t + m v / (brake - weight)."""
     spare_N = max(a["brake_force_N"] - home.held_N, 0.05 * a["brake_force_N"])
     return raised(1.2 * (1e-3 * a["brake_ms"] + home.leg_mass_kg * speed_m_s / spare_N))
-
-
-def step_us(rate_Hz: float, longest_us: float) -> Decimal | None:
-    """Plant's step where the default `longest_us` does not divide the period; None where it does.
-
-    To twelve digits: a period is a whole number of steps to 1e-9.
-    """
-    period_us = 1e6 / rate_Hz
-    count = ceil(period_us / longest_us - 1e-9)
-    whole = abs(period_us - count * longest_us) <= 1e-9 * period_us
-    return None if whole else Decimal(f"{period_us / count:.12g}")

@@ -80,18 +80,9 @@ def _ranges(a: Answers) -> Ranges:
 
 
 def model_trouble(a: Answers) -> str | None:
-    """Why a model is unknown, or too weak for the robot at any lead; None where it suits."""
-    if model(a) not in models(a):
-        return f"allowed with {a['drives']}: {', '.join(models(a))}, given: {model(a)}"
-    (least, most), r = travels_m(a), _ranges(a)
-    if least <= most:
-        return None
-    return (
-        f"{model(a)} is too weak at any lead: it reports {2 * r.position / TURN:.3g} turns, so "
-        f"{a['stroke_m']:g} m of stroke need at least {least:.4g} m a turn, and its {r.torque:g} N m are "
-        f"{a['drive_force_N']:g} N up to {most:.4g} m a turn; state a smaller --drive-force or --stroke, "
-        "or take another model"
-    )
+    """Why a model is unknown; None where it is known."""
+    known = models(a)
+    return None if model(a) in known else f"allowed with {a['drives']}: {', '.join(known)}, given: {model(a)}"
 
 
 def travel_trouble(a: Answers, finest_m: float) -> str | None:
@@ -101,28 +92,20 @@ def travel_trouble(a: Answers, finest_m: float) -> str | None:
     """
     travel, stroke = a["travel_m"], a["stroke_m"]
     if not models(a):
-        if travel <= LONGEST_TURN * stroke:
-            return None
-        return (
-            f"allowed: up to {LONGEST_TURN * stroke:g} m a turn, {LONGEST_TURN:g} times the stroke of "
-            f"{stroke:g} m, given: {travel:g}; it is in m, so a lead of 10 mm is 0.01"
-        )
-    if too_weak := model_trouble(a):
-        return too_weak
-    carried, most = travels_m(a)
-    least, r = max(carried, finest_m), _ranges(a)
+        most = LONGEST_TURN * stroke
+        long = f"allowed: up to {most:g} m a turn, {LONGEST_TURN:g} times the stroke of {stroke:g} m, given: "
+        return None if travel <= most else f"{long}{travel:g}; it is in m, so a lead of 10 mm is 0.01"
+    (carried, most), r = travels_m(a), _ranges(a)
+    least = max(carried, finest_m)
     if least <= travel <= most:
         return None
-    coarse = ""
-    if finest_m > carried:
-        coarse = f"; one code of torque is {force_step_N(a, travel):.2g} N at the leg, and has to leave it "
-        coarse += "within 2 % of the stroke"
+    allowed = f"allowed with {model(a)}: {least:.4g} to {most:.4g} m a turn, given: {travel:g}"
     if least > most:
-        return f"{model(a)} is too strong for a robot this light at any lead{coarse}; take a weaker model"
+        allowed = f"{model(a)} suits at no lead, {least:.4g} to {most:.4g} m a turn: take another model"
     return (
-        f"allowed with {model(a)}: {least:.4g} to {most:.4g} m a turn, given: {travel:g}. Its position of "
-        f"+-{r.position:g} rad has to carry {stroke:g} m of stroke, its torque of {r.torque:g} N m "
-        f"{a['drive_force_N']:g} N{coarse}"
+        f"{allowed}. Its position of +-{r.position:g} rad has to carry {stroke:g} m of stroke, its torque of "
+        f"{r.torque:g} N m {a['drive_force_N']:g} N; one code of torque is {force_step_N(a, travel):.2g} N "
+        "at the leg, and has to leave it within 2 % of the stroke"
     )
 
 

@@ -43,7 +43,7 @@ def settings(name: str, values: Mapping[str, Any]) -> Any:
 
 
 def flow(value: Any) -> str:
-    """Value on one line; floats to `DIGITS` as numbers of YAML 1.2, a Decimal as it is."""
+    """Value on one line; floats to `DIGITS` as numbers of YAML 1.2."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{k}: {flow(v)}" for k, v in value.items()) + "}"
     if isinstance(value, list | tuple):

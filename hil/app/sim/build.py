@@ -2,8 +2,8 @@
 
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
+from hil.app.configuration.changes import without_operator
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.unattended import without_operator
 from hil.app.sim.lockstep import Lockstep
 from hil.loop.cycle import Cycle
 from plant_fmu.drives.nodes import Nodes

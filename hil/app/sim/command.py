@@ -13,10 +13,10 @@ from drivers.frame_array import NO_FRAMES
 from drivers.signals import Mode
 from hil.app.compose import attachments, build_cycle, build_nodes, record
 from hil.app.configuration.bus_budget import loads
+from hil.app.configuration.changes import without_operator
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
-from hil.app.configuration.unattended import without_operator
 from hil.app.homing.keeping import Keeper
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import after_run, closing, fail, leaving, log_path, told

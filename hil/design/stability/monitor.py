@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.config.delay import DelayCompensation
-from hil.config.monitor import MonitorSettings
+from hil.config.limits import MonitorSettings
 from hil.control import ControllerSettings
 from hil.control.law import ErrorDynamics, LawSettings
 from hil.design.stability.error_dynamics import certificate

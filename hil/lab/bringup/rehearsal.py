@@ -14,9 +14,9 @@ from drivers.errors import ConfigurationError
 from drivers.family import Family
 from drivers.protocol import Frame, Received
 from hil.app.compose import build_cycle, build_protocol
+from hil.app.configuration.changes import unattended
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, platform_dict
-from hil.app.configuration.unattended import unattended
 from hil.app.homing.last_pose import home_lengths, last_pose_of
 from hil.app.sim.build import build_lockstep
 from hil.lab.bringup.context import Request

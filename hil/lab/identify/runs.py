@@ -11,9 +11,9 @@ from drivers.errors import ConfigurationError, LogError
 from drivers.files import open_regular
 from drivers.signals import DriveState
 from hil.app.check.command import refuse_unreachable
+from hil.app.configuration.changes import unattended
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.platform import build_platform
-from hil.app.configuration.unattended import unattended
 from hil.app.configuration.yaml_positions import parse
 from hil.app.replay import law_of_log, open_run
 from hil.app.run.command import run_daemon

@@ -10,10 +10,9 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError, LogError
 from hil.app.check.command import refuse_unreachable
-from hil.app.configuration.changes import with_changes
+from hil.app.configuration.changes import unattended, with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text, largest_written
-from hil.app.configuration.unattended import unattended
 from hil.app.encoder_limits import leg_errors
 from hil.app.sim.command import simulate
 from hil.config.feedforward import FeedforwardHead, MadeFor

@@ -9,9 +9,8 @@ import numpy as np
 from drivers.errors import ConfigurationError, HilError, PlantError
 from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle, build_nodes
-from hil.app.configuration.changes import merged, text_of
+from hil.app.configuration.changes import merged, text_of, unattended_data
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.configuration.unattended import unattended_data
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.run_end import Course

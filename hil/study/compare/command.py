@@ -9,11 +9,11 @@ import numpy as np
 
 from drivers.errors import ConfigurationError
 from hil.app.compose import build_nodes
+from hil.app.configuration.changes import unattended
 from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_rules import not_brought_about
 from hil.app.configuration.platform import build_platform
-from hil.app.configuration.unattended import unattended
 from hil.app.output import further, picture_path
 from hil.app.reachability import span_s
 from hil.control import ControllerSettings

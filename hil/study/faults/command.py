@@ -6,8 +6,8 @@ from typing import Any
 
 from hil.app.check.command import stopping_distances_m
 from hil.app.compose import build_nodes
+from hil.app.configuration.changes import unattended
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.unattended import unattended
 from hil.study.faults.case_run import Job, failed, run_case
 from hil.study.faults.cases import cases
 from hil.study.faults.verdict import Bounds

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 import yaml
 
-from drivers.errors import ConfigurationError
 from hil.app.check.command import inspect
 from hil.app.configuration import schema
 from hil.app.configuration.configuration import load, loads
@@ -105,16 +104,6 @@ def test_the_books_path_is_the_books(name):
         )
 
 
-def test_ideal_is_ideal():
-    c: Any = load("ideal")
-    assert c.bus.layout == "ideal"
-    assert c.plant.model.force_bandwidth_Hz == 0
-    assert c.plant.drives.encoder_resolution_m == 0
-    assert (c.engage.force_ramp_s, c.engage.brake_release_s, c.engage.blend_s) == (0, 0, 0)
-    assert c.controller.wn_rad_s == 20
-    assert c.reference.periods == 1
-
-
 PDO = ("velocity: difference", "velocity: pdo"), ("  rate_Hz: 400", "  rate_Hz: 312.5")
 
 
@@ -138,13 +127,3 @@ def test_the_robot_tracks_parks_and_replays_exactly(name, changes, peak_mm, tmp_
     assert found["rejected_frames"] == 0
     assert found["tracking"]["peak_leg_error_mm"] < peak_mm
     assert (found["replay"]["exact"], found["replay"]["wire_different_ticks"]) == (True, 0)
-
-
-def test_a_rate_above_the_bus_is_refused_with_the_arithmetic():
-    with pytest.raises(ConfigurationError) as refused:
-        configuration("virtual", PDO[0])
-    text = str(refused.value)
-    assert "6 x classic  8 byte: 135 bit = 135.0 us each, 810.0 us" in text
-    assert "12 x classic  4 byte: 95 bit = 95.0 us each, 1140.0 us" in text
-    assert "total 2005.0 us of a 2500.0 us period = 80.2 % at 400 Hz (allowed 70 %)" in text
-    assert "up to 349 Hz" in text

@@ -55,6 +55,8 @@ ONE_PROBLEM = [
     ("com_m: [0, 0, 0]", "com_m: [0, 0]", "[0, 0]\n", "platform.platform.com_m: wrong number of entries, allowed: a list of 3 numbers, given: 2 entries"),
     ("[0, 0, 285]]", "[0, 0, 28]]", "[[570, 0, 0], [0, 285, 0], [0, 0, 28]]", "platform.platform.inertia_kg_m2: got principal moments 28, 285, 570"),
     ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is no whole number of steps, allowed: 1000 us (loop.rate_Hz) divided by a whole number, as 250, given: 300"),
+    ("position_m: [0.25, 0.5, 0.75], ", "position_m: [0.25, 0.5, 1.75], ", "{t_s: 1, ", "reference.points[1]: out of reach, allowed leg lengths: 0.77 to 2.18 m"),
+    ("layout: fd ", "layout: classic ", "interface: localcan", "bus: the frames of one tick do not fit at 1 Mbit/s"),
     ("{t_s: 1, pos", "{t_s: 0, pos", "0, position_m: [0.25", "reference.points[1].t_s: 0 s is not after the point before it"),
     ("{t_s: 2, position_m: [0, 0, 1]", "{t_s: 2, position_m: [0, 0, 1.1]", "- {t_s: 0", "reference.points: periods is 10, but the path ends"),
 ]  # fmt: skip
@@ -66,33 +68,7 @@ ONE_PROBLEM = [
 def test_one_wrong_thing_is_one_problem_at_its_place(old, new, where, message):
     text = edited((old, new))
     (problem,) = problems(text)
-    if message.startswith(("limits: ", "controller.model: ")):
-        # A rule of a whole section: at the section's first key.
-        assert problem.startswith("my.yaml:")
-        assert message in problem
-    else:
-        assert problem.startswith(f"my.yaml:{place(text, where)}: {message}")
-
-
-def test_an_unreachable_way_point_is_refused_with_legs_and_lengths():
-    text = edited(("position_m: [0.25, 0.5, 0.75], ", "position_m: [0.25, 0.5, 1.75], "))
-    (problem,) = problems(text)
-    at = place(text, "{t_s: 1, ")
-    assert problem.startswith(
-        f"my.yaml:{at}: reference.points[1]: out of reach, allowed leg lengths: 0.77 to 2.18 m"
-    )
-    assert "leg 4 2.5605" in problem
-
-
-def test_frames_above_the_bus_are_refused_with_the_arithmetic():
-    text = edited(("layout: fd ", "layout: classic "))
-    (problem,) = problems(text)
-    # 8 frames of 135 bit and SYNC of 75 bit at 1 Mbit/s against a period of 1000 us.
-    assert problem.startswith(
-        f"my.yaml:{place(text, 'interface: localcan')}: bus: the frames of one tick do not fit at 1 Mbit/s"
-    )
-    assert "8 x classic  8 byte: 135 bit = 135.0 us each, 1080.0 us" in problem
-    assert "total 1155.0 us of a 1000.0 us period = 115.5 % at 1000 Hz (allowed 70 %)" in problem
+    assert problem.startswith(f"my.yaml:{place(text, where)}: {message}")
 
 
 def test_all_problems_are_reported_at_once_in_order_of_the_file():

@@ -12,13 +12,12 @@ import yaml
 
 from drivers.errors import ConfigurationError
 from drivers.signals import Fault
-from hil.app.configuration.bus_budget import bus_budget
+from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import path_text
+from hil.config.limits import ReactionSettings
 from hil.config.number import plain_number
-from hil.config.reactions import ReactionSettings
-from hil.config.running import EngageSettings
 from tests.broad import broad
 
 
@@ -136,19 +135,13 @@ def test_the_next_value_is_refused_at_once_at_its_place(key, row):
 def test_the_bus_budget_counts_the_heartbeats_of_every_tick(heartbeat_ms, frames):
     """A status frame is classic, 5 bytes: 44 + 40 + 3 + floor(73 / 4) = 105 bits, 105 us of 1 ms."""
     c = changed("virtual", {"drives": {"heartbeat_ms": heartbeat_ms}})
-    found = bus_budget(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
-    assert found is not None
+    (found,) = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     assert found.load_percent == pytest.approx(56.82 + 10.5 * frames, abs=1e-9)
 
 
 def test_heartbeats_that_do_not_fit_are_refused_with_the_arithmetic():
     with pytest.raises(ConfigurationError, match=r"6 x classic  5 byte: 105 bit = 105\.0 us each, 630\.0 us"):
         changed("virtual", {"drives": {"heartbeat_ms": 1}})
-
-
-@pytest.mark.parametrize(("closes", "expected"), [(None, 0.1), (0.0, 0.0), (0.05, 0.05), (0.3, 0.3)])
-def test_brakes_close_in_the_time_given_or_else_in_that_to_open(closes, expected):
-    assert EngageSettings(brake_release_s=0.1, brake_close_s=closes).closing_s == expected
 
 
 @pytest.mark.parametrize("reaction", ["ss1", "sbc", "sto"])

@@ -53,13 +53,13 @@ def test_words_mean_the_same_as_the_configuration(text, fault):
     [
         ("encoder_jmp leg=0 by=1", "unknown kind 'encoder_jmp', did you mean encoder_jump? allowed: encoder_jump, "),
         ("", "unknown kind ''"),
-        ("encoder_jump leg=0 bye=1", "bye: unknown key of encoder_jump, did you mean by? allowed: at, mode, for, leg, by"),
+        ("encoder_jump leg=0 bye=1", "bye: unknown key, allowed: kind, at_s, mode, for_s, leg, by_m"),
         ("encoder_jump leg=0", "by_m: missing, allowed: a number"),
         ("encoder_jump leg=6 by=1", "leg: out of range, allowed: a whole number at least 0 and less than 6, given: 6"),
         ("encoder_jump leg=0 by=far", 'by_m: wrong type, allowed: a number, given: "far"'),
-        ("encoder_jump leg=0 by=1 by_m=2", "by_m: given twice"),
+        ("encoder_jump leg=0 by=1 by_m=2", "by_m: key given twice"),
         ("encoder_jump leg=0 by=1 mode=FLYING", "mode: unknown value, allowed: IDLE, LOADING, "),
-        ("drive_reset leg=0 for=1", "for: unknown key of drive_reset"),
+        ("drive_reset leg=0 for=1", "for: unknown key, allowed: kind, at_s, mode, leg"),
     ],
 )  # fmt: skip
 def test_wrong_words_are_refused_with_what_is_allowed(text, message):

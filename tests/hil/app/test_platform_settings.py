@@ -158,20 +158,6 @@ BAD = [
     (HEAD + "shape: {type: cylinder, radius_m: 1, length_m: 1, inner_radius_m: 1}", "{type", "platform.platform.shape: inner_radius_m leaves no wall"),
     (HEAD + "shape: {type: sphere, radius_m: 1}\n    payload:\n      - {mass_kg: 1, com_m: [0, 0, 0], inertia_kg_m2: [[1, 0, 0], [0, 1, 0], [0, 0, 9]]}", "[[1, 0, 0], [0, 1, 0], [0, 0, 9]]", "platform.platform.payload[0].inertia_kg_m2: got principal moments 1, 1, 9"),
 ]  # fmt: skip
-
-
-@pytest.mark.parametrize(("text", "needle", "message"), BAD)
-def test_a_wrong_body_is_named_where_it_stands(text, needle, message):
-    whole = body(text)
-    start = whole.index("\n  platform:")
-    line = whole[: whole.index(needle.strip('"'), start)].count("\n") + 1
-    found = problem(whole)
-    at, _, what = found.partition(": ")
-    assert what.startswith(message), found
-    if not any(words in message for words in ("either", "has no meaning", "moments > 0")):
-        assert at.split(":")[1] == str(line), found
-
-
 BAD_CIRCLES = [
     ("{angles_deg: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.radius_m: missing, allowed: a number greater than 0"),
     ("{radius_m: 2}", "platform.base_joints_m: allowed: either angles_deg or pair_centres_deg"),
@@ -181,11 +167,20 @@ BAD_CIRCLES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("text", "message"), BAD_CIRCLES)
-def test_a_wrong_circle_is_named_where_it_stands(text, message):
-    whole = section(VIRTUAL, "base_joints_m", f" {text}")
-    line = whole[: whole.index(text)].count("\n") + 1
-    found = problem(whole)
-    at, _, what = found.partition(": ")
-    assert what.startswith(message), found
-    assert at.split(":")[1] == str(line), found
+def located(whole, needle, message, after=""):
+    """A text, the line in which something stands, and what is wrong with it."""
+    return whole, whole[: whole.index(needle, whole.index(after))].count("\n") + 1, message
+
+
+WRONG = [located(body(text), needle, message, "\n  platform:") for text, needle, message in BAD]
+WRONG += [
+    located(section(VIRTUAL, "base_joints_m", f" {text}"), text, message) for text, message in BAD_CIRCLES
+]
+
+
+@pytest.mark.parametrize(("whole", "line", "message"), WRONG, ids=[message for *_, message in WRONG])
+def test_a_wrong_platform_is_named_where_it_stands(whole, line, message):
+    at, _, what = problem(whole).partition(": ")
+    assert what.startswith(message)
+    if not any(words in message for words in ("platform.platform: ", "moments > 0")):
+        assert at.split(":")[1] == str(line)

@@ -22,9 +22,6 @@ def pipe(tmp_path):
     return tmp_path / "pipe"
 
 
-# -- names and texts -----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["../up", "a b", "a/b", "", "x" * 101, "\\e[31m", "a\\n"])
 def test_a_name_that_would_be_a_strange_file_name_is_refused(name):
     text = VIRTUAL.replace("name: virtual\n", f'name: "{name}"\n', 1)
@@ -39,9 +36,6 @@ def test_what_steers_a_terminal_is_shown_and_not_sent():
     assert visible("plain é ✓") == "plain é ✓"
     assert one_line("a\nb\u2028c") == "a\\nb\\u2028c"
     assert printable("a\x1b[2J\n.mcap") == "a\\x1b[2J\\n.mcap"
-
-
-# -- what a log names ----------------------------------------------------------------------------------------
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.arrays import Array
-from hil.app.check.demand import Beyond, Silence
+from hil.app.check.demand import Silence
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.platform import build_platform
 from hil.app.reachability import SAMPLES, Walk, drive_forces, span_s, violations, walk
@@ -104,12 +104,12 @@ SILENCE = Silence(T=0.1, a=6.0)
 def test_after_silence_a_leg_hits_the_end_that_it_runs_into_alone(leg, way):
     ahead, behind = (HIGH, LOW)[:: int(way)]
     found = SILENCE.beyond(walked(leg, q=ahead - 0.12 * way, dq=1.0 * way), LOW, HIGH)
-    assert found == pytest.approx(Beyond(STEP_S * HERE, leg, travel_m=0.13, free_m=0.12))
+    assert found == pytest.approx({"t": STEP_S * HERE, "leg": leg, "travel_m": 0.13, "free_m": 0.12})
     assert SILENCE.beyond(walked(leg, q=ahead - 0.14 * way, dq=1.0 * way), LOW, HIGH) is None
     # away from an end it is that of a leg at rest: 0.03 m
     assert SILENCE.beyond(walked(leg, q=behind + 0.04 * way, dq=1.0 * way), LOW, HIGH) is None
     still = SILENCE.beyond(walked(leg, q=behind + 0.02 * way, dq=1.0 * way), LOW, HIGH)
-    assert still == pytest.approx(Beyond(STEP_S * HERE, leg, travel_m=0.03, free_m=0.02))
+    assert still == pytest.approx({"t": STEP_S * HERE, "leg": leg, "travel_m": 0.03, "free_m": 0.02})
     assert SILENCE.travel_m(walked(leg, dq=2.0 * way)) == pytest.approx(0.23)
 
 

@@ -25,7 +25,7 @@ from hil.proof import quadratic
 from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.cancellation import continuous
 from hil.proof.interval import Ball, Ranges, unsupported
-from hil.proof.signs import Signs
+from hil.proof.signs import Signs, regular
 from hil.proof.system import System
 
 CELLS = 300
@@ -107,8 +107,11 @@ def jacobian(system: System) -> sp.Matrix | None:
     return None if any(unsupported(a) for a in A) else A
 
 
-def eigenvalues(A: sp.Matrix, signs: Signs) -> Eigenvalues:
-    """Return where the eigenvalues of A are."""
+def eigenvalues(signs: Signs) -> Eigenvalues:
+    """Return where the eigenvalues of the linearisation are; UNKNOWN where f is not shown to be smooth."""
+    A = jacobian(signs.system)
+    if A is None or not regular(signs.system.f, signs):
+        return Eigenvalues.UNKNOWN
     found = [_block(A.extract(block, block), signs) for block in A.strongly_connected_components()]
     if Eigenvalues.RIGHT in found:
         return Eigenvalues.RIGHT

@@ -5,8 +5,9 @@ from typing import Any
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import axes, layered, payloads, springs
+from hil.app.stability import axes, layered, springs
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.app.stability.wording import Assessment
 from hil.control.pd import PDSettings
@@ -17,21 +18,19 @@ from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
-"""Laws that are judged with one robot at a time, see `hil.app.stability.payloads`."""
+"""Laws that are judged with one robot at a time, see `springs.springs`."""
 
 
 def judge(
     c: Configuration,
     stated: Stated | None = None,
     *,
-    quick: bool = False,
     tell: Callable[[float, float], None] = lambda *_: None,
 ) -> Assessment:
     """Return the assessment of a configuration's law.
 
-    quick: without the search for the largest sublevel set, which costs seconds. tell: called now and then
-    with the s of the reference that were looked at, and of how many. Raises ConfigurationError where the
-    reference cannot be followed.
+    tell: called now and then with the s of the reference that were looked at, and of how many. Raises
+    ConfigurationError where the reference cannot be followed.
     """
     stated = Stated() if stated is None else stated
     subject = Subject(c, stated, tell)
@@ -45,15 +44,11 @@ def judge(
         )
     law: Any = c.controller
     if law.law in SPRINGS:
-        each = subject.alone()[::-1]  # what is stated to ride first
-        if len(each) == 1:
-            return springs.springs(subject, law, quick=quick)
-        found = [springs.springs(one, law, quick=True) for one in each]
-        worst, words = payloads.worst_of(found), [carried for one in each for carried in one.carried]
-        chosen = found[worst] if quick else springs.springs(each[worst], law, quick=False)
-        return payloads.told(chosen, words[worst], found, words)
+        return springs.springs(subject, law)
     if isinstance(law, StateSpaceSettings):
-        return axes.configured(subject, law)
+        controller = controller_of(law, c.folder)
+        assert controller is not None
+        return axes.designed(subject, controller, law.model, axes.assumed(subject, law))
     if isinstance(law, SlidingModeSettings | RobustInverseDynamicsSettings):
         return layered.robust(subject, law)
     dynamics = law.error_dynamics()

@@ -24,7 +24,7 @@ from hil.control.law import per_leg
 from hil.control.model import build_model
 from hil.design.stability.disturbance import Drives, Friction, Inertia, Linearised, Load, Local, Survey
 from hil.design.stability.lateness import Late, late, stale_s
-from hil.design.stability.sampled import Axis, Sampled, of_each
+from hil.design.stability.sampled_loop import Axis, Sampled, of_each
 from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model

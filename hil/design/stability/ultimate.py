@@ -22,7 +22,7 @@ from drivers.arrays import Array
 from hil.config.axis_model import AxisSpace
 from hil.design.stability.disturbance import Inertia, Linearised, Local, Survey
 from hil.design.stability.lateness import Late
-from hil.design.stability.sampled import Sampled, of_each
+from hil.design.stability.sampled_loop import Sampled, of_each
 from hil.trajectory.path import PoseSample
 
 ROUNDS = 12

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hil.design.stability.sampled import gains
-from hil.design.stability.sampled_loop import sampled_axis
+from hil.design.stability.sampled_loop import gains, sampled_axis
 from hil.lab.learn.convergence import Uncertainty, axis_loop, choose, contraction, frequencies, stated
 from hil.lab.learn.judgement import contradiction, in_band, state
 from hil.lab.learn.trial import FIRST_STEP, Trial, trial, updated

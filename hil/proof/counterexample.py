@@ -21,18 +21,8 @@ _ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
 _PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
 
 
-def above_zero(g: sp.Expr, signs: Signs) -> Point | None:
-    """Return a point with g > 0, shown by an enclosure, or None if none is found."""
-    return _find(g, signs, exact_zero=False)
-
-
-def not_above_zero(g: sp.Expr, signs: Signs) -> Point | None:
-    """Return a point other than the equilibrium with g <= 0, or None if none is found."""
-    return _find(-g, signs, exact_zero=True)
-
-
-def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
-    """Return a point with g > 0 (or = 0) whatever the rounded numbers were.
+def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
+    """Return a point beside the equilibrium with g > 0 (or = 0) whatever the rounded numbers were; or None.
 
     A quadratic form has one in its own direction, or none.
     """
@@ -46,7 +36,7 @@ def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
     form = quadratic.form(g, system.states)
     for point in _downhill(g, signs) if form else chain(_downhill(g, signs), _points(g, signs)):
         value = h([*(number(point[v]) for v in names), *whole])
-        if not (value > 0 or (exact_zero and value.contains(0))) or not _inside(signs, point):
+        if not (value > 0 or (or_zero and value.contains(0))) or not _inside(signs, point):
             continue
         if value > 0 or (value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0):
             return point
@@ -54,7 +44,7 @@ def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
 
 
 def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
-    """Along the direction in which the quadratic form that g begins with is positive, or zero."""
+    """Along the direction in which g, if it is a quadratic form, is positive, or zero."""
     states = signs.system.states
     for parameters in _parameters(signs):
         S = quadratic.form(g.subs(parameters), states)
@@ -66,8 +56,7 @@ def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
             continue
         ends = [abs(end) for side in signs.system.domain.values() for end in side if not end.is_infinite]
         reach = min([sp.Rational(float(number(end).lower())) for end in ends], default=sp.S.One)
-        for k in (0, 4, 10, 20, 30):
-            yield {x: c * reach / 2**k for x, c in zip(states, d, strict=True)} | parameters
+        yield {x: c * reach for x, c in zip(states, d, strict=True)} | parameters
 
 
 def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:

@@ -135,11 +135,11 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
         shown = system.shown(V_dot)
     except ModelError as error:
         why = f"V is not shown to be continuously differentiable: {error}"
-    if (point := counterexample.not_above_zero(V, signs)) is not None:
+    if (point := counterexample.find(-V, signs, or_zero=True)) is not None:
         return refuted(Certificate.NOT_POSITIVE_DEFINITE, V, point, "V must be > 0 there")
     if V_dot is None:
         return undecided(why)
-    if (point := counterexample.above_zero(V_dot, signs)) is not None:
+    if (point := counterexample.find(V_dot, signs)) is not None:
         return refuted(Certificate.GROWS, V_dot, point)
     if set(signs.own(V)) != set(system.states) or not signs.definite(V):
         return undecided(_why(signs, "V is not shown to be positive definite"))

@@ -12,6 +12,7 @@ from hil.app.stability.subject import Stated, Subject
 from hil.config.axis_model import AxisSpace
 from hil.config.design import Design, DesignAxis
 from hil.config.model import ModelSettings
+from hil.design.stability.disturbance import Inertia
 from hil.design.synthesis.axis import loop_gain, sampled_axis
 from hil.design.synthesis.methods import Designed
 from hil.design.synthesis.multiplicative import Margin, Relative, margin
@@ -40,17 +41,11 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
     return [Gamma for robot in subject.linearised(model, axes) for Gamma in robot.at(path).Gamma]
 
 
-def eigenvalues(Gammas: list[Array]) -> tuple[float, float]:
-    """Return the least and the largest eigenvalue: real, as each Gamma is similar to M^-1 M_believed."""
-    values = np.linalg.eigvals(np.array(Gammas)).real
-    return float(values.min()), float(values.max())
-
-
 def for_the_robot(
     design: Design, axis: DesignAxis, Gammas: list[Array], *, keep_gain: bool
 ) -> tuple[Design, DesignAxis]:
     """Return design and axis with the inertia of a robot: the middle gain unless measured, and its range."""
-    least, largest = eigenvalues(Gammas)
+    least, largest = Inertia.of(np.array(Gammas)).eigenvalues
     if keep_gain:  # what was measured with the model's payload, and what the model says
         least, largest = min(least, axis.gain * least), max(largest, axis.gain * largest)
     else:
@@ -86,7 +81,7 @@ def robustness(
         scaled = [Gamma / axis.gain for Gamma in Gammas]
         if measured is not None:
             scaled += Gammas  # times the gain that was measured
-        least, largest = eigenvalues(Gammas)
+        least, largest = Inertia.of(np.array(Gammas)).eigenvalues
         figures["robot"] = {"gamma_eigenvalues": [least, largest]}
         _refuse_unstable(design, axis, made, scaled)
         if measured is not None:

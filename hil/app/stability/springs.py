@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf, isfinite
 from operator import itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -34,16 +34,6 @@ AT_ONCE = (
     "forces answer at once: V knows no sampling, delay or lag; what these do to small errors where "
     "it comes to rest is in the sampled loop"
 )
-FROZEN = "a weight that is frozen while the robot moves has no potential"
-
-
-class Energy(NamedTuple):
-    """That a law has a potential S at the reference's start, at rest."""
-
-    exact: bool
-    """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
-    damping: str
-    """By which V falls."""
 
 
 WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
@@ -115,7 +105,8 @@ def _figure(one: Assessment, name: str) -> float | None:
 
 def _one(subject: Subject, law: SpringSettings) -> Assessment:
     """Judge a PD or PID by its energy, or to first order where it has none."""
-    start, conditions, energy = subject.path[0], at_rest(subject), _energy(subject, law)
+    start, conditions = subject.path[0], at_rest(subject)
+    compensated, damping, why = _energy(subject, law)
     tau = law_forces(subject, law)
     try:
         p, R, found = rest(subject.robot, tau, start.p, start.R)
@@ -131,7 +122,7 @@ def _one(subject: Subject, law: SpringSettings) -> Assessment:
     met = subject.outside(p, R)
     not_proven = None if met is None else f"it comes to rest outside its limits: {met}"
     grows = None if radius < 1.0 else unstable(subject, radius)
-    if isinstance(energy, Energy):
+    if damping:
         stiffness = found.stiffness(subject.radius)
         softest, stiffest = stiffness[0], stiffness[-1]
         lines.insert(0, f"stiffness      {softest:.4g} to {stiffest:.4g} N/m where it comes to rest")
@@ -144,7 +135,7 @@ def _one(subject: Subject, law: SpringSettings) -> Assessment:
         lines.insert(0, line)
         figures |= {"slowest_eigenvalue_1_s": slowest, "sag_mm": sag_mm}
         if slowest >= 0.0:
-            grows = f"{energy}: no energy function; an eigenvalue grows as exp({slowest:.3g} t)"
+            grows = f"{why}: no energy function; an eigenvalue grows as exp({slowest:.3g} t)"
     if grows is None and isinstance(law, PIDSettings):
         held = subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
         if (short := float((np.abs(held) / per_leg(law.integral_limit_N)).max())) > 1.0:
@@ -153,14 +144,14 @@ def _one(subject: Subject, law: SpringSettings) -> Assessment:
         return Assessment("not proven", not_proven, conditions, lines, figures)
     if grows is not None:
         return Assessment("unstable", grows, [], lines, figures)
-    exact = sag_mm < 1e-3 or (isinstance(energy, Energy) and energy.exact)
+    exact = sag_mm < 1e-3 or compensated
     where = "the set-point" if exact else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
-    if isinstance(energy, Energy):
-        claim = f"V = t^T M t / 2 + S falls by {energy.damping}: {where} is asymptotically stable (LaSalle)"
+    if damping:
+        claim = f"V = t^T M t / 2 + S falls by {damping}: {where} is asymptotically stable (LaSalle)"
         conditions.append(AT_ONCE)
     else:
         rate = -np.log(radius) / subject.axis.period_s
-        claim = f"{energy}: no energy function; small errors from {where} die out as exp(-{rate:.3g} t)"
+        claim = f"{why}: no energy function; small errors from {where} die out as exp(-{rate:.3g} t)"
         conditions.append("errors are small")
     if isinstance(law, FeedforwardPDSettings) and law.evaluation == "online":
         conditions += subject.wrench
@@ -226,23 +217,23 @@ def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str,
     return [line], figures, radius
 
 
-def _energy(subject: Subject, law: SpringSettings) -> Energy | str:
-    """Return what is known of the potential of a law, or why it has none."""
+def _energy(subject: Subject, law: SpringSettings) -> tuple[bool, str, str]:
+    """Return whether the weight is compensated exactly, what V falls by, and if nothing why there is no V."""
     model = law.believed
     if isinstance(law, PIDSettings):
-        return "an integral"
+        return False, "", "an integral"
     frozen = {"constant_MG"} if isinstance(law, PDGravitySettings) else {"constant", "constant_MG"}
     if model is not None and model.variant in frozen and not isinstance(law, FeedforwardPDSettings):
-        return FROZEN
+        return False, "", "a weight that is frozen while the robot moves has no potential"
     exact = False  # the same forces wherever the robot is, or those that carry it where it is
     if model is not None and model.variant != "constant" and not isinstance(law, FeedforwardPDSettings):
         variant = "massless_legs" if model.variant == "massless_legs" else "full"
         there = model.model_copy(update={"variant": variant, "frozen_at": None})
         exact = same_weight(subject.robot, subject.believed(there))
     if not isinstance(law, CartesianPDSettings):
-        return Energy(exact, "dq^T K_v dq")
+        return exact, "dq^T K_v dq", ""
     if law.rotation_error == "vector_difference":
-        return "the stiffness of vector_difference is not symmetric"
+        return False, "", "the stiffness of vector_difference is not symmetric"
     if len(set(law.gains()[0][3:])) > 1:
-        return "three stiffnesses of rotation have an energy to first order only"
-    return Energy(exact, "t^T K_v t")
+        return False, "", "three stiffnesses of rotation have an energy to first order only"
+    return exact, "t^T K_v t", ""

@@ -63,9 +63,10 @@ def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
 
 def unstable(subject: Subject, radius: float) -> str:
     """Say that the sampled loop is not stable."""
+    lag = "" if subject.axis.lag_s > 0.0 else ", no lag of the drives known"
     return (
-        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains "
-        "or the delay"
+        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with "
+        f"{1e3 * subject.axis.transport_s:g} ms from measurement to force{lag}: lower the gains or the delay"
     )
 
 

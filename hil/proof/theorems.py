@@ -162,10 +162,11 @@ def _equilibrium(
 ) -> EquilibriumFinding:
     """Return the strongest of what is shown; of stability by V, of instability by eigenvalue or Chetaev."""
     budget = signs.budget
-    if spectrum is Eigenvalues.RIGHT:
-        return _unstable("by an eigenvalue with positive real part")
-    if proof is None and (by := budget.within(0.8, lambda: _why_unstable(V, near), None)) is not None:
-        return _unstable(by)
+    by = "by an eigenvalue with positive real part" if spectrum is Eigenvalues.RIGHT else None
+    if by is None and proof is None:
+        by = budget.within(0.8, lambda: _why_unstable(V, near), None)
+    if by is not None:
+        return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
     best = _NOTHING
     if proof is not None:
         box = _named_box(signs.system)
@@ -177,10 +178,6 @@ def _equilibrium(
     if best.asymptotic is Truth.UNDECIDED and budget.within(1.0, lambda: _rests_nearby(near), False):
         best = replace(best, asymptotic=Truth.REFUTED)
     return best
-
-
-def _unstable(by: str) -> EquilibriumFinding:
-    return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
 
 
 def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:

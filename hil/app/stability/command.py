@@ -3,29 +3,21 @@
 from collections.abc import Callable
 from typing import Any
 
-from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.payload_box import shown_ranges
 from hil.app.stability import axes, layered, springs
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.app.stability.wording import Assessment
-from hil.control.pd import PDSettings
-from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
-from hil.control.sliding_mode import SlidingModeSettings
-from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
-"""Laws that are judged with one robot at a time, see `springs.springs`."""
+"""Laws judged with one robot at a time. By name: a law of one's own may inherit their settings only."""
 
 
 def judge(
-    c: Configuration,
-    stated: Stated | None = None,
-    *,
-    tell: Callable[[float, float], None] = lambda *_: None,
+    c: Configuration, stated: Stated | None = None, tell: Callable[[float, float], None] = lambda *_: None
 ) -> Assessment:
     """Return the assessment of a configuration's law.
 
@@ -34,22 +26,21 @@ def judge(
     """
     stated = Stated() if stated is None else stated
     subject = Subject(c, stated, tell)
+    law: Any = c.controller
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
         if stated.payload.mass_kg:
             return Assessment("not proven", "six uncoupled legs carry no payload", [], [], {})
-        if isinstance(c.controller, PDSettings):
-            return springs.bench(subject, c.controller, c.plant.model)
-        return Assessment(
-            "not proven", "six uncoupled legs are not the robot of this law's model", [], [], {}
-        )
-    law: Any = c.controller
+        if law.law == "pd":
+            return springs.bench(subject, law, c.plant.model)
+        claim = "six uncoupled legs are not the robot of this law's model"
+        return Assessment("not proven", claim, [], [], {})
     if law.law in SPRINGS:
         return springs.springs(subject, law)
-    if isinstance(law, StateSpaceSettings):
+    if law.law == "state_space":
         controller = controller_of(law, c.folder)
         assert controller is not None
         return axes.designed(subject, controller, law.model, axes.assumed(subject, law))
-    if isinstance(law, SlidingModeSettings | RobustInverseDynamicsSettings):
+    if law.law in {"sliding_mode", "robust_inverse_dynamics"}:
         return layered.robust(subject, law)
     dynamics = law.error_dynamics()
     if isinstance(dynamics, str):
@@ -71,8 +62,6 @@ def assess(
 
     Raises ConfigurationError.
     """
-    if not 0.0 <= model_error < 1.0:
-        raise ConfigurationError(f"--model-error: a share, allowed: 0 to below 1, given: {model_error:g}")
     found = judge(c, Stated(Load(force_N, torque_N_m), model_error, payload))
     ridden = [shown_ranges(body) for body in c.platform.platform.payload if body.ranged]
     return {

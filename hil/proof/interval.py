@@ -23,9 +23,12 @@ Ranges = Mapping[sp.Symbol, tuple[float, float]]
 """Parameters, and the ends of each."""
 
 _UNARY: dict[Any, Callable[[Ball], Ball]] = {
-    f: methodcaller(f.__name__)
-    for f in (sp.sin, sp.cos, sp.tan, sp.exp, sp.log, sp.sinh, sp.cosh, sp.tanh, sp.atan)
-} | {sp.Abs: lambda x: x.abs_lower().union(x.abs_upper())}
+    sp.Abs: lambda x: x.abs_lower().union(x.abs_upper()),
+    **{
+        f: methodcaller(f.__name__)
+        for f in (sp.sin, sp.cos, sp.tan, sp.exp, sp.log, sp.sinh, sp.cosh, sp.tanh, sp.atan)
+    },
+}
 """What may stand in f and V beside sums, products and powers."""
 FUNCTIONS = frozenset(_UNARY)
 ALLOWED = f"sums, products, rational powers, {', '.join(sorted(f.__name__ for f in FUNCTIONS))}"

@@ -70,7 +70,8 @@ def springs(subject: Subject, law: SpringSettings) -> Assessment:
     carried, chosen = min(found, key=lambda each: _badness(each[1]))
     if len(found) == 1:
         return chosen
-    worst, more, claim = {}, [], f"{chosen.claim}, with {carried}"
+    worst: dict[str, Any] = {}
+    more, claim = list[str](), f"{chosen.claim}, with {carried}"
     for name, text, worse in FIGURES:
         values = [(value, words) for words, one in found[::-1] if (value := _figure(one, name)) is not None]
         if not values:

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis, UncertaintyRanges
 from hil.design.synthesis.axis import generalised_plant, sampled_problem
@@ -180,7 +181,7 @@ def design_mu(
     start = nominal_controller(problem)
     slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
-    grid = np.geomspace(*SPAN, POINTS) * pi * design.rate_Hz
+    grid: Array = np.asarray(np.geomspace(*SPAN, POINTS) * pi * design.rate_Hz)
     found = dk_iteration(problem, start, grid, within, progress)
     K = reduced(found.K, noise(design), NOTHING)
     judged = judge(design, axis, K)

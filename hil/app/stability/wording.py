@@ -37,7 +37,7 @@ NEGLIGIBLE = 0.01
 def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
     """Return the sampled loops of the axes as lines and figures, of each figure the worst of all axes."""
     slowest, loops = judged.slowest, judged.every
-    largest, rate = slowest.largest, float(slowest.decay_rate)
+    largest, rate = slowest.largest, slowest.decay_rate
     figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": rate}}
     margins = [loop.margins for loop in loops if loop.margins is not None]
     if not slowest.stable or not margins:

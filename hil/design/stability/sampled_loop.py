@@ -227,8 +227,6 @@ class Sampled(NamedTuple):
     """(n,), of z."""
     margins: Margins | None
     """None where the loop is not stable."""
-    decay_rate: float
-    """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
     loop: LinearSystem
     """To e, de and u from a disturbing acceleration, held over each period, and from what e and de are
     measured wrong by at each sample."""
@@ -237,6 +235,12 @@ class Sampled(NamedTuple):
     def largest(self) -> float:
         """The largest |z|."""
         return float(np.abs(self.poles).max())
+
+    @property
+    def decay_rate(self) -> float:
+        """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
+        assert self.loop.period_s is not None
+        return float(-np.log(max(self.largest, 1e-300)) / self.loop.period_s)
 
     @property
     def stable(self) -> bool:
@@ -308,13 +312,11 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
     """
     plant = disturbed_axis(axis)
     loop = _closed(plant, controller)
-    poles = loop.poles()
-    radius = float(np.abs(poles).max())
-    decay = -np.log(max(radius, 1e-300)) / axis.period_s
-    if radius >= 1.0:
-        return Sampled(poles, None, decay, loop)
+    found = Sampled(loop.poles(), None, loop)
+    if not found.stable:
+        return found
     opened = controller.after(plant._replace(B=plant.B[:, :1], D=plant.D[:, :1]))
-    return Sampled(poles, margins(opened), decay, loop)
+    return found._replace(margins=margins(opened))
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:

@@ -29,9 +29,12 @@ R = sp.Rational
 def test_anything_but_an_expression_of_real_numbers_is_refused(bad):
     with pytest.raises(ModelError):
         verify({x: bad}, x**2)
-    if bad is not None:
-        with pytest.raises(ModelError):
-            verify({x: -x}, bad)
+
+
+@pytest.mark.parametrize("V", ["x**2", True, np.ones(1), sp.GoldenRatio * x, x > 0, sp.I * x])
+def test_V_is_an_expression_of_real_numbers_too(V):
+    with pytest.raises(ModelError):
+        verify({x: -x}, V)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def command(configuration: str, payload: tuple[float, Point] | None, **options: 
 
     The verdict is proven; conditional, if the listed conditions hold, which are not checked here; not proven,
     where no theorem applies; or unstable. Printed are eigenvalues and margins of the loop as it is sampled,
-    held and late, and what the law's theorem gives: a bound of the error, a boundary layer, a sublevel set.
+    held and late, and what the law's theorem gives: a bound of the error, or a boundary layer.
 
     \b
     Examples:

@@ -5,13 +5,13 @@ solver's tolerance. In doubt a claim is undecided.
 
 ::
 
-    door            what is taken, and decimals        signs            definite, semidefinite, positive
-    system          the question in exact form         origin, tail     near the equilibrium and far away
-    branch_and_bound   cells and seconds               quadratic          forms; Hessians on a box
-    cancellation    dV/dt, exactly                     orthant          polynomials of positive parameters
-    interval        enclosures                         lasalle, level   where dV/dt = 0; sublevel sets
-                                                       linearisation   eigenvalues, a V; chetaev: instability
-    counterexample  what refutes                       theorems, report
+    door               what is taken, and decimals     signs           definite, semidefinite, positive
+    system             the question in exact form      origin, tail    near the equilibrium and far away
+    branch_and_bound   cells and seconds               quadratic       forms; Hessians on a box
+    cancellation       dV/dt, exactly                  lasalle, level  where dV/dt = 0; sublevel sets
+    interval           enclosures                      linearisation   eigenvalues, a V
+    counterexample     what refutes                    chetaev         instability
+    theorems, report   what follows from it
 """
 
 from hil.proof.branch_and_bound import Budget

@@ -3,15 +3,13 @@
 Where to look is a guess, what is found is a proof. That nothing is found proves nothing.
 """
 
-import heapq
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain, count, product
+from collections.abc import Iterator
+from itertools import chain, product
 
 import sympy as sp
 
 from hil.proof import quadratic
-from hil.proof.branch_and_bound import halves, middle
-from hil.proof.interval import Ball, Cell, Enclosure, ball, number, unsupported
+from hil.proof.interval import Enclosure, ball, number, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import Point
 
@@ -21,24 +19,10 @@ _LENGTHS = tuple(
 )
 _ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
 _PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
-_WINDOW = 4.0
-"""Where an unbounded domain is searched."""
-_SEARCH = 250
-"""Cells of the search."""
 
 
-def above_zero(g: sp.Expr, signs: Signs) -> Point | None:
-    """Return a point with g > 0, shown by an enclosure, or None if none is found."""
-    return _find(g, signs, exact_zero=False)
-
-
-def not_above_zero(g: sp.Expr, signs: Signs) -> Point | None:
-    """Return a point other than the equilibrium with g <= 0, or None if none is found."""
-    return _find(-g, signs, exact_zero=True)
-
-
-def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
-    """Return a point with g > 0 (or = 0) whatever the rounded numbers were.
+def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
+    """Return a point beside the equilibrium with g > 0 (or = 0) whatever the rounded numbers were; or None.
 
     A quadratic form has one in its own direction, or none.
     """
@@ -52,18 +36,18 @@ def _find(g: sp.Expr, signs: Signs, *, exact_zero: bool) -> Point | None:
     form = quadratic.form(g, system.states)
     for point in _downhill(g, signs) if form else chain(_downhill(g, signs), _points(g, signs)):
         value = h([*(number(point[v]) for v in names), *whole])
-        if not (value > 0 or (exact_zero and value.contains(0))) or not _inside(signs, point):
+        if not (value > 0 or (or_zero and value.contains(0))) or not _inside(signs, point):
             continue
         if value > 0 or (value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0):
             return point
-    return None if form else _searched(lambda x: h([*x, *whole]), names, signs)
+    return None
 
 
 def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
-    """Along the direction in which the quadratic form that g begins with is positive, or zero."""
+    """Along the direction in which g, if it is a quadratic form, is positive, or zero."""
     states = signs.system.states
     for parameters in _parameters(signs):
-        S = quadratic.form(_leading(g.subs(parameters), states), states)
+        S = quadratic.form(g.subs(parameters), states)
         direction = None if S is None else quadratic.falls([[-c for c in row] for row in S])
         if direction is None:
             continue
@@ -72,19 +56,7 @@ def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
             continue
         ends = [abs(end) for side in signs.system.domain.values() for end in side if not end.is_infinite]
         reach = min([sp.Rational(float(number(end).lower())) for end in ends], default=sp.S.One)
-        for k in (0, 4, 10, 20, 30):
-            yield {x: c * reach / 2**k for x, c in zip(states, d, strict=True)} | parameters
-
-
-def _leading(g: sp.Expr, states: Sequence[sp.Symbol]) -> sp.Expr:
-    """Return g if it is a polynomial without all but its terms of order two, else g."""
-    try:
-        p = sp.Poly(g, *states)
-    except sp.PolynomialError:
-        return g
-    if p.total_degree() > 40 or any(sum(m) < 2 for m in p.monoms()):
-        return g
-    return sp.Add(*(c * sp.Mul(*map(sp.Pow, states, m)) for m, c in p.terms() if sum(m) == 2))
+        yield {x: c * reach for x, c in zip(states, d, strict=True)} | parameters
 
 
 def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
@@ -118,33 +90,6 @@ def _parameters(signs: Signs) -> list[Point]:
     } | dict.fromkeys(signs.system.positive, _PARAMETERS)
     some = product(*choices.values()) if len(choices) <= 3 else zip(*choices.values(), strict=True)
     return [dict(zip(choices, values, strict=True)) for values in some]
-
-
-def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:
-    """Best first: the cell with the highest upper bound is halved next."""
-    if signs.system.positive:
-        return None
-    sides: Cell = tuple(
-        (max(low, -_WINDOW), min(high, _WINDOW)) for low, high in (signs.sides[v] for v in names)
-    )
-    order = count()
-    heap = [(0.0, next(order), sides)]
-    for _ in range(_SEARCH):
-        if not heap or not signs.budget.take():
-            return None
-        cell = heapq.heappop(heap)[2]
-        m = middle(cell)
-        if h([ball(v, v) for v in m]) > 0:
-            point = {x: sp.Rational(v) for x, v in zip(names, m, strict=True)}
-            if _inside(signs, point):
-                return point
-        widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0])
-        for half in halves(cell, widest):
-            value = h([ball(*side) for side in half])
-            if not value <= 0:
-                upper = float(value.upper()) if value.is_finite() else float("inf")
-                heapq.heappush(heap, (-upper, next(order), half))
-    return None
 
 
 def _inside(signs: Signs, point: Point) -> bool:

@@ -7,6 +7,7 @@ true. arb's own power gives no enclosure of a ball with negative numbers: it is 
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from operator import methodcaller
 from typing import Any
 
 import sympy as sp
@@ -22,16 +23,11 @@ Ranges = Mapping[sp.Symbol, tuple[float, float]]
 """Parameters, and the ends of each."""
 
 _UNARY: dict[Any, Callable[[Ball], Ball]] = {
-    sp.sin: lambda x: x.sin(),
-    sp.cos: lambda x: x.cos(),
-    sp.tan: lambda x: x.tan(),
-    sp.exp: lambda x: x.exp(),
-    sp.log: lambda x: x.log(),
-    sp.sinh: lambda x: x.sinh(),
-    sp.cosh: lambda x: x.cosh(),
-    sp.tanh: lambda x: x.tanh(),
-    sp.atan: lambda x: x.atan(),
     sp.Abs: lambda x: x.abs_lower().union(x.abs_upper()),
+    **{
+        f: methodcaller(f.__name__)
+        for f in (sp.sin, sp.cos, sp.tan, sp.exp, sp.log, sp.sinh, sp.cosh, sp.tanh, sp.atan)
+    },
 }
 """What may stand in f and V beside sums, products and powers."""
 FUNCTIONS = frozenset(_UNARY)
@@ -43,10 +39,9 @@ class Enclosure:
     """The interval extension of an expression in the given variables."""
 
     def __init__(self, expression: sp.Expr, variables: Sequence[sp.Symbol]) -> None:
-        self.expression = expression
-        self.variables = tuple(variables)
+        self._count = len(variables)
         self._steps: list[tuple[Callable[..., Ball], tuple[int, ...]]] = []
-        self._known: dict[sp.Expr, int] = {v: k for k, v in enumerate(self.variables)}
+        self._known: dict[sp.Expr, int] = {v: k for k, v in enumerate(variables)}
         self._result = self._place(expression)
 
     def __call__(self, balls: Sequence[Ball]) -> Ball:
@@ -60,16 +55,12 @@ class Enclosure:
         """Return the enclosure on a cell."""
         return self([ball(*side) for side in cell])
 
-    def at(self, point: Mapping[sp.Symbol, sp.Expr]) -> Ball:
-        """Return the enclosure at a point of exact numbers."""
-        return self([number(point[v]) for v in self.variables])
-
     def _place(self, e: sp.Expr) -> int:
         if e not in self._known:
             action, parts = _action(e)
             places = tuple(self._place(p) for p in parts)
             self._steps.append((action, places))
-            self._known[e] = len(self.variables) + len(self._steps) - 1
+            self._known[e] = self._count + len(self._steps) - 1
         return self._known[e]
 
 

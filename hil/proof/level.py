@@ -45,18 +45,13 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
 def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
     """Return the least value of a quadratic form on the faces; ends that are no fractions from within."""
     inverse = fmpq_mat([[fmpq(c.numerator, c.denominator) for c in row] for row in P]).inv()
+    widths = [sp.Rational(int(inverse[k, k].p), int(inverse[k, k].q)) for k in range(len(P))]
     levels = []
-    for k, x in enumerate(signs.system.states):
-        for end in signs.system.domain[x]:
-            reach = (
-                abs(end) if end.is_Rational else sp.Rational(float(number(abs(end)).lower()) * (1 - 2.0**-40))
-            )
-            levels.append(reach**2 / sp.Rational(int(inverse[k, k].p), int(inverse[k, k].q)))
+    for x, width in zip(signs.system.states, widths, strict=True):
+        for end in map(abs, signs.system.domain[x]):
+            within = end if end.is_Rational else sp.Rational(float(number(end).lower()) * (1 - 2.0**-40))
+            levels.append(within**2 / width)
     return min(levels)
-
-
-def _holds(V: sp.Expr, c: sp.Expr, faces: list[tuple[sp.Symbol, sp.Expr]], signs: Signs) -> bool:
-    return all(_at_least(sp.expand(V.subs(x, end) - c), signs) for x, end in faces)
 
 
 def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, sp.Expr]]:
@@ -71,7 +66,11 @@ def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, s
     ]
 
 
-def _at_least(g: sp.Expr, signs: Signs) -> bool:
-    if not signs.own(g):
-        return bool(g.is_nonnegative) or bool(number(g) > 0)
-    return signs.nonnegative(g) is not None or signs.positive(g)
+def _holds(V: sp.Expr, c: sp.Expr, faces: list[tuple[sp.Symbol, sp.Expr]], signs: Signs) -> bool:
+    """Tell whether V >= c is shown on all faces."""
+    for x, end in faces:
+        g = sp.expand(V.subs(x, end) - c)
+        constant = not signs.own(g) and (g.is_nonnegative or number(g) > 0)
+        if not (constant or (signs.own(g) and (signs.nonnegative(g) is not None or signs.positive(g)))):
+            return False
+    return True

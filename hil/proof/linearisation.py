@@ -1,11 +1,10 @@
-"""The linearisation at the equilibrium: where its eigenvalues are, without computing one.
+"""The linearisation at the equilibrium: where its eigenvalues are.
 
 States that do not act on each other in a circle are taken apart first. A matrix of fractions is decided
-exactly: Routh's table over the rationals has no smallest number; what is symmetric about the imaginary axis
-is divided out first, so that a zero in the table means an eigenvalue to the right. Over ranges of parameters
-the theorem of Ostrowski and Schneider counts: where A^T P + P A < 0, A has as many eigenvalues to the right
-as P has negative ones. With parameters that may be any positive number polynomials of them decide. A root on
-the imaginary axis says nothing.
+exactly: what is symmetric about the imaginary axis is divided out of its characteristic polynomial, Routh's
+table over the rationals decides the rest. Over ranges of parameters Gershgorin's discs about the eigenvalues
+of each cell's middle count. With parameters that may be any positive number polynomials of them decide. A
+root on the imaginary axis says nothing.
 
 Of a system without a V it proposes x^T P x with A^T P + P A = -1: a guess like any other, to be proven for
 the whole f. Ranges of parameters are taken at their middle.
@@ -15,19 +14,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
-from fractions import Fraction
-from itertools import pairwise
 
 import numpy as np
 import sympy as sp
-from flint import arb_mat, fmpq, fmpq_mat, fmpq_poly
+from flint import acb_mat, arb, arb_mat, fmpq, fmpq_mat, fmpq_poly
+from scipy.linalg import solve_continuous_lyapunov
 
 from drivers.errors import ModelError
 from hil.proof import quadratic
 from hil.proof.branch_and_bound import Budget, covered
 from hil.proof.cancellation import continuous
 from hil.proof.interval import Ball, Ranges, unsupported
-from hil.proof.signs import Signs
+from hil.proof.signs import Signs, regular
 from hil.proof.system import System
 
 CELLS = 300
@@ -43,46 +41,23 @@ class Eigenvalues(Enum):
 
 def of_rationals(A: sp.Matrix) -> Eigenvalues:
     """Return where the eigenvalues of a rational matrix are; UNKNOWN: on the axis, none to the right."""
-    n = A.rows
-    p = fmpq_mat([[fmpq(int(a.p), int(a.q)) for a in A.row(i)] for i in range(n)]).charpoly()
+    p = fmpq_mat([[fmpq(int(a.p), int(a.q)) for a in A.row(i)] for i in range(A.rows)]).charpoly()
     mirrored = fmpq_poly([c if k % 2 == 0 else -c for k, c in enumerate(p.coeffs())])
     symmetric = p.gcd(mirrored)
-    if not _on_axis(symmetric) or not _routh((p / symmetric).coeffs()):
+    squares = fmpq_poly(symmetric.coeffs()[symmetric.degree() % 2 :: 2])  # of s^2: on the axis s^2 <= 0
+    off = any(not s2.imag.is_zero() or s2.real > 0 for s2, _ in squares.complex_roots())
+    if off or not _routh((p / symmetric).coeffs()):
         return Eigenvalues.RIGHT
     return Eigenvalues.UNKNOWN if symmetric.degree() > 0 else Eigenvalues.LEFT
 
 
-def _on_axis(p: fmpq_poly) -> bool:
-    """Tell whether all roots of p, which are symmetric about the imaginary axis, are on it."""
-    coefficients = p.coeffs()
-    while coefficients and coefficients[0] == 0:
-        coefficients.pop(0)
-    h = fmpq_poly(coefficients[0::2])  # p = s^k h(s^2); on the axis are s^2 <= 0
-    h = h / h.gcd(h.derivative()) if h.degree() > 0 else h
-    chain = [h, h.derivative()]
-    while chain[-1].degree() > 0:
-        chain.append(-(chain[-2] % chain[-1]))
-    at_zero = [q[0] for q in chain]
-    far = [q[q.degree()] * (-1) ** q.degree() for q in chain if q.degree() >= 0]
-    return _changes(far) - _changes(at_zero) == h.degree()
-
-
-def _changes(values: Sequence[fmpq]) -> int:
-    signs = [v > 0 for v in values if v != 0]
-    return sum(a != b for a, b in pairwise(signs))
-
-
 def _routh(rising: Sequence[fmpq]) -> bool:
-    """Tell whether all roots have negative real parts: the first column of Routh's table is positive."""
-    falling = list(reversed(rising))
-    if falling[0] < 0:
-        falling = [-c for c in falling]
-    upper, lower = falling[0::2], falling[1::2]
+    """Tell whether all roots of a monic polynomial are left of the axis, by the first column of the table."""
+    upper, lower = rising[::-1][0::2], rising[::-1][1::2]
     while lower:
         if lower[0] <= 0:
             return False
-        pad = [*lower, fmpq(0)]
-        ratio = upper[0] / lower[0]
+        pad, ratio = [*lower, fmpq(0)], upper[0] / lower[0]
         upper, lower = lower, [upper[k + 1] - ratio * pad[k + 1] for k in range(len(upper) - 1)]
     return True
 
@@ -97,38 +72,26 @@ def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
         found.update({here} - {Eigenvalues.UNKNOWN})
         return here is not Eigenvalues.UNKNOWN and len(found) == 1
 
-    cell = tuple(ranges.values())
-    everywhere = covered([cell], shown, budget, CELLS, lambda _: len(found) > 1)
+    everywhere = covered([tuple(ranges.values())], shown, budget, CELLS, lambda _: len(found) > 1)
     return found.pop() if everywhere else Eigenvalues.UNKNOWN
 
 
 def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
+    """Return where the eigenvalues of every matrix within A are, by Gershgorin's discs about the middle's."""
     middle = quadratic.middle_of(A)
     if middle is None:
         return Eigenvalues.UNKNOWN
-    one = np.eye(len(A))
-    right = float(np.linalg.eigvals(middle).real.max())
-    for shift in (0.0,) if right <= 0 else (0.0, 0.5 * right, 0.7 * right, 0.3 * right):
-        P = lyapunov_matrix(middle - shift * one)
-        if P is None:
-            continue
-        falls = quadratic.falls([[Fraction(float(v)) for v in row] for row in P])
-        if (falls is None) != (right < 0):
-            continue
-        PB = arb_mat(P.tolist()) * (arb_mat(A) - arb_mat((shift * one).tolist()))
-        if quadratic.positive_definite((-(PB + PB.transpose())).tolist()):
-            return Eigenvalues.LEFT if falls is None else Eigenvalues.RIGHT
-    return Eigenvalues.UNKNOWN
-
-
-def lyapunov_matrix(A: np.ndarray) -> np.ndarray | None:
-    """Return the symmetric P with A^T P + P A = -1, in floating point: a guess, to be proven; or None."""
-    one = np.eye(len(A))
+    T = acb_mat(np.linalg.eig(middle)[1].tolist())
     try:
-        P = np.linalg.solve(np.kron(A.T, one) + np.kron(one, A.T), -one.reshape(-1)).reshape(one.shape)
-    except np.linalg.LinAlgError:
-        return None
-    return (P + P.T) / 2 if np.isfinite(P).all() else None
+        D = (T.inv() * acb_mat(arb_mat(A)) * T).tolist()
+    except ZeroDivisionError:
+        return Eigenvalues.UNKNOWN
+    reach = [sum((abs(b) for j, b in enumerate(row) if j != i), arb(0)) for i, row in enumerate(D)]
+    discs = [(row[i].real, r) for i, (row, r) in enumerate(zip(D, reach, strict=True))]
+    if all(c + r < 0 for c, r in discs):
+        return Eigenvalues.LEFT
+    apart = all(c + r < 0 or c - r > 0 for c, r in discs)
+    return Eigenvalues.RIGHT if apart else Eigenvalues.UNKNOWN
 
 
 def jacobian(system: System) -> sp.Matrix | None:
@@ -144,8 +107,11 @@ def jacobian(system: System) -> sp.Matrix | None:
     return None if any(unsupported(a) for a in A) else A
 
 
-def eigenvalues(A: sp.Matrix, signs: Signs) -> Eigenvalues:
-    """Return where the eigenvalues of A are."""
+def eigenvalues(signs: Signs) -> Eigenvalues:
+    """Return where the eigenvalues of the linearisation are; UNKNOWN where f is not shown to be smooth."""
+    A = jacobian(signs.system)
+    if A is None or not regular(signs.system.f, signs):
+        return Eigenvalues.UNKNOWN
     found = [_block(A.extract(block, block), signs) for block in A.strongly_connected_components()]
     if Eigenvalues.RIGHT in found:
         return Eigenvalues.RIGHT
@@ -170,30 +136,16 @@ def _for_all(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     neither ever is, one choice of the parameters stands for all.
     """
     n = A.rows
-    variable = sp.Dummy("eigenvalue")
-    coefficients = [sp.together(c) for c in A.charpoly(variable).all_coeffs()]
-    shown = [signs.sign(c) for c in coefficients]
+    a = [sp.together(c) for c in A.charpoly(sp.Dummy("eigenvalue")).all_coeffs()]
+    shown = [signs.sign(c) for c in a]
     if -1 in shown:
         return Eigenvalues.RIGHT  # roots all with Re <= 0 have coefficients of one sign
-    if shown[-1] == 0 or (n > 1 and signs.sign(_hurwitz(coefficients, n - 1)) == 0):
+    hurwitz = sp.Matrix(n - 1, n - 1, lambda i, j: a[2 * j - i + 1] if 0 <= 2 * j - i + 1 <= n else sp.S.Zero)
+    if shown[-1] == 0 or signs.sign(sp.together(hurwitz.det(method="berkowitz"))) == 0:
         return Eigenvalues.UNKNOWN
-    return _at_one_point(A, signs)
-
-
-def _hurwitz(coefficients: list[sp.Expr], k: int) -> sp.Expr:
-    """Return the k-th of Hurwitz's determinants."""
-    n = len(coefficients) - 1
-    entry = [
-        [coefficients[2 * j - i + 1] if 0 <= 2 * j - i + 1 <= n else sp.S.Zero for j in range(k)]
-        for i in range(k)
-    ]
-    return sp.together(sp.Matrix(entry).det(method="berkowitz"))
-
-
-def _at_one_point(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     point = {p: (low + high) / 2 for p, (low, high) in signs.system.ranges.items()}
     there = A.subs(point | dict.fromkeys(signs.system.positive, sp.S.One)).applyfunc(sp.expand)
-    return of_rationals(there) if all(a.is_Rational for a in there) else over_ranges(there, {}, signs.budget)
+    return of_rationals(there) if all(c.is_Rational for c in there) else over_ranges(there, {}, signs.budget)
 
 
 EXACT = 4
@@ -233,9 +185,8 @@ def _solved(A: sp.Matrix) -> sp.Matrix | None:
 
 
 def _rounded(A: sp.Matrix) -> sp.Matrix | None:
-    P = lyapunov_matrix(np.array(A, float))
-    if P is None:
-        return None
+    P = solve_continuous_lyapunov(np.array(A.T, float), -np.eye(A.rows))
+    P = (P + P.T) / 2
     for digits in (3, 5, 7, 9, 12, 15):
         unit = sp.Rational(10) ** (int(np.floor(np.log10(abs(P).max()))) - digits)
         R = sp.Matrix(A.rows, A.rows, lambda i, j, unit=unit: round(sp.Rational(P[i, j]) / unit) * unit)

@@ -6,10 +6,10 @@ It is taken apart as a tree; no Python of it runs, and numbers are bounded befor
 
 import ast
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from decimal import Decimal
 from keyword import iskeyword
-from typing import Annotated, Literal, TypeVar
+from typing import Annotated, Literal
 
 import sympy as sp
 from pydantic import AfterValidator, Field, StringConstraints
@@ -20,8 +20,6 @@ from hil.proof.branch_and_bound import Budget
 from hil.proof.report import Report
 from hil.proof.theorems import verify
 
-Given = TypeVar("Given")
-Made = TypeVar("Made")
 LONGEST = 4000
 """Characters of an expression, and digits of a power of numbers."""
 EXPONENT = 10_000
@@ -154,18 +152,14 @@ class Question(Section):
     def answer(self) -> Report:
         """Ask the verifier. Raises ModelError, as `verify`."""
         return verify(
-            _each(self.states, expression),
+            {sp.Symbol(x): expression(rate) for x, rate in self.states.items()},
             None if self.V is None else expression(self.V),
-            at=_each(self.at, expression),
-            box=_each(self.box, _ends),
-            parameters=_each(self.parameters, _ends),
+            at={sp.Symbol(x): expression(value) for x, value in self.at.items()},
+            box=_ranges(self.box),
+            parameters=_ranges(self.parameters),
             budget=Budget(self.boxes, self.seconds),
         )
 
 
-def _each(values: Mapping[str, Given], make: Callable[[Given], Made]) -> dict[sp.Symbol, Made]:
-    return {sp.Symbol(name): make(value) for name, value in values.items()}
-
-
-def _ends(ends: tuple[str | float, str | float]) -> tuple[sp.Expr, sp.Expr]:
-    return expression(ends[0]), expression(ends[1])
+def _ranges(given: dict[str, Range]) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]]:
+    return {sp.Symbol(name): (expression(low), expression(high)) for name, (low, high) in given.items()}

@@ -111,8 +111,8 @@ class Report:
             "kind": "proof",
             "success": c.status is Certificate.VALID,
             "certificate": c.status.value,
-            "proposed_V": _text(c.V),
-            "V_dot": _text(c.V_dot),
+            "proposed_V": None if c.V is None else str(c.V),
+            "V_dot": None if c.V_dot is None else str(c.V_dot),
             "decrease": None if c.decrease is None else c.decrease.value,
             "counterexample": None if c.at is None else {str(x): str(value) for x, value in c.at.items()},
             "reason": c.reason,
@@ -120,7 +120,7 @@ class Report:
             "by": e.by,
             "asymptotic_stability": e.asymptotic.value,
             "box": None if e.box is None else _sides(e.box),
-            "level": _text(e.level),
+            "level": None if e.level is None else str(e.level),
             "linearisation": self.linearisation.value,
             "parameters": _sides(self.parameters),
             "boxes": self.boxes,
@@ -149,10 +149,6 @@ class Report:
         if self.parameters:
             lines.append("for all " + ", ".join(_range(p, *side) for p, side in self.parameters.items()))
         return "\n".join(lines)
-
-
-def _text(e: sp.Expr | None) -> str | None:
-    return None if e is None else str(e)
 
 
 def _sides(box: Box) -> dict[str, list[str]]:

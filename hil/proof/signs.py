@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 import sympy as sp
 
-from hil.proof import origin, orthant, quadratic, tail
+from hil.proof import origin, quadratic, tail
 from hil.proof.branch_and_bound import Budget, positive, without
 from hil.proof.cancellation import factors, half_angles
 from hil.proof.interval import Cell, Enclosure, Ranges, outward, unsupported
@@ -66,12 +66,10 @@ class Signs:
         return result
 
     def _for_all_positive(self, c: sp.Expr) -> bool:
-        """Judge a function of parameters alone, some of which may be any positive number."""
+        """Judge a function of parameters alone, some of them any positive number: by its coefficients."""
         free = tuple(p for p in self.system.positive if p in c.free_symbols)
-        if set(free) == c.free_symbols:
-            return orthant.sign(c, free, self.budget) == 1
         try:
-            parts = sp.Poly(c, *free).coeffs()
+            parts = [p for e in sp.fraction(sp.together(c)) for p in sp.Poly(e, *free).coeffs()]
         except sp.PolynomialError:
             return False
         return all(self.positive(part) for part in parts)

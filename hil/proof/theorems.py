@@ -35,6 +35,7 @@ ROUNDED = (
     "that they may have been; write exact ones as sympy.Rational"
 )
 _NO_V = CertificateFinding(Certificate.NONE)
+_NOTHING = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
 _INDIRECT = EquilibriumFinding(
     Equilibrium.ASYMPTOTICALLY_STABLE, "by the linearisation (Lyapunov's indirect method)", Truth.PROVEN
 )
@@ -66,15 +67,14 @@ def verify(
     budget = Budget() if budget is None else budget
     start = budget.left
     budget.start()
-    question = budget.within(0.25, lambda: _question(f, V, at, box, parameters, budget), None)
-    if question is None:
+    read = budget.within(0.25, lambda: _read(f, V, at, box, parameters), None)
+    if read is None:
         status = Certificate.NONE if V is None else Certificate.UNDECIDED
         late = CertificateFinding(status, reason="the time ended while the question was read")
-        nothing = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
-        return Report(late, nothing, Eigenvalues.UNKNOWN, {}, 0)
-    claim, signs, near = question
-    spectrum = budget.within(0.4, lambda: _spectrum(near), Eigenvalues.UNKNOWN)
-    system = signs.system
+        return Report(late, _NOTHING, Eigenvalues.UNKNOWN, {}, 0)
+    system, claim = read
+    signs, near = Signs(system, budget), Signs(system.scaled(2.0**-SHRINKS), budget)
+    spectrum = budget.within(0.4, lambda: eigenvalues(near), Eigenvalues.UNKNOWN)
     if claim is None and spectrum is Eigenvalues.LEFT:
         certificate, equilibrium = _proposed(signs)
         return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
@@ -82,23 +82,15 @@ def verify(
     otherwise: _Shown = (None, late)
     proof, certificate = budget.within(0.65, lambda: _certificate(claim, signs), otherwise)
     if certificate.status is Certificate.UNDECIDED and system.rounded.numbers:
-        certificate = replace(certificate, reason=f"{certificate.reason}; {_rounded(system)}")
+        numbers = ", ".join(map(str, system.rounded.numbers.values()))
+        certificate = replace(certificate, reason=f"{certificate.reason}; {numbers}: {ROUNDED}")
     equilibrium = _equilibrium(claim, signs, near, proof, spectrum)
     return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
 
 
-def _question(
-    f: Any, V: Any, at: Any, box: Any, parameters: Any, budget: Budget
-) -> tuple[sp.Expr | None, Signs, Signs]:
-    """Return V, the signs on the domain and those close to the equilibrium."""
+def _read(f: Any, V: Any, at: Any, box: Any, parameters: Any) -> tuple[System, sp.Expr | None]:
     system = make_system(f, V, at, box, parameters)
-    near = Signs(system.scaled(2.0**-SHRINKS), budget)
-    return None if V is None else system.read(V), Signs(system, budget), near
-
-
-def _rounded(system: System) -> str:
-    numbers = ", ".join(map(str, system.rounded.numbers.values()))
-    return f"{numbers}: {ROUNDED}"
+    return system, None if V is None else system.read(V)
 
 
 @dataclass(frozen=True)
@@ -117,7 +109,7 @@ _Shown = tuple[_Proof | None, CertificateFinding]
 def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
     """Lyapunov's conditions on the domain (6.0, local and global theorem)."""
     if V is None:
-        return None, CertificateFinding(Certificate.NONE)
+        return None, _NO_V
     system, shown = signs.system, None
 
     def undecided(reason: str) -> _Shown:
@@ -143,11 +135,11 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
         shown = system.shown(V_dot)
     except ModelError as error:
         why = f"V is not shown to be continuously differentiable: {error}"
-    if (point := counterexample.not_above_zero(V, signs)) is not None:
+    if (point := counterexample.find(-V, signs, or_zero=True)) is not None:
         return refuted(Certificate.NOT_POSITIVE_DEFINITE, V, point, "V must be > 0 there")
     if V_dot is None:
         return undecided(why)
-    if (point := counterexample.above_zero(V_dot, signs)) is not None:
+    if (point := counterexample.find(V_dot, signs)) is not None:
         return refuted(Certificate.GROWS, V_dot, point)
     if set(signs.own(V)) != set(system.states) or not signs.definite(V):
         return undecided(_why(signs, "V is not shown to be positive definite"))
@@ -170,15 +162,15 @@ def _equilibrium(
 ) -> EquilibriumFinding:
     """Return the strongest of what is shown; of stability by V, of instability by eigenvalue or Chetaev."""
     budget = signs.budget
-    if spectrum is Eigenvalues.RIGHT:
-        return _unstable("by an eigenvalue with positive real part")
-    if proof is None and (by := budget.within(0.8, lambda: _why_unstable(V, near), None)) is not None:
-        return _unstable(by)
-    best = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
+    by = "by an eigenvalue with positive real part" if spectrum is Eigenvalues.RIGHT else None
+    if by is None and proof is None:
+        by = budget.within(0.8, lambda: _why_unstable(V, near), None)
+    if by is not None:
+        return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
+    best = _NOTHING
     if proof is not None:
-        best = replace(
-            best, status=Equilibrium.STABLE, by="by Lyapunov's theorem", box=_named_box(signs.system)
-        )
+        box = _named_box(signs.system)
+        best = EquilibriumFinding(Equilibrium.STABLE, "by Lyapunov's theorem", Truth.UNDECIDED, box)
         best = budget.within(0.8, lambda: _stability(proof), best)
     if V is not None and best.asymptotic is Truth.UNDECIDED:
         first = best if proof is not None else None
@@ -186,10 +178,6 @@ def _equilibrium(
     if best.asymptotic is Truth.UNDECIDED and budget.within(1.0, lambda: _rests_nearby(near), False):
         best = replace(best, asymptotic=Truth.REFUTED)
     return best
-
-
-def _unstable(by: str) -> EquilibriumFinding:
-    return EquilibriumFinding(Equilibrium.UNSTABLE, by, Truth.REFUTED)
 
 
 def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
@@ -291,13 +279,6 @@ def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
     return tail.definite_far(V, signs.system.states, ranges, signs.budget) is not None
 
 
-def _spectrum(near: Signs) -> Eigenvalues:
-    A = jacobian(near.system)
-    if A is None or not regular(near.system.f, near):
-        return Eigenvalues.UNKNOWN
-    return eigenvalues(A, near)
-
-
 def _rests_nearby(signs: Signs) -> bool:
     """Tell whether a line through the equilibrium consists of equilibria: then nothing on it tends there."""
     system = signs.system
@@ -306,13 +287,10 @@ def _rests_nearby(signs: Signs) -> bool:
     lines = [[s if x == y else 0 for y in system.states] for x in system.states]
     if A is not None:
         lines += [[s * v for v in vector] for vector in A.nullspace()]
-    return any(_rests_on(line, signs) for line in lines)
-
-
-def _rests_on(line: list[sp.Expr], signs: Signs) -> bool:
-    """Tell whether f is zero on a line, which is one for all parameters."""
-    bottoms = [sp.denom(sp.together(v)) for v in line]
-    if any(signs.sign(b) == 0 for b in bottoms):
-        return False
-    there = dict(zip(signs.system.states, line, strict=True))
-    return all(sp.cancel(sp.together(sp.expand(e.subs(there)))) == 0 for e in signs.system.f.values())
+    for line in lines:
+        there = dict(zip(system.states, line, strict=True))
+        rests = all(sp.cancel(sp.together(sp.expand(e.subs(there)))) == 0 for e in system.f.values())
+        # it is a line for all parameters where no denominator vanishes
+        if rests and all(signs.sign(sp.denom(sp.together(v))) != 0 for v in line):
+            return True
+    return False

@@ -176,7 +176,7 @@ def stability(r: Report) -> None:
     """Add what is proven of the law, in one line."""
     from hil.app.stability.command import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
 
-    found = r.s.proven = judge(r.s.c, quick=True, tell=r.s.tell)
+    found = r.s.proven = judge(r.s.c, tell=r.s.tell)
     r.figures["stability"] = {each: getattr(found, each) for each in ("status", "claim", "conditions")}
     r.add("controller", "stability {line}", line=found.line)
 

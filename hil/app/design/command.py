@@ -130,7 +130,7 @@ LEFT_OUT = f"Hankel singular values below {NOTHING:g} of the largest"
 ROWS = (
     ("gamma", "gamma", "{gamma:.4f}, {gamma_opt:.4f} at best; below 1 no single cause exceeds its weights"),
     ("gamma", "norm", "{norm:.4f}, of the exact sampled loop {norm_sampled:.4f}"),
-    ("mu_upper", "mu", "{mu_lower:.4f} to {mu_upper:.4f} at {mu_peak_rad_s:.3g} rad/s; " + MET),
+    ("mu_upper", "mu", "up to {mu_upper:.4f} at {mu_peak_rad_s:.3g} rad/s; " + MET),
     ("mu_upper", "at every frequency", "{mu_proven:.4f}, by scales of order 1"),
     ("mu_upper", "sampled loop", "{norm_sampled_corners:.4f} at the corners of the uncertainty"),
     ("mu_upper", "without uncertainty", "{nominal_performance:.4f}"),

@@ -4,8 +4,7 @@ from typing import Any, NamedTuple
 
 from hil.app.loop_delay import LoopDelay
 from hil.config.linear_controller import LinearController
-from hil.design.stability.sampled import Axis, analyse
-from hil.design.stability.sampled_loop import sampled_controller
+from hil.design.stability.sampled_loop import Axis, analyse, sampled_controller
 
 
 class LoopFinding(NamedTuple):

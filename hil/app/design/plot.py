@@ -33,6 +33,10 @@ def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: st
     _weighted(axes[0, 1], design, omega, sampled_problem(design, axis).closed_with(K), made.figures)
     _open(axes[1, 0], omega, L, made.figures)
     _step(axes[1, 1], design, around(legs).closed_with(K))
+    for each in axes.flat:
+        each.grid(alpha=0.3, which="both")
+    for each in axes[0]:
+        each.legend(fontsize=8)
     figure.suptitle(printable(title), parse_math=False)
     with whole_file(path) as temporary:
         figure.savefig(temporary, dpi=100)
@@ -47,8 +51,6 @@ def _closed(axes: Any, design: Design, omega: Array, L: ComplexArray) -> None:
     axes.loglog(omega, np.abs(L / (1.0 + L)), label="T, control over disturbance")
     axes.loglog(omega, limit, "k--", linewidth=0.8, label="control allowed over disturbance")
     axes.set(xlabel="rad/s", title="sensitivity and its complement", ylim=(1e-3, 10))
-    axes.legend()
-    axes.grid(alpha=0.3, which="both")
 
 
 def _weighted(axes: Any, design: Design, omega: Array, closed: LinearSystem, figures: dict[str, Any]) -> None:
@@ -64,10 +66,7 @@ def _weighted(axes: Any, design: Design, omega: Array, closed: LinearSystem, fig
     if "mu" in figures:
         mu = figures["mu"]
         axes.loglog(mu["omega_rad_s"], mu["upper"], "k", label="mu, upper bound")
-        axes.loglog(mu["omega_rad_s"], mu["lower"], "k.", markersize=4, label="mu, lower bound")
     axes.set(xlabel="rad/s", title="share of the weights that each path takes", ylim=(1e-3, 2))
-    axes.legend(fontsize=8)
-    axes.grid(alpha=0.3, which="both")
 
 
 def _open(axes: Any, omega: Array, L: ComplexArray, figures: dict[str, Any]) -> None:
@@ -75,7 +74,6 @@ def _open(axes: Any, omega: Array, L: ComplexArray, figures: dict[str, Any]) -> 
     axes.axhline(1.0, color="black", linewidth=0.8)
     axes.axvline(figures["crossover_rad_s"], color="grey", linestyle="--", linewidth=0.8)
     axes.set(xlabel="rad/s", ylabel="|L|", ylim=(1e-2, 1e4))
-    axes.grid(alpha=0.3, which="both")
     phase = axes.twinx()
     angle = np.rad2deg(np.unwrap(np.angle(L)))
     phase.semilogx(omega, angle - 360.0 * np.ceil(angle[0] / 360.0), color="tab:orange")
@@ -98,7 +96,6 @@ def _step(axes: Any, design: Design, closed: LinearSystem) -> None:
     t = h * np.arange(len(e))
     axes.plot(t, 1e3 * e)
     axes.set(xlabel="s", ylabel="error [mm or mrad]", title=f"step of {d:g} m/s$^2$ or rad/s$^2$")
-    axes.grid(alpha=0.3)
     other = axes.twinx()
     other.plot(t, u, color="tab:orange", linewidth=0.8)
     other.set(ylabel="control")

@@ -12,9 +12,10 @@ from hil.app.stability.subject import Stated, Subject
 from hil.config.axis_model import AxisSpace
 from hil.config.design import Design, DesignAxis
 from hil.config.model import ModelSettings
+from hil.design.stability.disturbance import Inertia
 from hil.design.synthesis.axis import loop_gain, sampled_axis
 from hil.design.synthesis.methods import Designed
-from hil.design.synthesis.multiplicative import Margin, Relative, single, together
+from hil.design.synthesis.multiplicative import Margin, Relative, margin
 
 POSES = 25
 """Of the reference, at each corner of the payload's ranges."""
@@ -27,34 +28,24 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
     """
     c = load(configuration)
     subject = Subject(c, Stated())
-    same = c.loop.rate_Hz == rate_Hz, c.controller.axes in (None, axes)
-    for fits, found, allowed in (
-        (not subject.on_bench, "plant.model: six uncoupled legs", "a configuration of the robot"),
-        (same[0], f"loop.rate_Hz: {c.loop.rate_Hz:g}", f"that of the design, {rate_Hz:g}"),
-        (
-            same[1],
-            f"controller.law {c.controller.law}: axes {c.controller.axes}",
-            f"those of the design, {axes}",
-        ),
+    law, rate = c.controller, c.loop.rate_Hz
+    for wrong, found, allowed in (
+        (subject.on_bench, "plant.model: six uncoupled legs", "a configuration of the robot"),
+        (rate != rate_Hz, f"loop.rate_Hz: {rate:g}", f"that of the design, {rate_Hz:g}"),
+        (law.axes not in (None, axes), f"controller.law {law.law}: axes {law.axes}", f"the design's, {axes}"),
     ):
-        if not fits:
+        if wrong:
             raise ConfigurationError(f"{c.source}: {found}, allowed: {allowed}")
     path = subject.path[:: max(1, len(subject.path) // POSES)]
     model = c.controller.believed or ModelSettings()
     return [Gamma for robot in subject.linearised(model, axes) for Gamma in robot.at(path).Gamma]
 
 
-def eigenvalues(Gammas: list[Array]) -> tuple[float, float]:
-    """Return the least and the largest eigenvalue: real, as each Gamma is similar to M^-1 M_believed."""
-    values = np.linalg.eigvals(np.array(Gammas)).real
-    return float(values.min()), float(values.max())
-
-
 def for_the_robot(
     design: Design, axis: DesignAxis, Gammas: list[Array], *, keep_gain: bool
 ) -> tuple[Design, DesignAxis]:
     """Return design and axis with the inertia of a robot: the middle gain unless measured, and its range."""
-    least, largest = eigenvalues(Gammas)
+    least, largest = Inertia.of(np.array(Gammas)).eigenvalues
     if keep_gain:  # what was measured with the model's payload, and what the model says
         least, largest = min(least, axis.gain * least), max(largest, axis.gain * largest)
     else:
@@ -83,28 +74,28 @@ def robustness(
     figures: dict[str, Any] = {}
     L = loop_gain(made.judged.sampled, sampled_axis(axis, design.rate_Hz, design.inputs))
     if measured is not None:
-        alone = single(measured, L, design.rate_Hz)
+        alone = margin(measured, L, design.rate_Hz)
         figures["measured"] = {"norm": alone.norm, "at_rad_s": alone.at_rad_s}
         _refuse(alone, "the measured axes")
     if Gammas:
         scaled = [Gamma / axis.gain for Gamma in Gammas]
         if measured is not None:
             scaled += Gammas  # times the gain that was measured
-        least, largest = eigenvalues(Gammas)
+        least, largest = Inertia.of(np.array(Gammas)).eigenvalues
         figures["robot"] = {"gamma_eigenvalues": [least, largest]}
         _refuse_unstable(design, axis, made, scaled)
         if measured is not None:
-            coupled = together(measured, L, scaled, design.rate_Hz)
+            coupled = margin(measured, L, design.rate_Hz, scaled)
             figures["robot"] |= {"norm": coupled.norm, "at_rad_s": coupled.at_rad_s}
             _refuse(coupled, "the measured axes, coupled by the robot,")
     return figures
 
 
-def _refuse(margin: Margin, what: str) -> None:
-    if margin.norm >= 1.0:
+def _refuse(left: Margin, what: str) -> None:
+    if left.norm >= 1.0:
         raise SynthesisError(
-            f"{what} differ from the nominal one by more than the loop stands: |W T| is {margin.norm:.3g} at "
-            f"{margin.at_rad_s / (2 * np.pi):.3g} Hz, allowed: below 1 everywhere; ask for less bandwidth, "
+            f"{what} differ from the nominal one by more than the loop stands: |W T| is {left.norm:.3g} at "
+            f"{left.at_rad_s / (2 * np.pi):.3g} Hz, allowed: below 1 everywhere; ask for less bandwidth, "
             "or measure with more force"
         )
 

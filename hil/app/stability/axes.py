@@ -1,18 +1,14 @@
 """Verdicts on laws that leave six alike axes: inverse dynamics of legs or pose, and designed controllers."""
 
 from drivers.arrays import Array
-from hil.app.configuration.controller_file import controller_of
 from hil.app.stability.subject import SURVEYED, Subject
 from hil.app.stability.wording import Assessment, bound_lines, certificate_lines, describe, unstable
 from hil.config.axis_model import AxisSpace
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
 from hil.control.law import ErrorDynamics, LawSettings
-from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.monitor import horizon_s
-from hil.design.stability.prediction import predicting
-from hil.design.stability.sampled import Sampled, analyse, gains
-from hil.design.stability.sampled_loop import sampled_controller
+from hil.design.stability.sampled_loop import Sampled, analyse, gains, predicting, sampled_controller
 from hil.design.stability.ultimate import Judged, Ultimate, in_words
 from hil.mathematics.linear_system import LinearSystem
 
@@ -27,13 +23,6 @@ def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Asses
         return found
     lines, figures = certificate_lines(judged, K_P, K_D)
     return found._replace(lines=lines + found.lines, figures=figures | found.figures)
-
-
-def configured(subject: Subject, law: StateSpaceSettings) -> Assessment:
-    """Judge the controller that the law names. Raises ConfigurationError where its file is no good."""
-    controller = controller_of(law, subject.c.folder)
-    assert controller is not None
-    return designed(subject, controller, law.model, assumed(subject, law))
 
 
 def designed(
@@ -90,29 +79,20 @@ def bounded(
 ) -> Judged:
     """Return the loop of a law with these gains, and its bound. d, m/s^2, and alpha: of its uncertainty."""
     assert law.believed is not None
-
-    def loops(gain: float) -> list[Sampled]:
-        return sampled(subject, law, K_P, K_D, gain)
-
-    return subject.judged(law.believed, axes, loops, horizon_s(law.lookahead), d, alpha)
-
-
-def sampled(subject: Subject, law: LawSettings, K_P: Array, K_D: Array, gain: float) -> list[Sampled]:
-    """Return the sampled loop of each axis, with the gain that the robot has."""
-    axis = subject.axis._replace(gain=gain)
-    delay = law.lookahead
+    delay, period_s = law.lookahead, subject.axis.period_s
+    pairs = [(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True)]
 
     def controller(k_p: float, k_d: float) -> LinearSystem:
         if delay is None:
-            return gains(k_p, k_d, axis.period_s)
-        return predicting(
-            k_p, k_d, axis.period_s,
-            bus_s=1e-3 * delay.bus_ms, lag_s=1e-3 * delay.drive_lag_ms, hold_s=1e-3 * delay.hold_ms,
-        )  # fmt: skip
+            return gains(k_p, k_d, period_s)
+        bus_s, lag_s, hold_s = 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms, 1e-3 * delay.hold_ms
+        return predicting(k_p, k_d, period_s, bus_s=bus_s, lag_s=lag_s, hold_s=hold_s)
 
-    pairs = [(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True)]
-    loops = {pair: analyse(axis, controller(*pair)) for pair in set(pairs)}
-    return [loops[pair] for pair in pairs]
+    def loops(gain: float) -> list[Sampled]:
+        found = {pair: analyse(subject.axis._replace(gain=gain), controller(*pair)) for pair in set(pairs)}
+        return [found[pair] for pair in pairs]
+
+    return subject.judged(law.believed, axes, loops, horizon_s(delay), d, alpha)
 
 
 def assumed(subject: Subject, law: LawSettings) -> list[str]:

@@ -3,58 +3,44 @@
 from collections.abc import Callable
 from typing import Any
 
-from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import axes, layered, payloads, springs
+from hil.app.stability import axes, layered, springs
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
 from hil.app.stability.wording import Assessment
-from hil.control.pd import PDSettings
-from hil.control.robust_inverse_dynamics import RobustInverseDynamicsSettings
-from hil.control.sliding_mode import SlidingModeSettings
-from hil.control.state_space import StateSpaceSettings
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
-"""Laws that are judged with one robot at a time, see `hil.app.stability.payloads`."""
+"""Laws judged with one robot at a time. By name: a law of one's own may inherit their settings only."""
 
 
 def judge(
-    c: Configuration,
-    stated: Stated | None = None,
-    *,
-    quick: bool = False,
-    tell: Callable[[float, float], None] = lambda *_: None,
+    c: Configuration, stated: Stated | None = None, tell: Callable[[float, float], None] = lambda *_: None
 ) -> Assessment:
     """Return the assessment of a configuration's law.
 
-    quick: without the search for the largest sublevel set, which costs seconds. tell: called now and then
-    with the s of the reference that were looked at, and of how many. Raises ConfigurationError where the
-    reference cannot be followed.
+    tell: called now and then with the s of the reference that were looked at, and of how many. Raises
+    ConfigurationError where the reference cannot be followed.
     """
     stated = Stated() if stated is None else stated
     subject = Subject(c, stated, tell)
+    law: Any = c.controller
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
         if stated.payload.mass_kg:
             return Assessment("not proven", "six uncoupled legs carry no payload", [], [], {})
-        if isinstance(c.controller, PDSettings):
-            return springs.bench(subject, c.controller, c.plant.model)
-        return Assessment(
-            "not proven", "six uncoupled legs are not the robot of this law's model", [], [], {}
-        )
-    law: Any = c.controller
+        if law.law == "pd":
+            return springs.bench(subject, law, c.plant.model)
+        claim = "six uncoupled legs are not the robot of this law's model"
+        return Assessment("not proven", claim, [], [], {})
     if law.law in SPRINGS:
-        each = subject.alone()[::-1]  # what is stated to ride first
-        if len(each) == 1:
-            return springs.springs(subject, law, quick=quick)
-        found = [springs.springs(one, law, quick=True) for one in each]
-        worst, words = payloads.worst_of(found), [carried for one in each for carried in one.carried]
-        chosen = found[worst] if quick else springs.springs(each[worst], law, quick=False)
-        return payloads.told(chosen, words[worst], found, words)
-    if isinstance(law, StateSpaceSettings):
-        return axes.configured(subject, law)
-    if isinstance(law, SlidingModeSettings | RobustInverseDynamicsSettings):
+        return springs.springs(subject, law)
+    if law.law == "state_space":
+        controller = controller_of(law, c.folder)
+        assert controller is not None
+        return axes.designed(subject, controller, law.model, axes.assumed(subject, law))
+    if law.law in {"sliding_mode", "robust_inverse_dynamics"}:
         return layered.robust(subject, law)
     dynamics = law.error_dynamics()
     if isinstance(dynamics, str):
@@ -76,8 +62,6 @@ def assess(
 
     Raises ConfigurationError.
     """
-    if not 0.0 <= model_error < 1.0:
-        raise ConfigurationError(f"--model-error: a share, allowed: 0 to below 1, given: {model_error:g}")
     found = judge(c, Stated(Load(force_N, torque_N_m), model_error, payload))
     ridden = [shown_ranges(body) for body in c.platform.platform.payload if body.ranged]
     return {

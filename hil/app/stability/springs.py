@@ -4,9 +4,11 @@ What is proven of these laws is proven of a reference at rest; of a moving one n
 says so. Laws without an energy are judged by the eigenvalues where they rest (Lyapunov's indirect method).
 """
 
+from collections.abc import Callable
 from dataclasses import replace
-from math import isfinite
-from typing import Any, NamedTuple
+from math import inf, isfinite
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
 
@@ -21,16 +23,7 @@ from hil.control.law import Law, LawContext, per_leg
 from hil.control.pd import PDSettings
 from hil.control.pd_gravity import PDGravitySettings
 from hil.control.pid import PIDSettings
-from hil.design.stability.springs import (
-    Basin,
-    Forces,
-    Springs,
-    basin,
-    cubic_rest,
-    potential,
-    rest,
-    same_weight,
-)
+from hil.design.stability.springs import Forces, Springs, cubic_rest, rest, same_weight
 from hil.robot.kinematics import jacobian, leg_lengths
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from plant_fmu.config import BenchPlant
@@ -40,18 +33,17 @@ AT_ONCE = (
     "forces answer at once: V knows no sampling, delay or lag; what these do to small errors where "
     "it comes to rest is in the sampled loop"
 )
-FROZEN = "a weight that is frozen while the robot moves has no potential"
 
 
-class Energy(NamedTuple):
-    """That a law has a potential S at the reference's start, at rest."""
-
-    exact: bool
-    """Whether dS vanishes at the set-point alone: exact compensation of the weight."""
-    damping: str
-    """By which V falls."""
-    stiffness: float | None
-    """N/m, of all legs' springs together where S is theirs alone: the level is a length."""
+WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
+FIGURES: tuple[tuple[str, str, Callable[..., tuple[float, str]]], ...] = (
+    ("largest_pole", "largest |z| {:.4f}", max),
+    ("delay_margin_ms", "further delay {:.3g} ms", min),
+    ("sag_mm", "sag {:.3g} mm", max),
+    ("stiffness_N_m", "stiffness {:.4g} N/m", min),
+    ("slowest_eigenvalue_1_s", "slowest eigenvalue {:+.3g} 1/s", max),
+)
+"""What may be worse with another payload, and which of two is."""
 
 
 def at_rest(subject: Subject) -> list[str]:
@@ -68,9 +60,53 @@ def at_rest(subject: Subject) -> list[str]:
     return conditions
 
 
-def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment:
+def springs(subject: Subject, law: SpringSettings) -> Assessment:
+    """Judge a PD or PID with each payload: the worst verdict, and a line of what is worse with another.
+
+    No payload is the worst in everything: the lightest leaves the least delay, the heaviest sags most.
+    """
+    found = [(one.carried[0], _one(one, law)) for one in subject.alone()[::-1]]  # what is stated rides first
+    carried, chosen = min(found, key=lambda each: _badness(each[1]))
+    if len(found) == 1:
+        return chosen
+    worst: dict[str, Any] = {}
+    more, claim = list[str](), f"{chosen.claim}, with {carried}"
+    for name, text, worse in FIGURES:
+        values = [(value, words) for words, one in found[::-1] if (value := _figure(one, name)) is not None]
+        if not values:
+            continue
+        value, words = worse(values, key=itemgetter(0))
+        worst[name] = {"value": value, "carried": words}
+        shown, here = text.format(value), _figure(chosen, name)
+        if here is None or text.format(here) != shown:
+            more.append(f"{shown} with {words}")
+            if name == "sag_mm" and chosen.status == "conditional":
+                claim += f"; {value:.3g} mm of leg length off the set-point with {words}"
+    line = f"payloads       {len(found)} looked at; claim and figures are with {carried}"
+    if more:
+        line += f"; worse with another: {'; '.join(more)}"
+    figures = chosen.figures | {"carried": carried, "worst": worst}
+    return chosen._replace(claim=claim, lines=[line, *chosen.lines], figures=figures)
+
+
+def _badness(one: Assessment) -> tuple[int, float, float]:
+    """Return what is largest of the best verdict; of equal ones that which bears the least delay is worse."""
+    margin, pole = _figure(one, "delay_margin_ms"), _figure(one, "largest_pole")
+    delay = inf if margin is None else float(f"{margin:.6g}")  # the same but for rounding is equal
+    return WORST_FIRST.index(one.status), delay, -(pole or 0.0)
+
+
+def _figure(one: Assessment, name: str) -> float | None:
+    """Return a figure wherever it stands, of six the least; None where there is none."""
+    parts = [one.figures, one.figures.get("sampled", {}), one.figures.get("energy", {})]
+    value = next((part[name] for part in parts if part.get(name) is not None), None)
+    return None if value is None else float(np.min(value))
+
+
+def _one(subject: Subject, law: SpringSettings) -> Assessment:
     """Judge a PD or PID by its energy, or to first order where it has none."""
-    start, conditions, energy = subject.path[0], at_rest(subject), _energy(subject, law)
+    start, conditions = subject.path[0], at_rest(subject)
+    compensated, damping, why = _energy(subject, law)
     tau = law_forces(subject, law)
     try:
         p, R, found = rest(subject.robot, tau, start.p, start.R)
@@ -86,7 +122,7 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
     met = subject.outside(p, R)
     not_proven = None if met is None else f"it comes to rest outside its limits: {met}"
     grows = None if radius < 1.0 else unstable(subject, radius)
-    if isinstance(energy, Energy):
+    if damping:
         stiffness = found.stiffness(subject.radius)
         softest, stiffest = stiffness[0], stiffness[-1]
         lines.insert(0, f"stiffness      {softest:.4g} to {stiffest:.4g} N/m where it comes to rest")
@@ -99,7 +135,7 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
         lines.insert(0, line)
         figures |= {"slowest_eigenvalue_1_s": slowest, "sag_mm": sag_mm}
         if slowest >= 0.0:
-            grows = f"{energy}: no energy function; an eigenvalue grows as exp({slowest:.3g} t)"
+            grows = f"{why}: no energy function; an eigenvalue grows as exp({slowest:.3g} t)"
     if grows is None and isinstance(law, PIDSettings):
         held = subject.robot.inverse_dynamics(start.p, start.R, ZERO6, ZERO6)
         if (short := float((np.abs(held) / per_leg(law.integral_limit_N)).max())) > 1.0:
@@ -108,20 +144,14 @@ def springs(subject: Subject, law: SpringSettings, *, quick: bool) -> Assessment
         return Assessment("not proven", not_proven, conditions, lines, figures)
     if grows is not None:
         return Assessment("unstable", grows, [], lines, figures)
-    exact = sag_mm < 1e-3 or (isinstance(energy, Energy) and energy.exact)
+    exact = sag_mm < 1e-3 or compensated
     where = "the set-point" if exact else f"a pose {sag_mm:.3g} mm of leg length off the set-point"
-    if isinstance(energy, Energy):
-        if not quick:
-            S = potential(subject.robot, tau, p, R)
-            K, radius = found.law + found.own, subject.radius
-            _show(basin(S, p, R, K, radius, subject.outside), energy, lines, figures)
-        claim = f"V = t^T M t / 2 + S falls by {energy.damping}: {where} is asymptotically stable (LaSalle)"
+    if damping:
+        claim = f"V = t^T M t / 2 + S falls by {damping}: {where} is asymptotically stable (LaSalle)"
         conditions.append(AT_ONCE)
-        if not energy.exact:
-            conditions.append("no other equilibrium lies in the sublevel set: not searched for")
     else:
         rate = -np.log(radius) / subject.axis.period_s
-        claim = f"{energy}: no energy function; small errors from {where} die out as exp(-{rate:.3g} t)"
+        claim = f"{why}: no energy function; small errors from {where} die out as exp(-{rate:.3g} t)"
         conditions.append("errors are small")
     if isinstance(law, FeedforwardPDSettings) and law.evaluation == "online":
         conditions += subject.wrench
@@ -184,38 +214,23 @@ def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str,
     return [line], figures, radius
 
 
-def _energy(subject: Subject, law: SpringSettings) -> Energy | str:
-    """Return what is known of the potential of a law, or why it has none."""
+def _energy(subject: Subject, law: SpringSettings) -> tuple[bool, str, str]:
+    """Return whether the weight is compensated exactly, what V falls by, and if nothing why there is no V."""
     model = law.believed
     if isinstance(law, PIDSettings):
-        return "an integral"
+        return False, "", "an integral"
     frozen = {"constant_MG"} if isinstance(law, PDGravitySettings) else {"constant", "constant_MG"}
     if model is not None and model.variant in frozen and not isinstance(law, FeedforwardPDSettings):
-        return FROZEN
+        return False, "", "a weight that is frozen while the robot moves has no potential"
     exact = False  # the same forces wherever the robot is, or those that carry it where it is
     if model is not None and model.variant != "constant" and not isinstance(law, FeedforwardPDSettings):
         variant = "massless_legs" if model.variant == "massless_legs" else "full"
         there = model.model_copy(update={"variant": variant, "frozen_at": None})
         exact = same_weight(subject.robot, subject.believed(there))
     if not isinstance(law, CartesianPDSettings):
-        return Energy(exact, "dq^T K_v dq", float(per_leg(law.kp_N_m).sum()) if exact else None)
+        return exact, "dq^T K_v dq", ""
     if law.rotation_error == "vector_difference":
-        return "the stiffness of vector_difference is not symmetric"
+        return False, "", "the stiffness of vector_difference is not symmetric"
     if len(set(law.gains()[0][3:])) > 1:
-        return "three stiffnesses of rotation have an energy to first order only"
-    return Energy(exact, "t^T K_v t", None)
-
-
-def _show(found: Basin, energy: Energy, lines: list[str], figures: dict[str, Any]) -> None:
-    level_J, edge_p, reason = found
-    start_mm, starts = None, ""
-    if energy.stiffness is not None:
-        start_mm = 1e3 * float(np.sqrt(2.0 * level_J / energy.stiffness))
-        starts = f": every start at rest with all legs up to {start_mm:.3g} mm off, in this assembly"
-    lines.append(
-        f"sublevel set   V < {level_J:.4g} J stays within stroke and regular J (by search; its edge: "
-        f"{reason}){starts}"
-    )
-    figures["energy"] |= {
-        "level_J": level_J, "edge": reason, "edge_position_m": edge_p.tolist(), "start_mm": start_mm,
-    }  # fmt: skip
+        return False, "", "three stiffnesses of rotation have an energy to first order only"
+    return exact, "t^T K_v t", ""

@@ -8,7 +8,7 @@ from typing import NamedTuple, Self
 import numpy as np
 
 from drivers import build_protocol
-from drivers.arrays import ZERO6, Array
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import Corner, corners
@@ -24,7 +24,7 @@ from hil.control.law import per_leg
 from hil.control.model import build_model
 from hil.design.stability.disturbance import Drives, Friction, Inertia, Linearised, Load, Local, Survey
 from hil.design.stability.lateness import Late, late, stale_s
-from hil.design.stability.sampled import Axis, Sampled, of_each
+from hil.design.stability.sampled_loop import Axis, Sampled, of_each
 from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate
 from hil.mathematics.linear_algebra import condition_kernel
 from hil.robot.dynamics import Model
@@ -143,10 +143,14 @@ class Subject:
     def unseen(self) -> list[str]:
         """What a proof has to take for granted, beside that a live reference rests."""
         taken = []
+        b = self.c.controller.believed or MechanicsSettings()
+        guessed = "with the friction and the reflected masses that the law believes"
+        if not any(map(np.any, (b.reflected_mass_kg, b.viscous_friction_N_s_m, b.coulomb_friction_N))):
+            guessed = "without friction and reflected mass"
         if self.c.plant is None:
-            taken.append(f"the robot is as section platform says, its drives without lag, {self._guessed}")
+            taken.append(f"the robot is as section platform says, its drives without lag, {guessed}")
         elif self.plant is None and not self.on_bench:
-            taken.append(f"the FMU is the robot of section platform, {self._guessed}")
+            taken.append(f"the FMU is the robot of section platform, {guessed}")
         if self.c.estimation.pose == "fused":
             lost = " and no encoder is lost" if self.c.estimation.fusion.may_lose_legs else ""
             taken.append(
@@ -159,14 +163,6 @@ class Subject:
                 f"up to {self.c.feedforward.limit_N:g} N in a leg, is not in the bound"
             )
         return taken
-
-    @property
-    def _guessed(self) -> str:
-        """What is taken for granted of drives that no section of ours describes."""
-        b = self.c.controller.believed or MechanicsSettings()
-        if not any(map(np.any, (b.reflected_mass_kg, b.viscous_friction_N_s_m, b.coulomb_friction_N))):
-            return "without friction and reflected mass"
-        return "with the friction and the reflected masses that the law believes"
 
     @property
     def live(self) -> list[str]:
@@ -186,12 +182,6 @@ class Subject:
         """Tell whether nothing brings errors about that were not there at the start, or keeps them."""
         keeps = max(float(bound.d.max()), float(bound.read.max()))
         return self.rest and self.nothing and bound.exact and keeps <= NO_ERROR
-
-    @property
-    def delay(self) -> str:
-        """The delay of the loop, in milliseconds, and whether the lag of the drives is in it."""
-        lag = "" if self.axis.lag_s > 0.0 else ", no lag of the drives known"
-        return f"{1e3 * self.axis.transport_s:g} ms from measurement to force{lag}"
 
     def believed(self, settings: ModelSettings, scale: float = 1.0) -> Model:
         """Return the law's model without its friction, masses times `scale` once more."""
@@ -239,7 +229,7 @@ class Subject:
                 return Judged(of_end, every, f"the loop is not stable{carried}", carried=carried)
         bounds: list[tuple[list[Sampled], Ultimate]] = []
         for end, local, of_end, carried in zip(ends, found, loops, words, strict=True):
-            bound = self._least(end, local, of_end, self._late(end, of_end, ahead_s), d, alpha)
+            bound = self._bound(end, local, of_end, self._late(end, of_end, ahead_s), d, alpha)
             if isinstance(bound, str):
                 return Judged(of_end, every, bound + carried, carried=carried)
             bounds.append((of_end, bound))
@@ -258,10 +248,10 @@ class Subject:
             stretches.append((max(0.0, whole - 2.0 * span), whole))
         return late(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
 
-    def _least(
+    def _bound(
         self, end: Linearised, found: Local, loops: list[Sampled], late: Late, d: float, alpha: float
     ) -> Ultimate | str:
-        """Return the lower bound of those by what is known of the forces that drives lose, or why none."""
+        """Return the bound with what drives and safety add, or why there is none."""
         length, rate = self.drives.length, self.drives.rate
         if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
@@ -273,16 +263,10 @@ class Subject:
         pushed = (np.abs(found.per_force) @ self.push_N).max(axis=0)
         if self.nothing and d == 0.0:
             pushed = np.zeros(6)
-        known = Extra(np.full(6, d), pushed, alpha, length + error, speed, effort, ZERO6, np.zeros((6, 6)))
-        bounds = [
-            ultimate(
-                end, self.path, found, loops, late, known._replace(drives=drives, lost=lost),
-                condition=self.c.limits.condition,
-            )
-            for drives, lost in self.drives.disturb(found)
-        ]  # fmt: skip
-        found_bounds = [bound for bound in bounds if not isinstance(bound, str)]
-        return min(found_bounds, key=lambda bound: float(bound.error.max()), default=bounds[0])
+        extra = Extra(
+            np.full(6, d), pushed, alpha, length + error, speed, effort, *self.drives.disturb(found)
+        )
+        return ultimate(end, self.path, found, loops, late, extra, condition=self.c.limits.condition)
 
     def linearised(self, settings: ModelSettings, axes: AxisSpace) -> list[Linearised]:
         """Return the robot under a law with this model, at each end of what is stated of its inertia."""
@@ -344,7 +328,6 @@ def drives_of(c: Configuration, platform: Platform, path: list[PoseSample]) -> D
         read.rate + age_s * ddq,
         read.force / back_driving,
         1.0 / (driving * back_driving) - 1.0,
-        min(c.limits.force_N, c.drives.force_limit_N),
     )
 
 

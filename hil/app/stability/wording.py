@@ -6,7 +6,6 @@ from drivers.arrays import Array
 from hil.app.stability.subject import Subject
 from hil.config.axis_model import AxisSpace
 from hil.design.stability.error_dynamics import certificate, decay_rate
-from hil.design.stability.reaching import Reaching
 from hil.design.stability.ultimate import Judged, Ultimate, in_words
 
 Status = Literal["proven", "conditional", "not proven", "unstable"]
@@ -38,7 +37,7 @@ NEGLIGIBLE = 0.01
 def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
     """Return the sampled loops of the axes as lines and figures, of each figure the worst of all axes."""
     slowest, loops = judged.slowest, judged.every
-    largest, rate = slowest.largest, float(slowest.decay_rate)
+    largest, rate = slowest.largest, slowest.decay_rate
     figures: dict[str, Any] = {"sampled": {"largest_pole": largest, "decay_rate_1_s": rate}}
     margins = [loop.margins for loop in loops if loop.margins is not None]
     if not slowest.stable or not margins:
@@ -50,7 +49,7 @@ def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
         "delay_margin_ms": 1e3 * delay,
         "gain_margin": gain,
         "cross_over_rad_s": crossover,
-        "peak_gain_s2": max(loop.peak_gain for loop in loops),
+        "peak_gain_s2": max(float(loop.peak_gains()[0]) for loop in loops),
     }
     fastest = ", the fastest axis" if len({one.crossover_rad_s for one in margins}) > 1 else ""
     return [
@@ -64,9 +63,10 @@ def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
 
 def unstable(subject: Subject, radius: float) -> str:
     """Say that the sampled loop is not stable."""
+    lag = "" if subject.axis.lag_s > 0.0 else ", no lag of the drives known"
     return (
-        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with {subject.delay}: lower the gains "
-        "or the delay"
+        f"the sampled loop has an eigenvalue of magnitude {radius:.4g} with "
+        f"{1e3 * subject.axis.transport_s:g} ms from measurement to force{lag}: lower the gains or the delay"
     )
 
 
@@ -143,35 +143,6 @@ def bound_lines(judged: Judged, bound: Ultimate, axes: AxisSpace) -> tuple[list[
         ),
     )
     return [line for counts, line in shown if counts], figures
-
-
-def reaching_lines(
-    found: Reaching, k: float, d: float, gamma: float, source: str, name: str
-) -> tuple[list[str], dict[str, Any]]:
-    """Return what a boundary layer promises as lines and figures."""
-    legs, linear = ("a leg", "") if name == "s" else ("all legs", " with its linear part")
-    figures = {
-        "reaching": {
-            "gain_m_s2": k,
-            "disturbance_m_s2": d,
-            "gamma": gamma,
-            "surplus_m_s2": found.surplus,
-            "layer_m_s": found.layer,
-            "inside_m_s": found.inside,
-        }
-    }
-    lines = [
-        (
-            f"reaching       {gamma:.3g} x {k:.3g} m/s^2 against {d:.3g} m/s^2 of {legs} ({source}): "
-            f"{found.surplus:.3g} m/s^2 to spare{linear}"
-        )
-    ]
-    if found.surplus > 0.0:
-        seconds = found.time_s(found.layer + 1.0)
-        lines.append(f"reach time     {seconds:.3g} s for each m/s of |{name}| outside the layer")
-        figures["reaching"]["reach_time_s_per_m_s"] = seconds
-    lines.append(f"layer          |{name}| stays below {found.inside:.3g} of {found.layer:.3g} m/s")
-    return lines, figures
 
 
 def _range(x: Array) -> str:

@@ -344,25 +344,17 @@ class Drives(NamedTuple):
     """N at the leg, by the steps of a command."""
     loss: Array
     """rho, share of a force by which losses may be made up for wrongly."""
-    most_N: float
-    """No force is larger."""
 
     @property
     def stepped(self) -> bool:
         """Tell whether what is read or sent has steps."""
         return bool(np.any([self.length, self.rate, self.force]))
 
-    def disturb(self, found: Local) -> list[tuple[Array, Array]]:
-        """Return what the axes are disturbed by, by either bound of the forces that the drives lose.
-
-        (6,) m/s^2 or rad/s^2, and (6, 6), the share of |u| that is beside it.
-        """
-        P, nothing = np.abs(found.per_force), np.zeros((6, 6))
-        steps = (P @ self.force).max(axis=0)
+    def disturb(self, found: Local) -> tuple[Array, Array]:
+        """Return what disturbs the axes: (6,) m/s^2 or rad/s^2, and beside it (6, 6), a share of |u|."""
+        P = np.abs(found.per_force)
+        by_path = _times(P, self.force + self.loss * np.abs(found.tau)).max(axis=0)
         if not self.loss.any():
-            return [(steps, nothing)]
+            return by_path, np.zeros((6, 6))
         back = np.abs(np.linalg.solve(found.per_force, found.Gamma))
-        by_path = _times(P, self.loss * np.abs(found.tau)).max(axis=0)
-        by_u = (P @ (self.loss[:, None] * back)).max(axis=0)
-        at_most = (P @ (self.loss * self.most_N)).max(axis=0)
-        return [(steps + by_path, by_u), (steps + at_most, nothing)]
+        return by_path, (P @ (self.loss[:, None] * back)).max(axis=0)

@@ -18,7 +18,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.design.stability.disturbance import Linearised
-from hil.design.stability.sampled import Axis, Sampled, of_each
+from hil.design.stability.sampled_loop import Axis, Sampled, of_each
 from hil.trajectory.path import Trajectory
 
 _APART_s, _NARROW_s = 4e-3, 1e-5

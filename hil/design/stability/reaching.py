@@ -13,7 +13,7 @@ linear, and where its |s| stays below phi the layer is never left. Derived in do
 """
 
 from math import inf
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 
 class Reaching(NamedTuple):
@@ -40,27 +40,6 @@ class Reaching(NamedTuple):
         way = max(abs(s) - self.layer, 0.0)
         pace = self.surplus if self.room == inf else 0.5 * self.surplus
         return way / pace if pace > 0.0 else inf
-
-
-class Sector(NamedTuple):
-    """A correction with a boundary layer as a weaker linear one, and a rest that it is off by.
-
-    k sat(s / phi) = k / (c phi) s + rest, |rest| <= k (1 - 1 / c) up to |s| = (2 c - 1) phi, c > 1: at phi it
-    is largest, falls, and is as large the other way there. So the loop is linear, and disturbed by the rest:
-    a bound of its |s| within that reach holds for the law, layer or not (by induction over the ticks).
-    """
-
-    gain: float
-    """1/s, k / (c phi)."""
-    rest: float
-    """m/s^2."""
-    reach: float
-    """m/s."""
-
-    @classmethod
-    def of(cls, k: float, layer: float, c: float) -> Self:
-        """Return the sector of a correction of k m/s^2 with this layer in m/s."""
-        return cls(k / (c * layer), k * (1.0 - 1.0 / c), (2.0 * c - 1.0) * layer)
 
 
 def sliding(

@@ -1,40 +1,36 @@
-"""The loop of a sampled controller and the delayed axis that inverse dynamics leaves: the axis, and margins.
+"""The loop as it runs: sampled, held, late. Axis, controllers, eigenvalues, margins and peak gains.
 
 The axis is gain exp(-transport s) D(s) / s^2 behind a hold of one period, D the force loop of the drives,
-from demanded acceleration to measured position and rate; it is sampled exactly, also where the transport is
-no whole number of periods.
+from demanded acceleration to position and rate at the instants of measurement: what a linearised robot looks
+like through bus, drives and sampling, also where the transport is no whole number of periods. The controller
+gives u from y = [e, de] and the loop is closed by e = -position: its eigenvalues tell whether the sampled
+loop is stable, exactly and with all delays.
 """
 
-from collections.abc import Callable, Iterator
-from math import ceil, inf, pi
+from collections.abc import Callable, Iterator, Sequence
+from math import ceil, floor, inf, pi
 from typing import NamedTuple
 
 import numpy as np
 
 from drivers.arrays import Array, ComplexArray
 from hil.config.linear_controller import LinearController
-from hil.mathematics.linear_system import LinearSystem, held
+from hil.mathematics.linear_system import LinearSystem, exponential, held, lag, static
 
 SLOWEST = 1e-5
 """Of the Nyquist frequency: where margins are looked for from."""
 
 
-class Margins(NamedTuple):
-    """How much a stable loop can bear of one thing at a time; inf where it bears any amount."""
+class Axis(NamedTuple):
+    """One axis of a linearised loop."""
 
-    gain_up: float
-    """Times which the gain may grow."""
-    gain_down: float
-    """Times which it may become; 0 where it may become as small as it likes."""
-    phase_deg: float
-    delay_s: float
-    """Further pure delay."""
-    crossover_rad_s: float
-    """The highest frequency at which the loop's gain is 1; 0 for none."""
-    peak_S: float
-    """Of |1 / (1 + L)|: the loop stays 1 over it away from -1."""
-    peak_T: float
-    """Of |L / (1 + L)|."""
+    period_s: float
+    transport_s: float = 0.0
+    """From the instant of measurement to the force that answers it; pure."""
+    lag_s: float = 0.0
+    """Time constant of the force, first order; 0: none."""
+    gain: float = 1.0
+    """1 where model and robot agree."""
 
 
 def sampled_axis(
@@ -59,17 +55,8 @@ def sampled_axis(
         A[m : 2 * m, :m] = -mobility @ stiffness
     A[m : 2 * m, 2 * m :], B[m : 2 * m] = mobility @ np.kron(each, drive.C), mobility @ np.kron(each, drive.D)
     A[2 * m :, 2 * m :], B[2 * m :] = np.kron(each, drive.A), np.kron(each, drive.B)
-    return late_states(A, B, 2 * m, transport_s, period_s)
-
-
-def late_states(A: Array, B: Array, outputs: int, transport_s: float, period_s: float) -> LinearSystem:
-    """Return dx/dt = A x + B u of held inputs, `transport_s` late, at the samples, to its first states.
-
-    A (n, n), B (n, m); outputs: how many of the states.
-    """
     whole = ceil(transport_s / period_s - 1e-9)
     late = max(whole * period_s - transport_s, 0.0)  # so long before the sample the newer input already acts
-    n, m = B.shape
     _, newer = held(A, B, late)
     Phi, both = held(A, B, period_s)
     older = both - newer
@@ -87,7 +74,7 @@ def late_states(A: Array, B: Array, outputs: int, transport_s: float, period_s: 
             F[:n, size - 2 * m : size - m] += newer
         F[n + m :, n : size - m] = np.eye((whole - 1) * m)
         G[n : n + m] = np.eye(m)
-    return LinearSystem(F, G, np.eye(outputs, size), np.zeros((outputs, m)), period_s)
+    return LinearSystem(F, G, np.eye(2 * m, size), np.zeros((2 * m, m)), period_s)
 
 
 def disturbed(axis: LinearSystem) -> LinearSystem:
@@ -99,6 +86,58 @@ def disturbed(axis: LinearSystem) -> LinearSystem:
     return axis._replace(B=np.hstack([axis.B, push]), D=np.zeros((2, 2)))
 
 
+def disturbed_axis(axis: Axis) -> LinearSystem:
+    """Return the axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
+    return disturbed(sampled_axis(axis.transport_s, lag(axis.lag_s), axis.period_s, axis.gain))
+
+
+def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
+    """Return u = K_P e + K_D de as a controller."""
+    return static(np.array([[K_P, K_D]]), period_s)
+
+
+def predicting(
+    K_P: float, K_D: float, period_s: float, *, bus_s: float, lag_s: float, hold_s: float
+) -> LinearSystem:
+    """Return u[k] = K_P e + K_D de of the instant bus + lag + hold after the measurement, from [e, de].
+
+    What happens until then follows from the commands under way, the last of which is taken to go on:
+    e'' = -a, a the acceleration of the force, which follows the commands by its lag. States: a where there
+    is a lag, and the last commands u[k-1], u[k-2], ...
+    """
+    T, horizon = period_s, bus_s + lag_s + hold_s
+    m = floor(bus_s / T + 1e-9)
+    r = max(bus_s - m * T, 0.0)
+    n = 3 if lag_s > 0.0 else 2
+    size = n + m + 2  # e, de, a, u[k], u[k-1], ..., u[k-m-1]
+
+    def moved(acting: list[tuple[int, float]]) -> Array:
+        """Return what time makes of these, while u[k-j] acts for so long, one after the other."""
+        Phi = np.eye(size)
+        for j, time_s in acting:
+            F = np.zeros((size, size))
+            F[0, 1] = 1.0
+            if lag_s > 0.0:
+                F[1, 2], F[2, 2], F[2, n + j] = -1.0, -1.0 / lag_s, 1.0 / lag_s
+            else:
+                F[1, n + j] = -1.0
+            Phi = exponential(F * time_s) @ Phi
+        return Phi
+
+    ends = np.minimum([0.0, *(r + j * T for j in range(m)), horizon], horizon)
+    ahead = moved([(m + 1 - j, float(time_s)) for j, time_s in enumerate(np.diff(ends))])
+    K = np.array([K_P, K_D]) @ ahead[:2]
+    C, D = np.delete(K, n)[None, 2:], K[None, :2]
+    count = C.shape[1]
+    A, B = np.eye(count, k=-1), np.zeros((count, 2))
+    A[n - 2], B[n - 2] = C[0], D[0]
+    if lag_s > 0.0:
+        late = moved([(m + 1, r), (m, T - r)])[2]
+        A[0] = np.delete(late, n)[2:] + late[n] * C[0]
+        B[0] = late[n] * D[0]
+    return LinearSystem(A, B, C, D, T)
+
+
 def sampled_controller(controller: LinearController) -> LinearSystem:
     """Return a file's controller as a system from [e, de] to u."""
     chosen = np.eye(2)[[("error", "rate_error").index(name) for name in controller.inputs]]
@@ -106,6 +145,24 @@ def sampled_controller(controller: LinearController) -> LinearSystem:
     B = np.array(controller.B, float).reshape(n, m) @ chosen
     A, C = np.array(controller.A, float).reshape(n, n), np.array(controller.C, float)
     return LinearSystem(A, B, C, np.array(controller.D, float) @ chosen, 1.0 / controller.rate_Hz)
+
+
+class Margins(NamedTuple):
+    """How much a stable loop can bear of one thing at a time; inf where it bears any amount."""
+
+    gain_up: float
+    """Times which the gain may grow."""
+    gain_down: float
+    """Times which it may become; 0 where it may become as small as it likes."""
+    phase_deg: float
+    delay_s: float
+    """Further pure delay."""
+    crossover_rad_s: float
+    """The highest frequency at which the loop's gain is 1; 0 for none."""
+    peak_S: float
+    """Of |1 / (1 + L)|: the loop stays 1 over it away from -1."""
+    peak_T: float
+    """Of |L / (1 + L)|."""
 
 
 def grid(period_s: float) -> Array:
@@ -161,3 +218,113 @@ def margins(loop: LinearSystem) -> Margins:
         float(np.abs(1.0 / (1.0 + value)).max()),
         float(np.abs(value / (1.0 + value)).max()),
     )
+
+
+class Sampled(NamedTuple):
+    """A sampled loop."""
+
+    poles: ComplexArray
+    """(n,), of z."""
+    margins: Margins | None
+    """None where the loop is not stable."""
+    loop: LinearSystem
+    """To e, de and u from a disturbing acceleration, held over each period, and from what e and de are
+    measured wrong by at each sample."""
+
+    @property
+    def largest(self) -> float:
+        """The largest |z|."""
+        return float(np.abs(self.poles).max())
+
+    @property
+    def decay_rate(self) -> float:
+        """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
+        assert self.loop.period_s is not None
+        return float(-np.log(max(self.largest, 1e-300)) / self.loop.period_s)
+
+    @property
+    def stable(self) -> bool:
+        """Tell whether all modes decay."""
+        return bool((np.abs(self.poles) < 1.0).all())
+
+    def peak_gains(self, slope: float = 0.0) -> Array:
+        """Return the peak gains (4,) to |e| s^2, |de| s, |u| and |de + slope e| s, at each measurement.
+
+        Of every acceleration within its bound, whenever it changes: h(s), its weight a time s before a
+        measurement, is linear in s over each period, so that its area is known. inf where not stable.
+        """
+        if not self.stable:
+            return np.full(4, inf)
+        T = self.loop.period_s
+        assert T is not None
+        x = np.zeros((len(self.poles), 2))  # after a period at whose beginning, and end, an impulse acted
+        x[0, 0], x[1] = T, 1.0
+        h = _rows(slope) @ self._answers(x)
+        first, last = np.moveaxis(np.abs(h), 2, 0)
+        both, same = first + last, h[..., 0] * h[..., 1] >= 0.0
+        area = np.where(same, both / 2.0, (first**2 + last**2) / (2.0 * np.where(same, 1.0, both)))
+        return np.asarray(T * area.sum(axis=0), float)
+
+    def impulse_responses(self) -> Array:
+        """Return what e, de and u (n, 3) are at the samples after d = 1 for one period."""
+        return np.asarray(self._answers(self.loop.B[:, :1])[..., 0], float)
+
+    def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
+        """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by.
+
+        rate: from what de is measured wrong by.
+        """
+        k = 1 + rate
+        through = self.loop.D[:, k : k + 1]
+        h = _rows(slope) @ np.concatenate([through[None], self._answers(self.loop.B[:, k : k + 1])])
+        return np.asarray(np.abs(h[..., 0]).sum(axis=0), float)
+
+    def _answers(self, x: Array) -> Array:
+        """Return e, de and u (n, 3, m) at the samples from states x (order, m) on, until forgotten."""
+        found = []
+        for _ in range(self.steps):
+            found.append(self.loop.C @ x)
+            x = self.loop.A @ x
+        return np.array(found)
+
+    @property
+    def steps(self) -> int:
+        """Periods after which a stable loop has forgotten an impulse, to a hundred thousandth."""
+        slowest = -np.log(max(np.abs(self.poles).max(), 1e-300))
+        return min(200_000, int(np.ceil(12.0 / slowest)) + len(self.poles))
+
+
+def _rows(slope: float) -> Array:
+    """Return e, de, u and de + slope e of e, de and u."""
+    return np.vstack([np.eye(3), [slope, 1.0, 0.0]])
+
+
+def of_each(loops: Sequence[Sampled], figures: Callable[[Sampled], Array]) -> list[Array]:
+    """Return the figures of each loop; of axes that share one loop they are worked out once."""
+    found = {id(loop): figures(loop) for loop in {id(loop): loop for loop in loops}.values()}
+    return [found[id(loop)] for loop in loops]
+
+
+def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
+    """Return what the loop of axis and controller is like; the controller takes [e, de] and gives u.
+
+    Raises ModelError where the controller is of another period.
+    """
+    plant = disturbed_axis(axis)
+    loop = _closed(plant, controller)
+    found = Sampled(loop.poles(), None, loop)
+    if not found.stable:
+        return found
+    opened = controller.after(plant._replace(B=plant.B[:, :1], D=plant.D[:, :1]))
+    return found._replace(margins=margins(opened))
+
+
+def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
+    """Return the loop from d, n and m to e, de and u: y = [e + n, de + m], e = -position."""
+    A, B, C, _, T = plant
+    # Inputs d, n, m, u; outputs e, de, u, and y for the controller.
+    inputs = np.column_stack([B[:, 1], np.zeros((len(A), 2)), B[:, 0]])
+    outputs = np.vstack([-C, np.zeros((1, len(A))), -C])
+    through = np.zeros((5, 4))
+    through[2, 3] = through[3, 1] = through[4, 2] = 1.0
+    return LinearSystem(A, inputs, outputs, through, T).closed_with(controller)

@@ -16,9 +16,7 @@ robot's kinetic energy (Takegaki and Arimoto, 1981; LaSalle)
 
     V = t^T M t / 2 + S,     dV/dt = -dq^T K_v dq  (friction only adds to that)
 
-For a reference at rest a pose where dS = 0 and d^2 S is positive definite is asymptotically stable; from
-every start with V < c it is reached, if c is the lowest S on the edge of a region around that pose in which J
-is regular, legs are within their stroke, and no other pose has dS = 0.
+For a reference at rest a pose where dS = 0 and d^2 S is positive definite is asymptotically stable.
 """
 
 from collections.abc import Callable
@@ -29,10 +27,9 @@ import numpy as np
 
 from drivers.arrays import ZERO6, Array, ComplexArray
 from drivers.errors import ModelError
-from hil.design.stability.sampled import Axis
-from hil.design.stability.sampled_loop import crossings, sampled_axis
+from hil.design.stability.sampled_loop import Axis, crossings, sampled_axis
 from hil.mathematics.linear_system import LinearSystem, lag, static
-from hil.mathematics.rotations import relative_rotation, rotation_from_vector
+from hil.mathematics.rotations import rotation_from_vector
 from hil.robot import dynamics_kernels as kernels
 from hil.robot.dynamics import Model
 from hil.robot.kinematics_kernels import jacobian_kernel
@@ -41,8 +38,6 @@ Forces = Callable[[Array, Array, Array], Array]
 """Leg forces (6,) N of a law at p, R and a twist, its reference at rest."""
 STEP = 1e-5
 """m and rad, of the differences that derivatives are taken by; m/s and rad/s of rates."""
-NODES = 8
-"""Of Gauss and Legendre, on the way of a potential."""
 NEAR = 0.5
 """m and rad, the largest step to the pose of rest."""
 NOTHING = np.zeros((6, 6))
@@ -161,33 +156,6 @@ def cubic_rest(x_d: Array, K_p: Array, linear: Array, cubic: Array) -> Array:
     return np.asarray(0.5 * (low + high), np.float64)
 
 
-Potential = Callable[[Array, Array], float]
-"""S of p (3,) m and R (3, 3), J."""
-
-
-class Basin(NamedTuple):
-    """A sublevel set V < level from which the well is reached."""
-
-    level_J: float
-    edge_p: Array
-    """(3,) m: where S = level on the edge of the region."""
-    reason: str
-    """What is met there."""
-
-
-def potential(robot: Model, tau: Forces, p: Array, R: Array) -> Potential:
-    """Return S of a law that has an energy, and of the weight, above p and R: their work on the way there."""
-    nodes, weights = np.polynomial.legendre.leggauss(NODES)
-
-    def S(at_p: Array, at_R: Array) -> float:
-        x = np.concatenate([at_p - p, relative_rotation(R, at_R)])
-        poses = [displaced(p, R, 0.5 * (1.0 + t) * x) for t in nodes]
-        work = [x @ _wrench(robot, *pose, tau(*pose, ZERO6)) for pose in poses]
-        return float(-0.5 * weights @ work)
-
-    return S
-
-
 def same_weight(one: Model, other: Model) -> bool:
     """Tell whether two models weigh the same wherever the robot is, however it is turned."""
     return bool(np.allclose(_moments(one), _moments(other), rtol=1e-9, atol=1e-9))
@@ -205,58 +173,3 @@ def _moments(model: Model) -> Array:
 def displaced(p: Array, R: Array, x: Array) -> tuple[Array, Array]:
     """Return the pose shifted by x[:3] m and turned by the rotation vector x[3:] rad, base frame."""
     return p + x[:3], rotation_from_vector(x[3:]) @ R
-
-
-def basin(
-    S: Potential,
-    p: Array,
-    R: Array,
-    stiffness: Array,
-    radius: float,
-    outside: Callable[[Array, Array], str | None],
-    rays: int = 100,
-) -> Basin:
-    """Return the largest sublevel set around a minimum within a region, searched for along rays.
-
-    stiffness: d^2 S (6, 6) there. radius: by which rotations become lengths, m. outside(p, R) says what is
-    wrong with a pose, or None. Each ray goes from the minimum to the edge of the region, where S is read; the
-    lowest is sought on from the five lowest rays by Powell's method. The directions are those of equal S near
-    the minimum. A search, no enclosure.
-    """
-    scale = np.array([1.0] * 3 + [1.0 / radius] * 3)
-    curved = scale[:, None] * stiffness * scale
-    values, vectors = np.linalg.eigh(0.5 * (curved + curved.T))
-    shape = scale[:, None] * vectors / np.sqrt(values)
-    ground = S(p, R)
-    longest = 2.0 * np.sqrt(values[-1])
-
-    def edge(u: Array) -> tuple[float, Array]:
-        """Return S above the well at the edge in direction u (6,), and the way there.
-
-        Zero is no direction; a search along a line may pass it, and gets the first one there.
-        """
-        size = float(np.linalg.norm(u))
-        way = shape @ (u / size) if size > 0.0 else shape[:, 0]
-        near, far = 0.0, 0.0
-        step = 0.02 / float(np.linalg.norm(way / scale))
-        while outside(*displaced(p, R, far * way)) is None:
-            near, far = far, far + step
-            if far > 100.0 * longest:
-                return np.inf, far * way
-        for _ in range(20):
-            middle = (near + far) / 2.0
-            inside = outside(*displaced(p, R, middle * way)) is None
-            near, far = (middle, far) if inside else (near, middle)
-        return S(*displaced(p, R, far * way)) - ground, far * way
-
-    from scipy.optimize import minimize  # noqa: PLC0415 - `hil check` does without
-
-    directions = np.random.default_rng(1).standard_normal((rays, 6))
-    directions = np.vstack([directions, np.eye(6), -np.eye(6)])
-    heights = np.array([edge(u)[0] for u in directions])
-    lowest = directions[np.argsort(heights)[:5]]
-    options = {"maxfev": 300}
-    found = [minimize(lambda u: edge(u)[0], u, method="Powell", options=options) for u in lowest]
-    level, way = edge(min(found, key=lambda result: result.fun).x)
-    met = displaced(p, R, way)
-    return Basin(float(level), met[0], outside(*met) or "the edge of the region")

@@ -13,6 +13,7 @@ order: a survey, no enclosure. Derived in docs/theory/stability.md.
 """
 
 from collections.abc import Iterator, Sequence
+from itertools import product
 from math import ceil
 from typing import Any, NamedTuple
 
@@ -22,7 +23,7 @@ from drivers.arrays import Array
 from hil.config.axis_model import AxisSpace
 from hil.design.stability.disturbance import Inertia, Linearised, Local, Survey
 from hil.design.stability.lateness import Late
-from hil.design.stability.sampled import Sampled, of_each
+from hil.design.stability.sampled_loop import Sampled, of_each
 from hil.trajectory.path import PoseSample
 
 ROUNDS = 12
@@ -37,7 +38,7 @@ SPREAD = 20
 """Instants of the reference that are looked at where the disturbance tells none from another."""
 UNNOTICED = 0.01
 """Share of the disturbance that changes no shape of the tube."""
-_SIGNS = np.array([[1.0 if k >> i & 1 else -1.0 for i in range(6)] for k in range(64)])
+_SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 
 
 class Extra(NamedTuple):
@@ -201,10 +202,10 @@ def in_words(error: Array, axes: AxisSpace) -> str:
 
 def _too_much(size: float, *, lossy: bool) -> str:
     losses = ", with what a transmission loses where a leg turns round" if lossy else ""
-    mend = "a transmission that loses less, " if lossy else ""
+    less = "a transmission that loses less, " if lossy else ""
     shown = f"{ceil(1e3 * size) / 1e3:g}" if size >= 1.0 else "almost 1"
     return (
         "no bound: forces computed with another inertia, or for a pose of some time ago, miss by more than "
-        f"the gains bear{losses}: small gain {shown}, allowed below 1; {mend}a better model, lower gains or "
+        f"the gains bear{losses}: small gain {shown}, allowed below 1; {less}a better model, lower gains or "
         "less delay"
     )

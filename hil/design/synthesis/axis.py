@@ -13,13 +13,15 @@ from math import comb, factorial
 
 import numpy as np
 
-from drivers.arrays import Array
 from drivers.errors import SynthesisError
 from hil.config.design import Design, DesignAxis
 from hil.design.stability.sampled_loop import disturbed
 from hil.design.stability.sampled_loop import sampled_axis as exact_axis
 from hil.design.synthesis.weights import control_weight, error_weight, noise, rational
 from hil.mathematics.linear_system import LinearSystem, lag, static
+
+ROWS = {"error": 0, "rate_error": 1}
+"""Of an axis' position and rate, what each input of a controller measures."""
 
 
 def pade(delay_s: float, order: int) -> LinearSystem:
@@ -64,18 +66,13 @@ def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
     return path._replace(C=axis.gain * path.C, D=axis.gain * path.D)
 
 
-def body(inputs: Sequence[str]) -> LinearSystem:
-    """Return the double integrator from [a + d] to [e, measured inputs in their order]."""
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
-    rows: dict[str, Array] = {"error": np.array([1.0, 0.0]), "rate_error": np.array([0.0, 1.0])}
-    C = np.array([rows["error"], *(rows[name] for name in inputs)])
-    return LinearSystem(A, B, C, np.zeros((len(C), 1)))
-
-
 def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
     """Return the unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
+    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
+    C = np.eye(2)[[0, *(ROWS[name] for name in inputs)]]
+    body = LinearSystem(A, B, C, np.zeros((len(C), 1)))
     acting = static(np.ones((1, 2))).after(static(np.eye(1)).beside(path))
-    return around(body(inputs).after(acting))
+    return around(body.after(acting))
 
 
 def around(axis: LinearSystem) -> LinearSystem:
@@ -129,8 +126,7 @@ def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> Lin
     """Return the axis from [d, u] to [e, measured inputs], d held for a period like u."""
     behind = exact_axis(1e-3 * axis.transport_ms, drive(axis), 1.0 / rate_Hz, axis.gain)
     legs = disturbed(behind)
-    rows = {"error": 0, "rate_error": 1}
-    y = -legs.C[[0, *(rows[name] for name in inputs)]]
+    y = -legs.C[[0, *(ROWS[name] for name in inputs)]]
     return LinearSystem(legs.A, legs.B[:, [1, 0]], y, np.zeros((len(y), 2)), legs.period_s)
 
 

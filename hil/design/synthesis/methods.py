@@ -25,7 +25,6 @@ from hil.design.synthesis.dk import (
     with_own,
 )
 from hil.design.synthesis.hinf import Synthesis, hinf
-from hil.design.synthesis.mu import lower_bound
 from hil.design.synthesis.multiplicative import CORNER, Relative, covered
 from hil.design.synthesis.norm import norm
 from hil.design.synthesis.result import SLOW, Judgement, described, judge, reduced
@@ -158,11 +157,6 @@ LISTED = 40
 """Frequencies that the file lists."""
 
 
-def mu_grid(rate_Hz: float) -> Array:
-    """Return the frequencies, rad/s, at which mu is looked at."""
-    return np.asarray(np.geomspace(*SPAN, POINTS) * pi * rate_Hz)
-
-
 @computable()
 def design_mu(
     design: Design, axis: DesignAxis, progress: Callable[[str], None], measured: Relative | None = None
@@ -187,7 +181,8 @@ def design_mu(
     start = nominal_controller(problem)
     slow = 2.0 * SLOW * judge(design, axis, start).margins.crossover_rad_s
     within = slow, CORNER * pi * design.rate_Hz  # their poles become the controller's and the closed loop's
-    found = dk_iteration(problem, start, mu_grid(design.rate_Hz), within, progress)
+    grid: Array = np.asarray(np.geomspace(*SPAN, POINTS) * pi * design.rate_Hz)
+    found = dk_iteration(problem, start, grid, within, progress)
     K = reduced(found.K, noise(design), NOTHING)
     judged = judge(design, axis, K)
     if judged.reasons:
@@ -196,7 +191,7 @@ def design_mu(
             + "; ".join(judged.reasons)
         )
     M = problem.plant.closed_with(K)
-    bounds = bounds_over_frequency(M, problem.blocks, with_own(mu_grid(design.rate_Hz), M))
+    bounds = bounds_over_frequency(M, problem.blocks, with_own(grid, M))
     scales = fitted_scales(M, bounds, problem.blocks, within)
     proven = norm(scaled(problem, scales).closed_with(K))
     corners = sampled_corners(design, axis, design.uncertainty, judged.sampled)
@@ -208,7 +203,6 @@ def design_mu(
         )
     omega, upper, n = bounds.omega, bounds.upper.bound, problem.uncertain
     response = M.response(omega)
-    lower = lower_bound(response, problem.blocks).bound
     k = np.unique(np.append(np.linspace(0, len(omega) - 1, LISTED).astype(int), upper.argmax()))
     figures = {
         "mu_proven": proven,
@@ -216,14 +210,10 @@ def design_mu(
         "rounds": found.history,
         "states_left_out": found.K.order - K.order,
         "mu_upper": bounds.peak,
-        "mu_lower": float(lower.max()),
         "mu_peak_rad_s": bounds.peak_rad_s,
         "nominal_performance": float(np.linalg.svd(response[:, n:, n:], compute_uv=False).max()),
         **described(design, axis, judged, K),
-        "mu": {
-            name: [float(value) for value in values[k]]
-            for name, values in (("omega_rad_s", omega), ("upper", upper), ("lower", lower))
-        },
+        "mu": {"omega_rad_s": omega[k].tolist(), "upper": upper[k].tolist()},
         "uncertainty": design.uncertainty.model_dump(mode="json"),
     }
     return Designed(K, judged, figures)

@@ -1,4 +1,4 @@
-"""The structured singular value of a complex matrix, from above and from below, frequency by frequency.
+"""The structured singular value of a complex matrix, from above, frequency by frequency.
 
     mu(M) = 1 / min { largest singular value of Delta : det(I - M Delta) = 0 },  Delta = diag(Delta_1 ...)
 
@@ -36,15 +36,6 @@ class UpperBound(NamedTuple):
     """(N,)."""
     D: Array
     """(N, blocks), > 0, 1 in the last: bound = largest singular value of D M D^-1."""
-
-
-class LowerBound(NamedTuple):
-    """mu >= bound at every frequency, and the perturbation that proves it."""
-
-    bound: Array
-    """(N,)."""
-    Delta: ComplexArray
-    """(N, inputs, outputs) of largest singular value 1: a spectral radius of M Delta is the bound."""
 
 
 def upper_bound(
@@ -93,36 +84,6 @@ def upper_bound(
             break
     D = np.hstack([np.sqrt(best_x), np.ones((N, 1))])
     return UpperBound(best, D * balance / balance[:, -1:])
-
-
-def lower_bound(M: ComplexArray, blocks: list[Block], *, iterations: int = 80) -> LowerBound:
-    """Return what perturbations found by the power iteration prove.
-
-    mu(M) is the largest spectral radius of M Delta over all Delta of size 1. The iteration need not converge;
-    each Delta that it ends with is a proof (Packard and Doyle 1993, section 7). From three starts.
-    """
-    outputs, inputs = _slices(M, blocks)
-    A = _scaled(M, _balanced(M, outputs, inputs), outputs, inputs)
-    N, rows, columns = M.shape
-    best, best_Delta = np.full(N, -1.0), np.zeros((N, columns, rows), complex)
-    strongest = _dagger(np.linalg.svd(A)[2])[:, :, 0]
-    for start in (strongest, np.ones_like(strongest), np.exp(2j * np.arange(columns)) + 0 * strongest):
-        b = w = start
-        for _ in range(iterations):
-            a = _unit(np.einsum("Nij,Nj->Ni", A, b))
-            z = _blockwise(a, outputs, _norms(w, inputs))
-            w = _unit(np.einsum("Nij,Ni->Nj", A.conj(), z))
-            b = _blockwise(w, inputs, _norms(a, outputs))
-        Delta = np.zeros((N, columns, rows), complex)
-        from_a = _blockwise(a, outputs, np.ones((N, len(blocks))))
-        to_b = _blockwise(b, inputs, np.ones((N, len(blocks))))
-        for o, i in zip(outputs, inputs, strict=True):
-            Delta[:, i, o] = to_b[:, i, None] * from_a[:, None, o].conj()
-        radius = np.abs(np.linalg.eigvals(A @ Delta)).max(1)
-        better = radius > best
-        best = np.where(better, radius, best)
-        best_Delta[better] = Delta[better]
-    return LowerBound(best, best_Delta)
 
 
 def _slices(M: ComplexArray, blocks: list[Block]) -> tuple[list[slice], list[slice]]:
@@ -198,16 +159,3 @@ def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array) -> Array:
         longer = t + share.sum(1) / np.maximum((share**2).sum(1), 1e-300)
         t = np.clip(longer, 0.1 * t, 0.5 * (t + room))
     return np.asarray(step * t[:, None], float)
-
-
-def _unit(v: ComplexArray) -> ComplexArray:
-    return np.asarray(v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), 1e-300))
-
-
-def _norms(v: ComplexArray, parts: list[slice]) -> Array:
-    return np.stack([np.linalg.norm(v[:, part], axis=1) for part in parts], 1)
-
-
-def _blockwise(v: ComplexArray, parts: list[slice], norms: Array) -> ComplexArray:
-    """Return v with the norm of each part as given."""
-    return np.asarray(v * _each(norms / np.maximum(_norms(v, parts), 1e-300), parts))

@@ -122,26 +122,19 @@ def cover_system(measured: Relative, rate_Hz: float) -> LinearSystem:
     return rational(cover(omega, measured.at(omega), CORNER * pi * rate_Hz), "cover of the measured axes")
 
 
-def single(measured: Relative, L: LinearSystem, rate_Hz: float) -> Margin:
-    """Return the largest |w T| of a sampled loop, opened at u, and where it is."""
+def margin(
+    measured: Relative, L: LinearSystem, rate_Hz: float, Gammas: Sequence[Array] = (np.eye(1),)
+) -> Margin:
+    """Return the largest |w T| of a sampled loop L, opened at u, and where it is.
+
+    Gammas (6, 6): couplings; then the spectral radius of |w T_6|, L times each of them.
+    """
     omega = frequencies(rate_Hz)
-    L_w = L.response(omega)[:, 0, 0]
-    return _largest(omega, measured.at(omega) * np.abs(L_w / (1.0 + L_w)))
-
-
-def together(measured: Relative, L: LinearSystem, Gammas: Sequence[Array], rate_Hz: float) -> Margin:
-    """Return the largest spectral radius of |w T_6| over the couplings Gamma (6, 6), each times L."""
-    omega = frequencies(rate_Hz)[::4]
-    L_w: ComplexArray = L.response(omega)[:, 0, 0]
-    w, worst = measured.at(omega), np.zeros(len(omega))
+    L_w: ComplexArray = L.response(omega)
+    worst = np.zeros(len(omega))
     for Gamma in Gammas:
-        open_loop = L_w[:, None, None] * Gamma
-        T = np.linalg.solve(np.eye(6) + open_loop, open_loop)
-        radius = np.abs(np.linalg.eigvals(np.abs(T))).max(axis=1)
-        worst = np.maximum(worst, w * radius)
-    return _largest(omega, worst)
-
-
-def _largest(omega: Array, values: Array) -> Margin:
-    k = int(np.argmax(values))
-    return Margin(float(values[k]), float(omega[k]))
+        T = np.linalg.solve(np.eye(len(Gamma)) + L_w * Gamma, L_w * Gamma)
+        worst = np.maximum(worst, np.abs(np.linalg.eigvals(np.abs(T))).max(axis=1))
+    worst *= measured.at(omega)
+    k = int(np.argmax(worst))
+    return Margin(float(worst[k]), float(omega[k]))

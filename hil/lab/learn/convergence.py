@@ -71,7 +71,7 @@ def frequencies(samples: int, period_s: float) -> Array:
 def axis_loop(axis: LinearSystem, controller: LinearSystem, f_Hz: Array, *, looks_ahead: bool) -> AxisLoop:
     """Return the loop of a sampled axis and a controller from [e, de] to u, both of one period.
 
-    looks_ahead: the controller knows the commands under way (`hil.design.stability.prediction`).
+    looks_ahead: the controller knows the commands under way (`hil.design.stability.sampled_loop`).
     """
     omega = 2.0 * np.pi * np.asarray(f_Hz, float)
     omega[0] = NEAR_ZERO * omega[1]

@@ -14,9 +14,7 @@ from hil.app.configuration.section_file import read_section
 from hil.app.loop_delay import loop_delay
 from hil.config.axis_model import AxisModel
 from hil.control.law import ErrorDynamics, LawSettings
-from hil.design.stability.prediction import predicting
-from hil.design.stability.sampled import gains
-from hil.design.stability.sampled_loop import sampled_axis, sampled_controller
+from hil.design.stability.sampled_loop import gains, predicting, sampled_axis, sampled_controller
 from hil.lab.identify.linearised import law_terms, linearised_law, state_of
 from hil.lab.learn.convergence import (
     AxisLoop,

@@ -14,8 +14,11 @@ from hil.cli import main
 ROOT = Path(__file__).resolve().parents[3]
 
 
-def design(*arguments):
-    return CliRunner().invoke(main, ["design", "hinf", *map(str, arguments)])
+SHIPPED = {name: (ROOT / f"configs/designs/{name}.yaml").read_text() for name in ("hinf", "mu")}
+
+
+def design(*arguments, method="hinf"):
+    return CliRunner().invoke(main, ["design", method, *map(str, arguments)])
 
 
 def axis_file(folder, **changes):
@@ -39,16 +42,22 @@ def axis_file(folder, **changes):
     return path
 
 
-def test_the_command_writes_controller_figures_and_picture(tmp_path):
+@pytest.mark.parametrize("method", SHIPPED)
+def test_the_command_writes_controller_figures_and_picture(tmp_path, method):
     files = [tmp_path / name for name in ("c.yaml", "d.json", "d.png")]
-    done = design("hinf", "-o", files[0], "--json", files[1], "--plot", files[2])
+    done = design(method, "-o", files[0], "--json", files[1], "--plot", files[2], method=method)
     assert done.exit_code == 0, done.output
-    controller = read_controller(files[0])
-    summary = json.loads(files[1].read_text())
-    assert summary["gamma"] == controller.design["gamma"]
+    controller, summary = read_controller(files[0]), json.loads(files[1].read_text())
+    assert controller.method == method
+    assert summary["crossover_rad_s"] == controller.design["crossover_rad_s"]
     assert f"{summary['crossover_rad_s']:.1f} rad/s" in done.output
     assert files[2].read_bytes().startswith(b"\x89PNG")
-    assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
+    if method == "mu":
+        assert summary["mu_upper"] == max(summary["mu"]["upper"])
+        assert summary["mu_upper"] <= summary["mu_proven"] < 1.0
+        assert f"states left out     {summary['states_left_out']}, of Hankel" in done.output
+    else:
+        assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
 
 
 def test_an_identified_axis_replaces_that_of_the_design(tmp_path):
@@ -81,76 +90,40 @@ def test_the_guide_shows_what_the_command_prints():
     assert block.split() == design("hinf").output.split()
 
 
-SHIPPED = (ROOT / "configs/designs/hinf.yaml").read_text()
-
-
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("method", "old", "new", "says"),
     [
-        ("low_m: 9.0e-5", "low_m: 5.0e-3", "low_m is 0.005, allowed: below peak_m"),
-        ("  transport_ms: 0.5 ", "  transport: 0.5 ", "missing unit: the key is transport_ms"),
-        ("[error, rate_error]", "[rate_error]", "inputs lacks error"),
-        ("[error, rate_error]", "[error]", "go together"),
-        ("limit_m_s2: 20", "limit_m_s2: -20", "weights.control.limit_m_s2"),
-        ("delay_order: 1", "delay_order: 1\nmodel: axis.yaml", "nominal and model both say"),
-        ("limit_m_s2: 20", "limit_m_s2: 5", "no controller does what the weights ask"),
-    ],
-)
-def test_a_wrong_design_is_refused_with_what_is_allowed(old, new, says, tmp_path):
-    assert SHIPPED.count(old) == 1
-    path = tmp_path / "my.yaml"
-    path.write_text(SHIPPED.replace(old, new))
-    done = design(path, "-o", tmp_path / "c.yaml")
-    assert done.exit_code == 2
-    assert says in done.output
-    assert not (tmp_path / "c.yaml").exists()
-
-
-SHIPPED_MU = (Path(__file__).resolve().parents[3] / "configs/designs/mu.yaml").read_text()
-
-
-def design_mu(*arguments):
-    return CliRunner().invoke(main, ["design", "mu", *map(str, arguments)])
-
-
-def test_mu_writes_controller_bounds_and_picture(tmp_path):
-    files = [tmp_path / name for name in ("c.yaml", "d.json", "d.png")]
-    done = design_mu("mu", "-o", files[0], "--json", files[1], "--plot", files[2])
-    assert done.exit_code == 0, done.output
-    controller, summary = read_controller(files[0]), json.loads(files[1].read_text())
-    assert controller.method == "mu"
-    assert summary["mu_lower"] <= summary["mu_upper"] == max(summary["mu"]["upper"])
-    assert summary["mu_upper"] <= summary["mu_proven"] < 1.0
-    assert f"states left out     {summary['states_left_out']}, of Hankel" in done.output
-    assert f"{summary['mu_upper']:.4f}" in done.output
-    assert files[2].read_bytes().startswith(b"\x89PNG")
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ("inertia: 0.2", "inertia: 1.0", "less than 1"),
-        ("[0.5, 2.0]", "[2.0, 0.5]", "transport_ms goes from 2 to 0.5, allowed: from less to more"),
-        ("transport_ms: 1.25", "transport_ms: 2.5", "nominal.transport_ms: 2.5, allowed: within"),
-        ("peak_m: 4.6e-3", "peak_m: 4.6e-4", "mu is not below"),
+        ("hinf", "low_m: 9.0e-5", "low_m: 5.0e-3", "low_m is 0.005, allowed: below peak_m"),
+        ("hinf", "  transport_ms: 0.5 ", "  transport: 0.5 ", "missing unit: the key is transport_ms"),
+        ("hinf", "[error, rate_error]", "[rate_error]", "inputs lacks error"),
+        ("hinf", "[error, rate_error]", "[error]", "go together"),
+        ("hinf", "limit_m_s2: 20", "limit_m_s2: -20", "weights.control.limit_m_s2"),
+        ("hinf", "delay_order: 1", "delay_order: 1\nmodel: axis.yaml", "nominal and model both say"),
+        ("hinf", "limit_m_s2: 20", "limit_m_s2: 5", "no controller does what the weights ask"),
+        ("mu", "inertia: 0.2", "inertia: 1.0", "less than 1"),
+        ("mu", "[0.5, 2.0]", "[2.0, 0.5]", "transport_ms goes from 2 to 0.5, allowed: from less to more"),
+        ("mu", "transport_ms: 1.25", "transport_ms: 2.5", "nominal.transport_ms: 2.5, allowed: within"),
+        ("mu", "peak_m: 4.6e-3", "peak_m: 4.6e-4", "mu is not below"),
         (
+            "mu",
             "low_m: 3.45e-5",
             "low_m: 2.484e-5",
             "mu is 1.009, the worst at 0.00216 rad/s",
-        ),  # far below the grid
-        ("rate_Hz: 1000", "rate_Hz: 1.0e-3", "look for a wrong unit"),
+        ),  # below the grid
+        ("mu", "rate_Hz: 1000", "rate_Hz: 1.0e-3", "look for a wrong unit"),
     ],
 )
-def test_what_cannot_be_is_refused_with_the_reason(tmp_path, old, new, message):
-    assert old in SHIPPED_MU
-    (tmp_path / "my.yaml").write_text(SHIPPED_MU.replace(old, new, 1))
-    done = design_mu(tmp_path / "my.yaml", "-o", tmp_path / "c.yaml")
+def test_a_wrong_design_is_refused_with_what_is_allowed(method, old, new, says, tmp_path):
+    assert old in SHIPPED[method]
+    path = tmp_path / "my.yaml"
+    path.write_text(SHIPPED[method].replace(old, new, 1))
+    done = design(path, "-o", tmp_path / "c.yaml", method=method)
     assert done.exit_code == 2
-    assert message in " ".join(done.output.split())
+    assert says in " ".join(done.output.split())
     assert not (tmp_path / "c.yaml").exists()
 
 
 def test_a_design_for_h_infinity_lacks_the_uncertainty():
-    done = design_mu("hinf")
+    done = design("hinf", method="mu")
     assert done.exit_code == 2
     assert "has no section uncertainty" in " ".join(done.output.split())

@@ -87,14 +87,14 @@ def test_a_law_without_a_wrench_needs_no_condition_about_it():
 @pytest.mark.parametrize("evaluation", ["online", "offline"])
 def test_a_feed_forward_with_an_estimated_wrench_has_its_condition(evaluation):
     law = f"{SPRINGS['feedforward_pd']}  evaluation: {evaluation}\n"
-    found = judge(held(law, {"estimation": {"wrench": {"source": "observer"}}}), quick=True)
+    found = judge(held(law, {"estimation": {"wrench": {"source": "observer"}}}))
     assert among(found, "the estimated wrench is right") == (evaluation == "online")
-    assert not among(judge(held(law), quick=True), "wrench")
+    assert not among(judge(held(law)), "wrench")
 
 
 def test_a_fused_pose_is_among_the_conditions(linearising):
     for law in [*linearising, SPRINGS["pid"], SPRINGS["pd_gravity"]]:
-        found = judge(held(law, FINE, FUSED), quick=True)
+        found = judge(held(law, FINE, FUSED))
         assert among(found, "the fused pose is as good as measured lengths"), law
         assert not among(found, "lost"), law
         assert found.status == "conditional", law
@@ -104,7 +104,7 @@ def test_a_fused_pose_is_among_the_conditions(linearising):
 @pytest.mark.parametrize("name", list(SPRINGS))
 def test_springs_on_a_live_reference_are_proven_only_at_rest(name):
     moves = "the reference rests; while it moves nothing is proven"
-    found = judge(held(SPRINGS[name], {"reference": LIVE}), quick=True)
+    found = judge(held(SPRINGS[name], {"reference": LIVE}))
     assert found.conditions.count(moves) == 1
     assert not among(found, "the bound"), "of these laws there is none"
 

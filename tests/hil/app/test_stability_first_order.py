@@ -95,7 +95,7 @@ def test_springs_softer_than_the_weight_are_not_called_stable(stiffness, error):
         0
     ]
     c = held(f"  law: cartesian_pd\n{pose}{error}", {"platform": {"platform": {"payload": [ON_A_POST]}}})
-    found = judge(c, quick=True)
+    found = judge(c)
     assert found.status in {"unstable", "not proven"}
     assert "die out" not in found.claim
 
@@ -132,14 +132,13 @@ def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, va
     c = held(f"{law}  model: {FROZEN % variant}\n", at(AT))
     deepest = sag_mm(c)
     assert deepest > 0.05
-    found = judge(c, quick=True)
+    found = judge(c)
     assert found.status == "conditional"
     sag = found.figures.get("energy", found.figures)["sag_mm"]
     assert sag == pytest.approx(deepest, rel=1e-4)
     assert f"a pose {deepest:.3g} mm of leg length off the set-point" in found.claim
     without = "has no potential" in found.claim
     assert without == any(one == "errors are small" for one in found.conditions)
-    assert without != any("no other equilibrium" in one for one in found.conditions)
 
 
 def changed(law, *changes):
@@ -159,10 +158,10 @@ def changed(law, *changes):
 )
 def test_a_rest_beyond_a_soft_end_is_not_called_stable(law, soft_end):
     """Home is inside; the springs of 40 kN/m carry the weight, or what is held up too much, 0.09 m away from it."""
-    inside = judge(changed(law), quick=True)
+    inside = judge(changed(law))
     assert inside.status == "conditional"
     assert inside.figures["energy"]["sag_mm"] > 60.0
-    found = judge(changed(law, soft_end), quick=True)
+    found = judge(changed(law, soft_end))
     assert found.status == "not proven"
     assert "it comes to rest outside its limits: leg" in found.claim
 

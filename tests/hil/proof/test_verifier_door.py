@@ -31,9 +31,7 @@ def test_anything_but_an_expression_of_real_numbers_is_refused(bad):
         verify({x: bad}, x**2)
 
 
-@pytest.mark.parametrize(
-    "V", ["x**2", True, np.ones(1), sp.Matrix([x**2]), sp.GoldenRatio * x, x > 0, sp.I * x]
-)
+@pytest.mark.parametrize("V", ["x**2", True, np.ones(1), sp.GoldenRatio * x, x > 0, sp.I * x])
 def test_V_is_an_expression_of_real_numbers_too(V):
     with pytest.raises(ModelError):
         verify({x: -x}, V)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hil.design.stability.lateness import late, stale_s
-from hil.design.stability.sampled import Axis, analyse, gains
+from hil.design.stability.sampled_loop import Axis, analyse, gains
 
 AXIS = Axis(period_s=2e-3, transport_s=1.3e-3, lag_s=0.8e-3)
 K_P, K_D = 900.0, 60.0

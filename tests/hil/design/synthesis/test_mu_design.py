@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 import yaml
 
-from hil.app.configuration.configuration import load
 from hil.app.design.command import load_design, run_design
-from hil.app.stability.subject import Stated, Subject
 from hil.config.design import DesignAxis, UncertaintyRanges
 from hil.config.linear_controller import LinearController
 from hil.design.synthesis.methods import sampled_corners
-from hil.design.synthesis.mu import Block, upper_bound
+from hil.design.synthesis.mu import upper_bound
 from hil.design.synthesis.structured import covers, lag_error, structured_plant, transport_error
 from hil.mathematics.linear_system import LinearSystem
-from hil.robot.kinematics import jacobian
 from tests.hil.design.synthesis.true_axes import closed, response, true_axes
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -66,7 +63,7 @@ def test_the_shipped_controller_is_what_the_command_makes_of_the_shipped_design(
     assert made[0].design["uncertainty"] == shipped().design["uncertainty"]
 
 
-def test_mu_on_a_dense_grid_is_below_1_and_above_a_proven_perturbation(made):
+def test_mu_on_a_dense_grid_is_below_1_and_that_of_the_file(made):
     controller, designed, _ = made
     problem = structured_plant(DESIGN, AXIS, RANGES)
     M = problem.plant.closed_with(designed.K)
@@ -74,7 +71,6 @@ def test_mu_on_a_dense_grid_is_below_1_and_above_a_proven_perturbation(made):
     bound = upper_bound(M.response(np.geomspace(0.01, 1e5, 800)), problem.blocks, accuracy=1e-3).bound
     assert bound.max() < 1.0
     assert bound.max() == pytest.approx(controller.design["mu_upper"], rel=2e-3)
-    assert 0.99 * bound.max() < controller.design["mu_lower"] <= controller.design["mu_upper"]
 
 
 def test_the_covers_hold_every_delay_and_lag_of_the_ranges():
@@ -152,73 +148,6 @@ def test_a_thousand_true_axes_are_stable_and_meet_all_weights():
     assert gain.max() < shipped().design["mu_upper"] < 1.0
     assert shipped().design["norm_sampled_corners"] == pytest.approx(gain[992:].max(), rel=2e-3)
     assert gain.max() > 0.9, "the bound is not met by a loop that does nothing"
-
-
-def test_all_causes_at_full_amplitude_at_once_are_more_than_mu_allows_one():
-    """In the worst phases at one frequency, of 200 true axes: docs/theory/hinf.md."""
-    rng = np.random.default_rng(5)
-    delta, T, bandwidth = rng.uniform([-1, 0.5e-3, 120], [1, 2e-3, 300], (192, 3)).T
-    corners = np.array(np.meshgrid([-1, 1], [0.5e-3, 2e-3], [120, 300])).reshape(3, -1)
-    delta, T, bandwidth = (np.append(*both) for both in zip((delta, T, bandwidth), corners, strict=True))
-    axes = true_axes(1 / (1 + 0.2 * delta), T, 1 / (2 * pi * bandwidth), H)
-    omega = np.geomspace(0.1, 0.9999 * pi / H, 300)
-    shares = np.abs(
-        weighted_loop(response(axes, omega, H), system(shipped()).response(omega)[:, 0, :], omega)
-    )
-    assert np.sqrt((shares**2).sum(-2)).max() < shipped().design["mu_upper"]
-    assert shares.sum(-1).max((0, 1)) == pytest.approx([1.31, 0.74], abs=0.005)
-
-
-def test_the_amplitude_counts_weight_and_path_under_the_wrong_inertia():
-    """d = J M^-1 w - r (ddq_d + J M^-1 h), of the book's path: 10 kN along x, y and z at once, r = 0.2."""
-    subject = Subject(load("virtual"), Stated())
-    model, load_N, needed = subject.robot, np.array([1e4, 1e4, 1e4, 0, 0, 0]), []
-    assert len(subject.path) > 100
-    for x in subject.path:
-        J, M = jacobian(subject.platform, x.p, x.R), model.mass_matrix(x.p, x.R)
-        h = model.gravity(x.p, x.R) + model.coriolis(x.p, x.R, x.twist)
-        by_load, by_inertia = (J @ np.linalg.solve(M, w) for w in (load_N, M @ x.dtwist + h))
-        needed.append(np.abs([by_load, RANGES.inertia * by_inertia]))
-    by_load, by_inertia = np.max(needed, axis=0)
-    worst = (by_load + by_inertia).argmax()
-    assert (by_load[worst], by_inertia[worst]) == pytest.approx((13.0, 1.7), abs=0.05)
-    assert 0.95 * D < np.sum(needed, axis=1).max() < D
-
-
-def test_mu_of_the_sampled_loop_is_below_1_for_every_inertia():
-    """Delay and lag act as one factor on the loop gain, whose disc is that of the sampled axes on a dense grid.
-
-    The error's way from u follows that factor up to a second disc, which holds what is left.
-    """
-    K = system(shipped())
-    omega = np.geomspace(0.1, 0.9999 * pi / H, 60)
-    k = K.response(omega)[:, 0, :]
-    T, tau = (x.ravel() for x in np.meshgrid(np.linspace(0.5e-3, 2e-3, 16), np.linspace(*LAG_S, 9)))
-    nominal = response(true_axes(1.0, [1.25e-3], [0.85e-3], H), omega, H)[0]
-    family = response(true_axes(1.0, T, tau, H), omega, H)[..., 0]
-    factor = (k * family).sum(-1) / (k * nominal[..., 0]).sum(-1)
-    rest = family[..., 0] / nominal[:, 0, 0] / factor
-    disc, rest_disc = np.abs(factor - 1).max(0), np.abs(rest - 1).max(0)
-    worst = 0.0
-    for delta in np.linspace(-1, 1, 9):
-        G = nominal / (1 + 0.2 * delta)
-        L = (k * G[..., 0]).sum(-1)
-        # rows over the inputs [w of the factor, w of the rest, d, noise]
-        u = np.column_stack([-L, 0 * L, -(k * G[..., 1]).sum(-1) * D, k * NOISE]) / (1 + L)[:, None]
-        acting = u + np.eye(5)[0]
-        e = -G[:, 0, :1] * acting - np.eye(5)[1] - G[:, 0, 1:] * D * np.eye(5)[2]
-        M = np.stack(
-            [
-                disc[:, None] * u,
-                rest_disc[:, None] * G[:, 0, :1] * acting,
-                W_e(omega)[:, None] * e,
-                W_u(omega)[:, None] * u,
-            ],
-            axis=1,
-        )
-        np.testing.assert_allclose(M[:, 2:, 2:], weighted_loop(G, k, omega), rtol=1e-6, atol=1e-12)
-        worst = max(worst, upper_bound(M, [Block(), Block(), Block(3, 2)], accuracy=1e-3).bound.max())
-    assert 0.9 < worst < 1.0
 
 
 def test_a_step_of_the_disturbance_moves_no_axis_by_two_millimetres():

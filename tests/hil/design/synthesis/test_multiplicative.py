@@ -11,7 +11,7 @@ from hil.app.design.command import axis_of, load_design, report, run_design
 from hil.config.axis_model import AxisModel
 from hil.design.synthesis.axis import loop_gain, sampled_axis
 from hil.design.synthesis.methods import design_mu
-from hil.design.synthesis.multiplicative import Relative, frequencies, relative, single, together
+from hil.design.synthesis.multiplicative import Relative, frequencies, margin, relative
 from tests.hil.design.synthesis.test_coupling import gamma
 
 RATE_HZ = 1000.0
@@ -59,8 +59,8 @@ def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():
     _, designed, design, axis = run_design("hinf", "hinf", None, lambda _: None)
     L, w = loop(designed, axis, design), profile((1, 0.3), (100, 0.3))
     Gamma = gamma(230.0, (0.5, 0.3, 0.5))
-    alone, coupled = single(w, L, RATE_HZ), together(w, L, [Gamma], RATE_HZ)
-    assert together(w, L, [np.eye(6)], RATE_HZ).norm == pytest.approx(alone.norm, rel=1e-3)
+    alone, coupled = margin(w, L, RATE_HZ), margin(w, L, RATE_HZ, [Gamma])
+    assert margin(w, L, RATE_HZ, [np.eye(6)]).norm == pytest.approx(alone.norm, rel=1e-3)
     assert coupled.norm > 1.05 * alone.norm
     omega = frequencies(RATE_HZ)[::40]
     draw, smallest = np.random.default_rng(1), np.inf
@@ -83,7 +83,7 @@ def test_mu_takes_it_as_a_block_of_its_own():
     measured = profile((1, 0.045), (10, 0.01), (100, 0.09))
     made = design_mu(modest, axis, lambda _: None, measured)
     assert plain.figures["mu_upper"] < made.figures["mu_upper"] < 1
-    assert single(measured, loop(made, axis, modest), RATE_HZ).norm < 1
+    assert margin(measured, loop(made, axis, modest), RATE_HZ).norm < 1
 
 
 def test_a_file_of_identify_brings_it_and_the_report_says_what_is_left(file):
@@ -92,7 +92,7 @@ def test_a_file_of_identify_brings_it_and_the_report_says_what_is_left(file):
     assert axis.gain == pytest.approx(1.0, abs=0.01)
     controller, designed, design, axis = run_design("hinf", "hinf", file, lambda _: None)
     left = controller.design["measured"]
-    again = single(measured, loop(designed, axis, design), RATE_HZ)
+    again = margin(measured, loop(designed, axis, design), RATE_HZ)
     assert left == {"norm": again.norm, "at_rad_s": again.at_rad_s}
     hertz = again.at_rad_s / (2 * np.pi)
     (line,) = (line for line in report(controller) if "|W T|" in line)

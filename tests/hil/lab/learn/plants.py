@@ -9,8 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hil.design.stability.sampled import gains
-from hil.design.stability.sampled_loop import sampled_axis
+from hil.design.stability.sampled_loop import gains, sampled_axis
 from hil.lab.learn.convergence import AxisLoop, axis_loop, frequencies
 from hil.mathematics.linear_system import lag
 

@@ -7,9 +7,7 @@ import pytest
 
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
-from hil.design.stability.prediction import predicting
-from hil.design.stability.sampled import gains
-from hil.design.stability.sampled_loop import sampled_axis
+from hil.design.stability.sampled_loop import gains, predicting, sampled_axis
 from hil.lab.learn.convergence import (
     CONTRACTION,
     AxisLoop,

@@ -22,7 +22,7 @@ from hil.cli.shared import (
 )
 
 _FORM_OF = {
-    **dict.fromkeys(("words", "picture", "out"), "--what-if"),
+    **dict.fromkeys(("words", "out"), "--what-if"),
     **dict.fromkeys(("tolerances", "align"), "--against"),
     **dict.fromkeys(("jobs", "junit"), "--suite"),
 }
@@ -52,7 +52,6 @@ _FORM_OF = {
     "CONFIG; may be repeated.",
     multiple=True,
 )
-@option("--plot picture", OUTPUT, "FILE", "With a what-if: PNG or SVG of the forces.")
 @option("--log out", OUTPUT, "OUT", "With a what-if: write it as a log, too.")
 @option("--against", FILE, "OTHER", "Compare LOG with the log OTHER, column by column.")
 @option(
@@ -84,7 +83,7 @@ def command(log: Path | None, **given: Any) -> None:
     \b
     Examples:
       hil replay cut.mcap --salvage whole.mcap
-      hil replay run.mcap --set controller.wn_rad_s=25 --plot forces.png
+      hil replay run.mcap --set controller.wn_rad_s=25 --log answer.mcap
       hil replay run.mcap --against golden.mcap --tolerance 1e-9 --tolerance tau=0.5
       hil replay --suite runs --jobs 4 --junit replay.xml
 
@@ -181,21 +180,19 @@ def _counted_ticks() -> Iterator[Callable[[int], None] | None]:
 def _what_if(log: Path, given: dict[str, Any]) -> None:
     """Answer what another controller would have sent."""
     from hil.app.output import show_lines
-    from hil.study.what_if import show
-    from hil.study.what_if.command import what_if_log
+    from hil.study.what_if.command import shown, story, tables, what_if_log
 
-    options = {name: given[name] for name in ("picture", "out", "trust_code")}
+    options = {name: given[name] for name in ("out", "trust_code")}
     with _counted_ticks() as progress:
         result = what_if_log(log, given["what_if"], given["words"], progress=progress, **options)
-    show.tables(result)
-    show_lines(show.story(result))
-    finish("what-if", result, show.shown(result))
+    tables(result)
+    show_lines(story(result))
+    finish("what-if", result, shown(result))
 
 
 def _against(log: Path, given: dict[str, Any]) -> None:
     """Say where two logs part."""
-    from hil.study.against.command import against
-    from hil.study.against.show import show, shown
+    from hil.study.against import against, show, shown
 
     result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
     show(result)

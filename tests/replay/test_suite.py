@@ -116,7 +116,7 @@ def test_two_processes_find_the_same(folder):
         (["a.mcap", "--against", "b.mcap", "--suite", "."], f"--against and --suite {ONE}"),
         (["a.mcap", "--tolerance", "tau=1"], "--tolerance belongs to --against"),
         (["a.mcap", "--junit", "a.xml"], "--junit belongs to --suite"),
-        (["a.mcap", "--plot", "a.png"], "--plot belongs to --what-if CONFIG or --set KEY=VALUE"),
+        (["a.mcap", "--log", "b.mcap"], "--log belongs to --what-if CONFIG or --set KEY=VALUE"),
         (["a.mcap", "--against", "b.mcap", "--log", "c.mcap"], "--log belongs to --what-if CONFIG"),
         (["a.mcap", "--suite", "."], "--suite takes a folder, and no LOG beside it: a.mcap"),
         (["a.mcap", "--against", "b.mcap", "--salvage", "c.mcap"], "does not go with --against"),

@@ -51,7 +51,7 @@ def block_of(sides, frames=(), setpoints=()):
 def compared(sides, size):
     """Return the answer that rows of both sides give, a block of some ticks after the other."""
     answer = kernel.Answer()
-    both = kernel._Blocks(answer, None)
+    both = kernel._Blocks(answer)
     for first in range(0, len(sides), size):
         both.add(block_of(sides[first : first + size]), lambda frame: (frame.id,))
     both.flush()

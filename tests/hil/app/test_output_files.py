@@ -58,7 +58,6 @@ def here(tmp_path, monkeypatch):
         "replay --suite . --junit x",
         "replay a.mcap --against x",
         "replay a.mcap --what-if x",
-        "replay a.mcap --set a.b=1 --plot x",
         "replay a.mcap --set a.b=1 --log x",
         "replay a.mcap --salvage x",
         "faults nowhere.yaml --junit x",
@@ -89,8 +88,7 @@ def test_a_summary_replaces_no_other_file_of_its_command(line, here):
 @pytest.mark.parametrize(
     "line",
     [
-        "replay a.mcap --set a.b=1 --plot x --log {}",
-        "replay a.mcap --set a.b=1 --salvage x --plot {}",
+        "replay a.mcap --set a.b=1 --salvage x --log {}",
         "campaign nowhere.yaml --page x --junit {}",
         "design hinf nowhere.yaml -o x --plot {}",
         "identify nowhere.yaml -o x --log {}",

@@ -59,8 +59,7 @@ def command(configuration: str, legs: str | None, junit: Path | None, **options:
     Guide: docs/guides/faults.md.
     """
     loaded = load(configuration, "sim")
-    from hil.study.faults.command import run_matrix
-    from hil.study.faults.report import show, shown, verdicts
+    from hil.study.faults.command import run_matrix, show, shown, verdicts
 
     with counted("injecting faults") as progress:
         summary = run_matrix(loaded, legs=_legs(legs), progress=progress, **options)

@@ -17,8 +17,9 @@ from typing import Self
 from drivers.errors import LogError
 from drivers.files import made_folder
 from hil.app.files import made_whole
+from hil.study.arrow import Column
 from hil.study.campaign import parquet
-from hil.study.campaign.parquet import Column, Row
+from hil.study.campaign.parquet import Row
 
 TABLE = "table.parquet"
 DATABASE = "campaign.sqlite"

@@ -23,9 +23,8 @@ from hil.record.schema import ENVIRONMENT, IDENTITY
 from hil.study.log_columns import seconds
 from hil.study.report import sections
 from hil.study.report.charts import MODES, Chart, charts
-from hil.study.report.html import Html, tag
 from hil.study.report.margins import margins
-from hil.study.report.page import asset, drawn, figure, page, scene
+from hil.study.report.page import Html, asset, drawn, figure, page, scene, tag
 from hil.study.report.story import Told, told
 from hil.study.report.timing import counts, spreads, traffic
 

@@ -18,7 +18,7 @@ from drivers.protocol import BUS, Frame
 from drivers.signals import Mode, Warn
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
-from hil.record.log import Event, Log
+from hil.record.log import Log
 from hil.study.report import sections
 from hil.study.report.charts import Chart, Curve, charts, lanes
 from hil.study.report.command import report
@@ -205,15 +205,6 @@ def test_counts_are_those_of_the_whole_log():
     assert [n for _, n in counts(rows)] == [100, 2, 2, 2, 6, 4, 6, 11, 1, 2, 1, 2, 5, 5]
 
 
-def test_times_on_the_page_count_from_the_first_row():
-    rows = rows_of(10, t_ns=5_000_000_000 + 100_000_000 * np.arange(10))
-    rows["mode"][4:] = Mode.STOPPING
-    t = np.linspace(0.0, 0.9, 10)
-    modes, events = sections.modes(rows, t, [Event(5_250_000_000, "info", "here")])
-    assert cells(modes)[1:] == [["TRACKING", "0.000", "0.400"], ["STOPPING", "0.400", "0.500"]]
-    assert cells(events)[1] == ["0.250", "info", "here"]
-
-
 def test_what_is_left_of_a_limit_is_the_limit_less_the_value():
     found = Margin("leg rate", "limits.speed_m_s", 0.5, 2.0, "m/s", 3, 4)
     made = sections.limits([found], np.linspace(0.0, 0.9, 10), "")
@@ -259,13 +250,6 @@ def test_thinning_out_keeps_a_peak_of_one_sample_and_its_place(at):
     assert thin_y.max() == 50.0
     assert abs(x[np.argmax(thin_y)] - t[at]) <= 0.2
     assert np.nanmin(thin_z) == -7.0
-
-
-def test_thinning_out_keeps_the_direction_of_a_curve():
-    t = np.linspace(0.0, 1.0, 10_000)
-    _, (rises, falls) = thin(t, [t**2, 1.0 - t**2], bins=100)
-    assert (np.diff(rises) > 0).all()
-    assert (np.diff(falls) < 0).all()
 
 
 def test_lanes_show_when_a_bit_was_there():

@@ -127,14 +127,6 @@ def test_every_panel_of_the_foxglove_layout_is_shown_once(log):
     assert {name.split("!")[0] for name in shown} >= {"3D", "Plot", "Tab", "RosOut", "RawMessages"}
 
 
-def test_the_3d_panel_shows_a_topic_and_a_frame_that_the_log_has(path):
-    found = messages(path)
-    robot = parts(Log(path))[1]["3D!robot"]
-    assert {found[topic].full_name for topic in robot["topics"]} == {"foxglove.SceneUpdate"}
-    assert found["/tf"].full_name == "foxglove.FrameTransform"
-    assert found[parts(Log(path))[1]["RosOut!events"]["topicToRender"]].full_name == "foxglove.Log"
-
-
 def names_in_plotjuggler(descriptor, prefix):
     """Series of numbers that PlotJuggler's reader of protobuf makes of a message: fields joined by `/`."""
     for field in descriptor.fields:
@@ -229,11 +221,3 @@ def test_without_rerun_the_message_says_what_to_install(path, tmp_path, monkeypa
     done = hil("view", path, "--out", tmp_path / "a.rrd")
     assert (done.exit_code, "hexapod-hil[viewers]" in done.output) == (2, True)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_no_log_is_overwritten_by_a_layout(path, tmp_path):
-    other = tmp_path / "b.mcap"
-    other.write_bytes(path.read_bytes())
-    done = hil("view", path, "--with", "foxglove", "--no-start", "--out", other, "--force")
-    assert done.exit_code == 2
-    assert other.read_bytes() == path.read_bytes()

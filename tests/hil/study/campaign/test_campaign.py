@@ -1,9 +1,7 @@
 """Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
 
 import json
-import os
 import random
-import time
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -52,15 +50,6 @@ def test_a_row_is_its_values_and_what_came_of_it(small):
     assert rows[0]["tracked_s"] == pytest.approx(0.05)
     assert (summary["rows"], summary["failed"], summary["success"]) == (4, 2, False)
     assert summary["failed_interval_percent"] == pytest.approx([15.0, 85.0], abs=0.1)
-
-
-def test_the_table_says_what_its_columns_are(small):
-    schema = pq.read_schema(small[1] / "table.parquet")
-    assert schema.field("peak_force_N").metadata[b"unit"] == b"N"
-    assert schema.field("friction_N").metadata[b"meaning"] == b"plant.model.coulomb_friction_N"
-    text = repr(schema.metadata)
-    assert str(os.getpid()) not in text.replace("0.", "")
-    assert time.strftime("%Y-%m") not in text
 
 
 def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(small, tmp_path):
@@ -162,20 +151,6 @@ def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small,
         rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
 
 
-def test_what_went_wrong_says_no_folder_of_this_machine(tmp_path):
-    (tmp_path / "own.fmu").write_text("no archive")
-    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
-    text = f"""
-    kind: campaign
-    duration_s: 0.05
-    changes: {{plant: {{model: {{type: fmu, path: own.fmu, step_us: 100, {names}}}}}}}
-    grid: {{wn: {{key: controller.wn_rad_s, values: [20]}}}}
-    """
-    row = run_row(read_plan(written(tmp_path, text)).job(0))
-    assert (row["passed"], row["ended"]) == (False, "error")
-    assert row["trouble"].startswith("own.fmu: not an FMU")
-
-
 def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
     text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
     plan = read_plan(written(tmp_path, text))
@@ -193,7 +168,7 @@ def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(sm
     assert "script-src 'none'" in text
     assert "<script" not in text
     assert "http" not in text.replace("http-equiv", "")
-    for word in ("2 of 4 rows failed: 50 %", "friction_N", "peak_force_N", "ENCODER", "data:image/svg"):
+    for word in ("2 of 4 rows failed: 50 %", "friction_N", "0 to 57.6 %", "ENCODER"):
         assert word in text
     command = rerun_command(plan, 1, tmp_path / "<out>")
     assert command.startswith("hil campaign rerun ")

@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.yaml_positions import parse
-from hil.study.campaign.plan import read_plan, shipped
+from hil.study.campaign.plan import read_plan
 from hil.study.campaign.row import row_configuration
 from hil.study.campaign.settings import Sample, SampledAxis, schema
 from tests.broad import broad
@@ -84,14 +84,6 @@ def test_sixteen_points_have_one_in_each_sixteenth_of_every_axis(method):
     axes = {name: axis(uniform=(0.0, 16.0)) for name in "abc"}
     points = np.array(Sample(method=method, count=16, seed=5, axes=axes).draw())
     assert (np.sort(np.floor(points), axis=0) == np.arange(16.0)[:, None]).all()
-
-
-def test_a_draw_is_its_seed():
-    draws = [
-        Sample(method="halton", count=3, seed=seed, axes={"a": axis(uniform=(0.0, 1.0))}).draw()
-        for seed in (1, 1, 2)
-    ]
-    assert draws[0] == draws[1] != draws[2]
 
 
 def test_distributions_have_the_quantiles_of_their_names():
@@ -268,24 +260,11 @@ def test_an_axis_that_reaches_into_the_value_of_another_changes_its_own_row_alon
     assert [plan.values(k)["place"] for k in (1, 3)] == [[0, 0, 0], [0, 0, 0.1]]
 
 
-def test_rows_begin_where_the_plant_does_and_share_no_homing_file(tmp_path):
-    text = SMALL + "changes: {plant: {homing_file: parked.yaml}}\n"
-    assert emulated(read_plan(written(tmp_path, text)), 0).homing_file is None
-
-
 def test_no_row_waits_for_an_operator(tmp_path):
     """It would stand at the start of its path, without an error, and pass."""
     text = SMALL + "changes: {operator: {start: asked, deadman_s: 0.2, stays: true}}\n"
     operator = row_configuration(read_plan(written(tmp_path, text)).job(0)).operator
     assert (operator.start, operator.deadman_s, operator.stays) == ("automatic", None, False)
-
-
-def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
-    with pytest.raises(
-        ConfigurationError, match=r"no such file; shipped campaigns are: builds, payload, wear$"
-    ):
-        read_plan(tmp_path / "no.yaml")
-    assert shipped() == ("builds", "payload", "wear")
 
 
 def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campaign():

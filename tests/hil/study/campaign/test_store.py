@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from drivers.errors import LogError
-from hil.study.campaign.parquet import Column
+from hil.study.arrow import Column
 from hil.study.campaign.store import Store, stored_rows
 
 COLUMNS = [

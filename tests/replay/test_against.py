@@ -153,32 +153,6 @@ def test_motions_are_aligned_by_the_first_tick_in_which_the_platform_moves(made)
         made(early, Made(range(5)), align="motion")
 
 
-BEFORE = [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.RELEASING]
-
-
-@pytest.mark.parametrize(
-    ("modes", "first"),
-    [
-        *(
-            ([*BEFORE, *then], None)
-            for then in ([], [Mode.FAULT], [Mode.UNLOADING, Mode.PARKED], [Mode.HELD])
-        ),
-        *(
-            ([*BEFORE, Mode.FAULT, *BEFORE, mode], 9)
-            for mode in (Mode.APPROACH, Mode.TRACKING, Mode.STOPPING)
-        ),
-    ],
-    ids=str,
-)
-def test_a_platform_moves_first_in_its_first_approach_also_after_an_end_without_motion(modes, first):
-    rows = Made(range(len(modes)), mode=modes)
-    if first is not None:
-        assert first_motion(rows) == (first, 1_000_000 * first)
-        return
-    with pytest.raises(LogError, match=r"never moves, .* --align tick"):
-        first_motion(rows)
-
-
 def test_columns_that_only_one_has_are_named_and_decide_nothing(made):
     one, other = Made(range(4)), Made(range(4))
     one.columns = (*one.columns, COLUMNS["age"])

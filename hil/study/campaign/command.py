@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -37,7 +38,7 @@ def run_campaign(
     parquet.require()
     begun = time.perf_counter()
     columns, made_of = parquet.columns(plan), identity(plan)
-    with Store(folder, columns, made_of, fresh=fresh) as store:
+    with closing(Store(folder, columns, made_of, fresh=fresh)) as store:
         rows = store.rows()
         missing = [number for number in range(len(plan)) if number not in rows]
         kept = len(rows)

@@ -11,8 +11,6 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from drivers.errors import LogError
 from drivers.files import made_folder
@@ -56,12 +54,8 @@ class Store:
             self._db.close()
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Let others in."""
         self._db.close()
 
     def rows(self) -> dict[int, Row]:

@@ -22,9 +22,9 @@ from hil.safety.signals import DEAD_BUS, HARMFUL_STRETCH_NS, HISTORY, STRETCH_FR
 
 Mask = NDArray[np.bool_]
 Judged = tuple[str, str, Any, str, Mask] | tuple[str, str, Any, str, Mask, Any]
-"""What a rule judges: its name; the key of its limit, empty for a constant; values (n,) or (n, 6), >= 0; a column
-with their unit, empty for none; the ticks (n,) in which it is judged; the limit, a number or an array like the
-values, where it is not what stands at the key."""
+"""What a rule judges: its name; the key of its limit, empty for a constant; values (n,) or (n, 6), >= 0; a
+column with their unit, empty for none; the ticks (n,) in which it is judged; the limit, a number or an array
+like the values, where it is not what stands at the key."""
 _CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
 """Modes in which the legs stand on closed brakes."""
 

@@ -1,11 +1,9 @@
-"""What the viewers show: the one table of plots, resolved against the columns that a log has."""
+"""What Rerun and the report show: the one table of plots, resolved against the columns that a log has."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 from drivers.tick_columns import Column
-from hil.record.row import NUMBER
-from hil.record.selection import Component
 from hil.study.log_columns import DIFFERENCE, Curve, curves
 
 TIMES = "Lateness and computing time"
@@ -27,7 +25,7 @@ TABS: dict[str, dict[str, tuple[str, ...]]] = {
         "Bench time that stood still": ("stretched_ns",),
     },
 }  # fmt: skip
-"""Tab -> plot -> columns, or `one - other`: of the viewers and of the report's page."""
+"""Tab -> plot -> columns, or `one - other`: of Rerun, the report's page and `configs/viewers`."""
 NAMED_FIRST = ("mode", "command_mode", "faults", "warnings", "drive_state")
 """States that stand on top; the others follow in the order of the columns."""
 
@@ -63,15 +61,3 @@ def states(columns: Sequence[Column]) -> list[Column]:
     named = {c.name: c for c in columns if c.names}
     first = [named.pop(name) for name in NAMED_FIRST if name in named]
     return [*first, *named.values()]
-
-
-def field(part: Component) -> tuple[str, ...]:
-    """Return where the log's message has the number of a component: names of fields, the inmost last.
-
-    An element without a name stands in a repeated field, `name[3]`.
-    """
-    column = part.column
-    name = column.name + NUMBER if column.names else column.name
-    if not column.shape:
-        return (name,)
-    return (name, column.elements[part.element]) if column.elements else (f"{name}[{part.element}]",)

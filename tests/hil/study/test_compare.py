@@ -323,16 +323,6 @@ def test_picture_and_json_file_hold_figures_settings_losses_and_claims(compared)
     assert claims["inverse dynamics leaves E'' + K_D E' + K_P E = 0"] is True
 
 
-@pytest.mark.long
-def test_when_the_own_law_faults_the_exit_code_says_so(tmp_path):
-    text = load("virtual").text.replace("following_error_m: 0.01\n", "following_error_m: 0.00001\n")
-    (tmp_path / "my.yaml").write_text(text)
-    common = (tmp_path / "my.yaml", "--laws", "inverse_dynamics", "--duration", "0.3", "--paths", "none")
-    result = hil(*common, "--picture", tmp_path / "a.png", "--jobs", 1)
-    assert result.exit_code == 1, result.output
-    assert "FOLLOWING" in result.output
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -12,7 +12,6 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.config.reference import HoldReference
-from hil.loop.modes import Durations
 from hil.study.faults import case_run
 from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
@@ -91,23 +90,6 @@ def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(
     refuses(0.02)
     unbegun = run("plant_crash/LOADING", own)
     assert unbegun["verdict"].startswith("could not be run: the fault did not begin"), unbegun
-
-
-@pytest.mark.parametrize(
-    ("engage", "least_s"),
-    [
-        ({"force_ramp_s": 30.0}, 60.0 + 90.0),
-        ({"approach_speed_m_s": 1e-3}, 60.0 + 1e3 * (2.2 - 0.75)),
-        ({"stop_s": 50.0}, 60.0 + 50.0),
-    ],
-    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
-)
-def test_a_slow_start_or_stop_is_no_case_that_does_not_end(engage, least_s):
-    c = load("virtual")
-    (case,) = cases(loads(with_changes(c.text, {"engage": engage}), "my.yaml"), ["bus_off/PARKING"])
-    settings = case.configuration.engage
-    durations = Durations(settings.force_ramp_s, settings.brake_release_s, settings.closing_s)
-    assert least_s <= case_run._longest_s(case, durations) < least_s + 15.0
 
 
 OFFLINE = {"law": "feedforward_pd", "evaluation": "offline", "kp_N_m": 2e6, "kv_N_s_m": 5e4}

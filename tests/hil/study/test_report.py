@@ -155,7 +155,7 @@ def test_a_damaged_log_is_shown_without_the_damaged_part_and_the_page_says_so(lo
 @pytest.mark.parametrize("said", ["0", "-1", "nan", "inf", "100001", "fast", "9" * 400])
 def test_a_rate_that_no_loop_has_is_refused_as_windows_of_ticks_grow_with_it(tmp_path, said):
     path = tmp_path / "a.mcap"
-    options = {"kind": "sim", "rate_Hz": said}
+    options = {"kind": "sim", "rate_Hz": said, "watchdog_s": 0.1}
     with Recording.start(path, configuration="", lockstep=True, metadata=options) as recording:
         record(recording, random_ticks(5, seed=1))
     with pytest.raises(LogError, match=r"rate_Hz: .*at most 100000$") as caught:
@@ -191,7 +191,7 @@ def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
 @pytest.mark.parametrize("count", [1, 2, 33])
 def test_a_log_of_few_ticks_of_any_content_gives_a_page(tmp_path, count):
     path = tmp_path / "a.mcap"
-    options = {"kind": "sim", "rate_Hz": RATE_Hz}
+    options = {"kind": "sim", "rate_Hz": RATE_Hz, "watchdog_s": 0.1}
     with Recording.start(
         path, configuration=load("virtual").text, lockstep=True, metadata=options
     ) as recording:

@@ -20,11 +20,10 @@ from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.record.log import Log
 from hil.study.report import sections
-from hil.study.report.charts import Chart, Curve, charts, lanes
+from hil.study.report.charts import Chart, Curve, charts
 from hil.study.report.command import report
 from hil.study.report.margins import Margin
 from hil.study.report.page import figure, thin
-from hil.study.report.story import quantity
 from hil.study.report.timing import Traffic, counts, spreads, traffic
 from tests.hil.study.test_report_limits import limited, rows_of
 
@@ -212,14 +211,6 @@ def test_what_is_left_of_a_limit_is_the_limit_less_the_value():
     assert "25.0 %" in cells(made)[1][1]
 
 
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [(0.005, "m", "5 mm"), (0.25, "m", "0.25 m"), (-2e-6, "m", "-0.002 mm"), (16043.4, "N", "16043 N"), (0.5, "1", "0.5")],
-)  # fmt: skip
-def test_a_quantity_has_the_prefix_of_its_size(value, unit, text):
-    assert quantity(value, unit) == text
-
-
 @pytest.mark.parametrize(("of_controller", "least"), [(25000.0, 25000.0), (40000.0, 30000.0)])
 def test_the_line_of_the_forces_is_the_smaller_limit_whichever_that_is(of_controller, least):
     rows = rows_of(5, tau=1.0)
@@ -250,11 +241,3 @@ def test_thinning_out_keeps_a_peak_of_one_sample_and_its_place(at):
     assert thin_y.max() == 50.0
     assert abs(x[np.argmax(thin_y)] - t[at]) <= 0.2
     assert np.nanmin(thin_z) == -7.0
-
-
-def test_lanes_show_when_a_bit_was_there():
-    rows = rows_of(10)
-    rows["warnings"][3:5] = Warn.LATE | Warn.BUS
-    rows["warnings"][7] = Warn.BUS
-    found = [(label, np.flatnonzero(there).tolist()) for label, there in lanes(rows)]
-    assert found == [("warnings LATE", [3, 4]), ("warnings BUS", [3, 4, 7])]

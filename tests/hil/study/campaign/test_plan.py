@@ -96,7 +96,6 @@ def test_distributions_have_the_quantiles_of_their_names():
 
 
 AXIS = "{key: x.y, values: [1]}"
-NAME = "text of the form [A-Za-z][A-Za-z0-9_]{0,49}"
 SENSED = "changes: {sensors: {tracker: {rate_Hz: 200}}}"
 
 
@@ -107,92 +106,33 @@ def sampled(words):
 
 WRONG = [
     ("", ":1:1: nothing is swept, allowed: a section sample, list or grid"),
-    (
-        "grid: {a: {key: plant.drives.encoder_resolution, values: [1]}}",
-        ":2:8: grid.a: plant.drives.encoder_resolution: unknown key, allowed: encoder_resolution_m",
-    ),
-    (
-        "grid: {a: {key: controller.wn_rad_s, values: [20, -1]}}",
-        ":2:8: grid.a: controller.wn_rad_s: out of range, allowed: a number greater than 0 or a list",
-    ),
-    (
-        "grid:\n  a: {key: 'plant.faults[0].mass_kg', values: [1]}",
-        ":3:3: grid.a: plant.faults[0].mass_kg: plant.faults has no entry 0, it has 0; give it one in `changes`",
-    ),
-    (
-        "grid:\n  a: {key: loop.rate_Hz.x, values: [1]}",
-        ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a value",
-    ),
-    (
-        "grid:\n  a: {key: 'plant faults', values: [1]}",
-        ":3:3: grid.a: plant faults: no key, allowed: names with",
-    ),
-    (
-        "grid:\n  a: {faults: {jump: ['encoder_jmp leg=1']}}",
-        "encoder_jmp leg=1\": unknown kind 'encoder_jmp', did you mean encoder_jump?",
-    ),
-    (
-        "grid:\n  a: {key: x.y, values: [1], options: {b: {}}}",
-        "grid.a: allowed: exactly one of values, options, faults, given: values, options",
-    ),
+    ("grid: {a: {key: plant.drives.encoder_resolution, values: [1]}}", ":2:8: grid.a: plant.drives.encoder_resolution"),
+    ("grid: {a: {key: controller.wn_rad_s, values: [20, -1]}}", ":2:8: grid.a: controller.wn_rad_s: out of range"),
+    ("grid:\n  a: {key: 'plant.faults[0].mass_kg', values: [1]}", ":3:3: grid.a: plant.faults[0].mass_kg: plant.faults has no"),
+    ("grid:\n  a: {key: loop.rate_Hz.x, values: [1]}", ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a value"),
+    ("grid:\n  a: {key: 'plant faults', values: [1]}", ":3:3: grid.a: plant faults: no key"),
+    ("grid:\n  a: {faults: {jump: ['encoder_jmp leg=1']}}", "unknown kind 'encoder_jmp', did you mean encoder_jump?"),
+    ("grid:\n  a: {key: x.y, values: [1], options: {b: {}}}", "grid.a: allowed: exactly one of values, options, faults"),
     ("grid: {a: {values: [1]}}", "key is missing, allowed: a key of the configuration"),
-    (
-        "list:\n  a: {key: x.y, values: [1]}\n  b: {key: x.z, values: [1, 2]}",
-        "list: allowed: axes with equally many values, given: a 1, b 2",
-    ),
-    (
-        f"grid: {{a: {AXIS}}}\nlimits: {{peak_leg_eror_mm: {{max: 1}}}}",
-        ":3:28: limits.peak_leg_eror_mm: unknown metric peak_leg_eror_mm, did you mean peak_leg_error_mm? allowed:",
-    ),
-    (
-        f"grid: {{ended: {AXIS}}}",
-        "grid.ended: a column of the table has that name, allowed: a name of its own",
-    ),
-    (
-        f"configuration: nosuch\ngrid: {{a: {AXIS}}}",
-        ":2:1: configuration: nosuch: no such file; shipped configurations are: ",
-    ),
+    ("list:\n  a: {key: x.y, values: [1]}\n  b: {key: x.z, values: [1, 2]}", "list: allowed: axes with equally many values"),
+    (f"grid: {{a: {AXIS}}}\nlimits: {{peak_leg_eror_mm: {{max: 1}}}}", ":3:28: limits.peak_leg_eror_mm: unknown metric"),
+    (f"grid: {{ended: {AXIS}}}", "grid.ended: a column of the table has that name"),
+    (f"configuration: nosuch\ngrid: {{a: {AXIS}}}", ":2:1: configuration: nosuch: no such file; shipped"),
     (f"changes: {{loop: {{rate: 5}}}}\ngrid: {{a: {AXIS}}}", ":2:1: changes: loop.rate: "),
-    (
-        f"grid:\n  a: {AXIS}\n  b: {{key: [x.z, x.y], values: [1]}}",
-        "grid.b: x.y is swept by a, too, allowed: one axis for each key",
-    ),
-    (
-        f"grid: {{a: {AXIS}}}\nlimits: {{travel_mm: {{max: 1}}}}",
-        "limits.travel_mm: not measured in runs that end with their fault, allowed: with after_fault: rest",
-    ),
-    (
-        f"grid: {{a: {AXIS}}}\nlimits: {{tracked_s: {{min: 1, max: 0.1}}}}",
-        ":3:21: limits.tracked_s: min is above max, allowed: min <= max, given: 1.0, 0.1",
-    ),
-    (f"duration_s: 1.0e+306\ngrid: {{a: {AXIS}}}", "duration_s: "),
+    (f"grid:\n  a: {AXIS}\n  b: {{key: [x.z, x.y], values: [1]}}", "grid.b: x.y is swept by a, too"),
+    (f"grid: {{a: {AXIS}}}\nlimits: {{travel_mm: {{max: 1}}}}", "limits.travel_mm: not measured in runs that end"),
+    (f"grid: {{a: {AXIS}}}\nlimits: {{tracked_s: {{min: 1, max: 0.1}}}}", ":3:21: limits.tracked_s: min is above max"),
     (f"{SENSED}\ngrid: {{a: {{key: plant, values: [null]}}}}", "plant"),
-    (f"{SENSED}\ngrid: {{a: {{key: plant.sensors.seed, values: [x]}}}}", "plant.sensors.seed"),
-    *(
-        (axes, f"seed: allowed: whole numbers from 0 to 2**63 - 1, given: {given}")
-        for axes, given in (
-            ("grid: {a: {key: [seed], values: [true]}}", "True"),
-            ("list: {a: {key: seed, values: [1, -1]}}", "-1"),
-            (
-                "sample: {method: halton, count: 1, axes: {a: {key: seed, integers: [0, 9223372036854775808]}}}",
-                "9223372036854775808",
-            ),
-        )
-    ),
-    ("grid: {a: {key: x.y, values: []}}", "a list of at least 1 entry, given: 0 entries"),
-    (f'grid: {{"a b": {AXIS}}}', f'2:8: grid.a b: wrong form, allowed: {NAME}, given: "a b"'),
+    ("grid: {a: {key: [seed], values: [true]}}", "seed: allowed: whole numbers from 0 to 2**63 - 1, given: True"),
+    ("list: {a: {key: seed, values: [1, -1]}}", "seed: allowed: whole numbers from 0 to 2**63 - 1, given: -1"),
+    (f'grid: {{"a b": {AXIS}}}', "2:8: grid.a b: wrong form"),
     (sampled("normal: {mean: 3, std: 1, min: 9, max: 0}"), "[low, high] with low < high, given: [9.0, 0.0]"),
-    (sampled("uniform: [1, 0]"), "[low, high] with low < high, given: [1.0, 0.0]"),
+    (sampled("loguniform: [0, 1]"), "sample.axes.a.loguniform[0]: out of range"),
     (
-        sampled("loguniform: [0, 1]"),
-        "sample.axes.a.loguniform[0]: out of range, allowed: a number greater than 0",
-    ),
-    (
-        sampled("uniform: [0, 1]").replace("count: 2", "count: 10000000")
-        + "\nlist: {l: {key: x.z, values: [1, 2]}}",
+        sampled("uniform: [0, 1]").replace("count: 2", "count: 10000000") + "\nlist: {l: {key: x.z, values: [1, 2]}}",
         "20000000 rows, allowed: up to 10000000",
     ),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "message"), WRONG)

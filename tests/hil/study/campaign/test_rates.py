@@ -62,15 +62,6 @@ def test_the_worst_rows_are_the_worst_of_each_cause():
     assert sorted(causes(rows)) == [("fault DRIVE", 2), ("limit", 2)]
 
 
-def test_limits_of_different_units_are_compared_by_the_share_they_are_passed_by():
-    """Of row 0 the force is 10 % too large, of row 1 the error 50 %; of row 2 the path 80 % too short."""
-    limits = {"peak_force_N": Limit(max=1e8), "rms_leg_error_mm": Limit(max=0.2), "tracked_s": Limit(min=5.0)}
-    fine = {"peak_force_N": 9e7, "rms_leg_error_mm": 0.1, "tracked_s": 6.0}
-    broken = [{"peak_force_N": 1.1e8}, {"rms_leg_error_mm": 0.3}, {"tracked_s": 1.0}]
-    rows = [row(k, passed=False, **fine | each) for k, each in enumerate(broken)]
-    assert [r["row"] for r in worst(rows, limits, 4)] == [2, 1, 0]
-
-
 def test_why_a_row_has_failed_names_value_and_limit():
     assert why(row(0, passed=False, peak_force_N=110.5), LIMITS) == "peak_force_N 110.5, allowed: <= 100"
     ended = row(0, passed=False, ended="plant", trouble="the FMU failed\nfar away", peak_force_N=1.0)

@@ -52,7 +52,7 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
 
 
 def run_of(log: Log, path: Path) -> dict[str, Any]:
-    """What a log of `hil run` or `hil sim` says of the run. Raises LogError: another log, or no rate."""
+    """Return what a log of `hil run` or `hil sim` says of it. Raises LogError: another log, or no rate."""
     run: dict[str, Any] = dict(log.metadata.get("hil", {}))
     if run.get("kind") == WHAT_IF:
         raise LogError(

@@ -26,7 +26,6 @@ def print_rows(
     columns: Sequence[Column],
     rows: Iterable[Any],
     style: Callable[[Any], str] = lambda _: "",
-    width: int | None = None,
 ) -> None:
     """Print rows below the titles; nothing where there is no row. style : of a row."""
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -38,7 +37,7 @@ def print_rows(
             *(cell if isinstance(cell, Text) else Text(visible(str(cell)), style(row)) for cell in cells)
         )
     if table.row_count:
-        print_table(table, width)
+        print_table(table)
 
 
 def figure(value: Any, form: str = "") -> str:

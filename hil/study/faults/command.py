@@ -13,7 +13,7 @@ from hil.study.faults.case_run import Job, failed, run_case
 from hil.study.faults.cases import cases
 from hil.study.faults.verdict import Bounds
 from hil.study.junit import Verdict
-from hil.study.table import Column, print_rows
+from hil.study.table import Column, figure, print_rows
 from hil.study.workers import Progress, perform
 
 
@@ -65,8 +65,8 @@ def show(summary: dict[str, Any]) -> None:
         Column("when", lambda case: case["when"], left=True),
         Column("leg and size", lambda case: case["given"], left=True),
         Column("reaction", reaction, left=True),
-        Column("fault after ms", lambda case: _figure(case.get("after_ms"))),
-        Column("motion mm", lambda case: _figure(case.get("motion_mm"))),
+        Column("fault after ms", lambda case: figure(case.get("after_ms"))),
+        Column("motion mm", lambda case: figure(case.get("motion_mm"))),
         Column(
             "verdict", lambda case: f"{'pass' if case['success'] else 'FAIL'}: {case['verdict']}", left=True
         ),
@@ -80,10 +80,6 @@ def reaction(case: dict[str, Any]) -> str:
         return "-"
     legs = f"leg {', '.join(map(str, case['legs']))}" if case["legs"] else ""
     return " ".join(filter(None, (case["ended"], *case["faults"], legs)))
-
-
-def _figure(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2f}" if value < 100 else f"{value:.0f}"
 
 
 def shown(summary: dict[str, Any]) -> dict[str, Any]:

@@ -15,8 +15,8 @@ from hil.cli import main
 from hil.record import Recording
 from hil.record.log import Log
 from hil.record.row import TICKS
+from hil.study.log_columns import plots
 from hil.study.view.command import view
-from hil.study.view.panels import plots
 from tests.hil.samples import random_ticks, record
 
 LAYOUTS = Path(__file__).parents[3] / "configs" / "viewers"

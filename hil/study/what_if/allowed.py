@@ -5,7 +5,7 @@ and how their frames are read, was decided when the log was made.
 """
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pydantic import BaseModel
@@ -109,28 +109,23 @@ def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
 
 def changes(there: Configuration, here: Configuration) -> list[str]:
     """Return which keys of two configurations differ, each with both values."""
-    one, other = (
-        {
-            name: part.model_dump(mode="json") if isinstance(part, BaseModel) else part
-            for name, part in c
-            if name not in UNNAMED
-        }
-        for c in (there, here)
-    )
-    return _changed("", one, other)
-
-
-def _changed(key: str, there: Any, here: Any) -> list[str]:
-    if there == here:
-        return []
-    if not (isinstance(there, dict) and isinstance(here, dict)):
-        return [f"{key}: {_text(there)} -> {_text(here)}"]
-    names = dict.fromkeys((*there, *here))
+    one, other = (dict(_flat("", dict(c))) for c in (there, here))
+    keys = [key for key in {**one, **other} if key.partition(".")[0] not in UNNAMED]
     return [
-        line
-        for name in names
-        for line in _changed(f"{key}.{name}".removeprefix("."), there.get(name), here.get(name))
+        f"{key}: {_text(one.get(key))} -> {_text(other.get(key))}"
+        for key in keys
+        if one.get(key) != other.get(key)
     ]
+
+
+def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the keys of sections within sections with dots, each with its value."""
+    found = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+    if not isinstance(found, dict):
+        yield key, found
+        return
+    for name, inner in found.items():
+        yield from _flat(f"{key}.{name}".removeprefix("."), inner)
 
 
 def _text(value: Any) -> str:

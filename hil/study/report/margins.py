@@ -21,7 +21,7 @@ from hil.safety.motion import CREEP
 from hil.safety.signals import DEAD_BUS, HARMFUL_STRETCH_NS, HISTORY, STRETCH_FREE_NS, UNRELIABLE
 
 Mask = NDArray[np.bool_]
-Judged = tuple[str, str, Any, str, Mask] | tuple[str, str, Any, str, Mask, Any]
+Judged = tuple[Any, ...]
 """What a rule judges: its name; the key of its limit, empty for a constant; values (n,) or (n, 6), >= 0; a
 column with their unit, empty for none; the ticks (n,) in which it is judged; the limit, a number or an array
 like the values, where it is not what stands at the key."""
@@ -60,7 +60,7 @@ def margins(rows: Rows, c: Configuration, rate_Hz: float) -> list[Margin]:
     age = _counted_age(rows, mode, c)
     encoder = "length of an encoder against its rate, of what is allowed"
     certified = f"Lyapunov function, sqrt(V) of an axis over what is allowed, {confirm} ticks in a row"
-    judged = [
+    judged: list[Judged] = [
         *_forces(rows, c, rate_Hz, powered & well),
         *_legs(rows, c, powered, follows),
         ("motion on closed brakes", "limits.standstill_m", _moved(rows, stands), "q", stands),

@@ -36,15 +36,25 @@ def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
     Raises LogError for a file that is no such log, and for one whose columns this version cannot read.
     """
     log, run = _open(path)
+    refuse_unread(log)
+    return log, run, loads(log.configuration, f"{path}:config.yaml")
+
+
+def refuse_unread(log: Log) -> None:
+    """Refuse a log whose columns this version cannot read. Raises LogError."""
     there = {c.name: (c.kind, c.shape) for c in log.columns}
     other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
     if other:
         raise _other_version(log, f"its columns differ ({', '.join(other[:3])})", "read")
-    return log, run, loads(log.configuration, f"{path}:config.yaml")
 
 
 def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     log = Log.open(path)
+    return log, run_of(log, path)
+
+
+def run_of(log: Log, path: Path) -> dict[str, Any]:
+    """Return what a log of `hil run` or `hil sim` says of it. Raises LogError: another log, or no rate."""
     run: dict[str, Any] = dict(log.metadata.get("hil", {}))
     if run.get("kind") == WHAT_IF:
         raise LogError(
@@ -66,7 +76,7 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
                 f"{path}: metadata record 'hil' has {key}: {run.get(key)!r:.60}, "
                 f"allowed: a number > 0, at most {MOST[key]:g}"
             )
-    return log, run
+    return run
 
 
 def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[str, Any], Configuration]:

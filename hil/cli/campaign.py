@@ -69,9 +69,8 @@ def command(file: Path, out: Path | None, page: Path | None, junit: Path | None,
     from hil.app.files import new_file
     from hil.app.output import further
     from hil.study.campaign.command import run_campaign
-    from hil.study.campaign.page import write_page
     from hil.study.campaign.plan import read_plan
-    from hil.study.campaign.show import show, summary_lines, verdicts
+    from hil.study.campaign.show import show, summary_lines, verdicts, write_page
 
     if page is not None:
         new_file(page, option="--page")

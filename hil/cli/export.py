@@ -38,6 +38,6 @@ def command(log: Path, out: tuple[Path, ...], **options: Any) -> None:
 
     Guide: docs/guides/analysis.md.
     """
-    from hil.study.export.command import export_log
+    from hil.study.export import export_log
 
     shared.finish("export", export_log(log, out, **options))

@@ -43,8 +43,7 @@ def command(configuration: str, junit: Path | None, **options: Any) -> None:
     Guide: docs/guides/faults.md.
     """
     loaded = shared.load(configuration, "sim")
-    from hil.study.faults.command import run_matrix
-    from hil.study.faults.report import show, shown, verdicts
+    from hil.study.faults.command import run_matrix, show, shown, verdicts
 
     with shared.counted("injecting faults") as progress:
         summary = run_matrix(loaded, progress=progress, **options)

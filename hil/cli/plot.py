@@ -34,6 +34,6 @@ def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) ->
     start_s, end_s = options["start_s"], options["end_s"]
     if start_s is not None and end_s is not None and end_s <= start_s:
         raise click.UsageError(f"--to {end_s:g} is not after --from {start_s:g}.")
-    from hil.study.plot.command import plot
+    from hil.study.plot import plot
 
     shared.finish("plot", plot(logs, columns, **options))

@@ -9,7 +9,7 @@ import click
 from hil.cli import shared
 
 _FORM_OF = {
-    **dict.fromkeys(("words", "picture", "out"), "--what-if"),
+    **dict.fromkeys(("words", "out"), "--what-if"),
     **dict.fromkeys(("tolerances", "align"), "--against"),
     **dict.fromkeys(("jobs", "junit"), "--suite"),
 }
@@ -28,7 +28,6 @@ CONFIGURATIONS = shared.complete_configuration
 @shared.option("--salvage", shared.OUTPUT, "OUT", SALVAGE)
 @shared.option("--what-if", str, "CONFIG", WHAT_IF, shell_complete=CONFIGURATIONS)
 @shared.option("--set words", str, "KEY=VALUE", SET, multiple=True)
-@shared.option("--plot picture", shared.OUTPUT, "FILE", "With a what-if: PNG or SVG of the forces.")
 @shared.option("--log out", shared.OUTPUT, "OUT", "With a what-if: write it as a log, too.")
 @shared.option("--against", shared.FILE, "OTHER", "Compare LOG with the log OTHER, column by column.")
 @shared.option("--tolerance tolerances", str, "COLUMN=VALUE", TOLERANCE, multiple=True)
@@ -50,7 +49,7 @@ def command(log: Path | None, **given: Any) -> None:
 
     \b
     Examples:
-      hil replay run.mcap --set controller.wn_rad_s=25 --plot forces.png
+      hil replay run.mcap --set controller.wn_rad_s=25 --log answer.mcap
       hil replay run.mcap --against golden.mcap --tolerance 1e-9 --tolerance tau=0.5
       hil replay --suite runs --jobs 4 --junit replay.xml
 
@@ -132,22 +131,20 @@ def _replay(log: Path, *, trust_code: bool) -> NoReturn:
 def _what_if(log: Path, given: dict[str, Any]) -> NoReturn:
     """Answer what another controller would have sent."""
     from hil.app.output import show_lines
-    from hil.study.what_if import show
-    from hil.study.what_if.command import what_if_log
+    from hil.study.what_if.command import shown, story, tables, what_if_log
 
-    options = {name: given[name] for name in ("picture", "out", "trust_code")}
+    options = {name: given[name] for name in ("out", "trust_code")}
     with shared.status("") as row:
         options["progress"] = lambda ticks: row(f"{ticks} ticks")
         result = what_if_log(log, given["what_if"], given["words"], **options)
-    show.tables(result)
-    show_lines(show.story(result))
-    shared.finish("what-if", result, show.shown(result))
+    tables(result)
+    show_lines(story(result))
+    shared.finish("what-if", result, shown(result))
 
 
 def _against(log: Path, given: dict[str, Any]) -> NoReturn:
     """Say where two logs part."""
-    from hil.study.against.command import against
-    from hil.study.against.show import show, shown
+    from hil.study.against import against, show, shown
 
     result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
     show(result)

@@ -111,8 +111,6 @@ class Answer:
     """What each finding of the answer tells, as `hil.loop.story.told.Finding.fields`."""
     warnings: dict[str, Acted] = field(default_factory=dict)
     """By name, those that stood on either side."""
-    setpoints: int = 0
-    """Set-points that the log has."""
     gaps: list[tuple[int, int]] = field(default_factory=list)
     """(first missing tick, how many): nothing after it is answered."""
     damage: str = ""
@@ -134,8 +132,8 @@ class _Blocks:
     Mutable state: what waits, the faults of the last row, when the log began.
     """
 
-    def __init__(self, answer: Answer, keep: Callable[[Rows, Rows], None] | None) -> None:
-        self._answer, self._keep = answer, keep
+    def __init__(self, answer: Answer) -> None:
+        self._answer = answer
         self._waiting: list[tuple[Rows, Rows, Flags]] = []
         self._count, self._faults = 0, 0
         self._origin_ns: int | None = None
@@ -174,8 +172,6 @@ class _Blocks:
             answer.forces.take(recorded["tick"][:together], difference)
         self._latched(recorded, time_s)
         _warn(answer, recorded, answered)
-        if self._keep is not None:
-            self._keep(recorded, answered)
 
     def _latched(self, recorded: Rows, time_s: Array) -> None:
         faults = recorded["faults"].tolist()
@@ -209,25 +205,22 @@ def what_if(
     cycle: Cycle,
     *,
     observe: Callable[[Block], None] | None = None,
-    keep: Callable[[Rows, Rows], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Answer:
     """Give `cycle` the recorded inputs of a log from its initial state on, and say what it answers.
 
-    observe : called with some ticks and what is answered to them; keep : with the recorded and the answered
-    rows of many, which are its own no longer than the call; progress : with the ticks done, every thousand.
-    Where the log is damaged on the way, the answer ends there and says so.
+    observe : called with some ticks and what is answered to them; progress : with the ticks done, every
+    thousand. Where the log is damaged on the way, the answer ends there and says so.
     """
     cycle.reset()
     answer = Answer()
     narrator = Narrator(cycle, lambda _, level, text: _find(answer, level, text))
-    sides = _Blocks(answer, keep)
+    sides = _Blocks(answer)
     try:
         for block in blocks(log, cycle, answer.gaps, progress):
             narrator.look(block.operator)
             sides.add(block, cycle.parts.protocol.addressed)
             answer.ticks += len(block.entries)
-            answer.setpoints += sum(len(entry.setpoints) for entry in block.entries)
             if observe is not None:
                 observe(block)
     except LogError as error:

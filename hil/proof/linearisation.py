@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -45,7 +46,8 @@ def of_rationals(A: sp.Matrix) -> Eigenvalues:
     mirrored = fmpq_poly([c if k % 2 == 0 else -c for k, c in enumerate(p.coeffs())])
     symmetric = p.gcd(mirrored)
     squares = fmpq_poly(symmetric.coeffs()[symmetric.degree() % 2 :: 2])  # of s^2: on the axis s^2 <= 0
-    off = any(not s2.imag.is_zero() or s2.real > 0 for s2, _ in squares.complex_roots())
+    roots: Any = squares.complex_roots()
+    off = any(not s2.imag.is_zero() or s2.real > 0 for s2, _ in roots)
     if off or not _routh((p / symmetric).coeffs()):
         return Eigenvalues.RIGHT
     return Eigenvalues.UNKNOWN if symmetric.degree() > 0 else Eigenvalues.LEFT

@@ -1,18 +1,13 @@
 """Columns in which two sides differ: as plain values, as a sentence, as a table."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 from hil.record.divergence import ColumnDivergence, Place
 from hil.study.table import Column, figure, print_rows
 
-
-class Sides(NamedTuple):
-    """What the keys of a place are called."""
-
-    element: str
-    one: str
-    other: str
+Sides = tuple[str, str]
+"""Keys of the values of either side."""
 
 
 def fields(found: ColumnDivergence, sides: Sides) -> dict[str, Any]:
@@ -32,16 +27,14 @@ def place(found: ColumnDivergence, at: Place | None, sides: Sides) -> dict[str, 
     """Return a place with both values as plain values."""
     if at is None:
         return None
-    one, other = at.values(found.column)
-    where = {"tick": at.tick, "time_s": at.time_s, "unit": at.unit}
-    return where | {sides.element: at.label, sides.one: one, sides.other: other}
+    where = {"tick": at.tick, "time_s": at.time_s, "element": at.label, "unit": at.unit}
+    return where | dict(zip(sides, at.values(found.column), strict=True))
 
 
 def sentence(at: dict[str, Any], sides: Sides) -> str:
     """Return a place in words."""
-    one, other = (f"{side.replace('_', '-')} {at[side]}" for side in (sides.one, sides.other))
-    text = f"tick {at['tick']} ({at['time_s']:.3f} s): {at[sides.element]}: {one}, {other} {at['unit']}"
-    return text.rstrip()
+    values = ", ".join(f"{side.replace('_', '-')} {at[side]}" for side in sides)
+    return f"tick {at['tick']} ({at['time_s']:.3f} s): {at['element']}: {values} {at['unit']}".rstrip()
 
 
 def show(
@@ -52,19 +45,14 @@ def show(
 ) -> None:
     """Print a line for each column; `more` stand before the unit."""
 
-    def first(key: str, form: str = "") -> Callable[[dict[str, Any]], str]:
-        def cell(each: dict[str, Any]) -> str:
-            value = None if each["first"] is None else each["first"][key]
-            return _short(value) if isinstance(value, str) else figure(value, form)
-
-        return cell
+    def first(key: str) -> Callable[[dict[str, Any]], str]:
+        return lambda each: "-" if each["first"] is None else _short(str(each["first"][key]))
 
     shown = (
-        Column("column", lambda each: (each["first"] or each["at"])[sides.element], left=True),
+        Column("column", lambda each: (each["first"] or each["at"])["element"], left=True),
         Column("first tick", first("tick")),
-        Column("s", first("time_s", ".3f")),
-        Column(sides.one.replace("_", "-"), first(sides.one)),
-        Column(sides.other.replace("_", "-"), first(sides.other)),
+        Column("s", first("time_s")),
+        *(Column(side.replace("_", "-"), first(side)) for side in sides),
         Column("in ticks", lambda each: each["ticks"]),
         Column("largest", lambda each: figure(each["largest"], ".4g")),
         Column("at tick", lambda each: each["at"]["tick"]),

@@ -3,7 +3,6 @@
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -20,7 +19,6 @@ from hil.study.workers import Progress, perform
 RUNS = ("run", "sim")
 """Kinds of logs that are replayed."""
 Outcome = Literal["pass", "fail", "skipped"]
-BY_LOG = attrgetter("log")
 
 
 class Case(NamedTuple):
@@ -99,7 +97,7 @@ def summary(folder: Path, cases: Sequence[Case], wall_s: float) -> dict[str, Any
         "skipped": count["skipped"],
         "ticks": ticks,
         "ticks_per_second": ticks / wall_s if wall_s > 0 else 0.0,
-        "cases": [case._asdict() for case in sorted(cases, key=BY_LOG)],
+        "cases": [case._asdict() for case in sorted(cases)],
         "wall_s": wall_s,
     }
 
@@ -113,12 +111,12 @@ def show(folder: Path, cases: Sequence[Case]) -> None:
         Column("found", lambda case: case.text, left=True),
     )
     styles = {"fail": "red", "skipped": "yellow"}
-    print_rows(columns, sorted(cases, key=BY_LOG), lambda case: styles.get(case.verdict, ""))
+    print_rows(columns, sorted(cases), lambda case: styles.get(case.verdict, ""))
 
 
 def verdicts(folder: Path, cases: Sequence[Case]) -> Iterator[Verdict]:
     """Yield a case of JUnit for each log; one that was skipped passes, and says so."""
-    for case in sorted(cases, key=BY_LOG):
+    for case in sorted(cases):
         place = Path(_within(folder, case))
         yield Verdict(
             group=str(place.parent),

@@ -37,7 +37,6 @@ def print_rows(
     columns: Sequence[Column],
     rows: Iterable[Any],
     style: Callable[[Any], str] = lambda _: "",
-    width: int | None = None,
 ) -> None:
     """Print rows below the titles; nothing where there is no row. style : of a row."""
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -49,16 +48,16 @@ def print_rows(
             *(cell if isinstance(cell, Text) else Text(visible(str(cell)), style(row)) for cell in cells)
         )
     if table.row_count:
-        _print(table, width)
+        _print(table)
 
 
-def _print(table: Table, width: int | None) -> None:
+def _print(table: Table) -> None:
     """Print a table as wide as it is, or folded to the terminal's width; no word of it is cut."""
-    out = Terminal(width=width)
+    out = Terminal()
     for column in table.columns:
         column.overflow = "fold"
     needed = out.measure(table, options=out.options.update(width=10_000))
-    most = out.width if width is not None or out.is_terminal else TABLE_WIDTH
+    most = out.width if out.is_terminal else TABLE_WIDTH
     wide = max(needed.minimum, min(needed.maximum, most))
     Terminal(width=wide).print(table, crop=False)
 

@@ -21,7 +21,7 @@ from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.loop.run_end import Course
 from hil.record.log import Log
-from hil.study.export.command import export_log
+from hil.study.export import export_log
 from hil.study.report.timing import traffic
 from plant_fmu.faults.kinds import BusFlood
 from tests.broad import broad

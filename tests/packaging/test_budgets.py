@@ -17,7 +17,7 @@ BUDGETS = {
     "hil/config hil/app/configuration": (4_110, 25_800),
     "hil/design hil/proof": (6_430, 58_600),
     "hil/lab": (7_840, 65_800),
-    "hil/study": (8_710, 70_500),
+    "hil/study": (7_900, 64_400),
     "hil/app": (10_800, 75_900),
     "hil/cli": (2_350, 11_800),
     "hil/contracts": (1_550, 13_000),

@@ -15,10 +15,8 @@ from hil.app.configuration.feedforward_file import feedforward_text
 from hil.cli import main
 from hil.loop import what_if as kernel
 from hil.record.log import Log
-from hil.study.what_if.allowed import changes, refuse_other_inputs
-from hil.study.what_if.changes import changed, read_changes
-from hil.study.what_if.command import what_if_log
-from hil.study.what_if.show import OPEN_LOOP
+from hil.study.what_if.allowed import changed, changes, read_changes, refuse_other_inputs
+from hil.study.what_if.command import OPEN_LOOP, what_if_log
 from tests.broad import broad
 from tests.hil.app.test_feedforward_file import head_of, using
 from tests.hil.rewrite import rewrite_log
@@ -59,10 +57,10 @@ def test_a_lower_limit_cuts_each_force_and_nothing_else(log, rows, monkeypatch):
     assert found["success"]
     assert found["changed"] == [f"limits.force_N: {VIRTUAL.limits.force_N} -> {LIMIT_N}"]
     assert found["first_tick"] == rows["tick"][first]
-    (tau,) = [each for each in found["first"] if each["column"].startswith("tau.")]
+    (tau,) = [each for each in found["first"] if each["element"].startswith("tau.")]
     assert tau["time_s"] == pytest.approx(1e-9 * (rows["t_ns"][first] - rows["t_ns"][0]), abs=1e-12)
     worst = int(over[first].argmax())
-    assert (tau["leg"], tau["unit"]) == (worst, "N")
+    assert (tau["element"], tau["unit"]) == (f"tau.leg_{worst}", "N")
     assert float(tau["recorded"]) == rows["tau"][first, worst]
     assert float(tau["what_if"]) == np.sign(rows["tau"][first, worst]) * LIMIT_N
     forces = found["forces"]
@@ -73,7 +71,7 @@ def test_a_lower_limit_cuts_each_force_and_nothing_else(log, rows, monkeypatch):
     assert forces["at_tick"] == expected
     assert leg in [n for n, at in enumerate(expected) if at is not None]
     acted = over.any(axis=1)
-    limit = found["limits"]["FORCE_LIMIT"]
+    limit = found["warnings"]["FORCE_LIMIT"]
     assert limit == {"recorded": 0, "answered": int(acted.sum()), "first_tick": int(rows["tick"][first])}
     assert not (rows["warnings"] & Warn.FORCE_LIMIT).any()
     assert {each["column"] for each in found["columns"]} >= {"tau", "warnings"}

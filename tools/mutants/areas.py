@@ -53,7 +53,7 @@ AREAS = {
     ),
     "replay": (
         """hil/loop/replay hil/app/replay hil/app/recorded_files hil/cli/replay* hil/loop/what_if
-        hil/study/what_if/* hil/study/against/* hil/study/replay_suite hil/record/divergence""",
+        hil/study/what_if/* hil/study/against hil/study/replay_suite hil/record/divergence""",
         """hil/test_divergence hil/app/test_recorded_files hil/app/test_bad_input replay/test_against
         replay/test_suite replay/test_what_if* replay/test_replay replay/test_tampered_log
         replay/test_versions hil/app/test_controller_file""",

@@ -2,10 +2,13 @@
 
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+from drivers.errors import ConfigurationError
 from hil.app.output import leaving
+from hil.study.arrow import Column
 from hil.study.campaign import dask_cluster, parquet
 from hil.study.campaign.parquet import Row, cell
 from hil.study.campaign.plan import Plan, identity
@@ -30,12 +33,12 @@ def run_campaign(
     that runs them instead. fresh : discard the rows that are there. An interruption keeps the rows so far.
 
     Raises LogError: the folder has another campaign's rows, is in use or cannot be written, or pyarrow is not
-    installed; ConfigurationError: the cluster does not answer.
+    installed; ConfigurationError: the cluster does not answer, or a file has changed while rows ran.
     """
     parquet.require()
     begun = time.perf_counter()
-    columns = parquet.columns(plan)
-    with Store(folder, columns, identity(plan), fresh=fresh) as store:
+    columns, made_of = parquet.columns(plan), identity(plan)
+    with closing(Store(folder, columns, made_of, fresh=fresh)) as store:
         rows = store.rows()
         missing = [number for number in range(len(plan)) if number not in rows]
         kept = len(rows)
@@ -57,6 +60,11 @@ def run_campaign(
                 row = line(outcome, columns)
                 rows[row["row"]] = row
                 store.add(row)
+            if identity(plan) != made_of:
+                raise ConfigurationError(
+                    f"{plan.path}: a file that it names has changed while rows ran: restore it, and run all "
+                    "rows again with `hil campaign --fresh`"
+                )
             table = store.finish(rows)
     ordered = [rows[number] for number in sorted(rows)]
     whole = rate("all", ordered)
@@ -79,6 +87,6 @@ def run_campaign(
     }
 
 
-def line(outcome: dict[str, Any], columns: Sequence[parquet.Column]) -> Row:
+def line(outcome: dict[str, Any], columns: Sequence[Column]) -> Row:
     """Return a line of the table: the values of a row and its outcome, each as its column has it."""
     return {column.name: cell(column.kind, outcome[column.name]) for column in columns}

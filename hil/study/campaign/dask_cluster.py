@@ -57,7 +57,6 @@ def perform(address: str, work: Iterable[Job], total: int, progress: Progress | 
 
 
 def _told(found: Outcome | str) -> Outcome:
-    """Return an outcome. Raises ConfigurationError: why there is none."""
     if isinstance(found, str):
         raise ConfigurationError(f"at a worker: {found}")
     return found
@@ -73,7 +72,5 @@ def run_at_worker(job: Job, wanted: str) -> Outcome | str:
         return f"it has hexapod-hil {here}, allowed: {wanted}, as here"
     try:
         return run_row(job)
-    except ConfigurationError as error:
-        return str(error)
     except Exception as error:  # noqa: BLE001 - see above
         return f"row {job.number}: {type(error).__name__}: {error}"

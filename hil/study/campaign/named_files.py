@@ -1,14 +1,13 @@
-"""The files that the rows of a campaign name: where each is, and that it stays what it was.
+"""The files that the rows of a campaign name: where each is, and what is in it.
 
-A relative path is looked for beside the configuration, as everywhere, then beside the campaign file; the data
-sheet of a drive before all that in the folder where the campaign was read, as `hil check` does.
+A relative path is looked for beside the configuration, then beside the campaign file, then in the folder
+where the campaign was read.
 """
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from functools import lru_cache
 from pathlib import Path
-from typing import Any, NamedTuple, cast
+from typing import Any, cast
 
 from drivers.errors import ConfigurationError
 from drivers.files import open_regular
@@ -18,36 +17,24 @@ from hil.study.campaign.keys import at, path
 from hil.study.campaign.settings import ListedAxis
 
 _CONTROLLER = ("controller", "controller_file")
-_SHEET = ("drives", "options", "eds")
-PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"), _SHEET)
+PLACES = (
+    ("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"),
+    ("drives", "options", "eds"),
+)  # fmt: skip
 """Keys of a configuration that name a file which a row reads."""
+Folders = tuple[Path, ...]
+"""Where files are looked for, absolute, in this order: beside the configuration first."""
 
 
-class Folders(NamedTuple):
-    """Where files are looked for, absolute."""
-
-    configuration: Path
-    campaign: Path
-    here: Path
-    """Where the campaign was read."""
-
-    def find(self, name: str, place: tuple[str, ...]) -> Path | None:
-        """Return the file that a key names; None: it is in none of the folders."""
-        folders = (self.here, *self[:2]) if place == _SHEET else self[:2]
-        return next((folder / name for folder in folders if (folder / name).is_file()), None)
-
-    def stripped(self, text: str) -> str:
-        """Return a text in which these folders do not stand: where they lie makes no difference."""
-        for folder in (self.campaign, self.configuration, self.here):
-            text = text.replace(f"{folder}/", "")
-        return text
+def _find(name: str, folders: Folders) -> Path | None:
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)
 
 
 def find_beside(value: dict[str, Any], folders: Folders) -> None:
     """Make the paths of a configuration's data absolute."""
     for place in PLACES:
         name = at(value, place)
-        if isinstance(name, str) and (file := folders.find(name, place)) is not None:
+        if isinstance(name, str) and (file := _find(name, folders)) is not None:
             at(value, place[:-1])[place[-1]] = str(file)
 
 
@@ -60,40 +47,22 @@ def digests(base: dict[str, Any], axes: Mapping[str, ListedAxis], folders: Folde
     for data in (base, *(part for axis in axes.values() for part in _parts(axis))):
         for place in PLACES:
             if isinstance(name := at(data, place), str):
-                file = folders.find(name, place) or folders.configuration / name
+                file = _find(name, folders) or folders[0] / name
                 if place == _CONTROLLER and not file.is_file():  # or a shipped one
                     settings = StateSpaceSettings(law="state_space", controller_file=name)
-                    file = controller_path(settings, folders.configuration)
-                found[str(file)] = _digest_now(file)
+                    file = controller_path(settings, folders[0])
+                found[str(file)] = _digest(file)
     return found
 
 
-def refuse_changed(files: Mapping[str, str]) -> None:
-    """Raise ConfigurationError where a file is another than when the campaign was read, or cannot be read."""
-    for name, digest in files.items():
-        if _digest_now(Path(name)) != digest:
-            raise ConfigurationError(
-                f"{name}: has changed since this campaign was read: the next rows would be of another one, "
-                "allowed: the same file for all rows. Restore it and repeat the command, or discard the rows "
-                "with `hil campaign --fresh`"
-            )
-
-
-def _digest_now(file: Path) -> str:
-    """Return the digest of a file; it is read again where its size or time is another."""
+def _digest(file: Path) -> str:
     try:
-        found = file.stat()
-        return _digest(file, found.st_ino, found.st_size, found.st_mtime_ns)
+        with open_regular(file) as opened:
+            return hashlib.file_digest(cast("Any", opened), "sha256").hexdigest()
     except FileNotFoundError:
         return "no file"
     except OSError as error:
         raise ConfigurationError(f"{file}: cannot be read: {error.strerror}") from None
-
-
-@lru_cache(maxsize=1024)
-def _digest(file: Path, *_: int) -> str:
-    with open_regular(file) as opened:
-        return hashlib.file_digest(cast("Any", opened), "sha256").hexdigest()
 
 
 def _parts(axis: ListedAxis) -> Iterator[Any]:

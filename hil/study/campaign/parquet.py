@@ -3,30 +3,17 @@
 Nothing of when, where or by how many processes is in it; the writer's settings are fixed.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from types import ModuleType
-from typing import Any, NamedTuple
+from typing import Any
 
-from drivers.errors import LogError
+from hil.study.arrow import Column, arrow, schema
 from hil.study.campaign.figures import COUNTS, METRICS
 from hil.study.campaign.plan import Plan
 from hil.study.campaign.settings import ListedAxis
 
 Row = dict[str, Any]
-
-
-class Column(NamedTuple):
-    """A column of the table."""
-
-    name: str
-    kind: str
-    """int64, float64, bool or text."""
-    unit: str
-    meaning: str
 
 
 def columns(plan: Plan) -> list[Column]:
@@ -73,43 +60,18 @@ def cell(kind: str, value: Any) -> Any:
 
 def require() -> None:
     """Refuse an installation without pyarrow. Raises LogError."""
-    _arrow()
+    arrow("a campaign")
 
 
 def write(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> None:
     """Write rows into a file. Raises OSError."""
-    pa, parquet = _arrow()
-    kinds = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
-    fields = [
-        pa.field(each.name, kinds[each.kind], metadata={"unit": each.unit, "meaning": each.meaning})
-        for each in columns
-    ]
-    attributes = {
-        "units": {each.name: each.unit for each in columns},
-        "meanings": {each.name: each.meaning for each in columns},
-    }
-    schema = pa.schema(fields, metadata={"PANDAS_ATTRS": json.dumps(attributes)})
+    pa, parquet = arrow("a campaign")
     parquet.write_table(
-        pa.Table.from_pylist(rows, schema),
+        pa.Table.from_pylist(rows, schema(pa, columns)),
         path,
         compression="zstd",
         compression_level=3,
         version="2.6",
         data_page_version="1.0",
-        use_dictionary=True,
-        write_statistics=True,
         row_group_size=65_536,
-        store_schema=True,
     )
-
-
-def _arrow() -> tuple[Any, ModuleType]:
-    """Return pyarrow and its part for Parquet, an extra."""
-    try:
-        import pyarrow as pa  # noqa: PLC0415
-        from pyarrow import parquet  # noqa: PLC0415
-    except ImportError as error:
-        raise LogError(
-            f'a campaign needs pyarrow, which is not installed ({error}): pip install "hexapod-hil[analysis]"'
-        ) from error
-    return pa, parquet

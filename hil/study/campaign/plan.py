@@ -5,7 +5,7 @@ import importlib.resources
 import json
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -20,7 +20,7 @@ from hil.app.configuration.text_file import read_configuration
 from hil.app.configuration.yaml_positions import Document, Problem, lines, parse
 from hil.app.configuration.yaml_positions import Path as Place
 from hil.config.running import RecordingSettings
-from hil.study.campaign.named_files import Folders, digests, find_beside
+from hil.study.campaign.named_files import digests, find_beside
 from hil.study.campaign.row import Job, Subject, bare, row_configuration, row_seed
 from hil.study.campaign.settings import CampaignSettings
 
@@ -92,9 +92,7 @@ def read_plan(path: Path) -> Plan:
         if problems and _problems(subject, values):  # it may need what another axis brings
             found |= dict.fromkeys((place, problem) for problem in problems)
     _refuse(found, document, file)
-    return replace(
-        plan, subject=subject._replace(files=digests(subject.base, settings.axes, subject.folders))
-    )
+    return plan
 
 
 def shipped() -> tuple[str, ...]:
@@ -126,11 +124,11 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
         file, text = read_configuration(beside if beside.is_file() else settings.configuration)
         loads(text, str(file), file.parent)
         base = merged({"name": short_name(file)} | (parse(text).value or {}), settings.changes)
-        folders = Folders(file.parent.absolute(), path.parent.absolute(), Path.cwd())
+        folders = file.parent.absolute(), path.parent.absolute(), Path.cwd()
         whole = deepcopy(base)
         find_beside(whole, folders)
         name = f"{file} with the changes of the campaign"
-        refuse_unreachable(loads(text_of(whole), name, folders.configuration))
+        refuse_unreachable(loads(text_of(whole), name, folders[0]))
     except ConfigurationError as error:
         place: Place = ("changes",) if settings.changes else ("configuration",)
         _refuse({(place, bare(problem)): None for problem in error.problems}, document, path)
@@ -169,6 +167,8 @@ def identity(plan: Plan) -> dict[str, str]:
     """Return what tells a campaign from every other, by what it is made of: digests, and the version.
 
     The same identity, the same table. Comments in its file and where the files lie make no difference.
+
+    Raises ConfigurationError: a file that rows name cannot be read.
     """
     drawn = hashlib.sha256()
     for row in range(len(plan)):
@@ -179,7 +179,8 @@ def identity(plan: Plan) -> dict[str, str]:
         "values of the rows": drawn.hexdigest(),
         "version of hexapod-hil": version("hexapod-hil"),
     }
-    for file, digest in plan.subject.files.items():
+    files = digests(plan.subject.base, plan.settings.axes, plan.subject.folders)
+    for file, digest in files.items():
         name = f"file {Path(file).name}"  # wherever it lies; files of one name are told by their order
         found[name] = f"{found.get(name, '')} {digest}".strip()
     return found

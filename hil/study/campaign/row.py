@@ -17,7 +17,7 @@ from hil.loop.run_end import Course
 from hil.signals import Operator
 from hil.study.campaign.figures import METRICS, Measurement
 from hil.study.campaign.keys import SEED, apply, at
-from hil.study.campaign.named_files import Folders, find_beside, refuse_changed
+from hil.study.campaign.named_files import Folders, find_beside
 from hil.study.campaign.settings import CampaignSettings
 from plant_fmu.faults.plan import FaultPlan
 
@@ -34,8 +34,6 @@ class Subject(NamedTuple):
     source: str
     folders: Folders
     settings: CampaignSettings
-    files: dict[str, str] = {}
-    """Digest of each file that a row may name, by its path."""
 
 
 class Job(NamedTuple):
@@ -71,7 +69,7 @@ def row_configuration(job: Job) -> Configuration:
     value = unattended_data(value)
     find_beside(value, subject.folders)
     name = f"{subject.source} with the changes of row {job.number}"
-    c = loads(text_of(value), name, subject.folders.configuration)
+    c = loads(text_of(value), name, subject.folders[0])
     c.require("sim")
     return c
 
@@ -80,32 +78,30 @@ def run_row(job: Job) -> dict[str, Any]:
     """Run a row; return `passed`, `ended`, `ended_s`, `faults`, `trouble` and METRICS as plain values.
 
     What goes wrong with it is in the outcome. Raises MemoryError, OSError: that is the machine's trouble, and
-    the row may run later; ConfigurationError: a file that rows name is no more what it was.
+    the row may run later.
     """
     return performed(job)[0]
 
 
 def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
     """Run a row; return its outcome, and how its run ended, None for no run. Raises as `run_row`."""
-    found, ended = _performed(job)
-    refuse_changed(job.subject.files)
-    return found | {"trouble": job.subject.folders.stripped(found["trouble"])}, ended
-
-
-def _performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
+    ended = None
     try:
         c = row_configuration(job)
         with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
             measured = Measurement(travels=job.subject.settings.after_fault == "rest")
             ended = run(c, job, measured)
+        found = outcome(job, c.loop.rate_Hz, ended, measured)
     except (MemoryError, OSError):
         raise
     except ConfigurationError as error:
-        return not_run(job, "refused", "\n".join(map(bare, error.problems))), None
+        found = not_run(job, "refused", "\n".join(map(bare, error.problems)))
     except Exception as error:  # noqa: BLE001 - whatever a law raises that diverges ends its row and no other
         kind = "" if isinstance(error, HilError) else f"{type(error).__name__}: "
-        return not_run(job, "error", f"{kind}{error}"), None
-    return outcome(job, c.loop.rate_Hz, ended, measured), ended
+        found = not_run(job, "error", f"{kind}{error}")
+    for folder in sorted(map(str, job.subject.folders), key=len, reverse=True):
+        found["trouble"] = found["trouble"].replace(f"{folder}/", "")  # where they lie makes no difference
+    return found, ended
 
 
 def bare(problem: str) -> str:
@@ -115,19 +111,15 @@ def bare(problem: str) -> str:
 
 def not_run(job: Job, how: str = "died", why: str = "its process died, twice") -> dict[str, Any]:
     """Return the outcome of a row that has no run."""
-    head = {"passed": False, "ended": how, "ended_s": None, "faults": "", "trouble": why}
-    return _given(job) | head | dict.fromkeys(METRICS)
-
-
-def _given(job: Job) -> dict[str, Any]:
-    return {"row": job.number, "seed": job.seed, **job.values}
+    end = {"passed": False, "ended": how, "ended_s": None, "faults": "", "trouble": why}
+    return {"row": job.number, "seed": job.seed, **job.values, **end, **dict.fromkeys(METRICS)}
 
 
 def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> dict[str, Any]:
     """Return what a row's line in the table says of its run; a limit of what was not measured is not kept."""
     figures = measured.figures()
     kept = not any(limit.passed_by(figures.get(name)) for name, limit in job.subject.settings.kept.items())
-    return _given(job) | {
+    return not_run(job) | {
         "passed": ended.how in ("complete", "fault") and kept,
         "ended": ended.how,
         "ended_s": ended.ticks / rate_Hz,

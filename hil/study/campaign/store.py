@@ -11,14 +11,13 @@ import sqlite3
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from drivers.errors import LogError
 from drivers.files import made_folder
 from hil.app.files import made_whole
+from hil.study.arrow import Column
 from hil.study.campaign import parquet
-from hil.study.campaign.parquet import Column, Row
+from hil.study.campaign.parquet import Row
 
 TABLE = "table.parquet"
 DATABASE = "campaign.sqlite"
@@ -55,12 +54,8 @@ class Store:
             self._db.close()
             raise
 
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def close(self) -> None:
+        """Let others in."""
         self._db.close()
 
     def rows(self) -> dict[int, Row]:

@@ -19,9 +19,8 @@ from hil.app.reachability import span_s
 from hil.control import ControllerSettings
 from hil.record.metrics import Share, force_shares
 from hil.robot.dynamics import Model
-from hil.study.compare.claims import Evidence, judge
-from hil.study.compare.conditions import changed, paths, without_limits
-from hil.study.compare.laws import chosen, desired_loop, with_scale
+from hil.study.compare.claims import judge
+from hil.study.compare.laws import changed, chosen, desired_loop, paths, with_scale, without_limits
 from hil.study.compare.measure import SETTLE_PERIODS, Job, Outcome, measure
 from hil.study.compare.plot import draw
 from hil.study.workers import Progress, perform
@@ -78,7 +77,7 @@ def compare(
         for name in extra
     }
     shares = _shares(c, duration)
-    claims = judge(Evidence(own, believed, shares)) if shares else []
+    claims = judge(own, believed, shares) if shares else []
     ours = own.get(c.controller.law)
     result = {
         "success": not any(o.fault and not o.figures for o in done.values()) and not (ours and ours.fault),

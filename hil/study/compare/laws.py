@@ -1,10 +1,10 @@
-"""Which laws are compared: names and settings, the gains from the configuration's own."""
+"""What is compared: laws, with gains from the configuration's own, and paths with losses taken out."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, get_args
 
 import numpy as np
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
@@ -17,15 +17,20 @@ from hil.control import LAWS, ControllerSettings
 from hil.control.law import DesiredLoop
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
-from hil.study.compare.conditions import changed
+from plant_fmu.config import StewartPlant
 
 Kind = TypeVar("Kind", bound=Section)
+Part = TypeVar("Part", bound=BaseModel)
 WN_RAD_S = 20.0
 """Where the configuration's own law says nothing of a frequency."""
-
-
 VARIANTS = ("printed", "no_H", "constant", "constant_MG")
 """Variants of the model with which inverse dynamics is compared, too, under their names."""
+PATHS = ("ideal", "encoders", "bus", "drives")
+"""What is added from one path to the next; the last is the configuration itself."""
+IDEAL: dict[str, Any] = {
+    "protocol": "legs", "node_ids": [1, 2, 3, 4, 5, 6], "options": {}, "transmission": None, "homing": None
+}  # fmt: skip
+"""Of section `drives`, where there is no bus: its drives speak of the legs, not of motors."""
 
 
 def desired_loop(c: Configuration) -> DesiredLoop:
@@ -123,3 +128,59 @@ def with_scale(settings: ControllerSettings, scale: float) -> ControllerSettings
     if model is None or scale == 1.0:
         return settings
     return changed(settings, {"model.inertia_scale": model.inertia_scale * scale})
+
+
+def paths(c: Configuration) -> dict[str, Configuration]:
+    """Return the ideal configuration and what it becomes: encoder quanta, then bus time, then drive lag.
+
+    ideal: lengths and rates are exact numbers of the tick, no bus time, the force acts at once. What changes
+    nothing is left out: a configuration without bus time has no bus to add. Where law or wrench observer
+    know of a delay, they know that it is gone; the hold of half a period stays, on every path. Without a bus
+    it is protocol `legs` that carries the numbers: another may have no layout that takes no time.
+    """
+    without_lag = _no_lag(c)
+    on_no_bus = {"bus.layout": "ideal"} | {f"drives.{key}": value for key, value in IDEAL.items()}
+    without_bus = changed(_knowing(without_lag, bus_ms=0.0), on_no_bus)
+    ideal = changed(without_bus, {"plant.drives.encoder_resolution_m": 0.0})
+    found: dict[str, Configuration] = {}
+    for name, path in zip(PATHS, (ideal, without_bus, without_lag, c), strict=True):
+        if path not in found.values():
+            found[name] = path
+    return found
+
+
+def changed(section: Part, changes: Mapping[str, Any]) -> Part:
+    """Copy of a section with some keys changed, `plant.drives.encoder_resolution_m`; nothing is validated."""
+    for key, value in changes.items():
+        head, _, rest = key.partition(".")
+        inner = changed(getattr(section, head), {rest: value}) if rest else value
+        section = section.model_copy(update={head: inner})
+    return section
+
+
+def _no_lag(c: Configuration) -> Configuration:
+    assert c.plant is not None
+    places = ["plant.drives", *(["plant.model"] if isinstance(c.plant.model, StewartPlant) else [])]
+    return changed(_knowing(c, drive_lag_ms=0.0), {f"{place}.force_bandwidth_Hz": 0.0 for place in places})
+
+
+def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
+    """Return the configuration with other delays for those who reckon with one: law and wrench observer."""
+    changes: dict[str, Any] = {f"estimation.wrench.{key}": value for key, value in delays_ms.items()}
+    if c.controller.lookahead is not None:
+        delay = c.controller.lookahead.model_copy(update=delays_ms)
+        some = delay.bus_ms or delay.drive_lag_ms or delay.hold_ms
+        changes["controller.delay_compensation"] = delay if some else None
+    return changed(c, changes)
+
+
+def without_limits(c: Configuration) -> Configuration:
+    """Return the configuration with the limits of error, force change and speed out of the way.
+
+    The drives' rated force, the ends of the stroke, the consistency of the lengths and the condition of J
+    stay: beyond them there is nothing to compare.
+    """
+    force = c.drives.force_limit_N
+    limits = {"force_N": force, "force_step_N": 2 * force, "force_window_N": 2 * force}
+    limits |= {"following_error_m": 1e3, "speed_m_s": 1e3, "deceleration_m_s2": 1e6}  # no platform gets there
+    return changed(c, {f"limits.{key}": value for key, value in limits.items()})

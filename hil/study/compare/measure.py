@@ -22,8 +22,8 @@ from hil.config.values import AXES
 from hil.loop.clock import collector_paused
 from hil.loop.run_end import Course
 from hil.mathematics.rotations import rotation_from_vector
-from hil.record.figures import limited_ticks, pose_errors
-from hil.record.metrics import bandwidth_Hz, peak, rms, rotation_errors, step_response
+from hil.record.figures import limited_ticks
+from hil.record.metrics import bandwidth_Hz, peak, rotation_errors, step_response
 from hil.study.campaign.figures import Measurement
 from hil.trajectory.path import PoseSample, Trajectory
 from plant_fmu.faults.kinds import WrenchStep
@@ -159,15 +159,7 @@ def _tracking(rows: Rows) -> dict[str, Any]:
     measured = Measurement(travels=False)
     for row in rows:
         measured.take(row, UNKNOWN)
-    p_mm, r_deg = pose_errors(rows)
-    return {name: value for name, value in measured.figures().items() if value is not None} | {
-        "per_axis": {
-            "peak_position_error_mm": peak(p_mm).tolist(),
-            "rms_position_error_mm": rms(p_mm).tolist(),
-            "peak_rotation_error_deg": peak(r_deg).tolist(),
-            "rms_rotation_error_deg": rms(r_deg).tolist(),
-        }
-    }
+    return {name: value for name, value in measured.figures().items() if value is not None}
 
 
 def _at_rest(

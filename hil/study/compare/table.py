@@ -7,26 +7,37 @@ from rich.text import Text
 
 from hil.study.table import Column, Terminal, figure, print_rows
 
-Figures = Sequence[tuple[str, str, str]]
-"""Title, key of a law's figures, format; empty: as in summaries, whatever the robot's size."""
 Row = dict[str, Any]
-PATH: Figures = (
-    ("leg mm\npeak", "peak_leg_error_mm", ".3g"),
-    ("\nRMS", "rms_leg_error_mm", ".3g"),
-    ("position\npeak mm", "peak_position_error_mm", ".3g"),
-    ("rotation\npeak deg", "peak_rotation_error_deg", ".2g"),
-    ("force\npeak N", "peak_force_N", ""),
-    ("force\nvar. N", "force_variation_N", ""),
+
+
+def _figure(title: str, key: str, form: str = "") -> Column:
+    """Return the column of a law's figure; by default as in summaries, whatever the robot's size."""
+    return Column(title, lambda row: figure(row[1].get(key), form))
+
+
+LAW = Column("law", lambda row: row[0], left=True)
+PATH = (
+    LAW,
+    _figure("leg mm\npeak", "peak_leg_error_mm", ".3g"),
+    _figure("\nRMS", "rms_leg_error_mm", ".3g"),
+    _figure("position\npeak mm", "peak_position_error_mm", ".3g"),
+    _figure("rotation\npeak deg", "peak_rotation_error_deg", ".2g"),
+    _figure("force\npeak N", "peak_force_N"),
+    _figure("force\nvar. N", "force_variation_N"),
+    Column("", lambda row: Text(result(row[1]), "red"), left=True),
 )
-STEP: Figures = (
-    ("at rest\nleg mm", "steady_leg_error_mm", ".2g"),
-    ("rise\nms", "rise_ms", ".0f"),
-    ("over-\nshoot %", "overshoot_percent", ".1f"),
-    ("-3 dB\nHz", "bandwidth_Hz", ".3g"),
+STEP = (
+    LAW,
+    _figure("at rest\nleg mm", "steady_leg_error_mm", ".2g"),
+    _figure("rise\nms", "rise_ms", ".0f"),
+    _figure("over-\nshoot %", "overshoot_percent", ".1f"),
+    _figure("-3 dB\nHz", "bandwidth_Hz", ".3g"),
+    Column("", lambda row: Text(unrest(row[1]), "red"), left=True),
 )
-LOAD: Figures = (
-    ("leg mm\npeak", "disturbed_peak_leg_error_mm", ".3g"),
-    ("\nat rest", "disturbed_steady_leg_error_mm", ".3g"),
+LOAD = (
+    LAW,
+    _figure("leg mm\npeak", "disturbed_peak_leg_error_mm", ".3g"),
+    _figure("\nat rest", "disturbed_steady_leg_error_mm", ".3g"),
 )
 CLAIMS = (
     Column("section", lambda claim: claim["section"], left=True),
@@ -36,27 +47,25 @@ CLAIMS = (
 )
 
 
-def show(summary: Row, width: int | None = None) -> None:
+def show(summary: Row) -> None:
     """Print the laws, the losses path by path, and the claims."""
-    step = summary["step"]
-    _part(f"Along {summary['duration_s']:g} s of the reference", *_laws(summary, PATH, result), width)
-    title = f"At home: at rest, then a step of {step['axis']} by {step['size']:g}"
-    _part(title, *_laws(summary, STEP, unrest), width)
+    step, laws = summary["step"], list(summary["laws"].items())
+    _part(f"Along {summary['duration_s']:g} s of the reference", PATH, laws)
+    _part(f"At home: at rest, then a step of {step['axis']} by {step['size']:g}", STEP, laws)
     if summary["disturbance"]:
-        _part("The disturbance, held at home", *_laws(summary, LOAD, lambda _: ""), width)
+        _part("The disturbance, held at home", LOAD, laws)
     paths = summary["paths"]
     stages = list(dict.fromkeys(stage for found in paths.values() for stage in found))
-    columns = [_law(), *(Column(stage_title(name, stages), _at(name)) for name in stages)]
-    _part("What the path to the legs costs: peak leg error in mm", columns, list(paths.items()), width)
-    title = "What the control chapter says, and whether it holds here"
-    _part(title, CLAIMS, summary["claims"], width)
+    columns = [LAW, *(Column(stage_title(name, stages), _at(name)) for name in stages)]
+    _part("What the path to the legs costs: peak leg error in mm", columns, list(paths.items()))
+    _part("What the control chapter says, and whether it holds here", CLAIMS, summary["claims"])
 
 
-def _part(title: str, columns: Sequence[Column], rows: Sequence[Any], width: int | None) -> None:
+def _part(title: str, columns: Sequence[Column], rows: Sequence[Any]) -> None:
     if rows:
-        out = Terminal(width=width)
+        out = Terminal()
         out.print(Text(title, style="bold"))
-        print_rows(columns, rows, width=width)
+        print_rows(columns, rows)
         out.print()
 
 
@@ -80,23 +89,6 @@ def shown(summary: Row) -> Row:
     }
 
 
-def _law() -> Column:
-    return Column("law", lambda row: row[0], left=True)
-
-
-def _laws(summary: Row, figures: Figures, remark: Callable[[Row], str]) -> tuple[list[Column], list[Any]]:
-    """Return columns and rows of figures of each law, and a last one for remarks where there are any."""
-
-    def column(title: str, key: str, form: str) -> Column:
-        return Column(title, lambda row: figure(row[1].get(key), form))
-
-    rows = list(summary["laws"].items())
-    columns = [_law(), *(column(*each) for each in figures)]
-    if any(remark(row) for _, row in rows):
-        columns.append(Column("", lambda row: Text(remark(row[1]), "red"), left=True))
-    return columns, rows
-
-
 def unrest(row: Row) -> str:
     """Say that the answer to the step had not come to rest, nothing where it had."""
     return "not at rest in the end" if row.get("settled") is False else ""
@@ -118,10 +110,7 @@ def stage_title(name: str, stages: Sequence[str]) -> str:
 def _at(path: str) -> Callable[[Any], str | Text]:
     def cell(row: Any) -> str | Text:
         found = row[1].get(path, {})
-        return (
-            Text(found["fault"], "red")
-            if found.get("fault")
-            else figure(found.get("peak_leg_error_mm"), ".4f")
-        )
+        fault = found.get("fault")
+        return Text(fault, "red") if fault else figure(found.get("peak_leg_error_mm"), ".4f")
 
     return cell

@@ -10,10 +10,9 @@ from drivers.signals import Mode
 from drivers.tick_columns import COLUMNS, RECORDED
 from hil.app.configuration.configuration import Configuration
 from hil.record.metrics import rotation_errors
-from hil.study.log_columns import has_pose
+from hil.study.log_columns import TIMES, has_pose, plots
 from hil.study.report.story import mode_name
 from hil.study.report.timing import Traffic
-from hil.study.view.panels import TIMES, plots
 
 FLAGS = ("faults", "warnings", "foreign", "setpoint_refusal")
 """Columns whose bits have a row each, where they are ever set."""

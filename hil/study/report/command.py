@@ -11,21 +11,20 @@ import numpy as np
 from drivers.arrays import Array, Rows
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError, LogError
-from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.files import new_file, printable, write_whole
 from hil.app.output import figure_rows
-from hil.app.readable import MOST_RATE_HZ, Readable, readable
+from hil.app.readable import Readable, readable
+from hil.app.replay import refuse_unread, run_of
 from hil.app.run.stretching import stretches
 from hil.record.figures import figures
 from hil.record.log import Log
-from hil.record.schema import ENVIRONMENT, IDENTITY
+from hil.record.schema import IDENTITY
 from hil.study.log_columns import seconds
 from hil.study.report import sections
 from hil.study.report.charts import MODES, Chart, charts
-from hil.study.report.html import Html, tag
 from hil.study.report.margins import margins
-from hil.study.report.page import asset, drawn, figure, page, scene
+from hil.study.report.page import Html, asset, drawn, figure, page, scene, tag
 from hil.study.report.story import Told, told
 from hil.study.report.timing import counts, spreads, traffic
 
@@ -40,7 +39,8 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
     found = readable(path)
     with np.errstate(all="ignore"):  # a log may hold any number
-        rate_Hz = _rate(found.log, path)
+        rate_Hz = run_of(found.log, path)["rate_Hz"]
+        refuse_unread(found.log)
         if not len(found.rows):
             raise LogError("; ".join(filter(None, (f"{path}: has no tick: nothing to report", found.remark))))
         c, why_not = _configuration(found.log)
@@ -60,34 +60,6 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
         "wall_s": time.perf_counter() - begun,
         "page": str(target),
     }
-
-
-def _rate(log: Log, path: Path) -> float:
-    """Return the rate of a log of `hil run` or `hil sim`, Hz. Raises LogError for other logs."""
-    run = log.metadata.get(IDENTITY, {})
-    if run.get("kind") not in {"run", "sim"}:
-        raise LogError(
-            f"{path}: holds a log of kind {run.get('kind')!r}, allowed: one of `hil run` or `hil sim`; "
-            "`hil plot` draws its columns"
-        )
-    there = {c.name: (c.kind, c.shape) for c in log.columns}
-    other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
-    if other:
-        version = log.metadata.get(ENVIRONMENT, {}).get("version", "unknown")
-        raise LogError(
-            f"{path}: its columns differ ({', '.join(other[:3])}): make its report with version {version}, "
-            "which made the log; `hil plot` draws its columns"
-        )
-    try:
-        rate_Hz = float(run.get("rate_Hz", "nan"))
-    except ValueError:
-        rate_Hz = float("nan")
-    if not 0.0 < rate_Hz <= MOST_RATE_HZ:
-        raise LogError(
-            f"{path}: metadata record {IDENTITY!r} has rate_Hz: {run.get('rate_Hz')!r:.60}, "
-            f"allowed: a number > 0, at most {MOST_RATE_HZ:g}"
-        )
-    return rate_Hz
 
 
 def _configuration(log: Log) -> tuple[Configuration | None, str]:

@@ -21,24 +21,12 @@ from hil.safety.motion import CREEP
 from hil.safety.signals import DEAD_BUS, HARMFUL_STRETCH_NS, HISTORY, STRETCH_FREE_NS, UNRELIABLE
 
 Mask = NDArray[np.bool_]
+Judged = tuple[Any, ...]
+"""What a rule judges: its name; the key of its limit, empty for a constant; values (n,) or (n, 6), >= 0; a
+column with their unit, empty for none; the ticks (n,) in which it is judged; the limit, a number or an array
+like the values, where it is not what stands at the key."""
 _CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
 """Modes in which the legs stand on closed brakes."""
-
-
-class Judged(NamedTuple):
-    """What a rule judges."""
-
-    name: str
-    key: str
-    """Where the configuration has the limit; empty where it is a constant."""
-    values: Any
-    """(n,) or (n, 6), not negative."""
-    column: str
-    """Column with the unit of the values; empty: none."""
-    judged: Mask
-    """(n,) ticks in which it is judged; in none there is no margin."""
-    limit: Any = None
-    """Number or an array like the values; None: what is at the key."""
 
 
 class Margin(NamedTuple):
@@ -72,29 +60,29 @@ def margins(rows: Rows, c: Configuration, rate_Hz: float) -> list[Margin]:
     age = _counted_age(rows, mode, c)
     encoder = "length of an encoder against its rate, of what is allowed"
     certified = f"Lyapunov function, sqrt(V) of an axis over what is allowed, {confirm} ticks in a row"
-    judged = [
+    judged: list[Judged] = [
         *_forces(rows, c, rate_Hz, powered & well),
         *_legs(rows, c, powered, follows),
-        Judged("motion on closed brakes", "limits.standstill_m", _moved(rows, stands), "q", stands),
-        Judged("residual of forward kinematics", "limits.consistency_m", rows["fk_residual"], "q", powered),
-        Judged("condition number of J", "limits.condition", rows["condition"], "condition", powered),
-        Judged("age of a leg's feedback", "limits.stale_fault_ticks", age, "age", powered),
-        Judged(encoder, "monitor.length_noise_m", rows["encoder_share"], "", heard, 1.0),
-        Judged(certified, "monitor", _lasting(share, confirm), "", powered & np.isfinite(share), 1.0),
+        ("motion on closed brakes", "limits.standstill_m", _moved(rows, stands), "q", stands),
+        ("residual of forward kinematics", "limits.consistency_m", rows["fk_residual"], "q", powered),
+        ("condition number of J", "limits.condition", rows["condition"], "condition", powered),
+        ("age of a leg's feedback", "limits.stale_fault_ticks", age, "age", powered),
+        (encoder, "monitor.length_noise_m", rows["encoder_share"], "", heard, 1.0),
+        (certified, "monitor", _lasting(share, confirm), "", powered & np.isfinite(share), 1.0),
         *_fused(rows, c, rate_Hz, powered),
         *_loop(rows, c, powered),
     ]
-    return sorted(filter(None, (_nearest(each, c) for each in judged)), key=lambda m: -m.used_percent)
+    return sorted(filter(None, (_nearest(c, *each) for each in judged)), key=lambda m: -m.used_percent)
 
 
 def _forces(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iterator[Judged]:
     tau, rated = rows["tau"], c.drives.force_limit_N
     key = "limits.force_N" if c.limits.force_N <= rated else "drives.force_limit_N"
-    yield Judged("leg force", key, np.abs(tau), "tau", powered)
+    yield "leg force", key, np.abs(tau), "tau", powered
     step = np.zeros_like(tau)
     step[1:] = np.abs(np.diff(tau, axis=0)) * (np.diff(rows["tick"]) == 1 + rows["skipped"][1:])[:, None]
     limit = c.limits.force_step_N * c.loop.rate_Hz / rate_Hz  # as `hil.app.compose` has it
-    yield Judged("change of force in a tick", "limits.force_step_N", step, "tau", powered, limit)
+    yield "change of force in a tick", "limits.force_step_N", step, "tau", powered, limit
     # a force is held through ticks that were skipped or are not in the log
     n = max(2, round(WINDOW_S * rate_Hz) + 1)
     gaps = np.append(np.clip(np.diff(rows["tick"]), 1, n), 1)
@@ -104,24 +92,24 @@ def _forces(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iter
         for extreme in (minimum_filter1d, maximum_filter1d)
     )
     name, change = f"change of force within {1e3 * WINDOW_S:g} ms", np.maximum(tau - low, high - tau)
-    yield Judged(name, "limits.force_window_N", change, "tau", powered)
+    yield name, "limits.force_window_N", change, "tau", powered
 
 
 def _legs(rows: Rows, c: Configuration, powered: Mask, follows: Mask) -> Iterator[Judged]:
     limits, q, dq = c.limits, rows["q"], rows["dq"]
     low, high, margin = c.platform.length_min_m, c.platform.length_max_m, limits.stroke_margin_m
     off, half = np.abs(q - (high + low) / 2), (high - low) / 2
-    yield Judged("leg length from mid-stroke", "platform.length_max_m", off, "q", powered, half)
+    yield "leg length from mid-stroke", "platform.length_max_m", off, "q", powered, half
     left = np.where(dq > 0.0, high - margin - q, q - low - margin)
     cap = np.maximum(np.sqrt(2.0 * limits.deceleration_m_s2 * np.maximum(left, 0.0)), CREEP)
     name, key = "leg rate that can stop before the soft end", "limits.deceleration_m_s2"
-    yield Judged(name, key, np.abs(dq), "dq", powered, cap)
-    yield Judged("leg rate", "limits.speed_m_s", np.abs(dq), "dq", powered)
+    yield name, key, np.abs(dq), "dq", powered, cap
+    yield "leg rate", "limits.speed_m_s", np.abs(dq), "dq", powered
     allowed = limits.following_error_m + limits.following_error_s * np.abs(rows["dq_d"])
     error = np.abs(rows["q_d"] - q)
-    yield Judged("leg error", "limits.following_error_m", error, "q", follows, allowed)
+    yield "leg error", "limits.following_error_m", error, "q", follows, allowed
     name, key = "leg acceleration of the reference", "limits.acceleration_m_s2"  # None: no limit
-    yield Judged(name, key, np.abs(rows["ddq_d"]), "ddq_d", follows)
+    yield name, key, np.abs(rows["ddq_d"]), "ddq_d", follows
 
 
 def _moved(rows: Rows, stands: Mask) -> Array:
@@ -140,33 +128,33 @@ def _loop(rows: Rows, c: Configuration, powered: Mask) -> Iterator[Judged]:
     skipped = rows["skipped"] * (np.arange(len(rows)) > 0)
     total = np.cumsum(skipped)
     missed = total - np.maximum.accumulate(np.where(skipped > 0, 0, total))
-    yield Judged("periods missed in a row", "limits.missed_stop_ticks", missed, "age", powered)
+    yield "periods missed in a row", "limits.missed_stop_ticks", missed, "age", powered
     name = f"ticks of {HISTORY} in which the bus did not take our frames"
-    yield Judged(name, "", _recent(rows["sends_failed"] > 0), "age", powered, DEAD_BUS)
+    yield name, "", _recent(rows["sends_failed"] > 0), "age", powered, DEAD_BUS
     name = f"ticks of {HISTORY} in which frames were refused"
     alone = not any(kind for _, kind in c.sensors)  # theirs are counted in the column, and by no rule
-    yield Judged(name, "", _recent(rows["rejected"] > 0), "age", powered & alone, UNRELIABLE)
+    yield name, "", _recent(rows["rejected"] > 0), "age", powered & alone, UNRELIABLE
     stood = rows["stretched_ns"]
     harmful = np.cumsum(np.where(stood >= HARMFUL_STRETCH_NS, stood, 0))
     allowed = STRETCH_FREE_NS + 0.01 * c.limits.stretch_percent * (rows["t_ns"] - rows["t_ns"][0])
     name, judged = "bench time that stood still", powered & (harmful[-1] > 0)
-    yield Judged(name, "limits.stretch_percent", harmful, "stretched_ns", judged, allowed)
+    yield name, "limits.stretch_percent", harmful, "stretched_ns", judged, allowed
 
 
 def _fused(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Iterator[Judged]:
     key, judged = "estimation.fusion", powered & (c.estimation.pose == "fused")
     name, std = "standard deviation of the fused position", np.linalg.norm(rows["pose_std"][:, :3], axis=1)
-    yield Judged(name, f"{key}.position_std_max_m", std, "q", judged)
+    yield name, f"{key}.position_std_max_m", std, "q", judged
     tick = rows["tick"]
     heard = np.maximum.accumulate(np.where(rows["tracker"] > 0, tick, tick[:1]))
     alone_s = np.where(_excused(rows, c).any(axis=1), (tick - heard) / rate_Hz, 0.0)
     name, limit = "encoder lost, and no sample of the tracker", 1e-3 * c.estimation.fusion.tracker_gap_max_ms
-    yield Judged(name, f"{key}.tracker_gap_max_ms", alone_s, "reference_time_s", judged, limit)
+    yield name, f"{key}.tracker_gap_max_ms", alone_s, "reference_time_s", judged, limit
     asked = (rows["age"] == 0) & ~_legs_of(rows, "legs_used")
     asked[1:] &= ~_legs_of(rows, "legs_slipped")[:-1]  # a slipped encoder is out of the question
     against = _lasting(np.where(asked, np.abs(rows["innovation_q"]), 0.0), SLIP_TICKS)
     name = f"encoder against the fused pose, {SLIP_TICKS} ticks in a row"
-    yield Judged(name, f"{key}.encoder_slip_m", against, "q", judged)
+    yield name, f"{key}.encoder_slip_m", against, "q", judged
 
 
 def _legs_of(rows: Rows, column: str) -> Mask:
@@ -188,18 +176,20 @@ def _recent(which: Mask) -> Array:
     return np.asarray(np.convolve(which, np.ones(HISTORY))[: len(which)], np.float64)
 
 
-def _nearest(j: Judged, c: Configuration) -> Margin | None:
+def _nearest(
+    c: Configuration, name: str, key: str, of: Any, column: str, judged: Mask, given: Any = None
+) -> Margin | None:
     """Return the value nearest to its limit among the rows that are judged; None where there is none."""
-    values = np.asarray(j.values, np.float64)
-    limit = np.asarray(attrgetter(j.key)(c) if j.limit is None else j.limit, np.float64)
-    share = np.where(j.judged.reshape(-1, *(1,) * (values.ndim - 1)), values / limit, np.nan)
+    values = np.asarray(of, np.float64)
+    limit = np.asarray(attrgetter(key)(c) if given is None else given, np.float64)
+    share = np.where(judged.reshape(-1, *(1,) * (values.ndim - 1)), values / limit, np.nan)
     if not np.isfinite(share).any():
         return None
     at = np.unravel_index(int(np.nanargmax(share)), share.shape)
     worst = float(np.broadcast_to(limit, share.shape)[at])
     leg = int(at[1]) if values.ndim > 1 else None
-    unit = COLUMNS[j.column].unit if j.column else "1"
-    return Margin(j.name, j.key, float(values[at]), worst, unit, int(at[0]), leg)
+    unit = COLUMNS[column].unit if column else "1"
+    return Margin(name, key, float(values[at]), worst, unit, int(at[0]), leg)
 
 
 def _excused(rows: Rows, c: Configuration) -> Mask:

@@ -1,13 +1,15 @@
 """The page: one HTML file with its styles, scripts and numbers in it, that fetches nothing.
 
-Its content security policy allows the scripts below by their checksums and nothing else.
+Its content security policy allows the scripts below by their checksums and nothing else. Whatever text goes
+in is escaped; only what `tag` has made stays as it is.
 """
 
 import base64
 import hashlib
 import importlib.resources
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
@@ -18,7 +20,6 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import platform_dict
 from hil.study.log_columns import has_pose, titled
 from hil.study.report.charts import Chart
-from hil.study.report.html import Html, joined, table, tag
 
 STYLES = ("uPlot.min.css", "report.css")
 SCRIPTS = ("uPlot.iife.min.js", "scene.js", "report.js")
@@ -28,6 +29,45 @@ BINS = 2000
 FRAMES = 1500
 """Of the pose, at most; a picture of each moment between two is made by the page."""
 SHARED = {"scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
+
+
+class Html(str):
+    """HTML that is whole: no text of a log."""
+
+    __slots__ = ()
+
+
+def tag(name: str, *content: object, **attributes: object) -> Html:
+    """Return an element. Content that is not Html is escaped; `class_` is class, `data_x` is data-x."""
+    given = "".join(
+        f' {key.rstrip("_").replace("_", "-")}="{escape(str(value), quote=True)}"'
+        for key, value in attributes.items()
+        if value is not None
+    )
+    return Html(f"<{name}{given}>{joined(content)}</{name}>")
+
+
+def joined(content: Iterable[object]) -> Html:
+    """Return what follows each other."""
+    return Html("".join(x if isinstance(x, Html) else escape(str(x), quote=True) for x in content))
+
+
+def prose(text: str) -> Html:
+    """Return a text; what stands between two backticks is code."""
+    parts = text.split("`")
+    if len(parts) % 2 == 0:
+        return joined([text])
+    return joined(tag("code", part) if k % 2 else part for k, part in enumerate(parts))
+
+
+def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str = "") -> Html:
+    """Return a table in a box that scrolls; the first cell of each row is its heading."""
+    lines = [
+        tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in rest)) for first, *rest in rows
+    ]
+    top = tag("thead", tag("tr", *(tag("th", cell, scope="col") for cell in head)))
+    title = [tag("caption", caption)] if caption else []
+    return tag("div", tag("table", *title, top, tag("tbody", *lines)), class_="scroll", tabindex=0)
 
 
 def asset(name: str) -> str:

@@ -10,8 +10,8 @@ from drivers.signals import Mode
 from hil.record.log import Event, Log
 from hil.record.schema import ENVIRONMENT, SUMMARY
 from hil.study.report.charts import lanes
-from hil.study.report.html import Html, joined, prose, table, tag
 from hil.study.report.margins import Margin
+from hil.study.report.page import Html, joined, prose, table, tag
 from hil.study.report.story import HEADINGS, Told, mode_name, quantity
 from hil.study.report.timing import PERCENTILES
 

@@ -1,17 +1,41 @@
 """`hil view`: the file that a viewer needs, written beside the log, and the viewer started on it."""
 
+import importlib.resources
 import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.sax.saxutils import quoteattr
 
 from drivers.errors import LogError
+from drivers.files import real_path
 from hil.app.files import made_whole, new_file
 from hil.record.log import Log
-from hil.study.view import foxglove, plotjuggler
 from hil.study.view.recording import write_rrd
+
+OPENED = """<root>
+ <previouslyLoaded_Datafiles>
+  <fileInfo filename={} prefix="">
+   <plugin ID="DataLoad MCAP">
+    <parameters use_timestamp="0" use_mcap_log_time="1" clamp_large_arrays="0" max_array_size="500" selected_topics={}/>
+   </plugin>
+  </fileInfo>
+ </previouslyLoaded_Datafiles>
+"""  # noqa: E501
+"""By which a layout of PlotJuggler 3.16 opens a log without asking which topics."""
+
+
+def _layout(name: str, log: Log) -> str:
+    """Return a shipped layout for the topic of a log; a plot whose columns the log lacks stays empty."""
+    text = (importlib.resources.files("configs") / "viewers" / name).read_text("utf-8")
+    return text.replace("/tick", log.topic)
+
+
+def _opening(log: Log) -> str:
+    opened = OPENED.format(quoteattr(str(real_path(log.path))), quoteattr(log.topic))
+    return _layout("plotjuggler.xml", log).replace("<root>\n", opened)
 
 
 class Viewer(NamedTuple):
@@ -39,14 +63,14 @@ VIEWERS = {
     ),
     "foxglove": Viewer(
         "-foxglove.json",
-        lambda log, path: path.write_text(foxglove.layout(log.columns, log.topic), "utf-8"),
+        lambda log, path: path.write_text(_layout("foxglove.json", log), "utf-8"),
         ("lichtblick", "foxglove-studio"),
         ("{log}",),
         "open {log} in Foxglove or Lichtblick and import the layout {file}",
     ),
     "plotjuggler": Viewer(
         "-plotjuggler.xml",
-        lambda log, path: path.write_text(plotjuggler.layout(log.columns, log.topic, log=log.path), "utf-8"),
+        lambda log, path: path.write_text(_opening(log), "utf-8"),
         ("plotjuggler",),
         ("-n", "-l", "{file}"),
         "plotjuggler -n -l {file}",

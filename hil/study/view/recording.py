@@ -20,8 +20,7 @@ from hil.record.log import Log
 from hil.record.scene import around, quaternion
 from hil.record.schema import CONFIGURATION
 from hil.record.selection import Component, components, name_of
-from hil.study.log_columns import Curve, has_pose, row_groups
-from hil.study.view.panels import Plot, differences, plots, states
+from hil.study.log_columns import Curve, Plot, differences, has_pose, plots, row_groups, states
 
 APPLICATION = "hexapod-hil"
 SCENE = "/robot"

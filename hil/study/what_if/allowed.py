@@ -1,20 +1,66 @@
-"""What a configuration has to share with a log so that the recorded inputs mean the same to it.
+"""The configuration of a what-if: its changes, and what it has to share with the log.
 
 The controller may be another one in all it decides. What the drives and sensors were, what was set in them,
 and how their frames are read, was decided when the log was made.
 """
 
+import re
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 from pydantic import BaseModel
 
 from drivers.errors import ConfigurationError
-from hil.app.configuration.configuration import Configuration
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.yaml_positions import parse
+from hil.study.campaign.keys import put
 
 FREE_OF_DRIVES: dict[str, Any] = {"brake_after_ms": True, "homing": {"file"}}
 """Keys of `drives` that neither a frame nor the controller has: where the legs stood is in the log."""
 UNNAMED = {"name", "description", "compare", "watch"}
 """Sections whose changes are not named: no controller has them."""
+
+
+def read_changes(words: Sequence[str]) -> dict[str, Any]:
+    """Return changes as `hil.app.configuration.changes` takes them, of words as `controller.wn_rad_s=25`.
+
+    A value is YAML; an empty one takes a key or a section away, and its default holds.
+
+    Raises ConfigurationError: words of another form, or a key in one that is set to a value.
+    """
+    found: dict[str, Any] = {}
+    for each in words:
+        key, equals, text = each.partition("=")
+        document = parse(f"value: {text}")
+        if not equals or document.problems or document.value is None or set(document.value) != {"value"}:
+            raise ConfigurationError(
+                f"--set {each}: allowed: section.key=value with a YAML value, as controller.wn_rad_s=25; a "
+                "list or a section is given as a whole, as 'monitor={action: warn}'"
+            )
+        try:
+            put(found, key, document.value["value"])
+        except ConfigurationError as error:
+            raise ConfigurationError(f"--set {error}") from None
+    return found
+
+
+def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configuration:
+    """Return a configuration with changes.
+
+    own : it is the configuration in a log, whose folder nobody looks into.
+
+    Raises ConfigurationError as `read_changes`; and for what the changed configuration has wrong.
+    """
+    if not words:
+        return c
+    name = f"{c.source} with --set"
+    text = with_changes(c.text, {"name": c.name} | read_changes(words))
+    try:
+        return loads(text, name, None if own else c.folder)
+    except ConfigurationError as error:  # nobody has the text in which it is wrong
+        problems = (re.sub(r"^.*?:\d+:\d+: ", f"{name}: ", problem) for problem in error.problems)
+        raise ConfigurationError(*problems) from None
 
 
 def refuse_other_inputs(there: Configuration, here: Configuration, rate_Hz: float) -> None:
@@ -54,39 +100,32 @@ def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
     for key, value in c.drives.model_dump(mode="json", exclude=FREE_OF_DRIVES).items():
         own = "; the controller's own limit is limits.force_N" if key == "force_limit_N" else ""
         found[f"drives.{key}"] = value, read + own
-    for kind in type(c.sensors).model_fields:
-        sensor = getattr(c.sensors, kind)
-        for key in ("node_id", "channel") if sensor is not None else ():
-            value = getattr(sensor, key)
-            found[f"sensors.{kind}.{key}"] = (
-                value,
-                "its frames are known by it; none: the log has no frame of one",
-            )
+    why = "its frames are known by it; none: the log has no frame of one"
+    for kind, sensor in c.sensors:
+        if sensor is not None:
+            found |= {f"sensors.{kind}.{key}": (getattr(sensor, key), why) for key in ("node_id", "channel")}
     return found
 
 
 def changes(there: Configuration, here: Configuration) -> list[str]:
     """Return which keys of two configurations differ, each with both values."""
-    names = [name for name in Configuration.model_fields if name not in UNNAMED]
-    one, other = ({name: _plain(getattr(c, name)) for name in names} for c in (there, here))
-    return _changed("", one, other)
-
-
-def _plain(section: Any) -> Any:
-    return section.model_dump(mode="json") if isinstance(section, BaseModel) else section
-
-
-def _changed(key: str, there: Any, here: Any) -> list[str]:
-    if there == here:
-        return []
-    if not (isinstance(there, dict) and isinstance(here, dict)):
-        return [f"{key}: {_text(there)} -> {_text(here)}"]
-    names = dict.fromkeys((*there, *here))
+    one, other = (dict(_flat("", dict(c))) for c in (there, here))
+    keys = [key for key in {**one, **other} if key.partition(".")[0] not in UNNAMED]
     return [
-        line
-        for name in names
-        for line in _changed(f"{key}.{name}".removeprefix("."), there.get(name), here.get(name))
+        f"{key}: {_text(one.get(key))} -> {_text(other.get(key))}"
+        for key in keys
+        if one.get(key) != other.get(key)
     ]
+
+
+def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the keys of sections within sections with dots, each with its value."""
+    found = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+    if not isinstance(found, dict):
+        yield key, found
+        return
+    for name, inner in found.items():
+        yield from _flat(f"{key}.{name}".removeprefix("."), inner)
 
 
 def _text(value: Any) -> str:

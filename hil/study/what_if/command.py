@@ -3,37 +3,42 @@
 import contextlib
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from drivers.errors import ConfigurationError, LogError
+from drivers.errors import ConfigurationError
 from drivers.frame_array import NO_FRAMES
+from drivers.protocol import Frame
+from drivers.signals import LEGS
 from hil.app.compose import NAMED_FILES, REFERENCE_PLAN, attachments, build_cycle, build_scene, databases
 from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.feedforward_file import learned_forces
-from hil.app.files import PICTURE, beginning, new_file, printable
 from hil.app.homing.last_pose import HOMING_JSON, recorded
-from hil.app.output import further, leaving, log_path
+from hil.app.output import leaving, log_path
 from hil.app.readable import lacking
 from hil.app.recorded_files import with_attachments
 from hil.app.replay import WHAT_IF, law_of_log, open_replayable
 from hil.app.terminal import one_line
-from hil.config.reference import LiveReference
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
 from hil.loop.replay import Block
-from hil.loop.what_if import Answer, what_if
+from hil.loop.what_if import Answer, OtherFrames, what_if
 from hil.record import LogSummary, Recording
 from hil.record.log import Log
 from hil.record.schema import IDENTITY
-from hil.study.plot.command import SUFFIXES
-from hil.study.what_if import show
-from hil.study.what_if.allowed import changes, refuse_other_inputs
-from hil.study.what_if.changes import changed
-from hil.study.what_if.picture import Forces
+from hil.study import divergences
+from hil.study.table import Column, figure, print_rows
+from hil.study.what_if.allowed import changed, changes, refuse_other_inputs
+
+OPEN_LOOP = (
+    "The measurements did not follow the changed forces: past the first difference the loop is open. These "
+    "figures say what this controller would have answered to these measurements, not how the robot would "
+    "have moved."
+)
+SIDES = ("what_if", "recorded")
 
 
 def what_if_log(
@@ -41,7 +46,6 @@ def what_if_log(
     config: str | None = None,
     words: Sequence[str] = (),
     *,
-    picture: Path | None = None,
     out: Path | None = None,
     progress: Callable[[int], None] | None = None,
     trust_code: bool = False,
@@ -49,14 +53,12 @@ def what_if_log(
     """Give the controller of another configuration the inputs of a log, and return what it answers.
 
     config : a file or the name of a shipped configuration, None: the log's own; words : changes to it, as
-    `controller.wn_rad_s=25`; picture : PNG or SVG of the forces; out : a log of what it answers. Key
-    `success` tells whether the log could be read to its end: differences are no failure.
+    `controller.wn_rad_s=25`; out : a log of what it answers. Key `success` tells whether the log could be
+    read to its end: differences are no failure.
 
     Raises ConfigurationError: a configuration that cannot be used, or to which the inputs mean something
     else; LogError: as `hil.app.replay.open_replayable`, or a file that exists.
     """
-    if picture is not None:
-        new_picture(picture)
     if out is not None:
         log_path("", "", out)
     log, run, own = open_replayable(path, trust_code=trust_code)
@@ -68,7 +70,6 @@ def what_if_log(
         )
     here = law_of_log(here, log, run, trust_code=trust_code)
     refuse_other_inputs(own, here, run["rate_Hz"])
-    forces = None if picture is None else Forces()
     with contextlib.ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hil-what-if-")))
         given = _with_files(own, here, log, None if config is not None else folder)
@@ -79,37 +80,21 @@ def what_if_log(
         recording = None if out is None else stack.enter_context(_record(here, cycle, out, log))
         stack.enter_context(collector_paused())
         begun = time.perf_counter()
-        answer = _answer(log, cycle, recording, forces, progress)
+        answer = _answer(log, cycle, recording, progress)
         wall_s = time.perf_counter() - begun
         end = {"reason": answer.damage, "ticks_answered": answer.ticks}
         written = None if recording is None else recording.close(end)
-    result = show.summary(answer, run["rate_Hz"])
-    result |= {
+    return figures(answer, run["rate_Hz"]) | {
         "success": answer.whole and (written is None or written.complete),
         "trouble": _trouble(answer, written),
         "log": str(path),
         "configuration": here.source,
         "changed": [*changes(own, here), *other_files],
-        "remarks": _remarks(log, here, answer),
+        "remarks": _remarks(log, answer),
         "wall_s": wall_s,
         "times_real_time": answer.ticks / run["rate_Hz"] / wall_s if wall_s > 0 else 0.0,
         "answer_log": None if out is None else str(out),
-        "picture": None,
     }
-    if forces is not None and picture is not None and answer.ticks:
-        with further(result):
-            named = printable(" ".join((here.name, *words)))
-            forces.draw(picture, f"{printable(path.name)}: recorded, and what {named} would have sent")
-            result["picture"] = str(picture)
-    return result
-
-
-def new_picture(path: Path) -> None:
-    """Refuse a picture that could not be drawn; an earlier one is replaced. Raises LogError."""
-    if path.suffix.lower() not in SUFFIXES:
-        raise LogError(f"--plot {path}: allowed are the endings {' and '.join(SUFFIXES)}")
-    own = PICTURE if path.suffix.lower() == ".png" else beginning("an SVG picture", b"<?xml")
-    new_file(path, option="--plot", own=own)
 
 
 def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recording:
@@ -123,7 +108,7 @@ def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recor
             "kind": WHAT_IF,
             "what_if_of": source.path.name,
             "what_if_of_kind": source.metadata.get(IDENTITY, {}).get("kind", ""),
-            "open_loop": show.OPEN_LOOP,
+            "open_loop": OPEN_LOOP,
             "rate_Hz": cycle.parts.rate_Hz,
             "watchdog_s": cycle.parts.setup.watchdog_s,
             "protocol": here.drives.protocol,
@@ -133,7 +118,7 @@ def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recor
         lockstep=True,
         ring_ticks=here.recording.ring_ticks,
     )
-    recording.event(begins_ns, "warning", f"a what-if on {source.path.name}, no run. {show.OPEN_LOOP}")
+    recording.event(begins_ns, "warning", f"a what-if on {source.path.name}, no run. {OPEN_LOOP}")
     return recording
 
 
@@ -141,7 +126,6 @@ def _answer(
     log: Log,
     cycle: Cycle,
     recording: Recording | None,
-    forces: Forces | None,
     progress: Callable[[int], None] | None,
 ) -> Answer:
     def observe(block: Block) -> None:
@@ -154,10 +138,9 @@ def _answer(
         else:
             recording.ticks_of_items(rows, frames, ends)
 
-    keep = None if forces is None else forces.keep
     there = "" if recording is None else f"what it answered until then: {recording.path}"
     with leaving(lambda: there), np.errstate(all="ignore"):  # a law that diverges says so by its fault
-        return what_if(log, cycle, observe=observe if recording else None, keep=keep, progress=progress)
+        return what_if(log, cycle, observe=observe if recording else None, progress=progress)
 
 
 def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path | None) -> Configuration:
@@ -209,14 +192,9 @@ def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
     return "; ".join(found) or None
 
 
-def _remarks(log: Log, here: Configuration, answer: Answer) -> list[str]:
+def _remarks(log: Log, answer: Answer) -> list[str]:
     """Return what else is to be known of the figures."""
     found = [missing] if (missing := lacking(log)) else []
-    if answer.setpoints and not isinstance(here.reference, LiveReference):
-        found.append(
-            f"the {answer.setpoints} set-points of the log are not followed: reference.type "
-            f"{here.reference.type} takes none"
-        )
     frames = answer.first_frames
     if frames is not None and any(each["tick"] > frames.tick for each in answer.answered_faults):
         found.append(
@@ -224,3 +202,106 @@ def _remarks(log: Log, here: Configuration, answer: Answer) -> list[str]:
             "error and certificate are judged by the motion that the forces sent should bring about"
         )
     return found
+
+
+def figures(answer: Answer, rate_Hz: float) -> dict[str, Any]:
+    """Return what was found as plain values, of a loop at `rate_Hz`."""
+    first = [divergences.place(each, each.first, SIDES) for each in answer.columns.first]
+    forces = answer.forces
+    return {
+        "kind": "what_if",
+        "note": OPEN_LOOP,
+        "ticks": answer.ticks,
+        "logged_s": answer.ticks / rate_Hz,
+        "different_ticks": answer.different_ticks,
+        "different_frames_ticks": answer.wire_different_ticks,
+        "first_tick": first[0]["tick"] if first and first[0] else None,
+        "first": first,
+        "first_frames": _frames(answer.first_frames),
+        "faults_part_at_tick": answer.parts_tick,
+        "recorded_faults": [each._asdict() for each in answer.recorded_faults],
+        "what_if_faults": answer.answered_faults,
+        "what_if_story": None if answer.story is None else answer.story.fields(),
+        "warnings": {name: each._asdict() for name, each in answer.warnings.items()},
+        "forces": {
+            "ticks": forces.ticks,
+            "largest_N": forces.largest.tolist(),
+            "at_tick": forces.at,
+            "rms_N": forces.rms.tolist(),
+        },
+        "columns": [divergences.fields(each, SIDES) for each in answer.columns.diverging],
+        "gaps": [f"{count} ticks missing from tick {tick}" for tick, count in answer.gaps],
+    }
+
+
+def _frames(found: OtherFrames | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    values = {"recorded": _frame(found.recorded), "what_if": _frame(found.answered)}
+    return {"tick": found.tick, "time_s": found.time_s, "legs": list(found.legs), **values}
+
+
+def _frame(frame: Frame | None) -> str | None:
+    return None if frame is None else f"0x{frame.id:X} {frame.data.hex(' ')}"
+
+
+def shown(result: dict[str, Any]) -> dict[str, Any]:
+    """Return what a terminal shows below the tables."""
+    warnings = [
+        f"{name} in {each['answered']} ticks, in the log in {each['recorded']}"
+        + ("" if each["first_tick"] is None else f", first of its own at tick {each['first_tick']}")
+        for name, each in result["warnings"].items()
+    ]
+    frames = result["first_frames"]
+    kept = ("log", "configuration", "ticks", "answer_log", "wall_s", "times_real_time", "note")
+    return {
+        "success": result["success"],
+        "changed": result["changed"] or "nothing",
+        "different ticks": result["different_ticks"],
+        "first difference": [divergences.sentence(each, SIDES) for each in result["first"]],
+        "first other frames": "none: every tick would have sent the same"
+        if frames is None
+        else f"tick {frames['tick']} ({frames['time_s']:.3f} s), legs {', '.join(map(str, frames['legs']))}: "
+        f"recorded {frames['recorded']}, what-if {frames['what_if']}",
+        "limits and warnings": warnings,
+        "faults": _faults(result),
+        "remarks": result["remarks"] or None,
+        **{key: result[key] for key in kept},
+    }
+
+
+def _faults(result: dict[str, Any]) -> list[str]:
+    lines = []
+    for name in SIDES:
+        named = dict.fromkeys(f"{each['fault']} at tick {each['tick']}" for each in result[f"{name}_faults"])
+        lines += [f"{name.replace('_', '-')}: {', '.join(named)}"] if named else []
+    tick = result["faults_part_at_tick"]
+    if tick is not None:
+        lines.append(
+            f"from tick {tick} on one of the two has faulted and the other not: {result['forces']['ticks']} "
+            "ticks are compared until then"
+        )
+    return lines
+
+
+def tables(result: dict[str, Any]) -> None:
+    """Print the forces by leg and the columns that differ; nothing where all is the same."""
+    if not result["different_ticks"]:
+        return
+    forces = result["forces"]
+    print(f"force, what-if less recorded, over {forces['ticks']} of {result['ticks']} ticks:")
+    by_leg = (
+        Column("leg", str),
+        Column("largest N", lambda leg: f"{forces['largest_N'][leg]:.4g}"),
+        Column("at tick", lambda leg: figure(forces["at_tick"][leg])),
+        Column("RMS N", lambda leg: f"{forces['rms_N'][leg]:.4g}"),
+    )
+    print_rows(by_leg, range(LEGS))
+    divergences.show(result["columns"], SIDES)
+
+
+def story(result: dict[str, Any]) -> Iterator[str]:
+    """Yield what the faults that are latched in the end have to tell."""
+    if result["what_if_story"] is not None:
+        yield "what the faults of the what-if have to tell:"
+        yield from (f"  {line}" for line in result["what_if_story"]["lines"])

@@ -1,4 +1,4 @@
-"""The workspace as a picture: three sections, what limits them, tilt and torsion, convergence."""
+"""The workspace as a picture: three sections, what limits them, tilt and torsion."""
 
 from pathlib import Path
 from typing import Any
@@ -26,8 +26,7 @@ def draw(w: Workspace, path: Path, title: str) -> Path:
     (colours, *_) = [_section(axes, w, s, ends) for axes, s in zip(top, w.sections, strict=True)]
     figure.colorbar(colours, ax=top, shrink=0.8, extend="max", label="condition number of J, lengths / r")
     _tilt(figure.add_subplot(2, 3, 4, projection="polar"), w)
-    _torsion(figure.add_subplot(2, 3, 5), w)
-    _convergence(figure.add_subplot(2, 3, 6), w)
+    _torsion(figure.add_subplot(2, 3, (5, 6)), w)
     shares, used = w.positions.shares, {*w.positions.kinds.tolist(), *w.orientations.kinds.ravel().tolist()}
     keys: list[dict[str, Any]] = [
         {"marker": "o", "linestyle": "", "color": COLOURS[k], "label": f"{name} {100 * shares[name]:.0f} %"}
@@ -97,16 +96,4 @@ def _torsion(axes: Any, w: Workspace) -> None:
     axes.set(xlabel="torsion [deg]", ylabel="tilt [deg]", title="tilt and torsion together")
     axes.set_ylim(bottom=0)
     axes.legend()
-    axes.grid(alpha=0.3)
-
-
-def _convergence(axes: Any, w: Workspace) -> None:
-    m = w.positions
-    steps, volumes = np.array(m.volumes).T
-    axes.plot(1e3 * steps, volumes, "o-")
-    axes.errorbar([1e3 * m.step], [m.volume], yerr=m.volume_error, capsize=5)
-    axes.set(xlabel="step of the grid [mm]", ylabel="volume [m$^3$]")
-    axes.set_title(f"volume {m.volume:.4g} m$^3$, within about {m.volume_error:.1g}")
-    axes.set_xlim(left=0)
-    axes.ticklabel_format(axis="y", useOffset=False)
     axes.grid(alpha=0.3)

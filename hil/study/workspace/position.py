@@ -28,8 +28,8 @@ class Flood(NamedTuple):
     """Along each direction: (n, 3) of points where a step leaves the workspace, relative to home, m."""
     kinds: tuple[Ints, ...]
     """The limit that stops each of these steps."""
-    lengths: tuple[Array, ...]
-    """Along each direction, over the grid of the two others: length of its line inside, m."""
+    lengths: Array
+    """Over the grid of x and y: length of its line along z inside, m."""
 
 
 class PositionMap(NamedTuple):
@@ -80,8 +80,7 @@ def map_positions(surveyor: Surveyor, resolution: int = 40) -> PositionMap:
     """Map the translations that can be reached from home with home's orientation.
 
     Grid: home is a node; ``resolution`` steps along the longest side of the workspace's box. The volume is
-    the sum of the lengths of the grid's lines inside, whose ends are exact, along x, y and z: the mean of
-    the three, weighted with how well neighbouring lines of each agree.
+    the sum of the lengths of the grid's lines along z inside, whose ends are exact.
 
     Raises WorkspaceError: the lengths leave no room at all about home.
     """
@@ -134,8 +133,8 @@ def flood_grid(surveyor: Surveyor, low: Array, high: Array, step: float) -> Floo
     parts, _ = label(doubled)
     found = parts == parts[tuple((-2 * first).astype(int))]
     reached = found[::2, ::2, ::2]
-    crossings, kinds, lengths = [], [], []
-    for k, (a, b, middle) in enumerate(steps):
+    crossings, kinds = [], []
+    for a, b, middle in steps:
         joined = found[middle]
         length = np.zeros(inside.shape)
         length[a] = step * joined
@@ -149,8 +148,7 @@ def flood_grid(surveyor: Surveyor, low: Array, high: Array, step: float) -> Floo
             met.append(kind)
         crossings.append(np.concatenate(points))
         kinds.append(np.concatenate(met))
-        lengths.append(length.sum(axis=k))
-    return Flood(axes, reached, tuple(crossings), tuple(kinds), tuple(lengths))
+    return Flood(axes, reached, tuple(crossings), tuple(kinds), length.sum(axis=2))
 
 
 def _along(k: int, part: slice, rest: slice = slice(None)) -> tuple[slice, ...]:
@@ -183,17 +181,12 @@ def cut(surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str]) -> C
 def _measure(surveyor: Surveyor, flood: Flood, step: float) -> PositionMap:
     home = [int(np.argmin(np.abs(x))) for x in flood.axes]
 
-    def volume(k: int, n: int, offset: tuple[int, int] = (0, 0)) -> float:
-        """Of every n-th line along direction k, counted from home and the offset."""
-        i, j = ((home[m] + o) % n for m, o in zip((m for m in range(3) if m != k), offset, strict=True))
-        return float(flood.lengths[k][i::n, j::n].sum()) * (step * n) ** 2
+    def volume(n: int, i: int = 0, j: int = 0) -> float:
+        """Of every n-th line, counted from home and an offset."""
+        lines = flood.lengths[(home[0] + i) % n :: n, (home[1] + j) % n :: n]
+        return float(lines.sum()) * (step * n) ** 2
 
-    # Lines in each direction, as four sets of every second line: sets that differ tell how far the lines of
-    # that direction can be trusted. A flat face along them, between two layers, costs them half a step.
-    sets = np.array([[volume(k, 2, (m, n)) for m in (0, 1) for n in (0, 1)] for k in range(3)])
-    weight = 1.0 / np.maximum(np.ptp(sets, axis=1), 1e-12 * max(sets.mean(), 1e-30)) ** 2
-    weight /= weight.sum()
-    volumes = [(step * n, float(weight @ [volume(k, n) for k in range(3)])) for n in (4, 2, 1)]
+    volumes = [(step * n, volume(n)) for n in (4, 2, 1)]
     points, where, best = np.concatenate(flood.crossings), np.argwhere(flood.reached), volumes[-1][1]
     return PositionMap(
         step,
@@ -201,7 +194,7 @@ def _measure(surveyor: Surveyor, flood: Flood, step: float) -> PositionMap:
         points + surveyor.p,
         np.concatenate(flood.kinds),
         best,
-        float(np.abs(weight @ sets - best).max()),
+        max(abs(volume(2, i, j) - best) for i in (0, 1) for j in (0, 1)),
         tuple(volumes),
         np.stack([points.min(axis=0), points.max(axis=0)], axis=1) + surveyor.p[:, None],
         np.stack([flood.axes[k][where[:, k]] for k in range(3)], axis=1) + surveyor.p,

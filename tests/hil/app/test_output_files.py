@@ -55,6 +55,7 @@ def here(tmp_path, monkeypatch):
     [
         "replay --suite . --junit x",
         "replay a.mcap --what-if x",
+        "replay a.mcap --set a.b=1 --log x",
         "replay a.mcap --salvage x",
         "campaign x",
         "campaign rerun nowhere.yaml 1 --log x",
@@ -75,7 +76,6 @@ def test_a_summary_replaces_no_other_file_of_its_command(line, here):
 @pytest.mark.parametrize(
     "line",
     [
-        "replay a.mcap --set a.b=1 --plot x --log {}",
         "design hinf nowhere.yaml -o x --plot {}",
         "bringup nowhere.yaml --state x --log {}",
     ],

@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 import time
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,12 +16,11 @@ from can.io.canutils import CanutilsLogReader
 from click.testing import CliRunner
 from pyarrow import parquet
 
-from drivers.errors import LogError
 from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from hil.cli import main
 from hil.record import Recording
 from hil.record.log import Log
-from hil.study.export.command import export_log
+from hil.study.export import export_log
 from tests.hil.samples import log_of, random_ticks
 
 TICKS = random_ticks(700, seed=33)
@@ -177,20 +175,6 @@ def test_many_rows_with_new_names_on_the_way_come_back(tmp_path):
 # -- refusals ------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("ending", ["candump", "blf", "csv", "parquet"])
-def test_nothing_is_overwritten_without_force(path, tmp_path, ending):
-    out = tmp_path / f"a.{ending}"
-    out.write_bytes(b"dear")
-    refused = hil("export", path, out)
-    assert refused.exit_code == 2
-    assert "exists and is not overwritten" in refused.stderr
-    assert out.read_bytes() == b"dear"
-    forced = hil("export", path, out, "--force")
-    assert forced.exit_code == 0, forced.output
-    assert out.read_bytes() != b"dear"
-    assert sorted(p.name for p in tmp_path.iterdir()) == [out.name]
-
-
 def test_a_cut_log_is_exported_as_far_as_it_goes_and_says_so(path, tmp_path):
     bad = tmp_path / "cut.mcap"
     size = path.stat().st_size // 2
@@ -241,10 +225,3 @@ def test_what_cannot_be_done_is_refused_before_anything_is_written(
     assert done.exit_code == 2
     assert message in done.stderr
     assert list(tmp_path.iterdir()) == [tmp_path / "own.log"]
-
-
-def test_without_pyarrow_the_message_says_how_to_install_it(path, tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with pytest.raises(LogError, match=r'pip install "hexapod-hil\[analysis\]"'):
-        export_log(path, [tmp_path / "a.parquet"])
-    assert list(tmp_path.iterdir()) == []

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
-import numpy as np
 import pytest
 
 from drivers.errors import PlantError
-from drivers.signals import Doubt, Fault, Mode
 from hil.app import compose
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.config.reference import HoldReference
-from hil.contracts.records import record_of
-from hil.loop.modes import Durations
 from hil.study.faults import case_run
 from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
 from hil.study.faults.expected import PLANT_FAILS
-from hil.study.faults.sizes import robot_of, size_of
 from hil.study.faults.verdict import Bounds
 from tests.hil.lab.bringup.families import family
 
@@ -98,49 +92,6 @@ def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(
     assert unbegun["verdict"].startswith("could not be run: the fault did not begin"), unbegun
 
 
-def test_legs_that_a_fault_has_named_in_any_tick_are_its_legs():
-    named = {"legs_moved": 0b010010, "legs_doubted": 0b001000}
-    ending: Any = SimpleNamespace(faults=Fault.BRAKE | Fault.ENCODER, story=None)
-    cycle: Any = SimpleNamespace(tick=record_of(doubt=Doubt.NONE))
-    assert case_run._causes(cycle, ending, named) == {"BRAKE": {1, 4}, "ENCODER": {3}}
-
-
-@pytest.mark.parametrize(("entered", "ended"), [(100, 400), (400, 100)])
-def test_a_platform_that_is_held_again_and_again_is_watched_no_longer_than_from_the_first_time(
-    entered, ended
-):
-    parts = SimpleNamespace(rate_Hz=1000.0)
-    cycle: Any = SimpleNamespace(mode=Mode.HELD, mode_tick=entered, parts=parts)
-    last = 100 + round(1000 * case_run.HELD_S)
-    assert [case_run._goes_on(cycle, tick, 0, ended) for tick in (last - 1, last, last + 1)] == [
-        True,
-        True,
-        False,
-    ]
-
-
-def test_a_case_has_a_minute_beside_what_its_configuration_asks_for(monkeypatch):
-    monkeypatch.setattr(case_run, "LONGEST_S", 1.0)  # the run takes two
-    assert run("plant_crash/UNLOADING")["verdict"] == "the plant failed and said so"
-
-
-@pytest.mark.parametrize(
-    ("engage", "least_s"),
-    [
-        ({"force_ramp_s": 30.0}, 60.0 + 90.0),
-        ({"approach_speed_m_s": 1e-3}, 60.0 + 1e3 * (2.2 - 0.75)),
-        ({"stop_s": 50.0}, 60.0 + 50.0),
-    ],
-    ids=lambda value: next(iter(value)) if isinstance(value, dict) else "",
-)
-def test_a_slow_start_or_stop_is_no_case_that_does_not_end(engage, least_s):
-    c = load("virtual")
-    (case,) = cases(loads(with_changes(c.text, {"engage": engage}), "my.yaml"), ["bus_off/PARKING"])
-    settings = case.configuration.engage
-    durations = Durations(settings.force_ramp_s, settings.brake_release_s, settings.closing_s)
-    assert least_s <= case_run._longest_s(case, durations) < least_s + 15.0
-
-
 LEARNED = {"file": "learned.csv", "limit_N": 500.0}
 
 
@@ -157,16 +108,6 @@ def test_a_reference_that_is_fastest_at_once_is_followed_before_the_run_is_stopp
     held = c.model_copy(update={"reference": HoldReference(type="hold", duration_s=10.0)})
     (case,) = cases(held, [f"plant_crash/{moment}"])
     assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
-
-
-def test_pushes_are_drawn_from_all_sides():
-    robot = robot_of(load("virtual"))
-    drawn = [size_of("wrench_step", robot, 0, np.random.default_rng(seed))["force_N"] for seed in range(200)]
-    octants = {tuple(np.sign(force)) for force in drawn}
-    assert len(octants) == 8
-    sizes = np.linalg.norm(drawn, axis=1) / robot.weight_N
-    assert 0.0199 < sizes.min() < 0.03
-    assert 0.2 < sizes.max() < 0.2501
 
 
 @pytest.mark.parametrize(

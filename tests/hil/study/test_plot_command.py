@@ -14,8 +14,7 @@ from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
 from hil.cli import main
 from hil.study.log_columns import curves
-from hil.study.plot.command import plot
-from hil.study.plot.draw import Curve, draw
+from hil.study.plot import Curve, draw, plot
 
 PNG = b"\x89PNG\r\n"
 
@@ -77,12 +76,6 @@ def test_a_picture_has_units_names_of_values_and_both_logs(logs, tmp_path):
     assert {"one: tau.leg_3", "two: tau.leg_3", "N", "m/s", "s", "TRACKING", "PARKED"} <= set(said)
 
 
-def test_logs_of_one_name_in_two_folders_are_told_apart(logs, tmp_path):
-    (tmp_path / "one.mcap").write_bytes(logs[1].read_bytes())
-    plot([logs[0], tmp_path / "one.mcap"], ("tick",), out=tmp_path / "x.svg")
-    assert {f"{logs[0]}: tick", f"{tmp_path / 'one.mcap'}: tick"} <= set(texts(tmp_path / "x.svg"))
-
-
 def test_the_command_draws_a_difference_as_png(tmp_path, logs):
     out = tmp_path / "x.png"
     result = CliRunner().invoke(
@@ -99,20 +92,8 @@ def test_only_the_time_between_from_and_to_is_drawn(logs, tmp_path):
         plot(logs[:1], ("q",), out=tmp_path / "b.svg", start_s=1e3)
 
 
-def test_nothing_is_overwritten_without_force(logs, tmp_path):
-    out = tmp_path / "x.svg"
-    out.write_text("mine")
-    with pytest.raises(LogError, match=r"not overwritten.*--force"):
-        plot(logs[:1], ("q",), out=out)
-    assert out.read_text() == "mine"
-    plot(logs[:1], ("q",), out=out, force=True)
-    assert out.read_text() != "mine"
-    with pytest.raises(LogError, match=r"endings \.png and \.svg"):
-        plot(logs[:1], ("q",), out=logs[1], force=True)
-
-
 def test_of_a_cut_log_the_summary_says_so_and_a_damaged_one_is_refused(logs, tmp_path, monkeypatch):
-    monkeypatch.setattr("hil.study.plot.command.draw", lambda *_: None)
+    monkeypatch.setattr("hil.study.plot.draw", lambda *_: None)
     whole = logs[1].read_bytes()
     cut, torn = tmp_path / "cut.mcap", tmp_path / "torn.mcap"
     cut.write_bytes(whole[: int(0.9 * len(whole))])
@@ -122,13 +103,6 @@ def test_of_a_cut_log_the_summary_says_so_and_a_damaged_one_is_refused(logs, tmp
     assert found["remark"].startswith(f"{cut}: the log is cut")
     with pytest.raises(LogError, match=r"torn\.mcap: damaged .*--salvage"):
         plot([torn], ("q",), out=tmp_path / "c.svg")
-
-
-def test_a_name_with_dollar_signs_is_a_name_and_no_formula(logs, tmp_path):
-    odd = tmp_path / "a$\\frac{$b.mcap"
-    odd.write_bytes(logs[0].read_bytes())
-    plot([odd, logs[1]], ("q",), out=tmp_path / "x.svg")
-    assert any("a$\\frac{$b" in text for text in texts(tmp_path / "x.svg"))
 
 
 @pytest.mark.parametrize("value", [np.inf, -np.inf, np.nan, 1.7e308, -1.7e308])

@@ -18,13 +18,12 @@ from drivers.protocol import BUS, Frame
 from drivers.signals import Mode, Warn
 from hil.app.configuration.configuration import load
 from hil.app.sim.command import simulate
-from hil.record.log import Event, Log
+from hil.record.log import Log
 from hil.study.report import sections
-from hil.study.report.charts import Chart, Curve, charts, lanes
+from hil.study.report.charts import Chart, Curve, charts
 from hil.study.report.command import report
 from hil.study.report.margins import Margin
 from hil.study.report.page import figure, thin
-from hil.study.report.story import quantity
 from hil.study.report.timing import Traffic, counts, spreads, traffic
 from tests.hil.study.test_report_limits import limited, rows_of
 
@@ -186,32 +185,13 @@ def test_percentiles_are_those_of_all_ticks():
     ]
 
 
-def test_counts_are_those_of_the_whole_log():
+def test_late_ticks_and_those_that_the_log_lacks_are_counted():
     rows = rows_of(100)
     rows["skipped"][[0, 50]] = 7, 2
     rows["tick"][50:] += 2
     rows["tick"][80:] += 5
-    rows["age"][[10, 20], 3] = 1
-    rows["age"][30] = 2
     rows["warnings"][[3, 4]] = Warn.LATE
-    rows["rejected"][[5, 6]] = 3
-    rows["sends_failed"][9], rows["bus_errors"][9] = 4, 6
-    rows["recorder_dropped"][80:] = 5
-    rows["bus_overflow"][[2, 3]] = 5, 6
-    # passive from the start, active, warning, passive, off, off, warning: a better state is no entry
-    rows["bus_state"][[0, 10, 11, 12, 13, 14, 15]] = 3, 1, 2, 3, 4, 4, 2
-    rows["bus_off"][13:15] = 1
-    rows["mode"][:15] = Mode.IDLE
-    assert [n for _, n in counts(rows)] == [100, 2, 2, 2, 6, 4, 6, 11, 1, 2, 1, 2, 5, 5]
-
-
-def test_times_on_the_page_count_from_the_first_row():
-    rows = rows_of(10, t_ns=5_000_000_000 + 100_000_000 * np.arange(10))
-    rows["mode"][4:] = Mode.STOPPING
-    t = np.linspace(0.0, 0.9, 10)
-    modes, events = sections.modes(rows, t, [Event(5_250_000_000, "info", "here")])
-    assert cells(modes)[1:] == [["TRACKING", "0.000", "0.400"], ["STOPPING", "0.400", "0.500"]]
-    assert cells(events)[1] == ["0.250", "info", "here"]
+    assert [n for _, n in counts(rows)] == [2, 5]
 
 
 def test_what_is_left_of_a_limit_is_the_limit_less_the_value():
@@ -219,14 +199,6 @@ def test_what_is_left_of_a_limit_is_the_limit_less_the_value():
     made = sections.limits([found], np.linspace(0.0, 0.9, 10), "")
     assert cells(made)[1][2:] == ["0.5 m/s", "2 m/s", "1.5 m/s", "4", "0.300", "limits.speed_m_s"]
     assert "25.0 %" in cells(made)[1][1]
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "text"),
-    [(0.005, "m", "5 mm"), (0.25, "m", "0.25 m"), (-2e-6, "m", "-0.002 mm"), (16043.4, "N", "16043 N"), (0.5, "1", "0.5")],
-)  # fmt: skip
-def test_a_quantity_has_the_prefix_of_its_size(value, unit, text):
-    assert quantity(value, unit) == text
 
 
 @pytest.mark.parametrize(("of_controller", "least"), [(25000.0, 25000.0), (40000.0, 30000.0)])
@@ -259,18 +231,3 @@ def test_thinning_out_keeps_a_peak_of_one_sample_and_its_place(at):
     assert thin_y.max() == 50.0
     assert abs(x[np.argmax(thin_y)] - t[at]) <= 0.2
     assert np.nanmin(thin_z) == -7.0
-
-
-def test_thinning_out_keeps_the_direction_of_a_curve():
-    t = np.linspace(0.0, 1.0, 10_000)
-    _, (rises, falls) = thin(t, [t**2, 1.0 - t**2], bins=100)
-    assert (np.diff(rises) > 0).all()
-    assert (np.diff(falls) < 0).all()
-
-
-def test_lanes_show_when_a_bit_was_there():
-    rows = rows_of(10)
-    rows["warnings"][3:5] = Warn.LATE | Warn.BUS
-    rows["warnings"][7] = Warn.BUS
-    found = [(label, np.flatnonzero(there).tolist()) for label, there in lanes(rows)]
-    assert found == [("warnings LATE", [3, 4]), ("warnings BUS", [3, 4, 7])]

@@ -65,14 +65,6 @@ def test_a_margin_has_leg_instant_value_and_limit_in_both_directions(column, key
     assert (found.limit, found.used_percent) == (0.5, pytest.approx(80.0))
 
 
-@pytest.mark.parametrize(("column", "key"), [("fk_residual", "consistency_m"), ("condition", "condition")])
-def test_residual_and_condition_have_each_its_own_limit(column, key):
-    rows = rows_of(9)
-    rows[column][4] = 0.3
-    found = margin(rows, f"limits.{key}", c=limited(**{"consistency_m": 2.0, "condition": 4.0, key: 1.5}))
-    assert (found.value, found.limit, found.row) == (0.3, 1.5, 4)
-
-
 def test_what_happens_while_a_rule_is_not_judged_is_no_margin():
     rows = rows_of(100)
     rows["dq"][70:, 0], rows["dq"][10, 1] = 1.9, 0.5
@@ -143,14 +135,6 @@ def test_of_32_ticks_those_with_refused_frames_are_counted():
     assert nearest(rows, "", "frames were refused") == (43, None, 4), (
         "10 is 33 ticks before 43; 20 to 43 are four"
     )
-
-
-def test_the_tick_in_which_a_brake_gave_way_counts():
-    rows = rows_of(60, mode=Mode.LOADING)
-    rows["q"][40:, 2] += 6e-4
-    rows["mode"][40:], rows["faults"][40:] = Mode.FAULT, Fault.BRAKE
-    rows["q"][41:, 2] += 1.0
-    assert nearest(rows, "limits.standstill_m") == (40, 2, 6e-4)
 
 
 def test_a_force_step_is_one_between_ticks_that_follow_each_other():
@@ -267,11 +251,6 @@ def test_a_force_is_measured_against_the_smaller_of_both_limits(of_controller, k
     assert margin(rows, key, c=limited(force_N=of_controller)).limit == min(of_controller, 30000.0)
 
 
-def test_a_slower_loop_may_change_its_force_by_more_in_a_tick():
-    found = margin(rows_of(9), "limits.force_step_N", rate_Hz=500.0)
-    assert found.limit == 8000.0, "4000 N at 1000 Hz, at 500 Hz"
-
-
 def test_a_length_is_measured_from_the_middle_to_the_nearer_end():
     rows = rows_of(9)
     rows["q"][2, 3], rows["q"][5, 0] = 0.80, 2.10
@@ -288,11 +267,6 @@ def test_the_nearest_limit_comes_first_and_a_stretch_has_its_share_of_the_run():
     stretch = margin(rows, "limits.stretch_percent")
     assert (stretch.row, stretch.value) == (1000, 4e8)
     assert stretch.limit == pytest.approx(5e8 + 0.05 * 1e9)
-
-
-def test_what_a_run_does_not_have_has_no_margin():
-    names = [m.name for m in margins(rows_of(9), load("virtual"), RATE_Hz)]
-    assert not [name for name in names if " fused" in name or "stood still" in name]
 
 
 @pytest.mark.parametrize("settings", [{"tracker": TrackerSettings()}, {"imu": ImuSettings()}], ids=list("ti"))

@@ -15,11 +15,12 @@ from hil.cli import main
 from hil.record import Recording
 from hil.record.log import Log
 from hil.record.row import TICKS
-from hil.study.view import foxglove, plotjuggler
-from hil.study.view.foxglove import SCRIPT_TOPIC
+from hil.study.log_columns import plots
+from hil.study.view.command import view
 from tests.hil.samples import random_ticks, record
 
-ROOT = Path(__file__).parents[3]
+LAYOUTS = Path(__file__).parents[3] / "configs" / "viewers"
+SCRIPT_TOPIC = "/studio_script/differences"
 DOUBLE, BOOL, ENUM = 1, 8, 14
 NUMBERS = {DOUBLE, 2, 3, 7, BOOL, 13, 16}
 """Types of fields of protobuf."""
@@ -74,14 +75,14 @@ def resolve(found, value):
     return topic and kind_at(found[topic], value[len(topic) + 1 :].split("."))
 
 
-def parts(log):
-    content = json.loads(foxglove.layout(log.columns, log.topic))
+def parts():
+    content = json.loads((LAYOUTS / "foxglove.json").read_text())
     return content, content["configById"]
 
 
 def test_each_path_of_a_foxglove_plot_is_a_number_of_the_log(log):
     found = messages(log.path)
-    content, panels = parts(log)
+    content, panels = parts()
     paths = [p["value"] for name, c in panels.items() if name.startswith("Plot!") for p in c["paths"]]
     assert len(paths) > 40
     script = "".join(s["sourceCode"] for s in content["userNodes"].values())
@@ -99,7 +100,7 @@ def test_each_path_of_a_foxglove_plot_is_a_number_of_the_log(log):
 
 def test_each_state_of_the_foxglove_layout_has_names_in_the_log(path):
     found = messages(path)
-    _, panels = parts(Log(path))
+    _, panels = parts()
     lanes = {p["value"] for name, c in panels.items() if name.startswith("StateT") for p in c["paths"]}
     assert {resolve(found, value) for value in lanes} == {ENUM, BOOL}
     named = {c.name for c in TICKS.columns if c.names}
@@ -107,8 +108,8 @@ def test_each_state_of_the_foxglove_layout_has_names_in_the_log(path):
     assert {"/tick.mode", "/tick.drive_state.leg_5", "/tick.faults.STALE"} <= lanes
 
 
-def test_every_panel_of_the_foxglove_layout_is_shown_once(log):
-    content, panels = parts(log)
+def test_every_panel_of_the_foxglove_layout_is_shown_once():
+    content, panels = parts()
     shown = []
 
     def walk(node):
@@ -127,14 +128,6 @@ def test_every_panel_of_the_foxglove_layout_is_shown_once(log):
     assert {name.split("!")[0] for name in shown} >= {"3D", "Plot", "Tab", "RosOut", "RawMessages"}
 
 
-def test_the_3d_panel_shows_a_topic_and_a_frame_that_the_log_has(path):
-    found = messages(path)
-    robot = parts(Log(path))[1]["3D!robot"]
-    assert {found[topic].full_name for topic in robot["topics"]} == {"foxglove.SceneUpdate"}
-    assert found["/tf"].full_name == "foxglove.FrameTransform"
-    assert found[parts(Log(path))[1]["RosOut!events"]["topicToRender"]].full_name == "foxglove.Log"
-
-
 def names_in_plotjuggler(descriptor, prefix):
     """Series of numbers that PlotJuggler's reader of protobuf makes of a message: fields joined by `/`."""
     for field in descriptor.fields:
@@ -149,7 +142,7 @@ def names_in_plotjuggler(descriptor, prefix):
 
 def test_each_curve_of_plotjuggler_is_a_number_of_the_log_or_made_of_two(log):
     there = set(names_in_plotjuggler(messages(log.path)[log.topic], log.topic))
-    root = ET.fromstring(plotjuggler.layout(log.columns, log.topic))
+    root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
     made = set()
     for snippet in root.iter("snippet"):
         sources = {snippet.findtext("linked_source"), snippet.findtext("additional_sources/v1")}
@@ -165,23 +158,20 @@ def test_each_curve_of_plotjuggler_is_a_number_of_the_log_or_made_of_two(log):
     assert made <= set(curves)
 
 
-def test_plotjuggler_opens_the_log_and_its_rows_alone(path):
-    root = ET.fromstring(plotjuggler.layout(Log(path).columns, "/tick", log=path))
+def test_plotjuggler_opens_the_log_and_its_rows_alone(path, tmp_path):
+    view(path, "plotjuggler", out=tmp_path / "a.xml", start=False)
+    root = ET.parse(tmp_path / "a.xml").getroot()
     (file,) = root.findall("previouslyLoaded_Datafiles/fileInfo")
-    (plugin,) = file.findall("plugin")
-    (parameters,) = plugin.findall("parameters")
+    (parameters,) = file.findall("plugin[@ID='DataLoad MCAP']/parameters")
     assert file.get("filename") == str(path)
-    assert plugin.get("ID") == "DataLoad MCAP"
     assert parameters.get("selected_topics") == "/tick"
 
 
-@pytest.mark.parametrize(
-    ("name", "layout"), [("foxglove.json", foxglove.layout), ("plotjuggler.xml", plotjuggler.layout)]
-)
-def test_the_shipped_layout_is_the_one_of_the_table_of_columns(name, layout):
-    assert (ROOT / "configs" / "viewers" / name).read_text() == layout(TICKS.columns, TICKS.topic), (
-        f"write configs/viewers/{name} anew: docs/guides/viewers.md says how"
-    )
+def test_both_layouts_have_every_plot_of_the_report():
+    titles = {plot.title for plot in plots(TICKS.columns)}
+    assert titles <= {panel.get("foxglovePanelTitle") for panel in parts()[1].values()}
+    docks = ET.parse(LAYOUTS / "plotjuggler.xml").getroot().iter("DockArea")
+    assert titles <= {str(dock.get("name")).partition(" [")[0] for dock in docks}
 
 
 def hil(*words):
@@ -229,11 +219,3 @@ def test_without_rerun_the_message_says_what_to_install(path, tmp_path, monkeypa
     done = hil("view", path, "--out", tmp_path / "a.rrd")
     assert (done.exit_code, "hexapod-hil[viewers]" in done.output) == (2, True)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_no_log_is_overwritten_by_a_layout(path, tmp_path):
-    other = tmp_path / "b.mcap"
-    other.write_bytes(path.read_bytes())
-    done = hil("view", path, "--with", "foxglove", "--no-start", "--out", other, "--force")
-    assert done.exit_code == 2
-    assert other.read_bytes() == path.read_bytes()

@@ -1,12 +1,10 @@
 """`hil workspace`: summary, picture, JSON, and what it refuses."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from matplotlib.image import imread
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load, loads
@@ -73,16 +71,6 @@ def test_json_file_and_summary_have_the_figures(mapped):
     assert summary["limits"]["base_joint_angle_deg"] is None
 
 
-def test_the_picture_is_a_png_with_the_colours_of_the_limits(mapped):
-    folder, _ = mapped
-    image = imread(folder / "lab.png")
-    assert image.shape[:2] == (950, 1500)
-    red = np.array([0xD6, 0x27, 0x28]) / 255  # tab:red, stroke
-    near = np.abs(image[..., :3] - red).max(axis=2) < 0.02
-    thirds = near[60:420].reshape(360, 3, 500).sum(axis=(0, 2))
-    assert (thirds > 100).all()
-
-
 def test_the_map_keeps_to_the_joint_angles_of_the_configuration():
     more = "  base_joint_angle_max_deg: 8\n  platform_joint_angle_max_deg: 100\n"
     c = loads(edited((ANGLES, ANGLES + more)), "my.yaml")
@@ -131,23 +119,3 @@ def test_a_load_or_a_position_beyond_the_limits_is_refused(tmp_path, words, said
     assert result.exit_code == 2
     assert said in " ".join(result.output.split())
     assert not (tmp_path / "x.png").exists()
-
-
-@pytest.mark.parametrize("stated", [0.0, 200.0])
-def test_home_holds_the_largest_payload_and_no_more_with_what_is_stated(stated):
-    """The largest that `--payload` takes: whoever has stated 200 kg may not put so much more on it."""
-    c, at = load("lab"), (0.0, 0.0, 0.3)
-    held = build_surveyor(c, stated, at).largest_payload()
-    build_surveyor(c, held - 0.01, at)
-    with pytest.raises(ConfigurationError, match="static leg force"):
-        build_surveyor(c, held + 0.01, at)
-
-
-def test_a_file_that_is_no_picture_is_not_overwritten(tmp_path):
-    kept: Path = tmp_path / "notes.png"
-    kept.write_text("notes")
-    result = hil("lab", "--picture", kept)
-    assert result.exit_code == 2
-    assert "is not overwritten" in result.output
-    assert kept.read_text() == "notes"
-    assert hil("lab", "--picture", tmp_path / "map.pdf").exit_code == 2

@@ -1,9 +1,8 @@
 """Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
 
 import json
-import os
 import random
-import time
+from contextlib import closing
 from pathlib import Path
 from xml.etree import ElementTree as ET
 
@@ -20,13 +19,11 @@ from hil.study.campaign import parquet
 from hil.study.campaign import row as row_of
 from hil.study.campaign.command import run_campaign
 from hil.study.campaign.figures import METRICS
-from hil.study.campaign.page import write_page
 from hil.study.campaign.plan import identity, read_plan
 from hil.study.campaign.rerun import rerun
 from hil.study.campaign.row import run_row
-from hil.study.campaign.show import rerun_command
+from hil.study.campaign.show import rerun_command, write_page
 from hil.study.campaign.store import Store
-from plant_fmu.stewart.build import build
 from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, written
 
 
@@ -52,15 +49,6 @@ def test_a_row_is_its_values_and_what_came_of_it(small):
     assert rows[0]["tracked_s"] == pytest.approx(0.05)
     assert (summary["rows"], summary["failed"], summary["success"]) == (4, 2, False)
     assert summary["failed_interval_percent"] == pytest.approx([15.0, 85.0], abs=0.1)
-
-
-def test_the_table_says_what_its_columns_are(small):
-    schema = pq.read_schema(small[1] / "table.parquet")
-    assert schema.field("peak_force_N").metadata[b"unit"] == b"N"
-    assert schema.field("friction_N").metadata[b"meaning"] == b"plant.model.coulomb_friction_N"
-    text = repr(schema.metadata)
-    assert str(os.getpid()) not in text.replace("0.", "")
-    assert time.strftime("%Y-%m") not in text
 
 
 def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(small, tmp_path):
@@ -102,17 +90,12 @@ def test_a_row_again_has_the_same_bits_and_its_log_does(small, tmp_path):
         assert log[name] == pytest.approx(row[name], rel=1e-12)
 
 
-@pytest.mark.long
-def test_a_row_that_ended_in_a_fault_has_the_same_bits_in_its_log(small, tmp_path):
-    assert rerun(small[0], small[1], 1, tmp_path / "row.mcap")["success"]
-
-
 def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
     plan, _, summary = small
     rows = [dict(row) for row in summary["matrix"]]
     rows[2]["peak_force_N"] = float(np.nextafter(rows[2]["peak_force_N"], np.inf))
     columns = parquet.columns(plan)
-    with Store(tmp_path, columns, identity(plan)) as running:
+    with closing(Store(tmp_path, columns, identity(plan))) as running:
         for row in rows:
             running.add(row)
         found = rerun(plan, tmp_path, 2, None)  # while the campaign is running
@@ -162,20 +145,6 @@ def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small,
         rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
 
 
-def test_what_went_wrong_says_no_folder_of_this_machine(tmp_path):
-    (tmp_path / "own.fmu").write_text("no archive")
-    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
-    text = f"""
-    kind: campaign
-    duration_s: 0.05
-    changes: {{plant: {{model: {{type: fmu, path: own.fmu, step_us: 100, {names}}}}}}}
-    grid: {{wn: {{key: controller.wn_rad_s, values: [20]}}}}
-    """
-    row = run_row(read_plan(written(tmp_path, text)).job(0))
-    assert (row["passed"], row["ended"]) == (False, "error")
-    assert row["trouble"].startswith("own.fmu: not an FMU")
-
-
 def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
     text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
     plan = read_plan(written(tmp_path, text))
@@ -193,7 +162,7 @@ def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(sm
     assert "script-src 'none'" in text
     assert "<script" not in text
     assert "http" not in text.replace("http-equiv", "")
-    for word in ("2 of 4 rows failed: 50 %", "friction_N", "peak_force_N", "ENCODER", "data:image/svg"):
+    for word in ("2 of 4 rows failed: 50 %", "friction_N", "34.2 to 100.0", "ENCODER"):
         assert word in text
     command = rerun_command(plan, 1, tmp_path / "<out>")
     assert command.startswith("hil campaign rerun ")
@@ -245,27 +214,3 @@ def test_after_kill_9_at_three_random_instants_the_table_is_the_same(tmp_path):
     assert [row["row"] for row in summary["matrix"]] == list(range(80))
     tables = [(tmp_path / name / "table.parquet").read_bytes() for name in ("killed", "whole")]
     assert tables[0] == tables[1]
-
-
-@pytest.mark.long
-def test_a_foreign_fmu_in_its_child_is_an_option_and_its_failure_is_a_row(tmp_path):
-    """Our FMU as a stranger with the same physics: the figures are those of our own plant, nearly."""
-    names = ", ".join(f"{key}: [{key}]" for key in ("force", "length", "rate", "brake", "wrench"))
-    text = f"""
-    kind: campaign
-    duration_s: 0.1
-    grid:
-      plant:
-        options:
-          own: {{}}
-          foreign: {{plant: {{model: {{type: fmu, path: "{build("3.0")}", step_us: 100, {names}}}}}}}
-      fault: {{faults: {{none: [], crash: [plant_crash mode=TRACKING]}}}}
-    """
-    plan = read_plan(written(tmp_path, text))
-    summary = run_campaign(plan, tmp_path / "results", jobs=2)
-    own, own_crash, foreign, crash = summary["matrix"]
-    assert foreign["plant"] == "foreign"
-    assert foreign["passed"]
-    assert foreign["peak_force_N"] == pytest.approx(own["peak_force_N"], rel=0.02)
-    assert [row["ended"] for row in (own_crash, crash)] == ["plant", "plant"]
-    assert {row["passed"] for row in (own_crash, crash)} == {False}

@@ -6,7 +6,6 @@ import pytest
 from drivers.signals import Fault, Mode, Warn
 from drivers.tick_columns import ROW
 from hil.study.campaign.figures import BLOCK, METRICS, Measurement
-from hil.study.campaign.settings import Limit
 
 N = BLOCK + 37
 """Ticks: a block and a part of one."""
@@ -109,13 +108,6 @@ def test_what_was_not_measured_is_none():
     assert {name for name, value in found.items() if value is not None} == {
         "faulted", "peak_force_N", "limited_ticks", "stale_ticks",
     }  # fmt: skip
-
-
-def test_a_limit_holds_at_its_value_and_is_passed_by_what_was_not_measured():
-    force, time = Limit(max=5.0), Limit(min=1.0, max=2.0)
-    assert [force.passed_by(x) for x in (5.0, -7.0, 6.0)] == pytest.approx([0.0, 0.0, 0.2])
-    assert [time.passed_by(x) for x in (1.0, 2.0, 0.5, 3.0)] == pytest.approx([0.0, 0.0, 0.5, 0.5])
-    assert force.passed_by(None) == np.inf
 
 
 def test_what_is_no_finite_number_is_not_measured_and_keeps_no_limit():

@@ -10,7 +10,7 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import load
 from hil.app.configuration.yaml_positions import parse
-from hil.study.campaign.plan import read_plan, shipped
+from hil.study.campaign.plan import read_plan
 from hil.study.campaign.row import row_configuration
 from hil.study.campaign.settings import Sample, SampledAxis, schema
 from tests.broad import broad
@@ -86,14 +86,6 @@ def test_sixteen_points_have_one_in_each_sixteenth_of_every_axis(method):
     assert (np.sort(np.floor(points), axis=0) == np.arange(16.0)[:, None]).all()
 
 
-def test_a_draw_is_its_seed():
-    draws = [
-        Sample(method="halton", count=3, seed=seed, axes={"a": axis(uniform=(0.0, 1.0))}).draw()
-        for seed in (1, 1, 2)
-    ]
-    assert draws[0] == draws[1] != draws[2]
-
-
 def test_distributions_have_the_quantiles_of_their_names():
     assert axis(loguniform=(1e-6, 1e-2)).value_at(0.25) == pytest.approx(1e-5)
     assert axis(uniform=(-2.0, 6.0)).value_at(0.25) == 0.0
@@ -104,7 +96,6 @@ def test_distributions_have_the_quantiles_of_their_names():
 
 
 AXIS = "{key: x.y, values: [1]}"
-NAME = "text of the form [A-Za-z][A-Za-z0-9_]{0,49}"
 SENSED = "changes: {sensors: {tracker: {rate_Hz: 200}}}"
 
 
@@ -115,92 +106,33 @@ def sampled(words):
 
 WRONG = [
     ("", ":1:1: nothing is swept, allowed: a section sample, list or grid"),
-    (
-        "grid: {a: {key: plant.drives.encoder_resolution, values: [1]}}",
-        ":2:8: grid.a: plant.drives.encoder_resolution: unknown key, allowed: encoder_resolution_m",
-    ),
-    (
-        "grid: {a: {key: controller.wn_rad_s, values: [20, -1]}}",
-        ":2:8: grid.a: controller.wn_rad_s: out of range, allowed: a number greater than 0 or a list",
-    ),
-    (
-        "grid:\n  a: {key: 'plant.faults[0].mass_kg', values: [1]}",
-        ":3:3: grid.a: plant.faults[0].mass_kg: plant.faults has no entry 0, it has 0; give it one in `changes`",
-    ),
-    (
-        "grid:\n  a: {key: loop.rate_Hz.x, values: [1]}",
-        ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a value",
-    ),
-    (
-        "grid:\n  a: {key: 'plant faults', values: [1]}",
-        ":3:3: grid.a: plant faults: no key, allowed: names with",
-    ),
-    (
-        "grid:\n  a: {faults: {jump: ['encoder_jmp leg=1']}}",
-        "encoder_jmp leg=1\": unknown kind 'encoder_jmp', did you mean encoder_jump?",
-    ),
-    (
-        "grid:\n  a: {key: x.y, values: [1], options: {b: {}}}",
-        "grid.a: allowed: exactly one of values, options, faults, given: values, options",
-    ),
+    ("grid: {a: {key: plant.drives.encoder_resolution, values: [1]}}", ":2:8: grid.a: plant.drives.encoder_resolution"),
+    ("grid: {a: {key: controller.wn_rad_s, values: [20, -1]}}", ":2:8: grid.a: controller.wn_rad_s: out of range"),
+    ("grid:\n  a: {key: 'plant.faults[0].mass_kg', values: [1]}", ":3:3: grid.a: plant.faults[0].mass_kg: plant.faults has no"),
+    ("grid:\n  a: {key: loop.rate_Hz.x, values: [1]}", ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a value"),
+    ("grid:\n  a: {key: 'plant faults', values: [1]}", ":3:3: grid.a: plant faults: no key"),
+    ("grid:\n  a: {faults: {jump: ['encoder_jmp leg=1']}}", "unknown kind 'encoder_jmp', did you mean encoder_jump?"),
+    ("grid:\n  a: {key: x.y, values: [1], options: {b: {}}}", "grid.a: allowed: exactly one of values, options, faults"),
     ("grid: {a: {values: [1]}}", "key is missing, allowed: a key of the configuration"),
-    (
-        "list:\n  a: {key: x.y, values: [1]}\n  b: {key: x.z, values: [1, 2]}",
-        "list: allowed: axes with equally many values, given: a 1, b 2",
-    ),
-    (
-        f"grid: {{a: {AXIS}}}\nlimits: {{peak_leg_eror_mm: {{max: 1}}}}",
-        ":3:28: limits.peak_leg_eror_mm: unknown metric peak_leg_eror_mm, did you mean peak_leg_error_mm? allowed:",
-    ),
-    (
-        f"grid: {{ended: {AXIS}}}",
-        "grid.ended: a column of the table has that name, allowed: a name of its own",
-    ),
-    (
-        f"configuration: nosuch\ngrid: {{a: {AXIS}}}",
-        ":2:1: configuration: nosuch: no such file; shipped configurations are: ",
-    ),
+    ("list:\n  a: {key: x.y, values: [1]}\n  b: {key: x.z, values: [1, 2]}", "list: allowed: axes with equally many values"),
+    (f"grid: {{a: {AXIS}}}\nlimits: {{peak_leg_eror_mm: {{max: 1}}}}", ":3:28: limits.peak_leg_eror_mm: unknown metric"),
+    (f"grid: {{ended: {AXIS}}}", "grid.ended: a column of the table has that name"),
+    (f"configuration: nosuch\ngrid: {{a: {AXIS}}}", ":2:1: configuration: nosuch: no such file; shipped"),
     (f"changes: {{loop: {{rate: 5}}}}\ngrid: {{a: {AXIS}}}", ":2:1: changes: loop.rate: "),
-    (
-        f"grid:\n  a: {AXIS}\n  b: {{key: [x.z, x.y], values: [1]}}",
-        "grid.b: x.y is swept by a, too, allowed: one axis for each key",
-    ),
-    (
-        f"grid: {{a: {AXIS}}}\nlimits: {{travel_mm: {{max: 1}}}}",
-        "limits.travel_mm: not measured in runs that end with their fault, allowed: with after_fault: rest",
-    ),
-    (
-        f"grid: {{a: {AXIS}}}\nlimits: {{tracked_s: {{min: 1, max: 0.1}}}}",
-        ":3:21: limits.tracked_s: min is above max, allowed: min <= max, given: 1.0, 0.1",
-    ),
-    (f"duration_s: 1.0e+306\ngrid: {{a: {AXIS}}}", "duration_s: "),
+    (f"grid:\n  a: {AXIS}\n  b: {{key: [x.z, x.y], values: [1]}}", "grid.b: x.y is swept by a, too"),
+    (f"grid: {{a: {AXIS}}}\nlimits: {{travel_mm: {{max: 1}}}}", "limits.travel_mm: not measured in runs that end"),
+    (f"grid: {{a: {AXIS}}}\nlimits: {{tracked_s: {{min: 1, max: 0.1}}}}", ":3:21: limits.tracked_s: min is above max"),
     (f"{SENSED}\ngrid: {{a: {{key: plant, values: [null]}}}}", "plant"),
-    (f"{SENSED}\ngrid: {{a: {{key: plant.sensors.seed, values: [x]}}}}", "plant.sensors.seed"),
-    *(
-        (axes, f"seed: allowed: whole numbers from 0 to 2**63 - 1, given: {given}")
-        for axes, given in (
-            ("grid: {a: {key: [seed], values: [true]}}", "True"),
-            ("list: {a: {key: seed, values: [1, -1]}}", "-1"),
-            (
-                "sample: {method: halton, count: 1, axes: {a: {key: seed, integers: [0, 9223372036854775808]}}}",
-                "9223372036854775808",
-            ),
-        )
-    ),
-    ("grid: {a: {key: x.y, values: []}}", "a list of at least 1 entry, given: 0 entries"),
-    (f'grid: {{"a b": {AXIS}}}', f'2:8: grid.a b: wrong form, allowed: {NAME}, given: "a b"'),
+    ("grid: {a: {key: [seed], values: [true]}}", "seed: allowed: whole numbers from 0 to 2**63 - 1, given: True"),
+    ("list: {a: {key: seed, values: [1, -1]}}", "seed: allowed: whole numbers from 0 to 2**63 - 1, given: -1"),
+    (f'grid: {{"a b": {AXIS}}}', "2:8: grid.a b: wrong form"),
     (sampled("normal: {mean: 3, std: 1, min: 9, max: 0}"), "[low, high] with low < high, given: [9.0, 0.0]"),
-    (sampled("uniform: [1, 0]"), "[low, high] with low < high, given: [1.0, 0.0]"),
+    (sampled("loguniform: [0, 1]"), "sample.axes.a.loguniform[0]: out of range"),
     (
-        sampled("loguniform: [0, 1]"),
-        "sample.axes.a.loguniform[0]: out of range, allowed: a number greater than 0",
-    ),
-    (
-        sampled("uniform: [0, 1]").replace("count: 2", "count: 10000000")
-        + "\nlist: {l: {key: x.z, values: [1, 2]}}",
+        sampled("uniform: [0, 1]").replace("count: 2", "count: 10000000") + "\nlist: {l: {key: x.z, values: [1, 2]}}",
         "20000000 rows, allowed: up to 10000000",
     ),
-]
+]  # fmt: skip
 
 
 @pytest.mark.parametrize(("text", "message"), WRONG)
@@ -268,24 +200,11 @@ def test_an_axis_that_reaches_into_the_value_of_another_changes_its_own_row_alon
     assert [plan.values(k)["place"] for k in (1, 3)] == [[0, 0, 0], [0, 0, 0.1]]
 
 
-def test_rows_begin_where_the_plant_does_and_share_no_homing_file(tmp_path):
-    text = SMALL + "changes: {plant: {homing_file: parked.yaml}}\n"
-    assert emulated(read_plan(written(tmp_path, text)), 0).homing_file is None
-
-
 def test_no_row_waits_for_an_operator(tmp_path):
     """It would stand at the start of its path, without an error, and pass."""
     text = SMALL + "changes: {operator: {start: asked, deadman_s: 0.2, stays: true}}\n"
     operator = row_configuration(read_plan(written(tmp_path, text)).job(0)).operator
     assert (operator.start, operator.deadman_s, operator.stays) == ("automatic", None, False)
-
-
-def test_a_campaign_that_is_not_there_is_told_with_the_shipped_ones(tmp_path):
-    with pytest.raises(
-        ConfigurationError, match=r"no such file; shipped campaigns are: builds, payload, wear$"
-    ):
-        read_plan(tmp_path / "no.yaml")
-    assert shipped() == ("builds", "payload", "wear")
 
 
 def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campaign():

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from drivers.errors import ConfigurationError
+from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load
+from hil.study.campaign.command import run_campaign
 from hil.study.campaign.plan import identity, read_plan
-from hil.study.campaign.row import row_configuration, run_row
+from hil.study.campaign.row import row_configuration
 from tests.drivers.cia402_sheet import sheet
 from tests.hil.study.campaign.campaigns import SMALL, written
 
@@ -62,15 +63,20 @@ def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign
     assert found.model_dump()["path"] == str(tmp_path / "robot" / "path.csv")
 
 
-def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):
+def test_there_is_no_table_where_a_file_changed_while_rows_ran(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))
     plan = read_plan(written(tmp_path, SAMPLED))
-    file.unlink()
-    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since .* Restore it and repeat"):
-        run_row(plan.job(0))
-    file.write_text(path_csv(1.001))
-    assert run_row(plan.job(0))["passed"]
+
+    def change(done, _):
+        if done == 3:
+            file.write_text(path_csv(1.002))
+
+    with pytest.raises(ConfigurationError, match="has changed while rows ran: restore it"):
+        run_campaign(plan, tmp_path / "results", jobs=1, progress=change)
+    assert not (tmp_path / "results" / "table.parquet").exists()
+    with pytest.raises(LogError, match=r"changed since: file path\.csv"):
+        run_campaign(plan, tmp_path / "results", jobs=1)
 
 
 CHANGED = """
@@ -81,7 +87,7 @@ changes: {drives: {options: {eds: drive.eds}}}
 grid: {force_N: {key: limits.force_N, values: [9000, 9001]}}
 """
 SWEPT = CHANGED.partition("changes:")[0] + "grid: {sheet: {key: drives.options.eds, values: [drive.eds]}}\n"
-FOLDERS = ("here", "robot", "campaign")
+FOLDERS = ("robot", "campaign", "here")
 
 
 @pytest.mark.parametrize("text", [CHANGED, SWEPT], ids=["changed", "swept"])

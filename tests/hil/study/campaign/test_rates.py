@@ -39,12 +39,6 @@ def test_options_are_in_the_order_of_the_file_each_with_its_rows():
     assert [(r.label, r.rows, r.passed) for r in found] == [("pd", 1, 0), ("inverse", 2, 2)]
 
 
-def test_a_value_that_stands_in_several_rows_of_a_list_is_one_line():
-    axis = ListedAxis(key="x.y", values=[1, 1, 2])
-    found = by_value("mass", axis, [row(k, mass=mass) for k, mass in enumerate((1, 1, 2))])
-    assert [(r.label, r.rows) for r in found] == [("1", 2), ("2", 1)]
-
-
 def test_many_numbers_are_quarters_by_value_not_by_row():
     axis = SampledAxis(key="x.y", uniform=(0.0, 20.0))
     rows = [row(k, mass=float(19 - k), passed=k >= 5) for k in range(20)]
@@ -66,20 +60,6 @@ def test_the_worst_rows_are_the_worst_of_each_cause():
     assert [r["row"] for r in worst(rows, LIMITS, 3)] == [4, 2, 3]
     assert [r["row"] for r in worst(rows, LIMITS, 9)] == [4, 2, 3, 0]
     assert sorted(causes(rows)) == [("fault DRIVE", 2), ("limit", 2)]
-
-
-def test_the_worst_of_a_limit_from_below_is_the_farthest_below_it():
-    rows = [row(k, passed=False, peak_force_N=force) for k, force in enumerate((90.0, 10.0, 50.0))]
-    assert [r["row"] for r in worst(rows, {"peak_force_N": Limit(min=100.0)}, 3)] == [1, 2, 0]
-
-
-def test_limits_of_different_units_are_compared_by_the_share_they_are_passed_by():
-    """Of row 0 the force is 10 % too large, of row 1 the error 50 %; of row 2 the path 80 % too short."""
-    limits = {"peak_force_N": Limit(max=1e8), "rms_leg_error_mm": Limit(max=0.2), "tracked_s": Limit(min=5.0)}
-    fine = {"peak_force_N": 9e7, "rms_leg_error_mm": 0.1, "tracked_s": 6.0}
-    broken = [{"peak_force_N": 1.1e8}, {"rms_leg_error_mm": 0.3}, {"tracked_s": 1.0}]
-    rows = [row(k, passed=False, **fine | each) for k, each in enumerate(broken)]
-    assert [r["row"] for r in worst(rows, limits, 4)] == [2, 1, 0]
 
 
 def test_why_a_row_has_failed_names_value_and_limit():

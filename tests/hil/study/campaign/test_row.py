@@ -8,10 +8,8 @@ import pytest
 from drivers.signals import Fault
 from hil.study.campaign import row
 from hil.study.campaign.figures import METRICS, Measurement
-from hil.study.campaign.parquet import kind
 from hil.study.campaign.plan import read_plan
 from hil.study.campaign.row import row_configuration, run_row
-from hil.study.campaign.settings import ListedAxis
 from tests.hil.study.campaign.campaigns import written
 from tests.hil.study.campaign.test_plan import ALL
 
@@ -53,18 +51,3 @@ def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, mon
     found = run_row(job._replace(subject=job.subject._replace(settings=settings)))
     assert (found["ended"], found["passed"], found["ended_s"]) == ("stopped", False, pytest.approx(0.15))
     assert "it has not ended 0.05 s after the" in found["trouble"]
-
-
-@pytest.mark.parametrize(
-    ("values", "column"),
-    [
-        ([1, 2], "int64"),
-        ([1, 2.5], "float64"),
-        ([True, False], "text"),
-        ([1, "one"], "text"),
-        ([2**63 - 1, -(2**63) + 1], "int64"),
-        ([1.5, -(10**400)], "text"),
-    ],
-)
-def test_the_column_of_an_axis_is_of_numbers_where_all_its_values_are(values, column):
-    assert kind(ListedAxis(key="limits.condition", values=values)) == column

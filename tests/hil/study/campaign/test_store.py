@@ -5,12 +5,13 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import closing
 
 import pyarrow.parquet as pq
 import pytest
 
 from drivers.errors import LogError
-from hil.study.campaign.parquet import Column
+from hil.study.arrow import Column
 from hil.study.campaign.store import Store, stored_rows
 
 COLUMNS = [
@@ -28,7 +29,7 @@ ROWS = [
 
 
 def opened(folder, made_of=MADE_OF, **options):
-    return Store(folder, COLUMNS, made_of, **options)
+    return closing(Store(folder, COLUMNS, made_of, **options))
 
 
 def filled(folder, rows, made_of=MADE_OF):
@@ -56,7 +57,7 @@ ADDS = """
 import itertools, sys
 from pathlib import Path
 from tests.hil.study.campaign.test_store import opened
-store = opened(Path(sys.argv[1]))
+store = opened(Path(sys.argv[1])).thing
 for k in itertools.count():
     store.add({"row": k, "mass_kg": 0.1, "fault": "x" * 1000, "passed": True})
     print(k, flush=True)

@@ -1,11 +1,17 @@
-"""`hil export`: each file by its ending; nothing is overwritten unasked, nothing is left half written."""
+"""`hil export`: a log's frames and columns as files, each by its ending.
+
+Nothing is overwritten unasked, nothing is left half written.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import csv
+from collections.abc import Callable, Iterator, Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from drivers.can.frame_files import WRITERS
 from drivers.errors import LogError
@@ -13,8 +19,71 @@ from drivers.files import real_path
 from drivers.protocol import BUS, Frame
 from hil.app.files import made_whole, new_file
 from hil.record.log import Log
-from hil.study.export.signals import write_csv, write_parquet
+from hil.record.selection import Component, components, name_of
+from hil.study.arrow import Column, arrow, schema
+from hil.study.log_columns import row_groups, titled
 from hil.study.view.recording import write_rrd
+
+TIME = Column("t_s", "float64", "s", "time from the first row")
+LINES, GROUP = 1024, 16_384
+"""Rows that are written together: of a CSV file, of a Parquet file."""
+
+
+def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
+    """Write columns or components by name (none: all); return the number of rows.
+
+    The header names each with its unit, `tau.leg_3 [N]`; enumerations and flags stand by name.
+
+    Raises LogError: no such column, or the log is damaged.
+    """
+    parts = components(log.columns, names, str(log.path))
+    count = 0
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([titled(TIME.name, TIME.unit), *(titled(part.label, part.unit) for part in parts)])
+        for columns in _columns(log, parts, LINES):
+            writer.writerows(zip(*(column.tolist() for column in columns), strict=True))
+            count += len(columns[0])
+    return count
+
+
+def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
+    """Write columns or components by name (none: all); return the number of rows.
+
+    Each field carries `unit` and `meaning`; a DataFrame read from the file has them in `attrs`, as that of
+    `Log.frame` has. Enumerations and flags stand by name.
+
+    Raises LogError: pyarrow is not installed, no such column, or the log is damaged.
+    """
+    pa, parquet = arrow("Parquet")
+    parts = components(log.columns, names, str(log.path))
+    described = [TIME]
+    for part in parts:
+        kind = "name" if part.column.names else "float64" if part.column.type is float else "int64"
+        described.append(Column(part.label, kind, part.unit, part.column.meaning))
+    own = schema(pa, described, epoch_ns=log.epoch_ns, log=str(log.path))
+    count = 0
+    with parquet.ParquetWriter(path, own, compression="zstd") as writer:
+        for columns in _columns(log, parts, GROUP):
+            arrays = [pa.array(column).cast(field.type) for field, column in zip(own, columns, strict=True)]
+            writer.write_table(pa.Table.from_arrays(arrays, schema=own))
+            count += len(columns[0])
+    return count
+
+
+def _columns(log: Log, parts: Sequence[Component], size: int) -> Iterator[list[np.ndarray[Any, Any]]]:
+    """Yield time and components (n,), n about `size`; what has names by name."""
+    for rows in row_groups(log, parts, size):
+        columns: list[np.ndarray[Any, Any]] = [(rows["t_ns"] - log.origin_ns) * 1e-9]
+        for part in parts:
+            values: np.ndarray[Any, Any] = part.of(rows)
+            if part.column.names:
+                found, places = np.unique(values, return_inverse=True)
+                names = [name_of(part.column, number) for number in found.tolist()]
+                values = np.array(names, object)[places]
+            columns.append(values)
+        yield columns
+
 
 FRAMES = {".log": "candump", ".candump": "candump", ".asc": "asc", ".blf": "blf"}
 SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {

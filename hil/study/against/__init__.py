@@ -1,1 +1,0 @@
-"""`hil replay --against`: two logs, and where they part."""

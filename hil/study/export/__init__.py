@@ -1,1 +1,0 @@
-"""`hil export`: a log's frames and columns as files that other tools read."""

@@ -1,0 +1,175 @@
+"""`hil plot`: any column of one log or several, one above the other, into a PNG or SVG file."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from enum import IntFlag
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array
+from drivers.errors import LogError
+from hil.app.files import made_whole, new_file, printable
+from hil.app.readable import readable
+from hil.study.log_columns import curves, named_columns, seconds
+
+DEFAULT = ("q_d - q", "tau", "mode")
+"""What is drawn where nothing is named."""
+SUFFIXES = (".png", ".svg")
+STYLES = ("-", "--", ":", "-.")
+"""Of the logs, in their order."""
+LARGEST = 1e300
+"""Matplotlib lays out axes for numbers up to this; larger ones are not drawn, as what is not finite."""
+_PANEL_IN = 2.8
+
+
+class Curve(NamedTuple):
+    """One number of one log over time."""
+
+    label: str
+    log: int
+    """Which of the logs, from 0."""
+    t: Array
+    """(n,) s since the first tick."""
+    values: Array
+    """(n,)."""
+    unit: str
+    """Empty where there is none."""
+    names: Mapping[str, int]
+    """Of the values; empty where they have none."""
+    flags: bool
+    """The names are of bits, of which a value may have several."""
+    prefix: str = ""
+    """Of the label, for the log."""
+
+
+def plot(
+    logs: Sequence[Path],
+    columns: Sequence[str] = (),
+    *,
+    out: Path | None = None,
+    start_s: float | None = None,
+    end_s: float | None = None,
+    force: bool = False,
+) -> dict[str, Any]:
+    """Draw columns of logs, one panel a name, and return the summary.
+
+    columns: names as `hil.study.log_columns.curves` takes them. start_s and end_s cut all logs, s since the
+    first tick of each. Every log is drawn over the others, in a line style of its own.
+
+    Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
+    """
+    names = tuple(columns) or DEFAULT
+    path = _path(logs[0], out, force=force)
+    panels, remarks = _read(logs, names, start_s, end_s)
+    draw(names, panels, path, ", ".join(printable(each.name) for each in logs))
+    return {
+        "success": True,
+        "kind": "plot",
+        "logs": [str(each) for each in logs],
+        "columns": list(names),
+        "remark": "; ".join(remarks) or None,
+        "picture": str(path),
+    }
+
+
+def _read(
+    logs: Sequence[Path], names: Sequence[str], start_s: float | None, end_s: float | None
+) -> tuple[list[list[Curve]], list[str]]:
+    """Return the curves of each panel, and what is to be said of logs that end early."""
+    panels: list[list[Curve]] = [[] for _ in names]
+    shown, remarks = _names(logs), list[str]()
+    for n, log_path in enumerate(logs):
+        log, rows, remark = readable(log_path, named_columns(names) | {"t_ns"})
+        if not len(rows):
+            raise LogError("; ".join(filter(None, (f"{log_path}: has no tick: nothing to draw", remark))))
+        if remark:
+            remarks.append(f"{log_path}: {remark}")
+        t = seconds(rows)
+        kept = (t >= (t[0] if start_s is None else start_s)) & (t <= (t[-1] if end_s is None else end_s))
+        if not kept.any():
+            raise LogError(f"{log_path}: no tick between --from and --to, allowed: within 0 to {t[-1]:.3f} s")
+        prefix = f"{shown[n]}: " if len(logs) > 1 else ""
+        for panel, name in zip(panels, names, strict=True):
+            for each in curves(log.columns, name, str(log_path)):
+                values, column = each.of(rows[kept]).astype(np.float64), each.part.column
+                flags = issubclass(column.type, IntFlag)
+                panel.append(Curve(each.label, n, t[kept], values, each.unit, column.names, flags, prefix))
+    return panels, remarks
+
+
+def _names(logs: Sequence[Path]) -> list[str]:
+    """Return what logs are called in a legend: the stem, or the path where another one has that stem."""
+    stems = [path.stem for path in logs]
+    return [printable(path if stems.count(path.stem) > 1 else path.stem) for path in logs]
+
+
+def _path(log: Path, out: Path | None, *, force: bool) -> Path:
+    path = log.with_name(f"{log.stem}-plot.png") if out is None else out
+    if path.suffix.lower() not in SUFFIXES:
+        raise LogError(f"--out {path}: allowed are the endings {' and '.join(SUFFIXES)}")
+    return new_file(path, force=force)
+
+
+def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, title: str) -> None:
+    """Draw one panel above the other; the ending of the path says which format.
+
+    Raises LogError where the file cannot be written.
+    """
+    from matplotlib import rc_context  # noqa: PLC0415 - half a second
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    figure = Figure(figsize=(11, 0.8 + _PANEL_IN * len(panels)), layout="constrained")
+    every = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    for axes, name, panel in zip(every, titles, panels, strict=True):
+        _panel(axes, name, panel)
+    every[-1].set_xlabel("s")
+    figure.suptitle(title, fontsize="medium", parse_math=False)
+    dated = {"Date": None} if path.suffix.lower() == ".svg" else None
+    try:
+        with (
+            made_whole(path, overwrite=True) as temporary,
+            rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}),  # one log, one file
+            warnings.catch_warnings(),
+        ):
+            warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name: boxes stand for it
+            figure.savefig(temporary, dpi=110, metadata=dated)
+    except OSError as error:
+        raise LogError(f"--out {path}: cannot be written: {error.strerror}") from None
+
+
+def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
+    first = curves[0]
+    axes.set_title(name, fontsize="small", loc="left", parse_math=False)
+    axes.grid(alpha=0.3)
+    shown = [each for c in curves for each in _bits(c)] if first.flags else curves
+    colours: dict[str, str] = {}
+    for curve in shown:
+        colour = colours.setdefault(curve.label, f"C{len(colours) % 10}")
+        drawn = {"drawstyle": "steps-post" if curve.names else "default", "c": colour, "lw": 0.9}
+        values = np.where(np.abs(curve.values) <= LARGEST, curve.values, np.nan)
+        style, label = STYLES[curve.log % len(STYLES)], curve.prefix + curve.label
+        axes.plot(curve.t, values, style, label=label, **drawn)
+    if first.flags:
+        axes.set_yticks([0, 1], ["off", "on"])
+    elif first.names:
+        there = np.unique(np.concatenate([c.values for c in curves]))
+        texts = {value: text for text, value in first.names.items()}
+        axes.set_yticks(there, [texts.get(int(v), f"{v:g}") for v in there], parse_math=False)
+    else:
+        axes.set_ylabel(" | ".join(dict.fromkeys(c.unit for c in curves)), parse_math=False)
+    if shown:
+        legend = axes.legend(fontsize="x-small", ncols=2, loc="upper right")
+        for text in legend.get_texts():
+            text.set_parse_math(False)
+
+
+def _bits(curve: Curve) -> list[Curve]:
+    """One curve for each bit of flags that is ever set."""
+    values = curve.values.astype(np.int64)
+    return [
+        curve._replace(label=text, values=((values & bit) > 0).astype(np.float64))
+        for text, bit in curve.names.items()
+        if bit and (values & bit).any()
+    ]

@@ -1,1 +1,0 @@
-"""`hil plot`: columns of logs over time, as a picture."""

@@ -23,7 +23,7 @@ def summary(answer: Answer, rate_Hz: float) -> dict[str, Any]:
     """Return what was found as plain values, of a loop at `rate_Hz`."""
     first = [_of_leg(divergences.place(each, each.first, SIDES)) for each in answer.columns.first]
     forces = answer.forces
-    acted = {name: each._asdict() for name, each in answer.warnings.items()}
+    acted = answer.warnings
     return {
         "kind": "what_if",
         "note": OPEN_LOOP,
@@ -35,7 +35,7 @@ def summary(answer: Answer, rate_Hz: float) -> dict[str, Any]:
         "first": first,
         "first_frames": _frames(answer.first_frames),
         "faults_part_at_tick": answer.parts_tick,
-        "recorded_faults": [each._asdict() for each in answer.recorded_faults],
+        "recorded_faults": answer.recorded_faults,
         "what_if_faults": answer.answered_faults,
         "what_if_story": None if answer.story is None else answer.story.fields(),
         "limits": {name: each for name, each in acted.items() if name in LIMITS},

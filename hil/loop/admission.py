@@ -8,7 +8,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, MATRIX, REAL, VECTOR, kernel, record
-from drivers.compiled.pointed import Callee, data_at, pointed, reals_at
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed, reals_at
 from drivers.signals import Refusal
 from hil.config.limits import LimitSettings
 from hil.mathematics.linear_algebra import condition_kernel
@@ -56,9 +56,8 @@ def judge(k: Any, words: int) -> int:
     p = chi[:3]
     rotation_motion(at(chi, 3), _STILL, _STILL, R)
     q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
-    for i in range(6):
-        if q[i] < k.low or q[i] > k.high:
-            return _STROKE
+    if (q < k.low).any() or (q > k.high).any():
+        return _STROKE
     if not condition_kernel(jacobian_kernel(k.base_joints, k.platform_joints, p, R), k.radius) <= k.condition:
         return _CONDITION
     rest = inverse_dynamics_kernel(constants, k.code, p, R, still, still, still)
@@ -67,10 +66,7 @@ def judge(k: Any, words: int) -> int:
         one = np.zeros_like(chi)
         one[j] = k.ddchi[j]
         most += np.abs(inverse_dynamics_kernel(constants, k.code, p, R, still, one, still) - rest)
-    for i in range(6):
-        if not most[i] <= k.force:
-            return _FORCE
-    return 0
+    return 0 if (most <= k.force).all() else _FORCE
 
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
@@ -82,8 +78,8 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
     for i in range(6):
         for j in range(6):
             dq[i] += J[i, j] * twist[j]
-        if not k.soft_min <= q[i] <= k.soft_max:
-            return _STROKE
+    if not ((q >= k.soft_min) & (q <= k.soft_max)).all():
+        return _STROKE
     if not condition_kernel(J, k.radius) <= k.condition:
         return _CONDITION
     if overspeed(dq, k.speed) or too_fast_for_end(q, dq, k.soft_min, k.soft_max, k.deceleration):
@@ -91,10 +87,7 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
     tau = inverse_dynamics_kernel(
         reals_at(k.constants, SIZE), k.code, p, R, twist, dtwist, np.zeros_like(twist)
     )
-    for i in range(6):
-        if not abs(tau[i]) <= k.force:
-            return _FORCE
-    return 0
+    return 0 if (np.abs(tau) <= k.force).all() else _FORCE
 
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
@@ -108,8 +101,7 @@ def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faste
     moved = p + WINDOW_S * twist[:3]
     rotation_motion(scale(WINDOW_S, at(twist, 3)), _STILL, _STILL, turn)
     for i in range(3):
-        for j in range(3):
-            turned[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
+        turned[i] = turn[i, 0] * R[0] + turn[i, 1] * R[1] + turn[i, 2] * R[2]
     rest = inverse_dynamics_kernel(constants, k.code, p, R, still, still, still)
     going = inverse_dynamics_kernel(constants, k.code, p, R, twist, dtwist, still) - rest
     inertia = inverse_dynamics_kernel(constants, k.code, p, R, still, twist, still) - rest
@@ -144,25 +136,24 @@ class Admission:
         stop_s: float,
     ) -> None:
         """Take the largest accelerations of the axes, and in which time a jog comes to rest, s."""
-        self._record = np.zeros((), ADMISSION)
         soft_min, soft_max = length_min + limits.stroke_margin_m, length_max - limits.stroke_margin_m
-        for name, value in {
-            "base_joints": platform.base_joints,
-            "platform_joints": platform.platform_joints,
-            "radius": platform.radius,
-            "constants": data_at(model.constants),
-            "code": model.code,
-            "ddchi": ddchi,
-            "low": soft_min + CLEARANCE_M,
-            "high": soft_max - CLEARANCE_M,
-            "soft_min": soft_min,
-            "soft_max": soft_max,
-            "condition": limits.condition,
-            "force": min(limits.force_N, drive_force_limit),
-            "speed": limits.speed_m_s,
-            "deceleration": limits.deceleration_m_s2,
-        }.items():
-            self._record[name] = value
+        self._record = context_of(
+            ADMISSION,
+            base_joints=platform.base_joints,
+            platform_joints=platform.platform_joints,
+            radius=platform.radius,
+            constants=model.constants,
+            code=model.code,
+            ddchi=ddchi,
+            low=soft_min + CLEARANCE_M,
+            high=soft_max - CLEARANCE_M,
+            soft_min=soft_min,
+            soft_max=soft_max,
+            condition=limits.condition,
+            force=min(limits.force_N, drive_force_limit),
+            speed=limits.speed_m_s,
+            deceleration=limits.deceleration_m_s2,
+        )
         self._model = model
         self.callee = Callee(judge.address, data_at(self._record), self)
         """(admission, address of six words): what a call does."""

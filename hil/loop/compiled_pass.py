@@ -16,12 +16,11 @@ from drivers.signals import DriveMode, DriveState, Mode, Warn
 from drivers.tick_columns import TICK, part
 from hil.control.pointed_law import ask
 from hil.estimation.pose import ESTIMATOR, estimate_pose
-from hil.loop.crc import crc32
 from hil.loop.modes import CONTROLLED as CONTROLLED_MODES
 from hil.loop.motion import MOTION, advance, ahead, ended, place_reference
 from hil.loop.probe import fill_probe, look
-from hil.loop.ramps import holding_share, smoothstep
-from hil.loop.reference import fill_sample
+from hil.loop.reference import fill_sample, holding_share, smoothstep
+from hil.loop.tick_input import crc32
 from hil.robot.force_path import path_at
 from hil.robot.force_path import send as send_force
 from hil.safety.kernels import LIMITS, MEMORY, TICK_SEEN, judge, limit, powered
@@ -76,9 +75,9 @@ CONTROL = np.dtype(
 )  # fmt: skip
 """The controller's state between Python and the pass. Addresses and flags are integers."""
 
-DIALOGUE, UNLOCATED, MODE, BROKEN = 1, 2, 4, 8
+DIALOGUE, UNLOCATED, MODE = 1, 2, 4
 """What `observe` returns, added up: the drives' dialogue has news, the pose is still to be found, a mode may
-end, a decoder failed."""
+end."""
 EFFORT, JUDGE, COMMAND = 1, 2, 4
 """Parts of `act`."""
 ALL = EFFORT | JUDGE | COMMAND
@@ -116,11 +115,8 @@ def controlled(mode: int) -> bool:
 @helper
 def estimate(c: Any, tick: Any) -> None:
     """Fill the estimate of a tick, a leg without fresh data being carried on at its last rate."""
-    for i in range(6):
-        if tick.age[i]:
-            for j in range(6):
-                tick.q[j] += tick.dq[j] * (tick.age[j] * c.period_s)
-            break
+    if tick.age.any():
+        tick.q[:] += tick.dq * (tick.age * c.period_s)
     estimate_pose(_estimator_at(c.estimator), _estimated_at(c.tick))
 
 
@@ -150,19 +146,14 @@ def may_end(c: Any, tick: Any) -> bool:
         return True
     if c.ends and ended(_motion_at(c.motion), _override_at(c.override), tick.tick):
         return True
-    if elapsed < c.due:
-        return False
-    for i in range(6):  # noqa: SIM110 - compiled
-        if not c.due_states >> tick.drive_state[i] & 1:
-            return False
-    return True
+    return bool(elapsed >= c.due and (c.due_states >> tick.drive_state & 1).all())
 
 
 @kernel(_CONTROL, _TICK, _TICK, records(FRAME))
 def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
     """Fill measurement, estimate and wrench of a tick from its input columns and the frames received.
 
-    Returns what there is to look at, bits of DIALOGUE, UNLOCATED, MODE, BROKEN; 0: nothing.
+    Returns what there is to look at, bits of DIALOGUE, UNLOCATED, MODE; 0: nothing.
     """
     c.tick, c.last = address_of(tick), address_of(last)
     tick.frames_received = frames.shape[0]
@@ -170,8 +161,6 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
     began_ns = tick.t_ns + tick.lateness_ns
     at = np.int64(frames.ctypes.data)
     status = call(c.decode, (c.decoder, at, np.int64(frames.shape[0]), began_ns, c.last, c.tick))
-    if status < 0:
-        return BROKEN
     look = DIALOGUE if status > 0 else 0
     if c.hear:
         call(c.hear, (c.loads, c.sensors, at, np.int64(frames.shape[0]), c.rotation, c.tick))
@@ -216,15 +205,6 @@ def place(c: Any, tick: Any) -> None:
 
 
 @helper
-def all_free(tick: Any) -> bool:
-    """Tell whether all brakes are open, on the drives' own word."""
-    for i in range(6):  # noqa: SIM110 - compiled
-        if tick.drive_state[i] != _FREE:
-            return False
-    return True
-
-
-@helper
 def seen_by_law(c: Any, tick: Any) -> Any:
     """Return the address of the tick as the law sees it: now, or when its force will act.
 
@@ -237,11 +217,10 @@ def seen_by_law(c: Any, tick: Any) -> Any:
     then[:] = now
     seen = _tick_at(c.ahead)
     if c.predict:
-        call(c.predict, (c.predictor, np.int64(all_free(tick)), c.ahead))
+        all_free = (tick.drive_state == _FREE).all()  # brakes open on the drives' own word
+        call(c.predict, (c.predictor, np.int64(all_free), c.ahead))
     if c.has_load:
-        share = 1.0 - entry_share(c, tick.tick)
-        for i in range(6):
-            seen.wrench[i] *= share
+        seen.wrench[:] *= 1.0 - entry_share(c, tick.tick)
     if c.predict and controlled(c.mode):
         sample, motion, override = _sample_at(c.sample), _motion_at(c.motion), _override_at(c.override)
         _, t = ahead(motion, override, tick.tick, c.horizon_s, sample)
@@ -268,29 +247,20 @@ def fill_effort(c: Any, tick: Any) -> None:
         seen.shortfall[:] = c.shortfall
         ask(c.law, c.gains, c.constants, c.code, at)
         tick.tau_law[:] = seen.tau_law
+        tick.tau_asked[:] = tick.tau_law
         left = entry_share(c, tick.tick)
-        learns = acts > 0 and c.mode != _HELD
-        for i in range(6):
-            asked = tick.tau_law[i]
-            if left > 0.0:
-                asked += c.offset[i] * left
-            if learns:
-                tick.tau_learned[i] = c.learned[i]
-                asked += c.learned[i]
-            if c.mode == _HELD:
-                asked = within(asked, c.holding[i] - c.reach_N, c.holding[i] + c.reach_N)
-            tick.tau_asked[i] = asked
+        if left > 0.0:
+            tick.tau_asked[:] += c.offset * left
+        if c.mode == _HELD:  # nan stays nan
+            tick.tau_asked[:] = np.minimum(
+                np.maximum(tick.tau_asked, c.holding - c.reach_N), c.holding + c.reach_N
+            )
+        elif acts > 0:
+            tick.tau_learned[:] = c.learned
+            tick.tau_asked[:] += c.learned
     elif c.load_s > 0.0 and c.mode in (_LOADING, _UNLOADING):
         elapsed_s = (tick.tick - c.mode_tick) * c.period_s
-        share = holding_share(c.mode, elapsed_s, c.load_s)
-        for i in range(6):
-            tick.tau_asked[i] = c.holding[i] * share
-
-
-@helper
-def within(value: float, low: float, high: float) -> float:
-    """Return a value between two ends; nan stays nan."""
-    return low if value < low else min(value, high)
+        tick.tau_asked[:] = c.holding * holding_share(c.mode, elapsed_s, c.load_s)
 
 
 @helper
@@ -319,9 +289,9 @@ def send(c: Any, tick: Any, into: Any) -> int:
     if c.command_mode not in (_READY, _RUN):
         tick.tau[:] = 0.0
     tick.command_mode = c.command_mode
-    limited = c.verdict[1] != 0 and controlled(c.mode)
-    for i in range(6):
-        c.shortfall[i] = tick.tau[i] - tick.tau_asked[i] - tick.probe_force[i] if limited else 0.0
+    c.shortfall[:] = 0.0
+    if c.verdict[1] != 0 and controlled(c.mode):
+        c.shortfall[:] = tick.tau - tick.tau_asked - tick.probe_force
     for k in range(2):
         if c.paths[k]:
             send_force(path_at(c.paths[k]), tick.tau)

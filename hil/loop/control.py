@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import ceil
-from typing import Any, NoReturn
+from typing import Any
 
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.compiled.compiler import INTEGER
-from drivers.compiled.pointed import FAILED, data_at, of_python
+from drivers.compiled.pointed import data_at
 from drivers.signals import DriveState, Fault, Mode, Stop, Warn
-from drivers.tick_columns import Record, new_record, tick_at
+from drivers.tick_columns import Record, new_record
 from hil.estimation.external_wrench import hear_sensors
 from hil.loop.compiled_pass import ALL, COMMAND, CONTROL, EFFORT, JUDGE, NEVER, WHOLE, act
 from hil.loop.modes import DRIVE_PATIENCE_S, ENDING, NOT_MEASURED, STEERED, STOPPABLE, drive_mode
@@ -39,7 +37,7 @@ def ticks_from(seconds: float, period_s: float, *, beyond: bool = False) -> int:
 
 
 class Control:
-    """The record of the control, and the stages in Python that it points to.
+    """The record of the control, of the parts that it points to.
 
     `settle` brings what was decided into the record. Mutable state: the record.
     """
@@ -50,10 +48,7 @@ class Control:
         parts, effort = cycle.parts, cycle.effort
         self.record: Record = np.zeros((), CONTROL)
         self.probes = False
-        self.error: BaseException | None = None
-        """What a stage in Python has met in this tick."""
         self._sample, self._ahead = np.zeros((), SAMPLE), new_record()
-        self._keeps: list[Any] = []
         c, end = self.record, cycle.end
         c["decode"], c["command"], c["codec"] = end.decode, end.command, end.codec
         c["decoder"] = end.codec
@@ -67,7 +62,11 @@ class Control:
         c["law"], c["gains"], c["constants"], c["code"] = effort.law[:4]
         c["robot"] = data_at(effort.model.constants)
         if parts.last_pose is not None:
-            c["decode"], c["decoder"] = self._homed(end.decode, end.codec)
+            from hil.loop import homing_kernels  # noqa: PLC0415 - compiled code that few robots need
+
+            homing = cycle.homing.record
+            homing["decode"], homing["codec"] = end.decode, end.codec
+            c["decode"], c["decoder"] = homing_kernels.decode.address, data_at(homing)
         c["sensors"] = data_at(cycle.sight.sensors)
         if parts.steering is not None:
             c["steer"], c["live"] = parts.steering.trajectory.steer[:2]
@@ -174,40 +173,6 @@ class Control:
             data_at(motion.override.record),
         )
         self.settle()
-
-    def _called(self, function: Callable[[int], int]) -> int:
-        """Return the address of a function of an integer; what it raises is kept until the tick's end."""
-
-        def called(argument: int) -> int:
-            try:
-                return function(argument)
-            except BaseException as error:  # noqa: BLE001 - nothing may pass a callback
-                self.error = error
-                return FAILED
-
-        address, keeps = of_python(called, INTEGER)
-        self._keeps.append(keeps)
-        return address
-
-    def fail(self) -> NoReturn:
-        """Raise what a stage in Python has met."""
-        error, self.error = self.error, None
-        assert error is not None
-        raise error
-
-    def _homed(self, decode: int, codec: int) -> tuple[int, int]:
-        """Return a decoder that adds the turns that the drives have forgotten, and what it works on."""
-        from hil.loop import homing_kernels  # noqa: PLC0415 - compiled code that few robots need
-
-        cycle, record = self._cycle, self._cycle.homing.record
-
-        def correct(tick: int) -> int:
-            known, last = cycle.homing.known, tick_at(int(self.record["last"]))
-            cycle.homing.correct(tick_at(tick), last, braked=cycle.proven)
-            return int(cycle.homing.known != known)
-
-        record["decode"], record["codec"], record["correct"] = decode, codec, self._called(correct)
-        return homing_kernels.decode.address, data_at(record)
 
     def load(self, tick: Record) -> None:
         """Fill the external wrench of a tick."""

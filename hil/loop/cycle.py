@@ -21,16 +21,15 @@ from drivers.tick_columns import Record, new_record, row_of
 from hil.loop import compiled_pass, modes
 from hil.loop.compiled_pass import ALL, COMMAND, STOPPED, act, observe
 from hil.loop.control import Control
-from hil.loop.drives_say import any_powered, confirmed, measured_at_rest, ready
 from hil.loop.effort import Effort
 from hil.loop.homing import Homing, Stroke
 from hil.loop.jogging import Jogging
 from hil.loop.modes import ENDING, Durations, Facts, drive_mode, next_mode, overdue
 from hil.loop.motion import Motion
 from hil.loop.obedience import Obedience
-from hil.loop.operating import Operating
+from hil.loop.operating import Inspection, Operating, approach
 from hil.loop.parts import Parts
-from hil.loop.setup_moves import Inspection, approach
+from hil.loop.report import any_powered, confirmed, measured_at_rest, ready
 from hil.loop.sight import Sight
 from hil.loop.tick_input import put_input
 from hil.safety.guard import Verdict
@@ -137,16 +136,11 @@ class Cycle:
     def end_tick(self, inp: TickInput, into: Rows, ended: int, *, looked: bool = False) -> Rows:
         """Return the frames of a tick for which `compiled_pass.act` returned `ended`."""
         self.looked = looked or bool(ended)
-        frames = self._finish(inp, self.tick, into, ended) if ended else into[: self.control.record["sent"]]
-        if self.control.error is not None:
-            self.control.fail()
-        return frames
+        return self._finish(inp, self.tick, into, ended) if ended else into[: self.control.record["sent"]]
 
     def _decide(self, inp: TickInput, tick: Record, look: int) -> None:
         """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
         parts, number = self.parts, inp.tick
-        if look & compiled_pass.BROKEN:
-            self.control.fail()
         if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
             self.control.load(tick)

@@ -1,13 +1,123 @@
-"""The force asked for: the law's own, and how it takes over from what holds the platform and gives way."""
+"""The force asked for: the law's own, how it takes over from what holds, and what was learned."""
+
+from math import isnan, nan
+from typing import Any
+
+import numpy as np
 
 from drivers.arrays import ZERO6, Array
+from drivers.compiled.compiler import INTEGER, helper, record
+from drivers.compiled.pointed import Callee, context_of, data_at, pointed, reals_at
+from drivers.signals import Mode
 from drivers.tick_columns import Record
 from hil.control.pointed_law import called_by_pointer
-from hil.loop.learned import Learned
 from hil.loop.modes import Durations
+from hil.loop.motion import MOTION, Motion, ticks_left
 from hil.loop.parts import Parts
-from hil.loop.ramps import tau_at_rest
-from hil.trajectory.path import PoseSample
+from hil.loop.reference import LearnedForces, smoothstep, tau_at_rest
+from hil.trajectory.override import OVERRIDE, is_full, time_at
+from hil.trajectory.path import PoseSample, Trajectory
+
+_APPROACH, _TRACKING, _PARKING = int(Mode.APPROACH), int(Mode.TRACKING), int(Mode.PARKING)
+LEARNED = np.dtype(
+    [
+        ("rows", "<i8"),
+        ("count", "<i8"),
+        ("start_s", "<f8"),
+        ("step_s", "<f8"),
+        ("step", "<f8"),
+        *((name, "<i8") for name in ("faulty", "acts", "left")),
+        ("share", "<f8"),
+        ("tau", "<f8", 6),
+    ]
+)
+"""Where the forces (count, 6) N are; their times; what a tick adds to the share; the state of `Learned`."""
+
+
+@helper
+def between(rows: Array, place: float, into: Array) -> None:
+    """Fill `into` (6,) with `rows` (6 n,) at a place 0 .. n - 1, linear between two rows; the last behind."""
+    last = len(rows) // 6 - 2
+    place = min(place, last + 1.0)
+    k = min(int(place), last)
+    before, after = rows[6 * k : 6 * k + 6], rows[6 * k + 6 : 6 * k + 12]
+    into[:] = before + (place - k) * (after - before)
+
+
+@pointed(
+    record(LEARNED), record(MOTION), record(OVERRIDE), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER
+)
+def step(
+    k: Any,
+    motion: Any,
+    override: Any,
+    tick: int,
+    mode: int,
+    mode_tick: int,
+    along: int,
+    faults: int,
+    into: int,
+) -> int:
+    """Fill the forces of a tick, (6,) N at `into`, in a mode entered at mode_tick; return 1 where any act.
+
+    along: of `Learned.along`; faults: those latched.
+    """
+    t = nan  # of the reference, at which forces could act, s: before 0 on the way to its start
+    if along and is_full(override):  # else path time is not the clock's
+        t = time_at(override, tick)
+        if mode == _APPROACH:
+            t = -ticks_left(motion, override, tick) * override.period
+    if faults:
+        k.faulty = 1
+    if tick == mode_tick and mode in (_APPROACH, _TRACKING):
+        k.left = 0
+    early = mode == _APPROACH and t < k.start_s
+    on = not (isnan(t) or early or k.faulty or k.left)
+    if on and (k.acts or k.share == 0.0):
+        k.acts = 1
+        k.share = min(k.share + k.step, 1.0)
+        between(reals_at(k.rows, 6 * k.count), (t - k.start_s) / k.step_s, k.tau)
+    elif mode != _PARKING or k.faulty:
+        if k.acts and mode == _TRACKING and tick != mode_tick:
+            k.left = 1
+        k.acts = 0
+        k.share = max(k.share - k.step, 0.0)
+    reals_at(into, 6)[:] = k.tau * (1.0 if k.share == 1.0 else smoothstep(k.share))
+    return 1 if k.share > 0.0 else 0
+
+
+class Learned:
+    """The share of the learned forces that acts.
+
+    They act on the very reference that they were learned on, and on the last of the way to its start, while
+    path time is the clock's. Where TRACKING leaves that (hold, speed, jog, park, stop), the last of them
+    fades out, and none acts before the reference begins anew. At the reference's end the last one stays until
+    the brakes are shut, and goes with the holding force. After a fault none acts any more.
+
+    Mutable state: whether a fault has struck, whether the present way along the reference has been left, and
+    the forces with their share, 0 .. 1; `reset` restores the initial one.
+    """
+
+    def __init__(self, forces: LearnedForces, trajectory: Trajectory, period_s: float) -> None:
+        self.forces = forces
+        self._trajectory = trajectory
+        self._rows = np.ascontiguousarray(forces.tau, np.float64)
+        times = {"start_s": forces.start_s, "step_s": forces.step_s, "step": period_s / forces.fade_s}
+        self._record = context_of(LEARNED, rows=self._rows, count=len(self._rows), **times)
+        self.look = Callee(step.address, data_at(self._record), self)
+        """(learned, motion, override, tick, mode, mode_tick, along, faults, where the forces go)."""
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to the state before the first tick."""
+        for name in ("faulty", "acts", "left", "share", "tau"):
+            self._record[name] = 0
+
+    def along(self, mode: Mode, motion: Motion) -> bool:
+        """Tell whether the platform is on the reference of the forces, or on the way to its start."""
+        if mode is Mode.APPROACH:
+            return motion.then is self._trajectory
+        return mode is Mode.TRACKING and motion.trajectory is self._trajectory and not motion.away
 
 
 class Effort:

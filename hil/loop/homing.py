@@ -10,8 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import helper
+from drivers.arrays import Array
 from drivers.signals import LEGS
 from drivers.tick_columns import Record
 
@@ -19,25 +18,24 @@ SILENT_TICKS = 20
 """A drive that was silent for so long may have been switched off."""
 
 
+LOST, MOVED, ENDS = 1, 2, 3
+"""What is wrong with a leg: nobody knows its turn; it is not where it was left; its drive was switched on
+where it cannot report all of the stroke."""
 HOMING = np.dtype(
     [
         ("decode", "<i8"), ("codec", "<i8"),  # the family's decoder, and what it works on
-        ("correct", "<i8"),  # correct(tick): `Homing.correct`, where there is something to decide
-        ("period_s", "<f8"), ("step_m", "<f8", (LEGS,)),
+        ("period_s", "<f8"), ("step_m", "<f8", (LEGS,)), ("limit_m", "<f8", (LEGS,)),
+        ("shortest", "<f8"), ("longest", "<f8"),  # m, of the stroke
+        ("low", "<f8", (LEGS,)), ("high", "<f8", (LEGS,)),  # m, of the position field
         ("braked", "<i8"),  # 1: the brakes are proven shut since they were last open, or were not open
         ("opened", "<i8"),  # 1: the brakes have been open
         ("added", "<f8", (LEGS,)), ("raw", "<f8", (LEGS,)),
+        ("there", "<f8", (LEGS,)),  # m, where each leg was last known
         ("known", "<i8", (LEGS,)), ("lost", "<i8", (LEGS,)),
-        ("wrong", "<i8", (LEGS,)),  # 1: something disagrees
+        ("wrong", "<i8", (LEGS,)),  # LOST, MOVED or ENDS
     ]
 )  # fmt: skip
 """What `Homing` and the decoder around the family's have in common."""
-
-
-@helper
-def leaps(reported: float, expected: float, step_m: float) -> bool:
-    """Tell whether a reading is half a step or more from where the last one and its rate lead."""
-    return bool(abs(reported - expected) >= 0.5 * step_m)
 
 
 class LastPose(NamedTuple):
@@ -67,37 +65,41 @@ class Stroke(NamedTuple):
 
 
 class Homing:
-    """Adds to each length the turns that its drive has forgotten.
+    """The turns that the drives have forgotten; `hil.loop.homing_kernels.decode` adds them to each length.
 
     A drive that was silent for long, or whose reading leaps by half a step and more, has been switched off:
-    its turn is found anew, from where the leg was last seen. With its brake open nobody knows how far it
+    its turn is found again, from where the leg was last seen. With its brake open nobody knows how far it
     went meanwhile, and its turn is lost.
 
-    Mutable state: lengths as the drives report them, what is added, where each leg was last known, which
-    turns are known or lost, what disagrees.
+    Mutable state, in its record: lengths as the drives report them, what is added, where each leg was last
+    known, which turns are known or lost, what is wrong.
     """
 
     def __init__(self, pose: LastPose | None, stroke: Stroke, period_s: float) -> None:
         """Take where the legs stood; None: the drives forget nothing."""
-        self._pose, self._stroke, self._period_s = pose, stroke, period_s
+        self._pose = pose
         self.record: Record = np.zeros((), HOMING)
-        self.record["period_s"], self.record["step_m"] = period_s, ZERO6 if pose is None else pose.step_m
+        self.record["period_s"] = period_s
+        self.record["shortest"], self.record["longest"] = stroke[:2]
+        self.record["low"], self.record["high"] = stroke.reported or (-np.inf, np.inf)
+        if pose is not None:
+            self.record["step_m"], self.record["limit_m"] = pose.step_m, pose.limit_m
         self.added, self.raw = self.record["added"], self.record["raw"]
         """(6,) m each: whole multiples of the step; lengths as the drives report them."""
-        self._known, self._lost = self.record["known"], self.record["lost"]
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
         for name in ("added", "raw", "known", "lost", "wrong", "opened"):
             self.record[name] = 0
-        self._last = ZERO6 if self._pose is None else self._pose.length.copy()
-        self._wrong = [""] * LEGS
+        self.record["there"] = 0.0 if self._pose is None else self._pose.length
 
     @property
     def refusal(self) -> str:
         """Why the platform must not move; empty where every leg that was heard is where it was left."""
-        wrong = "; ".join(filter(None, self._wrong))
+        wrong = "; ".join(
+            self._wrong(leg, why) for leg, why in enumerate(self.record["wrong"].tolist()) if why
+        )
         if self._pose is None or not wrong:
             return ""
         return (
@@ -115,71 +117,29 @@ class Homing:
     @property
     def known(self) -> bool:
         """Whether the turns of all six legs are known."""
-        return self._pose is None or (bool(self._known.all()) and not any(self._wrong))
+        return self._pose is None or bool(self.record["known"].all() and not self.record["wrong"].any())
 
-    def correct(self, tick: Record, last: Record, *, braked: bool) -> None:
-        """Add the forgotten turns to the lengths of a tick.
-
-        braked: the brakes have been proven shut since they were last open, or were not open.
-        """
-        if self._pose is None:
-            return
-        self.record["opened"] = self.opened or not braked
-        raw: Array = tick["length"].copy()
-        for leg, age in enumerate(tick["age"].tolist()):
-            if self._known[leg] and (age > SILENT_TICKS or self._leaps(leg, raw, tick, last)):
-                self._forget(leg, float(last["length"][leg]), braked=braked)
-            if age <= 1 and not self._lost[leg] and (not self._known[leg] or self._wrong[leg]):
-                self._find(leg, float(raw[leg]))
-        self.raw[:], self.record["wrong"] = raw, list(map(bool, self._wrong))
-        tick["length"] = raw + self.added
-
-    def _leaps(self, leg: int, raw: Array, tick: Record, last: Record) -> bool:
-        """Tell whether a reading is half a step or more from where the last one and its rate lead."""
+    def _wrong(self, leg: int, why: int) -> str:
         assert self._pose is not None
-        ticks = int(tick["tick"]) - int(last["tick"]) + int(last["age"][leg]) - int(tick["age"][leg])
-        expected = self.raw[leg] + last["rate"][leg] * ticks * self._period_s
-        return leaps(raw[leg], expected, self._pose.step_m[leg])
-
-    def _forget(self, leg: int, length: float, *, braked: bool) -> None:
-        self._known[leg] = False
-        self._last[leg] = length
-        if not braked:
-            self._lost[leg] = True
-            self._wrong[leg] = (
+        if why == LOST:
+            return (
                 f"leg {leg}: its drive was switched off, or silent for {SILENT_TICKS} ticks, while its brake "
                 "was open, so nobody knows how far the leg went"
             )
-
-    def _find(self, leg: int, reported: float) -> None:
-        assert self._pose is not None
-        pose, there = self._pose, float(self._last[leg])
-        step = float(pose.step_m[leg])
-        self.added[leg] = step * round((there - reported) / step)
-        self._known[leg] = True
-        here, limit_m = reported + float(self.added[leg]), float(pose.limit_m[leg])
-        if abs(here - there) > limit_m:
-            turns = (there - here) / float(pose.m_per_turn[leg])
-            self._wrong[leg] = (
-                f"leg {leg} is {here:.6f} m long, and was {there:.6f} m ({pose.origin}): "
-                f"{1e3 * (here - there):+.3f} mm, allowed: {1e3 * limit_m:g} mm (drives.homing); "
-                f"{turns:+.3f} turns of its motor would mend it"
+        low, high, there, added, raw = (
+            float(self.record[name][leg]) for name in ("low", "high", "there", "added", "raw")
+        )
+        if why == ENDS:
+            return (
+                f"leg {leg}: its drive was switched on where its position ends at leg lengths of "
+                f"{low + added:.4f} and {high + added:.4f} m, allowed: {self.record['shortest']:g} to "
+                f"{self.record['longest']:g} m within them; switch it on with the leg nearer to mid-stroke"
             )
-            return
-        self._wrong[leg] = self._out_of_range(leg)
-
-    def _out_of_range(self, leg: int) -> str:
-        """Say where the drive cannot report all of the stroke from where it was switched on."""
-        stroke = self._stroke
-        if stroke.reported is None:
-            return ""
-        low, high = (float(end[leg] + self.added[leg]) for end in stroke.reported)
-        if low <= stroke.shortest and stroke.longest <= high:
-            return ""
+        off, turns = raw + added - there, (there - raw - added) / float(self._pose.m_per_turn[leg])
         return (
-            f"leg {leg}: its drive was switched on where its position ends at leg lengths of {low:.4f} and "
-            f"{high:.4f} m, allowed: {stroke.shortest:g} to {stroke.longest:g} m within them; switch it on "
-            "with the leg nearer to mid-stroke"
+            f"leg {leg} is {raw + added:.6f} m long, and was {there:.6f} m ({self._pose.origin}): "
+            f"{1e3 * off:+.3f} mm, allowed: {1e3 * self._pose.limit_m[leg]:g} mm (drives.homing); "
+            f"{turns:+.3f} turns of its motor would mend it"
         )
 
 

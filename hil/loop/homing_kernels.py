@@ -8,38 +8,51 @@ from drivers.compiled.compiler import INTEGER, helper, record
 from drivers.compiled.pointed import address_of, call, pointed
 from drivers.signals import LEGS
 from drivers.tick_columns import TICK, part
-from hil.loop.homing import HOMING, SILENT_TICKS, leaps
+from hil.loop.homing import ENDS, HOMING, LOST, MOVED, SILENT_TICKS
 
 _TICK = record(TICK, "tick", *part("measurement"))
 
 
 @helper
-def _decides(h: Any, leg: int, last: Any, tick: Any) -> bool:
-    """Tell whether the turn of a leg is to be found, or may be lost: `Homing.correct` decides it."""
-    if h.known[leg]:
-        ticks = tick.tick - last.tick + last.age[leg] - tick.age[leg]
-        expected_m = h.raw[leg] + last.rate[leg] * ticks * h.period_s
-        if tick.age[leg] > SILENT_TICKS or leaps(tick.length[leg], expected_m, h.step_m[leg]):
-            return True
-    return bool(tick.age[leg] <= 1 and not h.lost[leg] and (not h.known[leg] or h.wrong[leg]))
+def find(h: Any, leg: int, raw: float, last: Any, tick: Any) -> None:
+    """Find the turn of a leg that is not known, or may have been forgotten; raw: the length reported, m."""
+    age, step = tick.age[leg], h.step_m[leg]
+    expected = h.raw[leg] + last.rate[leg] * (tick.tick - last.tick + last.age[leg] - age) * h.period_s
+    if h.known[leg] and (age > SILENT_TICKS or abs(raw - expected) >= 0.5 * step):
+        h.known[leg], h.there[leg] = 0, last.length[leg]
+        if not h.braked:
+            h.lost[leg], h.wrong[leg] = 1, LOST
+    if age > 1 or h.lost[leg] or (h.known[leg] and not h.wrong[leg]):
+        return
+    h.known[leg] = 1
+    added = step * np.rint((h.there[leg] - raw) / step) + 0.0
+    h.added[leg] = added
+    if abs(raw + added - h.there[leg]) > h.limit_m[leg]:
+        h.wrong[leg] = MOVED
+    elif h.low[leg] + added > h.shortest or h.longest > h.high[leg] + added:
+        h.wrong[leg] = ENDS
+    else:
+        h.wrong[leg] = 0
+
+
+@helper
+def all_known(h: Any) -> bool:
+    """Tell whether the turns of all legs are known, and nothing is wrong."""
+    return bool((h.known != 0).all() and (h.wrong == 0).all())
 
 
 @pointed(record(HOMING), INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(h: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
     """Decode as the family does, which has to see the lengths that the drives report, and add the turns."""
-    believed = last.length.copy()
+    believed, known = last.length.copy(), all_known(h)
     last.length[:] = h.raw
     tick_at = address_of(tick)
     status: Any = np.int64(call(h.decode, (h.codec, frames, count, since_ns, address_of(last), tick_at)))
     last.length[:] = believed
-    if status < 0:
-        return int(status)
-    for leg in range(LEGS):
-        if _decides(h, leg, last, tick):
-            news: Any = np.int64(call(h.correct, (tick_at,)))
-            return int(news if news < 0 else max(status, news))
     h.opened |= not h.braked
+    for leg in range(LEGS):
+        find(h, leg, tick.length[leg], last, tick)
     h.raw[:] = tick.length
     for leg in range(LEGS):
         tick.length[leg] += h.added[leg]
-    return int(status)
+    return int(max(status, np.int64(all_known(h) != known)))

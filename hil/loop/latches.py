@@ -13,7 +13,6 @@ from drivers.compiled.compiler import INTEGER, kernel, records
 from drivers.compiled.pointed import address_of, call
 from drivers.family import Family
 from drivers.frame_array import FRAME, received_frames, sent_frames
-from drivers.protocol import Frame, Received
 from drivers.signals import LEGS
 
 
@@ -81,13 +80,9 @@ def checked(
     own = [each for each in received_frames(answers) if protocol.fresh(each, tick, begun_ns + answer_ns)]
     if protocol.traits.unasked_s > 0.0:  # an earlier one may be none to the poll, and does not count
         own = list({protocol.sender(each.frame): each for each in own}.values())
-    return [
-        t_ns if t_ns is None else min([t_ns, *_soonest(protocol, frame, own, answer_ns)])
-        for frame, t_ns in zip(sent_frames(opening), sent_ns, strict=False)
-    ]
-
-
-def _soonest(protocol: Family, frame: Frame, answers: Sequence[Received], answer_ns: int) -> list[int]:
-    """Return when a frame must have been out for each feedback to it, ns."""
-    legs = protocol.addressed(frame)
-    return [t_ns - answer_ns for t_ns, answer in answers if protocol.sender(answer) in legs]
+    found: list[int | None] = []
+    for frame, t_ns in zip(sent_frames(opening), sent_ns, strict=False):
+        legs = protocol.addressed(frame)
+        out_ns = [each.t_ns - answer_ns for each in own if protocol.sender(each.frame) in legs]
+        found.append(None if t_ns is None else min([t_ns, *out_ns]))
+    return found

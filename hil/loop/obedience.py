@@ -59,10 +59,8 @@ class Obedience:
         """Tell whether the change (6,) m/s of the rates is that of one leg's force: brakes open, or shut."""
         J, M = tick["J"], self._model.mass_matrix(tick["p"], tick["R"])
         coupled = (J * solve(M, J[leg])).sum(axis=1)
-        return any(_unlike(change, of) <= UNLIKE for of in (coupled, np.eye(LEGS)[leg]))
-
-
-def _unlike(change: Array, of: Array) -> float:
-    """Return the share of a change that is not in proportion to another."""
-    rest = change - of * float((change * of).sum() / (of * of).sum())
-    return float(np.sqrt((rest * rest).sum() / (change * change).sum()))
+        for of in (coupled, np.eye(LEGS)[leg]):
+            rest = change - of * float((change * of).sum() / (of * of).sum())
+            if float(np.sqrt((rest * rest).sum() / (change * change).sum())) <= UNLIKE:
+                return True
+        return False

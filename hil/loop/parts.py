@@ -19,7 +19,7 @@ from hil.estimation.external_wrench import ExternalWrench
 from hil.estimation.predictor import Predictor
 from hil.loop.admission import Admission, Steering
 from hil.loop.homing import LastPose
-from hil.loop.learned import LearnedForces
+from hil.loop.reference import LearnedForces
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.safety import Safety

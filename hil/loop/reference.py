@@ -1,16 +1,20 @@
-"""From a trajectory's sample to the reference of a tick: the same instant in leg lengths."""
+"""The reference of a tick from a trajectory's sample, and how the force comes and goes around it."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import ZERO6, Array
 from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel, record
-from drivers.tick_columns import TICK, Record, new_record, part
+from drivers.signals import Mode
+from drivers.tick_columns import TICK, Record, copy_of, new_record, part
+from hil.control.law import Law
 from hil.mathematics.vectors import add, at, cross, dot, rotate, row
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import leg, leg_motion
 from hil.trajectory.path import PoseSample
+
+_LOADING = int(Mode.LOADING)
 
 
 @helper
@@ -55,3 +59,51 @@ def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:
     fill_reference(platform, a, one)
     fill_reference(platform, b, other)
     return float(np.abs(other["q_d"] - one["q_d"]).max())
+
+
+@helper
+def smoothstep(x: float) -> float:
+    """Return 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
+    x = min(max(x, 0.0), 1.0)
+    return x * x * x * (10.0 + x * (6.0 * x - 15.0))
+
+
+@helper
+def holding_share(mode: int, elapsed_s: float, load_s: float) -> float:
+    """Return the share of the holding force in LOADING and UNLOADING, where both take `load_s` > 0 for it.
+
+    LOADING begins with a brake test, as long without any.
+    """
+    if mode == _LOADING:
+        return smoothstep((elapsed_s - load_s) / load_s)
+    return 1.0 - smoothstep(elapsed_s / load_s)
+
+
+def tau_at_rest(law: Law, platform: Platform, tick: Record, sample: PoseSample, *, on_it: bool) -> Array:
+    """Return what the law asks for at rest, without load, its reference being the sample; the law is reset.
+
+    on_it: as if the platform were there, too; otherwise it is where it was measured in this tick.
+    """
+    at_rest = copy_of(tick)
+    at_rest["wrench"] = 0.0
+    fill_reference(platform, sample, at_rest)
+    if on_it:
+        for name in ("q", "p", "R"):
+            at_rest[name] = at_rest[name + "_d"]
+        at_rest["dq"] = at_rest["twist"] = ZERO6
+    law.reset()
+    law.effort(at_rest)
+    law.reset()
+    return at_rest["tau_law"]
+
+
+class LearnedForces(NamedTuple):
+    """Leg forces over the time of one reference, and over the last of the way to its start."""
+
+    tau: Array
+    """(n, 6) N at start_s, start_s + step_s, ... Read-only."""
+    start_s: float
+    """At most 0: time before the reference begins."""
+    step_s: float
+    fade_s: float
+    """In which they fade in and out."""

@@ -14,7 +14,7 @@ from drivers.errors import LogError
 from drivers.frame_array import FRAME, joined, sent_frames
 from drivers.signals import BusState
 from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_ELEMENTS, LATER, RECORDED, ROW, Column
-from hil.loop import tick_kernels as part
+from hil.loop import tick_row as part
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
 from hil.loop.story.told import Story
@@ -216,19 +216,18 @@ def again(s: Any) -> int:
 def _gathered(log: Recorded) -> Iterator[list[Tick]]:
     """Yield the ticks of a log, some at a time; what cannot be read is raised behind the last that can."""
     gathered: list[Tick] = []
-    damage: LogError | None = None
     try:
         for entry in log.ticks():
             gathered.append(entry)
             if len(gathered) == CAPACITY:
                 yield gathered
                 gathered = []
-    except LogError as error:
-        damage = error
+    except LogError:
+        if gathered:
+            yield gathered
+        raise
     if gathered:
         yield gathered
-    if damage is not None:
-        raise damage
 
 
 def _odd(entries: Sequence[Tick], recorded: Rows, last: int) -> list[int]:

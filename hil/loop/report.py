@@ -1,16 +1,65 @@
-"""What a run reports of its cycle: legs that move, drives that are not ready, or that hear nothing."""
+"""What the six drives say of themselves in a tick, and how a run reports it in words.
+
+`cycle` is a `hil.loop.cycle.Cycle`, which uses this module.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
 
 from drivers.protocol import DriveSetup
-from drivers.signals import LEGS, NEVER, DriveFault, DriveState
+from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Mode
+from drivers.tick_columns import Record
 from hil.loop.parts import Parts
 from hil.safety.motion import REST_m_s
 
 if TYPE_CHECKING:
-    from hil.loop.cycle import Cycle
+    pass
+
+_POWERED = (DriveState.READY, DriveState.RUN)
+
+
+def any_powered(tick: Record) -> bool:
+    """Tell whether a drive is powered."""
+    return any(state in _POWERED for state in tick["drive_state"].tolist())
+
+
+def unconfirmed(tick: Record, latches: bool) -> tuple[int, ...]:
+    """Return the legs whose drive is not in FAULT or does not report the emergency stop as its reason.
+
+    A fault code of the drives' own is taken for it: what it means only their maker knows. Of drives that do
+    not latch a stop, those that are still powered.
+    """
+    if not latches:
+        return tuple(leg for leg, state in enumerate(tick["drive_state"].tolist()) if state == DriveState.RUN)
+    faults, states = tick["drive_fault"].tolist(), tick["drive_state"].tolist()
+    return tuple(
+        leg
+        for leg, (fault, state) in enumerate(zip(faults, states, strict=True))
+        if state != DriveState.FAULT or not (fault == DriveFault.ESTOP or fault >= len(DriveFault))
+    )
+
+
+def confirmed(tick: Record, latches: bool) -> bool:
+    """Tell whether all drives are in FAULT and report the emergency stop as their reason; or are off."""
+    return not unconfirmed(tick, latches)
+
+
+def ready(tick: Record, mode: Mode, set_up: Iterable[bool], *, located: bool) -> bool:
+    """Tell whether the drives are as an arming needs them: heard and the pose found, and all six set up.
+
+    Once they were, in IDLE, they stay so until one is to be set up again; one that was altered is a fault.
+    """
+    if mode is Mode.IDLE:
+        return all(set_up) or bool(tick["altered"])
+    return located and max(tick["age"].tolist()) <= 1 and all(set_up)
+
+
+def measured_at_rest(tick: Record) -> bool:
+    """Tell whether all six legs are heard in this tick, believed and at rest."""
+    measured = max(tick["age"].tolist()) == 0 and not tick["legs_slipped"]
+    return bool(measured and max(abs(tick["rate"]).tolist()) < REST_m_s)
 
 
 def because(fault: int, meaning: str = "") -> str:
@@ -23,7 +72,7 @@ def because(fault: int, meaning: str = "") -> str:
     return f" ({known.get(int(fault), own)})" if fault else ""
 
 
-def moving_text(cycle: Cycle) -> str:
+def moving_text(cycle: Any) -> str:
     """Say which legs are not at rest."""
     rates, ages = cycle.tick["rate"].tolist(), cycle.tick["age"].tolist()
     legs = [
@@ -34,7 +83,7 @@ def moving_text(cycle: Cycle) -> str:
     return "; ".join(legs)
 
 
-def waiting_text(cycle: Cycle) -> str:
+def waiting_text(cycle: Any) -> str:
     """Say what the drives still lack to be engaged."""
     last = cycle.tick
     lacking = []
@@ -60,7 +109,7 @@ def waiting_text(cycle: Cycle) -> str:
     return f"the drives are not ready: {'; '.join(lacking)}{mend}"
 
 
-def _unlocated(cycle: Cycle) -> str:
+def _unlocated(cycle: Any) -> str:
     """Say why no pose has been found though all drives answer."""
     last, sight = cycle.tick, cycle.sight
     if sight.located:
@@ -68,18 +117,11 @@ def _unlocated(cycle: Cycle) -> str:
     if sight.sought:
         lengths = ", ".join(f"{q:.4f}" for q in last["length"])
         return f"no pose near platform.home has the measured leg lengths {lengths} m"
-    number, late = int(last["tick"]), []
-    for leg, tick in enumerate(sight.in_time):
-        if tick is None:
-            late.append(f"drive {leg} in none yet")
-        elif tick < number:
-            late.append(f"drive {leg} {(number - tick) * cycle.period_s:.3g} s ago the last time")
-    if not late:
-        return "the pose is being looked for"
+    late = ", ".join(f"drive {leg}" for leg in last["age"].nonzero()[0].tolist())
     return (
-        "not all six drives have answered within one tick, as the first pose needs it: "
-        f"{', '.join(late)}; their answers come late: look at the load of this machine and of the bus, "
-        "loop.feedback_window_us, or take a lower loop.rate_Hz"
+        "not all six drives have answered within one tick, as the first pose needs it"
+        f"{f' (late in the last one: {late})' if late else ''}: look at the load of this machine and of the "
+        "bus, loop.feedback_window_us, or take a lower loop.rate_Hz"
     )
 
 

@@ -17,7 +17,7 @@ class Sight:
     """Fills the estimate of each tick.
 
     Mutable state: what was heard of the sensors, the estimator's pose, whether it has been found, was looked
-    for and is to be, when each leg was last heard in time, and the filter with whether that has begun.
+    for and is to be, and the filter with whether that has begun.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -39,8 +39,6 @@ class Sight:
         """Look for the pose again, from the last one."""
         self.located = self.sought = self._due = False
         """The pose has been found; six lengths of one tick were looked at for it; a look is due."""
-        self.in_time: list[int | None] = [None] * LEGS
-        """Tick in which each leg was last heard within it, while the pose was looked for; None: in none."""
         self.fusing = False
         """Whether the filter has begun."""
 
@@ -58,10 +56,9 @@ class Sight:
         Until all legs have been heard and it has been found, the pose is home's. After a RESET it is looked
         for from the last one that all six lengths agreed on.
         """
-        estimator, number, age = self.estimator, int(tick["tick"]), tick["age"].tolist()
-        self.in_time = [number if old == 0 else last for old, last in zip(age, self.in_time, strict=True)]
-        self._due = self._due or number % self._search_interval == 0
-        if self._due and not any(age):
+        estimator = self.estimator
+        self._due = self._due or int(tick["tick"]) % self._search_interval == 0
+        if self._due and not tick["age"].any():
             self._due, self.sought = False, True
             self.located = estimator.acquire(tick["q"])
         if self.located:

@@ -1,10 +1,13 @@
-"""The input of a tick and the columns of its record that hold it."""
+"""The input of a tick and the columns of its record that hold it, with the checksum of its frames."""
 
 import struct
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from drivers.arrays import Rows
+from drivers.compiled.compiler import helper
 from drivers.errors import LogError
 from drivers.signals import BusState
 from drivers.tick_columns import INPUT_COLUMNS, INPUT_ELEMENTS
@@ -12,9 +15,6 @@ from hil.signals import Operator, Order, SetPoint, TickInput
 
 _INPUT = struct.Struct(f"<{INPUT_ELEMENTS}q")
 """The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
-_FRAMES = TickInput._fields.index("frames")
-_STATE, _ALIVE, _COMPUTE = map(INPUT_COLUMNS.index, ("bus_state", "recorder_alive", "compute_ns"))
-"""Where TickInput has what no column holds or is no integer. latch_ns, the last column, is six."""
 _STATES = {int(state): state for state in BusState}
 
 
@@ -40,26 +40,66 @@ def input_of(
     Raises LogError for a row that no cycle writes.
     """
     numbers = _INPUT.unpack_from(row)
-    tick, alive, state = numbers[0], numbers[_ALIVE], _STATES.get(numbers[_STATE])
+    given: dict[str, Any] = dict(zip(INPUT_COLUMNS, numbers, strict=False))  # latch_ns, the last one, is six
+    tick, alive, state = numbers[0], given["recorder_alive"], _STATES.get(given["bus_state"])
     if alive not in (0, 1):
         raise LogError(f"the row of tick {tick} is damaged: {alive} is not a valid recorder_alive")
     if state is None:
-        raise LogError(f"the row of tick {tick} is damaged: {numbers[_STATE]} is not a valid BusState")
+        raise LogError(f"the row of tick {tick} is damaged: {given['bus_state']} is not a valid BusState")
     try:
         words = tuple(map(Operator, operator))
     except ValueError as error:
         raise LogError(f"the row of tick {tick} is damaged: {error}") from None
-    values: Sequence[Any] = (
-        *numbers[:_FRAMES],
-        frames,
-        *numbers[_FRAMES:_STATE],
-        state,
-        alive == 1,
-        *numbers[_ALIVE + 1 : _COMPUTE],
-        words,
-        numbers[_COMPUTE],
-        numbers[_COMPUTE + 1 :],
-        setpoints,
-        orders,
-    )
-    return TickInput(*values)
+    given |= {"bus_state": state, "recorder_alive": alive == 1, "latch_ns": numbers[len(INPUT_COLUMNS) - 1 :]}
+    return TickInput(**given, frames=frames, operator=words, setpoints=setpoints, orders=orders)
+
+
+_POLYNOMIAL = 0xEDB88320
+_ALL_ONES = 0xFFFFFFFF
+
+
+def _tables() -> Any:
+    """Return (8, 256): the register after a byte, with 0 to 7 zero bytes behind it."""
+    tables = np.zeros((8, 256), np.uint32)
+    for byte in range(256):
+        register = byte
+        for _ in range(8):
+            register = register >> 1 ^ (_POLYNOMIAL if register & 1 else 0)
+        tables[0, byte] = register
+    for row in range(1, 8):
+        before = tables[row - 1]
+        tables[row] = before >> 8 ^ tables[0, before & 0xFF]
+    return tables
+
+
+_TABLES = _tables()
+
+
+@helper
+def eight(register: Any, word: Any) -> Any:
+    """Return the register after the eight bytes of a word."""
+    low = np.uint64(word) ^ np.uint64(register)
+    after = np.uint32(0)
+    for k in range(8):
+        after ^= _TABLES[7 - k, low >> np.uint64(8 * k) & np.uint64(0xFF)]
+    return after
+
+
+@helper
+def crc32(frames: Any) -> int:
+    """Return the CRC-32 (ISO 3309, as zlib's) of elements of FRAME, over what identifies each.
+
+    Little-endian: time (8 bytes), identifier (4), flags with the bus in the high byte (2), number of data
+    bytes (2), and these.
+    """
+    register: Any = np.uint32(_ALL_ONES)
+    for n in range(frames.shape[0]):
+        frame = frames[n]
+        size = np.int64(frame.length)
+        register = eight(register, frame.t_ns)
+        head = np.int64(frame.id) | np.int64(frame.flags) << 32 | np.int64(frame.bus) << 40 | size << 48
+        register = eight(register, head)
+        for k in range(size):
+            register = _TABLES[0, (register ^ frame.data[k]) & np.uint32(0xFF)] ^ register >> np.uint32(8)
+    value: int = np.int64(register ^ np.uint32(_ALL_ONES))  # type: ignore[assignment]
+    return value

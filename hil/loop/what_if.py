@@ -41,24 +41,6 @@ class OtherFrames(NamedTuple):
     """Whom it is for."""
 
 
-class Latched(NamedTuple):
-    """A fault that latched."""
-
-    tick: int
-    time_s: float
-    """Since the first tick of the log."""
-    fault: str
-
-
-class Acted(NamedTuple):
-    """In how many ticks a warning stood, the force limits among them."""
-
-    recorded: int
-    answered: int
-    first_tick: int | None
-    """The first in which it stands in the answer and not in the log."""
-
-
 @dataclass
 class Forces:
     """How far the force in each leg is from the one that was sent, N: answered less recorded."""
@@ -106,11 +88,13 @@ class Answer:
     forces: Forces = field(default_factory=Forces)
     parts_tick: int | None = None
     """The first tick in which the latched faults differ: from there on one of the two has stopped."""
-    recorded_faults: list[Latched] = field(default_factory=list)
+    recorded_faults: list[dict[str, Any]] = field(default_factory=list)
+    """tick, time_s since the first tick of the log, and fault: its name."""
     answered_faults: list[dict[str, Any]] = field(default_factory=list)
     """What each finding of the answer tells, as `hil.loop.story.told.Finding.fields`."""
-    warnings: dict[str, Acted] = field(default_factory=dict)
-    """By name, those that stood on either side."""
+    warnings: dict[str, dict[str, int | None]] = field(default_factory=dict)
+    """By name, those that stood on either side: in how many ticks `recorded` and `answered`, and first_tick:
+    the first in which it stands in the answer and not in the log."""
     gaps: list[tuple[int, int]] = field(default_factory=list)
     """(first missing tick, how many): nothing after it is answered."""
     damage: str = ""
@@ -177,11 +161,9 @@ class _Blocks:
         faults = recorded["faults"].tolist()
         for n, (before, now) in enumerate(zip([self._faults, *faults], faults, strict=False)):
             if now & ~before:
-                self._answer.recorded_faults += [
-                    Latched(int(recorded["tick"][n]), float(time_s[n]), str(fault.name))
-                    for fault in Fault
-                    if fault & now & ~before
-                ]
+                when = {"tick": int(recorded["tick"][n]), "time_s": float(time_s[n])}
+                new = [fault for fault in Fault if fault & now & ~before]
+                self._answer.recorded_faults += [when | {"fault": str(fault.name)} for fault in new]
         self._faults = faults[-1]
         self._answer.last_mode = name_of(COLUMNS["mode"], int(recorded["mode"][-1]))
 
@@ -189,15 +171,14 @@ class _Blocks:
 def _warn(answer: Answer, recorded: Rows, answered: Rows) -> None:
     for warning in Warn:
         there, here = ((rows["warnings"] & warning) != 0 for rows in (recorded, answered))
-        if not (there.any() or here.any()):
-            continue
-        name = str(warning.name)
-        last = answer.warnings.get(name, Acted(0, 0, None))
-        new = np.flatnonzero(here & ~there)
-        first = int(recorded["tick"][new[0]]) if last.first_tick is None and len(new) else last.first_tick
-        answer.warnings[name] = Acted(
-            last.recorded + int(there.sum()), last.answered + int(here.sum()), first
-        )
+        if there.any() or here.any():
+            last = answer.warnings.get(str(warning.name), {})
+            first, new = last.get("first_tick"), recorded["tick"][here & ~there].tolist()
+            answer.warnings[str(warning.name)] = {
+                "recorded": (last.get("recorded") or 0) + int(there.sum()),
+                "answered": (last.get("answered") or 0) + int(here.sum()),
+                "first_tick": new[0] if first is None and new else first,
+            }
 
 
 def what_if(

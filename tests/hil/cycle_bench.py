@@ -18,6 +18,7 @@ from hil.contracts.drives_end import reports
 from hil.contracts.messages import Configure, DeviceCommand, EmergencyStop, Status
 from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
+from hil.loop.story.narrator import Narrator
 from hil.robot.kinematics import leg_lengths
 from hil.signals import Operator, Order, SetPoint, TickInput
 from tests.drivers.legs_frames import one_feedback, parse
@@ -172,3 +173,10 @@ def ticked(cycle: Cycle, number: int, *operator: Operator, orders: tuple[Order, 
     """Take the orders and choose the mode of a tick in which all drives are in RUN and the legs at rest."""
     cycle.operating.step(orders, number, cycle.mode, cycle.motion)
     cycle._change_mode(said(*operator, tick=number), measured(cycle, tick=number))
+
+
+def fault_text(cycle: Cycle) -> str:
+    """Return the faults of the last tick and what shows them, in one line."""
+    narrator = Narrator(cycle)
+    narrator.look()
+    return narrator.short

@@ -14,8 +14,7 @@ from hil.contracts.messages import EmergencyStop
 from hil.loop.cycle import Cycle
 from hil.signals import Operator
 from tests.drivers.legs_frames import parse
-from tests.hil.cycle_bench import HOLDING_N, Bench, a_bench, held_to
-from tests.stories import fault_text
+from tests.hil.cycle_bench import HOLDING_N, Bench, a_bench, fault_text, held_to
 
 
 @pytest.fixture

@@ -16,7 +16,6 @@ from hil.loop import cycle as cycle_module
 from hil.loop.cycle import Cycle
 from hil.loop.modes import CONTROLLED
 from hil.safety.guard import Verdict
-from hil.safety.motion import REST_m_s
 from hil.signals import Operator
 from tests.hil.cycle_bench import LAST, VIRTUAL, Bench, measured, said
 from tests.hil.test_modes import FOLLOW, UNSEEN
@@ -111,34 +110,6 @@ def test_after_a_fault_of_a_brake_or_a_measurement_no_brake_is_proven(cycle, mon
     for faults in (fault, fault | Fault.DRIVE | Fault.STALE):
         cycle.faults = faults
         assert facts_of(cycle, monkeypatch, measured(cycle)).provable == believed
-
-
-@pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
-@pytest.mark.parametrize("lacks", ["", "end", "on hold", "rest", "way back"])
-def test_a_motion_is_over_at_its_end_with_nothing_to_follow_and_legs_at_rest(cycle, monkeypatch, mode, lacks):
-    cycle.mode = mode
-    monkeypatch.setattr(cycle.motion, "finished", lambda tick: tick == 50 and lacks != "end")
-    cycle.operating.go = lacks != "on hold"
-    cycle.operating.parks = lacks == "on hold" and mode is Mode.STOPPING
-    if lacks == "way back":
-        cycle.motion._left = cycle.parts.trajectory, 0.0
-    for way in (1.0, -1.0):
-        dq = way * REST_m_s * (0.99 if lacks != "rest" else 1.0) * (np.arange(6) == 3)
-        assert cycle._finished(measured(cycle, dq=dq)) == (not lacks)
-
-
-@pytest.mark.parametrize("mode", list(Mode))
-def test_legs_that_do_not_rest_long_after_the_motion_are_not_waited_for(cycle, monkeypatch, mode):
-    monkeypatch.setattr(cycle.motion, "overdue", lambda tick, s: (tick, s) == (50, 1.0))
-    monkeypatch.setattr(cycle.motion, "finished", lambda tick: tick == 50)
-    cycle.mode = mode
-    for way in (1.0, -1.0):
-        rates = way * REST_m_s * (np.arange(6) == 5)
-        assert cycle._restless(measured(cycle, dq=rates)) == (mode in MOVING)
-        assert not cycle._restless(measured(cycle, dq=0.999 * rates))
-    if mode is Mode.TRACKING:
-        cycle.operating.go = False
-        assert not cycle._restless(measured(cycle, dq=rates)), "on hold it may wait"
 
 
 @pytest.mark.parametrize("under_control", [Fault.NONE, Fault.FOLLOWING])

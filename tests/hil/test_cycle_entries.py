@@ -11,7 +11,7 @@ from drivers.signals import Fault, Mode
 from hil.app.compose import build_cycle
 from hil.contracts.records import record_of
 from hil.loop.cycle import Cycle
-from hil.loop.ramps import tau_at_rest
+from hil.loop.reference import tau_at_rest
 from tests.hil.cycle_bench import LAST, LIVE, LOAD, VIRTUAL, aside, measured, said
 
 OLD_LOAD = np.array([0.0, 0.0, -300.0, 0.0, 0.0, 0.0])
@@ -72,51 +72,6 @@ def test_as_brakes_open_the_law_takes_over_where_the_platform_is_and_none_is_pro
     assert not cycle.proven
 
 
-@pytest.mark.parametrize("speed", [0.4, 1.0])
-def test_the_approach_begins_from_rest_with_the_reference_behind_it(cycle, speed):
-    cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
-    cycle.operating.speed = speed
-    live: Any = cycle.parts.trajectory
-    live._live["tick"] = 9
-    entered(cycle, Mode.APPROACH, Mode.RELEASING)
-    assert live._live["tick"] == 0, "a live reference begins at its start"
-    move = cycle.motion.trajectory
-    np.testing.assert_array_equal(move.sample(0.0).p, aside(cycle))
-    np.testing.assert_allclose(move.sample(99.0).p, cycle.parts.trajectory.sample(0.0).p, atol=1e-12)
-    assert (cycle.motion.tick, cycle.motion.then) == (50, cycle.parts.trajectory)
-    assert cycle.effort.entry_tick == 50
-    np.testing.assert_array_equal(cycle.effort.offset, 3.0 * LAST)
-    assert not cycle.operating.parks
-
-
-@pytest.mark.parametrize("before", [Mode.APPROACH, Mode.LOADING])
-def test_the_law_begins_with_the_reference_where_no_approach_came_before(cycle, monkeypatch, before):
-    begun: list[str] = []
-    monkeypatch.setattr(cycle.parts.law, "reset", lambda: begun.append("law"))
-    cycle.operating.speed = 0.4
-    live: Any = cycle.parts.trajectory
-    live._live["tick"] = 9
-    entered(cycle, Mode.TRACKING, before)
-    first = before is Mode.LOADING
-    assert live._live["tick"] == (0 if first else 9)
-    assert begun == ["law"] * first
-    assert (cycle.motion.tick, cycle.motion.trajectory) == (50, cycle.parts.trajectory)
-    assert cycle.proven is not first
-    assert cycle.effort.entry_tick == (50 if first else 7)
-    np.testing.assert_array_equal(cycle.effort.offset, 0.0 * LAST if first else 3.0 * LAST)
-    assert cycle.operating.parks is not first
-
-
-@pytest.mark.parametrize(("before", "mode"), [(Mode.RELEASING, Mode.APPROACH), (Mode.LOADING, Mode.TRACKING)])
-@pytest.mark.parametrize("speed", [0.4, 1.0])
-def test_a_motion_begins_at_the_speed_set_and_parks_no_more(before, mode, speed):
-    cycle = build_cycle(VIRTUAL, 1000.0, 0.01)
-    cycle.operating.speed, cycle.operating.parks, cycle.operating.go = speed, True, False
-    entered(cycle, mode, before)
-    assert cycle.motion.override.sigma == speed
-    assert (cycle.operating.go, cycle.operating.parks) == (True, False)
-
-
 def test_a_stop_parks_no_more_and_the_force_fades_from_the_last_one_sent(cycle):
     entered(cycle, Mode.STOPPING, Mode.TRACKING)
     assert not cycle.operating.parks
@@ -169,17 +124,6 @@ def test_on_the_way_to_its_brakes_it_is_held_by_the_force_that_did(cycle, monkey
     np.testing.assert_allclose(cycle.effort.offset, offset_from(cycle, tick, force, on_it=True))
     np.testing.assert_array_equal(news[0], force)
     assert news[1:] == ["forgotten"], "the drives are watched again from the start"
-
-
-def test_what_yields_is_held_where_it_is_with_the_load_it_has(cycle, monkeypatch):
-    news: list[str] = []
-    monkeypatch.setattr(cycle.obedience, "forget", lambda: news.append("forgotten"))
-    cycle._yield(measured(cycle, p=aside(cycle), wrench=LOAD))
-    held = cycle.effort.statics(aside(cycle), cycle.parts.home_R, LOAD)
-    np.testing.assert_array_equal(cycle.effort.holding, held)
-    rests_at(cycle, aside(cycle))
-    assert cycle._yields
-    assert news == ["forgotten"]
 
 
 @pytest.mark.parametrize(

@@ -3,28 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from drivers.arrays import ZERO6
-from drivers.signals import Fault, Mode, Stop, Warn
-from drivers.tick_columns import new_record
-from hil.app import compose
+from drivers.signals import Mode, Warn
 from hil.app.compose import build_cycle, drive_setup
-from hil.app.encoder_limits import Noise
-from hil.config.delay import DelayCompensation
-from hil.contracts.records import record_of
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
-from hil.design.stability.monitor import build_watch
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
-from hil.loop.modes import Durations
 from hil.robot.kinematics import leg_lengths
-from hil.trajectory.override import PEAK
-from hil.trajectory.path import HoldTrajectory
 from tests.hil.cycle_bench import BRISK, HIGHER, LIVE, VIRTUAL, Bench, aside, held_to
 
 ASKED = np.array([11.0, -12.0, 13.0, -14.0, 15.0, -16.0])
@@ -171,52 +161,6 @@ def test_turns_forgotten_before_the_brakes_open_are_known_and_later_ones_refused
     assert "leg 4" in homing.refusal
 
 
-def test_stroke_times_and_reactions_of_the_configuration_each_come_to_their_place():
-    times = {"force_ramp_s": 0.02, "brake_release_s": 0.03, "brake_close_s": 0.07, "stop_s": 0.9}
-    engage = VIRTUAL.engage.model_copy(update=times)
-    cycle = build_cycle(VIRTUAL.model_copy(update={"engage": engage}), 500.0, 0.01)
-    stroke, platform = cycle.homing._stroke, VIRTUAL.platform
-    assert (stroke.shortest, stroke.longest) == (platform.length_min_m, platform.length_max_m)
-    assert cycle.durations == Durations(0.02, 0.03, engage.closing_s) == cycle.effort.durations
-    assert cycle.homing._period_s == cycle.motion.period_s == cycle.effort.period_s == 0.002
-    assert cycle.operating.least_s == 0.9
-    assert cycle.motion.override.record["limit"] == pytest.approx(PEAK / 0.9)
-    reactions = VIRTUAL.reactions
-    assert cycle._under_control == reactions.led_to("ss1") != reactions.led_to("sto") == cycle._torque_off
-    live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 500.0, 0.01)
-    assert cycle.operating.jogging._admission is cycle.parts.admission
-    assert live.operating.jogging._admission is None, "the steering judges"
-
-
-def test_a_reset_of_the_cycle_puts_every_part_of_its_memory_back(monkeypatch):
-    delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
-    law = VIRTUAL.controller.model_copy(update={"delay_compensation": delay})
-    cycle: Any = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE, "controller": law}), 500.0, 0.01)
-    fresh, parts = cycle.end.remembered(), cycle.parts
-    put_back: list[str] = []
-    for owner, names in (
-        (cycle, ("sight", "homing", "effort", "obedience", "operating")),
-        (parts, ("law", "wrench", "predictor", "safety", "steering")),
-    ):
-        for name in names:
-            monkeypatch.setattr(getattr(owner, name), "reset", lambda name=name: put_back.append(name))
-    cycle.mode, cycle.mode_tick, cycle.reset_tick = Mode.HELD, 77, 5
-    cycle._yields, cycle.proven, cycle.estop = True, False, True
-    cycle.faults, cycle.stop_requested = Fault.BRAKE, Stop.MISSED
-    cycle.tick = record_of(tick=9, length=1.0)
-    cycle.end.state["sent"] = 9
-    cycle.motion.rest(np.ones(3), np.eye(3), 8)
-    cycle.reset()
-    assert len(put_back) == len(set(put_back)) == 10
-    assert (cycle.mode, cycle.mode_tick, cycle.reset_tick) == (Mode.WAITING, 0, None)
-    assert (cycle._yields, cycle.proven, cycle.estop) == (False, True, False)
-    assert (cycle.faults, cycle.stop_requested) == (Fault.NONE, Stop.NONE)
-    assert cycle.tick.tobytes() == new_record().tobytes()
-    assert cycle.end.remembered() == fresh
-    np.testing.assert_array_equal(cycle.motion.sample(3).p, parts.home_p)
-    assert cycle.motion.time(3) == 3 * 0.002
-
-
 # -- what of a configuration comes to which part
 
 
@@ -234,40 +178,3 @@ def test_a_force_may_change_as_much_in_a_second_at_any_rate(rate_Hz, share):
 def test_a_watchdog_that_is_given_is_set_in_the_drives_and_else_the_configured_one(watchdog_s):
     assert build_cycle(VIRTUAL, 1000.0, watchdog_s).parts.setup.watchdog_s == watchdog_s
     assert drive_setup(VIRTUAL, 1000.0).watchdog_s == pytest.approx(1e-3 * VIRTUAL.drives.watchdog_ms)
-
-
-def test_forces_that_were_learned_for_the_reference_do_not_act_on_another_one(monkeypatch):
-    monkeypatch.setattr(compose, "learned_forces", lambda *_: "learned")
-    monkeypatch.setattr("hil.loop.cycle.Cycle", lambda parts: parts)
-    other = HoldTrajectory(np.zeros(3), np.eye(3))
-    given: Any = build_cycle(VIRTUAL, 1000.0, 0.01, trajectory=other)
-    own: Any = build_cycle(VIRTUAL, 1000.0, 0.01)
-    assert (given.trajectory, given.learned, own.learned) == (other, None, "learned")
-
-
-@pytest.mark.parametrize(
-    ("law", "rate_Hz", "disturbance", "noise"),
-    [(VIRTUAL.controller, 500.0, 7.0, (3e-5, 4e-3)), (POSE, 1000.0, 8.0, (1e-5, 2e-3))],
-)
-def test_the_certificate_is_watched_in_the_axes_of_the_law_with_payload_and_noise(
-    monkeypatch, law, rate_Hz, disturbance, noise
-):
-    watched: list[tuple[Any, ...]] = []
-    payload = SimpleNamespace(
-        allowed=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 7.0}),
-        allowed_of_the_pose=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 8.0}),
-    )
-
-    def build(*what: Any) -> Any:
-        watched.append(what)
-        return build_watch(*what)
-
-    of = {500.0: Noise(3e-5, 4e-3), 1000.0: Noise(1e-5, 2e-3)}
-    monkeypatch.setattr(compose, "unknown_payload", lambda _: payload)
-    monkeypatch.setattr(compose, "read_noise", lambda _, rate_Hz: of[rate_Hz])
-    monkeypatch.setattr(compose, "build_watch", build)
-    build_cycle(VIRTUAL.model_copy(update={"controller": law}), rate_Hz, 0.01)
-    ((monitor, *_, delay_ticks, _lag_s),) = watched
-    assert monitor.disturbance_m_s2 == disturbance
-    assert (monitor.length_noise_m, monitor.rate_noise_m_s) == noise
-    assert delay_ticks == 1, "a command takes one period at most, however long that is"

@@ -132,14 +132,6 @@ def test_a_frame_from_before_the_tick_is_not_an_answer(cycle):
     assert len(heard) == 9
 
 
-def test_a_loop_that_fails_sends_sync_and_command(cycle):
-    bus = Queue()
-    switch_off(cycle, cast("Bus", bus), Deadlines(1000.0, 0.0))
-    heard = commands(cycle, bus)
-    assert {each.mode for each in heard} == {DriveMode.OFF}
-    assert len({each.counter for each in heard}) == len(heard) == 5, "none is a repetition"
-
-
 @pytest.mark.parametrize("last", [-1, 0, 6])
 def test_the_last_commands_go_on_where_the_ticks_have_ended(cycle, last):
     bus, ended = Queue(), SimpleNamespace(tick=last, period_ns=1_000)

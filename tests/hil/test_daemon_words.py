@@ -12,9 +12,8 @@ from drivers.errors import BusError
 from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode
-from hil.loop import daemon
 from hil.loop.clock import Wake
-from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, _ask, run
+from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, run
 from hil.loop.panel import OperatorPanel
 from hil.signals import Operator, Order, SetPoint
 
@@ -168,16 +167,6 @@ def test_the_log_has_what_a_tick_read_sent_and_was_ordered():
     assert (received_frames(world.inputs[0].frames), world.inputs[0].setpoints) == (frames, (POINT,))
 
 
-def test_a_tick_has_refusals_and_standstill_since_the_last_one():
-    world = World(
-        {"refused": 3, "stood_ns": 5}, {"unasked": 1, "stood_ns": 5},
-        {"unasked": 1, "refused": 2, "stood_ns": 12}, {"unasked": 4, "stood_ns": 112}, {"stood_ns": 112},
-    )  # fmt: skip
-    world.run()
-    assert [inp.sends_failed for inp in world.inputs] == [0, 3 + 1, 1, 2 + 4, 0]
-    assert [inp.stretched_ns for inp in world.inputs][1:] == [0, 7, 100, 0]
-
-
 def test_a_step_has_the_time_that_the_last_one_took(monkeypatch):
     world = World({"took_ns": 300}, {"took_ns": 700}, {"took_ns": 1})
     monkeypatch.setattr(time, "perf_counter_ns", lambda: world.passed_ns)
@@ -214,47 +203,3 @@ def test_a_loop_that_fails_switches_the_drives_off_and_tells_why(slept, error, r
     promised = "the watchdog of each acts 20 ms after the last command it heard"
     assert (promised in ended.done) is bool(refused)
     assert ("were told to switch off" in ended.done) is not refused
-
-
-@pytest.mark.parametrize("answer_ns", [None, 0, 111])
-def test_answers_give_the_time_of_a_frame_where_the_bus_does_not(monkeypatch, answer_ns):
-    """The bus is given the frames at 100 ns, and that took until 130."""
-    told: list[Any] = []
-    opening, answer = sent_array(OPENING), received_array([ANSWER])
-    times = iter([100, 130])
-    bus: Any = SimpleNamespace(
-        clock=SimpleNamespace(now=lambda: next(times)), drain_now=lambda: received_array([OLDER]), send=lambda _: 2,
-        sent_ns=lambda: ["the clock's"],
-    )  # fmt: skip
-    protocol = SimpleNamespace(name="protocol")
-
-    def answers(*asked: Any) -> Any:
-        told.append(asked[1:])
-        return answer
-
-    def checked(*asked: Any) -> list[str]:
-        told.append(asked)
-        return ["the answers'"]
-
-    monkeypatch.setattr(daemon, "_answers", answers)
-    monkeypatch.setattr(daemon, "checked", checked)
-    monkeypatch.setattr(daemon, "latch_ns", lambda *asked: asked)
-    shell: Any = SimpleNamespace(bus=bus, feedback_window_ns=700, answer_ns=answer_ns)
-    cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=protocol))
-    found: Any = _ask(cycle, shell, Wake(9, 50, 30, 0), opening)
-    heard, latched, refused = found
-    assert told[0] == (bus, 9, 100, 750)
-    assert (received_frames(heard), refused) == ((OLDER, ANSWER), 2)
-    known = answer_ns is None
-    assert latched == (protocol, opening, ["the clock's" if known else "the answers'"], 80)
-    asked = (protocol, opening, ["the clock's"], answer, 9, 100, 130, answer_ns)
-    assert told[1:] == ([] if known else [asked])
-
-
-@pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_an_interrupt_switches_the_drives_off_first(slept, error):
-    world = World({}, {"error": error()})
-    with pytest.raises(error):
-        world.run()
-    assert world.done == ["OFF"] * SAFE_FRAMES
-    assert len(slept) == SAFE_FRAMES

@@ -12,8 +12,8 @@ from hil.safety import residuals
 from hil.safety.certificate import CONSTANTS, Watch
 from hil.safety.encoder_limits import NONE
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, after, calm, doubted, six
-from tests.hil.test_safety import Bench as Guarded
-from tests.hil.test_safety import certified
+from tests.hil.safety_bench import Bench as Guarded
+from tests.hil.safety_bench import certified
 
 STEPS = pytest.mark.parametrize(
     ("T0", "T1"), [(1.0, 1.0), (1.0, 1.5), (1.5, 0.5), (3.0, 1.0), (1.0, 3.0)], ids=str

@@ -17,8 +17,7 @@ from hil.contracts.messages import Configure, EmergencyStop, Status
 from hil.loop.report import waiting_text
 from hil.signals import Operator
 from tests.drivers.legs_frames import command_frames, one_feedback, opening, parse
-from tests.hil.cycle_bench import PERIOD_NS, Bench
-from tests.stories import fault_text
+from tests.hil.cycle_bench import PERIOD_NS, Bench, fault_text
 
 POWERED = [Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING]
 OURS = LegsProtocol("fd", (1, 2, 3, 4, 5, 6), 30_000.0)

@@ -33,19 +33,13 @@ class Leg:
         self.number = -1
         self.seen = np.zeros(6)
         """(6,) m, what the decoder saw of the last tick."""
-        record, integers = self.homing.record, [INTEGER] * 6
-        record["decode"], self._reading = of_python(self._read, *integers)
-        record["correct"], self._correcting = of_python(self._correct, INTEGER)
+        self.homing.record["decode"], self._reading = of_python(self._read, *[INTEGER] * 6)
 
     def _read(self, _codec, _frames, _count, _since_ns, last, tick):
         """Decode: a silent leg keeps the length that it reported last."""
         self.seen = tick_at(last)["length"].copy()
         quiet = list(self.silent)
         tick_at(tick)["length"][quiet] = self.seen[quiet]
-        return 0
-
-    def _correct(self, tick):
-        self.homing.correct(tick_at(tick), self.last, braked=bool(self.homing.record["braked"]))
         return 0
 
     def hear(self, reported, *, braked=True, silent=(), rate=0.0, skipped=0, late=(), by=1):
@@ -91,15 +85,6 @@ def test_turns_of_a_geared_motor_are_reported_as_fractions():
     legs = Leg(m_per_turn=3.0 * STEP)
     legs.hear(forgotten(PARKED))
     assert unwrapped_turns(legs.homing, legs.pose) == [2.333333, -1.0, 4.0, 0.0, -0.333333, 33.333333]
-
-
-def test_drives_that_forget_nothing_are_left_alone():
-    homing = Homing(None, Stroke(0.2, 0.5, None), PERIOD_S)
-    tick = new_record()
-    tick["length"] = 0.123
-    homing.correct(tick, new_record(), braked=False)
-    assert homing.known
-    assert (tick["length"] == 0.123).all()
 
 
 @pytest.mark.parametrize("leg", range(6))

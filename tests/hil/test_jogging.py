@@ -18,8 +18,6 @@ from hil.loop.jogging import (
     Jogging,
     LegJog,
     jog_path,
-    pose_rates,
-    setup_share,
 )
 from hil.loop.motion import Motion
 from hil.loop.operating import Operating
@@ -248,45 +246,3 @@ def test_an_axis_jog_goes_along_or_about_an_axis_of_the_base_at_its_set_up_speed
     np.testing.assert_allclose(sample.R, turn @ HERE.R, atol=1e-14)
     np.testing.assert_array_equal(sample.twist, rate)
     assert not sample.dtwist.any()
-
-
-@pytest.mark.parametrize("leg", range(6))
-@pytest.mark.parametrize("way", [1.0, -0.2])
-def test_a_leg_jog_goes_at_the_set_up_speed_of_lengths_in_the_direction_of_the_word(leg, way):
-    path = jog_path(PLATFORM, HERE, 6 + leg, SPEEDS, way)
-    sample = path.sample(0.25)
-    expected = Q + np.sign(way) * 0.04 * 0.25 * (np.arange(6) == leg)
-    np.testing.assert_allclose(lengths(sample.p, sample.R), expected, rtol=0, atol=1e-11)
-    assert path.duration_s is None
-
-
-@pytest.mark.parametrize(
-    ("twist", "share"),
-    [
-        ((0, 0, 0, 0, 0, 0), 1.0),
-        ((0.03, 0, 0, 0, 0.1, 0), 1.0),
-        ((0.03, -0.04, 0.12, 0, 0, 0), 0.04 / 0.13),
-        ((0, 0, 0, 0.3, -0.4, 1.2), 0.3 / 1.3),
-        ((0.08, 0, 0, 1.2, 0, 0), 0.25),
-        ((0.16, 0, 0, 0.6, 0, 0), 0.25),
-    ],
-)
-def test_the_share_is_that_of_the_slower_of_way_and_turn_and_never_more_than_all(twist, share):
-    assert setup_share(HERE._replace(twist=np.array(twist, float)), SPEEDS) == pytest.approx(share, rel=1e-12)
-
-
-def test_rates_of_a_pose_are_those_of_the_lengths_and_nan_where_it_is_singular():
-    a, b = PLATFORM.base_joints, PLATFORM.platform_joints
-    for found in pose_rates(a, np.zeros_like(b), HERE.p, np.eye(3), np.ones(6)):
-        assert np.isnan(found).all()
-    dq = np.array([0.01, -0.02, 0.03, 0.0, 0.05, -0.01])
-    twist, dtwist = pose_rates(a, b, HERE.p, np.ascontiguousarray(HERE.R), dq)
-
-    def turned(t):
-        w = t * (twist[3:] + 0.5 * t * dtwist[3:])
-        p = HERE.p + t * (twist[:3] + 0.5 * t * dtwist[:3])
-        return lengths(p, Rotation.from_rotvec(w).as_matrix() @ HERE.R)
-
-    h = 1e-3
-    np.testing.assert_allclose((turned(h) - turned(-h)) / (2 * h), dq, atol=1e-8)
-    np.testing.assert_allclose((turned(h) - 2 * turned(0.0) + turned(-h)) / h**2, 0.0, atol=1e-7)

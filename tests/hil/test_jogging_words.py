@@ -8,10 +8,8 @@ from drivers.signals import Refusal
 from hil.config.running import OperatorSettings
 from hil.loop.jogging import Jogging
 from hil.loop.motion import Motion
-from hil.signals import Operator, Order, explain
 from hil.trajectory.move import GeodesicMove
-from tests.hil.test_jogging import HERE, PLATFORM, STOP_S, Held, Q, jog, lengths
-from tests.hil.test_operating import KEY
+from tests.hil.test_jogging import HERE, PLATFORM, STOP_S, jog
 
 WORD = jog("y", 0.5)
 
@@ -39,20 +37,6 @@ def step(both, first, last, key=True):
     for tick in range(first, last):
         motion.advance(tick)
         jogging.step(tick, motion, key=key)
-
-
-@pytest.mark.parametrize("forgets", [Jogging.reset, Jogging.let_go])
-def test_a_limit_that_is_forgotten_refuses_no_word(forgets):
-    both = made(lambda _: int(Refusal.STROKE))
-    assert take(both, WORD, 0) == ""
-    step(both, 0, 1)
-    assert not both[1].away, "a jog that is refused where it would begin leaves the path alone"
-    refusal = both[0].refusal
-    assert explain(Refusal.STROKE) in refusal
-    assert take(both, WORD, 1) == refusal
-    forgets(both[0])
-    assert both[0].refusal == ""
-    assert take(both, WORD, 2) == ""
 
 
 @pytest.mark.parametrize(("heard", "answered"), [(99, True), (100, False)])
@@ -86,27 +70,3 @@ def test_the_judged_pose_is_the_one_to_which_braking_from_the_next_tick_leads(na
     assert np.abs(judged[0] - here).max() < 1e-8, "it begins where it is"
     np.testing.assert_allclose(judged[-1], six_words(both[1].sample(700)), rtol=0, atol=1e-10)
     assert np.abs(judged[-1] - here).max() > 1e-4
-
-
-# -- through the operator's orders
-
-
-def near(chi):
-    """Refuse poses at which a leg is more than 5 mm longer or shorter."""
-    q = lengths(chi[:3], Rotation.from_rotvec(chi[3:]).as_matrix())
-    return int(Refusal.STROKE) if np.abs(q - Q).max() > 5e-3 else 0
-
-
-@pytest.mark.parametrize("name", ["x", "leg3"])
-@pytest.mark.parametrize("others", [[], [Order(Operator.SPEED, (0.5,)), KEY]], ids=len)
-def test_where_a_limit_stops_a_jog_its_word_is_refused_and_no_other_order(name, others):
-    held = Held(near, deadman_s=0.2)
-    held.say(KEY)
-    orders = [*others, jog(name), *others]
-    answers = [held.say(KEY, *orders)[0][1:] for _ in range(400)]
-    word = len(others)
-    first = next(tick for tick, given in enumerate(answers) if any(given))
-    assert first > 50
-    assert f"jog {name}: it stops" in answers[first][word]
-    for given in answers:
-        assert not any(given[:word] + given[word + 1 :])

@@ -7,8 +7,9 @@ import pytest
 
 from drivers.compiled.pointed import data_at
 from drivers.signals import Mode
-from hil.loop.learned import Learned, LearnedForces, step
+from hil.loop.effort import Learned, step
 from hil.loop.motion import Motion
+from hil.loop.reference import LearnedForces
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.piecewise import PiecewisePolynomial
 

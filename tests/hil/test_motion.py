@@ -1,14 +1,19 @@
 """The present trajectory: its time, its end, what follows it, the path that was left, and the look ahead."""
 
+from math import isnan
+from typing import Any
+
 import numpy as np
 import pytest
 
-from hil.loop.motion import Motion
+from drivers.compiled.compiler import INTEGER, REAL, kernel, record
+from hil.loop.motion import MOTION, Motion, ticks_left
+from hil.loop.motion import ahead as ahead_of
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
-from hil.trajectory.path import PoseSample
+from hil.trajectory.override import OVERRIDE
+from hil.trajectory.path import SAMPLE, PoseSample, of_record
 from hil.trajectory.piecewise import PiecewisePolynomial
-from tests.hil.motions import ahead, before
 from tests.judged import ANYWHERE
 
 T, LONG = 1e-3, 0.25
@@ -46,6 +51,25 @@ def along(trajectory, tick=0, then=None, period_s=LONG):
     motion = Motion(period_s, HERE, EYE, 0.5)
     motion.start(trajectory, tick, then=then)
     return motion
+
+
+_ticks_left = kernel(record(MOTION), record(OVERRIDE), INTEGER)(ticks_left)
+_ahead = kernel(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))(ahead_of)
+
+
+def before(motion: Motion, tick: int, path: Any) -> float | None:
+    """Return the time before a path begins that comes next, s; None where nobody knows when it does."""
+    if motion.then is not path or not motion.override.full:
+        return None
+    return float(-_ticks_left(motion.record, motion.override.record, tick) * motion.override.record["period"])
+
+
+def ahead(motion: Motion, tick: int, s: float) -> tuple[PoseSample, float | None]:
+    """Return where the platform should be `s` seconds after a tick, and that time along what comes next."""
+    into = np.zeros((), SAMPLE)
+    status, along = _ahead(motion.record, motion.override.record, tick, s, into)
+    assert status == 0
+    return of_record(into), None if isnan(along) else along
 
 
 # -- its time and its end
@@ -188,16 +212,6 @@ def test_the_time_before_the_next_one_is_zero_at_the_end_and_unknown_when_slow()
     motion.settle(2, 0.5)
     assert before(motion, 3, path) is None
     assert ahead(motion, 3, 1.0)[1] is None
-
-
-def test_the_look_ahead_of_a_stop_is_the_stop():
-    motion = along(move(0.5), then=next_path(), period_s=T)
-    seen = ahead(motion, 250, AHEAD)[0]
-    motion.stop(250, 0.5)
-    after = ahead(motion, 250, AHEAD)[0]
-    np.testing.assert_allclose(after.p, seen.p, atol=1e-7)
-    np.testing.assert_allclose(after.twist, seen.twist, atol=1e-4)
-    assert ahead(motion, 499, AHEAD)[0].p[0] < 0.1
 
 
 # -- a live one, whose speed is its own

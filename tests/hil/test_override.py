@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from hil.loop.motion import Motion
-from hil.trajectory.override import Override, change
+from hil.trajectory.override import Override
 from hil.trajectory.piecewise import PiecewisePolynomial
 
 T, CHANGE = 1e-3, 0.5
@@ -116,22 +116,6 @@ def test_a_speed_that_is_set_at_once_goes_on_from_where_path_time_is(sigma):
     assert (override.full, override.resting) == (sigma == 1.0, sigma == 0.0)
 
 
-def test_a_change_begins_in_its_tick_and_is_not_begun_again_by_the_same_target():
-    override = Override(LONG, SLOWLY)
-    override.advance(8)
-    override.aim(8, 0.0)
-    assert override.time(8) == 2.0
-    override.advance(9)
-    ds, sigma, dsigma = change(1.0, 0.0, 0.0, LIMIT, STEP, LONG)
-    assert (override.time(9), override.sigma, override.dsigma) == (2.0 + ds, sigma, dsigma)
-    assert 0.0 < ds < LONG
-    override.aim(9, 0.0)
-    override.advance(10)
-    assert override.time(10) < 2.0 + 2 * LONG, "it goes on braking"
-    override.settle(10, 0.0)
-    assert times(override, 10, 30)[1] == override.time(10), "set at once it changes no more"
-
-
 @pytest.mark.parametrize("target", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("ticks", [0, 1, 6])
 def test_path_time_at_rest_is_where_one_more_tick_and_then_braking_lead_to(target, ticks):
@@ -165,8 +149,3 @@ def test_the_look_ahead_goes_on_at_the_present_rate_up_to_full_speed_and_down_to
     override.place(4, 3.0)
     override.sigma, override.dsigma = sigma, dsigma
     assert override.ahead(4, h) == (3.0 + advance, ends, dsigma)
-
-
-@pytest.mark.parametrize(("sigma", "dsigma", "end"), [(0.99, 0.5, 1.0), (0.01, -0.5, 0.0)])
-def test_a_speed_is_never_more_than_full_and_never_backward(sigma, dsigma, end):
-    assert change(sigma, dsigma, end, LIMIT, 0.01, LONG)[1] == end

@@ -78,15 +78,6 @@ def test_the_horizon_is_cut_by_the_commands_that_act():
     assert path.segments(0.0) == ()
 
 
-def test_reset_forgets_all_forces():
-    path = ForcePath(T, 1.2e-3, 0.5e-3)
-    for command in COMMANDS:
-        path.send(command)
-        path.advance()
-    path.reset()
-    assert not path.advance().any()
-
-
 def test_decay_is_the_exponential():
     for x in (0.0, 1e-9, 0.05, 0.3, 1.0, 7.0, 40.0):
         assert decay(x) == pytest.approx(exp(-x), rel=1e-13)
@@ -175,15 +166,3 @@ def test_behind_closed_brakes_nothing_moves():
     state = state_of(MOVING[0])
     found = moved(predictor_at(state, CHANGE, CHANGE), 30, state, free=False)
     assert found.tobytes() == altered(state, tick=30).tobytes()
-
-
-def test_reset_repeats_to_the_bit():
-    state, force = state_of(MOVING[0]), np.array(MOVING[0]["force"])
-    predictor = predictor_at(state, force, CHANGE)
-    predictor.reset()
-    fresh = Predictor(MODEL, ForcePath(T, BUS, LAG), HOLD)
-    for tick in range(5):
-        a, b = (moved(each, tick, state) for each in (predictor, fresh))
-        assert a.tobytes() == b.tobytes()
-        predictor.path.send(force)
-        fresh.path.send(force)

@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 from hil.config.reference import WaypointReference
 from hil.config.values import Pose
 from hil.contracts.records import referred
+from hil.loop.operating import approach, at_setup_speed
 from hil.loop.reference import farthest_leg_m
-from hil.loop.setup_moves import approach, at_setup_speed
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import leg_lengths
 from hil.trajectory.build import build_trajectory

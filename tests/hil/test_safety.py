@@ -1,75 +1,21 @@
-"""The rules put together: which fault, which warning and which force come out of a tick, in which mode."""
-
-from typing import NamedTuple
+"""The rules put together: which fault and which warning come out of a tick, in which mode."""
 
 import numpy as np
 import pytest
 
-from drivers.arrays import Array
 from drivers.signals import DriveState, Fault, Foreign, Mode, Stop, Warn
-from hil.config.limits import LimitSettings
-from hil.contracts.records import record_of
-from hil.safety import guard
-from hil.safety.certificate import Watch
 from hil.safety.encoder_limits import NONE
-from tests.hil.encoder_bench import probed
-
-POWERED = (
-    *(Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING),
-    *(Mode.PARKING, Mode.UNLOADING, Mode.HELD),
+from tests.hil.safety_bench import (
+    CLOSED,
+    FOLLOWING,
+    LIMITS,
+    MOVING,
+    OFF,
+    PERIOD_NS,
+    POWERED,
+    Bench,
+    leg,
 )
-MOVING = POWERED[1:5]
-FOLLOWING = POWERED[1:6]
-CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
-OFF = (Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT)
-RATE_HZ = 40.0
-"""A window of ten ticks."""
-PERIOD_NS = 25_000_000
-LIMITS = LimitSettings(
-    force_N=100.0, force_step_N=50.0, force_window_N=80.0, speed_m_s=3.0, deceleration_m_s2=2.0,
-    stroke_margin_m=1.0, following_error_m=0.25, following_error_s=0.5, standstill_m=0.125,
-    consistency_m=1e-4, condition=50.0, stale_warn_ticks=2, stale_fault_ticks=5,
-)  # fmt: skip
-
-
-class Judged(NamedTuple):
-    """A verdict, and what safety filled in."""
-
-    warnings: Warn
-    faults: Fault
-    stop: Stop
-    tau: Array
-    certificate: tuple[float, ...]
-    """V, its rate, its bound, its share."""
-    tau_asked: Array
-
-
-class Bench:
-    """A Safety and a healthy tick in which single values can be changed; what it fills was something else."""
-
-    def __init__(self, **options):
-        settings = {"drive_force_limit": 1000.0, "length_min": 1.0, "length_max": 9.0, "rate_Hz": RATE_HZ}
-        self.safety = guard.Safety(LIMITS, **{**settings, **options})
-        self.record = record_of()
-
-    def tick(self, mode=Mode.TRACKING, tau=0.0, **columns):
-        healthy = {
-            "mode": mode, "recorder_alive": 1, "tau_asked": tau, "condition": 2.0,
-            "length": 5.0, "drive_state": DriveState.RUN, "age": 0, "counted_age": columns.get("age", 0),
-            "q": 5.0, "R": np.eye(3), "J": np.eye(6), "q_d": 5.0, "R_d": np.eye(3),
-            "tau": 77.0, "legs_moved": 0b111111,
-        }  # fmt: skip
-        tick = record_of(**{**healthy, **columns})
-        verdict: guard.Verdict = probed(self.safety, tick, self.record)
-        self.record, self.moved_m = tick, self.safety.moved_m(tick)
-        certificate = tuple(float(tick[f"lyapunov{name}"]) for name in ("", "_rate", "_bound", "_share"))
-        return Judged(*verdict, tick["tau"], certificate, tick["tau_asked"])
-
-
-def leg(value, other=0.0, dtype=float):
-    x = np.full(6, other, dtype)
-    x[3] = value
-    return x
 
 
 @pytest.mark.parametrize("mode", Mode)
@@ -146,7 +92,7 @@ def test_guard_lets_pass_what_is_just_inside_the_limits(reason):
 def test_guard_lets_buses_be_a_tenth_of_a_period_apart_or_as_configured():
     for given_us, limit_ns in ((None, 100_000), (37.5, 37_500)):
         limits = LIMITS.model_copy(update={"sync_skew_us": given_us})
-        assert guard.Safety(limits, 1.0, 9.0, 1000.0, 1e6).limits["sync_skew_ns"] == limit_ns
+        assert Bench(limits, rate_Hz=1000.0).safety.limits["sync_skew_ns"] == limit_ns
 
 
 def test_guard_two_reasons_are_two_faults():
@@ -176,21 +122,6 @@ def test_guard_watches_legs_on_closed_brakes_and_names_the_one_that_moves(mode):
     assert moved_legs(bench, mode, length=leg(4.87, 5.0)) == expected
     if mode in CLOSED:
         np.testing.assert_allclose(bench.moved_m, leg(0.13), atol=1e-12)
-
-
-def test_guard_lets_a_force_come_back_at_once_and_limits_its_changes_from_there():
-    bench = Bench()
-    for _ in range(12):
-        bench.tick(Mode.UNLOADING, 0.0)
-    assert bench.tick(Mode.HELD, 90.0).tau[0] == 50.0, "a step"
-    held = np.array([90.0, -90.0, 0.0, 95.0, 40.0, -10.0])
-    bench.safety.resume(held)
-    verdict = bench.tick(Mode.HELD, held)
-    np.testing.assert_array_equal(verdict.tau, held)
-    assert verdict.warnings == Warn.NONE
-    np.testing.assert_array_equal(bench.tick(Mode.HELD, held - [81.0, 0, 0, 0, 0, 0]).tau[0], 40.0)
-    low = bench.tick(Mode.HELD, held - [85.0, 0, 0, 0, 0, 0])
-    assert low.tau[0] == 10.0, "the window of ten ticks begins at the force that came back"
 
 
 @pytest.mark.parametrize("mode", CLOSED)
@@ -396,8 +327,7 @@ def test_guard_asks_for_a_stop_after_as_many_missed_periods_as_configured():
     bench.tick(skipped=4)
     bench.safety.reset()
     assert not bench.tick(skipped=4).stop
-    limits = LIMITS.model_copy(update={"missed_stop_ticks": 7})
-    bench.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
+    bench = Bench(LIMITS.model_copy(update={"missed_stop_ticks": 7}), drive_force_limit=1e6)
     assert [bench.tick(skipped=n).stop for n in (6, 0, 5, 2)] == [0, 0, 0, Stop.MISSED]
 
 
@@ -420,128 +350,6 @@ def test_guard_warns_of_a_lossy_recorder_and_stops_without_one_if_so_configured(
     assert [b.safety.stops_unrecorded for b in (strict, bench, Bench())] == [True, False, False]
 
 
-def test_guard_limits_the_step_from_the_last_force_sent():
-    bench = Bench()
-    for asked, sent in ((60.0, 50.0), (55.0, 55.0), (0.0, 5.0), (-45.0, -25.0)):  # the last one by the window
-        verdict = bench.tick(tau=leg(asked))
-        np.testing.assert_array_equal(verdict.tau, leg(sent))
-        assert bool(verdict.warnings & Warn.FORCE_STEP) == (asked in {60.0, 0.0})
-
-
-def test_guard_warns_of_each_limit_by_name():
-    wide = {"force_N": 100.0, "force_step_N": 1e6, "force_window_N": 1e6}
-    for name, warn in (
-        ("force_N", Warn.FORCE_LIMIT),
-        ("force_step_N", Warn.FORCE_STEP),
-        ("force_window_N", Warn.FORCE_WINDOW),
-    ):
-        limits = LIMITS.model_copy(update={**wide, "force_N": 1e6, name: 100.0})
-        safety = Bench()
-        safety.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
-        assert safety.tick(tau=leg(100.0)).warnings == Warn.NONE
-        safety.safety.reset()
-        verdict = safety.tick(tau=leg(-100.5))
-        assert verdict.warnings == warn
-        np.testing.assert_array_equal(verdict.tau, leg(-100.0))
-
-
-def test_guard_asks_no_more_than_the_drives_can_give():
-    bench = Bench(drive_force_limit=30.0)
-    verdict = bench.tick(tau=leg(31.0))
-    assert verdict.warnings == Warn.FORCE_LIMIT
-    np.testing.assert_array_equal(verdict.tau, leg(30.0))
-    bench = Bench(drive_force_limit=300.0)
-    bench.tick(tau=leg(50.0))
-    bench.tick(tau=leg(80.0))
-    for _ in range(10):
-        bench.tick(tau=leg(80.0))
-    assert bench.tick(tau=leg(101.0)).warnings == Warn.FORCE_LIMIT
-
-
-def climb(bench, sign=1.0):
-    """Ask for 100 N from zero and return the forces sent; the window allows 80 N."""
-    return [float(bench.tick(tau=leg(sign * 100.0)).tau[3]) for _ in range(13)]
-
-
-def test_guard_window_is_250_ms_long_up_and_down_and_one_tick_at_least():
-    bench = Bench()
-    # from the zero before the first tick: 50 by the step, then 80 until that zero is ten ticks old and gone
-    assert climb(bench) == [50.0] + [80.0] * 9 + [100.0] * 3
-    down = [float(bench.tick(tau=leg(-100.0)).tau[3]) for _ in range(12)]
-    assert down == [50.0] + [20.0] * 9 + [-30.0] + [-60.0]
-    assert climb(Bench(rate_Hz=1.0))[:3] == [50.0, 100.0, 100.0]
-
-
-def test_guard_window_runs_on_through_skipped_periods_at_the_force_held():
-    bench = Bench()
-    bench.tick(tau=leg(50.0))
-    assert bench.tick(tau=leg(100.0), skipped=8).tau[3] == 80.0
-    assert bench.tick(tau=leg(100.0)).tau[3] == 100.0
-    bench = Bench()
-    bench.tick(tau=leg(50.0))
-    assert bench.tick(tau=leg(100.0), skipped=10**6).tau[3] == 100.0
-    verdict = bench.tick(tau=leg(-100.0), skipped=3)
-    assert verdict.tau[3] == 50.0
-    assert verdict.warnings & Warn.FORCE_STEP
-    bench = Bench()
-    asked = ((50.0, 0), (80.0, 3), (-100.0, 0), (-100.0, 0))
-    assert [float(bench.tick(tau=leg(a), skipped=n).tau[3]) for a, n in asked] == [50.0, 80.0, 30.0, 0.0]
-
-
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_guard_window_starts_anew_in_every_part_of_it(sign):
-    bench = Bench(rate_Hz=160.0)
-    for _ in range(15):
-        bench.tick(tau=leg(sign * 30.0))
-    bench.tick(Mode.IDLE)
-    sent = [sign * bench.tick(tau=leg(sign * 100.0)).tau[3] for _ in range(30)]
-    assert sent == [50.0] + [80.0] * 29
-
-
-def test_guard_window_counts_the_last_tick():
-    bench = Bench()
-    limits = LIMITS.model_copy(update={"force_step_N": 1e6})
-    bench.safety = guard.Safety(limits, 1.0, 9.0, RATE_HZ, 1e6)
-    assert [float(bench.tick(tau=leg(a)).tau[3]) for a in (70.0, -30.0, -30.0)] == [70.0, -10.0, -10.0]
-
-
-@pytest.mark.parametrize("mode", OFF)
-def test_guard_starts_from_zero_force_after_the_drives_were_off(mode):
-    bench = Bench()
-    for before, sign in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
-        climb(bench, before)
-        tau = bench.tick(mode, tau=leg(100.0)).tau
-        np.testing.assert_array_equal(tau, np.zeros(6))
-        assert climb(bench, sign) == climb(Bench(), sign)
-        bench.safety.reset()
-        assert climb(bench, sign) == climb(Bench(), sign)
-        bench.safety.reset()
-        bench.tick(tau=leg(-sign * 50.0))
-        assert bench.tick(tau=leg(-sign * 100.0), skipped=3).tau[3] == -sign * 80.0
-
-
-def test_guard_sends_no_force_when_the_law_fails_and_what_was_asked_stays_as_it_was():
-    bench = Bench()
-    bench.tick(tau=leg(40.0))
-    verdict = bench.tick(tau=leg(np.nan, 40.0))
-    assert verdict.faults == Fault.LAW
-    np.testing.assert_array_equal(verdict.tau, np.zeros(6))
-    np.testing.assert_array_equal(bench.tick(tau=leg(1000.0)).tau_asked, leg(1000.0))
-
-
-def test_guard_repeats_to_the_bit_after_reset():
-    bench = Bench()
-    inputs = [(float(100 * np.sin(k)), k % 7 == 0, k % 5) for k in range(60)]
-
-    def run():
-        out = [bench.tick(tau=leg(a), bus_off=b, skipped=c) for a, b, c in inputs]
-        return [(v.tau.tobytes(), v.warnings, v.faults, v.stop) for v in out]
-
-    first = run()
-    bench.safety.reset()
-    assert run() == first
-
-
 UNSURE = {"fusion_warnings": Warn.ENCODER, "fusion_faults": Fault.UNCERTAIN}
 
 
@@ -550,178 +358,3 @@ def test_guard_passes_on_warnings_of_the_filter_and_faults_while_powered(mode):
     verdict = Bench().tick(mode, **UNSURE, condition=60.0, bus_errors=1)
     assert verdict.warnings == Warn.ENCODER | Warn.BUS
     assert verdict.faults == (Fault.UNCERTAIN | Fault.CONDITION if mode in POWERED else Fault.NONE)
-
-
-# -- the certificate: V = 4 (de + e)^2 of each axis, which may not grow at all
-
-POSE, ACTION = 0, 3
-UNUSED = {"legs_used": 0b011111, "unseen": 1}
-WARN, FAULT = 1.0, 2.0
-CLEAN = [np.nan, np.nan, np.nan, np.nan]
-
-
-def certified(action=WARN, ticks=3, **options):
-    table = np.zeros((12, 6))
-    table[2:5] = 4.0  # P_11, P_12, P_22
-    table[5] = 1e3  # disturbance: the reference may jump by 25 m/s
-    table[6], table[8] = 1e-6, 1.0  # noise, decay
-    table[11] = [0.0, 0.0, 1.0, action, 1.0, 1.0 / RATE_HZ]
-    for name, value in options.items():
-        row, axis = {"pose": (11, 0), "confirm": (11, 4), "disturbance": (5, 3)}[name]
-        table[row, axis] = value
-    return Bench(watch=Watch(table, ticks))
-
-
-def figures(bench, mode=Mode.TRACKING, de=0.0, **changes):
-    return bench.tick(mode, dq=leg(-de), **changes)
-
-
-def broken(bench, **changes):
-    return bool(figures(bench, **changes).warnings & Warn.CERTIFICATE)
-
-
-def test_guard_watches_nothing_without_a_certificate():
-    bench = Bench()
-    for mode in Mode:
-        np.testing.assert_array_equal(figures(bench, mode).certificate, CLEAN)
-
-
-@pytest.mark.parametrize("mode", Mode)
-def test_guard_watches_the_certificate_while_the_law_moves_the_platform(mode):
-    bench = certified()
-    first, second = (figures(bench, mode, de=de) for de in (0.5, 0.25))
-    if mode in MOVING:
-        np.testing.assert_allclose(first.certificate, [1.0, np.nan, np.nan, np.nan])
-        np.testing.assert_allclose(second.certificate[:2], [0.25, -0.75 * RATE_HZ])
-        assert second.certificate[3] == pytest.approx(0.5, rel=1e-4)
-    else:
-        for verdict in (first, second):
-            np.testing.assert_array_equal(verdict.certificate, CLEAN)
-            assert not verdict.warnings
-            assert not verdict.faults
-
-
-@pytest.mark.parametrize(
-    ("action", "warning", "fault"),
-    [
-        (0.0, Warn.NONE, Fault.NONE),
-        (WARN, Warn.CERTIFICATE, Fault.NONE),
-        (FAULT, Warn.CERTIFICATE, Fault.CERTIFICATE),
-    ],
-)
-def test_guard_warns_or_faults_where_the_certificate_is_broken(action, warning, fault):
-    bench = certified(action)
-    for de, told in ((0.5, False), (0.4, False), (0.6, True), (0.3, False)):
-        verdict = figures(bench, de=de, bus_errors=1, condition=60.0)
-        assert verdict.warnings == Warn.BUS | (warning if told else Warn.NONE)
-        assert verdict.faults == Fault.CONDITION | (fault if told else Fault.NONE)
-    assert not figures(certified(action), bus_off=True).faults & Fault.CERTIFICATE
-
-
-def test_guard_watches_no_platform_on_its_brakes():
-    ready = np.full(6, int(DriveState.READY))
-    bench = certified()
-    for de in (0.0, 0.5):
-        verdict = figures(bench, Mode.RELEASING, de=de, drive_state=ready)
-        np.testing.assert_array_equal(verdict.certificate, CLEAN)
-    assert not broken(bench, de=1.0)
-    assert broken(bench, de=1.5)
-    figures(bench, Mode.PARKING)
-    figures(bench, Mode.PARKED)
-    assert not broken(bench, de=2.0)
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"age": leg(1, 0, np.int64)},
-        UNUSED,
-        {"skipped": 1},
-        {"lateness_ns": PERIOD_NS // 5 + 1},
-        {"dq_d": leg(26.0)},
-    ],
-    ids=["stale", "unused", "skipped", "late", "jump"],
-)
-def test_guard_watches_the_certificate_anew_after_a_disturbed_tick(changes):
-    bench = certified()
-    assert not broken(bench)
-    assert not broken(bench, de=0.5, **changes)
-    assert np.isnan(figures(bench, de=0.5, **changes).certificate[2:]).all()
-    for all_used in ({}, {"legs_used": 0b111111, "unseen": 0}):
-        bench = certified()
-        figures(bench, **all_used)
-        assert broken(bench, de=0.5, **all_used)
-
-
-def test_guard_takes_the_time_of_skipped_ticks_into_the_rate_of_V():
-    bench = certified()
-    figures(bench)
-    assert figures(bench, de=0.5, skipped=3).certificate[1] == pytest.approx(1.0 * RATE_HZ / 4)
-
-
-@pytest.mark.parametrize("late_ns", [-4_000_000, 4_000_000])
-def test_guard_allows_a_certificate_what_a_late_tick_makes_of_motion(late_ns):
-    """2 m/s and up to 100 m/s^2 for 4 ms are 8 mm and 0.4 m/s, W = 2 (e + de)."""
-    moving = {"dq_d": leg(2.0), "lateness_ns": late_ns}
-    bench = certified(disturbance=100.0)
-    figures(bench, de=-2.0, dq_d=leg(2.0))
-    at = 0.408
-    assert not broken(bench, de=-2.0 + 0.999 * at, **moving)
-    assert broken(bench, de=-2.0 + 1.01 * at, **moving)
-
-
-@pytest.mark.parametrize("changes", [{"age": leg(1, 0, np.int64)}, UNUSED])
-def test_guard_compares_no_error_to_one_that_was_an_estimate(changes):
-    bench = certified()
-    figures(bench)
-    figures(bench, **changes)
-    assert not broken(bench, de=0.5)
-    assert not broken(bench, de=0.5)
-    assert broken(bench, de=0.8)
-
-
-def test_guard_waits_for_the_forces_of_the_law_also_where_a_leg_is_stale():
-    bench = certified(ticks=4)
-    figures(bench)
-    figures(bench, tau=leg(1000.0))
-    ages = [leg(age, 0, np.int64) for age in (0, 1, 0, 0, 0, 0)]
-    judged = [bool(np.isfinite(figures(bench, age=age).certificate[2])) for age in ages]
-    assert judged == [False] * 4 + [True] * 2
-
-
-def test_guard_does_not_judge_the_law_by_forces_that_a_limit_changed():
-    bench = certified(ticks=3)
-    figures(bench)
-    assert not broken(bench, tau=0.0)
-    verdict = figures(bench, tau=leg(1000.0))
-    assert verdict.warnings & Warn.FORCE_STEP
-    assert np.isfinite(verdict.certificate[2])
-    judged = [bool(np.isfinite(figures(bench).certificate[2])) for _ in range(6)]
-    assert judged == [False] * 3 + [True] * 3
-    bench = certified()
-    figures(bench)
-    bench.tick(tau=leg(1000.0))
-    bench.safety.reset()
-    assert not broken(bench, de=0.5)
-    assert broken(bench, de=0.8), "a reset forgets it"
-
-
-def test_guard_takes_the_errors_of_the_pose_for_a_law_in_pose_space():
-    bench = certified(pose=1.0)
-    pushed = {"p_d": np.array([0.0, 0.0, 0.5]), "q": leg(5.1, 5.0)}
-    assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.25)
-    assert bench.safety.watches_pose
-    bench = certified()
-    assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.01)
-    assert not bench.safety.watches_pose
-    assert not Bench().safety.watches_pose
-
-
-def test_guard_names_the_axes_that_break_the_certificate_for_as_long_as_is_asked():
-    assert Bench().safety.broken_axes() == ()
-    bench = certified(confirm=2.0)
-    named = []
-    for de in (0.5, 0.6, 0.9, 1.4, 0.1):
-        figures(bench, de=de)
-        named.append(bench.safety.broken_axes())
-    assert named == [(), (), (3,), (3,), ()]

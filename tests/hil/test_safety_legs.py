@@ -9,8 +9,8 @@ from drivers.signals import DriveState, Fault, Mode, Stop, Warn
 from hil.safety import Safety
 from hil.safety.certificate import Watch
 from tests.hil.encoder_bench import BOTH_SIGNS
-from tests.hil.test_safety import LIMITS, OFF, RATE_HZ, Bench
-from tests.hil.test_safety import leg as on_leg_3
+from tests.hil.safety_bench import LIMITS, OFF, RATE_HZ, Bench
+from tests.hil.safety_bench import leg as on_leg_3
 
 ON_EACH_LEG = pytest.mark.parametrize("leg", range(6))
 LAST_N = np.array([10.0, -20.0, 30.0, -40.0, 50.0, -60.0])

@@ -18,7 +18,7 @@ import pytest
 
 import hil.safety
 from hil.safety.error_axes import error_axes
-from tests.hil import encoder_bench
+from tests.hil import encoder_bench, safety_bench
 from tests.hil.encoder_bench import Columns
 from tools.mutants.mutant import Mutant, equivalents, mutants
 
@@ -167,7 +167,7 @@ def survivors(
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_the_tests_of_a_rule_notice_every_change_of_it(family):
-    module = claims("test_safety_rules.py")
+    module = claims("test_safety_certificate_rules.py" if family == "certificate" else "test_safety_rules.py")
     left = survivors(family, module, lambda m: setattr(module, family, m), f"test_{family}_")
     assert not left, "\n".join(left)
 
@@ -183,22 +183,31 @@ def test_the_tests_of_encoders_notice_every_change_of_a_rule():
     assert not left, "\n".join(left)
 
 
-@pytest.mark.long
-def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules():
+def whole() -> ModuleType:
+    """Return the tests of the rules put together."""
     module = claims("test_safety.py")
+    for path in ("test_safety_force.py", "test_safety_certificate.py"):
+        vars(module).update({k: v for k, v in vars(claims(path)).items() if k.startswith("test_guard_")})
+    return module
+
+
+@pytest.mark.long
+def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules(monkeypatch):
     links = plain_links()
 
     def exchange(kernels: ModuleType) -> None:
-        module.guard = load("guard", source_of("guard"), {**links, **entries(vars(kernels))})  # type: ignore[attr-defined]
+        linked = load("guard", source_of("guard"), {**links, **entries(vars(kernels))})
+        monkeypatch.setattr(safety_bench, "guard", linked)
 
-    left = survivors("kernels", module, exchange, "test_guard_")
+    left = survivors("kernels", whole(), exchange, "test_guard_")
     assert not left, "\n".join(left)
 
 
 @pytest.mark.long
 def test_the_tests_of_encoders_notice_every_change_of_their_fused_rules(monkeypatch):
     doubts, motion = claims("test_encoder_kernels.py"), claims("test_encoder_motion.py")
-    vars(doubts).update({k: v for k, v in vars(motion).items() if k.startswith("test_encoders_")})
+    for other in (motion, claims("test_encoder_answers.py")):
+        vars(doubts).update({k: v for k, v in vars(other).items() if k.startswith("test_encoders_")})
     links = plain_links()
 
     def exchange(changed: ModuleType) -> None:
@@ -213,7 +222,6 @@ def test_the_tests_of_encoders_notice_every_change_of_their_fused_rules(monkeypa
 
 
 @pytest.mark.long
-def test_the_tests_of_the_whole_notice_every_change_of_its_state():
-    module = claims("test_safety.py")
-    left = survivors("guard", module, lambda m: setattr(module, "guard", m), "test_guard_")
+def test_the_tests_of_the_whole_notice_every_change_of_its_state(monkeypatch):
+    left = survivors("guard", whole(), lambda m: monkeypatch.setattr(safety_bench, "guard", m), "test_guard_")
     assert not left, "\n".join(left)

@@ -14,17 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.can.bus_time import BitTiming
 from drivers.config import TrackerSettings
 from drivers.frame_array import received_array
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import Received
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
-from drivers.tick_columns import COLUMNS, ROW, Record, copy_of, new_record, part
-from hil.app.compose import build_cycle, build_nodes, build_sensors
-from hil.app.configuration.configuration import load, loads
+from drivers.tick_columns import COLUMNS, Record, copy_of, part
+from hil.app.configuration.configuration import load
 from hil.app.encoder_limits import encoder_limits
-from hil.app.sim.lockstep import Lockstep
 from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
 from hil.contracts.drives_end import reports
@@ -36,15 +33,12 @@ from hil.estimation.fusion_layout import LegErrors
 from hil.estimation.observer import WrenchObserver
 from hil.estimation.pose import Estimator
 from hil.estimation.predictor import Predictor, ahead
-from hil.loop import cycle as loop
 from hil.loop.reference import fill_reference
 from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
-from hil.signals import Operator
 from tests import sensed
-from tests.broad import broad
 from tests.drivers.legs_frames import SETUP, one_feedback
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
 from tests.sensed import Readings, Sample
@@ -226,67 +220,3 @@ def test_the_observer_fills_the_load_from_pose_twist_and_the_drives(fusing):
 
     reads = ("tick", "drive_state", *POSE, *(["legs_used"] if fusing else []))
     follow(make_stage, moving(legs_used=0b111111), reads, ("wrench", "wrench_sensor"))
-
-
-FILLED = (
-    *part("input", "measurement", "output", "verdict"),
-    *("q", "dq", "p", "R", "wrench_sensor", "reference_time_s"),
-    *("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d"),
-)
-"""What some stage fills in every tick of a run, whatever stood there; the certificate's stay as they begin."""
-REMEMBERED = ("tick", *part("measurement"), "p", "R", "twist", "tau")
-"""What of a tick the next one may look at."""
-
-
-def everything():
-    """Return `virtual` with all stages that it can have: fused pose, observer, predictor."""
-    text = load("virtual").text
-    delay = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8}\n"
-    for old, new in (
-        ("\nloop:\n", "\nsensors:\n  tracker: {rate_Hz: 200}\n  imu: {rate_Hz: 500}\n\nloop:\n"),
-        ("  damping_ratio: 1\n", f"  damping_ratio: 1\n{delay}"),
-        ("max_load_percent: 70", "max_load_percent: 90"),
-    ):
-        assert text.count(old) == 1, old
-        text = text.replace(old, new)
-    wrench = "{source: observer, bus_ms: 0.5, drive_lag_ms: 0.8}"
-    return loads(f"{text}\nestimation: {{pose: fused, wrench: {wrench}}}\n", "everything.yaml")
-
-
-def rows_of_a_run(configuration, after_each=lambda _cycle: None, ticks=1500):
-    rate = configuration.loop.rate_Hz
-    cycle = build_cycle(configuration, rate, 0.01)
-    cycle.tick = new_record()
-    nodes, plant = build_nodes(configuration)
-    try:
-        timing = BitTiming.of(configuration.bus) if build_sensors(configuration) else None
-        lockstep = Lockstep(cycle, nodes, (timing,), configuration.loop.window_s(rate))
-        rows = []
-        for _ in range(ticks):
-            operator = (Operator.ENGAGE,) if cycle.mode is Mode.IDLE else ()
-            rows.append(lockstep.step(operator)[2].row.copy())
-            after_each(cycle)
-        assert cycle.mode is Mode.TRACKING
-    finally:
-        plant.close()
-    return rows
-
-
-@pytest.mark.parametrize("make_configuration", broad([everything, lambda: load("virtual")], quick=1))
-def test_a_run_does_not_depend_on_what_stood_in_a_new_record_or_in_the_last_one(
-    monkeypatch, make_configuration
-):
-    configuration = make_configuration()
-    expected = rows_of_a_run(configuration)
-
-    def spoilt_record():
-        return poisoned(new_record(), *(name for name in COLUMNS if name not in FILLED or name in LYAPUNOV))
-
-    def spoil(cycle):
-        for name in COLUMNS:
-            if name not in REMEMBERED:
-                cycle.tick[name] = np.nan if COLUMNS[name].type is float else ODD
-
-    monkeypatch.setattr(loop, "new_record", spoilt_record)
-    for row, other in zip(expected, rows_of_a_run(configuration, spoil), strict=True):
-        assert not [name for name in ROW.names or () if bits(row, name) != bits(other, name)]

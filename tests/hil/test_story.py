@@ -62,12 +62,10 @@ def legs(usual: float, **others: float) -> list[float]:
 def doubted(doubt: Doubt, **columns: Any) -> dict[str, Any]:
     """Return a tick in which leg 3 is doubted by 30 um beyond 20."""
     shown = {"legs_doubted": 8, "doubt": int(doubt), "doubt_value": 3e-5, "doubt_limit": 2e-5}
-    return {**shown, "q_d": 1.5, "age": 0, **columns}
+    return {**shown, **columns}
 
 
 RUN, OFF, FAILED = int(DriveState.RUN), int(DriveState.OFF), int(DriveState.FAULT)
-STRAYED = {"began": np.vstack([np.full((3, 6), 9.0), np.full((1, 6), 1e-5), np.full((2, 6), 9.0)])}
-PUSHES = legs(0.0, leg_1=38.0, leg_4=-7.0)
 DOUBTED: list[tuple[int | None, Any, Any]] = [(3, 3e-5, 2e-5)]
 STALL, LISTED = ("stalled for 6 ms", "loop.rate_Hz"), ("drive 0, 1 in OFF", "drive 3, 5 in OFF")
 CASES = [
@@ -86,7 +84,7 @@ CASES = [
         [(leg, "FAULT" if leg == 2 else "OFF", "RUN") for leg in (0, 1, 2, 3, 5)], LISTED, {"running": 1},
     ),
     Case(Fault.BUS, {"bus_off": 1}, [(None, "off", None)]),
-    Case(Fault.BUS, {}, [(None, 5, 5)], ("in a row",), {"refused": 0b1011111}),
+    Case(Fault.BUS, {}, [(None, 6, 8)], ("in a row",), {"refused": 0b1011111}),
     Case(Fault.BUS, {}, [(None, 8, 8)], ("of the last 32",), {"refused": 0b1111011110}),
     Case(
         Fault.STROKE, {"q": legs(1.4, leg_2=2.2007, leg_5=0.7481), "dq": 0.0},
@@ -103,11 +101,6 @@ CASES = [
         Fault.FOLLOWING,
         {"q": 1.4, "q_d": legs(1.4, leg_2=1.4131, leg_4=1.4125), "dq_d": legs(0.0, leg_2=0.3, leg_4=-0.3)},
         [(2, 0.0131, 0.013)], ("limits.following_error_m",),
-    ),
-    Case(
-        Fault.FOLLOWING,
-        {"q": 1.4, "q_d": legs(1.4, leg_2=1.4131), "dq_d": 0.0, "dq": 0.0, "probe_force": PUSHES},
-        [(2, 0.0131, 0.01)], ("leg 1 was being pushed by +38 N", "leg 4 by -7 N"),
     ),
     Case(Fault.FOLLOWING, {"q": 1.4, "q_d": 1.4, "dq": legs(0.0, leg_1=-0.031)}, [(1, 0.031, 0.02)], ("moves",)),
     Case(Fault.KINEMATICS, {"fk_residual": 3.5e-4}, [(None, 3.5e-4, 1e-4)], ("limits.consistency_m",)),
@@ -134,15 +127,7 @@ CASES = [
     ),
     Case(Fault.ENCODER, doubted(Doubt.JUMP), DOUBTED, ("jumped",)),
     Case(Fault.ENCODER, doubted(Doubt.LEAP, doubt_value=0.03, doubt_limit=0.02), [(3, 0.03, 0.02)], ("its brake closed",)),
-    Case(
-        Fault.ENCODER, doubted(Doubt.STILL, length=legs(1.50001, leg_3=1.50004, leg_5=1.50002)), DOUBTED,
-        ("while its reference moved on", "its brake did not open"), STRAYED,
-    ),
-    Case(
-        Fault.ENCODER,
-        doubted(Doubt.STILL, length=legs(1.50001, leg_0=1.4, leg_1=1.50004), age=legs(0, leg_0=1)), DOUBTED,
-        ("while leg 1 strayed",), STRAYED,
-    ),
+    Case(Fault.ENCODER, doubted(Doubt.STILL), DOUBTED, ("its brake did not open",)),
 ]  # fmt: skip
 
 
@@ -192,9 +177,9 @@ def test_a_fault_is_reported_with_leg_value_and_limit_of_its_tick(moving, case):
     narrator, events = strike(moving, case)
     story = told(narrator)
     found = story.findings
-    assert [each.seen.leg for each in found] == [leg for leg, _, _ in case.told]
+    assert [each.leg for each in found] == [leg for leg, _, _ in case.told]
     for each, (leg, value, limit) in zip(found, case.told, strict=True):
-        for seen, true in ((each.seen.value, value), (each.seen.limit, limit)):
+        for seen, true in ((each.value, value), (each.limit, limit)):
             if isinstance(true, float):
                 assert seen == pytest.approx(true, rel=1e-5, nan_ok=True)
                 assert_says(each, true)
@@ -205,7 +190,7 @@ def test_a_fault_is_reported_with_leg_value_and_limit_of_its_tick(moving, case):
             assert re.search(rf"\b(leg|drive) {leg}\b", each.text)
         assert (each.fault, each.tick, each.time_s) == (case.fault.name, moving.tick + 1, each.tick / 1000.0)
         assert each.mode == "APPROACH"
-        assert each.mend
+        assert each.next
         assert each.page == f"{GLOSSARY}#fault-{each.fault.lower()}"
     for word in case.words:
         assert word in story.short
@@ -242,10 +227,10 @@ def test_a_broken_certificate_is_reported_with_its_axes(moving, pose):
     safety._watch_memory[COUNT] = [0, 2, 3, 3, 4, 1]
     safety._watched[SCALARS, CONFIRM] = 3
     story = told(strike(moving, Case(Fault.CERTIFICATE, {"lyapunov_share": 1.375}, []))[0])
-    found = [each.seen[:3] for each in story.findings]
+    found = [(each.value, each.limit, each.leg) for each in story.findings]
     assert found == [(1.375, 1.0, None if pose else leg) for leg in (2, 3, 4)]
     turns = f"monitor.disturbance_{'rad' if pose else 'm'}_s2"
-    assert [each.seen.key for each in story.findings] == ["monitor.disturbance_m_s2", turns, turns]
+    assert [each.limit_key for each in story.findings] == ["monitor.disturbance_m_s2", turns, turns]
     for each, name in zip(
         story.findings, ("z", "rx", "ry") if pose else ("leg 2", "leg 3", "leg 4"), strict=True
     ):
@@ -265,7 +250,7 @@ def test_a_slipped_encoder_and_an_uncertain_pose_are_reported_with_their_limits(
         fused.record[name] = value
     both = Fault.ENCODER | Fault.UNCERTAIN
     story = told(strike(bench, Case(both, {"innovation_q": legs(0.0, leg_4=-3.3e-4)}, []))[0])
-    assert [each.seen[:3] for each in story.findings] == [
+    assert [(each.value, each.limit, each.leg) for each in story.findings] == [
         (3.3e-4, 2e-4, 4),
         (0.0061, 5e-3, None),
         (0.1042, 0.1, None),

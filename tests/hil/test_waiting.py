@@ -40,8 +40,8 @@ def test_drives_that_answer_late_are_listed_and_one_tick_with_all_six_legs_is_en
     assert mode is Mode.WAITING
     assert bench.cycle.tick["age"].tolist() == [0, 1, 0, 0, 1, 0]
     assert "platform.home" not in text
-    for words in ("drive 1 in none yet", "drive 4 0.49", "loop.rate_Hz"):
-        assert words in text
+    assert "drive 1, drive 4" in text
+    assert "loop.rate_Hz" in text
     bench.step_late()
     assert bench.cycle.sight.located
     assert bench.cycle.mode is Mode.IDLE

@@ -1,7 +1,6 @@
 """The straight ways to the first pose and back to the path: judged before they are followed, and reported."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -9,8 +8,7 @@ import pytest
 
 from drivers.signals import Mode, Refusal
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.loop.operating import Operating
-from hil.loop.setup_moves import APART_M, Inspection
+from hil.loop.operating import APART_M, Inspection, Operating
 from hil.signals import Operator, Order
 from hil.trajectory.move import GeodesicMove
 from tests.hil.cycle_bench import VIRTUAL
@@ -146,22 +144,3 @@ def test_after_an_order_or_a_new_motion_the_way_is_judged_again():
         operating.way("park", tick, motion, there)
         found.append(len(judged))
     assert found == [1, 1, 2, 3]
-
-
-@pytest.mark.parametrize("refusal", ["", "it is too far"])
-def test_a_judged_way_is_taken_once_and_the_next_one_is_judged_for_itself(refusal):
-    judged: list[Any] = []
-
-    def at_once(_name, move) -> Any:
-        judged.append(move)
-        return SimpleNamespace(step=lambda: True, refusal=refusal, move=move)
-
-    operating, motion = judging(at_once)
-    for k, x in enumerate((0.05, 0.07)):
-        operating.go = operating.parks = True
-        there = motion.sample(0)._replace(p=np.array([x, 0.0, 0.0]))
-        move = operating.way("park", 0, motion, there)
-        assert len(judged) == k + 1
-        assert move is (None if refusal else judged[k])
-        assert (operating.go, operating.parks) == (not refusal, not refusal)
-        assert operating.trouble == refusal

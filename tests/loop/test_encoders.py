@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
+from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,7 +22,6 @@ from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.kinds import BrakeStuckClosed, EncoderFreeze, EncoderJump, FramesLoss, WrenchStep
 from tests.broad import broad
 from tests.loop.bench import Ran, changed, run
-from tests.loop.pairs import pairwise
 
 BOUND_m, BOUND_TICKS = 2e-3, 20
 """A failure is found within one of the two."""
@@ -64,6 +66,25 @@ def assert_in_time(ran: Ran, leg: int, since: int) -> None:
     begins = since + int(np.argmax(moved[since:] > MOVED_m))
     late = tick - begins
     assert late <= BOUND_TICKS or moved[: tick + 1][since:].max() <= BOUND_m, f"{late} ticks, {moved[tick]} m"
+
+
+def pairwise(*factors: Sequence[Any]) -> list[tuple[Any, ...]]:
+    """Return fewer cases than all, always the same ones, in which every two values of any two factors meet.
+
+    Each next one has the most pairs that none before has.
+    """
+
+    def pairs(case: tuple[int, ...]) -> set[Any]:
+        return set(combinations(enumerate(case), 2))
+
+    every = list(product(*(range(len(factor)) for factor in factors)))
+    left: set[Any] = set().union(*map(pairs, every))
+    cases: list[tuple[Any, ...]] = []
+    while left:
+        best = max(every, key=lambda case: len(pairs(case) & left))
+        left -= pairs(best)
+        cases.append(tuple(factor[k] for factor, k in zip(factors, best, strict=True)))
+    return cases
 
 
 JUMPS = [(0, 0.5e-3), (3, -9.5e-3)]

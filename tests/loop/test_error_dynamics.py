@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from hil.app.configuration.configuration import load
@@ -65,42 +64,6 @@ def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direct
     expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
     assert 0.04 < np.abs(expected[0]).max() < 0.11
     assert deviation(rows["q_d"] - rows["q"], expected) < 0.005
-
-
-def test_under_sliding_mode_every_leg_reaches_its_layer_at_k_and_then_slides():
-    """e'' + lambda e' + k sat(s / phi) = 0, s = e' + lambda e, integrated by scipy."""
-    slope, k, phi = 20.0, 18.0, 0.1
-    law = {
-        "law": "sliding_mode", "lambda_rad_s": slope, "reaching_m_s2": 2, "boundary_layer_m_s": phi,
-        "uncertainty": {"disturbance_m_s2": 16},
-    }  # fmt: skip
-    rows, p, R = track(law, "askew")
-
-    def acceleration(e, de):
-        return -slope * de - k * np.clip((de + slope * e) / phi, -1.0, 1.0)
-
-    e0, t = leg_errors(p, R), rows["reference_time_s"]
-    e, de = rows["q_d"] - rows["q"], rows["dq_d"] - rows["dq"]
-    assert deviation(e, integrated(acceleration, e0, t)) < 0.005
-    s = np.abs(de + slope * e)
-    assert 10 * phi < s[0].max()
-    arrived = t > s[0].max() / k
-    assert s[arrived].max() < phi
-    assert s[t < 0.9 * s[0].max() / k].max(axis=1).min() > phi
-
-
-def integrated(acceleration, e0, t):
-    """e'' = acceleration(e, e') from e0 at rest, at the instants t."""
-    solution = solve_ivp(
-        lambda _, x: np.concatenate([x[6:], acceleration(x[:6], x[6:])]),
-        (0.0, t[-1]),
-        np.concatenate([e0, np.zeros(6)]),
-        t_eval=t,
-        rtol=1e-8,
-        atol=1e-10,
-        max_step=1e-3,
-    )
-    return solution.y[:6].T
 
 
 @directions

@@ -42,7 +42,7 @@ def assert_held(ran: Ran, legs: Sequence[int], since: Mode) -> None:
     assert not ran.ending.success
     assert ran.ending.faults == Fault.BRAKE
     assert ran.ending.story is not None
-    found = {each.seen.leg for each in ran.ending.story.findings if each.seen.leg is not None}
+    found = {each.leg for each in ran.ending.story.findings if each.leg is not None}
     assert found
     assert found <= set(legs), ran.ending.reason
     assert "limits.standstill_m" in ran.ending.reason

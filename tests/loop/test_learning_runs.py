@@ -158,25 +158,6 @@ def test_ten_runs_of_the_books_path_leave_less_than_a_twentieth_of_the_error(tmp
     assert found.outcome.state == "floor"
 
 
-REAL: dict[str, dict[str, Any]] = {
-    "friction": {"plant": {"model": {"coulomb_friction_N": 150, "viscous_friction_N_s_m": 400}}},
-    "slow force loop": {"plant": {"model": {"force_bandwidth_Hz": 20}}},
-    "motor mass": {"plant": {"model": {"reflected_mass_kg": 60}}},
-    "noisy encoders": {"plant": {"drives": {"encoder_resolution_m": 2e-5}}},
-    "classic bus": {"bus": {"layout": "classic"}, "loop": {"rate_Hz": 400}},
-}
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", REAL)
-def test_on_other_plants_the_error_falls(name, tmp_path):
-    found = rehearse(short(**REAL[name]), 6, Knowledge(), tmp_path, lambda _: None)
-    rms = [step.rms_mm for step in found.steps]
-    assert max(rms) <= 1.55 * rms[0]
-    assert not found.trouble
-    assert min(rms) < 0.2 * rms[0]
-
-
 @pytest.mark.long
 def test_what_was_learned_goes_where_a_hold_interrupts_the_run(made, tmp_path):
     folder, _ = made

@@ -8,7 +8,7 @@ import pytest
 from drivers.signals import Mode
 from hil.app.configuration.configuration import load
 from hil.loop.replay import replay
-from hil.signals import JOG_NAMES, Operator, Order
+from hil.signals import Operator, Order
 from tests.broad import broad
 from tests.loop.bench import new_cycle
 from tests.loop.operated import WITHIN, Changed, modes, simulated
@@ -92,15 +92,6 @@ def test_a_run_that_stays_is_parked_armed_and_recovered_from_an_emergency_stop(t
     assert modes(rows) == ["WAITING", *once, *PARKING, "WAITING", *once, "FAULT", "WAITING", *once, *PARKING]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("word", broad(["stop", "estop"], quick=1))
-def test_a_stop_on_the_way_back_to_the_first_pose_ends_it_there(tmp_path, word):
-    run, rows = simulated(tmp_path, [(2.2, "park"), (3.5, word)], check_replay=False)
-    assert run.success == (word == "stop")
-    assert np.abs(rows["p_d"][3500] - [0, 0, 1]).max() > 0.05, "it was under way"
-    assert np.abs(rows["p_d"][-1] - rows["p_d"][3500]).max() < 0.05
-
-
 SHORT = {"reference": {"periods": 1}, "engage": {"stop_s": 3.0}}
 """A path that ends at tick 3208, and a stop in which 1.5 s of path time go by."""
 
@@ -178,15 +169,6 @@ def test_start_goes_on_from_where_the_path_was_left(jogged):
     on = rows[again[0] : 9600]
     assert on["reference_time_s"][-1] > left["reference_time_s"] + 0.2
     assert (np.diff(on["reference_time_s"]) >= 0.0).all()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize(("axis", "fraction"), [("x", 1.0 - 1e-6), ("y", 1.0)])
-def test_a_replay_notices_a_jog_that_is_another(jogged, axis, fraction):
-    run, _ = jogged
-    orders = (Order(Operator.JOG, (float(JOG_NAMES.index(axis)), fraction)),)
-    changed = Changed(run.log, 4000, orders)
-    assert 4000 <= replay(changed, new_cycle(load("virtual"))).first[0].tick <= 4010
 
 
 def test_a_jog_stops_before_the_soft_end_of_the_stroke(tmp_path):

@@ -115,8 +115,6 @@ RUNS: dict[str, tuple[str, dict[str, float] | None]] = {
     "bus": ("virtual", None),
     "bus, compensated": ("virtual", TRUE),
     "bus, twice the delay": ("virtual", {key: 2 * value for key, value in TRUE.items()}),
-    "ideal": ("ideal", None),
-    "ideal, compensated": ("ideal", {"hold_ms": 0.5}),
 }
 
 
@@ -155,11 +153,6 @@ def test_twice_the_delay_is_worse_than_none_and_than_the_true_one():
     wrong = peak_mm(rows("bus, twice the delay"))
     assert wrong > peak_mm(rows("bus"))
     assert wrong > 3 * peak_mm(rows("bus, compensated"))
-
-
-@pytest.mark.long
-def test_half_a_period_of_hold_is_compensated_on_the_ideal_path():
-    assert peak_mm(rows("ideal, compensated")) < peak_mm(rows("ideal")) / 10
 
 
 def test_safety_and_the_log_keep_the_present_state_and_reference():

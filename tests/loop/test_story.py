@@ -52,16 +52,16 @@ def told(*faults: PlantFault, **sections: Any) -> tuple[Ran, Story]:
 def test_a_leg_whose_wires_are_swapped_is_named_with_its_distance_from_the_reference():
     ran, story = told(SWAPPED)
     finding, cause = story.findings
-    assert (cause.fault, cause.seen.leg) == ("DRIVE", 3)
+    assert (cause.fault, cause.leg) == ("DRIVE", 3)
     row, true = ran.rows[finding.tick], ran.true[finding.tick]
     error = np.abs(row["q_d"] - true)
-    assert (finding.fault, finding.seen.leg) == ("FOLLOWING", int(error.argmax())) == ("FOLLOWING", 3)
-    assert finding.seen.value == pytest.approx(error[3], abs=2e-4)
-    assert finding.seen.limit == pytest.approx(0.01 + 0.01 * abs(row["dq_d"][3]))
+    assert (finding.fault, finding.leg) == ("FOLLOWING", int(error.argmax())) == ("FOLLOWING", 3)
+    assert finding.value == pytest.approx(error[3], abs=2e-4)
+    assert finding.limit == pytest.approx(0.01 + 0.01 * abs(row["dq_d"][3]))
     assert ran.rows[finding.tick - 1]["faults"] == 0
     assert row["faults"] == Fault.FOLLOWING
     assert finding.time_s == pytest.approx(1e-3 * finding.tick)
-    assert f"leg 3 is {1e3 * finding.seen.value:.2f} mm" in ran.ending.trouble  # type: ignore[operator]
+    assert f"leg 3 is {1e3 * finding.value:.2f} mm" in ran.ending.trouble  # type: ignore[operator]
     assert "all six in OFF" in ran.ending.trouble
 
 
@@ -69,7 +69,13 @@ def test_a_leg_whose_wires_are_swapped_is_named_with_its_distance_from_the_refer
 def test_a_silent_drive_is_named_with_the_ticks_since_it_was_heard(leg):
     ran, story = told(DriveSilence(leg=leg, at_s=1.4))
     (finding,) = story.findings
-    assert (finding.fault, *finding.seen[:3], finding.tick) == ("STALE", 5, 5, leg, 1400 + 4)
+    assert (finding.fault, finding.value, finding.limit, finding.leg, finding.tick) == (
+        "STALE",
+        5,
+        5,
+        leg,
+        1400 + 4,
+    )
     assert ran.ending.trouble.endswith(f"not confirmed by drive {leg}")
 
 
@@ -80,7 +86,7 @@ def test_a_silent_drive_is_named_with_the_ticks_since_it_was_heard(leg):
 def test_a_stale_leg_whose_drive_still_confirms_is_told_from_lost_frames(fault, leg, unconfirmed):
     _, story = told(fault)
     (finding,) = story.findings
-    assert (finding.fault, finding.seen.leg) == ("STALE", leg)
+    assert (finding.fault, finding.leg) == ("STALE", leg)
     assert ("not confirmed by drive 0, 1, 2, 3, 4, 5" in story.done_text) is unconfirmed
     assert "all six" not in story.done_text or not unconfirmed
 
@@ -101,7 +107,7 @@ def test_drives_that_a_forged_command_switched_off_are_named():
         ending = course.ending(attacked.tick)
     plant.close()
     assert ending.story is not None
-    found = [(each.fault, each.seen.leg, each.seen.value) for each in ending.story.findings]
+    found = [(each.fault, each.leg, each.value) for each in ending.story.findings]
     assert found == [("DRIVE", leg, "OFF") for leg in range(6)]
     assert "drive 0, 1, 2, 3, 4, 5 in OFF where RUN was asked for" in ending.reason
 
@@ -229,12 +235,12 @@ def test_a_fault_of_the_motion_is_told_with_the_legs_values_and_limits_of_the_lo
     assert row["faults"] == real.fault
     assert before["faults"] == 0
     values, limits = (np.atleast_1d(each(row)) for each in (real.value, real.limit))
-    named = [each.seen.leg or 0 for each in found if each.tick == found[0].tick]
+    named = [each.leg or 0 for each in found if each.tick == found[0].tick]
     assert named == np.flatnonzero(values > limits).tolist()
     for each in found[: len(named)]:
-        leg = each.seen.leg or 0
-        assert each.seen.value == pytest.approx(values[leg], rel=1e-12)
-        assert each.seen.limit == pytest.approx(limits[leg], rel=1e-9)
+        leg = each.leg or 0
+        assert each.value == pytest.approx(values[leg], rel=1e-12)
+        assert each.limit == pytest.approx(limits[leg], rel=1e-9)
     if real.fault is not Fault.CONDITION:
         true = ran.true[found[0].tick]
         assert row["q"] == pytest.approx(true, abs=2e-3), "what was measured is where the legs are"
@@ -269,5 +275,5 @@ def test_a_law_that_raises_or_gives_no_number_is_a_latched_fault_with_its_place(
         assert "ZeroDivisionError: a {defect}" in finding.text
         assert __file__ in finding.text
     else:
-        assert (finding.seen.leg, str(finding.seen.value)) == (3, "nan")
+        assert (finding.leg, str(finding.value)) == (3, "nan")
         json.dumps(story.fields(), allow_nan=False)

@@ -68,8 +68,8 @@ def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, 
         row = row_of(tick=100 + tick, t_ns=t_ns, faults=latched, mode=mode)
         sides.append((row, row))
     answer = compared(sides, min(block, 3))
-    assert [(each.tick - 100, each.fault) for each in answer.recorded_faults] == EXPECTED
-    assert [each.time_s for each in answer.recorded_faults] == pytest.approx(
+    assert [(each["tick"] - 100, each["fault"]) for each in answer.recorded_faults] == EXPECTED
+    assert [each["time_s"] for each in answer.recorded_faults] == pytest.approx(
         [2e-3 * tick for tick, _ in EXPECTED], abs=1e-12
     )
     assert answer.last_mode == "FAULT"

@@ -25,7 +25,7 @@ from hil.config.platform import PlatformSettings
 from hil.config.reference import ReferenceSettings, SampledReference
 from hil.control import ControllerSettings
 from hil.control.state_space import StateSpaceSettings
-from hil.loop.learned import LearnedForces
+from hil.loop.reference import LearnedForces
 
 MOST_BYTES = 32 << 20
 """Some seven minutes at 1 kHz."""

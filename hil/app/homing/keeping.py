@@ -13,8 +13,8 @@ from hil.app.homing.file import homing_file, homing_path, read_homing, refuse_mo
 from hil.app.homing.last_pose import home_lengths, last_pose_of
 from hil.loop import modes
 from hil.loop.cycle import Cycle
-from hil.loop.drives_say import any_powered
 from hil.loop.homing import LastPose, unwrapped_turns
+from hil.loop.report import any_powered
 from hil.safety.motion import REST_m_s
 
 _RESTING = frozenset({Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT})

@@ -9,7 +9,7 @@ from drivers.compiled.pointed import record_at
 from drivers.frame_pointers import frames_at
 from hil.app.sim import wire_kernels
 from hil.app.sim.wire_kernels import WIRES
-from hil.loop import tick_kernels as part
+from hil.loop import tick_row as part
 from plant_fmu.drives.live import NODES_RECORD, live
 
 HEAR, PASS, SYNC, LIVE, ANSWER = range(part.START + 1, part.OBSERVE)

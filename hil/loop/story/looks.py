@@ -1,7 +1,7 @@
-"""What the tick of a fault shows of it: one function for each kind of fault, in the rules' own terms."""
+"""What the tick of a fault shows of it, at single legs or as a whole, in the rules' own terms."""
 
 import traceback
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from math import isfinite, sqrt
 
 import numpy as np
@@ -14,29 +14,62 @@ from hil.loop.report import because
 from hil.loop.story.told import Moment, Seen
 from hil.safety.motion import CREEP, REST_m_s
 from hil.safety.residuals import WINDOW_S
-from hil.safety.signals import DEAD_BUS, IN_A_ROW
+from hil.safety.signals import DEAD_BUS, UNRELIABLE
 
-_REACHED = {
-    DriveMode.OFF: DriveState.OFF,
-    DriveMode.READY: DriveState.READY,
-    DriveMode.RUN: DriveState.RUN,
-    DriveMode.RESET: DriveState.OFF,
-}
-"""The state that a drive reports once it has obeyed."""
-_FINITE = (
-    "length", "rate", "drive_force", "q", "dq", "p", "R", "twist", "J", "q_d", "dq_d", "ddq_d", "twist_d",
-    "dtwist_d",
-)  # fmt: skip
+_REACHED = {DriveMode.READY: DriveState.READY, DriveMode.RUN: DriveState.RUN}
+"""The state that a drive reports once it has obeyed; OFF for the other modes."""
+_OF_LEGS = ("length", "rate", "drive_force", "q", "dq", "q_d", "dq_d", "ddq_d")
+_OF_ALL = ("p", "R", "twist", "J", "twist_d", "dtwist_d")
 _WAIT_FOR_DRIVES = frozenset({Mode.LOADING, Mode.RELEASING, Mode.PARKING})
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
-
-
-NOT_HEARD = "leg {leg} not heard for {value} ticks, {key} is {limit}"
+_DOUBTS = {
+    Doubt.JUMP: "from one reading to the next the length of leg {leg} changed by {mm:+.3f} mm beside "
+    "what its rate says, {mm_limit:.3f} mm are allowed: its encoder jumped, or its rate is wrong",
+    Doubt.SLIP: "length and rate of leg {leg} came {mm:+.3f} mm apart within "
+    f"{1e3 * WINDOW_S:g} ms, "
+    "{mm_limit:.3f} mm are allowed: its encoder slips, or its rate is dead",
+    Doubt.LEAP: "the rate of leg {leg} leapt by {mm:+.1f} mm/s, forces and the stated disturbance explain "
+    "{mm_limit:.1f} mm/s: its encoder, its brake closed, or a force along this leg",
+    Doubt.STILL: "leg {leg} stands still, while it or another leg strays from its reference by {mm:.3f} mm, "
+    "{mm_limit:.3f} mm are allowed, and pushes by more than friction did not move it: its encoder is frozen, "
+    "or its brake did not open or has closed",
+}
+"""The sparsest causes why rate, forces or the other legs contradict an encoder."""
+Look = Callable[[Moment], Iterable[Seen]]
 
 
 def legs_of(bits: int) -> Iterator[int]:
     """Return the legs whose bits are set."""
     return (leg for leg in range(LEGS) if bits >> leg & 1)
+
+
+def compared(column: str, limit: str | float, unit: str, key: str = "") -> Look:
+    """Look at a column: one number, or six, of which those count whose size is beyond the limit.
+
+    limit: that number, or the name of one of safety's limits.
+    """
+
+    def look(m: Moment) -> Iterator[Seen]:
+        most = m.limit(limit) if isinstance(limit, str) else limit
+        values = m.tick[column].tolist()
+        if not isinstance(values, list):
+            yield Seen(values, most, None, "", unit, key)
+            return
+        for leg, value in enumerate(values):
+            if abs(value) > most:
+                yield Seen(abs(value), most, leg, "", unit, key)
+
+    return look
+
+
+def second_controller(m: Moment) -> Iterator[Seen]:
+    """Name what another controller has sent."""
+    yield Seen(", ".join(str(kind.name) for kind in Foreign(int(m.tick["foreign"])) & ~Foreign.ESTOP))
+
+
+def duplicate_node(m: Moment) -> Iterator[Seen]:
+    """Name the legs whose nodes gave two answers."""
+    return (Seen(leg=leg) for leg in legs_of(int(m.tick["doubled"])))
 
 
 def set_up(m: Moment) -> Iterator[Seen]:
@@ -54,66 +87,55 @@ def estop(m: Moment) -> Iterator[Seen]:
 def bus(m: Moment) -> Iterator[Seen]:
     """Tell a bus that is off from one that takes no frames."""
     off = int(m.tick["bus_off"])
-    if off:
-        names = [name for bus, name in enumerate(m.cycle.parts.buses) if off >> bus & 1]
-        which = f"bus {' and bus '.join(names)}" if names else "the bus"
-        why = "its interface is down or gone, or sends nothing"
-        if m.tick["bus_state"] == BusState.OFF:
-            why = "its controller has counted too many errors"
-        yield Seen("off", sentence=f"{which} is off: {why}")
+    if not off:
+        yield Seen(m.remembered("refused").bit_count(), DEAD_BUS, unit="ticks")
         return
-    refused = m.remembered("refused")
-    row = 1 << IN_A_ROW
-    if refused % row == row - 1:
-        yield Seen(
-            IN_A_ROW, IN_A_ROW,
-            sentence="the bus did not take our frames in {value} ticks in a row; {limit} are a dead bus",
-            unit="ticks",
-        )  # fmt: skip
-        return
-    yield Seen(refused.bit_count(), DEAD_BUS, unit="ticks")
+    names = [name for bus, name in enumerate(m.cycle.parts.buses) if off >> bus & 1]
+    which = f"bus {' and bus '.join(names)}" if names else "the bus"
+    why = "its interface is down or gone, or sends nothing"
+    if m.tick["bus_state"] == BusState.OFF:
+        why = "its controller has counted too many errors"
+    yield Seen("off", sentence=f"{which} is off: {why}")
+
+
+def refused_frames(m: Moment) -> Iterator[Seen]:
+    """Count the ticks with refused frames."""
+    yield Seen(m.remembered("untrusted").bit_count(), UNRELIABLE, unit="ticks")
 
 
 def stale(m: Moment) -> Iterator[Seen]:
-    """Name the silent legs, and those without a length; where all are silent, say where to look."""
+    """Name the legs that are not heard, whose frames were refused meanwhile, or without a length."""
     limit, ages = m.limit("stale_fault_ticks"), m.legs("counted_age")
     if max(ages) < limit:
         ages = m.legs("age")  # a brake test takes no estimate for a measurement
-    key, blind = "limits.stale_fault_ticks", m.legs("blind")
-    if min(ages) >= limit and not any(blind):
-        stall_ms = 1e3 * min(ages) / m.cycle.parts.rate_Hz
-        watched = m.cycle.parts.protocol.traits.has_watchdog
-        lengthen = " and lengthen drives.watchdog_ms" if watched else ""
-        text = (
-            "no leg heard for {value} ticks, {key} is {limit}: the drives, the bus or this machine had "
-            f"stalled for {stall_ms:.0f} ms by then; if it was this machine, lower loop.rate_Hz{lengthen}"
+    blind, refused = m.legs("blind"), m.remembered("untrusted")
+    heard, why = "heard", ""
+    if refused % (1 << limit):
+        heard = "understood"
+        why = (
+            f": frames were heard and refused (length, check or state) in {refused.bit_count()} of the last "
+            "32 ticks: check wiring, termination, gateways and bit rates"
         )
-        yield Seen(min(ages), limit, sentence=text, unit="ticks", key=key)
+    text = f"{heard} for {{value}} ticks, {{key}} is {{limit}}"
+    told = {"unit": "ticks", "key": "limits.stale_fault_ticks"}
+    if min(ages) >= limit and not any(blind):
+        watched = m.cycle.parts.protocol.traits.has_watchdog
+        why = why or (
+            ": the drives, the bus or this machine had stalled for "
+            f"{1e3 * min(ages) / m.cycle.parts.rate_Hz:.0f} ms by then; if it was this machine, lower "
+            f"loop.rate_Hz{' and lengthen drives.watchdog_ms' if watched else ''}"
+        )
+        yield Seen(min(ages), limit, None, f"no leg {text}{why}", **told)
         return
-    text = "the drive of leg {leg} answers, and calls its length invalid for {value} ticks, {key} is {limit}"
+    no_length = (
+        "the drive of leg {leg} answers, and calls its length invalid for {value} ticks, {key} is {limit}"
+    )
     for leg, age in enumerate(ages):
         if age >= limit:
-            yield Seen(age, limit, leg, text if blind[leg] else "", unit="ticks", key=key)
+            yield Seen(age, limit, leg, no_length if blind[leg] else f"leg {{leg}} not {text}{why}", **told)
     if max(ages) < limit:
-        text = "nothing shows that the brake of leg {leg} holds: its encoder has slipped"
-        yield from (Seen(leg=leg, sentence=text) for leg in legs_of(int(m.tick["legs_slipped"])))
-
-
-def stale_or_refused(m: Moment) -> Iterator[Seen]:
-    """Tell legs that say nothing from those whose frames were refused meanwhile: then nothing has stalled."""
-    refused = m.remembered("untrusted")
-    meanwhile = refused % (1 << m.limit("stale_fault_ticks"))
-    for seen in stale(m):
-        if not meanwhile or (seen.leg is not None and seen.sentence):  # such a leg is heard
-            yield seen
-            continue
-        whose = "no leg was understood" if seen.leg is None else "leg {leg} was not understood"
-        text = (
-            f"{whose} for {{value}} ticks, {{key}} is {{limit}}: frames were heard and refused (length, "
-            f"check or state) in {refused.bit_count()} of the last 32 ticks: check wiring, termination, "
-            "gateways and bit rates"
-        )
-        yield seen._replace(sentence=text)
+        unproven = "nothing shows that the brake of leg {leg} holds: its encoder has slipped"
+        yield from (Seen(leg=leg, sentence=unproven) for leg in legs_of(int(m.tick["legs_slipped"])))
 
 
 def drive(m: Moment) -> Iterator[Seen]:
@@ -128,7 +150,7 @@ def drive(m: Moment) -> Iterator[Seen]:
         yield Seen(abs(rate), FASTER_m_s, leg, text)
     if refused:
         return
-    asked = _REACHED[drive_mode(m.mode)]
+    asked = _REACHED.get(drive_mode(m.mode), DriveState.OFF)
     waited_s = m.cycle.durations.least(m.mode) + DRIVE_PATIENCE_S
     late = m.mode in _WAIT_FOR_DRIVES and m.elapsed_s >= waited_s
     since = f", {m.elapsed_s:.2f} s after it was asked; {waited_s:.2f} s are allowed" if late else ""
@@ -150,36 +172,9 @@ def drive(m: Moment) -> Iterator[Seen]:
 
 def brake(m: Moment) -> Iterator[Seen]:
     """Name the legs that moved, and how far."""
-    limit = m.limit("standstill_m")
-    moved = m.cycle.parts.safety.moved_m(m.tick).tolist()
-    resting = m.mode is Mode.FAULT
-    where = "after it had come to rest" if resting else "on its closed brake"
-    limits = "{key} is {mm_limit:g} mm: its brake slipped, or its encoder did"
-    text = f"leg {{leg}} moved {{mm:.2f}} mm {where}, {limits}"
+    limit, moved = m.limit("standstill_m"), m.cycle.parts.safety.moved_m(m.tick).tolist()
     for leg in legs_of(int(m.tick["legs_moved"])):
-        yield Seen(moved[leg], limit, leg, text, "m", "limits.standstill_m")
-
-
-DOUBTS = {
-    Doubt.JUMP: "from one reading to the next the length of leg {leg} changed by {mm:+.3f} mm beside "
-    "what its rate says, {mm_limit:.3f} mm are allowed: its encoder jumped, or its rate is wrong",
-    Doubt.SLIP: "length and rate of leg {leg} came {mm:+.3f} mm apart within "
-    f"{1e3 * WINDOW_S:g} ms, "
-    "{mm_limit:.3f} mm are allowed: its encoder slips, or its rate is dead",
-    Doubt.LEAP: "the rate of leg {leg} leapt by {mm:+.1f} mm/s, forces and the stated disturbance explain "
-    "{mm_limit:.1f} mm/s: its encoder, its brake closed, or a force along this leg",
-    Doubt.STILL: "leg {leg} stands still, while {strayed} by {mm:.3f} mm, {mm_limit:.3f} mm are "
-    "allowed, and pushes by more than friction did not move it: its encoder "
-    "is frozen, or its brake did not open or has closed",
-}
-"""What an encoder that rate, forces or the other legs contradict is told as: the sparsest causes."""
-
-
-def _strayed(m: Moment, leg: int) -> str:
-    """Say what is farthest from where it was when the reading of a leg began to stand still."""
-    deviation = m.tick["length"] - m.tick["q_d"] - m.cycle.parts.safety.memory["began"][leg]
-    farthest = int(np.argmax(np.where(m.tick["age"] == 0, np.abs(deviation), -1.0)))
-    return "its reference moved on" if farthest == leg else f"leg {farthest} strayed from its reference"
+        yield Seen(moved[leg], limit, leg, "", "m", "limits.standstill_m")
 
 
 def encoder(m: Moment) -> Iterator[Seen]:
@@ -188,15 +183,12 @@ def encoder(m: Moment) -> Iterator[Seen]:
     if doubted:
         doubt, value, limit = (m.tick[name].item() for name in ("doubt", "doubt_value", "doubt_limit"))
         unit = "m/s" if doubt == Doubt.LEAP else "m"
-        for leg in legs_of(doubted):
-            text = DOUBTS[Doubt(doubt)].replace("{strayed}", _strayed(m, leg))
-            yield Seen(value, limit, leg, text, unit)
+        yield from (Seen(value, limit, leg, _DOUBTS[Doubt(doubt)], unit) for leg in legs_of(doubted))
     fusion = m.cycle.parts.fusion
-    off = m.legs("innovation_q")
-    for leg in fusion.contradicting if fusion is not None else ():
-        assert fusion is not None
-        slip_m = fusion.record["slip_m"].item()
-        yield Seen(abs(off[leg]), slip_m, leg, unit="m", key="estimation.fusion.encoder_slip_m")
+    if fusion is not None:
+        off, slip_m = m.legs("innovation_q"), fusion.record["slip_m"].item()
+        for leg in fusion.contradicting:
+            yield Seen(abs(off[leg]), slip_m, leg, unit="m", key="estimation.fusion.encoder_slip_m")
 
 
 def uncertain(m: Moment) -> Iterator[Seen]:
@@ -207,37 +199,27 @@ def uncertain(m: Moment) -> Iterator[Seen]:
     names = "position_std_m", "std_max_m", "alone_s", "gap_max_s"
     std_m, std_max_m, alone_s, gap_max_s = (fusion.record[name].item() for name in names)
     if not std_m <= std_max_m:
-        key = "estimation.fusion.position_std_max_m"
-        yield Seen(std_m, std_max_m, unit="m", key=key)
+        yield Seen(std_m, std_max_m, unit="m", key="estimation.fusion.position_std_max_m")
     if not alone_s <= gap_max_s:
         text = (
             "no tracker sample of use for {mm:.0f} ms while an encoder is lost; {key} allows {mm_limit:g} ms"
         )
-        key = "estimation.fusion.tracker_gap_max_ms"
-        yield Seen(alone_s, gap_max_s, None, text, "s", key)
+        yield Seen(alone_s, gap_max_s, None, text, "s", "estimation.fusion.tracker_gap_max_ms")
 
 
 def not_finite(m: Moment) -> Iterator[Seen]:
     """Name the first column of each leg, or of all, that is no finite number."""
     named = set()
-    for column in _FINITE:
+    for column in (*_OF_LEGS, *_OF_ALL):
         values = m.tick[column]
-        bad = np.argwhere(~np.isfinite(values))
-        per_leg = values.shape == (LEGS,) and column != "twist" and not column.endswith("twist_d")
-        for at in bad:
-            leg = int(at[0]) if per_leg else None
+        for at in np.argwhere(~np.isfinite(values)):
+            leg = int(at[0]) if column in _OF_LEGS else None
             if leg not in named:
                 named.add(leg)
-                where = f"{column} of leg {leg}" if per_leg else column
-                text = f"{where} is {{value}}, not {{limit}}"
-                yield Seen(float(values[tuple(at)]), "a finite number", leg, sentence=text)
-
-
-def kinematics(m: Moment) -> Iterator[Seen]:
-    """Give the residual; there is none where Newton's steps find no pose at all."""
-    residual = m.tick["fk_residual"].item()
-    text = "" if isfinite(residual) else "no pose near the last one has the six lengths: residual {value}"
-    yield Seen(residual, m.limit("consistency_m"), None, text, "m", "limits.consistency_m")
+                where = column if leg is None else f"{column} of leg {leg}"
+                yield Seen(
+                    values[tuple(at)].item(), "a finite number", leg, where + " is {value}, not {limit}"
+                )
 
 
 def law(m: Moment) -> Iterator[Seen]:
@@ -255,11 +237,10 @@ def law(m: Moment) -> Iterator[Seen]:
 
 def stroke(m: Moment) -> Iterator[Seen]:
     """Name the legs beyond a hard end, or too fast before a soft one."""
-    low, high = m.limit("length_min_m"), m.limit("length_max_m")
     margin, deceleration = m.limit("stroke_margin_m"), m.limit("deceleration_m_s2")
-    ends = {"length_min_m": (low, -1.0), "length_max_m": (high, 1.0)}
     for leg, (q, dq) in enumerate(zip(m.legs("q"), m.legs("dq"), strict=True)):
-        for name, (end, way) in ends.items():
+        for name, way in (("length_min_m", -1.0), ("length_max_m", 1.0)):
+            end = m.limit(name)
             beyond = way * (q - end)
             left = -margin - beyond
             allowed = max(sqrt(2.0 * deceleration * max(left, 0.0)), CREEP)
@@ -274,57 +255,31 @@ def stroke(m: Moment) -> Iterator[Seen]:
                 yield Seen(way * dq, allowed, leg, text, "m/s", "limits.deceleration_m_s2")
 
 
-def speed(m: Moment) -> Iterator[Seen]:
-    """Name the legs that are too fast."""
-    limit = m.limit("speed_m_s")
-    for leg, rate in enumerate(m.legs("dq")):
-        if abs(rate) > limit:
-            yield Seen(abs(rate), limit, leg, "", "m/s", "limits.speed_m_s")
-
-
-def _pushes(m: Moment) -> str:
-    """Say which legs were being pushed, as `hil.loop.probe` does."""
-    pushed = [(leg, force) for leg, force in enumerate(m.legs("probe_force")) if force != 0.0]
-    if not pushed:
-        return ""
-    (leg, force), *others = pushed
-    more = "".join(f", leg {leg} by {force:+.0f} N" for leg, force in others)
-    return f"; leg {leg} was being pushed by {force:+.0f} N{more}, to see whether it moves"
-
-
 def following(m: Moment) -> Iterator[Seen]:
     """Name the legs that are too far from their reference; else those that do not come to rest."""
-    at_rest, per_speed = m.limit("following_error_m"), m.limit("following_error_s")
-    columns = (m.legs(name) for name in ("q", "q_d", "dq_d", "dq"))
-    lagging = False
-    resting = []
-    for leg, (q, q_d, dq_d, dq) in enumerate(zip(*columns, strict=True)):
-        limit = at_rest + per_speed * abs(dq_d)
-        if abs(q_d - q) > limit:
-            lagging = True
-            text = "leg {leg} is {mm:.2f} mm from its reference, at its speed {key} allows {mm_limit:.2f} mm"
-            yield Seen(abs(q_d - q), limit, leg, text + _pushes(m), "m", "limits.following_error_m")
-        if abs(dq) >= REST_m_s:
+    off = np.abs(m.tick["q_d"] - m.tick["q"])
+    limits = m.limit("following_error_m") + m.limit("following_error_s") * np.abs(m.tick["dq_d"])
+    lagging = np.flatnonzero(off > limits).tolist()
+    for leg in lagging:
+        yield Seen(off[leg].item(), limits[leg].item(), leg, unit="m", key="limits.following_error_m")
+    for leg, rate in enumerate(m.legs("dq")):
+        if not lagging and abs(rate) >= REST_m_s:
             text = (
-                "leg {leg} still moves at {value:.3f} m/s "
-                f"{REST_PATIENCE_S:g} s after its motion has ended; "
-                "below {limit:g} m/s it is at rest"
+                f"leg {{leg}} still moves at {{value:.3f}} m/s {REST_PATIENCE_S:g} s after its motion has "
+                "ended; below {limit:g} m/s it is at rest"
             )
-            resting.append(Seen(abs(dq), REST_m_s, leg, text, "m/s"))
-    if not lagging:
-        yield from resting
+            yield Seen(abs(rate), REST_m_s, leg, text, "m/s")
 
 
 def certificate(m: Moment) -> Iterator[Seen]:
     """Name the axes that break it; the share is that of the worst."""
     share, safety = m.tick["lyapunov_share"].item(), m.cycle.parts.safety
+    pose = safety.watches_pose
     for axis in safety.broken_axes():
-        leg = None if safety.watches_pose else axis
-        name = _AXES[axis] if safety.watches_pose else f"of leg {axis}"
+        name = _AXES[axis] if pose else f"of leg {axis}"
         text = (
             f"axis {name} breaks the certificate; the worst axis has {{value:.3f}} of the sqrt(V) that a "
             "disturbance within {key} allows"
         )
-        turns = safety.watches_pose and axis >= len(_AXES) // 2
-        key = "monitor.disturbance_rad_s2" if turns else "monitor.disturbance_m_s2"
-        yield Seen(share, 1.0, leg, text, "1", key)
+        key = f"monitor.disturbance_{'rad' if pose and axis >= len(_AXES) // 2 else 'm'}_s2"
+        yield Seen(share, 1.0, None if pose else axis, text, "1", key)

@@ -4,13 +4,11 @@ import json
 from collections.abc import Callable, Sequence
 
 from drivers.signals import LEGS, DriveMode, DriveState, Fault, Mode
-from drivers.tick_columns import Record
 from hil.loop.cycle import Cycle
-from hil.loop.drives_say import any_powered, confirmed, unconfirmed
 from hil.loop.modes import drive_mode
-from hil.loop.report import moving_text, not_confirmed, not_told
+from hil.loop.report import any_powered, moving_text, not_confirmed, not_told, unconfirmed
 from hil.loop.story.faults import findings
-from hil.loop.story.told import DONE, DriveSaid, Finding, Moment, Step, Story, done_text, listed, short
+from hil.loop.story.told import DONE, WITHOUT_FORCE, DriveSaid, Finding, Moment, Step, Story, listed, short
 from hil.signals import Operator
 
 PUSHED = (
@@ -32,7 +30,7 @@ class Narrator:
     It changes nothing. Most ticks have nothing to tell: only what has changed since the last is looked at.
 
     Mutable state: mode of the last tick, the faults told of, what was found and what the drives
-    said then, the modes since, how commands and emergency stops went.
+    said then, the modes since, how commands to switch off and the emergency stop went.
     """
 
     def __init__(self, cycle: Cycle, event: EventSink = no_event) -> None:
@@ -53,9 +51,8 @@ class Narrator:
         """The bus has taken a command to switch off."""
         self._all_off: tuple[int, str] | None = None
         """When all drives first said that they are, and their states."""
-        self._estops: list[tuple[int, int]] = []
-        """Of each emergency stop: when it was first sent, and in how many ticks until all confirmed it."""
-        self._estop_done = False
+        self._estop_tick: int | None = None
+        """When an emergency stop was first sent."""
 
     def look(self, operator: Sequence[Operator] = ()) -> None:
         """Take in the tick that was just stepped, and the operator's commands in it."""
@@ -67,8 +64,10 @@ class Narrator:
         if cycle.tick["probe_force"].any():
             self._push(cycle)
         if faults:
-            if cycle.estop or (self._off_tick is not None and self._all_off is None):
-                self._wait(cycle)
+            if cycle.estop and self._estop_tick is None:
+                self._estop_tick = int(cycle.tick["tick"])
+            if self._off_tick is not None and self._all_off is None:
+                self._wait(cycle, self._off_tick)
             if mode is not self._mode or faults != self._faults:
                 self._follow(cycle, faults, Operator.RELEASE in operator)
         self._mode, self._mode_tick = mode, cycle.mode_tick
@@ -81,25 +80,14 @@ class Narrator:
             most_N = float(safety.limits["push_N"][leg])
             self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, most_N=most_N))
 
-    def _wait(self, cycle: Cycle) -> None:
-        """See whether the drives are off that were told to be, and have confirmed an emergency stop."""
-        tick, done = cycle.tick, self._estop_done
-        self._estop_done = confirmed(tick, cycle.parts.protocol.traits.stop_latches)
-        if cycle.estop and not self._estop_done:
-            again = done or not self._estops
-            first, ticks = (int(tick["tick"]), 0) if again else self._estops.pop()
-            self._estops.append((first, ticks + 1))
-        if self._off_tick is not None and self._all_off is None:
-            self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
-            if self._told and not any_powered(tick) and self._heard(tick):
-                self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(cycle)}))
-
-    def _heard(self, tick: Record) -> bool:
-        """Tell whether all drives have been heard since they were told to switch off."""
-        assert self._off_tick is not None
-        since = int(tick["tick"]) - self._off_tick
-        heard = zip(tick["age"].tolist(), tick["blind"].tolist(), strict=True)
-        return all(age < since or blind for age, blind in heard)
+    def _wait(self, cycle: Cycle, off_tick: int) -> None:
+        """See whether the drives are off that were told to be, and have all been heard since."""
+        tick = cycle.tick
+        since = int(tick["tick"]) - off_tick
+        self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
+        heard = bool(((tick["age"] < since) | (tick["blind"] != 0)).all())
+        if self._told and heard and not any_powered(tick):
+            self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(cycle)}))
 
     def _follow(self, cycle: Cycle, faults: Fault, released: bool) -> None:
         tick = cycle.tick
@@ -151,29 +139,27 @@ class Narrator:
         return Story(tuple(self._findings), self._drives or now, tuple(done), now, rest, plant)
 
     def _done(self) -> list[Step]:
-        rate = self._cycle.parts.rate_Hz
+        cycle, rate = self._cycle, self._cycle.parts.rate_Hz
+        without_force = "" if cycle.parts.protocol.traits.force_on_brakes else WITHOUT_FORCE
         off = [n for n, (_, mode, _) in enumerate(self._steps) if drive_mode(mode) is DriveMode.OFF]
-        steps = []
+        steps: list[Step] = []
+        before: Mode | None = None
         for n, (tick, mode, released) in enumerate(self._steps):
-            text = done_text(mode, force_on_brakes=self._cycle.parts.protocol.traits.force_on_brakes)
-            if n == max(off, default=-1) and self._off_tick is not None:
-                text = self._switched_off()
+            text = DONE[mode] + (without_force if drive_mode(mode) is DriveMode.READY else "")
+            if self._off_tick is not None and n == off[-1]:
+                text = self._switched_off(self._off_tick)
             if mode is Mode.HELD and n == len(self._steps) - 1:
                 text += self._braked(tick)
             if released:
                 text = f"the platform was released on request; {text}"
-            if mode is Mode.PARKED and self._tested(n):
+            tested = before is Mode.UNLOADING and cycle.proven and cycle.durations.load > 0.0
+            if mode is Mode.PARKED and tested:
                 text += "; the brakes had passed their test"
             steps.append(Step(tick, tick / rate, mode.name, text))
-        for first, ticks in self._estops:
-            text = self._stopped(ticks, last=first == self._estops[-1][0])
-            steps.append(Step(first, first / rate, "ESTOP", text))
+            before = mode
+        if self._estop_tick is not None:
+            steps.append(Step(self._estop_tick, self._estop_tick / rate, "ESTOP", self._stopped()))
         return sorted(steps, key=lambda step: step.tick)
-
-    def _tested(self, n: int) -> bool:
-        """Tell whether the brake test passed before step n."""
-        before = self._steps[n - 1][1] if n else None
-        return before is Mode.UNLOADING and self._cycle.proven and self._cycle.durations.load > 0.0
 
     def _braked(self, since: int) -> str:
         """Say which drives have not said since a tick that they brake."""
@@ -182,11 +168,10 @@ class Narrator:
         missing = [d.leg for d in said(self._cycle) if d.state == run or now - d.age <= since]
         return f"; not confirmed by drive {listed(missing)}" if missing else ""
 
-    def _switched_off(self) -> str:
+    def _switched_off(self, off_tick: int) -> str:
         """Say what became of the command to switch off."""
         cycle, now = self._cycle, int(self._cycle.tick["tick"])
-        assert self._off_tick is not None
-        if now == self._off_tick:
+        if now == off_tick:
             return DONE[Mode.FAULT]
         running = any(d.state == DriveState.RUN.name for d in self._drives)
         reaction = cycle.parts.setup.reaction.name.lower() if running else "brake"
@@ -194,26 +179,18 @@ class Narrator:
             return not_told(cycle.parts, reaction)
         if self._all_off is not None:
             tick, states = self._all_off
-            later_ms = 1e3 * (tick - self._off_tick) / cycle.parts.rate_Hz
+            later_ms = 1e3 * (tick - off_tick) / cycle.parts.rate_Hz
             return f"{DONE[Mode.FAULT]}: all six in {states} {later_ms:g} ms later"
-        silent = listed(self._unconfirmed())
+        silent = listed([d.leg for d in said(cycle) if d.powered or now - d.age <= off_tick])
         return f"{DONE[Mode.FAULT]}: not confirmed by drive {silent}; {not_confirmed(cycle.parts, reaction)}"
 
-    def _unconfirmed(self) -> list[int]:
-        """Return the legs whose drive has not said, since it was told to switch off, that it is."""
-        assert self._off_tick is not None
-        number = int(self._cycle.tick["tick"])
-        return [each.leg for each in said(self._cycle) if each.powered or number - each.age <= self._off_tick]
-
-    def _stopped(self, ticks: int, *, last: bool) -> str:
-        """Say what became of an emergency stop; one before the last has been confirmed."""
-        sent = f"the emergency stop was sent in {ticks} ticks"
-        if self._estop_done or not last:
-            return f"{sent}, until all six drives confirmed it"
+    def _stopped(self) -> str:
+        """Say what became of the emergency stop."""
         if self._off_tick is not None and not self._told and int(self._cycle.tick["tick"]) > self._off_tick:
             return "the emergency stop could not be sent: the bus takes no frames"
         silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.traits.stop_latches)
-        return f"{sent}; not confirmed by drive {listed(silent)}"
+        who = f"not confirmed by drive {listed(silent)}" if silent else "all six drives confirmed it"
+        return f"the emergency stop was sent; {who}"
 
 
 def said(cycle: Cycle) -> tuple[DriveSaid, ...]:

@@ -1,12 +1,13 @@
 """What a tick shows of a fault, and the story that is told of it: in words, and as plain values."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from math import isfinite
 from typing import Any, NamedTuple
 
-from drivers.signals import NEVER, DriveState, Fault, Mode
+from drivers.signals import NEVER, DriveState, Mode
 from drivers.tick_columns import Record
 from hil.loop.cycle import Cycle
 from hil.loop.report import because
@@ -59,21 +60,14 @@ class Seen(NamedTuple):
     key: str = ""
     """Where the configuration has the limit; empty where it is a constant."""
 
-
-class FaultRow(NamedTuple):
-    """One fault."""
-
-    fault: Fault
-    sentence: str
-    """Format of one line with leg, value, limit, key, and mm, mm_limit: both in thousandths."""
-    look: Callable[[Moment], Iterable[Seen]]
-    """Return what the tick of the fault shows of it; nothing where that is not known any more."""
-    mend: str
-    """What to do next."""
+    def text(self, sentence: str) -> str:
+        """Return the line of what was seen, by the row's sentence where it has none of its own."""
+        numbers = {"mm": self.value, "mm_limit": self.limit}
+        thousandths = {name: 1e3 * each for name, each in numbers.items() if isinstance(each, float)}
+        return (self.sentence or sentence).format(**self._asdict(), **thousandths)
 
 
-@dataclass(frozen=True)
-class Finding:
+class Finding(NamedTuple):
     """What is told of a fault, at one leg or as a whole."""
 
     fault: str
@@ -83,10 +77,16 @@ class Finding:
     """Of the run."""
     mode: str
     """Name of the mode until then."""
-    seen: Seen
+    leg: int | None
+    value: float | str | None
+    limit: float | str | None
+    unit: str
+    limit_key: str
+    """As in `Seen`."""
     text: str
     """One line, with the numbers of the tick."""
-    mend: str
+    next: str
+    """What to do."""
 
     @property
     def place(self) -> str:
@@ -105,58 +105,33 @@ class Finding:
 
     def fields(self) -> dict[str, Any]:
         """Return it as plain values: null, text, or a finite number."""
-        seen = self.seen
-        return {
-            "fault": self.fault, "tick": self.tick, "time_s": self.time_s, "mode": self.mode,
-            "leg": seen.leg, "value": _plain(seen.value), "limit": _plain(seen.limit), "unit": seen.unit,
-            "limit_key": seen.key, "text": self.text, "next": self.mend, "page": self.page,
-        }  # fmt: skip
-
-
-def sentence_of(row: FaultRow, seen: Seen) -> str:
-    """Return the line of what was seen."""
-    thousandths = {
-        name: 1e3 * number
-        for name, number in (("mm", seen.value), ("mm_limit", seen.limit))
-        if isinstance(number, float)
-    }
-    words = {"leg": seen.leg, "value": seen.value, "limit": seen.limit, "key": seen.key}
-    return (seen.sentence or row.sentence).format(**words, **thousandths)
-
-
-def _plain(value: float | str | None) -> float | str | None:
-    return value if not isinstance(value, float) or isfinite(value) else str(value)
+        odd = {k: str(x) for k, x in self._asdict().items() if isinstance(x, float) and not isfinite(x)}
+        return self._asdict() | odd | {"page": self.page}
 
 
 DONE = {
     Mode.WAITING: "the faults were cleared on request",
     Mode.IDLE: "the brakes stayed closed",
-    Mode.LOADING: "the force was built up on the closed brakes",
+    Mode.LOADING: "the brakes stayed closed while the force was built up",
     Mode.RELEASING: "the brakes were told to open",
     Mode.APPROACH: "the move to the start of the reference went on",
     Mode.TRACKING: "the reference was followed on",
     Mode.STOPPING: "a controlled stop along the reference began",
-    Mode.PARKING: "the brakes were told to close, while the force held the platform",
-    Mode.UNLOADING: "the force faded out on the closed brakes, while the legs had to stand still",
+    Mode.PARKING: "the brakes were told to close, while the law held the platform",
+    Mode.UNLOADING: "the closed brakes took the platform over, while the legs had to stand still",
     Mode.PARKED: "the drives were told to switch off",
     Mode.FAULT: "the drives were told to switch off",
     Mode.HELD: "the brakes were told to close and the force held the platform: not all are proven shut",
 }
-"""What was done about a fault, by the mode that was entered, by drives that give force on closed brakes."""
-_WITHOUT_FORCE = {
-    Mode.LOADING: "the brakes stayed closed: these drives give no force on them",
-    Mode.PARKING: "the drives were told to close their brakes, on which they give no force",
-    Mode.UNLOADING: "the closed brakes carried the platform, while the legs had to stand still",
-    Mode.HELD: "the drives were told to close their brakes, on which they give no force: nothing else holds "
-    "the platform, and not all brakes are proven shut",
-}
-"""The same by drives that give none."""
+"""What was done about a fault, by the mode that was entered."""
+WITHOUT_FORCE = " (these drives give no force on closed brakes)"
+"""Behind it in modes with closed brakes and force, where the drives give none."""
 PLANT_PAGE = "docs/guides/own-fmu.md"
 """What a plant has to do."""
 HELD_NEXT = "support the platform, then let go of it with `hil run CONFIG --release`"
 HELD_PAGE = "docs/guides/real-drives.md#held-until-the-brakes-are-proven"
 """What it means that not all brakes are proven shut."""
-NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?$")
+NUMBER = re.compile(r"^[-+]?\d+(\.\d+)?(e[-+]?\d+)?$")
 _POWERED = (DriveState.READY.name, DriveState.RUN.name)
 
 
@@ -251,22 +226,16 @@ class Story:
         advice = {HELD_NEXT: HELD_PAGE} if modes[-1:] == [Mode.HELD.name] else {}
         if self.plant:
             advice["mend the plant: its own words stand above"] = PLANT_PAGE
-        advice |= {each.mend or "see the glossary": each.page for each in self.findings}
+        advice |= {each.next or "see the glossary": each.page for each in self.findings}
         return advice
 
 
-def done_text(mode: Mode, *, force_on_brakes: bool) -> str:
-    """Return what was done in a mode by drives that give force on closed brakes, or give none."""
-    return DONE[mode] if force_on_brakes else _WITHOUT_FORCE.get(mode, DONE[mode])
-
-
-def short(findings: Iterable[Finding]) -> str:
+def short(findings: Sequence[Finding]) -> str:
     """Return faults and what shows them in one line; empty without any."""
-    found = list(findings)
-    if not found:
+    if not findings:
         return ""
-    names = ", ".join(dict.fromkeys(each.fault for each in found))
-    texts = "; ".join(text for _, text in _merged(found) if text)
+    names = ", ".join(dict.fromkeys(each.fault for each in findings))
+    texts = "; ".join(text for _, text in _merged(findings) if text)
     return f"latched fault {names}" + (f" ({texts})" if texts else "")
 
 
@@ -275,26 +244,17 @@ def listed(legs: Sequence[int]) -> str:
     return ", ".join(map(str, legs))
 
 
-def _merged(findings: Sequence[Finding]) -> list[tuple[Finding, str]]:
-    """Return the findings with their texts, as one those in a row that differ in leg and figures alone."""
-    rows: list[tuple[Finding, list[list[str]]]] = []
-    for each in findings:
-        words = [[word] for word in each.text.split(" ")]
-        if rows and each.seen.leg is not None and _alike(rows[-1], each, words):
-            for column, word in zip(rows[-1][1], words, strict=True):
-                column.extend(word)
-        else:
-            rows.append((each, words))
-    joined = (" ".join(w[0] if len(set(w)) == 1 else ", ".join(w) for w in words) for _, words in rows)
-    return [(first, text) for (first, _), text in zip(rows, joined, strict=True)]
+def _merged(findings: Sequence[Finding]) -> Iterator[tuple[Finding, str]]:
+    """Yield the findings with their texts; as one those in a row that differ in leg and figures alone."""
 
+    def alike(each: Finding) -> tuple[Any, ...]:
+        words = tuple(NUMBER.sub("#", word) for word in each.text.split(" "))
+        return each.fault, each.tick, words
 
-def _alike(row: tuple[Finding, list[list[str]]], finding: Finding, words: list[list[str]]) -> bool:
-    """Tell whether a text differs from those of a row by numbers alone."""
-    first, said = row
-    same = (first.fault, first.tick, len(said)) == (finding.fault, finding.tick, len(words))
-    pairs = zip(said, words, strict=False)
-    return same and all(a[0] == b[0] or (NUMBER.match(a[0]) and NUMBER.match(b[0])) for a, b in pairs)
+    for _, group in groupby(findings, alike):
+        first, *others = group
+        columns = zip(*(each.text.split(" ") for each in (first, *others)), strict=True)
+        yield first, " ".join(w[0] if len(set(w)) == 1 else ", ".join(w) for w in columns)
 
 
 def _grouped(drives: Sequence[DriveSaid]) -> str:

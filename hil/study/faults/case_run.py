@@ -109,7 +109,7 @@ def _causes(cycle: Cycle, ending: Ending, named: dict[str, int]) -> dict[str, fr
     findings = () if ending.story is None else ending.story.findings
     causes: dict[str, frozenset[int]] = {}
     for fault in Fault(ending.faults):
-        ours = (each.seen.leg for each in findings if each.fault == fault.name)
+        ours = (each.leg for each in findings if each.fault == fault.name)
         told = frozenset(leg for leg in ours if leg is not None)
         doubt = Doubt(int(cycle.tick["doubt"])) if fault is Fault.ENCODER else Doubt.NONE
         legs = told | _legs(named[_NAMED_IN[fault]] if fault in _NAMED_IN else 0)

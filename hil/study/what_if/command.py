@@ -219,10 +219,10 @@ def figures(answer: Answer, rate_Hz: float) -> dict[str, Any]:
         "first": first,
         "first_frames": _frames(answer.first_frames),
         "faults_part_at_tick": answer.parts_tick,
-        "recorded_faults": [each._asdict() for each in answer.recorded_faults],
+        "recorded_faults": answer.recorded_faults,
         "what_if_faults": answer.answered_faults,
         "what_if_story": None if answer.story is None else answer.story.fields(),
-        "warnings": {name: each._asdict() for name, each in answer.warnings.items()},
+        "warnings": answer.warnings,
         "forces": {
             "ticks": forces.ticks,
             "largest_N": forces.largest.tolist(),

@@ -122,7 +122,7 @@ def test_after_a_fault_lengths_are_kept_only_where_known(tmp_path, fault, comman
         c, log=tmp_path / "a.mcap", duration_s=2.0, commands=commands, plant_log=True, check_replay=False
     )
     assert not summary["success"]
-    assert state == "moved" or "until all six drives confirmed it" in summary["trouble"]
+    assert state == "moved" or "all six drives confirmed it" in summary["trouble"]
     file = read_homing(c, tmp_path / "bench.yaml")
     assert file.state == state
     truth = Log.open(Path(summary["plant_log"])).rows()[-1]["length"]

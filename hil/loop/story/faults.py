@@ -158,6 +158,6 @@ def findings(m: Moment, faults: Fault) -> Iterator[Finding]:
     for row in FAULTS:
         if faults & row.fault:
             for seen in list(row.look(m)) or [Seen()]:
-                found = seen.leg, seen.value, seen.limit, seen.unit, seen.key
                 text = "" if seen == Seen() else seen.text(row.sentence)
-                yield Finding(str(row.fault.name), *when, *found, text, row.mend)
+                where = seen.leg, seen.value, seen.limit, seen.unit, seen.key, text, row.mend
+                yield Finding(*(str(row.fault.name), *when, *where))

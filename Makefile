@@ -43,7 +43,7 @@ lint: venv  ## import contracts, ruff, mypy
 	@$(BIN)/ruff format --check --quiet && echo "ruff format: clean"
 	@$(BIN)/mypy
 
-bench: fmu  ## the benchmark: compute per tick, wake-up, latency, recorder, replay, FMU, memory
+bench: fmu  ## the benchmark: compute per tick, wake-up, latency, recorder, replay, FMU
 	@exec $(BIN)/python -m tools.benchmarks
 
 docs: fmu  ## the documentation, to build/docs/index.html; a warning is an error

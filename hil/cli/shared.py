@@ -93,7 +93,7 @@ configuration_argument = click.argument(
 )
 _NAMED = ("configuration", "design", "robot", "what_if")
 """Arguments that name a file, or one that is shipped."""
-FULL = frozenset({"scipy", "sympy", "flint"})
+FULL = frozenset({"scipy", "sympy", "flint", "matplotlib", "rich"})
 """Modules of the extra `full`."""
 _RAN = 1
 """Exit code of what had begun."""

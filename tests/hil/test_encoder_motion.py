@@ -216,12 +216,18 @@ def test_encoders_the_way_of_a_free_leg_counts_from_where_its_reading_stands():
     assert bench.memory("free_m")[2] == bench.memory("free_m_s")[2] == 0.0
 
 
-@pytest.mark.parametrize("push", [3, -3, 4, -4])
-def test_encoders_a_leg_that_sticks_is_doubted_after_one_push(push):
-    bench = standing(2, sticks=1)
-    bench.memory("push")[2] = push
-    tick = bench.stand(12.0)
-    assert calm(tick) if abs(push) == 3 else doubted(tick, Doubt.STILL, 2, 12.0, 5.0)
+@BOTH_SIGNS
+@pytest.mark.parametrize(
+    ("both_ways", "most"), [(0, 3), (0b111011, 3), (0b000100, 6)], ids=["one", "another leg's two", "two"]
+)
+def test_encoders_a_leg_that_sticks_is_doubted_after_its_pushes(both_ways, most, sign):
+    """One, or under an unknown load one each way."""
+    for push in (most, most + 1):
+        bench = standing(2, sticks=1)
+        bench.safety.memory["both_ways"] = both_ways
+        bench.memory("push")[2] = sign * push
+        tick = bench.stand(12.0)
+        assert calm(tick) if push == most else doubted(tick, Doubt.STILL, 2, 12.0, 5.0)
 
 
 @ON_ONE_LEG

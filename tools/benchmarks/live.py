@@ -21,6 +21,8 @@ from tools.benchmarks.figures import EARLY, Figure, Mark, spread
 from tools.benchmarks.tick import COMPUTE
 
 TWO_BUSES_S = 20.0
+ENDS_S = 120.0
+"""Afterwards, by which a run has parked, and replayed its log; one that a fault holds up does not end."""
 
 
 class LiveRun(NamedTuple):
@@ -53,9 +55,11 @@ def live_run(c: Configuration, seconds: float, folder: Path) -> LiveRun:
                 if time.monotonic() < over:  # afterwards it reads and replays its log
                     with suppress(OSError):
                         seen.append(resident_MB(process.pid))
+                if over and time.monotonic() > over + ENDS_S:
+                    break
                 time.sleep(1.0 if over else 0.1)
         finally:
-            process.terminate()
+            process.kill()
             process.wait()
         if not told.exists():
             errors.seek(0)

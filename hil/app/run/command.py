@@ -6,6 +6,7 @@ import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -86,7 +87,7 @@ def run_daemon(
         keeper = Keeper(c, emulated=with_plant, on_bench=on_bench)
         cycle = build_cycle(c, rate, watchdog_s, last_pose=keeper.last_pose)
         path = log_path(c.recording.folder, c.name, log)
-        drawn = picture_beside(path, "--log") if draw else None
+        drawn = picture_beside(path, "--log") if draw and find_spec("matplotlib") else None
         removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         plant = None
         if with_watch:

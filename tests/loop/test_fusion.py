@@ -198,10 +198,13 @@ def test_a_fused_run_with_a_lost_leg_replays_to_the_bit(tmp_path):
 
 CLASSIC = {"layout": "classic"}
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"sensors": None}, r"may_lose_legs: without the pose from outside"),
+    ({"sensors": None}, r"may_lose_legs: five legs alone do not hold the pose"),
     ({"estimation": {"pose": None, "fusion": {"may_lose_legs": [1]}}}, r"may_lose_legs: .* allowed: none"),
     ({"estimation": {"pose": "fused", "fusion": {"may_lose_legs": [1, 1]}}}, r"a leg twice"),
-    ({"sensors": {"tracker": {"node_id": 6}}}, r"tracker\.node_id: already .* drives\.node_ids"),
+    (
+        {"sensors": {"tracker": {"node_id": 6}}},
+        r"tracker\.node_id: 6, allowed: one that drives\.node_ids does not have",
+    ),
     ({"sensors": {"tracker": {"rate_Hz": 2000}}}, r"more than one sample a tick"),
     ({"sensors": {"tracker": {"latency_max_ms": 500}}}, r"latency_max_ms: older than"),
     ({"sensors": {"imu": {"rate_Hz": 500}, "wrench": {"rate_Hz": 500}}}, r"do not fit"),

@@ -111,7 +111,7 @@ def own(*inputs: str, faults: str = "") -> Configuration:
         (WRENCH, ("brake",), "map six in plant.model.wrench"),
         ("payload_step mass=5", ("brake",), "no FMU of one's own tells"),
         ("payload_step mass=5", ("brake", "wrench"), "no FMU of one's own tells"),
-        *((words, ("wrench",), "map six inputs in plant.model.brake") for words in SLIPS),
+        *((words, ("wrench",), "map six in plant.model.brake") for words in SLIPS),
     ],
 )
 def test_a_fault_without_effect_at_an_fmu_is_refused(words: str, inputs: tuple[str, ...], why: str) -> None:

@@ -163,14 +163,15 @@ def _require_as_many_as_counted(log: Log, comparison: Comparison) -> None:
     if log.cut or comparison.gaps:
         return
     index, end = log.counted(), log.metadata.get(SUMMARY, {}).get("ticks", "")
-    counts = [comparison.ticks] if index is None else [index]
+    counts = [log.summary.ticks] if index is None else [log.summary.ticks, index]
     if end:
         counts.append(int(end) if end.isdecimal() and len(end) < _DIGITS else -1)
     if max(counts) > comparison.ticks:
         comparison.gaps.append((comparison.end, max(counts) - comparison.ticks))
     elif min(counts) < comparison.ticks:
         raise LogError(
-            f"{log.path}: {comparison.ticks} ticks are there, and its index counts {index}"
+            f"{log.path}: {comparison.ticks} ticks are there"
+            + (f", and its index counts {index}" if index is not None else "")
             + (f", its end {end:.20}" if end else "")
             + ": it was altered since it was written"
         )

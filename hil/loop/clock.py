@@ -102,10 +102,11 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
     """Ask for real-time scheduling of this process, each part only as far as the rights go.
 
     SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep.
-    Undone on exit: back to the processors of before, and from SCHED_FIFO to SCHED_OTHER.
+    Undone on exit: policy and priority are what they were, as far as the rights go.
     """
     report = RealTime()
-    latency, before = None, os.sched_getaffinity(0)
+    latency = None
+    before, scheduling = os.sched_getaffinity(0), _scheduling()
     _attempt(report, "SCHED_FIFO", lambda: _fifo(priority))
     if report.fifo and cpu is not None:
         _attempt(report, f"CPU {cpu}", lambda: os.sched_setaffinity(0, {cpu}))
@@ -122,7 +123,7 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
         if latency is not None:
             os.close(latency)
         if report.fifo:
-            _no_fifo()
+            _reschedule(*scheduling)
         os.sched_setaffinity(0, before)
         with contextlib.suppress(OSError):
             _mlockall(0)
@@ -130,11 +131,12 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
 
 def fifo_allowed(priority: int) -> bool:
     """Say whether this process may have SCHED_FIFO at this priority; leaves it as `real_time_rights` does."""
+    scheduling = _scheduling()
     try:
         _fifo(priority)
     except OSError:
         return False
-    _no_fifo()
+    _reschedule(*scheduling)
     return True
 
 
@@ -151,12 +153,23 @@ def _fifo(priority: int) -> None:
     os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
-def _no_fifo() -> None:
-    """Go back to ordinary scheduling; only who has the rights may end the reset on fork."""
+def _scheduling() -> tuple[int, os.sched_param]:
+    """Return the policy, with whether it is reset on fork, and its parameters."""
+    return os.sched_getscheduler(0), os.sched_getparam(0)
+
+
+def _reschedule(policy: int, parameters: os.sched_param) -> None:
+    """Go back to a policy from `_fifo`, as far as the rights go.
+
+    An ordinary user may not end the reset on fork.
+    """
     try:
-        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+        os.sched_setscheduler(0, policy, parameters)
     except PermissionError:
-        os.sched_setscheduler(0, os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))
+        with contextlib.suppress(
+            PermissionError
+        ):  # nor, once below it, go back to a priority above the limit
+            os.sched_setscheduler(0, policy | os.SCHED_RESET_ON_FORK, parameters)
 
 
 def _mlockall(flags: int) -> None:

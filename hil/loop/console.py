@@ -2,7 +2,6 @@
 
 import json
 from collections.abc import Callable
-from functools import cache, partial
 
 import numpy as np
 
@@ -47,11 +46,15 @@ def setpoint_refusals(cycle: Cycle, count: int) -> list[str]:
     return [NOT_LIVE] * count if steering is None else [explain(each) for each in steering.answers]
 
 
+STATUS_S = 0.01
+"""How old a status may be: composing one takes some 50 us."""
+
+
 class Console:
     """Gathers the operator's commands of a tick, and answers them after it.
 
-    Mutable state: whether the platform was held in the last tick, why commands of this one were refused, and
-    how many set-points nobody takes.
+    Mutable state: whether the platform was held in the last tick, why commands of this one were refused, how
+    many set-points nobody takes, and the last status with its tick.
     """
 
     def __init__(
@@ -62,9 +65,11 @@ class Console:
         consent: Callable[[], bool] | None = None,
     ) -> None:
         self.course, self.panel, self.channel, self.consent = course, panel, channel, consent
+        self._status_ticks = round(STATUS_S * course.cycle.parts.rate_Hz)
         self._held = False
         self._refusals: list[str] = []
         self._not_live = 0
+        self._status, self._status_tick = "", -1
 
     def take(self) -> Heard:
         """Return what the operator has said since the last tick, without what was refused."""
@@ -106,8 +111,14 @@ class Console:
         refused = [why for why in (*self._refusals, *operating.answers) if why]
         if refused:
             recording.event(t_ns, "warning", REFUSED + "; ".join(refused))
-        status = cache(partial(status_text, self.course, channel.malformed))  # once a tick: some 50 us
-        channel.answer(self._refusals, operating.answers, setpoints, status)
+        channel.answer(self._refusals, operating.answers, setpoints, self._status_text)
+
+    def _status_text(self) -> str:
+        tick = int(self.course.cycle.tick["tick"])
+        if self._status_tick < 0 or tick - self._status_tick >= self._status_ticks:
+            assert self.channel is not None
+            self._status, self._status_tick = status_text(self.course, self.channel.malformed), tick
+        return self._status
 
 
 def waits_for(course: Course) -> str:

@@ -27,9 +27,9 @@ def find(h: Any, leg: int, raw: float, last: Any, tick: Any) -> None:
     h.known[leg] = 1
     added = step * np.rint((h.there[leg] - raw) / step) + 0.0
     h.added[leg] = added
-    if abs(raw + added - h.there[leg]) > h.limit_m[leg]:
+    if not abs(raw + added - h.there[leg]) <= h.limit_m[leg]:  # nan, too
         h.wrong[leg] = MOVED
-    elif h.low[leg] + added > h.shortest or h.longest > h.high[leg] + added:
+    elif not (h.low[leg] + added <= h.shortest and h.longest <= h.high[leg] + added):
         h.wrong[leg] = ENDS
     else:
         h.wrong[leg] = 0

@@ -1,12 +1,9 @@
-"""What the six drives say of themselves in a tick, and how a run reports it in words.
-
-`cycle` is a `hil.loop.cycle.Cycle`, which uses this module.
-"""
+"""What the six drives say of themselves in a tick, and how a run reports it in words."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from drivers.protocol import DriveSetup
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Mode
@@ -15,7 +12,7 @@ from hil.loop.parts import Parts
 from hil.safety.motion import REST_m_s
 
 if TYPE_CHECKING:
-    pass
+    from hil.loop.cycle import Cycle
 
 _POWERED = (DriveState.READY, DriveState.RUN)
 
@@ -72,7 +69,7 @@ def because(fault: int, meaning: str = "") -> str:
     return f" ({known.get(int(fault), own)})" if fault else ""
 
 
-def moving_text(cycle: Any) -> str:
+def moving_text(cycle: Cycle) -> str:
     """Say which legs are not at rest."""
     rates, ages = cycle.tick["rate"].tolist(), cycle.tick["age"].tolist()
     legs = [
@@ -83,7 +80,7 @@ def moving_text(cycle: Any) -> str:
     return "; ".join(legs)
 
 
-def waiting_text(cycle: Any) -> str:
+def waiting_text(cycle: Cycle) -> str:
     """Say what the drives still lack to be engaged."""
     last = cycle.tick
     lacking = []
@@ -109,7 +106,7 @@ def waiting_text(cycle: Any) -> str:
     return f"the drives are not ready: {'; '.join(lacking)}{mend}"
 
 
-def _unlocated(cycle: Any) -> str:
+def _unlocated(cycle: Cycle) -> str:
     """Say why no pose has been found though all drives answer."""
     last, sight = cycle.tick, cycle.sight
     if sight.located:
@@ -118,6 +115,8 @@ def _unlocated(cycle: Any) -> str:
         lengths = ", ".join(f"{q:.4f}" for q in last["length"])
         return f"no pose near platform.home has the measured leg lengths {lengths} m"
     late = ", ".join(f"drive {leg}" for leg in last["age"].nonzero()[0].tolist())
+    if not late and not sight.due:
+        return "the pose is being looked for"
     return (
         "not all six drives have answered within one tick, as the first pose needs it"
         f"{f' (late in the last one: {late})' if late else ''}: look at the load of this machine and of the "

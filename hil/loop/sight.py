@@ -37,7 +37,7 @@ class Sight:
 
     def forget(self) -> None:
         """Look for the pose again, from the last one."""
-        self.located = self.sought = self._due = False
+        self.located = self.sought = self.due = False
         """The pose has been found; six lengths of one tick were looked at for it; a look is due."""
         self.fusing = False
         """Whether the filter has begun."""
@@ -57,9 +57,9 @@ class Sight:
         for from the last one that all six lengths agreed on.
         """
         estimator = self.estimator
-        self._due = self._due or int(tick["tick"]) % self._search_interval == 0
-        if self._due and not tick["age"].any():
-            self._due, self.sought = False, True
+        self.due = self.due or int(tick["tick"]) % self._search_interval == 0
+        if self.due and not tick["age"].any():
+            self.due, self.sought = False, True
             self.located = estimator.acquire(tick["q"])
         if self.located:
             self.update(tick)

@@ -121,9 +121,13 @@ def test_real_time_leaves_no_garbage_behind_and_freezes_what_lives() -> None:
 class Kernel:
     """The kernel's calls for one process: an ordinary user may not end the reset on fork."""
 
-    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, ordinary: bool = False) -> None:
-        self.now, self.ordinary = (os.SCHED_OTHER, 0), ordinary
+    def __init__(
+        self, monkeypatch: pytest.MonkeyPatch, policy: int = 0, priority: int = 0, *, ordinary: bool = False
+    ) -> None:
+        self.now, self.ordinary = (policy, priority), ordinary
         self.did: list[tuple[object, ...]] = []
+        monkeypatch.setattr(os, "sched_getscheduler", lambda pid: self.now[0] if pid == 0 else 99)
+        monkeypatch.setattr(os, "sched_getparam", lambda pid: os.sched_param(self.now[1] if pid == 0 else 99))
         monkeypatch.setattr(os, "sched_setscheduler", self.set)
         monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {7 + pid, 8})
         monkeypatch.setattr(os, "sched_setaffinity", lambda pid, cpus: self.did.append(("pin", pid, *cpus)))
@@ -136,17 +140,31 @@ class Kernel:
         self.now = policy, parameters.sched_priority
 
 
+POLICIES = [
+    (os.SCHED_OTHER, 0),
+    (os.SCHED_BATCH, 0),
+    (os.SCHED_IDLE, 0),
+    (os.SCHED_RR, 7),
+    (os.SCHED_FIFO, 42),
+]
+
+
+@pytest.mark.parametrize("reset", [0, os.SCHED_RESET_ON_FORK])
+@pytest.mark.parametrize(("policy", "priority"), POLICIES)
 @pytest.mark.parametrize("ordinary", [False, True])
-def test_a_process_goes_back_to_ordinary_scheduling(monkeypatch: pytest.MonkeyPatch, ordinary: bool) -> None:
-    """An ordinary user keeps the reset on fork that came with SCHED_FIFO."""
-    kernel = Kernel(monkeypatch, ordinary=ordinary)
-    left = os.SCHED_OTHER | (os.SCHED_RESET_ON_FORK if ordinary else 0), 0
+def test_a_process_goes_back_to_the_policy_and_priority_that_it_had(
+    monkeypatch: pytest.MonkeyPatch, policy: int, priority: int, reset: int, ordinary: bool
+) -> None:
+    """An ordinary user keeps the reset on fork that came with SCHED_FIFO: the policy itself is as it was."""
+    kernel = Kernel(monkeypatch, policy | reset, priority, ordinary=ordinary)
+    kept = os.SCHED_RESET_ON_FORK if ordinary else reset
     assert fifo_allowed(80)
-    assert kernel.now == left
+    assert kernel.now == (policy | kept, priority)
+    kernel.now = policy | reset, priority
     with clock.real_time_rights(80, None) as report:
         assert report.fifo
         assert kernel.now == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 80)
-    assert kernel.now == left
+    assert kernel.now == (policy | kept, priority)
 
 
 def no(*_: object) -> NoReturn:

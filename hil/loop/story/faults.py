@@ -7,7 +7,6 @@ from drivers.signals import Fault
 from hil.loop.story import looks
 from hil.loop.story.told import Finding, Moment, Seen
 from hil.safety.motion import HOP
-from hil.safety.signals import IN_A_ROW
 
 
 class FaultRow(NamedTuple):
@@ -52,8 +51,7 @@ FAULTS = (
     ),
     _(
         Fault.BUS,
-        f"the bus did not take our frames in {{value}} of the last 32 ticks; {{limit}}, or {IN_A_ROW} in a "
-        "row, are a dead bus",
+        "the bus did not take our frames in {value} of the last 32 ticks; {limit} are a dead bus",
         looks.bus,
         "check cable, termination, bit rates and that at least one drive has power; then start again",
     ),
@@ -96,7 +94,7 @@ FAULTS = (
     _(
         Fault.KINEMATICS,
         "the six lengths fit no pose to better than {mm:.4g} mm, {key} is {mm_limit:g} mm",
-        looks.compared("fk_residual", "consistency_m", "m", "limits.consistency_m"),
+        looks.kinematics,
         "check zero and scale of the encoders, and section platform (`hil calibrate`)",
     ),
     _(

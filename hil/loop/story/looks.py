@@ -14,7 +14,7 @@ from hil.loop.report import because
 from hil.loop.story.told import Moment, Seen
 from hil.safety.motion import CREEP, REST_m_s
 from hil.safety.residuals import WINDOW_S
-from hil.safety.signals import DEAD_BUS, UNRELIABLE
+from hil.safety.signals import DEAD_BUS, IN_A_ROW, UNRELIABLE
 
 _REACHED = {DriveMode.READY: DriveState.READY, DriveMode.RUN: DriveState.RUN}
 """The state that a drive reports once it has obeyed; OFF for the other modes."""
@@ -62,6 +62,13 @@ def compared(column: str, limit: str | float, unit: str, key: str = "") -> Look:
     return look
 
 
+def kinematics(m: Moment) -> Iterator[Seen]:
+    """Give the residual; there is none where Newton's steps find no pose at all."""
+    residual = m.tick["fk_residual"].item()
+    text = "" if isfinite(residual) else "no pose near the last one has the six lengths: residual {value}"
+    yield Seen(residual, m.limit("consistency_m"), None, text, "m", "limits.consistency_m")
+
+
 def second_controller(m: Moment) -> Iterator[Seen]:
     """Name what another controller has sent."""
     yield Seen(", ".join(str(kind.name) for kind in Foreign(int(m.tick["foreign"])) & ~Foreign.ESTOP))
@@ -88,7 +95,12 @@ def bus(m: Moment) -> Iterator[Seen]:
     """Tell a bus that is off from one that takes no frames."""
     off = int(m.tick["bus_off"])
     if not off:
-        yield Seen(m.remembered("refused").bit_count(), DEAD_BUS, unit="ticks")
+        refused = m.remembered("refused")
+        if refused % (1 << IN_A_ROW) == (1 << IN_A_ROW) - 1:
+            text = "the bus did not take our frames in {value} ticks in a row; {limit} are a dead bus"
+            yield Seen(IN_A_ROW, IN_A_ROW, None, text, "ticks")
+            return
+        yield Seen(refused.bit_count(), DEAD_BUS, unit="ticks")
         return
     names = [name for bus, name in enumerate(m.cycle.parts.buses) if off >> bus & 1]
     which = f"bus {' and bus '.join(names)}" if names else "the bus"

@@ -140,13 +140,13 @@ class Narrator:
 
     def _done(self) -> list[Step]:
         cycle, rate = self._cycle, self._cycle.parts.rate_Hz
-        without_force = "" if cycle.parts.protocol.traits.force_on_brakes else WITHOUT_FORCE
+        done = DONE if cycle.parts.protocol.traits.force_on_brakes else DONE | WITHOUT_FORCE
         off = [n for n, (_, mode, _) in enumerate(self._steps) if drive_mode(mode) is DriveMode.OFF]
         steps: list[Step] = []
         before: Mode | None = None
         for n, (tick, mode, released) in enumerate(self._steps):
-            text = DONE[mode] + (without_force if drive_mode(mode) is DriveMode.READY else "")
-            if self._off_tick is not None and n == off[-1]:
+            text = done[mode]
+            if self._off_tick is not None and off[-1:] == [n]:
                 text = self._switched_off(self._off_tick)
             if mode is Mode.HELD and n == len(self._steps) - 1:
                 text += self._braked(tick)

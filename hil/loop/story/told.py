@@ -124,8 +124,14 @@ DONE = {
     Mode.HELD: "the brakes were told to close and the force held the platform: not all are proven shut",
 }
 """What was done about a fault, by the mode that was entered."""
-WITHOUT_FORCE = " (these drives give no force on closed brakes)"
-"""Behind it in modes with closed brakes and force, where the drives give none."""
+WITHOUT_FORCE = {
+    Mode.LOADING: "the brakes stayed closed: these drives give no force on them",
+    Mode.PARKING: "the drives were told to close their brakes, on which they give no force",
+    Mode.UNLOADING: "the closed brakes carried the platform, while the legs had to stand still",
+    Mode.HELD: "the drives were told to close their brakes, on which they give no force: nothing else holds "
+    "the platform, and not all brakes are proven shut",
+}
+"""The same where the drives give no force on closed brakes."""
 PLANT_PAGE = "docs/guides/own-fmu.md"
 """What a plant has to do."""
 HELD_NEXT = "support the platform, then let go of it with `hil run CONFIG --release`"

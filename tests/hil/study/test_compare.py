@@ -328,7 +328,7 @@ def test_picture_and_json_file_hold_figures_settings_losses_and_claims(compared)
     [
         (("--laws", "lqr"), "no law lqr; there are cartesian_pd, "),
         (("--laws", ","), "Invalid value for '--laws': no name in it"),
-        (("--wrench", "nan", *"00000"), "'nan' is not a finite number"),
+        (("--wrench", "nan", *"00000"), "'nan', allowed in size"),
         (("--wrench-at", 0.5), "--wrench-at says when --wrench comes"),
         (("--wrench", *"100000", "--wrench-at", 2), "the reference is over before the load comes"),
         (("--laws", "pd", "--paths", "printed"), "printed is not among the compared laws: pd"),

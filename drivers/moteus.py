@@ -111,7 +111,7 @@ def scale_of(register: int, width: int) -> float:
 
 @helper
 def value(register: int, width: int, raw: float) -> float:
-    """Return the value of a register of a width; NaN where the drive does not know it."""
+    """Return the value of a register's raw number of that width; NaN where the drive does not know it."""
     scale = scale_of(register, width)
     if scale == 0.0:
         return float(raw)

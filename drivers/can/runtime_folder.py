@@ -35,7 +35,8 @@ def runtime_folder() -> Path:
         return own_folder(folder)
     except OSError as error:
         raise BusError(
-            f"runtime folder {folder}: {error.strerror}; or set XDG_RUNTIME_DIR to a folder of your own"
+            f"runtime folder {folder}: {error.strerror}; mend that, or set XDG_RUNTIME_DIR to a "
+            "folder of your own"
         ) from error
 
 

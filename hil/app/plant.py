@@ -83,7 +83,7 @@ class ProcessFaults:
 
 
 class Bench(NamedTuple):
-    """Drives in front of something else than the configured plant, and whose hands are on it."""
+    """Drives on a substitute for the configured plant, and what does an operator's work by hand there."""
 
     nodes: Nodes
     plant: Plant

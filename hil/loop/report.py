@@ -1,18 +1,18 @@
-"""What the six drives say of themselves in a tick, and how a run reports it in words."""
+"""What the six drives say of themselves in a tick, and how a run reports it in words.
+
+`cycle` is a `hil.loop.cycle.Cycle`, which imports this module.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Any
 
 from drivers.protocol import DriveSetup
 from drivers.signals import LEGS, NEVER, DriveFault, DriveState, Mode
 from drivers.tick_columns import Record
 from hil.loop.parts import Parts
 from hil.safety.motion import REST_m_s
-
-if TYPE_CHECKING:
-    from hil.loop.cycle import Cycle
 
 _POWERED = (DriveState.READY, DriveState.RUN)
 
@@ -69,7 +69,7 @@ def because(fault: int, meaning: str = "") -> str:
     return f" ({known.get(int(fault), own)})" if fault else ""
 
 
-def moving_text(cycle: Cycle) -> str:
+def moving_text(cycle: Any) -> str:
     """Say which legs are not at rest."""
     rates, ages = cycle.tick["rate"].tolist(), cycle.tick["age"].tolist()
     legs = [
@@ -80,7 +80,7 @@ def moving_text(cycle: Cycle) -> str:
     return "; ".join(legs)
 
 
-def waiting_text(cycle: Cycle) -> str:
+def waiting_text(cycle: Any) -> str:
     """Say what the drives still lack to be engaged."""
     last = cycle.tick
     lacking = []
@@ -106,7 +106,7 @@ def waiting_text(cycle: Cycle) -> str:
     return f"the drives are not ready: {'; '.join(lacking)}{mend}"
 
 
-def _unlocated(cycle: Cycle) -> str:
+def _unlocated(cycle: Any) -> str:
     """Say why no pose has been found though all drives answer."""
     last, sight = cycle.tick, cycle.sight
     if sight.located:

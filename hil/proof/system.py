@@ -201,7 +201,10 @@ def _about(x: sp.Symbol, side: tuple[Any, Any] | None, centre: sp.Expr) -> Inter
         return -sp.oo, sp.oo
     low, high = _interval(x, side)
     if centre.free_symbols:
-        raise ModelError(f"the equilibrium {x} = {centre} depends on a parameter: a box needs a number")
+        raise ModelError(
+            f"the equilibrium {x} = {centre} depends on a parameter: where a range of {x} is given, it must "
+            "be a number"
+        )
     around = tuple(end if end.is_infinite else sp.expand(end - centre) for end in (low, high))
     inside = all(e.is_infinite or (number(e) < 0 if k == 0 else number(e) > 0) for k, e in enumerate(around))
     if not inside:

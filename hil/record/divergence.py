@@ -1,4 +1,7 @@
-"""Where rows of two logs part: by column the first tick, and the largest difference. Pure, block by block."""
+"""Where rows of two logs part, for what-ifs and `--against`: by column the first tick and largest difference.
+
+Pure, block by block. A replay compares in `hil.loop.replay`.
+"""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -15,7 +15,7 @@ from drivers.tick_columns import Column
 
 
 class Component(NamedTuple):
-    """One element of a column: a column of its own in a table."""
+    """One element of a log column, which a table shows as a column."""
 
     label: str
     """`tau.leg_3`."""

@@ -1,4 +1,4 @@
-"""Limits on the forces: size, change per tick, change within 250 ms.
+"""Parts of the force limits, which `kernels.limit_effort` applies: size, change per tick and within 250 ms.
 
 All three allow the last force sent, so that any order of them leaves something to send.
 """

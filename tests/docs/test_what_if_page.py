@@ -17,10 +17,10 @@ def test_the_commands_of_the_page_run_in_their_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     lines = block.splitlines()
-    assert len(lines) == 6
+    assert len(lines) == 7
     for line in lines:
         program, *words = shlex.split(line)
         assert program == "hil"
         done = CliRunner().invoke(main, words)
         assert done.exit_code == 0, (line, done.output)
-    assert {path.name for path in tmp_path.iterdir()} >= {"forces.png", "answer.mcap", "replay.xml"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"answer-plot.png", "answer.mcap", "replay.xml"}

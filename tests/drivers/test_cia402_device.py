@@ -146,7 +146,7 @@ def test_torque_saturates_at_the_most_of_the_drive_and_is_none_without_a_mode(to
     assert control(drive(objects={o.MODE: 0}), 0x0F, torque)[1] == [command(RUN, 9)]
 
 
-def test_every_quick_stop_is_shown_once_or_disables_at_once():
+def test_a_quick_stop_reports_its_state_once_and_option_0_disables_at_once():
     memory = drive()
     for _ in range(2):
         memory, _ = control(memory, 0x02)

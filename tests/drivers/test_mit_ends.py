@@ -166,7 +166,7 @@ def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
     assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
 
 
-def test_request_is_for_the_damiao_of_its_node_and_an_unknown_one_is_refused():
+def test_a_damiao_takes_requests_for_its_node_and_refuses_invalid_ones():
     memory = DAMIAO.power_up()
     for leg, node in enumerate(MIT_NODES):
         for kind in (READ, WRITE):

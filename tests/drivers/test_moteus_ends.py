@@ -223,7 +223,7 @@ def test_reply_ends_where_a_frame_is_full():
         assert pad(bytes(size)) == bytes(size) + b"\x50" * (full - size), "lengths of CAN FD"
 
 
-def test_integer_saturates_one_short_of_the_one_that_is_not_a_number():
+def test_integers_saturate_before_the_code_reserved_for_nan():
     for value, raw in ((1.27, 127), (1.29, 127), (9.0, 127), (-1.27, -127), (-1.28, -127), (-9.0, -127)):
         assert replied(b"\x11\1", value) == bytes((0x21, 1)) + struct.pack("b", raw)
         assert replied(b"\x11\1", value, state=DriveState.RUN | INVALID) == b"\x21\1\x80"

@@ -86,7 +86,7 @@ def test_residuals_a_late_latch_and_a_jump_show_in_slopes_by_the_stated_shares()
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_residuals_a_late_latch_explains_the_leap_of_a_leg_either_way(leg, sign):
+def test_residuals_a_late_latch_explains_a_leap_of_either_sign(leg, sign):
     """Of all legs that move the same delay; its largest leap is six times rate and delay."""
     rates, bounds = sign * RATES, six(1e-3)
     for share, is_time in ((0.99, True), (1.01, False)):

@@ -180,7 +180,7 @@ class BenchClock(Clock):
             interrupt(*self.arguments)
 
     def leave(self) -> None:
-        """Hold time no longer."""
+        """Stop holding bench time."""
         if self.holds:
             self._promise(0)
             self._words[self._state[_AT]] = 0

@@ -202,7 +202,8 @@ class _Bounded(io.RawIOBase):
             raise TimeoutError
         if not self._left:
             raise Refused(
-                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, f"allowed: a request of {REQUEST_BYTES} bytes"
+                HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE,
+                f"request too long, allowed: at most {REQUEST_BYTES} bytes",
             )
         self._connection.settimeout(remaining_s)
         count = self._connection.recv_into(memoryview(buffer)[: self._left])

@@ -243,7 +243,7 @@ class Drives:
         return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
 
     def carried(self, leg: int, force: float) -> float:
-        """Return what a command of force N to drive `leg` gives a leg at rest: a coarse field takes of it."""
+        """Return the force, N, on a leg at rest where `force` is commanded: the frame's field rounds it."""
         forces = np.zeros(LEGS)
         forces[leg] = force
         return float(self._live.carried(forces)[leg])

@@ -255,6 +255,6 @@ def _combinations(leg: int, V: Array) -> list[Combination]:
 
 
 def _named(vector: Array) -> dict[str, float]:
-    """Name the parameters with a share of at least a tenth of the largest, whose share is 1."""
+    """Return by name the entries of at least a tenth of the largest, scaled so that the largest is 1."""
     x = vector / vector[int(np.argmax(np.abs(vector)))]
     return {name: float(v) for name, v in zip(NAMES, x, strict=True) if abs(v) >= 0.1}

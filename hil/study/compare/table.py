@@ -90,7 +90,7 @@ def shown(summary: Row) -> Row:
 
 
 def unrest(row: Row) -> str:
-    """Say that the answer to the step had not come to rest, nothing where it had."""
+    """Return a remark if the step response has not settled, else an empty string."""
     return "not at rest in the end" if row.get("settled") is False else ""
 
 

@@ -133,7 +133,7 @@ def test_a_request_that_never_ends_is_given_up(port, monkeypatch):
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
 
 
-def test_one_that_only_waits_makes_room_for_a_new_connection(port, monkeypatch):
+def test_an_idle_connection_is_closed_for_a_new_one(port, monkeypatch):
     monkeypatch.setattr("hil.app.watch.server.MOST_CONNECTIONS", 3)
     waiting = [opened(port, b"GET") for _ in range(4)]
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK

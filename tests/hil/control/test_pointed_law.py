@@ -101,7 +101,7 @@ def test_a_law_without_an_answer_asks_for_no_number_until_it_has_one(tau):
         assert np.isfinite(tick["tau_law"]).all() == answered
 
 
-def test_an_effort_in_python_counts_on_top_of_a_compiled_law():
+def test_an_effort_in_python_overrides_that_of_a_compiled_law():
     class Doubled(JointPD):
         def effort(self, tick):
             super().effort(tick)

@@ -90,8 +90,8 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
     count = np.bincount(equations.leg, minlength=6)
     if count.min() < FEWEST_SAMPLES:
         raise IdentificationError(
-            f"too little motion: leg {int(count.argmin())} slides one way, with open brakes and fresh "
-            f"encoders, in {count.min()} samples, allowed: at least {FEWEST_SAMPLES}; log a longer motion"
+            f"too little motion: leg {int(count.argmin())} has {count.min()} usable samples (brakes open, "
+            f"encoder fresh, moving one way), allowed: at least {FEWEST_SAMPLES}; log a longer motion"
         )
     X, noise = equations.A * scale, equations.noise * scale
     rest = equations.y - equations.A @ believed

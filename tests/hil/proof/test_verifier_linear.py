@@ -55,7 +55,7 @@ def loop(pole, order):
     coefficients = sp.Poly(sp.expand((z - pole) ** order), z).all_coeffs()
     q = sp.symbols(f"q0:{order}")
     last = sum(-c * s for c, s in zip(coefficients[:0:-1], q, strict=True))
-    return {**dict(zip(q, q[1:], strict=False)), q[-1]: sp.expand(last)}
+    return {**dict(itertools.pairwise(q)), q[-1]: sp.expand(last)}
 
 
 @pytest.mark.parametrize("order", [2, 3, 5])

@@ -72,9 +72,11 @@ def _interrupted(seconds: float) -> Iterator[None]:
     """Raise OutOfTime in what is done here when the seconds end; outside the main thread only cells look."""
     if seconds <= 0:
         raise OutOfTime
+    armed = [True]
 
     def ring(*_: Any) -> None:
-        raise OutOfTime
+        if armed:
+            raise OutOfTime
 
     try:
         before = signal.signal(signal.SIGALRM, ring)
@@ -83,8 +85,11 @@ def _interrupted(seconds: float) -> Iterator[None]:
         return
     try:
         if math.isfinite(seconds):
-            signal.setitimer(signal.ITIMER_REAL, seconds)
-        yield
+            signal.setitimer(signal.ITIMER_REAL, seconds, 0.2)  # again and again: a finalizer may swallow one
+        try:
+            yield
+        finally:
+            armed.clear()
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         signal.signal(signal.SIGALRM, before)

@@ -3,13 +3,15 @@
 Where to look is a guess, what is found is a proof. That nothing is found proves nothing.
 """
 
-from collections.abc import Iterator
-from itertools import chain, product
+import heapq
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain, count, product
 
 import sympy as sp
 
 from hil.proof import quadratic
-from hil.proof.interval import Enclosure, ball, number, unsupported
+from hil.proof.branch_and_bound import halves, middle
+from hil.proof.interval import Ball, Cell, Enclosure, ball, number, unsupported
 from hil.proof.signs import Signs
 from hil.proof.system import Point
 
@@ -19,6 +21,10 @@ _LENGTHS = tuple(
 )
 _ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
 _PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
+_WINDOW = 4.0
+"""Where an unbounded domain is searched."""
+_SEARCH = 250
+"""Cells of the search."""
 
 
 def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
@@ -40,14 +46,14 @@ def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
             continue
         if value > 0 or (value.rad() < 1e-9 and sp.simplify(g.subs(point)) == 0):
             return point
-    return None
+    return None if form else _searched(lambda x: h([*x, *whole]), names, signs)
 
 
 def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
-    """Along the direction in which g, if it is a quadratic form, is positive, or zero."""
+    """Along the direction in which the quadratic form that g begins with is positive, or zero."""
     states = signs.system.states
     for parameters in _parameters(signs):
-        S = quadratic.form(g.subs(parameters), states)
+        S = quadratic.form(_leading(g.subs(parameters), states), states)
         direction = None if S is None else quadratic.falls([[-c for c in row] for row in S])
         if direction is None:
             continue
@@ -56,7 +62,19 @@ def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
             continue
         ends = [abs(end) for side in signs.system.domain.values() for end in side if not end.is_infinite]
         reach = min([sp.Rational(float(number(end).lower())) for end in ends], default=sp.S.One)
-        yield {x: c * reach for x, c in zip(states, d, strict=True)} | parameters
+        for k in (0, 4, 10, 20, 30):
+            yield {x: c * reach / 2**k for x, c in zip(states, d, strict=True)} | parameters
+
+
+def _leading(g: sp.Expr, states: Sequence[sp.Symbol]) -> sp.Expr:
+    """Return g if it is a polynomial without all but its terms of order two, else g."""
+    try:
+        p = sp.Poly(g, *states)
+    except sp.PolynomialError:
+        return g
+    if p.total_degree() > 40 or any(sum(m) < 2 for m in p.monoms()):
+        return g
+    return sp.Add(*(c * sp.Mul(*map(sp.Pow, states, m)) for m, c in p.terms() if sum(m) == 2))
 
 
 def _points(g: sp.Expr, signs: Signs) -> Iterator[Point]:
@@ -90,6 +108,33 @@ def _parameters(signs: Signs) -> list[Point]:
     } | dict.fromkeys(signs.system.positive, _PARAMETERS)
     some = product(*choices.values()) if len(choices) <= 3 else zip(*choices.values(), strict=True)
     return [dict(zip(choices, values, strict=True)) for values in some]
+
+
+def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:
+    """Best first: the cell with the highest upper bound is halved next."""
+    if signs.system.positive:
+        return None
+    sides: Cell = tuple(
+        (max(low, -_WINDOW), min(high, _WINDOW)) for low, high in (signs.sides[v] for v in names)
+    )
+    order = count()
+    heap = [(0.0, next(order), sides)]
+    for _ in range(_SEARCH):
+        if not heap or not signs.budget.take():
+            return None
+        cell = heapq.heappop(heap)[2]
+        m = middle(cell)
+        if h([ball(v, v) for v in m]) > 0:
+            point = {x: sp.Rational(v) for x, v in zip(names, m, strict=True)}
+            if _inside(signs, point):
+                return point
+        widest = max(range(len(cell)), key=lambda k: cell[k][1] - cell[k][0])
+        for half in halves(cell, widest):
+            value = h([ball(*side) for side in half])
+            if not value <= 0:
+                upper = float(value.upper()) if value.is_finite() else float("inf")
+                heapq.heappush(heap, (-upper, next(order), half))
+    return None
 
 
 def _inside(signs: Signs, point: Point) -> bool:

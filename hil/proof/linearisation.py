@@ -2,9 +2,9 @@
 
 States that do not act on each other in a circle are taken apart first. A matrix of fractions is decided
 exactly: what is symmetric about the imaginary axis is divided out of its characteristic polynomial, Routh's
-table over the rationals decides the rest. Over ranges of parameters Gershgorin's discs about the eigenvalues
-of each cell's middle count. With parameters that may be any positive number polynomials of them decide. A
-root on the imaginary axis says nothing.
+table over the rationals decides the rest. Over ranges of parameters the theorem of Ostrowski and Schneider
+counts: where A^T P + P A < 0, A has as many eigenvalues to the right as P has negative ones. With parameters
+that may be any positive number polynomials of them decide. A root on the imaginary axis says nothing.
 
 Of a system without a V it proposes x^T P x with A^T P + P A = -1: a guess like any other, to be proven for
 the whole f. Ranges of parameters are taken at their middle.
@@ -14,12 +14,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from enum import Enum
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 import sympy as sp
-from flint import acb_mat, arb, arb_mat, fmpq, fmpq_mat, fmpq_poly
-from scipy.linalg import solve_continuous_lyapunov
+from flint import arb_mat, fmpq, fmpq_mat, fmpq_poly
 
 from drivers.errors import ModelError
 from hil.proof import quadratic
@@ -79,21 +79,30 @@ def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
 
 
 def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
-    """Return where the eigenvalues of every matrix within A are, by Gershgorin's discs about the middle's."""
+    """Return where the eigenvalues of every matrix within A are; moved left, those on the axis are off it."""
     middle = quadratic.middle_of(A)
     if middle is None:
         return Eigenvalues.UNKNOWN
-    T = acb_mat(np.linalg.eig(middle)[1].tolist())
+    right = float(np.linalg.eigvals(middle).real.max())
+    for shift in (0.0,) if right <= 0 else (0.0, 0.5 * right, 0.7 * right, 0.3 * right):
+        moved = shift * np.eye(len(A))
+        P = lyapunov_matrix(middle - moved)
+        if P is None or quadratic.definite([[Fraction(float(v)) for v in row] for row in P]) != (right < 0):
+            continue
+        PB = arb_mat(P.tolist()) * (arb_mat(A) - arb_mat(moved.tolist()))
+        if quadratic.positive_definite((-(PB + PB.transpose())).tolist()):
+            return Eigenvalues.LEFT if right < 0 else Eigenvalues.RIGHT
+    return Eigenvalues.UNKNOWN
+
+
+def lyapunov_matrix(A: np.ndarray) -> np.ndarray | None:
+    """Return the symmetric P with A^T P + P A = -1, in floating point: a guess, to be proven; or None."""
+    one = np.eye(len(A))
     try:
-        D = (T.inv() * acb_mat(arb_mat(A)) * T).tolist()
-    except ZeroDivisionError:
-        return Eigenvalues.UNKNOWN
-    reach = [sum((abs(b) for j, b in enumerate(row) if j != i), arb(0)) for i, row in enumerate(D)]
-    discs = [(row[i].real, r) for i, (row, r) in enumerate(zip(D, reach, strict=True))]
-    if all(c + r < 0 for c, r in discs):
-        return Eigenvalues.LEFT
-    apart = all(c + r < 0 or c - r > 0 for c, r in discs)
-    return Eigenvalues.RIGHT if apart else Eigenvalues.UNKNOWN
+        P = np.linalg.solve(np.kron(A.T, one) + np.kron(one, A.T), -one.reshape(-1)).reshape(one.shape)
+    except np.linalg.LinAlgError:
+        return None
+    return (P + P.T) / 2 if np.isfinite(P).all() else None
 
 
 def jacobian(system: System) -> sp.Matrix | None:
@@ -187,8 +196,9 @@ def _solved(A: sp.Matrix) -> sp.Matrix | None:
 
 
 def _rounded(A: sp.Matrix) -> sp.Matrix | None:
-    P = solve_continuous_lyapunov(np.array(A.T, float), -np.eye(A.rows))
-    P = (P + P.T) / 2
+    P = lyapunov_matrix(np.array(A, float))
+    if P is None:
+        return None
     for digits in (3, 5, 7, 9, 12, 15):
         unit = sp.Rational(10) ** (int(np.floor(np.log10(abs(P).max()))) - digits)
         R = sp.Matrix(A.rows, A.rows, lambda i, j, unit=unit: round(sp.Rational(P[i, j]) / unit) * unit)

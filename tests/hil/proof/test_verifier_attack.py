@@ -140,6 +140,25 @@ def test_a_dip_between_all_samples_is_not_overlooked():
     assert verify({x: sp.S.Zero}, raised, box={x: (-2, 2)}).certificate.status is Certificate.VALID
 
 
+@pytest.mark.parametrize(
+    ("f", "V", "status"),
+    [
+        ({x: x / 10**6 - x**3}, x**2, Certificate.GROWS),  # within 0.001 only
+        ({x: x**3 / 10**6 - x**5}, x**2, Certificate.GROWS),
+        ({x: -x, y: y / 10**6 - y**3}, x**2 + x * y + y**2, Certificate.GROWS),
+        (
+            {x: -x, y: -y},
+            (x**2 + y**2) * ((x - R(7, 5)) ** 2 + (y - R(3, 5)) ** 2 - R(1, 100)),
+            Certificate.NOT_POSITIVE_DEFINITE,
+        ),
+    ],
+)
+def test_what_is_false_close_by_or_between_the_axes_only_is_refuted(f, V, status):
+    report = verify(f, V)
+    assert report.certificate.status is status
+    _check_counterexample(f, V, report.certificate)
+
+
 TERMS = [
     x, y, x * y, x**2, y**2, x**3, y**3, x**2 * y, x * y**2,
     sin(x), sin(y), 1 - cos(x), x * Abs(x), y * Abs(y),

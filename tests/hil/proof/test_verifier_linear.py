@@ -50,6 +50,33 @@ def test_no_damping_is_too_small(digits):
     assert of_rationals(third) is Eigenvalues.RIGHT
 
 
+def loop(pole, order):
+    """A chain of integrators under feedback, with one pole as often as there are states."""
+    coefficients = sp.Poly(sp.expand((z - pole) ** order), z).all_coeffs()
+    q = sp.symbols(f"q0:{order}")
+    last = sum(-c * s for c, s in zip(coefficients[:0:-1], q, strict=True))
+    return {**dict(itertools.pairwise(q)), q[-1]: sp.expand(last)}
+
+
+@pytest.mark.parametrize("order", [2, 3, 5])
+@pytest.mark.parametrize("pole", [-sp.sqrt(2), -sp.pi, -w, -sp.sqrt(2) * w])
+def test_where_poles_coincide_is_shown(pole, order):
+    ranges = {w: (R(3, 4), R(5, 4))} if order < 5 else {w: (1, R(51, 50))}
+    ranges = {p: side for p, side in ranges.items() if p in pole.free_symbols}
+    for sign, where in ((1, Eigenvalues.LEFT), (-1, Eigenvalues.RIGHT)):
+        signs = Signs(make_system(loop(sign * pole, order), None, None, None, ranges), Budget())
+        assert eigenvalues(signs) is where
+
+
+def test_loops_about_critical_damping_are_stable():
+    report = verify({x: v, v: -2 * sp.sqrt(2) * v - 2 * x})
+    assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
+    assert report.certificate.status is Certificate.VALID
+    ranges = {y: (R(9, 10), R(11, 10)), w: (1, 2)}
+    ranged = verify({x: v, v: -2 * y * w * v - w**2 * x}, parameters=ranges)
+    assert ranged.linearisation is Eigenvalues.LEFT
+
+
 def coupled(n, seed=1, stable=True):
     chance = random.Random(seed)
     q = sp.symbols(f"q0:{n}")

@@ -1,6 +1,8 @@
 """The parts of the verifier, each against what is known without it."""
 
 import runpy
+import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -21,6 +23,48 @@ from hil.proof.tail import definite_far
 x, y = sp.symbols("x y", real=True)
 R = sp.Rational
 EXAMPLE = Path(__file__).parents[3] / "docs/examples/lyapunov_picture.py"
+
+
+class _Spins:
+    """Spends time in its finalizer, where Python drops what is raised."""
+
+    def __del__(self):
+        end = time.monotonic() + 0.1
+        while time.monotonic() < end:
+            pass
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_the_time_ends_although_a_finalizer_swallows_the_alarm():
+    began = time.monotonic()
+
+    def question():
+        _Spins()
+        while time.monotonic() < began + 5.0:
+            pass
+        return "too late"
+
+    budget = Budget(seconds=0.05)
+    budget.start()
+    assert budget.within(1.0, question, "the time ended") == "the time ended"
+    assert budget.ended
+    assert time.monotonic() < began + 3.0
+
+
+def test_an_alarm_after_the_answer_loses_nothing(monkeypatch):
+    before, setitimer = signal.getsignal(signal.SIGALRM), signal.setitimer
+
+    def late(which, seconds, interval=0.0):
+        if seconds == 0.0:
+            signal.raise_signal(signal.SIGALRM)
+        return setitimer(which, seconds, interval)
+
+    monkeypatch.setattr(signal, "setitimer", late)
+    budget = Budget(seconds=5.0)
+    budget.start()
+    assert budget.within(1.0, lambda: "answer", "the time ended") == "answer"
+    assert signal.getsignal(signal.SIGALRM) is before
+    assert signal.getitimer(signal.ITIMER_REAL) == (0.0, 0.0)
 
 
 def signs(box=None):

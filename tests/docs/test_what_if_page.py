@@ -23,4 +23,4 @@ def test_the_commands_of_the_page_run_in_their_order(tmp_path, monkeypatch):
         assert program == "hil"
         done = CliRunner().invoke(main, words)
         assert done.exit_code == 0, (line, done.output)
-    assert {path.name for path in tmp_path.iterdir()} >= {"answer-plot.png", "answer.mcap", "replay.xml"}
+    assert {path.name for path in tmp_path.iterdir()} >= {"run-plot.png", "answer.mcap", "replay.xml"}

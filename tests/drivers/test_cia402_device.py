@@ -170,13 +170,29 @@ def test_pdo_is_taken_in_operational_and_a_cut_one_is_refused_with_an_emcy():
             assert P.parse(HELD, frame) == (HELD, ())
 
 
-# SDO
-
-
-# reports
-
-
-# six drives behind one bus
+@pytest.mark.parametrize(
+    ("fault", "emcy"),
+    [
+        (DriveFault.WATCHDOG, "3081110000000000"),
+        (DriveFault.OVERFORCE, "1183010000000000"),
+        (DriveFault.SENSOR, "0573010000000000"),
+        (DriveFault.STROKE, "1286010000000000"),
+        (DriveFault.ESTOP, ""),
+    ],
+)
+def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault, emcy):
+    memory = drive(objects={o.COMMUNICATION_ERROR: 1})
+    for _ in range(2):
+        for state, data in ((DriveState.FAULT, emcy), (DriveState.OFF, "0000000000000000")):
+            sent = []
+            for _ in range(3):
+                memory, more = report(memory, state, fault if state == DriveState.FAULT else DriveFault.NONE)
+                sent += more
+            assert sent == ([f"84 {data}"] if emcy else [])
+    assert (raw(memory, o.ERROR_CODE), raw(memory, o.ERROR_REGISTER)) == (0, 0)
+    for reaction, nmt, after in ((0, 5, 127), (1, 5, 5), (0, 4, 4)):
+        memory, _ = report(drive(objects={o.COMMUNICATION_ERROR: reaction}, nmt=nmt), DriveState.FAULT, fault)
+        assert field(memory, "nmt") == (after if fault == DriveFault.WATCHDOG else nmt)
 
 
 def test_only_drives_that_run_and_have_a_position_answer():

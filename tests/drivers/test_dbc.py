@@ -109,12 +109,6 @@ def test_fd_attributes_and_cycle_times():
         assert message.cycle_time == sensors.get(message.name, 1 if cyclic else 100 if status else None)
 
 
-# frames of a tick
-
-
-# what does not fit
-
-
 # decode: what is refused
 
 

@@ -220,3 +220,18 @@ def made(layout: Any = "fd", **changes: Any) -> Any:
 def test_setting_that_does_not_fit_is_refused_by_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
+
+
+@pytest.mark.parametrize(
+    ("mode", "reaction", "number"), [("stopped", Reaction.BRAKE, 0), ("zero_velocity", Reaction.DAMP, 12)]
+)
+def test_settings_reach_the_codec(mode, reaction, number):
+    protocol = made(options={"timeout_mode": mode, "host_id": 9, "torque_N_m": 1.5})
+    assert protocol.traits.feedback_ids == {node << 8 | 9 for node in (7, 2, 3, 4, 5, 6)}
+    assert (protocol.traits.reactions, protocol.torque_limit) == ((reaction,), 1.5)
+    assert f"set it to {number}," in protocol.traits.dangers[1]
+    plain = made(options={"timeout_mode": mode})
+    assert (plain.torque_limit, plain.traits.emergency_stop[0].id) == (1e4, 0x8007)
+    for host in (0, 126):
+        found = made(options={"timeout_mode": mode, "host_id": host}).traits.feedback_ids
+        assert found == {node << 8 | host for node in (7, 2, 3, 4, 5, 6)}

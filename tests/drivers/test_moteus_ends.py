@@ -6,9 +6,10 @@ import struct
 from math import inf, nan
 from typing import Any
 
+import numpy as np
 import pytest
 
-from drivers.moteus import READ, REPLY, STOP, WRITE, pad
+from drivers.moteus import READ, REPLY, STOP, WRITE, pad, torque_command
 from drivers.protocol import BRS, BUS, ERROR, EXTENDED, FD, REMOTE, Frame
 from drivers.signals import INVALID, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
@@ -64,6 +65,13 @@ def test_position_mode_is_a_torque_without_gains_and_with_a_limit(changes, torqu
     assert messages[0] == Configure(1, 0.1, Reaction.DAMP), "its own time: the command gives none"
 
 
+@pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (nan, 0.1), (0.0, 0.1)])
+def test_command_without_a_time_leaves_the_drive_the_delivered_one(sent_s, kept_s):
+    _, ((first, *_),) = told(to(3, torque_command(0.5, 2.0, sent_s)))
+    assert first.leg == 3
+    assert first.watchdog_s == pytest.approx(kept_s, rel=1e-6)
+
+
 def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():
     fd, enabled = FD | EXTENDED, P.power_up()._replace(enabled=(True,) * 6)
     own = [(0x104, FD), (0x8104, fd), (0xFF04, fd)]
@@ -75,6 +83,29 @@ def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():
             memory, messages = P.parse(enabled, Frame(identifier, STOP, flags))
             assert [leg for leg in range(6) if not memory.enabled[leg]] == legs, hex(identifier)
             assert bool(messages) == bool(legs)
+
+
+@pytest.mark.parametrize(
+    ("state", "fault", "mode", "code"),
+    [
+        (DriveState.BOOT, 0, 0, 0),
+        (DriveState.OFF, 3, 0, 0),
+        (DriveState.READY, 0, 0, 0),
+        (DriveState.RUN, 3, 10, 0),
+        (DriveState.FAULT, DriveFault.WATCHDOG, 11, 0),
+        (DriveState.FAULT, DriveFault.OVERFORCE, 1, 33),
+        (DriveState.FAULT, DriveFault.SENSOR, 1, 35),
+        (DriveState.FAULT, DriveFault.STROKE, 1, 39),
+        (DriveState.FAULT, DriveFault.ESTOP, 1, 33),
+        (DriveState.FAULT, DriveFault.NONE, 1, 33),
+    ],
+)
+def test_mode_and_fault_of_an_answer_follow_from_the_drives_state(state, fault, mode, code):
+    one, six, faults = np.ones(6), np.full(6, 1), np.zeros(6, np.int64)
+    six[2], faults[2] = state, fault
+    for leg, frame in P.answer(P.power_up(), Sync(0), one, one, one, six, faults)[1]:
+        said: Any = registers(frame.data, 0x20)
+        assert (said[0], said[0xF]) == ((mode, code) if leg == 2 else (0, 0))
 
 
 # the controller's end

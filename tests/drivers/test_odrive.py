@@ -192,6 +192,25 @@ def test_axis_closes_its_loop_under_torque_control_alone():
 
 
 @pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        (DriveFault.NONE, 0),
+        (DriveFault.WATCHDOG, 0x1000000),
+        (DriveFault.ESTOP, 0x2000000),
+        (DriveFault.OVERFORCE, 0x1000),
+        (DriveFault.SENSOR, 0x8),
+        (DriveFault.STROKE, 0x10000),
+    ],
+)
+def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_in_run_alone(fault, error):
+    for now in DriveState:
+        _, (beat,) = AXES.report(AXES.power_up(), Status(4, now, fault))
+        closed = 8 if now == DriveState.RUN else 1
+        assert beat == Frame(5 << 5 | 1, struct.pack("<IBBBB", error, closed, 0, 0, 0))
+    assert AXES.report(AXES.power_up(), Status(4, DriveState.FAULT, fault, due=False))[1] == ()
+
+
+@pytest.mark.parametrize(
     ("error", "axis", "power", "fault"),
     [
         (0, 8, DriveState.RUN, 0),

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.signals import NEVER, Fault, Mode
+from drivers.signals import NEVER, Fault, Mode, Refusal
 from hil.app.compose import build_cycle
 from hil.contracts.records import record_of
+from hil.loop.admission import Counts
 from hil.loop.console import Console, status_text, waits_for
 from hil.loop.operating import NO_KEY
 from hil.loop.panel import OperatorPanel
@@ -151,6 +152,22 @@ def test_a_set_point_for_a_live_reference_comes_through_and_is_answered(ends, mo
     answer = client._socket.recv(4096).decode()
     assert (answer == "taken") == (mode is Mode.TRACKING)
     assert log.events == ([] if answer == "taken" else [(7, "warning", f"set-point {answer}")])
+
+
+@pytest.mark.parametrize("channel", [None, SimpleNamespace(waited_for=False)], ids=["none", "silent"])
+def test_where_nobody_waits_for_an_answer_only_a_refused_set_point_is_logged(channel):
+    live = build_cycle(VIRTUAL.model_copy(update={"reference": LIVE}), 1000.0, 0.01)
+    assert live.parts.steering is not None
+    log: Any = Log()
+    live.operating.answers = ["refused"]
+    console = Console(Course(live), OperatorPanel(), channel)
+    console.answer(log, 7)
+    assert log.events == []
+    live.parts.steering.counts = Counts(0, 1, int(Refusal.STROKE))
+    console.answer(log, 7)
+    ((t_ns, level, text),) = log.events
+    assert (t_ns, level) == (7, "warning")
+    assert text.startswith("set-point refused: ")
 
 
 # -- Ctrl-C and Enter

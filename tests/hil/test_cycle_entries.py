@@ -72,6 +72,42 @@ def test_as_brakes_open_the_law_takes_over_where_the_platform_is_and_none_is_pro
     assert not cycle.proven
 
 
+@pytest.mark.parametrize("speed", [0.4, 1.0])
+def test_the_approach_begins_from_rest_with_the_reference_behind_it(cycle, speed):
+    cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
+    cycle.operating.speed = speed
+    live: Any = cycle.parts.trajectory
+    live._live["tick"] = 9
+    entered(cycle, Mode.APPROACH, Mode.RELEASING)
+    assert live._live["tick"] == 0, "a live reference begins at its start"
+    move = cycle.motion.trajectory
+    np.testing.assert_array_equal(move.sample(0.0).p, aside(cycle))
+    np.testing.assert_allclose(move.sample(99.0).p, cycle.parts.trajectory.sample(0.0).p, atol=1e-12)
+    assert (cycle.motion.tick, cycle.motion.then) == (50, cycle.parts.trajectory)
+    assert cycle.effort.entry_tick == 50
+    np.testing.assert_array_equal(cycle.effort.offset, 3.0 * LAST)
+    assert cycle.motion.override.sigma == speed
+    assert not cycle.operating.parks
+
+
+@pytest.mark.parametrize("before", [Mode.APPROACH, Mode.LOADING])
+def test_the_law_begins_with_the_reference_where_no_approach_came_before(cycle, monkeypatch, before):
+    begun: list[str] = []
+    monkeypatch.setattr(cycle.parts.law, "reset", lambda: begun.append("law"))
+    cycle.operating.speed = 0.4
+    live: Any = cycle.parts.trajectory
+    live._live["tick"] = 9
+    entered(cycle, Mode.TRACKING, before)
+    first = before is Mode.LOADING
+    assert live._live["tick"] == (0 if first else 9)
+    assert begun == ["law"] * first
+    assert (cycle.motion.tick, cycle.motion.trajectory) == (50, cycle.parts.trajectory)
+    assert cycle.proven is not first
+    assert cycle.effort.entry_tick == (50 if first else 7)
+    np.testing.assert_array_equal(cycle.effort.offset, 0.0 * LAST if first else 3.0 * LAST)
+    assert cycle.operating.parks is not first
+
+
 def test_a_stop_parks_no_more_and_the_force_fades_from_the_last_one_sent(cycle):
     entered(cycle, Mode.STOPPING, Mode.TRACKING)
     assert not cycle.operating.parks
@@ -124,6 +160,17 @@ def test_on_the_way_to_its_brakes_it_is_held_by_the_force_that_did(cycle, monkey
     np.testing.assert_allclose(cycle.effort.offset, offset_from(cycle, tick, force, on_it=True))
     np.testing.assert_array_equal(news[0], force)
     assert news[1:] == ["forgotten"], "the drives are watched again from the start"
+
+
+def test_what_yields_is_held_where_it_is_with_the_load_it_has(cycle, monkeypatch):
+    news: list[str] = []
+    monkeypatch.setattr(cycle.obedience, "forget", lambda: news.append("forgotten"))
+    cycle._yield(measured(cycle, p=aside(cycle), wrench=LOAD))
+    held = cycle.effort.statics(aside(cycle), cycle.parts.home_R, LOAD)
+    np.testing.assert_array_equal(cycle.effort.holding, held)
+    rests_at(cycle, aside(cycle))
+    assert cycle._yields
+    assert news == ["forgotten"]
 
 
 @pytest.mark.parametrize(

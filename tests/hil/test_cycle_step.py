@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +11,11 @@ import pytest
 
 from drivers.arrays import ZERO6
 from drivers.signals import Mode, Warn
+from hil.app import compose
 from hil.app.compose import build_cycle, drive_setup
+from hil.app.encoder_limits import Noise
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
+from hil.design.stability.monitor import build_watch
 from hil.loop.cycle import Cycle
 from hil.loop.homing import LastPose
 from hil.robot.kinematics import leg_lengths
@@ -178,3 +182,31 @@ def test_a_force_may_change_as_much_in_a_second_at_any_rate(rate_Hz, share):
 def test_a_watchdog_that_is_given_is_set_in_the_drives_and_else_the_configured_one(watchdog_s):
     assert build_cycle(VIRTUAL, 1000.0, watchdog_s).parts.setup.watchdog_s == watchdog_s
     assert drive_setup(VIRTUAL, 1000.0).watchdog_s == pytest.approx(1e-3 * VIRTUAL.drives.watchdog_ms)
+
+
+@pytest.mark.parametrize(
+    ("law", "rate_Hz", "disturbance", "noise"),
+    [(VIRTUAL.controller, 500.0, 7.0, (3e-5, 4e-3)), (POSE, 1000.0, 8.0, (1e-5, 2e-3))],
+)
+def test_the_certificate_is_watched_in_the_axes_of_the_law_with_payload_and_noise(
+    monkeypatch, law, rate_Hz, disturbance, noise
+):
+    watched: list[tuple[Any, ...]] = []
+    payload = SimpleNamespace(
+        allowed=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 7.0}),
+        allowed_of_the_pose=lambda monitor: monitor.model_copy(update={"disturbance_m_s2": 8.0}),
+    )
+
+    def build(*what: Any) -> Any:
+        watched.append(what)
+        return build_watch(*what)
+
+    of = {500.0: Noise(3e-5, 4e-3), 1000.0: Noise(1e-5, 2e-3)}
+    monkeypatch.setattr(compose, "unknown_payload", lambda _: payload)
+    monkeypatch.setattr(compose, "read_noise", lambda _, rate_Hz: of[rate_Hz])
+    monkeypatch.setattr(compose, "build_watch", build)
+    build_cycle(VIRTUAL.model_copy(update={"controller": law}), rate_Hz, 0.01)
+    ((monitor, *_, delay_ticks, _lag_s),) = watched
+    assert monitor.disturbance_m_s2 == disturbance
+    assert (monitor.length_noise_m, monitor.rate_noise_m_s) == noise
+    assert delay_ticks == 1, "a command takes one period at most, however long that is"

@@ -12,8 +12,9 @@ from drivers.errors import BusError
 from drivers.frame_array import received_array, received_frames, sent_array, sent_frames
 from drivers.protocol import Frame, Received
 from drivers.signals import DriveMode, Fault, Mode
+from hil.loop import daemon
 from hil.loop.clock import Wake
-from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, run
+from hil.loop.daemon import CONSENT, SAFE_FRAMES, WORD, Shell, _ask, run
 from hil.loop.panel import OperatorPanel
 from hil.signals import Operator, Order, SetPoint
 
@@ -203,3 +204,38 @@ def test_a_loop_that_fails_switches_the_drives_off_and_tells_why(slept, error, r
     promised = "the watchdog of each acts 20 ms after the last command it heard"
     assert (promised in ended.done) is bool(refused)
     assert ("were told to switch off" in ended.done) is not refused
+
+
+@pytest.mark.parametrize("answer_ns", [None, 0, 111])
+def test_answers_give_the_time_of_a_frame_where_the_bus_does_not(monkeypatch, answer_ns):
+    """The bus is given the frames at 100 ns, and that took until 130."""
+    told: list[Any] = []
+    opening, answer = sent_array(OPENING), received_array([ANSWER])
+    times = iter([100, 130])
+    bus: Any = SimpleNamespace(
+        clock=SimpleNamespace(now=lambda: next(times)), drain_now=lambda: received_array([OLDER]), send=lambda _: 2,
+        sent_ns=lambda: ["the clock's"],
+    )  # fmt: skip
+    protocol = SimpleNamespace(name="protocol")
+
+    def answers(*asked: Any) -> Any:
+        told.append(asked[1:])
+        return answer
+
+    def checked(*asked: Any) -> list[str]:
+        told.append(asked)
+        return ["the answers'"]
+
+    monkeypatch.setattr(daemon, "_answers", answers)
+    monkeypatch.setattr(daemon, "checked", checked)
+    monkeypatch.setattr(daemon, "latch_ns", lambda *asked: asked)
+    shell: Any = SimpleNamespace(bus=bus, feedback_window_ns=700, answer_ns=answer_ns)
+    cycle: Any = SimpleNamespace(parts=SimpleNamespace(protocol=protocol))
+    found: Any = _ask(cycle, shell, Wake(9, 50, 30, 0), opening)
+    heard, latched, refused = found
+    assert told[0] == (bus, 9, 100, 750)
+    assert (received_frames(heard), refused) == ((OLDER, ANSWER), 2)
+    known = answer_ns is None
+    assert latched == (protocol, opening, ["the clock's" if known else "the answers'"], 80)
+    asked = (protocol, opening, ["the clock's"], answer, 9, 100, 130, answer_ns)
+    assert told[1:] == ([] if known else [asked])

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.compiled.compiler import MATRIX, kernel, record
 from drivers.compiled.pointed import context_of
-from drivers.config import ImuSettings
+from drivers.config import ImuSettings, TrackerSettings
 from drivers.signals import DriveState
 from drivers.tick_columns import TICK, part
 from hil.config.estimation import FusionSettings
@@ -17,7 +17,7 @@ from hil.contracts.records import altered, record_of
 from hil.estimation.external_wrench import SENSOR_PATIENCE, ExternalWrench
 from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
 from hil.estimation.fusion_kernels import fill_estimate
-from hil.estimation.fusion_layout import FUSION, KEPT, STEP
+from hil.estimation.fusion_layout import FUSION, KEPT, STEP, LegErrors
 from hil.robot.dynamics import Model
 from tests import sensed
 from tests.hil.fused import (
@@ -175,6 +175,21 @@ def test_a_platform_on_shut_brakes_has_lost_its_speed(odd, leg):
     assert force(found) is None
 
 
+def test_a_filter_that_begins_again_forgets_slips_forces_and_the_last_attitude():
+    found, fresh, truth = estimator(), estimator(), Truth(5)
+    for tick in range(1, 4):
+        sensed.update(found, altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+    for name, leg in (("slipped", 2), ("against", 1), ("left_out", 4)):
+        found.record[name][leg] = 2
+    for each in (found, fresh):
+        each.start(50, 50 * MS, truth.p, truth.R.as_matrix())
+    for name in ("newest", "count", "driven", "slipped", "left_out", "against", "heard", "R"):
+        np.testing.assert_array_equal(found.record[name], fresh.record[name], name)
+    for name in ("tick", "latched_ns", "x"):
+        np.testing.assert_array_equal(found._steps[0][name], fresh._steps[0][name])
+    np.testing.assert_array_equal(found._covariances[0], fresh._covariances[0])
+
+
 @pytest.mark.parametrize(("rate_Hz", "period_s"), [(100.0, 1e-3), (1000.0, 1e-3), (400.0, 4e-3)])
 def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(rate_Hz, period_s):
     wrench = ExternalWrench(None, rate_Hz, period_s)
@@ -184,6 +199,30 @@ def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(ra
         late.append(wrench.fill(record_of(tick=tick), fusing=False))
     patience = SENSOR_PATIENCE / rate_Hz / period_s
     assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]
+
+
+def test_each_setting_of_the_filter_makes_its_own_constant():
+    settings = FusionSettings(
+        acceleration_noise_m_s2_sqrtHz=2.0,
+        angular_acceleration_noise_rad_s2_sqrtHz=3.0,
+        gyro_bias_walk_rad_s_sqrts=5.0,
+        accelerometer_bias_walk_m_s2_sqrts=7.0,
+        latch_std_us=11.0,
+        gate_std=13.0,
+    )
+    errors = LegErrors(17.0, 19.0, 23.0, 29.0, 31.0, 37.0)
+    tracker = TrackerSettings(position_std_m=0.041, orientation_std_deg=0.43)
+    imu = ImuSettings(rate_Hz=500.0, angular_rate_std_rad_s=0.047, specific_force_std_m_s2=0.53)
+    c = FusedEstimator(PLATFORM, Model(PLATFORM), settings, errors, tracker, imu, T).record
+    expected = {
+        "q_v": 4.0, "q_w": 9.0, "q_gyro_bias": 25.0, "q_force_bias": 49.0, "latch": 121e-12, "gate": 169.0,
+        "r_length": 289.0, "r_rate": 361.0, "rate_skew": 529.0, "rate_scale": 841.0,
+        "leg_force": 961.0, "leg_force_s": 37.0, "r_position": 0.001681,
+        "r_rotation": (0.43 * np.pi / 180.0) ** 2, "r_gyro": 0.002209, "r_force": 0.2809,
+        "forces": 18, "errors": 24,
+    }  # fmt: skip
+    assert {name: float(c[name]) for name in expected} == pytest.approx(expected)
+    assert c["gravity"].tolist() == PLATFORM.gravity.tolist()
 
 
 fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)

@@ -171,6 +171,12 @@ def test_a_cylinder_about_its_end_and_a_tube_are_the_closed_forms():
     )
 
 
+def test_a_sphere_about_a_tangent_is_seven_fifths():
+    m, r = 2.0, 0.3
+    I = inertia.sphere(m, r) + inertia.steiner(m, [r, 0, 0])
+    assert np.diag(I) == pytest.approx([0.4 * m * r**2, 1.4 * m * r**2, 1.4 * m * r**2])
+
+
 def test_uneven_boxes_that_are_turned_together_are_one_turned_box():
     density, R = 800.0, DIAGONAL
     parts = []

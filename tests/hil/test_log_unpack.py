@@ -12,7 +12,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 
 from drivers.errors import LogError
 from drivers.frame_array import FRAME
-from drivers.protocol import BUS, FD, Frame, Received
+from drivers.protocol import BRS, BUS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.tick_columns import ROW
 from hil.record import Recording
 from hil.record.entries import Command, assemble
@@ -78,6 +78,29 @@ def test_a_chunk_has_the_messages_that_the_library_finds(path):
         assert [data[a:b] for a, b in zip(starts, stops, strict=True)] == [each.data for each in theirs]
         assert channels == []
     assert len(chunks) > 1
+
+
+def test_rows_are_those_that_protobuf_reads(log, messages):
+    for column in log.columns:
+        name = f"{column.name}_number" if column.names else column.name
+        found = [getattr(message, name) for message in messages["/tick"]]
+        if column.elements:
+            found = [[getattr(each, element) for element in column.elements] for each in found]
+        values = log.rows(column.name)[column.name]
+        np.testing.assert_array_equal(values, np.reshape(found, values.shape), err_msg=column.name)
+    assert log.rows().tobytes() == np.array([tick.row for tick in RECORDED]).tobytes()
+
+
+def test_frames_are_those_that_protobuf_reads(log, messages):
+    flags = {"is_extended": EXTENDED, "fdf": FD, "brs": BRS, "esi": ESI, "is_rtr": REMOTE, "is_error": ERROR}
+    expected = []
+    for message in messages["/can"]:
+        stamp = message.header.stamp
+        bits = sum(bit for name, bit in flags.items() if getattr(message, name))
+        t_ns = stamp.seconds * 1_000_000_000 + stamp.nanos - log.epoch_ns
+        place = t_ns, message.tick, message.direction == 2, message.bus
+        expected.append((*place, message.id, message.data, bits))
+    assert list(log.can_frames()) == sorted(expected, key=lambda each: each[0])
 
 
 def test_ticks_have_their_frames_as_items_and_as_tuples(log, messages):

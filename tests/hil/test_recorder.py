@@ -132,6 +132,32 @@ def test_only_a_disk_without_room_closes_the_log_with_what_fits(tmp_path, monkey
 # -- batches and chunks ----------------------------------------------------------------------------------------
 
 
+def test_what_is_drained_is_written_before_its_room_is_given_back(tmp_path):
+    bench = Bench(tmp_path)
+    recorder: Any = bench.recorder
+    did: list[tuple[str, int]] = []
+    ring, write = recorder._ring, recorder._write
+
+    def written(messages):
+        did.append(("write", len(messages.channel)))
+        write(messages)
+
+    def released(batch):
+        did.append(("release", len(batch.rows)))
+        ring.release(batch)
+
+    recorder._write = written
+    recorder._publisher = SimpleNamespace(drained=lambda batch: did.append(("show", len(batch.rows))))
+    recorder.socket = SimpleNamespace(publish=lambda messages: did.append(("send", len(messages.channel))))
+    recorder._ring = SimpleNamespace(take=ring.take, release=released)
+    bench.tick(0, 1, 2)
+    bench.producer.event(0, "info", "behind them")
+    assert [recorder._drain(2) for _ in range(3)] == [True, True, False]
+    first, second = ([("write", 2), ("show", n), ("release", n), ("send", 2)] for n in (2, 1))
+    assert did == [*first, *second]
+    recorder.file.discard()
+
+
 def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
     """Write messages of these lengths, tick by tick; return tick and number of those of each chunk.
 

@@ -14,6 +14,7 @@ from drivers.compiled.pointed import of_python
 from drivers.config import TrackerSettings, WrenchSensorSettings
 from drivers.frame_array import NO_FRAMES, received_array
 from drivers.protocol import Received
+from drivers.sensor_kernels import NEVER
 from drivers.sensors import SensorProtocol
 from drivers.tick_columns import tick_at
 from hil.app.compose import build_cycle
@@ -215,3 +216,17 @@ def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_ag
     np.testing.assert_allclose(tick["q"], 1.5 + 1e-3 * rates * ages, rtol=0.0, atol=1e-15)
     np.testing.assert_array_equal(tick["dq"], rates)
     np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
+
+
+def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts):
+    sight = Sight(parts)
+    p = parts.home_p + 0.1
+    for back, stays in ((sight.forget, True), (sight.reset, False)):
+        sight.estimator.adopt(p, TURNED)
+        sight.located = sight.sought = sight.due = sight.fusing = True
+        sight.sensors["counter"] = 3
+        back()
+        assert [sight.located, sight.sought, sight.due, sight.fusing] == [False] * 4
+        assert sight.sensors["counter"].tolist() == [3 if stays else NEVER] * 3
+        np.testing.assert_array_equal(sight.estimator.p, p if stays else parts.home_p)
+        np.testing.assert_array_equal(sight.estimator.R, TURNED if stays else parts.home_R)

@@ -14,6 +14,7 @@ import pytest
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.signals import LEGS, Fault, Mode, Warn
+from hil.app.encoder_limits import leg_errors
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log
@@ -283,3 +284,16 @@ def test_with_friction_a_lost_encoder_is_survived_and_the_filter_knows_how_unsur
     assert found.nees()[lost].mean() < 6
     off, said = np.sum(found.e[:, :3] ** 2, axis=1), np.trace(found.P[:, :3, :3], axis1=1, axis2=2)
     assert 0.5 < np.mean((off / said)[lost]) < 2.5
+
+
+def test_noise_and_force_follow_from_encoders_friction_and_the_monitor():
+    found = leg_errors(stated("lab"))
+    steps = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 200_000)) * [[1.5e-7], [1e-7]]
+    assert found.length_std_m == pytest.approx(steps.sum(axis=0).std(), rel=0.01)
+    assert found.force_std_N == 60.0, "the plant's"
+    assert found.rate_skew_std_s == pytest.approx(50e-6 / np.sqrt(3))
+    assert found.rate_scale_std == pytest.approx(0.01 / np.sqrt(3))
+    assert leg_errors(stated("virtual")).force_std_N == 0.0
+    plantless = leg_errors(stated("lab").model_copy(update={"plant": None}))
+    assert plantless.force_std_N == pytest.approx(0.05 * 2000), "5 % of the smallest force limit"
+    assert plantless.length_std_m == pytest.approx(2e-6 / np.sqrt(12))

@@ -12,7 +12,7 @@ from click.testing import CliRunner
 import hil
 from hil.cli import main
 from hil.study import replay_suite
-from hil.study.replay_suite import replay_case
+from hil.study.replay_suite import logs_in, replay_case, run_suite
 from tests.hil.rewrite import rewrite_log
 
 ONE = "are different questions: give one of them"
@@ -92,6 +92,15 @@ def test_an_interrupt_leaves_the_table_of_what_was_done(folder, monkeypatch):
     assert result.exit_code == 130, result.output
     assert "below/good.mcap" in result.stdout
     assert "interrupted with 1 of 4 logs replayed" in result.stderr
+
+
+@pytest.mark.long
+def test_two_processes_find_the_same(folder):
+    found = [
+        sorted((case.log, case.verdict, case.text) for case in run_suite(logs_in(folder), jobs, None))
+        for jobs in (1, 2)
+    ]
+    assert found[0] == found[1]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.yaml_positions import path_text
 from hil.config.limits import ReactionSettings
 from hil.config.number import plain_number
+from hil.config.running import EngageSettings
 from tests.broad import broad
 
 
@@ -142,6 +143,11 @@ def test_the_bus_budget_counts_the_heartbeats_of_every_tick(heartbeat_ms, frames
 def test_heartbeats_that_do_not_fit_are_refused_with_the_arithmetic():
     with pytest.raises(ConfigurationError, match=r"6 x classic  5 byte: 105 bit = 105\.0 us each, 630\.0 us"):
         changed("virtual", {"drives": {"heartbeat_ms": 1}})
+
+
+@pytest.mark.parametrize(("closes", "expected"), [(None, 0.1), (0.0, 0.0), (0.05, 0.05), (0.3, 0.3)])
+def test_brakes_close_in_the_time_given_or_else_in_that_to_open(closes, expected):
+    assert EngageSettings(brake_release_s=0.1, brake_close_s=closes).closing_s == expected
 
 
 @pytest.mark.parametrize("reaction", ["ss1", "sbc", "sto"])

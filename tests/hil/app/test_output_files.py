@@ -137,6 +137,16 @@ def test_nothing_of_others_is_replaced(log, here, line, there):
         assert Path(name).read_bytes() == (b"theirs" if there == "theirs" else log.read_bytes())
 
 
+@pytest.mark.parametrize(
+    "line", [each for each in OUTPUTS if each.startswith(("report", "plot", "view", "export"))]
+)
+def test_no_log_is_replaced_by_force(log, here, line):
+    other = shutil.copy(log, here / OUTPUTS[line])
+    result = hil(f"{line.replace('LOG', str(log)).replace('X', OUTPUTS[line])} --force")
+    assert (result.exit_code, "no log is ever overwritten" in result.stderr) == (2, True), result.output
+    assert other.read_bytes() == log.read_bytes()
+
+
 EARLY = [
     line for line, name in OUTPUTS.items() if not name.endswith("mcap") and not line.startswith("bringup")
 ]

@@ -98,6 +98,21 @@ def test_a_run_holds_a_platform_and_goes_on_for_an_operator(
     assert (course.stays, course.goes_on) == (True, goes_on)
 
 
+@BUSES
+@pytest.mark.parametrize(
+    ("rate_Hz", "window_ns"), [(1000.0, 750_000), (500.0, 1_500_000), (125.0, 6_000_000)]
+)
+def test_the_feedback_window_follows_the_rate_that_runs(
+    ran: Ran, options: dict[str, bool], rate_Hz: float, window_ns: int
+) -> None:
+    """Three quarters of a period; the configured rate is 1000 Hz."""
+    assert VIRTUAL.loop.feedback_window_us is None
+    _, shell, windows, _ = ran(rate_Hz=rate_Hz, **options)
+    assert shell.feedback_window_ns == window_ns
+    assert windows == ([window_ns] if options else [])
+    assert shell.deadlines.period_ns == round(1e9 / rate_Hz)
+
+
 @pytest.mark.parametrize("plant_success", [True, False])
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
 def test_a_run_with_its_plant_succeeds_only_if_both_do(ran: Ran, ending: Ending, plant_success: bool) -> None:

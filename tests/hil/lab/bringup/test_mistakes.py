@@ -56,6 +56,8 @@ def case_of(words: str) -> Named:
             return {("mounted_elsewhere", (leg,)) for leg in legs}
         case "brake_weak":
             return {("brake_stuck_open", tuple(legs))}
+        case "backlash":
+            return {("encoder_jumps", tuple(legs))}
         case "force_scale" if mistake.value == 0.0:
             return {("no_force", tuple(legs))}
     return {(mistake.name, tuple(sorted(legs)))}
@@ -141,6 +143,7 @@ EARLY = [
     ("desktop", "watchdog_missing leg=2", 2),
     ("virtual", "encoder_scale leg=2 value=1.01", 4),
     ("virtual", "encoder_jumps leg=5", 4),
+    ("virtual", "backlash leg=2", 4),
     ("virtual", "brake_stuck_open leg=4", 5),
     ("virtual", "rate_sign leg=2", 5),
     ("virtual", "brake_inverted leg=1", 5),

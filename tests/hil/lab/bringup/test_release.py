@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from drivers.errors import RunError
+from drivers.errors import ConfigurationError, RunError
 from drivers.signals import Fault
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
@@ -172,13 +172,13 @@ def test_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees
     assert together.brake_failed is agrees
 
 
-def forgetful(folder) -> Configuration:
+def forgetful(folder, radius_m=0.004) -> Configuration:
     """The desktop with motors that forget their turns: multiples of 25 mm."""
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     homing = {"file": "legs.homing.yaml", "limit_m": 5e-3}
     drives = {
         "homing": homing,
-        "transmission": {"pulley_radius_m": 0.004},
+        "transmission": {"pulley_radius_m": radius_m},
         "options": {"position_rad": 60.0, "velocity_rad_s": 200.0},
     }
     return loads(with_changes(text, {"drives": drives}), "forgetful", folder)
@@ -268,6 +268,15 @@ def test_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
         assert homing(stated) == "moved", "it stays so until somebody says where the legs are"
         state_homing(stated, at_home=True)
     assert begun == ["moved"] * 2
+
+
+def test_file_of_another_robot_ends_the_bring_up_before_it_begins(
+    stated: Configuration, begun: list[str]
+) -> None:
+    state_homing(forgetful(stated.folder, 0.005), at_home=True)
+    with pytest.raises(ConfigurationError, match="another robot"):
+        run_bringup("forgetful", stated, say=lambda _: None)
+    assert begun == []
 
 
 @pytest.mark.parametrize("served", [False, True])

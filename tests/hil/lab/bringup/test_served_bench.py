@@ -16,8 +16,11 @@ from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.run.stretching import STRANGER
+from hil.lab.bringup import command
+from hil.lab.bringup.command import run_bringup
 from hil.lab.bringup.context import Request
 from hil.lab.bringup.ends import RemoteHands, hands_socket, served_bench, served_end
+from hil.lab.bringup.procedure import Outcome
 from hil.lab.bringup.terminal import Terminal
 
 C = load("virtual")
@@ -53,6 +56,23 @@ def test_hands_of_a_served_bench_are_asked_by_a_socket(folder):
         hands.answer()
     # stroke 0.75 to 2.2 m, and 2 % beyond it, less half of it
     assert lengths == [0.0, pytest.approx(2.2 + 0.02 * 1.45 - 0.5 * 1.45, abs=1e-3)]
+
+
+def test_what_a_served_bench_has_shown_says_nothing_of_a_machine(tmp_path, folder, monkeypatch):
+    def stopped(context, *, hang):
+        context.keep("held", 0, {"moved": False, "hand_N": 700.0})
+        return Outcome((), (), stopped="ended"), "ended"
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "_proceed", stopped)
+    c = loads(with_changes(C.text, {"recording": {"folder": f"{tmp_path}/runs"}}), "x", C.folder)
+    path, said = tmp_path / "state.json", list[str]()
+    with served_bench(c, []):
+        for _ in range(2):
+            run_bringup("x", c, state=path, yes=True, say=said.append)
+    assert not any("other hardware" in text for text in said)
+    run_bringup("x", c, state=path, say=said.append)
+    assert any("other hardware" in text for text in said)
 
 
 def test_time_is_held_in_the_steps_and_not_while_a_person_thinks(folder):

@@ -39,8 +39,11 @@ def block(found: Found) -> dict[str, Any]:
     believed = c.controller.believed
     if believed is not None:
         model = _drives(found)
-        if believed.inertia_scale != 1.0:
-            model["inertia_scale"] = 1.0
+        if body_shown(found):
+            if believed.inertia_scale != 1.0:
+                model["inertia_scale"] = 1.0
+        elif masses := model.get("reflected_mass_kg"):  # the scale stays, and is of these, too
+            model["reflected_mass_kg"] = [float(f"{m / believed.inertia_scale:.5g}") for m in masses]
         result["controller"] = {"model": model}
     return result
 

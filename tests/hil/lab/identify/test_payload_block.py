@@ -33,7 +33,7 @@ REFLECTED_KG = [9.0, 9.9, 18.0, 1.8, 27.0, 3.6]
 BODY = Body(85.0, np.array([0.02, 0.03, 0.15]), TENSOR)
 
 
-def whole(c, hidden=0.0):
+def whole(c, hidden=0.0, reflected_kg=None):
     """A body that is another than that of section `platform`, and drives, as found from a log."""
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(BODY)
@@ -46,7 +46,7 @@ def whole(c, hidden=0.0):
     )  # fmt: skip
     made: Any = SimpleNamespace(
         theta=theta, believed=np.zeros(COLUMNS), carrier=np.zeros(SIZE), split=False, payload=None,
-        estimate=estimate, whole=SimpleNamespace(smallest=1.0),
+        reflected_kg=reflected_kg, estimate=estimate, whole=SimpleNamespace(smallest=1.0),
         sources=[SimpleNamespace(configuration=c, seconds=1.0, reported=True)],
         rms_believed_N=9.0, rms_force_N=100.0, held_out={},
     )  # fmt: skip
@@ -84,7 +84,7 @@ def test_scale_of_all_masses_goes_with_the_body_and_stays_where_it_is_not_shown(
     c = of_platform(FIGURES, 0.8)
     keys = yaml.safe_load(block_text(whole(c, hidden)))
     assert ("platform" in keys) == ("inertia_scale" in keys["controller"]["model"]) == reset
-    believed = changed(c, **keys).controller.believed
+    believed: Any = changed(c, **keys).controller.believed
     assert believed.inertia_scale == (1.0 if reset else 0.8)
     masses = np.multiply(believed.inertia_scale, believed.reflected_mass_kg)
     assert masses == pytest.approx(REFLECTED_KG, rel=1e-4)

@@ -6,6 +6,7 @@ import click
 
 from hil.cli import shared
 
+REFLECTED = "Reflected mass of motor and screw of each leg, where it is known; else it is identified."
 FORCE = "Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it."
 DURATION = "Of the excitation, fading in and out included; default 12.5, with --delay 4."
 MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it."
@@ -13,9 +14,10 @@ MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml.
 
 @click.command("payload")
 @click.argument("logs", metavar="LOG...", nargs=-1, required=True, type=shared.FILE)
+@shared.option("--reflected", shared.NOT_NEGATIVE, "KG", REFLECTED)
 @shared.option("-o --out", shared.OUTPUT, "FILE", "YAML of the block; an earlier one is replaced.")
 @shared.reporting
-def payload(logs: tuple[Path, ...], out: Path | None) -> None:
+def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
     Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
@@ -37,7 +39,7 @@ def payload(logs: tuple[Path, ...], out: Path | None) -> None:
         own = beginning("a file of hil identify payload", payload_report.REMARK.encode())
         new_file(out, option="-o", own=own)
     with shared.status("reading the logs, and fitting"):
-        found = identify_payload(list(logs))
+        found = identify_payload(list(logs), reflected)
     show_lines(payload_report.report(found))
     summary = payload_report.summary(found)
     block = payload_report.block_text(found)

@@ -28,5 +28,8 @@ class DelayCompensation(ForceDelay):
     @model_validator(mode="after")
     def _some_delay(self) -> Self:
         if self.bus_ms + self.drive_lag_ms + self.hold_ms == 0.0:
-            raise ValueError("no delay at all, allowed: one of its keys above 0; or leave the section out")
+            raise ValueError(
+                "no delay at all, allowed: one of its keys above 0 (`hil identify --delay` measures them); "
+                "or leave the section out"
+            )
         return self

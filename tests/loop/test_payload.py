@@ -98,6 +98,19 @@ def test_mass_place_and_inertia_of_an_unknown_payload(found):
     assert np.abs(tensor(found.theta) / truth() - 1.0).max() < 0.1
 
 
+def test_reflected_mass_that_is_given_is_no_unknown(found, folder):
+    summary = folder / "given.json"
+    result = identify(folder / "a.mcap", "--reflected", 2, "--json", summary)
+    assert result.exit_code == 0, result.output
+    assert "reflected mass, kg: 2 each, given" in result.output
+    given = json.loads(summary.read_text())
+    assert given["reflected_mass"] == "given"
+    assert "reflected_mass_kg" not in given
+    assert given["not_shown"] == []
+    assert given["condition"] < found.estimate.condition
+    assert given["block"]["controller"]["model"]["reflected_mass_kg"] == [2.0] * 6
+
+
 @pytest.mark.long
 def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tmp_path):
     """On the book's path: inverse dynamics that knows the identified payload, against the one without payload."""
@@ -130,6 +143,11 @@ def test_friction_of_every_leg_of_the_lab_bench(more):
     assert lab["platform"]["mass_kg"] == pytest.approx(300.0, rel=1e-3)
     model = lab["block"]["controller"]["model"]
     assert model["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
+    result = identify(more / "lab.mcap", "--reflected", 9.9, "--json", more / "given.json")
+    assert result.exit_code == 0, result.output
+    given = json.loads((more / "given.json").read_text())
+    assert given["coulomb_friction_N"] == pytest.approx([60.0] * 6, rel=0.05)
+    assert given["block"]["controller"]["model"]["reflected_mass_kg"] == [9.9] * 6
 
 
 def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder, monkeypatch):

@@ -162,7 +162,10 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
         lambda c: (
             c.estimation.fusion.may_lose_legs and (c.estimation.pose != "fused" or c.sensors.tracker is None)
         ),
-        "five legs alone do not hold the pose, allowed: none, or estimation.pose fused with sensors.tracker",
+        (
+            "five legs alone do not hold the pose, allowed: none, or estimation.pose fused with "
+            "sensors.tracker, given: {c.estimation.fusion.may_lose_legs}"
+        ),
     ),
     "estimation.pose": (
         lambda c: c.estimation.pose == "fused" and c.bus.layout == "classic",
@@ -202,7 +205,10 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
             and isinstance(c.plant.model, BenchPlant)
             and not c.platform.length_min_m < c.plant.model.rest_length_m < c.platform.length_max_m
         ),
-        "outside the stroke, allowed: {c.platform.length_min_m:g} to {c.platform.length_max_m:g} m",
+        (
+            "outside the stroke, allowed: {c.platform.length_min_m:g} to {c.platform.length_max_m:g} m, "
+            "given: {c.plant.model.rest_length_m:g}"
+        ),
     ),
     "drives.homing": (
         lambda c: c.drives.homing is not None and c.drives.transmission is None,

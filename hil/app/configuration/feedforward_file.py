@@ -15,7 +15,6 @@ import yaml
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
-from drivers.files import MOST_BYTES as MOST_READ
 from drivers.files import read_regular
 from hil.app.configuration.controller_file import controller_path
 from hil.app.configuration.problems import checked
@@ -61,9 +60,9 @@ def made_for(
     )
 
 
-def _content(path: Path, most: int = MOST_READ) -> bytes:
+def _content(path: Path) -> bytes:
     try:
-        return read_regular(path, most)
+        return read_regular(path)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
 
@@ -158,7 +157,15 @@ def learned_forces(
     if settings is None:
         return None
     path = feedforward_path(settings, folder)
-    head, tau, start_s, step_s = read_feedforward(_content(path, MOST_BYTES), str(path))
+    try:
+        raw = read_regular(path, MOST_BYTES)
+    except FileNotFoundError:
+        raise ConfigurationError(
+            f"no such file, allowed: one that `hil learn` wrote, given: {settings.file} (looked for {path})"
+        ) from None
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    head, tau, start_s, step_s = read_feedforward(raw, str(path))
     now = made_for(reference, controller, platform, folder)
     for what in MadeFor.model_fields:
         there, here = getattr(head.made_for, what), getattr(now, what)

@@ -127,13 +127,20 @@ def bus_trouble(a: Answers, rate_Hz: float) -> str | None:
 
 
 def rate_trouble(a: Answers) -> str | None:
-    """Why the bus does not allow a rate, and how many buses do; None where it does."""
+    """Why bus or steps of the force do not allow a rate, and how many buses do; None where they do."""
     rate_Hz = a["rate_Hz"]
     if trouble := bus_trouble(a, rate_Hz):
         more = [n for n in CHANNELS if int(n) > int(a["channels"])]
         enough = next((n for n in more if bus_trouble(a | {"channels": n}, rate_Hz) is None), None)
         return f"{trouble}; here --channels {enough} is enough" if enough else trouble
-    return None
+    finest_m = _finest_m(a, rate_Hz)
+    if not drives.bought(a) or a["travel_m"] >= finest_m:
+        return None
+    return (
+        f"at {rate_Hz:g} Hz one code of torque is {drives.force_step_N(a, a['travel_m']):.2g} N at the "
+        f"leg and leaves it beyond 2 % of the stroke from its reference: take a higher rate, or --travel "
+        f"of at least {finest_m:.4g} m a turn"
+    )
 
 
 def travel_trouble(a: Answers) -> str | None:
@@ -142,11 +149,18 @@ def travel_trouble(a: Answers) -> str | None:
         return drives.travel_trouble(a, 0.0)
     assumed = {"layout": drives.family(a).layout, "channels": "1"} | a
     rate_Hz = loop_rate_Hz(assumed | {"travel_m": drives.travels_m(a)[1]})
+    return drives.travel_trouble(a, _finest_m(a, rate_Hz))
+
+
+def _finest_m(a: Answers, rate_Hz: float) -> float:
+    """Least leg length a turn, m, whose step of force stays within the following error; 0: no such steps."""
+    if not drives.models(a):
+        return 0.0
     home = robot_at_home(a)
     P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)
     # a step of the force is a torque over the travel a turn
     at_a_metre_m = error_m(P, np.full(6, drives.force_step_N(a, 1.0)), wn_rad_s(rate_Hz) ** 2)
-    return drives.travel_trouble(a, ROOM * at_a_metre_m / rounded(0.02 * a["stroke_m"]))
+    return ROOM * at_a_metre_m / rounded(0.02 * a["stroke_m"])
 
 
 def wn_rad_s(rate_Hz: float) -> float:

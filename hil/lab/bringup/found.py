@@ -149,5 +149,6 @@ def _sources(context: Context) -> list[str]:
         lines.append("drives.watchdog_ms: NOT proven, none is set from here; cut the drives' power otherwise")
     elif latest:
         lines.append(f"drives.watchdog_ms: proven by silence, {1e3 * max(latest):.4g} ms at the latest")
-    lines.append("platform, drives.transmission: lengths by tape, which the checklist has")
+    if context.table("encoder"):
+        lines.append("platform, drives.transmission: lengths by tape, which the checklist has")
     return lines

@@ -21,6 +21,7 @@ from hil.config.number import ALLOWED, in_reason, plain_number
 from hil.config.values import AXES
 from hil.lab.calibrate.fit import (
     NAMES,
+    WEAK,
     Calibration,
     Combination,
     Measurements,
@@ -215,6 +216,12 @@ def _warnings(poses: Path, at: list[int], fit: Calibration) -> Iterator[str]:
             f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. Along these joints "
             f"stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
         )
+    if fit.weak:
+        each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
+        yield (
+            f"weak, uncertain by more than {1e3 * WEAK:g} mm: {each}. {_advice(fit.weak)} Lengths and "
+            "poses close to the measured ones are better known than these"
+        )
     if fit.p_value is not None and fit.chi_square is not None and not DOUBT < fit.p_value < 1 - DOUBT:
         yield (
             f"residuals are {math.sqrt(fit.chi_square / fit.dof):.2f} times the given standard deviations, "
@@ -254,7 +261,10 @@ def _leg(leg: int) -> str:
 def _figures(
     c: Configuration, poses: Path, fit: Calibration, rms: float, rms_before: float, warnings: list[str]
 ) -> dict[str, Any]:
-    undetermined = [{"leg": _leg(x.leg), "coefficients": x.coefficients} for x in fit.undetermined]
+    undetermined, weak = (
+        [{"leg": _leg(x.leg), "coefficients": x.coefficients, "std_m": x.std} for x in some]
+        for some in (fit.undetermined, fit.weak)
+    )
     return {
         "configuration": c.name,
         "poses": str(poses),
@@ -273,6 +283,8 @@ def _figures(
         "std_m": fit.std.tolist(),
         "covariance_m2": fit.covariance.tolist(),
         "undetermined": undetermined,
+        "weak": weak,
+        "weak_std_m": WEAK,
         "warnings": warnings,
     }
 

@@ -25,6 +25,8 @@ NOISE = 5.0
 """The same in multiples of what the noise of the measured poses alone would show."""
 SHARE = 0.02
 """A parameter with more than this in what is not determined is not determined by itself."""
+WEAK = 1e-3
+"""m: a combination less certain than this is worth a warning."""
 
 
 class Measurements(NamedTuple):
@@ -49,11 +51,13 @@ class Measurements(NamedTuple):
 
 
 class Combination(NamedTuple):
-    """A combination of one leg's parameters that the poses do not determine."""
+    """A combination of one leg's parameters that the poses do not determine, or hardly."""
 
     leg: int
     coefficients: dict[str, float]
     """Name of the parameter -> its share, the largest 1."""
+    std: float | None = None
+    """m; None where nothing is determined."""
 
 
 class Calibration(NamedTuple):
@@ -82,6 +86,8 @@ class Calibration(NamedTuple):
     """m, standard deviation of a reading: as estimated, or root mean square of the given ones."""
     undetermined: list[Combination]
     """Kept at the start values."""
+    weak: list[Combination]
+    """Known to less than `WEAK`."""
 
 
 def predicted(platform: Platform, measured: Measurements) -> Array:
@@ -166,6 +172,7 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
         p_value=float(gammaincc(dof / 2, chi_square / 2)) if given else None,
         sigma=float(np.sqrt(scale if measured.length_std is None else np.mean(measured.length_std**2))),
         undetermined=[c for leg in range(6) for c in _combinations(leg, lost[leg])],
+        weak=[c for leg in range(6) for c in _weak(leg, covariance)],
     )
 
 
@@ -252,6 +259,15 @@ def _combinations(leg: int, V: Array) -> list[Combination]:
     A = np.empty((k, 7))
     A[:, order] = np.linalg.solve(R[:, :k], R)
     return [Combination(leg, _named(vector)) for vector in A]
+
+
+def _weak(leg: int, covariance: Array) -> list[Combination]:
+    variance, V = np.linalg.eigh(covariance[7 * leg : 7 * leg + 7, 7 * leg : 7 * leg + 7])
+    return [
+        Combination(leg, _named(V[:, j]), float(np.sqrt(variance[j])))
+        for j in range(6, -1, -1)
+        if variance[j] > WEAK**2
+    ]
 
 
 def _named(vector: Array) -> dict[str, float]:

@@ -32,6 +32,7 @@ from hil.lab.identify.estimators.leg_equations import (
     Equations,
     equations_of,
     joined,
+    without,
 )
 from hil.lab.identify.estimators.leg_motion import LegSignals
 from hil.lab.identify.estimators.rigid_body import SIZE, parameters_of
@@ -86,6 +87,8 @@ class Found(NamedTuple):
     """Platform with all that it carries."""
     payload: Consistent | None
     """Platform and a payload that is a body by itself; None where nothing is carried that is not known."""
+    reflected_kg: float | None
+    """Of each leg, where it is given."""
     rms_believed_N: float
     rms_force_N: float
     """Of the leg forces less what the legs themselves take."""
@@ -103,11 +106,11 @@ class Found(NamedTuple):
         return self.payload.theta if self.payload is not None and self.split else self.whole.theta
 
 
-def identify_payload(paths: list[Path]) -> Found:
+def identify_payload(paths: list[Path], reflected_kg: float | None = None) -> Found:
     """Return what logs of `hil run` or `hil sim` say of masses and friction.
 
-    Raises LogError for what is no such log, ConfigurationError for a fused pose, IdentificationError where
-    the logs do not hold enough or are of different platforms.
+    `reflected_kg` of each leg, where it is known. Raises LogError for what is no such log, ConfigurationError
+    for a fused pose, IdentificationError where the logs do not hold enough or are of different platforms.
     """
     if len({real_path(path) for path in paths}) < len(paths):
         raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
@@ -124,6 +127,9 @@ def identify_payload(paths: list[Path]) -> Found:
                 )
     platform = first.model.platform
     believed, scale = _believed(first), unknowns_scale(platform)
+    if reflected_kg is not None:
+        believed[REFLECTED:] = reflected_kg
+        sources = [s._replace(equations=without(s.equations, believed, REFLECTED)) for s in sources]
     together = joined([s.equations for s in sources])
     logs = ", ".join(str(s.path) for s in sources)
     try:
@@ -143,7 +149,7 @@ def identify_payload(paths: list[Path]) -> Found:
     whole = consistent(estimate, platform.radius)
     payload = consistent(estimate, platform.radius, carrier) if carried else None
     held_out = _held_out(sources, believed, scale)
-    return Found(sources, believed, carrier, estimate, whole, payload, *rms, held_out)
+    return Found(sources, believed, carrier, estimate, whole, payload, reflected_kg, *rms, held_out)
 
 
 def _source(path: Path) -> Source:
@@ -213,6 +219,7 @@ def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str,
 
 
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
-    """Return value and standard error (6,) of the drives' parts, by key."""
-    std = found.estimate.std
-    return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, (at, *_) in DRIVES.items()}
+    """Return value and standard error (6,) of the drives' parts, by key; not of reflected masses if given."""
+    std, given = found.estimate.std, found.reflected_kg is not None
+    parts = {key: at for key, (at, *_) in DRIVES.items() if at != REFLECTED or not given}
+    return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, at in parts.items()}

@@ -39,8 +39,13 @@ def block(found: Found) -> dict[str, Any]:
     believed = c.controller.believed
     if believed is not None:
         model = _drives(found)
-        if believed.inertia_scale != 1.0:
-            model["inertia_scale"] = 1.0
+        if found.reflected_kg is not None:
+            model["reflected_mass_kg"] = 6 * [found.reflected_kg]
+        if body_shown(found):
+            if believed.inertia_scale != 1.0:
+                model["inertia_scale"] = 1.0
+        elif masses := model.get("reflected_mass_kg"):  # the scale stays, and is of these, too
+            model["reflected_mass_kg"] = [float(f"{m / believed.inertia_scale:.5g}") for m in masses]
         result["controller"] = {"model": model}
     return result
 
@@ -123,8 +128,9 @@ def file_text(found: Found) -> str:
 def unseen(found: Found) -> list[str]:
     """Return the unknowns that the motion does not show."""
     names = dict(enumerate(NAMES)) | {LATE: "delay of the forces"}
-    names |= {at + k: f"{what} of leg {k}" for at, what, _ in DRIVES.values() for k in range(6)}
-    return [names[k] for k in np.flatnonzero(found.estimate.unknown > HIDDEN).tolist()]
+    parts = [DRIVES[key] for key in drives_of(found)]
+    names |= {at + k: f"{what} of leg {k}" for at, what, _ in parts for k in range(6)}
+    return [names[k] for k in np.flatnonzero(found.estimate.unknown > HIDDEN).tolist() if k in names]
 
 
 def summary(found: Found) -> dict[str, Any]:
@@ -145,6 +151,7 @@ def summary(found: Found) -> dict[str, Any]:
         "payload": _plain(found.theta[:SIZE] - found.carrier) if found.split else None,
         **{key: value.tolist() for key, (value, _) in drives.items()},
         **{f"{key}_std": std.tolist() for key, (_, std) in drives.items()},
+        "reflected_mass": "identified" if found.reflected_kg is None else "given",
         "late_ms": 1e3 * float(found.theta[LATE]),
         "late_std_ms": 1e3 * float(e.std[LATE]),
         "condition": e.condition,
@@ -183,6 +190,8 @@ def report(found: Found) -> Iterator[str]:
         figures = ", ".join(f"{v:.2f} +- {2.0 * s:.2g}" for v, s in zip(value, std, strict=True))
         _, what, unit = DRIVES[key]
         yield f"  {what}, {unit}: {figures}"
+    if found.reflected_kg is not None:
+        yield f"  reflected mass, kg: {found.reflected_kg:g} each, given"
     late_ms, late_std_ms = 1e3 * found.theta[LATE], 1e3 * e.std[LATE]
     yield f"Forces are {late_ms:.3f} +- {2.0 * late_std_ms:.2g} ms late against the lengths"
     residual = f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as believed"

@@ -99,6 +99,14 @@ def test_learned_forces_are_refused_on_anything_else(what: str, changes: Any, tm
     assert "learn again" in str(refused.value)
 
 
+def test_a_file_that_is_gone_is_refused_with_what_writes_one(tmp_path: Path) -> None:
+    text = using(tmp_path).text
+    (tmp_path / "learned.csv").unlink()
+    with pytest.raises(ConfigurationError, match="allowed: one that `hil learn` wrote, given: ") as refused:
+        loads(text, "my.yaml", tmp_path)
+    assert f"given: learned.csv (looked for {tmp_path}/learned.csv)" in str(refused.value)
+
+
 def test_more_than_its_limit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigurationError, match=r"above feedforward\.limit_N, allowed: up to 90 N, given: 99"

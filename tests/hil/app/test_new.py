@@ -121,9 +121,10 @@ LIGHT = (
         ("--drives cubemars --travel 0.06", "no default for --model"),
         ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames alone"),
         ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),
-        # by hand: 2 x 18 N m on 4095 steps, over 0.06 m a turn, are 0.92 N
+        # by hand: 2 x 18 N m on 4095 steps, over 0.06 m a turn, are 0.92 N; over 0.13 m 0.42 N
         (f"{LIGHT} --travel 0.06", "allowed with AK80-9: 0.1257 to 0.5598 m a turn"),
         (f"{LIGHT} --travel 0.06", "one code of torque is 0.92 N at the leg"),
+        (f"{LIGHT} --travel 0.13 --rate 250", "--rate: at 250 Hz one code of torque is 0.42 N"),
     ],
 )  # fmt: skip
 def test_an_answer_that_cannot_work_is_refused_and_nothing_is_written(words, told, tmp_path):

@@ -114,6 +114,15 @@ def test_poses_without_tilt_are_named(tmp_path):
     assert figures["std_m"][0][0] is None
 
 
+def test_combinations_that_are_hardly_known_are_named(tmp_path):
+    text, figures = calibrated(tmp_path, rows(tilt_deg=2.0))
+    assert "warning: weak, uncertain by more than 1 mm: leg" in " ".join(text.split())
+    assert figures["undetermined"] == []
+    assert figures["weak_std_m"] == 1e-3
+    assert figures["weak"]
+    assert all(each["std_m"] > 1e-3 for each in figures["weak"])
+
+
 def test_slip_is_named_by_its_line_though_lines_are_blank(tmp_path):
     table = rows()
     table[20][7] += 2e-3

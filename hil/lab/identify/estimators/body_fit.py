@@ -110,7 +110,8 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
     Z = (X @ shown) * w[:, None]
     spread = coloured_covariance(Z, y - A @ theta, equations.sample)
     root = np.asarray(np.linalg.qr(A, mode="r"), np.float64)
-    columns = A / np.linalg.norm(A, axis=0)
+    columns = A[:, A.any(axis=0)]
+    columns = columns / np.linalg.norm(columns, axis=0)
     T = scale[:, None] * shown
     return Estimate(
         theta, T @ spread @ T.T, shown, hidden, float(np.linalg.cond(columns)), rms,

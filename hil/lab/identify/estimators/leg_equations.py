@@ -108,6 +108,13 @@ def _columns(platform: Platform, motion: PlatformMotion) -> Array:
     return A
 
 
+def without(equations: Equations, given: Array, first: int) -> Equations:
+    """Return the equations with the unknowns from `first` on known, given (29,): their columns are 0."""
+    A, noise = equations.A.copy(), equations.noise.copy()
+    A[:, first:] = noise[:, first:] = 0.0
+    return equations._replace(A=A, y=equations.y - equations.A[:, first:] @ given[first:], noise=noise)
+
+
 def joined(logs: list[Equations]) -> Equations:
     """Return the equations of several logs as one system."""
     begun, samples = 0, []

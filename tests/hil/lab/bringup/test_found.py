@@ -114,6 +114,13 @@ def test_limits_are_reduced_once_however_often_the_file_is_given(machines):
     assert (twice.limits, twice.engage) == (once.limits, once.engage)
 
 
+@pytest.mark.parametrize("measured", [True, False])
+def test_the_file_tells_of_lengths_by_tape_where_there_are_any(machines, measured):
+    virtual = machines["virtual"]
+    virtual.context.facts = {"encoder": {"0": fact(0)} if measured else {}}
+    assert ("by tape" in found_text(virtual.c, virtual.context, [])) == measured
+
+
 def test_checklist_marks_what_passed_and_what_was_found():
     rehearsal = Rehearsal("virtual", "encoder_sign leg=3")
     outcome = rehearsal.run(STEPS[:4])

@@ -33,18 +33,20 @@ REFLECTED_KG = [9.0, 9.9, 18.0, 1.8, 27.0, 3.6]
 BODY = Body(85.0, np.array([0.02, 0.03, 0.15]), TENSOR)
 
 
-def whole(c):
+def whole(c, hidden=0.0, reflected_kg=None):
     """A body that is another than that of section `platform`, and drives, as found from a log."""
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(BODY)
     theta[REFLECTED:] = REFLECTED_KG
+    unknown = np.zeros(COLUMNS)
+    unknown[:SIZE] = hidden
     estimate = SimpleNamespace(
-        std=np.full(COLUMNS, 0.01), unknown=np.zeros(COLUMNS), scale=np.ones(COLUMNS), residual_N=np.ones(6),
+        std=np.full(COLUMNS, 0.01), unknown=unknown, scale=np.ones(COLUMNS), residual_N=np.ones(6),
         condition=5.0, samples=100,
     )  # fmt: skip
     made: Any = SimpleNamespace(
         theta=theta, believed=np.zeros(COLUMNS), carrier=np.zeros(SIZE), split=False, payload=None,
-        estimate=estimate, whole=SimpleNamespace(smallest=1.0),
+        reflected_kg=reflected_kg, estimate=estimate, whole=SimpleNamespace(smallest=1.0),
         sources=[SimpleNamespace(configuration=c, seconds=1.0, reported=True)],
         rms_believed_N=9.0, rms_force_N=100.0, held_out={},
     )  # fmt: skip
@@ -74,3 +76,15 @@ def test_pasted_block_is_the_body_that_was_found(body):
     pasted = changed(c, **yaml.safe_load(block_text(whole(c))))
     theta = parameters_of(build_platform(pasted.platform).platform)
     assert theta == pytest.approx(parameters_of(BODY), abs=1e-5)
+
+
+@pytest.mark.parametrize(("hidden", "reset"), [(0.0, True), (0.5, False)])
+def test_scale_of_all_masses_goes_with_the_body_and_stays_where_it_is_not_shown(hidden, reset):
+    """Pasted, reflected masses are those that were found."""
+    c = of_platform(FIGURES, 0.8)
+    keys = yaml.safe_load(block_text(whole(c, hidden)))
+    assert ("platform" in keys) == ("inertia_scale" in keys["controller"]["model"]) == reset
+    believed: Any = changed(c, **keys).controller.believed
+    assert believed.inertia_scale == (1.0 if reset else 0.8)
+    masses = np.multiply(believed.inertia_scale, believed.reflected_mass_kg)
+    assert masses == pytest.approx(REFLECTED_KG, rel=1e-4)

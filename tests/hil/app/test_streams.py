@@ -100,7 +100,7 @@ def test_the_time_left_is_that_of_the_jobs_of_this_command(
 ) -> None:
     """Also of a campaign that goes on, whose first count has the rows of before."""
     now = 0.0
-    monkeypatch.setattr(shared.time, "monotonic", lambda: now)
+    monkeypatch.setattr("hil.cli.shared.time.monotonic", lambda: now)
     with shared.counted("rows") as count:
         count(kept, kept + 100)
         now = 30.0

@@ -1,7 +1,7 @@
 """`hil replay`: a log's recorded inputs through the same code, compared to the bit."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +28,7 @@ _DIGITS = 19
 """Of a count: more are none."""
 MOST = {"rate_Hz": MOST_RATE_HZ, "watchdog_s": 3600.0}
 """Of what a log says of its run."""
+_DRAWN = "`hil plot` draws its columns"
 
 
 def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
@@ -45,7 +46,8 @@ def refuse_unread(log: Log) -> None:
     there = {c.name: (c.kind, c.shape) for c in log.columns}
     other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
     if other:
-        raise _other_version(log, f"its columns differ ({', '.join(other[:3])})", "read")
+        refusal = _other_version(log, f"its columns differ ({', '.join(other[:3])})", "read")
+        raise LogError(f"{refusal}; {_DRAWN}")
 
 
 def _open(path: Path) -> tuple[Log, dict[str, Any]]:
@@ -53,8 +55,11 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
     return log, run_of(log, path)
 
 
-def run_of(log: Log, path: Path) -> dict[str, Any]:
-    """Return what a log of `hil run` or `hil sim` says of it. Raises LogError: another log, or no rate."""
+def run_of(log: Log, path: Path, needed: Iterable[str] = MOST) -> dict[str, Any]:
+    """Return what a log of `hil run` or `hil sim` says of it. Raises LogError: another log, or no rate.
+
+    needed : which keys of MOST.
+    """
     run: dict[str, Any] = dict(log.metadata.get("hil", {}))
     if run.get("kind") == WHAT_IF:
         raise LogError(
@@ -63,9 +68,10 @@ def run_of(log: Log, path: Path) -> dict[str, Any]:
         )
     if run.get("kind") not in {"run", "sim"}:
         raise LogError(
-            f"{path}: holds a log of kind {run.get('kind')!r}, allowed: one of `hil run` or `hil sim`"
+            f"{path}: holds a log of kind {run.get('kind')!r}, allowed: one of `hil run` or `hil sim`; "
+            f"{_DRAWN}"
         )
-    for key in ("rate_Hz", "watchdog_s"):
+    for key in needed:
         try:
             run[key] = float(run[key])
             ok = 0.0 < run[key] <= MOST[key]

@@ -229,14 +229,15 @@ def status(text: str) -> Iterator[Callable[[str], None]]:
 def counted(text: str) -> Iterator[Callable[[int, int], None]]:
     """Show how far a batch is: in a row of the terminal, elsewhere in a line every SAY_S.
 
-    Yields what takes the count of jobs done and of all.
+    Yields what takes the count of jobs done and of all; those of its first call were done before.
     """
     begun = said = time.monotonic()
+    before: int | None = None
 
     def count(done: int, of: int) -> None:
-        nonlocal said
-        now = time.monotonic()
-        left = timedelta(seconds=round((now - begun) * (of - done) / max(done, 1)))
+        nonlocal said, before
+        now, before = time.monotonic(), done if before is None else before
+        left = timedelta(seconds=round((now - begun) * (of - done) / max(done - before, 1)))
         line = f"{text}: {done} of {of}, {left} left"
         show(line)
         if not sys.stderr.isatty() and now - said >= SAY_S:

@@ -6,7 +6,6 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from drivers.errors import ConfigurationError
 from hil.app.output import leaving
 from hil.study.arrow import Column
 from hil.study.campaign import dask_cluster, parquet
@@ -33,12 +32,12 @@ def run_campaign(
     that runs them instead. fresh : discard the rows that are there. An interruption keeps the rows so far.
 
     Raises LogError: the folder has another campaign's rows, is in use or cannot be written, or pyarrow is not
-    installed; ConfigurationError: the cluster does not answer, or a file has changed while rows ran.
+    installed; ConfigurationError: the cluster does not answer, or a row's file has changed.
     """
     parquet.require()
     begun = time.perf_counter()
-    columns, made_of = parquet.columns(plan), identity(plan)
-    with closing(Store(folder, columns, made_of, fresh=fresh)) as store:
+    columns = parquet.columns(plan)
+    with closing(Store(folder, columns, identity(plan), fresh=fresh)) as store:
         rows = store.rows()
         missing = [number for number in range(len(plan)) if number not in rows]
         kept = len(rows)
@@ -60,11 +59,6 @@ def run_campaign(
                 row = line(outcome, columns)
                 rows[row["row"]] = row
                 store.add(row)
-            if identity(plan) != made_of:
-                raise ConfigurationError(
-                    f"{plan.path}: a file that it names has changed while rows ran: restore it, and run all "
-                    "rows again with `hil campaign --fresh`"
-                )
             table = store.finish(rows)
     ordered = [rows[number] for number in sorted(rows)]
     whole = rate("all", ordered)

@@ -72,5 +72,7 @@ def run_at_worker(job: Job, wanted: str) -> Outcome | str:
         return f"it has hexapod-hil {here}, allowed: {wanted}, as here"
     try:
         return run_row(job)
+    except ConfigurationError as error:
+        return str(error)
     except Exception as error:  # noqa: BLE001 - see above
         return f"row {job.number}: {type(error).__name__}: {error}"

@@ -1,11 +1,12 @@
-"""The files that the rows of a campaign name: where each is, and what is in it.
+"""The files that the rows of a campaign name: where each is, and that it stays what it was.
 
-A relative path is looked for beside the configuration, then beside the campaign file, then in the folder
-where the campaign was read.
+A relative path is looked for beside the configuration, as everywhere, then beside the campaign file; the data
+sheet of a drive before all that in the folder where the campaign was read, as `hil check` does.
 """
 
 import hashlib
 from collections.abc import Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,24 +18,23 @@ from hil.study.campaign.keys import at, path
 from hil.study.campaign.settings import ListedAxis
 
 _CONTROLLER = ("controller", "controller_file")
-PLACES = (
-    ("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"),
-    ("drives", "options", "eds"),
-)  # fmt: skip
+_SHEET = ("drives", "options", "eds")
+PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"), _SHEET)
 """Keys of a configuration that name a file which a row reads."""
-Folders = tuple[Path, ...]
-"""Where files are looked for, absolute, in this order: beside the configuration first."""
+Folders = tuple[Path, Path, Path]
+"""Where files are looked for, absolute: of the configuration, of the campaign, where that was read."""
 
 
-def _find(name: str, folders: Folders) -> Path | None:
-    return next((folder / name for folder in folders if (folder / name).is_file()), None)
+def _find(name: str, place: tuple[str, ...], folders: Folders) -> Path | None:
+    looked = (folders[2], *folders[:2]) if place == _SHEET else folders[:2]
+    return next((folder / name for folder in looked if (folder / name).is_file()), None)
 
 
 def find_beside(value: dict[str, Any], folders: Folders) -> None:
     """Make the paths of a configuration's data absolute."""
     for place in PLACES:
         name = at(value, place)
-        if isinstance(name, str) and (file := _find(name, folders)) is not None:
+        if isinstance(name, str) and (file := _find(name, place, folders)) is not None:
             at(value, place[:-1])[place[-1]] = str(file)
 
 
@@ -47,22 +47,40 @@ def digests(base: dict[str, Any], axes: Mapping[str, ListedAxis], folders: Folde
     for data in (base, *(part for axis in axes.values() for part in _parts(axis))):
         for place in PLACES:
             if isinstance(name := at(data, place), str):
-                file = _find(name, folders) or folders[0] / name
+                file = _find(name, place, folders) or folders[0] / name
                 if place == _CONTROLLER and not file.is_file():  # or a shipped one
                     settings = StateSpaceSettings(law="state_space", controller_file=name)
                     file = controller_path(settings, folders[0])
-                found[str(file)] = _digest(file)
+                found[str(file)] = _digest_now(file)
     return found
 
 
-def _digest(file: Path) -> str:
+def refuse_changed(files: Mapping[str, str]) -> None:
+    """Raise ConfigurationError where a file is another than when the campaign was read, or cannot be read."""
+    for name, digest in files.items():
+        if _digest_now(Path(name)) != digest:
+            raise ConfigurationError(
+                f"{name}: has changed since this campaign was read: the next rows would be of another one, "
+                "allowed: the same file for all rows. Restore it and repeat the command, or discard the rows "
+                "with `hil campaign --fresh`"
+            )
+
+
+def _digest_now(file: Path) -> str:
+    """Return the digest of a file; it is read again where its size or time is another."""
     try:
-        with open_regular(file) as opened:
-            return hashlib.file_digest(cast("Any", opened), "sha256").hexdigest()
+        found = file.stat()
+        return _digest(file, found.st_ino, found.st_size, found.st_mtime_ns)
     except FileNotFoundError:
         return "no file"
     except OSError as error:
         raise ConfigurationError(f"{file}: cannot be read: {error.strerror}") from None
+
+
+@lru_cache(maxsize=1024)
+def _digest(file: Path, *_: int) -> str:
+    with open_regular(file) as opened:
+        return hashlib.file_digest(cast("Any", opened), "sha256").hexdigest()
 
 
 def _parts(axis: ListedAxis) -> Iterator[Any]:

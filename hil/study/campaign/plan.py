@@ -5,7 +5,7 @@ import importlib.resources
 import json
 from collections.abc import Iterator
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -92,7 +92,9 @@ def read_plan(path: Path) -> Plan:
         if problems and _problems(subject, values):  # it may need what another axis brings
             found |= dict.fromkeys((place, problem) for problem in problems)
     _refuse(found, document, file)
-    return plan
+    return replace(
+        plan, subject=subject._replace(files=digests(subject.base, settings.axes, subject.folders))
+    )
 
 
 def shipped() -> tuple[str, ...]:
@@ -167,8 +169,6 @@ def identity(plan: Plan) -> dict[str, str]:
     """Return what tells a campaign from every other, by what it is made of: digests, and the version.
 
     The same identity, the same table. Comments in its file and where the files lie make no difference.
-
-    Raises ConfigurationError: a file that rows name cannot be read.
     """
     drawn = hashlib.sha256()
     for row in range(len(plan)):
@@ -179,8 +179,7 @@ def identity(plan: Plan) -> dict[str, str]:
         "values of the rows": drawn.hexdigest(),
         "version of hexapod-hil": version("hexapod-hil"),
     }
-    files = digests(plan.subject.base, plan.settings.axes, plan.subject.folders)
-    for file, digest in files.items():
+    for file, digest in plan.subject.files.items():
         name = f"file {Path(file).name}"  # wherever it lies; files of one name are told by their order
         found[name] = f"{found.get(name, '')} {digest}".strip()
     return found

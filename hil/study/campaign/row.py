@@ -17,7 +17,7 @@ from hil.loop.run_end import Course
 from hil.signals import Operator
 from hil.study.campaign.figures import METRICS, Measurement
 from hil.study.campaign.keys import SEED, apply, at
-from hil.study.campaign.named_files import Folders, find_beside
+from hil.study.campaign.named_files import Folders, find_beside, refuse_changed
 from hil.study.campaign.settings import CampaignSettings
 from plant_fmu.faults.plan import FaultPlan
 
@@ -34,6 +34,8 @@ class Subject(NamedTuple):
     source: str
     folders: Folders
     settings: CampaignSettings
+    files: dict[str, str] = {}
+    """Digest of each file that a row may name, by its path."""
 
 
 class Job(NamedTuple):
@@ -78,7 +80,7 @@ def run_row(job: Job) -> dict[str, Any]:
     """Run a row; return `passed`, `ended`, `ended_s`, `faults`, `trouble` and METRICS as plain values.
 
     What goes wrong with it is in the outcome. Raises MemoryError, OSError: that is the machine's trouble, and
-    the row may run later.
+    the row may run later; ConfigurationError: a file that rows name is no more what it was.
     """
     return performed(job)[0]
 
@@ -99,6 +101,7 @@ def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
     except Exception as error:  # noqa: BLE001 - whatever a law raises that diverges ends its row and no other
         kind = "" if isinstance(error, HilError) else f"{type(error).__name__}: "
         found = not_run(job, "error", f"{kind}{error}")
+    refuse_changed(job.subject.files)
     for folder in sorted(map(str, job.subject.folders), key=len, reverse=True):
         found["trouble"] = found["trouble"].replace(f"{folder}/", "")  # where they lie makes no difference
     return found, ended

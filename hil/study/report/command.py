@@ -39,7 +39,7 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
     found = readable(path)
     with np.errstate(all="ignore"):  # a log may hold any number
-        rate_Hz = run_of(found.log, path)["rate_Hz"]
+        rate_Hz = run_of(found.log, path, ["rate_Hz"])["rate_Hz"]
         refuse_unread(found.log)
         if not len(found.rows):
             raise LogError("; ".join(filter(None, (f"{path}: has no tick: nothing to report", found.remark))))

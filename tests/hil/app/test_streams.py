@@ -15,7 +15,7 @@ from typing import Any, TextIO
 import pytest
 
 from hil.app.output import show
-from hil.cli import check, main
+from hil.cli import check, main, shared
 from hil.cli.shared import finish, finish_lines
 
 FULL = "cannot be written: No space left on device\n"
@@ -92,6 +92,20 @@ def test_the_json_is_written_although_nobody_reads_the_summary(
         assert invoked(end) == 141
     assert capsys.readouterr().err == ""
     assert json_file.exists()
+
+
+@pytest.mark.parametrize("kept", [0, 900])
+def test_the_time_left_is_that_of_the_jobs_of_this_command(
+    kept: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Also of a campaign that goes on, whose first count has the rows of before."""
+    now = 0.0
+    monkeypatch.setattr("hil.cli.shared.time.monotonic", lambda: now)
+    with shared.counted("rows") as count:
+        count(kept, kept + 100)
+        now = 30.0
+        count(kept + 25, kept + 100)
+    assert capsys.readouterr().err == f"rows: {kept + 25} of {kept + 100}, 0:01:30 left\n"
 
 
 def test_an_output_that_is_closed_from_the_start_changes_no_exit_code(tmp_path: Path) -> None:

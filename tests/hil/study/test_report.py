@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from drivers.errors import LogError
 from drivers.signals import Fault, Mode
+from drivers.tick_columns import RECORDED
 from hil.app.configuration.configuration import load
 from hil.app.configuration.fault_words import with_faults
 from hil.app.sim.command import simulate
 from hil.record import Recording
 from hil.record.log import Event, Log
-from hil.record.schema import SUMMARY
-from hil.study.report import sections
+from hil.record.schema import IDENTITY, SUMMARY
+from hil.study.report import command, sections
 from hil.study.report.command import report
 from hil.study.report.page import as_script, prose, tag
 from hil.study.report.story import told
@@ -152,12 +154,26 @@ def test_a_damaged_log_is_refused_with_the_way_to_salvage_it(logs, tmp_path):
 @pytest.mark.parametrize("said", ["0", "-1", "nan", "inf", "100001", "fast", "9" * 400])
 def test_a_rate_that_no_loop_has_is_refused_as_windows_of_ticks_grow_with_it(tmp_path, said):
     path = tmp_path / "a.mcap"
-    options = {"kind": "sim", "rate_Hz": said, "watchdog_s": 0.1}
+    options = {"kind": "sim", "rate_Hz": said}
     with Recording.start(path, configuration="", lockstep=True, metadata=options) as recording:
         record(recording, random_ticks(5, seed=1))
     with pytest.raises(LogError, match=r"rate_Hz: .*at most 100000$") as caught:
         report(path)
     assert len(str(caught.value)) < 200 + len(str(path))
+
+
+@pytest.mark.parametrize(
+    ("options", "columns", "said"),
+    [
+        ({"kind": "plant"}, RECORDED, "of kind 'plant', allowed: one of `hil run` or `hil sim`"),
+        ({"kind": "sim", "rate_Hz": RATE_Hz}, RECORDED[1:], r"its columns differ \(.*, which made it"),
+    ],
+)
+def test_a_log_that_has_no_page_is_refused_with_what_draws_it(tmp_path, monkeypatch, options, columns, said):
+    log = SimpleNamespace(path="a.mcap", columns=columns, metadata={IDENTITY: options})
+    monkeypatch.setattr(command, "readable", lambda _: SimpleNamespace(log=log))
+    with pytest.raises(LogError, match=f"{said}.*; `hil plot` draws its columns$"):
+        report(tmp_path / "a.mcap")
 
 
 EXTREMES = {"i": (-(2**63), -1, 2**40, 2**63 - 1), "f": (np.nan, np.inf, -np.inf, 1e308, -1e-310)}
@@ -188,7 +204,7 @@ def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
 @pytest.mark.parametrize("count", [1, 2, 33])
 def test_a_log_of_few_ticks_of_any_content_gives_a_page(tmp_path, count):
     path = tmp_path / "a.mcap"
-    options = {"kind": "sim", "rate_Hz": RATE_Hz, "watchdog_s": 0.1}
+    options = {"kind": "sim", "rate_Hz": RATE_Hz}
     with Recording.start(
         path, configuration=load("virtual").text, lockstep=True, metadata=options
     ) as recording:

@@ -85,6 +85,9 @@ def test_a_page_plays_and_zooms_by_the_keyboard_alone(pages, tmp_path):
         assert browser.value("document.querySelectorAll('.chart')[3].plot.scales.x.max") == pytest.approx(
             whole
         )
+        browser.value("document.querySelectorAll('.chart')[0].querySelectorAll('.u-legend th')[1].focus()")
+        browser.key("Enter", "\r")
+        assert browser.value("document.querySelectorAll('.chart')[0].plot.series[1].show") is False
         assert browser.errors == []
 
 

@@ -93,6 +93,19 @@
       else return;
       e.preventDefault();
     });
+    place.querySelectorAll(".u-legend .u-series th").forEach((label, i) => {
+      if (!i) return;
+      label.tabIndex = 0;
+      label.setAttribute("role", "button");
+      const toggle = () => label.setAttribute("aria-pressed", String(u.series[i].show));
+      toggle();
+      label.addEventListener("keydown", (e) => {
+        if (e.key !== "Enter" && e.key !== " ") return;
+        u.setSeries(i, { show: !u.series[i].show });
+        toggle();
+        e.preventDefault();
+      });
+    });
   }
 
   data.charts.forEach((chart) => {

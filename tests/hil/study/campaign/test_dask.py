@@ -13,9 +13,11 @@ import pytest
 from drivers.errors import ConfigurationError
 from hil.study.campaign import dask_cluster
 from hil.study.campaign.command import run_campaign
-from hil.study.campaign.plan import read_plan
+from hil.study.campaign.plan import identity, read_plan
+from hil.study.campaign.store import stored_rows
 from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, started, wait_for_a_row, written
 from tests.hil.study.campaign.clusters import cluster
+from tests.hil.study.campaign.test_plan_identity import SAMPLED, path_csv
 
 DEADLY = """
 import os, signal
@@ -85,6 +87,16 @@ def test_a_worker_of_another_version_runs_no_row(two, threads, tmp_path, monkeyp
     refused = pytest.raises(ConfigurationError, match=r"at a worker: .*hexapod-hil 0\.9\.0, allowed: 1\.0\.0")
     with refused:
         run_campaign(two[0], tmp_path, scheduler=threads)
+
+
+def test_a_worker_with_another_file_at_the_same_path_is_named(threads, tmp_path):
+    file = tmp_path / "path.csv"
+    file.write_text(path_csv(1.001))
+    plan = read_plan(written(tmp_path, SAMPLED))
+    file.write_text(path_csv(1.002))
+    with pytest.raises(ConfigurationError, match=r"at a worker: /.*path\.csv: has changed since"):
+        run_campaign(plan, tmp_path / "out", scheduler=threads)
+    assert stored_rows(tmp_path / "out", identity(plan)) == {}
 
 
 def test_whatever_a_worker_raises_arrives(two, threads, tmp_path, monkeypatch):

@@ -8,7 +8,8 @@ from drivers.errors import ConfigurationError, LogError
 from hil.app.configuration.configuration import load
 from hil.study.campaign.command import run_campaign
 from hil.study.campaign.plan import identity, read_plan
-from hil.study.campaign.row import row_configuration
+from hil.study.campaign.row import row_configuration, run_row
+from hil.study.campaign.store import stored_rows
 from tests.drivers.cia402_sheet import sheet
 from tests.hil.study.campaign.campaigns import SMALL, written
 
@@ -63,20 +64,43 @@ def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign
     assert found.model_dump()["path"] == str(tmp_path / "robot" / "path.csv")
 
 
-def test_there_is_no_table_where_a_file_changed_while_rows_ran(tmp_path):
+def test_no_row_of_a_file_that_changed_while_rows_ran_is_stored(tmp_path):
+    """Neither restored nor read anew is it in a table with the rows of before."""
+    file = tmp_path / "path.csv"
+    file.write_text(path_csv(1.001))
+    plan, out = read_plan(written(tmp_path, SAMPLED)), tmp_path / "results"
+
+    def change(done, _):
+        if done == 2:
+            file.write_text(path_csv(1.002))
+
+    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since .* Restore it and repeat"):
+        run_campaign(plan, out, jobs=1, progress=change)
+    assert sorted(stored_rows(out, identity(plan))) == [0, 1]
+    assert not (out / "table.parquet").exists()
+    with pytest.raises(LogError, match=r"changed since: file path\.csv"):
+        run_campaign(read_plan(plan.path), out, jobs=1)
+    file.write_text(path_csv(1.001))
+    assert run_campaign(read_plan(plan.path), out, jobs=1)["rows_kept"] == 2
+
+
+def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))
     plan = read_plan(written(tmp_path, SAMPLED))
+    file.unlink()
+    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since"):
+        run_row(plan.job(0))
 
-    def change(done, _):
-        if done == 3:
-            file.write_text(path_csv(1.002))
 
-    with pytest.raises(ConfigurationError, match="has changed while rows ran: restore it"):
-        run_campaign(plan, tmp_path / "results", jobs=1, progress=change)
-    assert not (tmp_path / "results" / "table.parquet").exists()
-    with pytest.raises(LogError, match=r"changed since: file path\.csv"):
-        run_campaign(plan, tmp_path / "results", jobs=1)
+def test_a_path_in_the_present_folder_alone_is_not_found(tmp_path, monkeypatch):
+    """`hil check` and `hil sim` do not look there either."""
+    for name in ("here", "campaign"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "here" / "path.csv").write_text(path_csv(1.001))
+    monkeypatch.chdir(tmp_path / "here")
+    with pytest.raises(ConfigurationError, match=r"path\.csv"):
+        read_plan(written(tmp_path / "campaign", SAMPLED))
 
 
 CHANGED = """
@@ -87,7 +111,7 @@ changes: {drives: {options: {eds: drive.eds}}}
 grid: {force_N: {key: limits.force_N, values: [9000, 9001]}}
 """
 SWEPT = CHANGED.partition("changes:")[0] + "grid: {sheet: {key: drives.options.eds, values: [drive.eds]}}\n"
-FOLDERS = ("robot", "campaign", "here")
+FOLDERS = ("here", "robot", "campaign")
 
 
 @pytest.mark.parametrize("text", [CHANGED, SWEPT], ids=["changed", "swept"])

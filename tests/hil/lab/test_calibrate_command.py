@@ -116,7 +116,7 @@ def test_poses_without_tilt_are_named(tmp_path):
 
 def test_combinations_that_are_hardly_known_are_named(tmp_path):
     text, figures = calibrated(tmp_path, rows(tilt_deg=2.0))
-    assert "warning: weak, uncertain by more than 1 mm: leg" in " ".join(text.split())
+    assert "warning: weak, uncertain by more than 1 mm: l1: " in " ".join(text.split())
     assert figures["undetermined"] == []
     assert figures["weak_std_m"] == 1e-3
     assert figures["weak"]

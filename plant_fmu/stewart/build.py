@@ -180,8 +180,8 @@ def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: 
     sources = _source_files(fmi_version)
     sources["model.c"] = tables(guid).encode()
     recipe = repr((compiler.identity, FLAGS, keys, [TARGETS[k] for k in keys], fmi_version))
-    cached = cache_folder() / "fmu" / _digest({**sources, "recipe": recipe.encode()})[:24]
-    cached = cached / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
+    digest = _digest({**sources, "recipe": recipe.encode() + Path(__file__).read_bytes()})
+    cached = cache_folder() / "fmu" / digest[:24] / f"{MODEL_IDENTIFIER}_fmi{fmi_version[0]}.fmu"
     try:
         if not cached.is_file():
             made_folder(cached.parent)

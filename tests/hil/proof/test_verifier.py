@@ -156,7 +156,7 @@ def test_without_V_the_linearisation_speaks():
         ({"x": "-x"}, {}, "no symbol"),
         ({x: -x}, {"box": {y: (-1, 1)}}, "which is no state"),
         ({x: y - x, y: y}, {"at": {x: y}}, "is no parameter"),
-        ({x: 1 - m * x}, {"at": {x: 1 / m}, "box": {x: (0, 5)}}, "a box needs a number"),
+        ({x: 1 - m * x}, {"at": {x: 1 / m}, "box": {x: (0, 5)}}, "it must be a number"),
         ({x: x**3 - x}, {"parameters": {x: (-R(1, 2), R(1, 2))}}, "which is a state"),
         ({x: -x}, {"parameters": {m: (1, 2)}}, "neither f nor V"),
         ({x: -x - x ** (10**9 + 1)}, {}, "exponent beyond 10000"),

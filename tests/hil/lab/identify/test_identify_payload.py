@@ -99,7 +99,7 @@ def test_what_one_axis_cannot_show_stays_as_believed_and_is_named():
 def test_leg_that_never_slides_is_refused():
     signals = made(Model(PLATFORM), 2.0)
     still = np.tile(signals.length[:1], (len(signals.length), 1))
-    with pytest.raises(IdentificationError, match="too little motion: leg 0 has .* usable samples"):
+    with pytest.raises(IdentificationError, match=r"too little motion: leg 0 has .* usable samples"):
         fitted(signals._replace(length=still, p=signals.p * 0 + signals.p[0], R=signals.R * 0 + signals.R[0]))
 
 

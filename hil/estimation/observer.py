@@ -91,17 +91,21 @@ def observe(k: Any, seen: int, tick: Any) -> int:
     periods = tick.tick - k.tick if k.begun else 1
     advance(path, periods, tau)
     k.begun, k.tick = 1, tick.tick
-    runs = tick.drive_state == _RUN
-    if not (runs | (tick.drive_state == _READY)).all():
+    runs = powered = True
+    for i in range(6):
+        runs = runs and tick.drive_state[i] == _RUN
+        powered = powered and (tick.drive_state[i] == _RUN or tick.drive_state[i] == _READY)
+    if not powered:
         k.residual[:] = 0.0
-    if not runs.all() or not seen:
+    if not runs or not seen:
         k.follows = 0
         return 0
     if k.follows:
         c, T = reals_at(k.constants, SIZE), periods * path.period_s
         w = unexplained(c, k.code, k.p, k.R, k.twist, tick.p, tick.R, tick.twist, tau, T)
         left = k.left ** float(periods)
-        k.residual[:] = w + (k.residual - w) * left
+        for i in range(6):
+            k.residual[i] = w[i] + (k.residual[i] - w[i]) * left
     k.follows = 1
     k.p[:] = tick.p
     k.R[:] = tick.R

@@ -46,10 +46,13 @@ def ahead(k: Any, free: int, tick: Any) -> int:
     for n in range(k.count):
         h = follow(path, k.segments + _SEGMENT_BYTES * n, force, mean)
         for half in range(2):
-            p[:] += 0.5 * h * twist[:3]
+            for i in range(3):
+                p[i] += 0.5 * h * twist[i]
             cayley_step(R, scale(0.5 * h, at(twist, 3)))
             if half == 0:
-                twist[:] += h * forward_dynamics_kernel(c, k.code, p, R, twist, mean, tick.wrench)
+                dtwist = forward_dynamics_kernel(c, k.code, p, R, twist, mean, tick.wrench)
+                for i in range(6):
+                    twist[i] += h * dtwist[i]
     a = c[BASE : BASE + 18].reshape((6, 3))
     b = c[PLATFORM : PLATFORM + 18].reshape((6, 3))
     lengths_and_jacobian(a, b, p, R, tick.q, tick.J)

@@ -56,8 +56,9 @@ def judge(k: Any, words: int) -> int:
     p = chi[:3]
     rotation_motion(at(chi, 3), _STILL, _STILL, R)
     q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
-    if (q < k.low).any() or (q > k.high).any():
-        return _STROKE
+    for i in range(6):
+        if q[i] < k.low or q[i] > k.high:
+            return _STROKE
     if not condition_kernel(jacobian_kernel(k.base_joints, k.platform_joints, p, R), k.radius) <= k.condition:
         return _CONDITION
     rest = inverse_dynamics_kernel(constants, k.code, p, R, still, still, still)
@@ -66,7 +67,10 @@ def judge(k: Any, words: int) -> int:
         one = np.zeros_like(chi)
         one[j] = k.ddchi[j]
         most += np.abs(inverse_dynamics_kernel(constants, k.code, p, R, still, one, still) - rest)
-    return 0 if (most <= k.force).all() else _FORCE
+    for i in range(6):
+        if not most[i] <= k.force:
+            return _FORCE
+    return 0
 
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
@@ -78,8 +82,8 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
     for i in range(6):
         for j in range(6):
             dq[i] += J[i, j] * twist[j]
-    if not ((q >= k.soft_min) & (q <= k.soft_max)).all():
-        return _STROKE
+        if not k.soft_min <= q[i] <= k.soft_max:
+            return _STROKE
     if not condition_kernel(J, k.radius) <= k.condition:
         return _CONDITION
     if overspeed(dq, k.speed) or too_fast_for_end(q, dq, k.soft_min, k.soft_max, k.deceleration):
@@ -87,7 +91,10 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
     tau = inverse_dynamics_kernel(
         reals_at(k.constants, SIZE), k.code, p, R, twist, dtwist, np.zeros_like(twist)
     )
-    return 0 if (np.abs(tau) <= k.force).all() else _FORCE
+    for i in range(6):
+        if not abs(tau[i]) <= k.force:
+            return _FORCE
+    return 0
 
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
@@ -101,7 +108,8 @@ def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faste
     moved = p + WINDOW_S * twist[:3]
     rotation_motion(scale(WINDOW_S, at(twist, 3)), _STILL, _STILL, turn)
     for i in range(3):
-        turned[i] = turn[i, 0] * R[0] + turn[i, 1] * R[1] + turn[i, 2] * R[2]
+        for j in range(3):
+            turned[i, j] = turn[i, 0] * R[0, j] + turn[i, 1] * R[1, j] + turn[i, 2] * R[2, j]
     rest = inverse_dynamics_kernel(constants, k.code, p, R, still, still, still)
     going = inverse_dynamics_kernel(constants, k.code, p, R, twist, dtwist, still) - rest
     inertia = inverse_dynamics_kernel(constants, k.code, p, R, still, twist, still) - rest

@@ -115,8 +115,11 @@ def controlled(mode: int) -> bool:
 @helper
 def estimate(c: Any, tick: Any) -> None:
     """Fill the estimate of a tick, a leg without fresh data being carried on at its last rate."""
-    if tick.age.any():
-        tick.q[:] += tick.dq * (tick.age * c.period_s)
+    for i in range(6):
+        if tick.age[i]:
+            for j in range(6):
+                tick.q[j] += tick.dq[j] * (tick.age[j] * c.period_s)
+            break
     estimate_pose(_estimator_at(c.estimator), _estimated_at(c.tick))
 
 
@@ -146,7 +149,12 @@ def may_end(c: Any, tick: Any) -> bool:
         return True
     if c.ends and ended(_motion_at(c.motion), _override_at(c.override), tick.tick):
         return True
-    return bool(elapsed >= c.due and (c.due_states >> tick.drive_state & 1).all())
+    if elapsed < c.due:
+        return False
+    for i in range(6):  # noqa: SIM110 - compiled
+        if not c.due_states >> tick.drive_state[i] & 1:
+            return False
+    return True
 
 
 @kernel(_CONTROL, _TICK, _TICK, records(FRAME))
@@ -205,6 +213,15 @@ def place(c: Any, tick: Any) -> None:
 
 
 @helper
+def all_free(tick: Any) -> bool:
+    """Tell whether all brakes are open, on the drives' own word."""
+    for i in range(6):  # noqa: SIM110 - compiled
+        if tick.drive_state[i] != _FREE:
+            return False
+    return True
+
+
+@helper
 def seen_by_law(c: Any, tick: Any) -> Any:
     """Return the address of the tick as the law sees it: now, or when its force will act.
 
@@ -217,10 +234,11 @@ def seen_by_law(c: Any, tick: Any) -> Any:
     then[:] = now
     seen = _tick_at(c.ahead)
     if c.predict:
-        all_free = (tick.drive_state == _FREE).all()  # brakes open on the drives' own word
-        call(c.predict, (c.predictor, np.int64(all_free), c.ahead))
+        call(c.predict, (c.predictor, np.int64(all_free(tick)), c.ahead))
     if c.has_load:
-        seen.wrench[:] *= 1.0 - entry_share(c, tick.tick)
+        share = 1.0 - entry_share(c, tick.tick)
+        for i in range(6):
+            seen.wrench[i] *= share
     if c.predict and controlled(c.mode):
         sample, motion, override = _sample_at(c.sample), _motion_at(c.motion), _override_at(c.override)
         _, t = ahead(motion, override, tick.tick, c.horizon_s, sample)
@@ -247,20 +265,29 @@ def fill_effort(c: Any, tick: Any) -> None:
         seen.shortfall[:] = c.shortfall
         ask(c.law, c.gains, c.constants, c.code, at)
         tick.tau_law[:] = seen.tau_law
-        tick.tau_asked[:] = tick.tau_law
         left = entry_share(c, tick.tick)
-        if left > 0.0:
-            tick.tau_asked[:] += c.offset * left
-        if c.mode == _HELD:  # nan stays nan
-            tick.tau_asked[:] = np.minimum(
-                np.maximum(tick.tau_asked, c.holding - c.reach_N), c.holding + c.reach_N
-            )
-        elif acts > 0:
-            tick.tau_learned[:] = c.learned
-            tick.tau_asked[:] += c.learned
+        learns = acts > 0 and c.mode != _HELD
+        for i in range(6):
+            asked = tick.tau_law[i]
+            if left > 0.0:
+                asked += c.offset[i] * left
+            if learns:
+                tick.tau_learned[i] = c.learned[i]
+                asked += c.learned[i]
+            if c.mode == _HELD:
+                asked = within(asked, c.holding[i] - c.reach_N, c.holding[i] + c.reach_N)
+            tick.tau_asked[i] = asked
     elif c.load_s > 0.0 and c.mode in (_LOADING, _UNLOADING):
         elapsed_s = (tick.tick - c.mode_tick) * c.period_s
-        tick.tau_asked[:] = c.holding * holding_share(c.mode, elapsed_s, c.load_s)
+        share = holding_share(c.mode, elapsed_s, c.load_s)
+        for i in range(6):
+            tick.tau_asked[i] = c.holding[i] * share
+
+
+@helper
+def within(value: float, low: float, high: float) -> float:
+    """Return a value between two ends; nan stays nan."""
+    return low if value < low else min(value, high)
 
 
 @helper
@@ -289,9 +316,9 @@ def send(c: Any, tick: Any, into: Any) -> int:
     if c.command_mode not in (_READY, _RUN):
         tick.tau[:] = 0.0
     tick.command_mode = c.command_mode
-    c.shortfall[:] = 0.0
-    if c.verdict[1] != 0 and controlled(c.mode):
-        c.shortfall[:] = tick.tau - tick.tau_asked - tick.probe_force
+    limited = c.verdict[1] != 0 and controlled(c.mode)
+    for i in range(6):
+        c.shortfall[i] = tick.tau[i] - tick.tau_asked[i] - tick.probe_force[i] if limited else 0.0
     for k in range(2):
         if c.paths[k]:
             send_force(path_at(c.paths[k]), tick.tau)

@@ -40,8 +40,9 @@ def between(rows: Array, place: float, into: Array) -> None:
     last = len(rows) // 6 - 2
     place = min(place, last + 1.0)
     k = min(int(place), last)
-    before, after = rows[6 * k : 6 * k + 6], rows[6 * k + 6 : 6 * k + 12]
-    into[:] = before + (place - k) * (after - before)
+    for i in range(6):
+        before, after = rows[6 * k + i], rows[6 * k + 6 + i]
+        into[i] = before + (place - k) * (after - before)
 
 
 @pointed(
@@ -82,7 +83,10 @@ def step(
             k.left = 1
         k.acts = 0
         k.share = max(k.share - k.step, 0.0)
-    reals_at(into, 6)[:] = k.tau * (1.0 if k.share == 1.0 else smoothstep(k.share))
+    tau = reals_at(into, 6)
+    share = 1.0 if k.share == 1.0 else smoothstep(k.share)
+    for i in range(6):
+        tau[i] = k.tau[i] * share
     return 1 if k.share > 0.0 else 0
 
 

@@ -38,7 +38,10 @@ def find(h: Any, leg: int, raw: float, last: Any, tick: Any) -> None:
 @helper
 def all_known(h: Any) -> bool:
     """Tell whether the turns of all legs are known, and nothing is wrong."""
-    return bool((h.known != 0).all() and (h.wrong == 0).all())
+    for leg in range(LEGS):  # noqa: SIM110 - compiled
+        if h.known[leg] == 0 or h.wrong[leg] != 0:
+            return False
+    return True
 
 
 @pointed(record(HOMING), INTEGER, INTEGER, INTEGER, _TICK, _TICK)

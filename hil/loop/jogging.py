@@ -44,11 +44,12 @@ def evaluate(jog: Any, t: float, into: Any) -> int:
     w, R0 = at(jog.rate, 3), jog.R0
     turn = np.empty((3, 3))
     rotation_motion(scale(t, w), w, still, turn)
-    into.p[:] = jog.p0 + t * jog.rate[:3]
     for i in range(3):
-        into.R[i] = turn[i, 0] * R0[0] + turn[i, 1] * R0[1] + turn[i, 2] * R0[2]
-    into.twist[:] = jog.rate
-    into.dtwist[:] = 0.0
+        into.p[i] = jog.p0[i] + t * jog.rate[i]
+        for j in range(3):
+            into.R[i, j] = turn[i, 0] * R0[0, j] + turn[i, 1] * R0[1, j] + turn[i, 2] * R0[2, j]
+    for i in range(6):
+        into.twist[i], into.dtwist[i] = jog.rate[i], 0.0
     return 0
 
 

@@ -289,7 +289,7 @@ class MotorProtocol(Family):
         return MotorController(self, setup)
 
     def _heard(self, frame: Frame) -> Any:
-        """Return what a drive's frame says, an element of HEARD; None for a frame of no drive here."""
+        """Content of a drive's frame, an element of HEARD; None for a frame of an unknown drive."""
         heard = np.zeros((), HEARD)
         said = self.ear(self.tables, sent_array([frame]), heard)
         return heard if said and self.bus_of[heard["leg"]] == frame.bus else None

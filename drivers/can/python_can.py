@@ -149,7 +149,7 @@ class PythonCan(Link):
 
 
 def unknown_interface(name: str) -> str:
-    """Say which interfaces there are where this is none; empty where it is one."""
+    """List the known interfaces for an unknown one; empty for a known one."""
     if name in can.VALID_INTERFACES:
         return ""
     known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))

@@ -35,7 +35,7 @@ def runtime_folder() -> Path:
         return own_folder(folder)
     except OSError as error:
         raise BusError(
-            f"runtime folder {folder}: {error.strerror}; mend that, or set XDG_RUNTIME_DIR to a "
+            f"runtime folder {folder}: {error.strerror}; fix that, or set XDG_RUNTIME_DIR to a "
             "folder of your own"
         ) from error
 

@@ -56,7 +56,7 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
 
 
 def run_of(log: Log, path: Path, needed: Iterable[str] = MOST) -> dict[str, Any]:
-    """Return what a log of `hil run` or `hil sim` says of it. Raises LogError: another log, or no rate.
+    """Metadata of the run in a log of `hil run` or `hil sim`. Raises LogError: another log, or no rate.
 
     needed : which keys of MOST.
     """

@@ -60,7 +60,7 @@ def loose(s: Subject) -> list[Mapping[str, object]]:
 
 
 def needs(s: Subject) -> dict[str, Need]:
-    """Return what each key of section `limits` needs."""
+    """Smallest value that each key of section `limits` needs."""
     c, swings, stroke_m = s.c, s.walk.swings(s.period_s), s.stroke_m
     disturbed_N = c.monitor.disturbance_m_s2 * s.leg_mass_kg
     most_N = ACTS / FACTOR * min(c.limits.force_N, c.drives.force_limit_N)

@@ -270,7 +270,7 @@ HARDWARE = {
 
 
 def _unknown(name: str) -> str:
-    """Say which interfaces there are where this is none; empty where it is one."""
+    """List the known interfaces for an unknown one; empty for a known one."""
     if name in {"localcan", "socketcan"}:
         return ""
     from drivers.can.python_can import unknown_interface

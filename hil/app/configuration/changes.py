@@ -1,4 +1,4 @@
-"""A configuration with some values changed, and its text anew: what a log carries has to be whole."""
+"""Change values of a configuration and write its whole text again, as a log carries it."""
 
 from collections.abc import Mapping
 from pathlib import PurePath

@@ -201,7 +201,7 @@ def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
 def _summary(
     c: Configuration, cycle: Cycle, ending: Ending, granted: RealTime, closed: LogSummary
 ) -> tuple[dict[str, Any], Rows | None]:
-    """Return what there is to say of a run, and the rows of its log, if it can be read."""
+    """Summary of a run, and the rows of its log; None if the log cannot be read."""
     rate, dropped = cycle.parts.rate_Hz, closed.dropped + closed.lost
     result: dict[str, Any] = {
         "success": ending.success and not ending.trouble,

@@ -13,7 +13,7 @@ from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
-"""Laws judged with one robot at a time. By name: a law of one's own may inherit their settings only."""
+"""Laws judged with one robot at a time; by name, since a user's law may inherit from their settings."""
 
 
 def judge(

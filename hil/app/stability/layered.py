@@ -88,7 +88,7 @@ def _inside(subject: Subject, judged: Judged, slope: float) -> float:
 def _reaching(
     subject: Subject, law: RobustSettings, inertia: Inertia, d: Array, inside: float
 ) -> tuple[Reaching, str, list[str], dict[str, Any]] | str:
-    """Return what the layer promises, what does not cover what, lines and figures; or why nothing is known.
+    """Bound inside the layer, the uncovered disturbance, lines and figures; or the reason why there is none.
 
     d (6,): m/s^2, the largest disturbance of each leg. inside: m/s, the largest sliding variable of a leg.
     """

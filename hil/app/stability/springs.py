@@ -90,7 +90,7 @@ def springs(subject: Subject, law: SpringSettings) -> Assessment:
 
 
 def _badness(one: Assessment) -> tuple[int, float, float]:
-    """Return what is largest of the best verdict; of equal ones that which bears the least delay is worse."""
+    """Sort key, smallest for the worst: verdict, delay margin in ms, negative largest pole."""
     margin, pole = _figure(one, "delay_margin_ms"), _figure(one, "largest_pole")
     delay = inf if margin is None else float(f"{margin:.6g}")  # the same but for rounding is equal
     return WORST_FIRST.index(one.status), delay, -(pole or 0.0)

@@ -18,6 +18,7 @@ SHORTEST = 23
 """Bytes of the shortest record that a chunk may hold, an empty schema."""
 _LENGTH = struct.Struct("<Q")
 _SEVEN_BITS = 1 << 7 * np.arange(5)
+_FLAG_BITS = np.array(list(FRAME_FLAGS.values()))
 
 
 def scan(data: bytes) -> tuple[Ints, int]:
@@ -100,7 +101,6 @@ def _frames(records: Bytes, places: list[int], epoch_ns: int) -> Rows:
     frames["t_ns"] = varint(seconds) * 1_000_000_000 + varint(nanos) - epoch_ns
     frames["id"], frames["bus"] = number(can_id, "<u4"), records[:, bus]
     frames["kind"] = records[:, direction] - RX
-    bits = zip(flags, FRAME_FLAGS.values(), strict=True)
-    frames["flags"] = sum(np.where(records[:, place] != 0, bit, 0) for place, bit in bits)
+    frames["flags"] = (records[:, flags] != 0) @ _FLAG_BITS
     items["tick"], items["index"] = number(tick, "<i8"), number(index, "<u4")
     return items

@@ -8,33 +8,33 @@ PYTEST_FLAGS ?=
 FUZZ_FLAGS ?=
 SOAK_FLAGS ?=
 MUTANTS_FLAGS ?=
-# where it is set, each of some hundred processes of the tests compiles the project anew
+# if it is set, each of some hundred test processes compiles the project again
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help run test long fuzz mutants soak lint bench docs format lock clean venv fmu kernels viewers
 
-help:  ## this list
+help:  ## list the targets
 	@echo "make TARGET, where TARGET is"
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  %-8s %s\n", $$1, $$2}' Makefile
 
-run: fmu  ## the whole loop: controller, virtual CAN bus, six drives and the platform's FMU, in real time
+run: fmu  ## run the loop in real time: controller, virtual CAN bus, six drives and the platform's FMU
 	@exec $(BIN)/hil run virtual --plant --arm
 
-# what a first time compiles, beside mypy: the processes of the tests would each compile the same
+# compile kernels once, in parallel with mypy; otherwise each test process would compile them
 test: venv  ## import contracts, ruff, mypy, pytest (its summary is the last line)
 	@$(MAKE) -j2 lint kernels
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal $(PYTEST_FLAGS)
 
-long: fmu viewers  ## slow checks that `make test` leaves out: what an extension costs, many seeds, mutants
+long: fmu viewers  ## slow checks that `make test` does not run: cost of an extension, many seeds, mutants
 	@$(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m long -o faulthandler_timeout=1500 $(PYTEST_FLAGS)
 
-fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes; FUZZ_FLAGS="--seed 5000" goes on there
+fuzz: fmu  ## damaged logs, configurations, CSV files, FMUs ... for ten minutes; FUZZ_FLAGS="--seed 5000" continues at that seed
 	@exec $(BIN)/python -m tools.fuzz $(FUZZ_FLAGS)
 
-mutants: fmu  ## plausible mistakes, a seeded sample an area, and which test notices each; MUTANTS_FLAGS="--area cycle --seed 2"
+mutants: fmu  ## a seeded sample of plausible mistakes per area, and the test that detects each; MUTANTS_FLAGS="--area cycle --seed 2"
 	@exec $(BIN)/python -m tools.mutants $(MUTANTS_FLAGS)
 
-soak: fmu  ## a day of ticks in lockstep, across the wraps of counters (some hours); SOAK_FLAGS="--real 30" is half an hour in real time
+soak: fmu  ## a day of ticks in lockstep, beyond the overflow of all counters (some hours); SOAK_FLAGS="--real 30": half an hour in real time
 	@exec $(BIN)/python -m tools.soak $(SOAK_FLAGS)
 
 lint: venv  ## import contracts, ruff, mypy
@@ -43,17 +43,17 @@ lint: venv  ## import contracts, ruff, mypy
 	@$(BIN)/ruff format --check --quiet && echo "ruff format: clean"
 	@$(BIN)/mypy
 
-bench: fmu  ## the benchmark: compute per tick, wake-up, latency, recorder, replay, FMU
+bench: fmu  ## benchmark: computing time per tick, wake-up, latency, recorder, replay, FMU
 	@exec $(BIN)/python -m tools.benchmarks
 
-docs: fmu  ## the documentation, to build/docs/index.html; a warning is an error
+docs: fmu  ## build the documentation, build/docs/index.html; a warning is an error
 	@$(BIN)/python -m sphinx -b html -W --keep-going -q docs build/docs
 	@echo "build/docs/index.html"
 
-format: venv  ## let ruff format and mend what it can
+format: venv  ## format with ruff, and fix what ruff can fix
 	@$(BIN)/ruff check --fix --quiet; $(BIN)/ruff format
 
-lock:  ## resolve the dependencies anew into the lock files (needs uv)
+lock:  ## update the lock files (needs uv)
 	@UV="$(UV)" sh tools/lock
 
 clean:  ## remove .venv, builds and caches; logs in runs/ stay
@@ -69,5 +69,5 @@ fmu: venv
 kernels: fmu
 	@$(BIN)/python -m tools.compile_kernels
 
-viewers: venv  ## put the extra `viewers` (Rerun, Foxglove; 0.7 GB) into .venv
+viewers: venv  ## install the extra `viewers` (Rerun, Foxglove; 0.7 GB) into .venv
 	@$(BIN)/python -m pip install --quiet --require-hashes --only-binary :all: --no-deps -r requirements-viewers.lock

@@ -1,16 +1,16 @@
-"""Frames <-> SI: protocols, codecs and the bus. No control, no clock, no files."""
+"""CAN frames <-> SI values: protocols, codecs and the bus. No control."""
 
 from __future__ import annotations
 
 import time
 from typing import TYPE_CHECKING, cast
 
-if TYPE_CHECKING:  # the processes that only log need no sections
+if TYPE_CHECKING:  # processes that only log need no sections
     from drivers.config import BusSettings, DriveSettings
     from drivers.family import Family
 
 BEGAN_NS = time.time_ns()
-"""When this process began to import this package, and so what uses it."""
+"""Unix time, ns, at which this process began to import this package."""
 
 
 def build_protocol(bus: BusSettings, drives: DriveSettings) -> Family:

@@ -1,4 +1,4 @@
-"""The arrays that everybody names: float64, int64, flags, bytes, rows of a table."""
+"""Array types used everywhere: float64, complex128, int64, flags, bytes, rows of a table."""
 
 import ctypes
 from typing import Any
@@ -20,6 +20,6 @@ ZERO6.flags.writeable = False
 
 
 def array_at(address: int, count: int, dtype: Any) -> Any:
-    """Return `count` elements of a type at an address, from Python."""
+    """View of `count` elements of a type at an address, for Python code."""
     size = count * np.dtype(dtype).itemsize
     return np.frombuffer((ctypes.c_char * size).from_address(address), dtype)

@@ -1,6 +1,6 @@
 """Atomic access, inside kernels, to words of memory that several processes share.
 
-Each is sequentially consistent: no processor and no compiler moves what stands before or after it across.
+Each operation is sequentially consistent: neither processor nor compiler moves other accesses across it.
 """
 
 from typing import Any
@@ -50,10 +50,10 @@ def _change(operation: str) -> Any:
 load: Any = intrinsic(_load)
 """load(words, index): the word."""
 replace: Any = intrinsic(_replace)
-"""replace(words, index, expected, new): put `new` if the word is `expected`; tell whether it was."""
+"""replace(words, index, expected, new): set the word to `new` if it is `expected`; True if it was."""
 store: Any = intrinsic(_change("xchg"))
-"""store(words, index, value): put the value and return what was there."""
+"""store(words, index, value): set the word; returns its previous value."""
 raise_to: Any = intrinsic(_change("max"))
-"""raise_to(words, index, value): put the larger of word and value; return what was there."""
+"""raise_to(words, index, value): set the word to the larger of both; returns its previous value."""
 lower_to: Any = intrinsic(_change("min"))
-"""lower_to(words, index, value): put the smaller of word and value; return what was there."""
+"""lower_to(words, index, value): set the word to the smaller of both; returns its previous value."""

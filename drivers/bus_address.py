@@ -1,4 +1,4 @@
-"""Which bus: the two words by which its ends and the operator find each other."""
+"""Address of a bus, by which its participants and the operator find each other."""
 
 from typing import NamedTuple
 

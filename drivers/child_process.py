@@ -13,7 +13,7 @@ _HERE = str(Path(__file__).resolve().parents[1])
 def start(
     module: str, *arguments: str, environment: Mapping[str, str] | None = None, **options: Any
 ) -> subprocess.Popen[bytes]:
-    """Start `python -m module`; it finds our packages, and nothing in the user's working directory.
+    """Start `python -m module`, which imports our packages but nothing from the working directory.
 
     environment: variables to add; options: as for `subprocess.Popen`. Raises OSError.
     """

@@ -1,4 +1,4 @@
-"""The clock that a bus and all who live by it go by: CLOCK_MONOTONIC."""
+"""The clock of a bus and of all its users: CLOCK_MONOTONIC."""
 
 import time
 
@@ -7,11 +7,11 @@ class Clock:
     """CLOCK_MONOTONIC, in ns."""
 
     def now(self) -> int:
-        """Return the time."""
+        """Time, ns."""
         return time.monotonic_ns()
 
     def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
-        """Return at t_ns or later: sleep, then watch the clock for the last `spin_ns`."""
+        """Sleep until t_ns or later; the last `spin_ns` are busy-waiting."""
         rest = t_ns - time.monotonic_ns() - spin_ns
         if rest > 0:
             time.sleep(rest * 1e-9)
@@ -19,20 +19,20 @@ class Clock:
             pass
 
     def working(self, allowed_ns: int = 0) -> None:
-        """Say that whoever has this clock waits again within so long; it matters to a bench's alone."""
+        """Promise to wait again within `allowed_ns`; only a bench clock uses it."""
 
     def waiting(self, until_ns: int) -> None:
-        """Say that whoever has this clock sleeps until then; it matters to a bench's alone."""
+        """Promise to sleep until `until_ns`; only a bench clock uses it."""
 
     def stands(self) -> bool:
-        """Tell whether time stands still."""
+        """True while time stands still."""
         return False
 
     def leave(self) -> None:
-        """Say that whoever has this clock looks no more."""
+        """Stop holding time; only a bench clock uses it."""
 
     def stretched(self) -> int:
-        """Return by how many ns this clock has stood still in all."""
+        """Total standstill of this clock, ns."""
         return 0
 
 

@@ -12,14 +12,14 @@ from drivers.section import Section
 from drivers.signals import LEGS
 
 MAX_BUSES = LEGS
-"""One leg has one bus."""
+"""Each leg is on one bus."""
 
 
 class ChannelSettings(Section):
-    """One bus of several. What is left out is that of the section `bus`."""
+    """One bus of several. Omitted keys are those of the section `bus`."""
 
     channel: str
-    """Its name: channels are told apart by it."""
+    """Name of the channel, different for each bus."""
     legs: Annotated[list[Annotated[int, Field(ge=0, lt=LEGS)]], Field(min_length=1, max_length=LEGS)]
     """Legs whose drives are on it, counted from 0."""
     interface: str | None = None
@@ -41,7 +41,7 @@ def _refuse_twice(what: str, given: Sequence[str | int]) -> None:
 
 
 class BusSettings(Section):
-    """The CAN bus and how the frames are laid out on it; of several buses what they share."""
+    """The CAN bus and its frame layout; of several buses the shared values."""
 
     interface: str = BusAddress().interface
     """python-can interface: localcan, socketcan, udp_multicast, ..."""
@@ -58,12 +58,12 @@ class BusSettings(Section):
     options: dict[str, str | int | float | bool] = {}
     """Further keyword arguments for the python-can interface."""
     channels: Annotated[list[ChannelSettings], Field(max_length=MAX_BUSES)] = []
-    """Several buses, each with legs of its own; then `channel` is the first one's and is left out."""
+    """Several buses, each with legs of its own; then `channel` is that of the first bus and is left out."""
 
     @model_validator(mode="before")
     @classmethod
     def _first_of_several(cls, given: Any) -> Any:
-        """Take the first bus's channel: there the operator finds the run."""
+        """Set `channel` to that of the first bus, where the operator finds the run."""
         several = given.get("channels") if isinstance(given, dict) else None
         channels = several if isinstance(several, list) else []
         first = channels[0] if channels else None
@@ -103,15 +103,15 @@ class BusSettings(Section):
 
     @property
     def legs(self) -> tuple[tuple[int, ...], ...]:
-        """Legs of each bus, rising."""
+        """Legs of each bus, in ascending order."""
         if not self.channels:
             return (tuple(range(LEGS)),)
         return tuple(tuple(sorted(each.legs)) for each in self.channels)
 
     def index_of(self, channel: str | None) -> int:
-        """Return which bus a node is on that states a channel; the first where it states none.
+        """Index of the bus with a channel; 0 for a node that names no channel.
 
-        Raises ConfigurationError for a channel that is none of the buses'.
+        Raises ConfigurationError for an unknown channel.
         """
         names = [each.channel for each in self.buses]
         if channel is not None and channel not in names:
@@ -129,31 +129,31 @@ PerLegSide = Side | Annotated[list[Side], Field(min_length=6, max_length=6)]
 
 
 class TransmissionSettings(Section):
-    """Between each motor and its leg; every value is one for all legs, or six in leg order.
+    """Transmission between each motor and its leg; each value is one for all legs, or six in leg order.
 
-    The motor is the shaft whose position and torque the drive speaks of: of a gear motor that reports its
-    output, that output.
+    The motor is the shaft whose position and torque the drive reports: the output shaft of a gear motor that
+    reports its output.
     """
 
     lead_m: PerLegAbove0 | None = None
-    """Lead of the screw: leg length a turn. Either this or `pulley_radius_m`."""
+    """Lead of the screw: leg length per turn. Either this or `pulley_radius_m`."""
     pulley_radius_m: PerLegAbove0 | None = None
     """Pitch radius of the pulley or pinion that moves the leg."""
     gear_ratio: PerLegAbove0 = 1.0
-    """Turns of the motor a turn of the screw or pulley."""
+    """Turns of the motor per turn of the screw or pulley."""
     sign: PerLegSide = 1
-    """1 where positive turns of the motor extend the leg, -1 where they shorten it."""
+    """1 if positive turns of the motor extend the leg, -1 if they shorten it."""
     efficiency: PerLegShare = 1.0
     """Share of the motor's work that reaches the leg."""
     back_driving_efficiency: PerLegShare = 1.0
-    """Share of the leg's work that reaches the motor. A screw that locks itself has none: no force of its leg
-    moves it, so a law of forces cannot control it."""
+    """Share of the leg's work that reaches the motor. A self-locking screw has none: no force on its leg
+    moves it, so a force law cannot control it."""
     full_loss_m_s: Above0 = 1e-3
-    """Leg rate from which on the losses act in full: below it they fade, and at rest there are none."""
+    """Leg rate above which the losses act in full; below it they fade to none at rest."""
     offset_m: PerLeg = 0.0
-    """Leg length, joint centre to joint centre, where the drive reads position zero."""
+    """Leg length, joint centre to joint centre, at which the drive reads position zero."""
     counts_per_turn: PerLegAbove0 = 65536.0
-    """Encoder counts a turn of the motor, of drives that report counts."""
+    """Encoder counts per turn of the motor, for drives that report counts."""
 
     @model_validator(mode="after")
     def _screw_or_pulley(self) -> "TransmissionSettings":
@@ -167,18 +167,18 @@ class TransmissionSettings(Section):
 
 
 class HomingSettings(Section):
-    """Of drives that forget at power-off how often their motor has turned."""
+    """Homing of drives that forget at power-off how often their motor has turned."""
 
     file: str
     """YAML file with the lengths at which the legs were parked, relative to the configuration file. The run
-    writes it when it ends at rest. `hil homing` shows it, and writes it where the lengths are known
-    otherwise."""
+    writes it when it ends at rest. `hil homing` shows it, and writes it if the lengths are known from
+    elsewhere."""
     limit_m: Above0
-    """A leg that is found further than this from where it was parked keeps the run from being armed. Less
-    than a quarter of what the drive forgets."""
+    """A leg found farther than this from its parked length keeps the run from being armed. Less than a
+    quarter of the length that the drive forgets."""
     forgotten_turns: PerLegAbove0 = 1.0
-    """What a drive forgets is a whole multiple of so many turns of the motor: 1 where the encoder is on the
-    shaft that `transmission` means, 1 / 9 where it is in front of a gear of 9 : 1."""
+    """Turns of the motor of which the drive forgets a whole multiple: 1 if the encoder is on the shaft that
+    `transmission` describes, 1 / 9 if it is in front of a gear of 9 : 1."""
 
 
 def _name_protocols(schema: dict[str, Any]) -> None:
@@ -191,24 +191,24 @@ class DriveSettings(Section):
     protocol: Annotated[str, Field(json_schema_extra=_name_protocols)] = "legs"
     """Drive family: an entry point of the group `hil.protocols`."""
     node_ids: Annotated[list[int], Field(min_length=6, max_length=6)] = [1, 2, 3, 4, 5, 6]
-    """Node number of each leg's drive, leg order, as its protocol counts them: 1 to 127 with `legs`."""
+    """Node number of each leg's drive, in leg order, in the range of the protocol: 1 to 127 with `legs`."""
     options: dict[str, str | int | float | bool] = {}
-    """Settings of the protocol's own; `legs` has none."""
+    """Options of the protocol; `legs` has none."""
     transmission: TransmissionSettings | None = None
-    """Between motor and leg, of drives that speak of a motor; `legs` speaks of the leg and has none."""
+    """Transmission of drives that report motor values; `legs` reports leg values and has none."""
     homing: HomingSettings | None = None
-    """For motors that forget their turns at power-off; left out for absolute encoders that count turns."""
+    """For drives that forget their turns at power-off; left out for absolute encoders that count turns."""
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
-    """A drive that hears no command for this long reacts by itself, as `reactions.silence` says. At least 3
+    """Watchdog: a drive without a command for this long reacts by itself, see `reactions.silence`. At least 3
     periods."""
     brake_after_ms: Annotated[float, Field(gt=0)] = 1000.0
-    """A drive that damps or holds by itself shuts its brake this long after its fault. No frame of `legs`
+    """A drive that damps or holds by itself closes its brake this long after its fault. No frame of `legs`
     carries it: a real drive has it in its own set-up."""
     heartbeat_ms: Annotated[float, Field(ge=1, le=60_000)] = 100.0
-    """Period of each drive's status message. The bus budget counts those that no tick is without."""
+    """Period of each drive's status message. The bus budget counts those that occur in every tick."""
     force_limit_N: Annotated[float, Field(gt=0)] = 60_000.0
-    """Rated force: the controller never asks for more and the drive clips there. Short force fields of `legs`
-    count in 1/16000 of it, and a drive of another rating is refused."""
+    """Rated force: the controller never commands more, and the drive saturates there. Short force fields of
+    `legs` count in 1/16000 of it, and a drive of another rating is refused."""
 
     @field_validator("protocol")
     @classmethod
@@ -233,41 +233,41 @@ class TrackerSettings(Section):
 
     node_id: Node = 7
     rate_Hz: Above0 = 200.0
-    """Samples per second, at most one a tick."""
+    """Samples per second, at most one per tick."""
     position_std_m: Above0 = 1e-3
-    """Noise of each coordinate, one standard deviation."""
+    """Standard deviation of the noise of each coordinate."""
     orientation_std_deg: Above0 = 0.1
-    """Noise of the orientation about each axis."""
+    """Standard deviation of the noise of the orientation about each axis."""
     latency_max_ms: Above0 = 20.0
-    """An older sample is refused. Each millisecond costs the filter memory and time."""
+    """Largest age of a sample; an older one is refused. Each millisecond costs the filter memory and time."""
     channel: str | None = None
-    """Which of `bus.channels` it is on; default: the first."""
+    """Its channel of `bus.channels`; default: the first."""
 
 
 class ImuSettings(Section):
-    """An inertial measurement unit on the platform, its values reduced to the platform's origin."""
+    """An inertial measurement unit on the platform, its values reduced to the platform origin."""
 
     node_id: Node = 8
     rate_Hz: Above0 = 500.0
-    """Samples per second, at most one a tick."""
+    """Samples per second, at most one per tick."""
     angular_rate_std_rad_s: Above0 = 2e-3
     specific_force_std_m_s2: Above0 = 0.05
     channel: str | None = None
-    """Which of `bus.channels` it is on; default: the first."""
+    """Its channel of `bus.channels`; default: the first."""
 
 
 class WrenchSensorSettings(Section):
-    """A node that measures the external load on the platform: force and moment, reduced to its origin."""
+    """A node that measures the external wrench on the platform: force and moment at its origin."""
 
     node_id: Node = 9
     rate_Hz: Above0 = 1000.0
-    """Samples per second, at most one a tick."""
+    """Samples per second, at most one per tick."""
     channel: str | None = None
-    """Which of `bus.channels` it is on; default: the first."""
+    """Its channel of `bus.channels`; default: the first."""
 
 
 class SensorSettings(Section):
-    """Nodes on the bus beside the drives; what is left out is not there. Not with bus.layout classic."""
+    """Sensors on the bus next to the drives; an omitted one does not exist. Not with bus.layout classic."""
 
     tracker: TrackerSettings | None = None
     imu: ImuSettings | None = None

@@ -7,11 +7,11 @@
     ├── BusError                the bus cannot be opened, is down or overloaded
     ├── ProtocolError           a frame or a signal that the protocol cannot carry
     ├── ModelError              geometry, kinematics, dynamics, linear systems
-    │   ├── GeometryError       a platform that cannot exist (hil.robot.geometry)
-    │   ├── KinematicsError     a pose that has no meaning or cannot be found (hil.robot.kinematics)
-    │   ├── WorkspaceError      a workspace that has no beginning (hil.study.workspace.limits)
-    │   ├── CalibrationError    measured pairs that cannot calibrate
-    │   ├── IdentificationError a log that does not hold what is looked for
+    │   ├── GeometryError       an impossible platform (hil.robot.geometry)
+    │   ├── KinematicsError     an invalid pose, or one that cannot be found (hil.robot.kinematics)
+    │   ├── WorkspaceError      home or a requested pose outside the limits (hil.study.workspace.limits)
+    │   ├── CalibrationError    measurements that cannot calibrate
+    │   ├── IdentificationError a log without the data that is needed
     │   └── SynthesisError      a design that no controller fulfils
     ├── PlantError              plant, FMU, FMU hosting
     ├── LogError                log file: not MCAP, truncated, of another version
@@ -20,20 +20,20 @@
     ├── RefusedError            no consent to a step of a bring-up, or its end (hil.lab.bringup.context)
     └── StoppedError            a measured value ended a step for safety (hil.lab.bringup.context)
 
-Those with attributes of their own stand with what raises them, the others here. A message says what
-happened, where, what was allowed and what to do about it.
+Errors with attributes of their own are defined where they are raised, the others here. A message says what
+happened, where, what was allowed and what to do.
 """
 
 
 class HilError(Exception):
-    """Base of all errors that a user can cause or mend."""
+    """Base of all errors that a user can cause or fix."""
 
 
 class ConfigurationError(HilError):
-    """A configuration that cannot be used; `problems` holds all that is wrong, one line each."""
+    """A configuration that cannot be used; `problems` has all errors, one line each."""
 
     SHOWN = 100
-    """So many lines are in the message; a file that is none of its kind has a wrong one a line."""
+    """Most lines in the message; a file of another kind has an error in each line."""
 
     def __init__(self, *problems: str) -> None:
         more = len(problems) - self.SHOWN
@@ -50,19 +50,19 @@ class ProtocolError(HilError):
 
 
 class ModelError(HilError):
-    """Geometry, kinematics or dynamics that have no meaning."""
+    """Invalid geometry, kinematics or dynamics."""
 
 
 class CalibrationError(ModelError):
-    """Measurements that cannot calibrate: too few, not finite, of another robot or another unit."""
+    """Measurements that cannot calibrate: too few, not finite, of another robot or in another unit."""
 
 
 class IdentificationError(ModelError):
-    """A log that does not hold what is looked for, or holds too little of it."""
+    """A log without the data that is needed, or with too little of it."""
 
 
 class SynthesisError(ModelError):
-    """A design that no controller fulfils, or a problem that is not well posed."""
+    """A design that no controller fulfils, or an ill-posed problem."""
 
 
 class PlantError(HilError):

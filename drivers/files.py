@@ -1,7 +1,7 @@
-"""Files and folders: written whole or not at all, read only where regular, of this user alone.
+"""Files and folders: written whole or not at all, read only if regular, private to this user.
 
-Nobody ever sees a part of a file under its name. Opening a FIFO waits for its other end, a device may never
-end, and either may stand where a file is named. Who can write to a folder could have code run as its user.
+No reader ever sees part of a file under its name. Opening a FIFO waits for its other end, and a device may
+never end; a file name may lead to either. Whoever can write to a folder of code can run code as its user.
 """
 
 import contextlib
@@ -16,11 +16,11 @@ from pathlib import Path
 from drivers.errors import RunError
 
 MOST_BYTES = 4 << 20
-"""Of a configuration, a controller, a design or a CSV file."""
+"""Size limit of a configuration, a controller, a design or a CSV file."""
 
 
 def open_regular(path: Path) -> BufferedReader:
-    """Open a file to read. Raises OSError, for a FIFO, a socket, a device or a folder too."""
+    """Open a file for reading. Raises OSError, also for a FIFO, a socket, a device or a folder."""
     fd = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | os.O_NOCTTY)
     if not stat.S_ISREG(os.fstat(fd).st_mode):
         os.close(fd)
@@ -30,26 +30,26 @@ def open_regular(path: Path) -> BufferedReader:
 
 
 def read_regular(path: Path, most: int = MOST_BYTES) -> bytes:
-    """Return the content of a file. Raises OSError as `open_regular`, or for more than `most` bytes."""
+    """Content of a file. Raises OSError as `open_regular`, or for more than `most` bytes."""
     with open_regular(path) as file:
         data = file.read(most + 1)
     if len(data) > most:
-        raise OSError(0, f"has more than the {most} bytes that are read of such a file", str(path))
+        raise OSError(0, f"has more than {most} bytes, the limit for such a file", str(path))
     return data
 
 
 def real_path(path: Path) -> Path:
-    """Return where a path leads, its links followed; of links in a circle one, which leads nowhere."""
+    """Path with its links followed; for a circle of links one of them, which leads nowhere."""
     return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError at a circle
 
 
 @contextlib.contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
-    """Yield a new file beside `path`; give it that name at the end, or remove it where something failed.
+    """Yield a new file next to `path`; rename it to `path` at the end, or remove it after an error.
 
-    An earlier file is replaced, and its rights go on. What is there and no file, as a pipe, is yielded
-    itself.
-    Raises OSError, which names `path`: a full disk names none, and nobody knows the new file's name.
+    It replaces an earlier file and keeps its permissions. If `path` exists and is no file, such as a pipe, it
+    is yielded itself.
+    Raises OSError with the name `path`: a full disk gives no name, and users do not know the new file's name.
     """
     if path.exists() and not path.is_file():
         yield path
@@ -73,7 +73,7 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 def _set_rights(new: Path, target: Path) -> None:
-    """Give a new file the rights of the one that it replaces, else those of any new file."""
+    """Give a new file the permissions of the file that it replaces, else those of any new file."""
     if target.exists():
         shutil.copymode(target, new)
         return
@@ -83,7 +83,7 @@ def _set_rights(new: Path, target: Path) -> None:
 
 
 def made_folder(path: Path) -> Path:
-    """Make a folder and those above it that are missing, each with mode 0700 whatever the umask is.
+    """Create a folder and its missing parents, each with mode 0700 whatever the umask is.
 
     Raises OSError.
     """
@@ -94,14 +94,14 @@ def made_folder(path: Path) -> Path:
 
 
 def own_folder(path: Path) -> Path:
-    """Make a folder of this user alone, or make sure that the one that is there is one.
+    """Create a folder private to this user, or check that an existing one is private.
 
-    Raises OSError: it is a link or no folder, another user's, or others have a right to it.
+    Raises OSError if it is a link or no folder, belongs to another user, or others have permissions.
     """
     made_folder(path)
     status = path.lstat()
     if not stat.S_ISDIR(status.st_mode):
-        raise OSError(0, "is a link or no folder, allowed: a folder of mode 0700", str(path))
+        raise OSError(0, "is a link or not a folder, allowed: a folder of mode 0700", str(path))
     if hasattr(os, "getuid") and (status.st_uid != os.getuid() or status.st_mode & 0o077):
         raise OSError(
             0,
@@ -113,11 +113,11 @@ def own_folder(path: Path) -> Path:
 
 
 def cache_folder() -> Path:
-    """Make the cache folder of this user alone, or make sure that the one that is there is one.
+    """Create the cache folder, private to this user, or check that an existing one is private.
 
-    ``hexapod-hil`` under ``$XDG_CACHE_HOME``, where that is an absolute path, else under ``~/.cache``.
+    ``hexapod-hil`` under ``$XDG_CACHE_HOME`` if that is an absolute path, else under ``~/.cache``.
 
-    Raises RunError where it cannot be made or others have a right to it: their code would be run.
+    Raises RunError if it cannot be created or others have permissions: their code would be run.
     """
     given = os.environ.get("XDG_CACHE_HOME", "")
     # Path.home raises for a user without a home folder.

@@ -1,7 +1,7 @@
-"""Frames as records: what a bus receives and sends, what a codec reads and fills, what the log holds.
+"""Frames as records: what a bus receives and sends, what a codec reads and fills, what the log stores.
 
 One element of FRAME is one frame, 80 bytes, from the bus to the log. `Received` and `Frame`
-(`drivers.protocol`) are the same for people and tests.
+(`drivers.protocol`) are the same as Python objects, for people and tests.
 """
 
 import struct
@@ -23,11 +23,11 @@ FRAME = np.dtype(
         ("data", "u1", (64,)),
     ]
 )
-"""t_ns: the end of a received frame on the wire, ns; flags: EXTENDED to ERROR; bus: its index."""
+"""t_ns: end of a received frame on the wire, ns; flags: EXTENDED to ERROR; bus: its index."""
 _FRAME = struct.Struct("<qIBBH64s")
 frame_bytes, pack_frame, unpack_frames = _FRAME.pack, _FRAME.pack_into, _FRAME.iter_unpack
-"""frame_bytes(t_ns, id, kind, length, flags, data), pack_frame(buffer, offset, ... the same),
-unpack_frames(bytes): the high byte of the flags is the bus."""
+"""frame_bytes(t_ns, id, kind, length, flags, data), pack_frame(buffer, offset, and the same),
+unpack_frames(bytes); the high byte of the flags is the bus."""
 RECEIVED, SENT = range(2)
 """Values of `kind`."""
 NO_FRAMES: Rows = np.zeros(0, FRAME)
@@ -35,11 +35,11 @@ NO_FRAMES.flags.writeable = False
 
 
 _new = tuple.__new__
-"""Makes a NamedTuple of a tuple in half the time that its own constructor takes."""
+"""Makes a NamedTuple from a tuple in half the time of its own constructor."""
 
 
 def timed_array(frames: Iterable[tuple[int, Frame]], kind: int = SENT) -> Rows:
-    """Return (instant, frame) as elements of FRAME, in their order: read-only."""
+    """Pairs of time and frame as elements of FRAME, in their order: read-only."""
     content = [
         frame_bytes(t_ns, identifier, kind, len(data), flags, data)
         for t_ns, (identifier, data, flags) in frames
@@ -48,29 +48,29 @@ def timed_array(frames: Iterable[tuple[int, Frame]], kind: int = SENT) -> Rows:
 
 
 def received_array(frames: Iterable[Received]) -> Rows:
-    """Return received frames, see `timed_array`."""
+    """Received frames as elements of FRAME, see `timed_array`."""
     return timed_array(frames, RECEIVED)
 
 
 def sent_array(frames: Iterable[Frame]) -> Rows:
-    """Return frames to send, see `timed_array`; nobody has sent them yet: t_ns is 0."""
+    """Frames to send as elements of FRAME, see `timed_array`; t_ns is 0, as they are not sent yet."""
     return timed_array((0, frame) for frame in frames)
 
 
 def joined(parts: Iterable[Rows]) -> Rows:
-    """Return arrays of FRAME as one, in memory of its own."""
+    """Arrays of FRAME as one, in memory of its own."""
     return np.frombuffer(bytearray().join([part.tobytes() for part in parts]), FRAME)
 
 
 def sent_at(t_ns: int, *parts: Rows) -> Rows:
-    """Return frames as one array, sent at an instant, ns."""
+    """Frames as one array, all sent at `t_ns`."""
     sent = joined(parts)
     sent["t_ns"] = t_ns
     return sent
 
 
 def received_frames(array: Rows) -> tuple[Received, ...]:
-    """Return elements of FRAME as received frames."""
+    """Elements of FRAME as received frames."""
     return tuple(
         [
             _new(Received, (t_ns, _new(Frame, (identifier, data[:size], flags))))
@@ -80,5 +80,5 @@ def received_frames(array: Rows) -> tuple[Received, ...]:
 
 
 def sent_frames(array: Rows) -> tuple[Frame, ...]:
-    """Return elements of FRAME as frames."""
+    """Elements of FRAME as frames."""
     return tuple([frame for _, frame in received_frames(array)])

@@ -1,4 +1,4 @@
-"""Frames and measurements inside a kernel: what the decoders of all families share."""
+"""Frames and measurements inside a kernel: helpers for the decoders of all families."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ from drivers.frame_array import FRAME, SENT
 from drivers.signals import LEGS, NEVER
 
 frame_at: Any = record_at(record(FRAME))
-"""frame_at(address): the element of FRAME there."""
+"""frame_at(address): the element of FRAME at an address."""
 frames_at = records_at(record(FRAME))
-"""frames_at(address, count): the elements of FRAME there."""
+"""frames_at(address, count): the elements of FRAME at an address."""
 
 
 @helper
 def begin_sent(frame: Any, identifier: int, size: int, flags: int, bus: int) -> None:
-    """Begin a frame to send, its data 0."""
+    """Initialize a frame to send, its data 0."""
     frame.t_ns, frame.id, frame.kind = 0, identifier, SENT
     frame.length, frame.flags, frame.bus = size, flags, bus
     frame.data[:] = 0
@@ -25,7 +25,7 @@ def begin_sent(frame: Any, identifier: int, size: int, flags: int, bus: int) -> 
 
 @helper
 def in_order(frames: Any) -> bool:
-    """Tell whether elements of FRAME are in the order of time."""
+    """True if elements of FRAME are in order of time."""
     for k in range(1, frames.shape[0]):  # noqa: SIM110 - compiled
         if frames[k].t_ns < frames[k - 1].t_ns:
             return False
@@ -34,7 +34,7 @@ def in_order(frames: Any) -> bool:
 
 @helper
 def place_of(number: int, numbers: Any) -> int:
-    """Return the place of a number among six; -1: it is not there."""
+    """Index of a number among six; -1 if it is missing."""
     for k in range(LEGS):
         if number == numbers[k]:
             return k
@@ -42,12 +42,12 @@ def place_of(number: int, numbers: Any) -> int:
 
 
 EVERYONE, NOBODY = -2, -1
-"""In place of the number of a drive."""
+"""Instead of a drive's node number."""
 
 
 @helper
 def legs_of(number: int, numbers: Any, bus: int, buses: Any) -> int:
-    """Return the legs of a bus, bit i: leg i, whose drives have a number; numbers and buses by leg."""
+    """Legs of a bus whose drives have a node number, bit i: leg i; numbers and buses by leg."""
     legs = 0
     for leg in range(LEGS):
         if bus == buses[leg] and number in (EVERYONE, numbers[leg]):
@@ -57,7 +57,7 @@ def legs_of(number: int, numbers: Any, bus: int, buses: Any) -> int:
 
 @helper
 def whole(data: Any, at: int, size: int = 4) -> int:
-    """Return the number of so many bytes, little-endian, not signed up to seven and signed of eight."""
+    """Integer of `size` bytes, little-endian: unsigned up to seven bytes, signed with eight."""
     number: Any = np.int64(0)
     for k in range(size):
         number |= np.int64(data[at + k]) << 8 * k
@@ -66,33 +66,33 @@ def whole(data: Any, at: int, size: int = 4) -> int:
 
 @helper
 def signed(number: int, bits: int) -> int:
-    """Return a number of so many bits as a signed one."""
+    """Signed value of an integer of `bits` bits."""
     return number - ((number >> (bits - 1)) << bits)
 
 
 @helper
 def code(value: float, low: float, high: float, bits: int) -> int:
-    """Return the code of a value, saturated at the ends."""
+    """Code of a value in a field from `low` to `high`, saturated at the ends."""
     x = min(max(value, low), high)
     return int((x - low) * ((1 << bits) - 1) / (high - low))
 
 
 @helper
 def value(number: int, low: float, high: float, bits: int) -> float:
-    """Return the value of a code."""
+    """Value of a code in a field from `low` to `high`."""
     return number * (high - low) / ((1 << bits) - 1) + low
 
 
 @helper
 def begin_measurement(last: Any, tick: Any) -> None:
-    """Let the measurement of a tick begin as that of the last one, a little older, with nothing found."""
+    """Initialize a tick's measurement from that of the last tick, with higher ages and no findings."""
     tick.length[:] = last.length
     tick.rate[:] = last.rate
     tick.drive_force[:] = last.drive_force
     tick.drive_state[:] = last.drive_state
     tick.drive_fault[:] = last.drive_fault
-    gone = tick.tick - last.tick if last.tick >= 0 else 1
+    elapsed = tick.tick - last.tick if last.tick >= 0 else 1
     for leg in range(LEGS):
-        tick.age[leg] = min(NEVER, last.age[leg] + gone)
+        tick.age[leg] = min(NEVER, last.age[leg] + elapsed)
         tick.blind[leg] = 0
     tick.rejected = tick.foreign = tick.doubled = tick.altered = 0

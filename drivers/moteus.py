@@ -1,15 +1,14 @@
-"""moteus: registers over CAN FD, the query in the frame of the command: the codec.
+"""Codec of moteus drives: registers over CAN FD; the frame of a command carries a query, too.
 
-Identifier: source << 8 | destination, bit 15 where a reply is wanted; extended where it is over 0x7FF, so
-commands are, and replies of the ids from 8 on. Torque goes as
-feed-forward of position mode without position and gains. Every such command carries the time after which the
-drive gives up (mode 11, until a stop), and a stop clears faults: outside RUN the polls are stops. A drive
-that restarts obeys the next command, and may answer it as enabled: then nobody sees the restart. One that
-says that it is stopped is not commanded until RUN is requested again. Source: the
-reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
-Subframes are mjlib multiplex: a head says kind, width (int8, int16, int32, float) and count, 0 for a count
-that follows; counts and registers are varuints, values little-endian. The smallest integer of a width stands
-for "not known".
+Identifier: source << 8 | destination, bit 15 if a reply is wanted. It is extended above 0x7FF, as for
+commands and for replies of ids from 8 on. Torque is sent as feed-forward of position mode, without position
+and gains. Every such command carries the time after which the drive gives up (mode 11, until a stop). A stop
+clears faults: outside RUN the polls are stops. A restarted drive obeys the next command and may answer as
+enabled: then the restart goes unnoticed. A drive that reports being stopped gets no command until RUN is
+requested again. Source: the reference of the moteus protocol (mjbots), and the package `moteus` 1.1.1.
+Subframes are mjlib multiplex: a head with kind, width (int8, int16, int32, float) and count, 0 for a count
+that follows; counts and registers are varuints, values little-endian. The smallest integer of a width means
+"not known".
 """
 
 import struct
@@ -36,28 +35,28 @@ NOP = 0x50
 WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
 """Kinds of subframes."""
 NOT_WHOLE, NOTHING = -1, -2
-"""In place of a kind: the data end within a group, or there is no group left."""
+"""Instead of a kind: the data end within a group, or no group is left."""
 _MOST_BITS = 63
-"""Of a number; no register and no count is as large."""
+"""Most bits of a number; no register and no count is as large."""
 MODE, PLACE, SPEED, TORQUE = 0x000, 0x001, 0x002, 0x003
 TRAJECTORY_COMPLETE, HOME_STATE, VOLTAGE, TEMPERATURE, FAULT = 0x00B, 0x00C, 0x00D, 0x00E, 0x00F
 COMMAND, TIMEOUT = 0x020, 0x027
-"""COMMAND begins position, velocity, feed-forward torque, scales of kp and kd, most torque."""
+"""COMMAND is the first of: position, velocity, feed-forward torque, scales of kp and kd, largest torque."""
 FIRMWARE, SERIAL_NUMBER = 0x101, 0x120
-"""SERIAL_NUMBER begins three registers of 32 bits, the lowest first."""
+"""SERIAL_NUMBER is the first of three registers of 32 bits, lowest word first."""
 FLOAT = 3
 SIZES = (1, 2, 4, 4)
 """Bytes of a value, by its width."""
 
 
 def pad(data: bytes) -> bytes:
-    """Return the data filled up to the next length of CAN FD."""
+    """Data padded to the next length of CAN FD."""
     return data + bytes((NOP,)) * (FD_LENGTHS[bisect_left(FD_LENGTHS, len(data))] - len(data))
 
 
 @helper
 def _varuint(data: Any, size: int, at: int) -> tuple[int, int]:
-    """Return a number of seven bits a byte, and where it ends; NOT_WHOLE if the data end before."""
+    """Number of seven bits per byte, and the index after it; NOT_WHOLE if the data end before."""
     number = shift = 0
     while at < size:
         byte = int(data[at])
@@ -74,9 +73,9 @@ def _varuint(data: Any, size: int, at: int) -> tuple[int, int]:
 
 @helper
 def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
-    """Return kind, width, first register and count of the group at a place, and where its values begin.
+    """Kind, width, first register and count of the group at an index, and the index of its values.
 
-    Kind NOTHING: it has none; ERRORS: it ends the frame; NOT_WHOLE.
+    Kind NOTHING: an empty group; ERRORS: the end of the frame; NOT_WHOLE: the data end within the group.
     """
     head = int(data[at])
     at += 1
@@ -93,7 +92,7 @@ def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
 
 @helper
 def scale_of(register: int, width: int) -> float:
-    """Return the scale of a register, 0 where it comes as it is."""
+    """Scale of a register; 0 for an unscaled value."""
     if width == FLOAT:
         return 0.0
     if register in (PLACE, COMMAND):
@@ -111,7 +110,7 @@ def scale_of(register: int, width: int) -> float:
 
 @helper
 def value(register: int, width: int, raw: float) -> float:
-    """Return the value of a register's raw number of that width; NaN where the drive does not know it."""
+    """Value of a register's raw number of that width; NaN if the drive does not know it."""
     scale = scale_of(register, width)
     if scale == 0.0:
         return float(raw)
@@ -119,22 +118,22 @@ def value(register: int, width: int, raw: float) -> float:
 
 
 ALL_NODES = 0x7F
-"""As destination: all drives."""
+"""Destination of a frame for all drives."""
 STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
 """Modes."""
 STRANGE = REMOTE | ERROR
 _REGISTERS = *range(MODE, TORQUE + 1), FAULT, FIRMWARE, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3)
-"""Those that are read."""
+"""Registers that are read."""
 _MODE, _PLACE, _SPEED, _TORQUE, _FAULT_CODE, _FIRMWARE, _SERIAL = range(7)
 _STATE = 0b11111
-"""The first five of them."""
+"""Bits of the first five of them."""
 REPLY_WANTED = 0x8000
-"""Bit of an identifier."""
+"""Bit of an identifier that requests a reply."""
 
 
 @helper
 def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -> int:
-    """Read registers of subframes of a kind into `values`; return bits of those there, -1 if not whole."""
+    """Read registers from subframes of a kind into `values`; the result has their bits, -1 if incomplete."""
     has = at = 0
     while at < size:
         kind, width, first, count, at = group(data, size, at)
@@ -176,7 +175,7 @@ def _names_drive(has: int, values: Array) -> bool:
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Take a reply."""
+    """Decode a reply."""
     identifier = int(frame.id)
     if frame.flags & STRANGE or not frame.flags & FD:
         return 0
@@ -194,7 +193,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         return motors.says(heard, leg, 0 if _names_drive(has, values) else motors.BROKEN)
     place, speed, torque = values[_PLACE], values[_SPEED], values[_TORQUE]
     broken = np.isinf(place) or np.isinf(speed) or np.isinf(torque)
-    for number in (values[_MODE], values[_FAULT_CODE]):  # both are asked for as int8
+    for number in (values[_MODE], values[_FAULT_CODE]):  # both are requested as int8
         broken = broken or not (0.0 <= number < 128.0 and _is_whole(number))
     if broken:
         return motors.says(heard, leg, motors.BROKEN)
@@ -214,11 +213,11 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 
 
 QUERY = bytes.fromhex("11001f01130d")
-"""Read the mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
+"""Read mode as int8; position, velocity, torque as floats; voltage, temperature, fault as int8."""
 WHO, WHICH = bytes.fromhex("1ba002"), bytes.fromhex("198102")
-"""Read the serial number, the version of the firmware; each as int32."""
+"""Read the serial number; read the firmware version; each as int32."""
 DEFAULT_TIMEOUT_S = 0.1
-"""`servo.default_timeout_s` as delivered."""
+"""Factory setting of `servo.default_timeout_s`."""
 FAULTS = {
     32: "calibration fault",
     33: "motor driver fault",
@@ -243,32 +242,32 @@ FAULTS = {
 _WORD = 0xFFFFFFFF
 _MAX_TORQUE = 1e4
 _BRAKES = (
-    "drives.protocol: a moteus has no brake output, and its aux pins keep their level when it faults "
-    "or its time is over, so none of them is used: a platform without power falls unless brakes of "
-    "your own close by themselves when a drive is stopped; the brake tests test those"
+    "drives.protocol: a moteus has no brake output, and its aux pins keep their level after a fault "
+    "or timeout, so none of them is used: a platform without power falls unless it has brakes of its "
+    "own that close when a drive stops; the brake tests check them"
 )
-_TIME_IS_OVER = (
-    "drives.options: what a drive does when its time is over is its own servo.timeout_mode; set "
-    "it to {} with moteus_tool, as nothing here reads it back"
+_TIMEOUT_MODE = (
+    "drives.options: the reaction of a drive to its timeout is its own servo.timeout_mode; set "
+    "it to {} with moteus_tool, as no frame here reads it back"
 )
 
 
 def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
-    """Return a command of torque N m with its limit N m, its watchdog s and the query, not filled up."""
+    """Command with torque N m, torque limit N m, watchdog s and the query, not padded."""
     values = struct.pack("<6f", nan, 0.0, torque, 0.0, 0.0, most)
     return b"\x01\0\x0a\x0c\x06\x20" + values + b"\x0d\x27" + struct.pack("<f", timeout_s) + QUERY
 
 
 TORQUE_AT = 14
-"""Of its bytes the first one of the torque."""
+"""Index of the first torque byte in a command."""
 STOP = pad(b"\x01\0\0" + QUERY)
 _ANSWER = pad(b"\x21\0\x0a\x2f\x01" + bytes(12) + b"\x23\x0d\0\0\0")
-"""An answer to QUERY."""
+"""An example of an answer to QUERY."""
 _TIMEOUT_MODES = {"stopped": Reaction.BRAKE, "zero_velocity": Reaction.DAMP}
 
 
 class MoteusProtocol(MotorProtocol):
-    """The tables of six drives."""
+    """Codec of six moteus drives."""
 
     ear, rule = hear, FALLS
     number_at, delivered_s = (0, ALL_NODES), DEFAULT_TIMEOUT_S
@@ -291,7 +290,7 @@ class MoteusProtocol(MotorProtocol):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of drives that answer commands at once; a stop does not latch."""
+        """Properties of drives that answer commands at once; a stop does not latch."""
         does = "0, stopped" if self._reaction == Reaction.BRAKE else "12, zero velocity"
         return self.traits_of(
             (Frame(each, _ANSWER, FD | BRS | (EXTENDED if each > 0x7FF else 0)) for each in self.wanted),
@@ -300,11 +299,11 @@ class MoteusProtocol(MotorProtocol):
             identity_requests=tuple(self._commands(pad(ask)) for ask in (WHO, WHICH)),
             command_delay_ticks=1,
             reactions=(self._reaction,),
-            dangers=(_BRAKES, _TIME_IS_OVER.format(does)),
+            dangers=(_BRAKES, _TIMEOUT_MODE.format(does)),
         )
 
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Return a stop, whatever is asked for but torque, and torque; each with its query."""
+        """Frames of a stop, for all requests but torque, and of torque; each with its query."""
         torque = pad(torque_command(0.0, self.torque_limit, watchdog_s))
         return tuple(self._commands(data) for data in (STOP, STOP, STOP, torque))
 
@@ -313,7 +312,7 @@ class MoteusProtocol(MotorProtocol):
         return self.to_each(Frame(first | node, data, flags) for node in self.nodes)
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Return the serial number, 96 bits, or the version of the firmware as the revision."""
+        """Serial number, 96 bits, or the firmware version as the revision."""
         identifier, data, flags = frame
         if identifier not in self.wanted or flags & (STRANGE | FD) != FD:
             return None

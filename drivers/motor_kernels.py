@@ -1,7 +1,7 @@
 """The controller's end of single-motor drives, compiled: one record, which every family shares.
 
-A family gives `hear(ear, frame, heard)`, which fills HEARD with what one frame of a drive says and returns
-whether it says anything, and the frames that its drives are sent.
+A family supplies `hear(ear, frame, heard)`, which decodes one frame of a drive into HEARD and returns 0 for a
+frame without content; and the frames to its drives.
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
 
 OWN_CODE = 0x100
-"""Added to a fault code of a family, so that none is taken for a DriveFault."""
+"""Offset of a family's fault codes, which keeps them apart from DriveFault."""
 RETRY_TICKS = 10
-"""After which a request without an answer is repeated."""
+"""Ticks after which a request without an answer is repeated."""
 RESTART_TICKS = 20
-"""A drive that was silent for so long may have restarted: it is set up again."""
+"""A drive that was silent for this many ticks may have restarted: it is set up again."""
 MOST_EXCHANGES = 8
-"""Of the start-up dialogue of one drive."""
+"""Most exchanges of one drive's start-up dialogue."""
 HEARD = np.dtype(
     [
         ("leg", "<i8"),
@@ -40,14 +40,14 @@ HEARD = np.dtype(
         ("value", "<f8"),
     ]
 )
-"""What one frame of a drive says; `register` and `value` of an answer of the start-up dialogue."""
+"""Content of one frame of a drive; `register` and `value`: an answer of the start-up dialogue."""
 BROKEN, FOREIGN, MOTION, FEEDBACK, TORQUE, POWER, ANSWER = (1 << k for k in range(7))
 EAR = np.dtype(
     [
         ("nodes", "<i8", (LEGS,)),
         ("replies", "<i8", (LEGS,)),  # identifiers of the drives' answers
         ("host", "<i8"),
-        ("position", "<f8"),  # ends of symmetric fields, rad, rad/s, N m
+        ("position", "<f8"),  # largest values of symmetric fields, rad, rad/s, N m
         ("velocity", "<f8"),
         ("torque", "<f8"),
         ("shortest", "<i8"),  # bytes of an answer
@@ -55,76 +55,76 @@ EAR = np.dtype(
         ("clamps", "<i8"),
         ("faults", "<i8"),  # bit k: the drives have a fault of code k
         ("silence", "<i8"),  # fault code of a drive's own watchdog; -1: none
-        ("stopped", "<i8"),  # of an emergency stop
-        ("registers", "<i8"),  # 1: it answers readings of registers
-        # what all families need
-        ("hear", "<i8"),  # address of the function
-        ("shift", "<i8"),  # where an identifier has the number of a drive, and its bits
+        ("stopped", "<i8"),  # fault code of an emergency stop; -1: none
+        ("registers", "<i8"),  # 1: the drives answer reads of registers
+        # used by all families
+        ("hear", "<i8"),  # address of that function
+        ("shift", "<i8"),  # position and mask of the node number in an identifier
         ("mask", "<i8"),
-        ("requests", "<i8"),  # identifier of requests that name a drive in their data; -1: none
-        ("buses", "<i8"),  # how many; frames of others are not ours
+        ("requests", "<i8"),  # identifier of requests with the node number in their data; -1: none
+        ("buses", "<i8"),  # number of buses; frames of others are ignored
         ("bus_of", "<i8", (LEGS,)),
         ("heard", "<f8", (HEARD.itemsize // 8,)),  # scratch: an element of HEARD
     ]
 )
-"""What a family's `hear` works on: each family uses what it needs."""
+"""Tables of a family's `hear`: each family uses the fields that it needs."""
 IDLE, CLEAR, ENABLE, DRIVE, PREPARE = range(5)
-"""Rows of the frames to the drives, by what they ask for; the torque is put into those of DRIVE."""
+"""Rows of the frames to the drives, by purpose; the torque is put into those of DRIVE."""
 KEEPS, FALLS, PREPARES = range(3)
-"""Rules of what an enabled or disabled drive is sent, see `row_of`."""
+"""Rules for the frames to an enabled or disabled drive, see `row_of`."""
 IN_IDENTIFIER = -1
 SIGNED = -16
-"""Bits of a signed torque, which is little-endian."""
+"""Bits of a signed torque, little-endian."""
 MOTORS = np.dtype(
     [
         # the family
         ("ear", "<i8"),  # address of EAR
         ("frames", "<i8"),  # address of rows of six elements of FRAME
         ("rule", "<i8"),
-        ("clears", "<i8"),  # 1: a drive in fault is sent CLEAR while RESET is asked for
+        ("clears", "<i8"),  # 1: a drive in fault gets CLEAR while RESET is requested
         ("torque_at", "<i8"),  # first byte of the torque, or IN_IDENTIFIER
         ("torque_bits", "<i8"),  # 32: a single; -16: a signed number, little-endian
-        ("torque_end", "<f8"),  # N m, of the field; of a signed number, of the code -32768
+        ("torque_end", "<f8"),  # N m: largest value of the field; of a signed one, that of code -32768
         ("torque_limit", "<f8"),  # N m
-        ("unasked", "<i8"),  # 1: drives send readings by a timer, too
-        ("reports", "<i8"),  # 1: drives say whether they are enabled
+        ("unasked", "<i8"),  # 1: drives also send unrequested readings
+        ("reports", "<i8"),  # 1: drives report whether they are enabled
         *FIELDS,
         # start-up dialogue
-        ("exchanges", "<i8", (LEGS,)),  # how many each drive has to confirm
+        ("exchanges", "<i8", (LEGS,)),  # number that each drive has to confirm
         ("registers", "<i8", (LEGS, MOST_EXCHANGES)),
         ("values", "<f8", (LEGS, MOST_EXCHANGES)),
         # the dialogue
         ("mode", "<i8"),
         ("torque", "<f8", (LEGS,)),  # N m, of the last command
-        ("rate", "<f8", (LEGS,)),  # m/s, last read: it decides the losses
-        ("power", "<i8", (LEGS,)),  # DriveState OFF, RUN or FAULT, as last heard; BOOT: not yet
-        ("ran", "<i8", (LEGS,)),  # 1: enabled since RUN is asked for
-        ("done", "<i8", (LEGS,)),  # 1 of a drive that is heard, and 1 an exchange that it has confirmed
+        ("rate", "<f8", (LEGS,)),  # m/s, last reading: it decides the losses
+        ("power", "<i8", (LEGS,)),  # DriveState OFF, RUN or FAULT of the last report; BOOT: none yet
+        ("ran", "<i8", (LEGS,)),  # 1: enabled since the request of RUN
+        ("done", "<i8", (LEGS,)),  # 1 for an answer, and 1 for each exchange confirmed
         ("asked", "<i8", (LEGS,)),  # tick of the last request
-        ("said", "<i8", (LEGS,)),  # tick in which it last said whether it is enabled
-        ("owed", "<i8", (LEGS,)),  # polls that a drive that is heard has not answered, RESTART_TICKS at most
-        ("patience_ticks", "<i8"),  # after which a drive that does not say so is in BOOT
-        ("read", "<f8", (LEGS,)),  # what the last answer held that was not the right one
+        ("said", "<i8", (LEGS,)),  # tick of its last report whether it is enabled
+        ("owed", "<i8", (LEGS,)),  # polls that it has not answered, RESTART_TICKS at most
+        ("patience_ticks", "<i8"),  # longest time without such a report: then BOOT
+        ("read", "<f8", (LEGS,)),  # value of the last answer, if it was wrong
         ("has_read", "<i8", (LEGS,)),
         ("scratch", "<f8", (1 + 2 * LEGS, HEARD.itemsize // 8)),  # elements of HEARD
     ]
 )
-"""The controller's end of six single-motor drives."""
+"""Record of the controller's end of six single-motor drives."""
 _MOTORS = record(MOTORS)
 _TICK = record(TICK, "tick", *part("measurement"))
 heard_at = records_at(record(HEARD))
 ear_at = record_at(record(EAR))
 hearing = pointed(record(EAR), record(FRAME), record(HEARD))
-"""What compiles a family's `hear`."""
+"""Decorator that compiles a family's `hear`."""
 _FRAME_BYTES = FRAME.itemsize
 
 
-# what a family's `hear` uses
+# helpers for a family's `hear`
 
 
 @helper
 def says(heard: Any, leg: int, has: int) -> int:
-    """Begin what a frame says; return 1."""
+    """Initialize the content of a frame; returns 1."""
     heard.leg, heard.has = leg, has
     heard.turns = heard.speed = heard.torque = heard.value = 0.0
     heard.power = heard.fault = heard.register = 0
@@ -133,7 +133,7 @@ def says(heard: Any, leg: int, has: int) -> int:
 
 @helper
 def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
-    """Say whether a drive is enabled, or in a fault of a code that is not 0; return 1."""
+    """Note that a drive is enabled or disabled, or in fault if the code is not 0; returns 1."""
     heard.has |= POWER
     heard.power = DriveState.RUN.value if enabled else DriveState.OFF.value
     if code:
@@ -147,7 +147,7 @@ def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
 
 @helper
 def single(data: Any, at: int) -> float:
-    """Return the single of four bytes, little-endian."""
+    """Single-precision number in four bytes, little-endian."""
     word = np.empty(1, np.uint32)
     word[0] = whole(data, at)
     return float(word.view(np.float32)[0])
@@ -158,7 +158,7 @@ def single(data: Any, at: int) -> float:
 
 @helper
 def wire_state(power: int, mode: int, set_up: bool, ran: bool) -> int:
-    """Return the DriveState of a drive that says only whether it is enabled; see `drivers.motors`."""
+    """DriveState of a drive that reports only whether it is enabled; see `drivers.motors`."""
     if power in (DriveState.FAULT, DriveState.RUN):
         return power
     if not set_up or (ran and mode == DriveMode.RUN):
@@ -168,7 +168,7 @@ def wire_state(power: int, mode: int, set_up: bool, ran: bool) -> int:
 
 @helper
 def _confirm(m: Any, heard: Any) -> None:
-    """Take the answer to an exchange of the start-up dialogue."""
+    """Check the answer to an exchange of the start-up dialogue."""
     leg = heard.leg
     step = m.done[leg] - 1
     if not 0 <= step < m.exchanges[leg] or heard.register != m.registers[leg, step]:
@@ -182,7 +182,7 @@ def _confirm(m: Any, heard: Any) -> None:
 
 @helper
 def _measure(m: Any, here: int, late: int, tick: Any) -> None:
-    """Fill in what the answers of this tick say of the legs: bits of those in time, and of late ones."""
+    """Fill in the legs' measurements and states; here, late: bits of legs that answered in time, or late."""
     kept = heard_at(np.int64(m.scratch.ctypes.data), 1 + 2 * LEGS)
     for leg in range(LEGS):
         in_time = here >> leg & 1
@@ -209,7 +209,7 @@ def _measure(m: Any, here: int, late: int, tick: Any) -> None:
 
 @helper
 def _forget(m: Any, tick: Any) -> None:
-    """Forget the set-up of drives that were silent for long, and the state of those that tell none."""
+    """Forget the set-up of drives silent for long, and the power state of those that no longer report it."""
     for leg in range(LEGS):
         if tick.age[leg] > RESTART_TICKS:
             m.done[leg] = 0
@@ -219,7 +219,7 @@ def _forget(m: Any, tick: Any) -> None:
 
 @helper
 def _take(m: Any, heard: Any, early: bool, last: Any, tick: Any) -> int:
-    """Take what a drive says; return the place at which it is kept, 0 where it is not."""
+    """Take the content of a drive's frame; the result is its row in `scratch`, 0 if it is not kept."""
     leg = heard.leg
     feedback = heard.has & FEEDBACK
     if feedback and early:
@@ -251,7 +251,8 @@ def _set_up(m: Any) -> int:
 def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
     """Fill the measurement of a tick, see `ControllerEnd.take`.
 
-    frames: address of `count` elements of FRAME. Returns 1 where other drives are set up than before, else 0.
+    frames: address of `count` elements of FRAME. Returns 1 if the set of configured drives has changed, else
+    0.
     """
     begin_measurement(last, tick)
     set_up = _set_up(m)
@@ -304,7 +305,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
 
 @helper
 def remember(m: Any, mode: int, force_at: int) -> bool:
-    """Remember one tick's command; tell whether its forces, (6,) N at an address, fit."""
+    """Store one tick's command; True if its forces, (6,) N at an address, fit."""
     force = reals_at(force_at, LEGS)
     torque = np.empty(LEGS)
     for leg in range(LEGS):
@@ -323,13 +324,13 @@ def remember(m: Any, mode: int, force_at: int) -> bool:
 
 @pointed(_MOTORS, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def command(m: Any, _number: int, mode: int, _stop: int, force_at: int, _into: int) -> int:
-    """Remember one tick's command for the next polls; return 0 frames, or FAILED: a force does not fit."""
+    """Store one tick's command for the next polls; returns 0 frames, or FAILED if a force does not fit."""
     return 0 if remember(m, mode, force_at) else FAILED
 
 
 @helper
 def row_of(m: Any, leg: int) -> int:
-    """Return which row of frames has what a drive is sent in this tick, besides what enables an axis."""
+    """Row of the frame to a drive in this tick, apart from a frame that enables an axis."""
     power, ran = m.power[leg], m.ran[leg]
     if m.mode == DriveMode.RUN:
         if m.rule == FALLS:
@@ -342,7 +343,7 @@ def row_of(m: Any, leg: int) -> int:
 
 @helper
 def put_single(value: float, data: Bytes, at: int) -> None:
-    """Put a single into four bytes, little-endian."""
+    """Write a single-precision number into four bytes, little-endian."""
     word = np.empty(1, np.float32)
     word[0] = value
     raw = int(word.view(np.uint32)[0])
@@ -352,13 +353,13 @@ def put_single(value: float, data: Bytes, at: int) -> None:
 
 @helper
 def signed_code(torque: float, end: float) -> int:
-    """Return the code of a torque in a signed field of 16 bits: truncated towards 0, saturated."""
+    """Code of a torque in a signed field of 16 bits: truncated towards 0, saturated."""
     return int(min(max(torque / end * 32768.0, -32768.0), 32767.0))
 
 
 @helper
 def send(m: Any, row: int, leg: int, into: int) -> None:
-    """Put the frame of a row for a leg at an address."""
+    """Write the frame of a row for a leg to an address, with the torque in row DRIVE."""
     words = _FRAME_BYTES // 8
     integers_at(into, words)[:] = integers_at(m.frames + (row * LEGS + leg) * _FRAME_BYTES, words)
     frame = frames_at(into, 1)[0]
@@ -383,7 +384,7 @@ def send(m: Any, row: int, leg: int, into: int) -> None:
 
 @pointed(_MOTORS, INTEGER, INTEGER)
 def begin(m: Any, _number: int, into: int) -> int:
-    """Put what each drive is sent in this tick into six elements of FRAME at an address."""
+    """Write the frame to each drive in this tick to six elements of FRAME at an address."""
     for leg in range(LEGS):
         send(m, row_of(m, leg), leg, into + leg * _FRAME_BYTES)
     return LEGS

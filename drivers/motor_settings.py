@@ -1,4 +1,4 @@
-"""What the rows of motor protocols check: options, frame layout, transmission, torque."""
+"""Checks of the settings of motor protocols: options, frame layout, transmission, torque."""
 
 from collections.abc import Sequence
 from math import inf, isfinite
@@ -12,12 +12,12 @@ from drivers.transmission import Transmission
 
 
 class Options:
-    """The options of a protocol, and `transmission`."""
+    """The options of a protocol, and its `transmission`."""
 
     def __init__(
         self, bus: BusSettings, drives: DriveSettings, protocol: str, layout: str, known: Sequence[str]
     ) -> None:
-        """Take the sections, and the frame layout and the options that the protocol has.
+        """Take the sections, and the frame layout and the options of the protocol.
 
         Raises ConfigurationError for another layout, without a transmission, for unknown options.
         """
@@ -25,7 +25,7 @@ class Options:
             raise ConfigurationError(f"bus.layout: allowed with {protocol}: {layout}, given: {bus.layout}")
         if drives.transmission is None:
             raise ConfigurationError(
-                f"drives.transmission: protocol {protocol} speaks of motors; state lead_m or "
+                f"drives.transmission: protocol {protocol} reports motor values; set lead_m or "
                 "pulley_radius_m, gear_ratio, sign and offset_m"
             )
         self.transmission = Transmission(drives.transmission)
@@ -38,29 +38,29 @@ class Options:
             )
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
-        """Return one of some words; the only one where nothing is given, or a default."""
+        """One of the allowed words; without one given, the only one or the default."""
         value = self._given.get(key, allowed[0] if len(allowed) == 1 else default)
         return str(self._fitting(key, value, value in allowed, f"one of {', '.join(allowed)}"))
 
     def flag(self, key: str, *, default: bool) -> bool:
-        """Return true or false."""
+        """True or false."""
         value = self._given.get(key, default)
         return bool(self._fitting(key, value, isinstance(value, bool), "true, false"))
 
     def positive(self, key: str, default: float) -> float:
-        """Return a number above 0."""
+        """Number above 0."""
         value = self._given.get(key, default)
         fits = not isinstance(value, bool | str) and value > 0.0
         return float(self._fitting(key, value, fits, "a number greater than 0"))
 
     def within(self, key: str, least: float, most: float, what: str) -> float:
-        """Return a number of a range, which has no default."""
+        """Number in a range, without default."""
         value = self._given.get(key)
         fits = not isinstance(value, bool | str | None) and least <= value <= most
         return float(self._fitting(key, value, fits, f"{least:.12g} to {most:.12g}, {what}"))
 
     def whole(self, key: str, default: int, least: float = -inf, most: float = inf) -> int:
-        """Return a whole number of a range."""
+        """Integer in a range."""
         value = self._given.get(key, default)
         within = f" of {least} to {most}" if isfinite(most) else ""
         fits = type(value) is int and least <= value <= most
@@ -83,14 +83,14 @@ def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, 
         per, of = abs(transmission.N_per_Nm[leg]), f" of leg {leg}" if np.ptp(needed) > 0.0 else ""
         raise ConfigurationError(
             f"drives.force_limit_N: {force_N:g} N need {needed[leg]:.4g} N m of the motor{of} "
-            f"({per:.4g} N a N m without losses), {protocol} carries up to {torque_Nm:g} N m: lower it, or "
-            "change gear_ratio or lead_m"
+            f"({per:.4g} N per N m without losses), but {protocol} carries up to {torque_Nm:g} N m: lower "
+            "force_limit_N, or change gear_ratio or lead_m"
         )
 
 
 def unwatched(family: str) -> str:
-    """Return the danger of drives whose watchdog nobody sets."""
+    """Danger of drives whose watchdog nobody sets, as a message."""
     return (
         f"drives.watchdog_ms: {family} has no watchdog that is set from here; set the drive's own with its "
-        "maker's tool if it has one, else it keeps its last torque for ever when the controller stops"
+        "maker's tool if it has one, else it keeps its last torque when the controller stops"
     )

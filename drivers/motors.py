@@ -1,10 +1,10 @@
-"""What families of single-motor drives have in common: polled drives whose brake goes with their power stage.
+"""Common parts of single-motor drive families: polled drives whose brake follows their power stage.
 
-A drive of such a family knows "enabled" and "disabled". DriveMode.READY leaves it disabled, its brake shut;
-RUN enables it. The controller's end calls a disabled drive READY while READY is asked for, so a force cannot
-build up against the brake: it comes with the enabling, or a tick later. A drive that was enabled and falls
-back by itself while RUN is asked for has restarted: BOOT. It is not enabled again until RUN is
-requested again, where it says so: a moteus may have obeyed the next command before it answers.
+Such a drive is enabled or disabled. DriveMode.READY leaves it disabled, with its brake closed; RUN enables
+it. The controller's end reports a disabled drive as READY while READY is requested, so a force cannot build
+up against the brake: it comes with the enabling, or a tick later. A drive that was enabled and becomes
+disabled while RUN is requested has restarted: BOOT. It is not enabled again until RUN is requested again,
+provided that it reports this: a moteus may have obeyed the next command before it answers.
 """
 
 from abc import abstractmethod
@@ -29,31 +29,31 @@ from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 
 NO_BRAKE = (
-    "drives.protocol: no frame of these drives works a brake, so a platform without power falls unless "
-    "brakes of your own close by themselves when a drive is disabled; the brake tests test those"
+    "drives.protocol: no frame of these drives operates a brake, so a platform without power falls unless "
+    "it has brakes of its own that close when a drive is disabled; the brake tests check them"
 )
 _FRAME_BYTES = FRAME.itemsize
 
 
 class Exchange(NamedTuple):
-    """One request of the start-up dialogue, and what its answer must be."""
+    """One request of the start-up dialogue, and the required answer."""
 
     name: str
     register: int
     frames: tuple[Frame, ...]
     """Sent together; the last one is answered."""
     value: float
-    """What the drive must answer, in the drive's unit."""
+    """Required answer, in the drive's unit."""
 
 
 class MotorController(ControllerEnd):
     """The controller's end, compiled in `drivers.motor_kernels`.
 
-    Feedback from before the poll answers an older one: it is counted in `rejected` once its drive is set up,
-    and measures at its age where the drive owed it, so that a stall makes no leg stale. A second answer that
-    says something else makes its node `doubled`, unless the drive owes answers of the ticks before: then the
-    first ones may be those, and the last one counts. Of drives that send readings unasked, too, the newest
-    counts; the others say nothing of them.
+    Feedback from before the poll answers an older poll. It counts in `rejected` once its drive is set up. If
+    the drive owed it, it measures at its age, so that a stall makes no leg stale. A second answer with other
+    content marks its node as `doubled`, unless the drive owes answers of earlier ticks: then the first ones
+    may be those, and the last one counts. Of drives that also send unrequested readings the newest counts,
+    and different ones do not mark a node.
     """
 
     first = "mode"
@@ -80,7 +80,7 @@ class MotorController(ControllerEnd):
         super().__init__(m, kernels.decode, family.commanding, polls)
 
     def set_up(self, tick: Record) -> Rows:
-        """Return the next request of one drive, if it is heard and disabled."""
+        """Next request to one drive, if it answers and is disabled."""
         m: Any = self.state
         number, powered = int(tick["tick"]), m["mode"] in (DriveMode.READY, DriveMode.RUN)
         for leg, exchanges in enumerate(self._exchanges):
@@ -92,33 +92,33 @@ class MotorController(ControllerEnd):
         return NO_FRAMES
 
     def lack(self, leg: int) -> str:
-        """Return what is missing: the drive itself, or the register that is not confirmed."""
+        """Missing part: the drive itself, or a register that is not confirmed; empty if there is none."""
         m: Any = self.state
         done, exchanges = int(m["done"][leg]), self._exchanges[leg]
         if done == 0:
             return "it has not answered"
         if done > len(exchanges):
-            return "" if m["power"][leg] != DriveState.BOOT else "it has not said whether it is enabled"
+            return "" if m["power"][leg] != DriveState.BOOT else "it has not reported whether it is enabled"
         asked = exchanges[done - 1]
         if not m["has_read"][leg]:
             return f"{asked.name} is not confirmed"
-        return f"{asked.name} is {float(m['read'][leg]):.7g} in the drive, {asked.value:.7g} here"
+        return f"{asked.name} is {float(m['read'][leg]):.7g} in the drive, expected {asked.value:.7g}"
 
     def carried(self, force: Array) -> Array:
-        """Return what the torques give legs at rest that are sent at the rates last read: no losses."""
+        """Forces (6,) N at rest, without losses, of the torques sent for these forces at the last rates."""
         family, rate = self._family, self.state["rate"]
         return family.transmission.force(
             family.coded(family.transmission.torque(force, rate)), np.zeros(LEGS)
         )
 
     def presume_running(self) -> None:
-        """Take all drives for enabled."""
+        """Count all drives as enabled."""
         self.state["power"] = DriveState.RUN
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Return what is wrong with forces that do not fit."""
+        """Error for forces that do not fit."""
         if force.shape != (LEGS,) or not np.isfinite(force).all():
-            return ProtocolError(f"force command {force.tolist()} N: six finite ones are allowed")
+            return ProtocolError(f"force command {force.tolist()} N: six finite numbers are allowed")
         family = self._family
         most = np.abs(family.transmission.torque(force, self.state["rate"])).max()
         return ProtocolError(
@@ -132,7 +132,7 @@ _EAR = record(kernels.EAR)
 
 @pointed(_EAR, INTEGER, INTEGER, INTEGER)
 def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
-    """Return the leg, from 1 on, of a feedback to this tick's poll on its own bus; else 0: its time tells."""
+    """Leg, from 1 on, of a feedback to this tick's poll on its own bus, judged by its time; else 0."""
     frame = frame_at(frame_address)
     at = np.int64(e.heard.ctypes.data)
     if frame.t_ns < since_ns or frame.bus >= e.buses:
@@ -145,7 +145,7 @@ def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
 
 @pointed(_EAR, INTEGER)
 def addressed(e: Any, frame_address: int) -> int:
-    """Return which legs a frame of the controller's end is for, bit i: leg i."""
+    """Legs that a frame of the controller's end addresses, bit i: leg i."""
     frame = frame_at(frame_address)
     identifier = np.int64(frame.id)
     number = identifier >> e.shift & e.mask
@@ -156,9 +156,9 @@ def addressed(e: Any, frame_address: int) -> int:
 
 @pointed(record(kernels.MOTORS), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
-    """Put one frame a drive at an address, and one more to enable it or clear its fault; see `command`.
+    """Write one frame per drive to an address, and one more to enable it or clear its fault; see `command`.
 
-    For drives of which a heartbeat alone tells whether they are enabled.
+    For drives that report only by heartbeat whether they are enabled.
     """
     before = m.mode
     if not kernels.remember(m, mode, force_at):
@@ -166,7 +166,7 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
     begins = mode == DriveMode.RUN and before != DriveMode.RUN
     sent = 0
     for leg in range(LEGS):
-        # a heartbeat of before RUN ended may have said that it was off
+        # a heartbeat from before the end of RUN may have reported it as off
         if before == DriveMode.RUN and mode != DriveMode.RUN and m.power[leg] == DriveState.OFF:
             m.power[leg] = DriveState.RUN.value
         has_had_time = m.said[leg] - m.asked[leg] >= kernels.RETRY_TICKS
@@ -184,35 +184,35 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
 
 
 ANY = 0x1FFFFFFF
-"""Bits of an identifier."""
+"""Mask of an identifier."""
 
 
 class MotorProtocol(Family):
-    """The tables of such a family."""
+    """Codec of such a family: its tables."""
 
     ear: Pointed
     """The family's `hear`, see `drivers.motor_kernels`."""
     fresh_by, addressed_by = fresh, addressed
     rule = KEEPS
-    """What a drive is sent, see `drivers.motor_kernels`."""
+    """Rule for the frames to a drive, see `drivers.motor_kernels`."""
     clears = False
-    """Whether CLEAR is sent to a drive in fault alone."""
+    """True if CLEAR is sent only to a drive in fault."""
     commanding = kernels.command
-    """What takes a command."""
+    """Kernel that takes a command."""
     polls: tuple[Frame, ...] = ()
-    """What starts a tick, where that is not the command."""
+    """Frames that start a tick, if they are not the command."""
     number_at: tuple[int, int]
-    """Where an identifier has the number of a drive, and its bits there."""
+    """Shift and mask of a node number in an identifier."""
     delivered_s = 1e6
-    """The watchdog of a drive as it is delivered."""
+    """Factory setting of a drive's watchdog, s."""
     fault_names: Mapping[int, str] = {}
-    """What the family's fault codes mean, less OWN_CODE."""
+    """Meaning of the family's fault codes, without OWN_CODE."""
     fault_bits = False
-    """Whether a fault code is a sum of those."""
+    """True if a fault code is a sum of those."""
     silence = stopped = -1
-    """Fault code of a drive's own watchdog, and of an emergency stop; -1: it has none."""
+    """Fault code of a drive's own watchdog, and of an emergency stop; -1: none."""
     torque_limit: float
-    """N m, the largest that a command carries."""
+    """Largest torque that a command carries, N m."""
 
     def __init__(
         self,
@@ -222,54 +222,54 @@ class MotorProtocol(Family):
         legs: Sequence[Sequence[int]] = (ALL_LEGS,),
         answers: Sequence[int] = ALL_LEGS,
     ) -> None:
-        """Take the drives' numbers, where a command has its torque, the legs of each bus and their answers.
+        """Take the node numbers, the torque field of a command, the legs of each bus, and the answers.
 
         torque_field: first byte, bits, end in N m, see `drivers.motor_kernels.MOTORS`. answers: identifiers
-        of the feedbacks; legs, where several drives share an identifier or change it.
+        of the feedbacks; legs, if several drives share an identifier or change it.
         """
         super().__init__(nodes, legs)
         self.transmission, self.torque_field = transmission, torque_field
         self.legs_of = {node: leg for leg, node in enumerate(nodes)}
         self.tables: Record = np.zeros((), EAR)
-        """What `ear` works on."""
+        """Tables of `ear`."""
         self.tables["nodes"], self.tables["hear"], self.tables["requests"] = nodes, self.ear.address, -1
         self.tables["silence"], self.tables["stopped"] = self.silence, self.stopped
         self.tables["shift"], self.tables["mask"] = self.number_at
         self.tables["buses"], self.tables["bus_of"] = self.buses, self.bus_of
         self.wanted = tuple(answers)
 
-    # what a family gives
+    # members that a family supplies
 
     @abstractmethod
     def requests(self, watchdog_s: float) -> Sequence[Sequence[Frame]]:
-        """Return the frames to the six drives, by what they ask for: IDLE, CLEAR, ENABLE, DRIVE, PREPARE."""
+        """Frames to the six drives, by purpose: IDLE, CLEAR, ENABLE, DRIVE, PREPARE."""
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Return the start-up dialogue of each leg. Raises ProtocolError if the set-up does not fit."""
+        """Start-up dialogue of each leg. Raises ProtocolError if the set-up does not fit."""
         return ((),) * LEGS
 
     def patience_ticks(self, _rate_Hz: float) -> int:
-        """Return after how many ticks a drive is unknown that does not say whether it is enabled."""
+        """Ticks without a report after which it is unknown whether a drive is enabled."""
         return NEVER
 
-    # what is the same in all
+    # common to all families
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
-        """Return the traits of a family, given an example of each drive's feedback and what is its own."""
+        """Properties of a family, from an example of each drive's feedback and the family's own values."""
         torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
         singles = Resolution.of(SINGLE * FARTHEST_m, 0.0, 0.0)
         same = {"resolution": singles, "feedback_ids": frozenset(self.wanted)}
         return Traits(sent=(*self.polls, *torques), feedbacks=self.to_each(feedbacks), **same | own)
 
     def fault_text(self, code: int) -> str:
-        """Return the meaning of a code of the column `drive_fault`, at least OWN_CODE; empty: unknown."""
+        """Meaning of a code of the column `drive_fault`, at least OWN_CODE; empty if unknown."""
         own, names = code - kernels.OWN_CODE, self.fault_names
         if self.fault_bits:
             return ", ".join(text for bit, text in names.items() if own > 0 and own & bit)
         return names.get(own, "")
 
     def coded(self, torque: Array) -> Array:
-        """Return torques (6,) N m as the field carries them: truncated to its steps; singles unchanged."""
+        """Torques (6,) N m as the field carries them: truncated to its steps; singles unchanged."""
         _, bits, end = self.torque_field
         if bits == kernels.SIGNED:
             return np.array([kernels.signed_code(each, end) * end / 32768.0 for each in torque.tolist()])
@@ -285,7 +285,7 @@ class MotorProtocol(Family):
         self.refuse_reaction(setup)
 
     def controller_end(self, setup: DriveSetup) -> MotorController:
-        """Return the controller's end. Raises ProtocolError if the set-up does not fit."""
+        """The controller's end. Raises ProtocolError if the set-up does not fit."""
         return MotorController(self, setup)
 
     def _heard(self, frame: Frame) -> Any:
@@ -295,11 +295,11 @@ class MotorProtocol(Family):
         return heard if said and self.bus_of[heard["leg"]] == frame.bus else None
 
     def sender(self, frame: Frame) -> int:
-        """Return the leg whose drive sends a frame on its own bus, -1 for any other frame."""
+        """Leg whose drive sends a frame on its own bus; -1 for any other frame."""
         heard = self._heard(frame)
         return -1 if heard is None or heard["has"] & FOREIGN else int(heard["leg"])
 
     def awaited(self, frame: Frame) -> int:
-        """Return whose feedback a frame is, see `wanted`; -1 for none."""
+        """Element of `wanted` for the feedback in a frame; -1 for a frame without one."""
         heard = self._heard(frame)
         return self.wanted[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1

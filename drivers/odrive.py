@@ -1,17 +1,18 @@
-"""ODrive CAN Simple of firmware 0.6: torque control of axes that are asked for their encoders.
+"""Codec of ODrive CAN Simple, firmware 0.6: torque control of axes whose encoders are polled.
 
-Identifier: node << 5 | command. Each tick asks for Get_Encoder_Estimates by a remote frame, and sends
+Identifier: node << 5 | command. Each tick requests Get_Encoder_Estimates by a remote frame, and sends
 Set_Input_Torque, which feeds the axis' watchdog. The heartbeat has state and error, Estop latches,
 Clear_Errors clears. Fields are little-endian, singles in turns, turns/s and N m (ODrive documentation, CAN
 Protocol).
-An axis sends its estimates by a timer, too, under the identifier of its answer: every 10 ms as delivered. No
-frame tells the two apart, so the newest of a tick counts, and two that differ are no second axis.
-The heartbeat alone tells the state, and comes by a timer, not with a change. So an axis gets its torque from
-the tick on in which it is asked to close its loop; it is asked again where a later heartbeat says that it has
-not. When RUN is over it counts as enabled, and is told IDLE, until a heartbeat says otherwise; and a reset
-clears the errors of each axis, whatever the last one said.
-The watchdog is a setting of the axis (`config.enable_watchdog`, `watchdog_timeout`), off as delivered; no
-message of CAN Simple sets it, so `drives.watchdog_ms` says what has been set with odrivetool.
+An axis also sends its estimates by a timer, under the identifier of its answer: every 10 ms by factory
+setting. No frame tells the two apart, so the newest of a tick counts, and two different ones do not mean a
+second axis.
+Only the heartbeat reports the state, and it comes by a timer, not with a change. So an axis gets its torque
+from the tick in which it is told to close its loop, and is told again if a later heartbeat reports that it
+has not. After RUN it counts as enabled, and gets IDLE, until a heartbeat reports otherwise. A reset clears
+the errors of each axis, whatever its last heartbeat reported.
+The watchdog is a setting of the axis (`config.enable_watchdog`, `watchdog_timeout`), off by factory setting.
+No message of CAN Simple sets it, so `drives.watchdog_ms` states the value set with odrivetool.
 """
 
 import struct
@@ -31,7 +32,7 @@ from drivers.motors import ANY, MotorProtocol, push
 from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, STRANGE, Frame, Said, Traits
 
 ADDRESS = 0x06
-"""Asked for by a remote frame it is answered with node number, serial number and connection."""
+"""Requested by a remote frame; the answer has node number, serial number and connection."""
 HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
 IDLE, CLOSED_LOOP = 1, 8
 """Axis states."""
@@ -44,22 +45,22 @@ COMMANDS = sum(
         0x04, ADDRESS, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F,
     }
 )  # fmt: skip
-"""Bits of what a controller sends with data."""
+"""Bits of the commands that a controller sends with data."""
 WATCHDOG_EXPIRED, STOP_REQUESTED = 0x1000000, 0x2000000
-"""Errors of an axis that have a DriveFault of their own."""
+"""Errors of an axis that correspond to a DriveFault."""
 NOT_OURS = EXTENDED | FD | ERROR
 
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Take estimates or a heartbeat."""
+    """Decode estimates or a heartbeat."""
     identifier, data = int(frame.id), frame.data
     node, kind = identifier >> 5, identifier & 0x1F
     leg = place_of(node, ear.nodes)
     if frame.flags & STRANGE or identifier > 0x7FF or leg < 0:
         return 0
     if COMMANDS >> kind & 1:
-        # an address that is set names another node
+        # a message that sets an address has another node
         own_address = kind == ADDRESS and frame.length == 8 and data[0] == node
         return 0 if own_address else motors.says(heard, leg, motors.FOREIGN)
     if kind not in (HEARTBEAT, ESTIMATES):
@@ -80,12 +81,12 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 PASSTHROUGH = 1
 """Input mode."""
 UNASKED = "encoder_msg_rate_ms"
-"""Setting of an axis, and option here: how often it sends its estimates unasked; 0: never."""
+"""Setting of an axis, and option here: period of its unrequested estimates, ms; 0: none."""
 DELIVERED_MS, MOST_UNASKED_MS = 10, 10_000
-"""Of an axis as delivered; and what is a mistake above."""
+"""Factory setting; and the limit above which a value is a mistake."""
 MISSED_BEATS = 3
 MOST_HEARTBEAT_MS = 250.0
-"""A start, and parking, wait for a second for what the heartbeats of all axes say; some may be lost."""
+"""Start and parking wait one second for the heartbeats of all axes; some may be lost."""
 ERRORS = {
     0x1: "initializing",
     0x2: "system level",
@@ -111,22 +112,22 @@ ERRORS = {
     0x40000000: "calibration error",
 }
 _MAX_TORQUE = 1e4
-"""N m: more is a mistake, whatever a single can hold."""
+"""N m: a larger value is a mistake, although a single can hold it."""
 _BRAKES = (
-    "drives.protocol: an axis works its brake by itself, open in CLOSED_LOOP_CONTROL alone, and no "
-    "message of CAN Simple sets or reads that: give it the pin with odrivetool, "
+    "drives.protocol: an axis operates its own brake, open only in CLOSED_LOOP_CONTROL, and no "
+    "message of CAN Simple sets or reads this: set its pin with odrivetool, "
     "mechanical_brake.config.gpio_num and is_active_low, else a platform without power falls; the "
-    "brake tests test it"
+    "brake tests check it"
 )
 _WATCHDOGS = (
-    "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off as delivered: "
+    "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off by factory setting: "
     "set config.watchdog_timeout and config.enable_watchdog with odrivetool, else an axis keeps its "
-    "last torque for ever when the controller stops"
+    "last torque when the controller stops"
 )
 
 
 class ODriveProtocol(MotorProtocol):
-    """The tables of six axes."""
+    """Codec of six axes."""
 
     ear, commanding, rule = hear, push, PREPARES
     silence, stopped = WATCHDOG_EXPIRED, STOP_REQUESTED
@@ -140,8 +141,8 @@ class ODriveProtocol(MotorProtocol):
         self._unasked_s = 1e-3 * options.whole(UNASKED, DELIVERED_MS, 0, MOST_UNASKED_MS)
         if drives.heartbeat_ms > MOST_HEARTBEAT_MS:
             raise ConfigurationError(
-                f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as the heartbeat "
-                f"alone tells whether an axis is enabled, given: {drives.heartbeat_ms:g}"
+                f"drives.heartbeat_ms: allowed with odrive: up to {MOST_HEARTBEAT_MS:g}, as only the "
+                f"heartbeat reports whether an axis is enabled, given: {drives.heartbeat_ms:g}"
             )
         refuse_torque(transmission, drives.force_limit_N, _MAX_TORQUE, "odrive")
         answers = tuple(node << 5 | ESTIMATES for node in nodes)
@@ -157,7 +158,7 @@ class ODriveProtocol(MotorProtocol):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of axes: Estop latches, an address is asked for by a remote frame."""
+        """Properties of axes: Estop latches, an address is requested by a remote frame."""
         return self.traits_of(
             self._to_each(ESTIMATES, bytes(8)),
             family="odrive",
@@ -170,11 +171,11 @@ class ODriveProtocol(MotorProtocol):
         )
 
     def patience_ticks(self, rate_Hz: float) -> int:
-        """Return the ticks of `MISSED_BEATS` heartbeats: these alone tell whether an axis is enabled."""
+        """Ticks of `MISSED_BEATS` heartbeats, which alone report whether an axis is enabled."""
         return max(ceil(MISSED_BEATS * self._heartbeat_s * rate_Hz), 2)
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Return what makes an axis idle, clears its errors, closes its loop, is its torque and its mode."""
+        """Frames that make an axis idle, clear its errors, close its loop, carry its torque, set its mode."""
         asked = (
             (AXIS_STATE, struct.pack("<Ixxxx", IDLE)),
             (CLEAR, b"\0"),
@@ -185,7 +186,7 @@ class ODriveProtocol(MotorProtocol):
         return tuple(self._to_each(*each) for each in asked)
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Return the serial number of an address that names its own node: one that sets it names another."""
+        """Serial number in an address message with its own node; one that sets an address has another."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 5)
         if leg is None or identifier & 0x1F != ADDRESS or flags & STRANGE or len(data) != 8:

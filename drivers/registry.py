@@ -1,4 +1,4 @@
-"""What packages register by entry point: laws, protocols, emulated drives, plants. Ours do the same.
+"""Entry points of all packages, ours included: laws, protocols, emulated drives, plants.
 
 ::
 
@@ -23,7 +23,7 @@ Kind = TypeVar("Kind", bound=Section)
 def registered(group: str) -> dict[str, EntryPoint]:
     """Entry points of a group by name, in the order of their names.
 
-    Raises ConfigurationError where two packages register the same name.
+    Raises ConfigurationError if two packages register the same name.
     """
     found: dict[str, EntryPoint] = {}
     for entry in sorted(_all().select(group=group), key=lambda each: each.name):
@@ -42,7 +42,7 @@ def _all() -> Any:
 
 
 def loaded(group: str, name: str) -> Any:
-    """Object behind an entry point. Raises ConfigurationError where its package cannot be imported."""
+    """Object behind an entry point. Raises ConfigurationError if its package cannot be imported."""
     entry = registered(group)[name]
     try:
         return entry.load()
@@ -54,7 +54,7 @@ def loaded(group: str, name: str) -> Any:
 
 
 def sections(group: str, base: type[Kind], field: str) -> dict[str, type[Kind]]:
-    """Load the registered sections of the configuration, by name; `field` is the key that has the name.
+    """Registered sections of the configuration, by name; `field` is the key that has the name.
 
     Raises ConfigurationError as `loaded` and `named`.
     """
@@ -64,7 +64,7 @@ def sections(group: str, base: type[Kind], field: str) -> dict[str, type[Kind]]:
 def named(name: str, section: Any, base: type[Kind], field: str) -> type[Kind]:
     """Class of a section, with `name` as the only value of its key `field`.
 
-    Raises ConfigurationError for what is not a subclass of `base`, or has another name.
+    Raises ConfigurationError if it is not a subclass of `base`, or has another name.
     """
     if not (isinstance(section, type) and issubclass(section, base)):
         raise ConfigurationError(
@@ -78,13 +78,13 @@ def _named(name: str, section: type[Kind], base: type[Kind], field: str) -> type
     own = get_args(section.model_fields[field].annotation)
     if own and own != (name,):
         raise ConfigurationError(
-            f"{field} {name}: {section.__qualname__}.{field} is {own[0]}; give both one name"
+            f"{field} {name}: {section.__qualname__}.{field} is {own[0]}; use the same name for both"
         )
     if own:
         return section
 
     def reduced(self: Section) -> tuple[Any, ...]:
-        """Let other processes, to which the class is unknown, make it of what they know."""
+        """Pickle as a call of `revived`: other processes do not have the class."""
         return revived, (section, base, field, name, self.model_dump())
 
     body = {"__module__": __name__, "__annotations__": {field: Literal[name]}, "__reduce__": reduced}
@@ -92,7 +92,7 @@ def _named(name: str, section: type[Kind], base: type[Kind], field: str) -> type
 
 
 def revived(section: type[Kind], base: type[Kind], field: str, name: str, values: dict[str, Any]) -> Kind:
-    """Return a section of `named` that came from another process."""
+    """Section of `named` that came from another process."""
     made: Kind = named(name, section, base, field).model_validate(values)
     return made
 

@@ -1,4 +1,4 @@
-"""Samples of the sensors in compiled code, at both ends: a frame, and a tick's samples in their order."""
+"""Sensor samples in compiled code, at both ends: the frame of a sample, and a tick's samples in order."""
 
 from math import pi
 from typing import Any
@@ -16,17 +16,17 @@ from drivers.tick_columns import Record
 TRACKER, IMU, WRENCH = range(3)
 QUANTITIES = 6
 FIELDS = QUANTITIES + 4
-"""Of a sample, in order of position: quantities, Offset, Cycle, Counter, Validity; behind them its CRC."""
+"""Fields of a sample, in order of position: quantities, Offset, Cycle, Counter, Validity; then its CRC."""
 OLDEST = 127
-"""Ticks: Cycle counts to 255, and a stamp further back cannot be told from one in the future."""
+"""Most ticks: Cycle counts to 255, and an older stamp cannot be told from one in the future."""
 MOST = 256
-"""Samples of one kind in one tick; what comes beyond is refused."""
+"""Most samples of one kind in one tick; further ones are refused."""
 NEVER = NOBODY = -1
-"""Counter before the first frame; identifier of a sensor that is not there."""
+"""Counter before the first frame; identifier of a missing sensor."""
 SAMPLE = np.dtype([("tick", "<i8"), ("offset_s", "<f8"), ("values", "<f8", (QUANTITIES,))])
-"""One measurement: tick of the SYNC before it, from the end of that SYNC to it in steps of 1 us, and its
-values. Tracker: position m in the base frame, rotation vector rad from platform to base. IMU: angular rate
-rad/s, specific force m/s^2. Wrench: force N, moment N m. The last two in the platform frame."""
+"""One measurement: tick of the SYNC before it, time from the end of that SYNC in steps of 1 us, and values.
+Tracker: position m in the base frame, rotation vector rad from platform to base. IMU: angular rate rad/s,
+specific force m/s^2. Wrench: force N, moment N m. IMU and wrench are in the platform frame."""
 SENSORS = np.dtype(
     [
         *((name, "<i8", (3,)) for name in ("id", "flags", "bus", "length")),
@@ -38,24 +38,24 @@ SENSORS = np.dtype(
         ("samples", "<i8"),
     ]
 )  # fmt: skip
-"""Tracker, IMU, wrench sensor: identifier (-1: there is none), flags, bus, bytes; where each field lies in
-bits; steps and ranges in SI. Then what has been heard: the counter of each one's last frame; of the present
-tick the samples, refused frames, and samples that the counters show to be missing.
-`samples`: address of (3, MOST) elements of SAMPLE."""
+"""Tracker, IMU, wrench sensor: identifier (-1: none), flags, bus, bytes; position of each field in bits;
+steps and ranges in SI. Then the reception: counter of each sensor's last frame; of the present tick the
+numbers of samples, of refused frames, and of samples missing by the counters. `samples`: address of (3, MOST)
+elements of SAMPLE."""
 _HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
 _samples_at = records_at(record(SAMPLE))
 _KIND_BYTES = MOST * SAMPLE.itemsize
 
 
 def no_sensors() -> Record:
-    """Return a record of SENSORS without any."""
+    """Record of SENSORS without any sensor."""
     record = np.zeros((), SENSORS)
     record["id"], record["counter"] = NOBODY, NEVER
     return record
 
 
 def unheard(tables: Record) -> tuple[Record, Rows]:
-    """Return a record of SENSORS that has heard nothing, and the samples that its address leads to."""
+    """Record of SENSORS before any frame, and the samples at its address."""
     record, samples = tables.copy(), np.zeros((3, MOST), SAMPLE)
     record["samples"] = data_at(samples)
     return record, samples
@@ -63,7 +63,7 @@ def unheard(tables: Record) -> tuple[Record, Rows]:
 
 @helper
 def samples_of(s: Any, kind: int) -> Any:
-    """Return the samples of a tick, oldest first."""
+    """Samples of a tick, oldest first."""
     return _samples_at(s.samples + _KIND_BYTES * kind, s.count[kind])
 
 
@@ -96,7 +96,7 @@ def _keep(s: Any, kind: int, tick: int, offset_s: float, values: Array) -> None:
 
 @helper
 def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
-    """Take a sample from an intact frame; tell whether it can be believed."""
+    """Take a sample from an intact frame; True if it is plausible."""
     start, bits = s.start[kind], s.bits[kind]
     behind = (tick - natural(data, start[7], bits[7])) & 0xFF
     counter = natural(data, start[8], bits[8])
@@ -125,10 +125,10 @@ def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
 def hear(s: Any, frames: Any, tick: int) -> None:
     """Take the samples among a tick's frames, elements of FRAME.
 
-    A frame with the counter of the one before is a repetition and passed over; a gap in the counter counts as
+    A frame with the counter of the one before is a repetition and is skipped; a gap in the counter counts as
     lost, whatever the reason. A sample that its node marks invalid does not count. Refused, and counted in
     `rejected`: wrong length or CRC, a stamp in the future, before tick 0 or more than OLDEST ticks back, an
-    unknown validity, a turn of more than pi, a value outside the range of sensors.dbc. Foreign frames are
+    unknown validity, a rotation of more than pi, a value outside the range of sensors.dbc. Foreign frames are
     ignored.
     """
     s.rejected = s.lost = 0
@@ -145,7 +145,7 @@ def hear(s: Any, frames: Any, tick: int) -> None:
 
 @helper
 def put_sample(s: Any, kind: int, v: Array, cycle: int, offset_s: float, counter: int, frame: Any) -> int:
-    """Fill in the frame of one sample, all but its instant; FAILED: see `SensorProtocol.encode`."""
+    """Fill in the frame of one sample, except its time; FAILED: see `SensorProtocol.encode`."""
     start, bits, data = s.start[kind], s.bits[kind], frame.data
     offset = np.rint(offset_s / s.scale[kind, QUANTITIES])
     if not 0 <= offset <= 0xFFFF:

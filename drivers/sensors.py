@@ -1,7 +1,7 @@
-"""Sensors beside the drives: tracker, IMU and wrench sensor, both ends of one table.
+"""Sensors next to the drives: tracker, IMU and wrench sensor, both ends of one table.
 
 A sample is stamped in the controller's own time: Offset after the end of the SYNC that carried Cycle. No
-clock has to be set, and a sample may be late by up to 127 ticks.
+clock has to be set, and a sample may be up to 127 ticks late.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ _MESSAGES = {"tracker": ("TRACKER_7", 7), "imu": ("IMU_8", 8), "wrench": ("WRENC
 """Kind -> message of sensors.dbc, and the node number in its identifier."""
 KINDS = tuple(_MESSAGES)
 _TABLES = ("id", "flags", "bus", "length", "start", "bits", "scale", "low", "high")
-"""Of SENSORS: what is known before anything is heard."""
+"""Fields of SENSORS that are known before any frame."""
 
 
 class SensorProtocol:
     """Codec of the configured sensors. Holds compiled tables only.
 
-    Raises ConfigurationError where the layout has no room for them.
+    Raises ConfigurationError if the frame layout has no room for them.
     """
 
     def __init__(self, bus: BusSettings, sensors: SensorSettings) -> None:
@@ -35,14 +35,14 @@ class SensorProtocol:
         if self.rates_Hz and bus.layout == "classic":
             given = ", ".join(f"sensors.{kind}" for kind in self.rates_Hz)
             raise ConfigurationError(
-                f"bus.layout: classic carries 8 bytes a frame and a sample takes up to 32, given: {given}; "
-                "use layout fd, or leave the sensors out"
+                f"bus.layout: classic carries 8 bytes per frame, but a sample takes up to 32, given: "
+                f"{given}; use layout fd, or remove the sensors"
             )
         self.database = "sensors.dbc", read_dbc("drivers", "sensors.dbc")
         messages = layouts(self.database[1])
         self.sync_id: int = messages["SYNC"].id
         self.tables = no_sensors()
-        """Where the configured sensors have what in their frames."""
+        """Layout of the configured sensors' frames."""
         for kind in self.rates_Hz:
             name, node = _MESSAGES[kind]
             form = messages[name]
@@ -61,14 +61,14 @@ class SensorProtocol:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """The configured ones of KINDS."""
+        """Configured kinds of KINDS."""
         return tuple(self.rates_Hz)
 
     def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:
-        """Return the frame of one sample; what exceeds a field saturates and makes the sample invalid.
+        """Frame of one sample; a value beyond its field saturates and makes the sample invalid.
 
-        values: six, as in `Sample`; cycle and offset_s say when: offset_s after the SYNC that carried cycle.
-        Raises ProtocolError on NaN and on an offset that is not 0 .. 65.535 ms.
+        values: six, as in `SAMPLE`; its time is offset_s after the SYNC that carried cycle.
+        Raises ProtocolError for NaN, and for an offset outside 0 .. 65.535 ms.
         """
         given, frame = np.array(values, float), np.zeros(1, FRAME)
         when = (cycle, offset_s, counter)
@@ -79,7 +79,7 @@ class SensorProtocol:
         return sent_frames(frame)[0]
 
     def cyclic_frames(self, rate_Hz: float) -> tuple[Frame, ...]:
-        """Return one example of every frame that can fall into one tick at a loop of `rate_Hz`."""
+        """One example of every frame that can fall into one tick at a loop of `rate_Hz`."""
         found: list[Frame] = []
         for kind, rate in self.rates_Hz.items():
             found += [self.encode(kind, (0.0,) * 6, 0, 0.0, 0)] * ceil(rate / rate_Hz * (1 - 1e-9))

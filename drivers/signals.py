@@ -1,6 +1,6 @@
-"""What the numbers of a tick are called: states of drives and controller, faults, warnings; and Command.
+"""Names for the numbers of a tick: states of drives and controller, faults, warnings; and Command.
 
-Arrays are treated as read-only by every reader.
+Every reader treats arrays as read-only.
 """
 
 from enum import IntEnum, IntFlag
@@ -10,25 +10,25 @@ from drivers.arrays import Array
 
 LEGS = 6
 NEVER = 1_000_000
-"""Age in ticks of a leg that has never been heard."""
+"""Age in ticks of a leg without any feedback yet."""
 
 
 class BusState(IntEnum):
-    """How a CAN controller fares, by its error counters (ISO 11898-1)."""
+    """State of a CAN controller, by its error counters (ISO 11898-1)."""
 
     UNKNOWN = 0
-    """Nothing was heard of it, or the bus has none."""
+    """It has reported nothing, or the bus has no controller."""
     ACTIVE = 1
     WARNING = 2
     """A counter has reached 96."""
     PASSIVE = 3
     """A counter has reached 128."""
     OFF = 4
-    """The transmit counter has passed 255: it takes no part any more."""
+    """The transmit counter has passed 255: the controller has left the bus."""
 
 
 class DriveMode(IntEnum):
-    """What the controller asks of all six drives."""
+    """State that the controller requests of all six drives."""
 
     OFF = 0
     """Force stage off, brake engaged."""
@@ -41,7 +41,7 @@ class DriveMode(IntEnum):
 
 
 class DriveState(IntEnum):
-    """What one drive reports."""
+    """State that one drive reports."""
 
     BOOT = 0
     """Powered up, not configured; brake engaged."""
@@ -53,11 +53,11 @@ class DriveState(IntEnum):
 
 
 INVALID = 8
-"""Added to the state in a feedback whose length and rate are of no use: encoder lost, the drive obeys."""
+"""Added to the state in a feedback without valid length and rate: encoder lost, the drive obeys."""
 
 
 class Reaction(IntEnum):
-    """What a drive does by itself when it faults in RUN (its command stops, say).
+    """Reaction of a drive by itself to a fault in RUN, such as a missing command.
 
     An emergency stop always brakes, and so does a fault outside RUN: no fault opens a closed brake.
     """
@@ -73,7 +73,7 @@ class Reaction(IntEnum):
 
 
 class DriveFault(IntEnum):
-    """Why a drive is in FAULT (status message)."""
+    """Reason why a drive is in FAULT (status message)."""
 
     NONE = 0
     WATCHDOG = 1
@@ -84,10 +84,10 @@ class DriveFault(IntEnum):
 
 
 class Mode(IntEnum):
-    """Where the controller is between rest and motion."""
+    """Phase of the controller between rest and motion."""
 
     WAITING = 0
-    """Not all six drives heard, configured and off yet."""
+    """Not all six drives have reported, are configured and off yet."""
     IDLE = 1
     """Drives present and off, brakes engaged."""
     LOADING = 2
@@ -101,30 +101,30 @@ class Mode(IntEnum):
     STOPPING = 6
     """Decelerating along the reference to rest."""
     PARKING = 7
-    """At rest; brakes engage, the force stays until all six drives report them shut."""
+    """At rest; brakes engage, the force stays until all six drives report them closed."""
     UNLOADING = 8
-    """Brake test: the force fades out on the shut brakes, and the legs must stand still."""
+    """Brake test: the force fades out on the closed brakes, and the legs must not move."""
     PARKED = 9
     """Done: drives off, brakes engaged."""
     FAULT = 10
     """Latched: drives commanded off."""
     HELD = 11
-    """Latched, with the force on: not all brakes are proven shut. They are engaged, and the law holds the
+    """Latched, with the force on: not all brakes are proven. They are engaged, and the law holds the
     platform, until the operator releases it."""
 
 
 class Refusal(IntFlag):
-    """Why a set-point was not taken, or not followed to its end."""
+    """Reason why a set-point was refused, or not followed to its end."""
 
     NONE = 0
     NOT_TRACKING = 1
     NOT_A_POSE = 2
-    """Not finite, or turned by more than half a turn."""
+    """Not finite, or a rotation of more than half a turn."""
     STROKE = 4
     CONDITION = 8
     FORCE = 16
     ON_THE_WAY = 32
-    """It is good itself; what lies before it is not."""
+    """The set-point itself is allowed, the path to it is not."""
     SPEED = 64
 
 
@@ -146,40 +146,40 @@ class Fault(IntFlag):
     ESTOP = 1024
     LAW = 2048
     ENCODER = 4096
-    """A leg's length, rate and force contradict each other (column `legs_doubted` says which leg's, `doubt`
-    how), or an encoder contradicts the fused pose that may not be lost."""
+    """A leg's length, rate and force contradict each other (leg in column `legs_doubted`, reason in `doubt`),
+    or an encoder that may not be lost contradicts the fused pose."""
     UNCERTAIN = 8192
-    """The fused pose is less certain than it has to be."""
+    """The fused pose is less certain than required."""
     CERTIFICATE = 16384
-    """The error grew as the law's Lyapunov function forbids."""
+    """The error grew more than the law's Lyapunov function allows."""
     BRAKE = 32768
-    """A leg moved on its closed brake; column `legs_moved` says which."""
+    """A leg moved on its closed brake; its bit is in column `legs_moved`."""
     SECOND_CONTROLLER = 65536
-    """Somebody else sent a SYNC, a command or a CONFIG."""
+    """Another node sent a SYNC, a command or a CONFIG."""
     DUPLICATE_NODE = 131072
-    """Two different answers to one SYNC came from one node number."""
+    """One node number gave two different answers to one SYNC."""
     REFUSED_FRAMES = 262144
     """Too many ticks had frames of the drives that could not be trusted."""
     SET_UP = 524288
-    """A drive reports another set-up than the one that was sent to it."""
+    """A drive reports a set-up other than the one that was sent to it."""
 
 
 class Doubt(IntEnum):
-    """Why an encoder is doubted."""
+    """Reason why an encoder is doubted."""
 
     NONE = 0
     JUMP = 1
-    """From one reading to the next the length changed by more or less than its rate says."""
+    """Between two readings the length changed by more or less than its rate allows."""
     SLIP = 2
-    """The same, a little at a time."""
+    """As JUMP, but a little with each reading."""
     LEAP = 3
     """The rate of this leg alone changed by more than forces and disturbance explain."""
     STILL = 4
-    """The reading stands still while the leg must move, and did not give way to a push."""
+    """The reading is constant although the leg must move, and stayed so under a probe force."""
 
 
 class Foreign(IntFlag):
-    """Which frames of a controller were heard: the own ones are not."""
+    """Kinds of frames received from another controller."""
 
     NONE = 0
     SYNC = 1
@@ -190,7 +190,7 @@ class Foreign(IntFlag):
 
 
 class Warn(IntFlag):
-    """Not latched: what was limited or degraded in this tick."""
+    """Limits and degradations of this tick, not latched."""
 
     NONE = 0
     STALE = 1
@@ -206,23 +206,23 @@ class Warn(IntFlag):
     SETPOINT = 512
     """A set-point was refused."""
     ENCODER = 1024
-    """The encoder of a leg is lost or contradicts the fused pose; column `legs_lost` says which."""
+    """The encoder of a leg is lost or contradicts the fused pose; its bit is in column `legs_lost`."""
     SENSOR = 2048
     """A configured tracker or IMU has been silent or refused for several of its periods."""
     CERTIFICATE = 4096
-    """The error grows as the law's Lyapunov function forbids."""
+    """The error grows more than the law's Lyapunov function allows."""
 
 
 class Stop(IntEnum):
-    """Why safety asks for a controlled stop."""
+    """Reason why safety requests a controlled stop."""
 
     NONE = 0
     MISSED = 1
     """Too many periods missed in a row."""
     RECORDER = 2
-    """The recorder is dead or loses ticks, and the run may not go on without it."""
+    """The recorder is dead or loses ticks, and the run may not continue without it."""
     STRETCHED = 3
-    """The time of the virtual bench stood still for too much of the run."""
+    """Bench time stood still for too much of the run."""
 
 
 class Command(NamedTuple):
@@ -232,4 +232,4 @@ class Command(NamedTuple):
     force: Array
     """(6,) N, > 0 extends the leg."""
     stop: bool = False
-    """An emergency stop goes with it."""
+    """True if an emergency stop goes with it."""

@@ -1,15 +1,15 @@
-"""A line on a terminal that the next one rewrites: where it wraps, each one leaves a row behind."""
+"""A terminal line that the next one overwrites; a wrapped line would leave rows behind."""
 
 import contextlib
 import os
 from typing import TextIO
 
 _COLUMNS = 80
-"""Of a terminal that does not say how wide it is."""
+"""Width of a terminal that reports none."""
 
 
 def rewriting(text: str, out: TextIO) -> str:
-    """Return what writes a text over the line that is there, cut to the width that the terminal has now."""
+    """Text that overwrites the present line, cut to the present width of the terminal."""
     columns = 0
     with contextlib.suppress(OSError):
         columns = os.get_terminal_size(out.fileno()).columns

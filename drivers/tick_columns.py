@@ -1,9 +1,8 @@
-"""The record of one tick: the one table of its columns, and the NumPy type made from it.
+"""The record of one tick: the table of its columns, and the NumPy type made from it.
 
 A tick is one structured array of no dimension. Decoder, estimators, reference, law and safety fill the
-columns of their parts; the recorded columns stand first, and the log holds them as they are. The table is
-below `hil` because the decoders fill it. A new column is one row here and its use in the stage that fills
-it.
+columns of their parts. The recorded columns come first, and the log stores them unchanged. The table is below
+`hil` because the decoders fill it. A new column is one row here and its use in the stage that fills it.
 """
 
 from __future__ import annotations
@@ -37,26 +36,26 @@ Record = np.ndarray[Any, np.dtype[np.void]]
 """One element of TICK, of no dimension: ``record["q"]`` is a view of that column."""
 
 Part = Literal["input", "measurement", "estimate", "fusion", "reference", "effort", "verdict", "output"]
-"""Which stage fills a column."""
+"""Stage that fills a column."""
 
 
 class Column(NamedTuple):
-    """One column. Each of its elements takes eight bytes."""
+    """One column; each of its elements takes eight bytes."""
 
     part: Part
-    """Which stage fills it; `output` in a log."""
+    """Stage that fills it; `output` in a log."""
     name: str
-    """As in the field of the log's message."""
+    """Name of the field in the log's message."""
     type: type[int | float | IntEnum | IntFlag]
-    """int64 or float64; an enumeration names the numbers of an int64, or their bits."""
+    """int64 or float64; an enumeration gives names to the numbers of an int64, or to their bits."""
     unit: str
-    """Of its elements; empty for what has none."""
+    """Unit of its elements; empty without one."""
     meaning: str
-    """What it is, in a phrase."""
+    """Meaning, in a phrase."""
     elements: tuple[str, ...] = ()
     """Names of its elements, row by row; empty for a scalar."""
     shape: tuple[int, ...] = ()
-    """Of the column within a row; empty for a scalar."""
+    """Shape within a row; empty for a scalar."""
 
     @property
     def kind(self) -> str:
@@ -70,14 +69,14 @@ class Column(NamedTuple):
 
     @property
     def names(self) -> dict[str, int]:
-        """What its numbers are called, or their bits; empty where they have no names."""
+        """Names of its numbers, or of their bits; empty without names."""
         if not issubclass(self.type, (IntEnum, IntFlag)):
             return {}
         return {str(member.name): int(member) for member in self.type}
 
     @property
     def labels(self) -> tuple[str, ...]:
-        """Name of each element, row by row, as `tau.leg_3`, `p.z`; the column's own where it is a scalar."""
+        """Name of each element, row by row, such as `tau.leg_3`, `p.z`; for a scalar the column's name."""
         if not self.shape:
             return (self.name,)
         places = ("_".join(map(str, place)) for place in np.ndindex(self.shape))
@@ -85,7 +84,7 @@ class Column(NamedTuple):
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Unit of each element, row by row; of `m, rad` the first half are m, the second half rad."""
+        """Unit of each element, row by row; for `m, rad` the first half is m, the second half rad."""
         units = tuple(self.unit.split(", "))
         if not self.shape or self.size % len(units):
             return (self.unit,) * self.size
@@ -101,7 +100,7 @@ MATRIX = tuple(row + column for row in XYZ for column in XYZ)
 
 
 def column(part: Part, name: str, kind: Any, unit: str, meaning: str, *elements: str) -> Column:
-    """Return a column whose shape follows from the names of its elements."""
+    """Column whose shape follows from the names of its elements."""
     shape = (3, 3) if elements == MATRIX else (len(elements),) if elements else ()
     return Column(part, name, kind, unit, meaning, elements, shape)
 
@@ -181,7 +180,7 @@ RECORDED = (
     _("verdict", "lyapunov_share", float, "1", "largest sqrt(V) of an axis over what is allowed"),
     _("effort", "probe_force", float, "N", "leg force added to see whether the leg moves", *PER_LEG),
 )
-"""What the log holds, in its order."""
+"""Columns of the log, in its order."""
 LATER = RECORDED[-1:]
 """Columns that older logs lack: nan there, and not compared by a replay."""
 WORKING = (
@@ -199,24 +198,24 @@ WORKING = (
     _("effort", "shortfall", float, "N", "of the last command: force sent less that asked for", *PER_LEG),
     _("effort", "tau_asked", float, "N", "the law's force with what was learned and the ramps", *PER_LEG),
 )
-"""What lives for one tick."""
+"""Columns that exist for one tick only."""
 del _
 COLUMNS = {column.name: column for column in (*RECORDED, *WORKING)}
 INPUT_COLUMNS = tuple(c.name for c in RECORDED if c.part == "input" and not c.name.startswith("frames_"))
 """Columns that replay reads back as TickInput (frames and operator commands have channels of their own)."""
 INPUT_ELEMENTS = sum(COLUMNS[name].size for name in INPUT_COLUMNS)
-"""Of these columns in all."""
+"""Number of elements of these columns."""
 COMPUTED_COLUMNS = tuple(c.name for c in RECORDED if c.name not in INPUT_COLUMNS)
-"""What replay compares."""
+"""Columns that replay compares."""
 
 
 ROW = np.dtype([(c.name, c.kind, c.shape) for c in RECORDED])
-"""One tick of the log."""
+"""Type of one tick in the log."""
 TICK = np.dtype([(c.name, c.kind, c.shape) for c in COLUMNS.values()])
-"""One tick of the loop: ROW, and what lives for one tick behind it."""
+"""Type of one tick in the loop: ROW, then the columns of WORKING."""
 FIRST: Record = np.ndarray((), TICK, np.zeros(TICK.itemsize // 8))
-"""The record before the first tick, and what each one begins as: no leg ever heard, nan for what nothing may
-fill."""
+"""Record before the first tick, and start of each later one: no feedback yet, nan in columns that may stay
+empty."""
 FIRST["tick"], FIRST["age"] = -1, NEVER
 for _unfilled in ("t_d", "encoder_share", "lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share"):
     FIRST[_unfilled] = np.nan
@@ -224,25 +223,25 @@ FIRST.flags.writeable = False
 
 
 def new_record() -> Record:
-    """Return a record that begins as FIRST."""
+    """New record that starts as FIRST."""
     return np.ndarray((), TICK, FIRST.base.copy())  # type: ignore[union-attr]
 
 
 def copy_of(record: Record) -> Record:
-    """Return another record of the same content."""
+    """Copy of a record."""
     return np.ndarray((), TICK, record.reshape(1).view(np.float64).copy())
 
 
 def tick_at(address: int) -> Record:
-    """Return the record at an address, from Python."""
+    """Record at an address, for Python code."""
     return np.ndarray((), TICK, array_at(address, TICK.itemsize // 8, np.float64))
 
 
 def row_of(record: Record) -> Record:
-    """Return the recorded columns, one element of ROW over the record's own memory."""
+    """Recorded columns, one element of ROW over the record's own memory."""
     return np.ndarray((), ROW, record)
 
 
 def part(*parts: Part) -> tuple[str, ...]:
-    """Return the columns of some parts: what a kernel may see of a tick."""
+    """Columns of some parts: those that a kernel may access."""
     return tuple(name for name, column in COLUMNS.items() if column.part in parts)

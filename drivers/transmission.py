@@ -1,14 +1,15 @@
-"""Between motor and leg: lead screw or pulley, gear, sign, losses, encoder. Pure, SI, leg by leg.
+"""Transmission from motor to leg: lead screw or pulley, gear, sign, losses, encoder. Pure, SI, leg by leg.
 
-The motor is the shaft whose angle and torque the drive speaks of. With the lead l in m of leg a turn of the
-screw (of a pulley: 2 pi r), the gear N in turns of the motor a turn of the screw, the sign s, the offset q0
+The motor is the shaft whose angle and torque the drive reports. With the lead l in m of leg per turn of the
+screw (of a pulley: 2 pi r), the gear N in turns of the motor per turn of the screw, the sign s, the offset q0
 
     q = q0 + s l n / N            n: turns of the motor
     F0 = s 2 pi N tau / l         without losses; virtual work tau 2 pi dn = F dq
 
-A loss takes its share from whoever drives: F = eta_d F0 while the motor drives the leg (F dq > 0), and
-F = F0 / eta_b while the leg drives the motor (F dq < 0). At rest friction can act either way, and F0 lies in
-between; up to `full_loss_m_s` the loss grows with the rate, so that no force jumps when a leg turns round:
+A loss takes its share from the driving side:
+F = eta_d F0 while the motor drives the leg (F dq > 0), and F = F0 / eta_b while the leg drives the motor (F
+dq < 0). At rest friction can act either way, and F0 lies in between. Up to `full_loss_m_s` the loss grows
+with the rate, so that no force jumps when a leg reverses:
 
     w = sign(F0) min(max(dq / full_loss_m_s, -1), 1)
     F0 / F = 1 + w (1 / eta_d - 1) where w > 0, else 1 + w (1 - eta_b)
@@ -35,7 +36,7 @@ FIELDS = [
     *((name, "<f8", (LEGS,)) for name in ("offset", "m_per_turn", "N_per_Nm", "driving", "back_driving")),
     ("full_loss_m_s", "<f8"),
 ]
-"""What a kernel's record has of it, see `Transmission.fill`."""
+"""Fields of a kernel's record that `Transmission.fill` fills."""
 
 
 def _row(values: float | Sequence[float]) -> Array:
@@ -45,13 +46,13 @@ def _row(values: float | Sequence[float]) -> Array:
 
 
 def forgotten_length(settings: TransmissionSettings, turns: float | list[float]) -> Array:
-    """Return the leg lengths (6,) m, > 0, that so many turns of the motors are."""
+    """Leg lengths (6,) m, > 0, of a number of turns of the motors."""
     return np.abs(Transmission(settings).m_per_turn) * _row(turns)
 
 
 @helper
 def loss_of(force: float, rate: float, driving: float, back_driving: float, full_loss_m_s: float) -> float:
-    """Return F0 / F of one leg; NaN of a force or a rate that is NaN."""
+    """F0 / F of one leg; NaN if the force or the rate is NaN."""
     share = min(max(rate / full_loss_m_s, -1.0), 1.0)
     # 0 - share, not -share: a NaN keeps its sign, and recorded logs their bits
     w = share if force > 0.0 else 0.0 - share if force < 0.0 else share * force
@@ -68,30 +69,30 @@ def fill_loss(
 
 
 class Transmission:
-    """Six transmissions; every array is (6,), leg order; those that are configured are read-only."""
+    """Six transmissions; every array is (6,), leg order; the configured ones are read-only."""
 
     def __init__(self, settings: TransmissionSettings) -> None:
-        """Take the configured ones; a value for all legs is repeated."""
+        """Take the configured values; a value for all legs is repeated."""
         radius_m, gear = settings.pulley_radius_m or 0.0, _row(settings.gear_ratio)
         self.lead_m = 2.0 * pi * _row(radius_m) if settings.lead_m is None else _row(settings.lead_m)
-        """m of leg a turn of the screw or pulley, > 0."""
+        """m of leg per turn of the screw or pulley, > 0."""
         self.sign = _row(settings.sign)
-        """1 where positive turns of the motor extend the leg, else -1."""
+        """1 if positive turns of the motor extend the leg, else -1."""
         self.m_per_turn = self.sign * self.lead_m / gear
-        """m of leg a turn of the motor, signed: s l / N."""
+        """m of leg per turn of the motor, signed: s l / N."""
         self.N_per_Nm = self.sign * (2.0 * pi) * gear / self.lead_m
-        """N at the leg a N m of the motor without losses, signed: s 2 pi N / l."""
+        """N at the leg per N m of the motor without losses, signed: s 2 pi N / l."""
         self.driving, self.back_driving = _row(settings.efficiency), _row(settings.back_driving_efficiency)
         """eta_d and eta_b, > 0 to 1."""
         self.full_loss_m_s = settings.full_loss_m_s
-        """Leg rate from which on the whole loss acts, > 0."""
+        """Leg rate above which the whole loss acts, > 0."""
         self.offset_m = _row(settings.offset_m)
-        """Leg length where the drive reads position zero."""
+        """Leg length at which the drive reads position zero."""
         self.counts = _row(settings.counts_per_turn)
-        """Encoder counts a turn of the motor, > 0; for drives that count."""
+        """Encoder counts per turn of the motor, > 0; for drives that report counts."""
 
     def fill(self, record: Rows) -> None:
-        """Fill in what a record of a kernel has of this, by the names of its fields."""
+        """Fill in the fields of a kernel's record that it has by these names."""
         record["offset"], fields = self.offset_m, set(record.dtype.names or ())
         for name in fields & {"m_per_turn", "N_per_Nm", "driving", "back_driving", "counts", "full_loss_m_s"}:
             record[name] = getattr(self, name)
@@ -99,35 +100,35 @@ class Transmission:
     # motion
 
     def length(self, turns: Array) -> Array:
-        """Return leg lengths (6,) m at motor positions (6,) turns."""
+        """Leg lengths (6,) m at motor positions (6,) turns."""
         return self.offset_m + self.m_per_turn * turns
 
     def lengths_within(self, turns: float) -> tuple[Array, Array]:
-        """Return the shortest and longest leg lengths (6,) m within so many turns of position zero."""
+        """Shortest and longest leg lengths (6,) m within a number of turns of position zero."""
         ends = self.length(np.full(LEGS, -turns)), self.length(np.full(LEGS, turns))
         return np.minimum(*ends), np.maximum(*ends)
 
     def turns(self, length: Array) -> Array:
-        """Return motor positions (6,) turns at leg lengths (6,) m."""
+        """Motor positions (6,) turns at leg lengths (6,) m."""
         return (length - self.offset_m) / self.m_per_turn
 
     def rate(self, turns_per_s: Array) -> Array:
-        """Return leg rates (6,) m/s at motor speeds (6,) turns/s."""
+        """Leg rates (6,) m/s at motor speeds (6,) turns/s."""
         return self.m_per_turn * turns_per_s
 
     # force
 
     def torque(self, force: Array, rate: Array = ZERO6) -> Array:
-        """Return motor torques (6,) N m that give leg forces (6,) N at leg rates (6,) m/s."""
+        """Motor torques (6,) N m that give leg forces (6,) N at leg rates (6,) m/s."""
         return self._loss(force, rate) * force / self.N_per_Nm
 
     def force(self, torque: Array, rate: Array = ZERO6) -> Array:
-        """Return leg forces (6,) N that motor torques (6,) N m give at leg rates (6,) m/s."""
+        """Leg forces (6,) N that motor torques (6,) N m give at leg rates (6,) m/s."""
         lossless = self.N_per_Nm * torque
         return lossless / self._loss(lossless, rate)
 
     def _loss(self, force: Array, rate: Array) -> Array:
-        """Return F0 / F: 1 / eta_d to eta_b, 1 at rest; of `force` only the sign counts."""
+        """F0 / F: from eta_b to 1 / eta_d, 1 at rest; only the sign of `force` counts."""
         each = zip(
             force.tolist(), rate.tolist(), self.driving.tolist(), self.back_driving.tolist(), strict=True
         )

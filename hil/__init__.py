@@ -1,7 +1,7 @@
 """The controller: geometry, dynamics, control laws, safety, the cycle, recording and replay.
 
-What stands here is stable: `Log` reads a recorded run, `sim` makes one, `OperatorClient` operates one.
-Nothing is imported before it is asked for, so that `import hil` and a log cost no compilation.
+The names below are stable: `Log` reads a recorded run, `sim` makes one, `OperatorClient` operates one. Each
+name is imported at its first use, so that `import hil` and reading a log need no compilation.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ _HOME = {name: module for module, names in _HOMES.items() for name in names}
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for."""
+    """Import a public name at its first use."""
     if name not in _HOME:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(_HOME[name]), name)

@@ -1,4 +1,4 @@
-"""The robot as numbers; the code is in `hil.robot.geometry`."""
+"""Geometry and rigid bodies of the robot; the code is in `hil.robot.geometry`."""
 
 from hil.robot.geometry import Body, GeometryError, LegBody, Platform
 

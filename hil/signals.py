@@ -1,4 +1,4 @@
-"""What goes into one tick and what comes out; what flows between is the record of `drivers.tick_columns`."""
+"""Input and output of one tick; the values between them are in the record of `drivers.tick_columns`."""
 
 from enum import IntEnum
 from typing import NamedTuple
@@ -16,23 +16,23 @@ class Operator(IntEnum):
     RESET = 3
     ESTOP = 4
     SETPOINT = 5
-    """Go to a pose: in a log only; TickInput has the poses as `setpoints`."""
+    """Go to a pose. In logs only; TickInput has the poses as `setpoints`."""
     RELEASE = 6
-    """Let go of a platform whose brakes are not proven shut."""
+    """Remove the force from a platform whose brakes are not proven."""
     START = 7
-    """Go on along the path."""
+    """Continue along the path."""
     HOLD = 8
-    """Slow down along the path to rest, and stay."""
+    """Slow down along the path to rest, and stay there."""
     SPEED = 9
-    """Set the speed along the path: 0 .. 1 of the configured one."""
+    """Set the speed along the path: 0 .. 1 of the configured speed."""
     PARK = 10
     """Go back to the reference's first pose at set-up speed, and park."""
     KEY = 11
-    """The operator's key is held."""
+    """The operator's key is held down."""
     END = 12
-    """End a run that stays; it decides nothing in the cycle."""
+    """End a run with `operator.stays`; no effect in the cycle."""
     JOG = 13
-    """Move along one axis or leg from hold: index in JOG_NAMES, and -1 .. 1 of the set-up speed."""
+    """Move along one axis or leg from hold: index in JOG_NAMES, and speed -1 .. 1 of the set-up speed."""
 
 
 NUMBERS = {
@@ -44,26 +44,26 @@ NUMBERS = {
     Operator.KEY: 0,
     Operator.JOG: 2,
 }
-"""Commands for the motion, and how many numbers each has."""
+"""Motion commands, and the count of numbers of each."""
 ORDERS = frozenset(NUMBERS) - {Operator.SETPOINT}
-"""Those that TickInput has as `orders`."""
+"""Motion commands that TickInput has as `orders`."""
 
 
 JOG_NAMES = ("x", "y", "z", "rx", "ry", "rz", "leg0", "leg1", "leg2", "leg3", "leg4", "leg5")
-"""What can be jogged: axes of the base frame, turns about them through the platform's origin, legs."""
+"""Directions of a jog: axes of the base frame, rotations about them through the platform's origin, legs."""
 
 
 class Order(NamedTuple):
-    """A command for the motion, with its numbers."""
+    """A motion command with its numbers."""
 
     command: Operator
     """One of ORDERS."""
     numbers: tuple[float, ...] = ()
-    """See `Operator`."""
+    """Their meaning: see `Operator`."""
 
 
 class SetPoint(NamedTuple):
-    """A pose to go to: m, and the rotation vector in rad, in the base frame."""
+    """Target pose in the base frame: position in m, rotation vector in rad."""
 
     x: float
     y: float
@@ -75,42 +75,42 @@ class SetPoint(NamedTuple):
 
 REASONS = {
     Refusal.NOT_TRACKING: "the platform does not follow set-points now",
-    Refusal.NOT_A_POSE: "it is no pose: six finite numbers, at most 180 deg of turn",
+    Refusal.NOT_A_POSE: "it is not a pose: six finite numbers, at most 180 deg of rotation",
     Refusal.STROKE: "a leg would be outside the soft ends of its stroke",
-    Refusal.CONDITION: "it is too near to a singularity (limits.condition)",
+    Refusal.CONDITION: "it is too close to a singularity (limits.condition)",
     Refusal.FORCE: "a leg could need more than limits.force_N",
     Refusal.SPEED: "a leg would be faster than limits.speed_m_s, or too fast to stop before a soft end",
 }
-ON_THE_WAY = "stopped on the way: beyond, "
+ON_THE_WAY = "stopped on the way: farther on, "
 
 
 def explain(refusal: int) -> str:
-    """Say why a set-point was refused; empty for one that was taken."""
+    """Reason why a set-point was refused; empty for an accepted one."""
     reasons = [text for bit, text in REASONS.items() if refusal & bit]
     return (ON_THE_WAY if refusal & Refusal.ON_THE_WAY else "") + "; ".join(reasons)
 
 
 class TickInput(NamedTuple):
-    """All that changes a decision of one tick; recorded whole, so that replay is exact.
+    """All inputs that change a decision of one tick, recorded completely so that replay is exact.
 
-    The defaults are those of a tick on time, without frames, errors or commands.
+    The defaults describe a tick on time, without frames, errors or commands.
     """
 
     tick: int
     t_ns: int
     """Scheduled time of the tick on the monotonic clock."""
     lateness_ns: int = 0
-    """How late the loop woke up."""
+    """Delay of the loop's wake-up."""
     skipped: int = 0
     """Whole periods skipped just before this tick."""
     stretched_ns: int = 0
-    """How long the time of a virtual bench stood still since the last tick."""
+    """Time during which the clock of a virtual bench stood still since the last tick."""
     sync_skew_ns: int = 0
-    """From SYNC on the first of several buses to SYNC on the last, of this tick."""
+    """Time from SYNC on the first of several buses to SYNC on the last, at this tick."""
     frames: Rows = NO_FRAMES
-    """Received since the last step, in the order consumed: elements of FRAME."""
+    """Frames received since the last step, in the order consumed: elements of FRAME."""
     sends_failed: int = 0
-    """Frames that the bus did not take: the previous tick's command and this tick's SYNC."""
+    """Frames that the bus did not accept: the previous tick's command and this tick's SYNC."""
     bus_errors: int = 0
     """Error frames since the last tick."""
     bus_off: int = 0
@@ -118,24 +118,24 @@ class TickInput(NamedTuple):
     bus_overflow: int = 0
     """Receive overflows since the last tick."""
     bus_state: BusState = BusState.UNKNOWN
-    """The worst of the CAN controller since the last tick: recorded, decides nothing."""
+    """Worst state of the CAN controller since the last tick; recorded, without effect on decisions."""
     recorder_alive: bool = True
     recorder_dropped: int = 0
     """Ticks that the recorder has lost so far."""
     operator: tuple[Operator, ...] = ()
     compute_ns: int = 0
-    """Time that the previous step took: recorded, decides nothing."""
+    """Duration of the previous step; recorded, without effect on decisions."""
     latch_ns: tuple[int, ...] = (0,) * LEGS
-    """From the wake-up to the end of the SYNC or poll on which the drive of each leg latched its encoder; 0:
-    none went out."""
+    """Time from the wake-up to the end of the SYNC or poll at which each leg's drive sampled its encoder; 0:
+    none was sent."""
     setpoints: tuple[SetPoint, ...] = ()
-    """For a live reference, in the order received."""
+    """Set-points for a live reference, in the order received."""
     orders: tuple[Order, ...] = ()
-    """For the motion, in the order received."""
+    """Motion commands, in the order received."""
 
 
 class TickOutput(NamedTuple):
-    """The frames to send and the record row."""
+    """Frames to send and the row to record."""
 
     frames: Rows
     """Elements of FRAME."""

@@ -15,22 +15,22 @@ from plant_fmu.plant import Moved, PointedPlant
 BRAKE_FORCE_N = 20_000.0
 """Largest force of an engaged brake."""
 HAND_M, HAND_m_s = 3e-3, 0.1
-"""A hand follows a leg that gives way so far, and so fast."""
+"""Largest displacement and speed with which a leg that yields takes a hand along."""
 _OF_A_LEG = (
     *("x", "v", "mass", "damping", "stiffness", "hardening", "origin", "rest"),
     *("friction", "brake", "shortest", "longest", "hand", "hand_from"),
 )
 BENCH = np.dtype([("step_s", "<f8"), *((name, "<f8", LEGS) for name in _OF_A_LEG)])
-"""s, internal step. Per leg, SI: x and x'; m, b, k0, k1, the x at which its springs are relaxed, its length
-at x = 0; N of its friction and of its engaged brake, which add up; the ends of x; N of a hand on it, and the
-x at which that was laid on."""
+"""step_s: internal step. Per leg, SI: x and x'; m, b, k0, k1; the x at which the springs are relaxed; the
+length at x = 0; largest forces of friction and of the engaged brake, which add up; both ends of x; the force
+of a hand on the leg, and the x at which the hand was applied."""
 NOT_FINITE, DIVERGED = 1, 2
-"""Why the legs do not move."""
+"""Reasons for which the legs did not move: status of `_move`."""
 
 
 @helper
 def _acceleration(b: Any, i: int, f: float, damping: float, x: float, v: float) -> float:
-    """Solve m a + b v|v| + k0 x + k1 x^3 = f for a."""
+    """Acceleration a that solves m a + b v|v| + k0 x + k1 x^3 = f."""
     a = (f - damping * v * abs(v) - b.stiffness[i] * x - b.hardening[i] * x * x * x) / b.mass[i]
     return float(a)
 
@@ -39,10 +39,10 @@ def _acceleration(b: Any, i: int, f: float, damping: float, x: float, v: float) 
 def _advanced(
     b: Any, i: int, steps: int, force: float, friction: float, damping: float
 ) -> tuple[float, float]:
-    """Take Runge-Kutta 4 steps on one leg; return its x, from where its springs are relaxed, and v.
+    """Take Runge-Kutta 4 steps on one leg; return x, relative to the relaxed springs, and v.
 
-    friction: largest force of its engaged brake. Over a step it applies the force that brings the rate to
-    zero at its end, or its largest one.
+    friction: largest force of friction and brake. In each step they apply the force that stops the leg by the
+    end of the step, limited to `friction`.
     """
     x, v, h = b.x[i] - b.origin[i], b.v[i], b.step_s
     for _ in range(steps):
@@ -72,7 +72,7 @@ def _all_finite(values: Array) -> bool:
 
 @pointed(record(BENCH), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """As `Moved.move`: 0, NOT_FINITE or DIVERGED; the state is then as before."""
+    """`Moved.move`: 0, or NOT_FINITE or DIVERGED, which leave the state unchanged."""
     f, brakes, into = reals_at(force, LEGS), reals_at(brake, LEGS), reals_at(measured, 2 * LEGS)
     if not (_all_finite(f) and _all_finite(brakes) and _all_finite(reals_at(wrench, LEGS))):
         return NOT_FINITE
@@ -105,13 +105,16 @@ class UncoupledLegs(PointedPlant):
     """Plant: m x'' + b x'|x'| + k0 x + k1 x^3 = f per leg, x = length - rest length, within ends of travel.
 
     Equation: the nonlinear mass-spring-damper of Slotine and Li, Applied Nonlinear Control (1991), chapter 3.
-    An engaged brake is dry friction. A wrench has no platform to act on.
+    An engaged brake is dry friction. A wrench has no effect, as there is no platform.
 
     Mutable state: `legs`, a record of BENCH.
     """
 
     def __init__(self, step_s: float, **figures: Any) -> None:
-        """Take the internal step, s, and fields of BENCH, each for all legs or (6,); the others are 0."""
+        """Create legs from an internal step, s, and fields of BENCH, each one number or (6,).
+
+        A field that is not given is 0; without ends of travel x is unbounded.
+        """
         self.internal_step_s = step_s
         self.legs = np.zeros((), BENCH)
         for name, value in {"shortest": -np.inf, "longest": np.inf, "step_s": step_s, **figures}.items():
@@ -119,7 +122,7 @@ class UncoupledLegs(PointedPlant):
         self._start = self.legs.copy()
 
     def reset(self) -> tuple[Array, Array]:
-        """Back to the state at first; lengths (6,) m, rates (6,) m/s."""
+        """Restore the initial state; return lengths (6,) m and rates (6,) m/s."""
         self.legs[()] = self._start
         return self.legs["x"] + self.legs["rest"], self.legs["v"].copy()
 
@@ -132,12 +135,12 @@ class UncoupledLegs(PointedPlant):
         )
 
     def moved(self) -> Moved:
-        """Return this plant by address."""
+        """Functions and context of this plant by address."""
         return Moved(_move.address, _applied.address, data_at(self.legs), self._refused, self)
 
 
 class Bench(UncoupledLegs):
-    """Plant: the legs of a configuration, from rest at their rest lengths."""
+    """Plant: the six legs of section `plant.model`, initially at rest at their rest lengths."""
 
     def __init__(self, settings: BenchPlant, *_: object) -> None:
         super().__init__(

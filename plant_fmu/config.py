@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from plant_fmu.plant import Plant, Robot
 
 SLOWEST_Hz = 0.1
-"""Of a force loop: below that its lag would be that of no drive, and what remembers it had no end."""
+"""Smallest bandwidth of a force loop: no drive is slower, and a longer lag would need unbounded memory."""
 
 
-def _of_a_drive(bandwidth_Hz: float) -> float:
+def _possible_bandwidth(bandwidth_Hz: float) -> float:
     if 0.0 < bandwidth_Hz < SLOWEST_Hz:
         raise ValueError(
             f"slower than any drive, allowed: 0 (no lag), or at least {SLOWEST_Hz:g}, given: {bandwidth_Hz:g}"
@@ -26,24 +26,25 @@ def _of_a_drive(bandwidth_Hz: float) -> float:
     return bandwidth_Hz
 
 
-Bandwidth = Annotated[float, Field(ge=0), AfterValidator(_of_a_drive)]
+Bandwidth = Annotated[float, Field(ge=0), AfterValidator(_possible_bandwidth)]
 
 
 class DriveEmulation(Section):
-    """What the six emulated drives add in front of the plant."""
+    """Settings of the six emulated drives in front of the plant."""
 
     encoder_resolution_m: Annotated[float, Field(ge=0)] = 1e-6
-    """Quantum of the length measurement; 0 is exact."""
+    """Resolution of the length measurement; 0 is exact."""
     damping_N_s_m: Annotated[float, Field(ge=0)] = 20_000.0
-    """Gain of the `damp` reaction."""
+    """Damping of the `damp` reaction."""
     hold_stiffness_N_m: Annotated[float, Field(ge=0)] = 2e6
     """Stiffness of the `hold` reaction; its damping is `damping_N_s_m`."""
     force_bandwidth_Hz: Bandwidth = 0.0
-    """First-order force lag for plants without one of their own; 0 is none."""
+    """Bandwidth of the first-order force lag, for plants that have no force lag themselves; 0: no lag."""
     brake_open_ms: Annotated[float, Field(ge=0, le=10_000)] = 0.0
-    """From the command to a brake that is free; 0: at once."""
+    """Time from the command until the brake has opened; 0: at once."""
     brake_close_ms: Annotated[float, Field(ge=0, le=10_000)] = 0.0
-    """From the command to a brake that holds; until then the drive keeps its last force. 0: at once."""
+    """Time from the command until the brake has closed; until then the drive keeps its last force. 0: at
+    once."""
 
 
 class PlantModel(Section):
@@ -51,39 +52,40 @@ class PlantModel(Section):
 
     type: str
     opens: ClassVar[str]
-    """`module:function` that opens the plant from this section, the robot and the configuration's folder."""
+    """`module:function` that opens the plant from this section, the robot and the configuration file's
+    folder."""
 
     def open(self, robot: "Robot", folder: "Path") -> "Plant":
-        """Open the plant; a kind that has a robot of its own ignores this one. Raises PlantError.
+        """Open the plant; a kind with a robot of its own ignores `robot`. Raises PlantError.
 
-        folder: the configuration's, where a relative path starts.
+        folder: folder of the configuration file, at which relative paths start.
         """
         plant: Plant = resolve_name(self.opens)(self, robot, folder)
         return plant
 
 
 class StewartPlant(PlantModel):
-    """Our FMU: the platform of section `platform` with drives, friction, brakes and end stops."""
+    """The built-in FMU: the platform of section `platform` with drives, friction, brakes and end stops."""
 
     type: Literal["stewart"]
     opens = "plant_fmu.stewart.plant:stewart_plant"
     fmi_version: Literal["2.0", "3.0"] = "3.0"
     isolation: Literal["in_process", "child_process"] = "in_process"
     force_bandwidth_Hz: Bandwidth = 200.0
-    """First-order force loop of the drives; 0 is ideal."""
+    """Bandwidth of the drives' first-order force loop; 0: no lag."""
     viscous_friction_N_s_m: Annotated[float, Field(ge=0)] = 0.0
     coulomb_friction_N: Annotated[float, Field(ge=0)] = 0.0
     reflected_mass_kg: Annotated[float, Field(ge=0)] = 0.0
-    """Motor and screw inertia seen along each leg."""
+    """Inertia of motor and screw, as a mass along each leg."""
     brake_force_N: Annotated[float, Field(ge=0)] = 20_000.0
-    """Largest force of each engaged brake; below the static load the legs slip."""
+    """Largest force of each engaged brake; if it is below the static load, the legs slip."""
     internal_step_us: Annotated[float, Field(gt=0)] = 100.0
-    """Fixed step of the integrator inside the FMU. Default: the longest whole part of the loop's period up to
-    100 us."""
+    """Fixed step of the integrator inside the FMU. Default: the longest step up to 100 us that divides the
+    period of the control loop."""
 
 
 class BenchPlant(PlantModel):
-    """Six uncoupled legs, m x'' + b x'|x'| + k0 x + k1 x^3 = f: for commissioning drives."""
+    """Six uncoupled legs, m x'' + b x'|x'| + k0 x + k1 x^3 = f: to commission drives without a platform."""
 
     type: Literal["bench"]
     opens = "plant_fmu.bench:Bench"
@@ -93,11 +95,12 @@ class BenchPlant(PlantModel):
     stiffness_N_m3: Annotated[float, Field(ge=0)] = 20_000.0
     rest_length_m: Annotated[float, Field(gt=0)] = 1.6
     internal_step_us: Annotated[float, Field(gt=0)] = 100.0
-    """As that of `stewart`."""
+    """Fixed step of the integrator. Default: the longest step up to 100 us that divides the period of the
+    control loop."""
 
 
 class FmuPlant(PlantModel):
-    """Any co-simulation FMU, with a map from our six legs to its variables."""
+    """Any co-simulation FMU, with a map from the six legs to its variables."""
 
     type: Literal["fmu"]
     opens = "plant_fmu.fmu.child:fmu_plant"
@@ -111,42 +114,42 @@ class FmuPlant(PlantModel):
     rate: list[str]
     """Six output variable names (or one array of six), unit m/s."""
     brake: list[str] = []
-    """Six input variable names (or one array of six), 1 engaged; empty if the FMU has no brakes."""
+    """Six input variable names (or one array of six), 1 is engaged; empty if the FMU has no brakes."""
     wrench: list[str] = []
-    """Six input variable names (or one array of six), N and N m; empty if none."""
+    """Six input variable names (or one array of six), N and N m; empty if the FMU has no such input."""
     parameters: dict[str, float | int | bool | str | list[float]] = {}
-    """Start values to set before initialisation."""
+    """Start values, set before initialisation."""
     assume_unit: dict[str, Literal["N", "N.m", "m", "m/s"]] = {}
-    """Units of variables whose description states none: by a variable's name, or by force, length, rate or
-    wrench for all of that key. A stated unit is never overruled."""
+    """Units of variables whose description declares no unit. Keys: the name of a variable, or force, length,
+    rate or wrench for all variables of that key. A declared unit is never overruled."""
     allow_execution_tool: bool = False
-    """Take an FMU that needs the tool that made it at run time. That tool has to be on this machine; only in
-    a child process."""
+    """Accept an FMU that needs its authoring tool at run time. The tool must be installed on this machine;
+    allowed only in a child process."""
     memory_GB: Annotated[float, Field(ge=0.25, le=1024)] = 4.0
-    """Most private memory that its child process may have, in 10^9 bytes; what is shared does not count, and
-    processes that it starts have as much again."""
+    """Limit of the child process's private memory, in 10^9 bytes. Shared memory does not count; each process
+    that it starts has the same limit."""
     step_us: Annotated[float, Field(gt=0)] = 1000.0
-    """Communication steps are whole multiples of this. Default: the longest whole part of the loop's period
-    up to 1000 us."""
+    """Communication steps are whole multiples of this. Default: the longest step up to 1000 us that divides
+    the period of the control loop."""
 
     @model_validator(mode="after")
-    def _assumed_of_what_is_mapped(self) -> Self:
+    def _assumed_units_are_mapped(self) -> Self:
         keys = ("force", "length", "rate", "wrench")
         mapped = {name for key in keys for name in getattr(self, key)}
         strange = sorted(name for name in self.assume_unit if name not in mapped and name not in keys)
         if strange:
             raise ValueError(
-                f"assume_unit names what is not mapped: {', '.join(strange)}; allowed: {', '.join(keys)}, "
-                "or a variable that one of them names"
+                f"assume_unit: not mapped: {', '.join(strange)}; allowed: {', '.join(keys)}, "
+                "or a variable that one of these keys maps"
             )
         return self
 
     @model_validator(mode="after")
-    def _a_tool_has_a_process_of_its_own(self) -> Self:
+    def _execution_tool_in_child_process(self) -> Self:
         if self.allow_execution_tool and self.isolation != "child_process":
             raise ValueError(
-                "allow_execution_tool in this process, allowed with it: isolation child_process, as a tool "
-                "that fails would take the drives with it"
+                "allow_execution_tool needs isolation child_process: in this process, a tool that fails "
+                "would end the drives, too"
             )
         return self
 
@@ -167,34 +170,34 @@ class FmuPlant(PlantModel):
 
 
 class SensorNode(Section):
-    """What every emulated sensor has."""
+    """Settings that every emulated sensor has."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.0
-    """From the sample to its frame's entry into the bus."""
+    """Time from the sample until its frame enters the bus."""
     lost_percent: Annotated[float, Field(ge=0, le=100)] = 0.0
-    """Share of the samples that never become a frame."""
+    """Percentage of the samples that are lost before they become a frame."""
 
 
 class TrackerEmulation(SensorNode):
-    """The emulated tracker: white noise, constant bias."""
+    """The emulated tracker: white noise and constant bias."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 5.0
-    """From the sample to its frame's entry into the bus."""
+    """Time from the sample until its frame enters the bus."""
     position_noise_m: Annotated[float, Field(ge=0)] = 1e-3
     """Standard deviation of each coordinate."""
     orientation_noise_deg: Annotated[float, Field(ge=0)] = 0.1
     """Standard deviation about each axis."""
     position_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """How far the tracker's frame is from the base frame."""
+    """Offset of the tracker's frame from the base frame."""
     rotation_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Rotation vector of the same."""
+    """Rotation vector from the base frame to the tracker's frame."""
 
 
 class ImuEmulation(SensorNode):
-    """The emulated IMU: white noise, constant biases."""
+    """The emulated IMU: white noise and constant biases."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.2
-    """From the sample to its frame's entry into the bus."""
+    """Time from the sample until its frame enters the bus."""
     angular_rate_noise_rad_s: Annotated[float, Field(ge=0)] = 2e-3
     specific_force_noise_m_s2: Annotated[float, Field(ge=0)] = 0.05
     angular_rate_bias_rad_s: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -202,7 +205,7 @@ class ImuEmulation(SensorNode):
 
 
 class WrenchEmulation(SensorNode):
-    """The emulated wrench sensor: white noise, constant bias."""
+    """The emulated wrench sensor: white noise and constant bias."""
 
     force_noise_N: Annotated[float, Field(ge=0)] = 0.0
     moment_noise_N_m: Annotated[float, Field(ge=0)] = 0.0
@@ -211,10 +214,10 @@ class WrenchEmulation(SensorNode):
 
 
 class SensorEmulation(Section):
-    """What the emulated sensors add to the truth. Which of them there are says the section `sensors`."""
+    """Errors that the emulated sensors add to the true values. Section `sensors` selects the sensors."""
 
     seed: Annotated[int, Field(ge=0)] = 1
-    """Of all noise and loss: the same seed, the same run."""
+    """Seed of all noise and loss: the same seed gives the same run."""
     tracker: TrackerEmulation = TrackerEmulation()
     imu: ImuEmulation = ImuEmulation()
     wrench: WrenchEmulation = WrenchEmulation()
@@ -230,18 +233,18 @@ else:
 
 
 class PlantSettings(Section):
-    """What stands in for drives and platform."""
+    """Simulation of drives and platform."""
 
     model: AnyPlant
     drives: DriveEmulation = DriveEmulation()
     sensors: SensorEmulation = SensorEmulation()
     initial_position_m: tuple[float, float, float] | None = None
-    """Platform origin at the start; default is the platform's home."""
+    """Platform origin at the start; default: the platform's home."""
     initial_rotation_vector_deg: tuple[float, float, float] | None = None
     faults: list[AnyFault] = []
-    """What goes wrong at this end of the bus, and when."""
+    """Faults of plant, drives, sensors and frames, with their times."""
     homing_file: str | None = None
-    """What `drives.homing.file` is to real drives, for these: it rehearses parking, power-off and the next
-    start. Without it the controller is told where the plant begins."""
+    """Homing file of the simulated drives, as `drives.homing.file` is that of real ones: it rehearses
+    parking, power-off and the next start. Without it the controller receives the plant's initial lengths."""
     log: bool = True
     """Write the plant's own log with the true pose."""

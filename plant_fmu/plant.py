@@ -1,4 +1,4 @@
-"""The Plant protocol: physics behind six force inputs."""
+"""The Plant protocol: physics with six force inputs."""
 
 import ctypes
 from collections.abc import Callable, Mapping
@@ -14,7 +14,7 @@ _MOVE = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_int64] * 6)
 
 
 class Truth(NamedTuple):
-    """What the plant knows and the controller does not, for the plant's log."""
+    """True pose and forces of the platform, for the plant's log; the controller does not see them."""
 
     p: Array
     """(3,) m, platform origin in the base frame."""
@@ -23,16 +23,16 @@ class Truth(NamedTuple):
     twist: Array
     """(6,) m/s and rad/s, [v of the platform origin; omega], base frame."""
     applied_force: Array
-    """(6,) N, after the drives' force lag, without friction."""
+    """(6,) N, forces after the drives' force lag, without friction."""
 
 
 def truth_of(y: Array) -> Truth:
-    """Return the truth that is made of y (24,): p, R row by row, twist, applied forces."""
+    """Split y (24,) into a truth: p, R row by row, twist, applied forces."""
     return Truth(y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:])
 
 
 class Robot(NamedTuple):
-    """A platform with its legs, and the pose that it starts from, at rest."""
+    """A platform with its legs, and its initial pose, at rest."""
 
     platform: Mapping[str, Any]
     """base_joints (6, 3) m, platform_joints (6, 3) m, platform {mass, com, inertia}, cylinder and rod
@@ -49,49 +49,49 @@ class Robot(NamedTuple):
 
 
 def whole_steps(dt_s: float, step_s: float) -> int:
-    """Count the internal steps of a step. Raises PlantError unless they are whole (1e-9 relative)."""
+    """Whole number of internal steps in `dt_s`. Raises PlantError unless it is whole (1e-9 relative)."""
     n = round(dt_s / step_s) if 0.0 < dt_s < 1e9 * step_s else 0
     if n < 1 or abs(dt_s - n * step_s) > 1e-9 * dt_s:
-        raise PlantError(f"a step of {dt_s!r} s is no multiple of the plant's step of {step_s!r} s")
+        raise PlantError(f"a step of {dt_s!r} s is not a multiple of the plant's step of {step_s!r} s")
     return n
 
 
 class Moved(NamedTuple):
-    """A plant by address, for a compiled pass: functions and the context that both take first.
+    """A plant as compiled code calls it: addresses of two functions, and their first argument `context`.
 
-    A plant that has them returns them from `moved()`.
+    A compiled plant returns it from `moved()`.
     """
 
     move: int
-    """(context, force, brake, wrench, steps, measured) -> 0, or why it did not: holds three arrays (6,) for
-    some internal steps and fills in lengths and rates (12,); all by address."""
+    """(context, force, brake, wrench, steps, measured) -> 0 or a reason for refusal. All arguments but steps
+    are addresses. Holds the inputs (6,) for some internal steps and fills in lengths and rates (12,)."""
     applied: int
-    """(context, force) -> 1, or 0 where the applied force is not known: fills in (6,)."""
+    """(context, force) -> 1, or 0 if the applied force is unknown: fills in (6,) N."""
     context: int
     refused: Callable[[int, Array, Array, Array, int], BaseException]
-    """Returns the error of a status of `move`, with force, brake, wrench and the steps that it had."""
+    """Error for a status of `move`; arguments: status, force, brake, wrench, steps."""
     keeps: Any
-    """What has to stay in memory."""
+    """Objects that have to stay in memory."""
 
 
 class Plant(Protocol):
-    """Six legs that answer to six forces. A class that derives from it has no truth, and nothing to free.
+    """Physics of six legs with six force inputs. By default a plant has no truth and nothing to free.
 
-    Mutable state: the physics. `reset` restores the initial one exactly.
+    Mutable state: the physics. `reset` restores the initial state exactly.
     """
 
     internal_step_s: float
-    """Every `dt_s` given to `step` is a whole multiple of this."""
+    """Internal step; every `dt_s` given to `step` is a whole multiple of it."""
 
     def reset(self) -> tuple[Array, Array]:
-        """Back to the initial state; return lengths (6,) m and rates (6,) m/s."""
+        """Restore the initial state; return lengths (6,) m and rates (6,) m/s."""
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """Hold the inputs for `dt_s` and return lengths (6,) m and rates (6,) m/s at its end.
+        """Hold the inputs for `dt_s`; return lengths (6,) m and rates (6,) m/s at its end.
 
         force (6,) N commanded, > 0 extends; brake (6,) 1 engaged, 0 released;
         wrench (6,) N, N m on the platform at its origin, base frame.
-        Raises PlantError on a dt that is no multiple of the internal step or a non-finite input.
+        Raises PlantError on a dt that is not a multiple of the internal step or a non-finite input.
         """
 
     def truth(self) -> Truth | None:
@@ -99,26 +99,26 @@ class Plant(Protocol):
         return None
 
     def applied_force(self) -> Array | None:
-        """Return `applied_force` of the truth alone; None where the plant does not know it.
+        """`applied_force` of the truth alone, (6,) N; None if the plant does not know it.
 
-        It may be the plant's own memory: good until its next step.
+        The array may be the plant's own memory: it is valid until the next step.
         """
         return None
 
     def close(self) -> None:
-        """Free what the plant holds."""
+        """Free resources of the plant."""
         return
 
 
 class PointedPlant(Plant):
-    """A plant by address. Mutable state: its physics, in what its `moved()` points to."""
+    """A plant that compiled code calls by address. Mutable state: its physics, in the memory of `moved()`."""
 
     def moved(self) -> Moved:
-        """Return this plant by address."""
+        """Functions and context of this plant by address."""
         raise NotImplementedError
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """As `Plant.step`, by `moved()`."""
+        """`Plant.step` through the functions of `moved()`."""
         n, moved, values = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(30)
         values[12:18], values[18:24], values[24:] = force, brake, wrench
         at = values.ctypes.data

@@ -1,4 +1,4 @@
-"""Which cases of a broad test run every time, and which only in `make long`."""
+"""Test cases that run every time, and those that run only in `make long`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 
 def broad(cases: Iterable[Any], quick: int) -> list[Any]:
-    """Return the cases of a parameter, all but the first `quick` of them marked as long."""
+    """Cases of a parameter; all but the first `quick` are marked as long."""
     return [case if k < quick else _long(case) for k, case in enumerate(cases)]
 
 

@@ -1,4 +1,4 @@
-"""Chromium without a screen, driven through the pipe of its DevTools protocol."""
+"""Chromium without a screen, controlled through the pipe of its DevTools protocol."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ for fd, wanted in zip(given, (3, 4)):
     os.close(fd)
 os.execv(sys.argv[3], sys.argv[3:])
 """
-"""Chromium reads commands from 3 and answers on 4."""
+"""Chromium reads commands from descriptor 3 and answers on 4."""
 _PATIENCE_S = 60.0
 
 
 class Chromium:
-    """The one process of this test session. Its pages share nothing but it."""
+    """The only Chromium process of this test session; its pages share nothing else."""
 
     def __init__(self) -> None:
         assert CHROMIUM is not None
@@ -58,7 +58,7 @@ class Chromium:
         atexit.register(self.end)
 
     def end(self) -> None:
-        """Stop it and forget what it kept."""
+        """End the process and delete its files."""
         self._process.terminate()
         self._process.wait(_PATIENCE_S)
         os.close(self.write)
@@ -67,11 +67,11 @@ class Chromium:
 
 
 _chromium = functools.cache(Chromium)
-"""A start costs two seconds of a processor."""
+"""One start costs two seconds of processor time."""
 
 
 class Browser:
-    """One page, with cookies and cache of its own. Keeps what it asked the network for, and its console's errors."""
+    """One page with its own cookies and cache. State: its network requests and the errors of its console."""
 
     def __init__(self, width: int = 1200, height: int = 900) -> None:
         self._chromium, self._session = _chromium(), ""
@@ -97,7 +97,7 @@ class Browser:
         self.call("Target.disposeBrowserContext", browserContextId=self._context)
 
     def call(self, method: str, **parameters: Any) -> dict[str, Any]:
-        """Give one command and return its answer; events meanwhile are taken in."""
+        """Send one command and return its answer; events in between are processed."""
         self._chromium.number += 1
         number = self._chromium.number
         message = {"id": number, "method": method, "params": parameters}
@@ -112,29 +112,29 @@ class Browser:
                 return result
 
     def open(self, path: Path, query: str = "") -> None:
-        """Load a file and wait until it is there."""
+        """Load a file and wait until it is loaded."""
         self.go(path.resolve().as_uri() + query)
 
     def go(self, url: str) -> None:
-        """Load an address and wait until it is there."""
+        """Load an address and wait until it is loaded."""
         before = self._loaded
         self.call("Page.navigate", url=url)
         while self._loaded == before:
             self._next()
 
     def value(self, expression: str) -> Any:
-        """Return what a JavaScript expression gives, a promise's result too."""
+        """Value of a JavaScript expression, or of the promise that it returns."""
         answer = self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         assert "exceptionDetails" not in answer, answer
         return answer["result"].get("value")
 
     def key(self, name: str, text: str = "") -> None:
-        """Press and release a key on what has the focus."""
+        """Press and release a key on the element with the focus."""
         self.call("Input.dispatchKeyEvent", type="keyDown", key=name, code=name, text=text)
         self.call("Input.dispatchKeyEvent", type="keyUp", key=name, code=name)
 
     def picture(self) -> bytes:
-        """Return the window as PNG."""
+        """The window as PNG."""
         return base64.b64decode(self.call("Page.captureScreenshot")["data"])
 
     def _next(self) -> dict[str, Any]:

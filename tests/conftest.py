@@ -1,12 +1,13 @@
-"""Rules of the whole suite: a test marked `realtime` has the machine to itself, and comes late.
+"""Rules of the whole suite: a test marked `realtime` has the machine to itself, and runs late.
 
 The suite runs in several processes (pytest-xdist). Every test holds a shared lock, a real-time test the
-exclusive one; whoever waits for it stands in the door, so that no further test slips in before. A patient
-real-time test, whose limits outlast a busy neighbour, is alone among real-time tests only.
+exclusive one. A test that waits for it holds the door lock, so that no other test can start. A patient
+real-time test has limits that are longer than the disturbance by a busy neighbour; it excludes only other
+real-time tests.
 
-A real-time test that fails while the machine stood still for longer than its limits outlast says nothing of
-the project: it runs again, five times at most, and the summary says so. Nor does a time limit for one example of
-hypothesis.
+If a real-time test fails while the machine stalled for longer than the test's limits, the failure says
+nothing about the project. The test runs again, up to five times, and the summary reports it. For the same
+reason hypothesis has no time limit per example.
 """
 
 from __future__ import annotations
@@ -31,9 +32,9 @@ settings.register_profile("shared machine", deadline=None)
 settings.load_profile("shared machine")
 
 STALL_S = {False: 0.004, True: 0.05}
-"""A stall that a real-time test need not outlast, by its patience."""
+"""Stall that a real-time test need not survive, by its patience."""
 ATTEMPTS = 6
-"""Tries of a real-time test, each after the first only beside a stall that was measured."""
+"""Tries of a real-time test; each further one only after a measured stall."""
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as `hil` has it; the suite has a process a processor
 
@@ -50,9 +51,9 @@ def held(file: IO[str], kind: int) -> Iterator[None]:
 
 @contextlib.contextmanager
 def place(folder: Path, *, alone: bool, realtime: bool) -> Iterator[None]:
-    """Have a place beside the other test processes, or, `alone`, wait until they pause and be the only one.
+    """Take a place among the test processes; if `alone`, wait until the others pause.
 
-    At any time one `realtime` test runs; whoever waits for that does not stand in the others' way.
+    At most one `realtime` test runs at a time; one that waits for this does not block the others.
     """
     folder.mkdir(exist_ok=True)
     with contextlib.ExitStack() as stay:
@@ -68,7 +69,7 @@ def place(folder: Path, *, alone: bool, realtime: bool) -> Iterator[None]:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Let each test run in its place."""
+    """Run each test in its place."""
     realtime = _is_realtime(item)
     alone = realtime and not _is_patient(item)
     with place(item.config.rootpath / ".pytest_cache", alone=alone, realtime=realtime):
@@ -77,7 +78,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 @pytest.hookimpl(tryfirst=True, specname="pytest_runtest_protocol")
 def pytest_run_in_real_time(item: pytest.Item, nextitem: pytest.Item | None) -> bool | None:
-    """Run a real-time test, again where the machine stood still; leave others to pytest."""
+    """Run a real-time test, and repeat it if the machine stalled; leave other tests to pytest."""
     if not _is_realtime(item):
         return None
     item.ihook.pytest_runtest_logstart(nodeid=item.nodeid, location=item.location)
@@ -97,7 +98,7 @@ def pytest_run_in_real_time(item: pytest.Item, nextitem: pytest.Item | None) -> 
 
 
 def _note(item: pytest.Item, text: str) -> None:
-    """Say something of a test among the warnings of the summary, where warnings are errors, too."""
+    """Add a note on a test to the warnings of the summary, also where warnings are errors."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         warnings.warn(text, pytest.PytestWarning, stacklevel=2)
@@ -108,9 +109,9 @@ def _note(item: pytest.Item, text: str) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_runtest_setup() -> None:
-    """Let what a test starts hear Ctrl-C, which it would inherit the deafness to.
+    """Let processes that a test starts receive Ctrl-C: they would inherit an ignored SIGINT.
 
-    In the background of a script SIGINT is ignored, and a command that was called in this process leaves it so.
+    A script in the background ignores SIGINT, and a command called in this process leaves it so.
     """
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -118,16 +119,16 @@ def pytest_runtest_setup() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Put the real-time tests last, since a mistake elsewhere shows sooner, but the patient ones first.
+    """Sort the real-time tests to the end, the patient ones to the front.
 
-    While these run, the other processes still have something to do.
+    A mistake elsewhere then shows early, and the other processes are busy while the patient ones run.
     """
     items.sort(key=_when)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_collection() -> Generator[None, object, object]:
-    """Keep the garbage collector from half a million objects that are there for good: 0.2 s a time."""
+    """Keep the garbage collector away from half a million permanent objects: 0.2 s per collection."""
     gc.disable()
     try:
         return (yield)

@@ -1,4 +1,4 @@
-"""An FMU of somebody else's making: the PythonFMU of docs/examples, Python behind FMI 2.0, without units."""
+"""An FMU from another tool: the PythonFMU of docs/examples, Python behind FMI 2.0, without units."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def built(folder: Path) -> Path:
-    """Build it into a folder. Raises ImportError where PythonFMU is not installed."""
+    """Build the FMU into a folder. Raises ImportError where PythonFMU is not installed."""
     from pythonfmu.builder import FmuBuilder  # noqa: PLC0415 - an extra
 
     return Path(FmuBuilder.build_FMU(ROOT / "docs/examples/pythonfmu_plant.py", dest=folder))
 
 
 def sections(fmu: Path) -> dict[str, Any]:
-    """Return the sections of a robot without weight, in place of the springs of configs/bench.yaml."""
+    """Sections of a robot without weight, in place of the springs of configs/bench.yaml."""
     numbered = {key: [f"{key}{leg}" for leg in range(1, 7)] for key in ("force", "length", "rate", "brake")}
     circle = {"pair_half_angle_deg": 10.0}
     base = {"radius_m": 2.0, "pair_centres_deg": [0.0, 120.0, 240.0]}

@@ -1,4 +1,4 @@
-"""The settings of a live reference as tests give them."""
+"""Settings of a live reference for tests."""
 
 from typing import Any
 

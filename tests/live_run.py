@@ -1,4 +1,4 @@
-"""A run that is only shown: rows of a simulation in a mirror at their own pace, and who listens as its controller."""
+"""A displayed run: rows of a simulation in a mirror at their own pace, and a controller's operator socket."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ EVENTS = [
 
 
 class LiveRun:
-    """Shows rows (n,) of dtype ROW every 20 ms as if they were recorded now; past the last one, that one."""
+    """Shows rows (n,) of dtype ROW every 20 ms as if they were recorded now; after the last, it stays."""
 
     def __init__(self, rows: Any, name: str = "virtual") -> None:
         about = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
@@ -54,7 +54,7 @@ class LiveRun:
             time.sleep(max(0.0, begun + 0.02 * self.shown - time.monotonic()))
 
     def freeze(self) -> None:
-        """Show nothing more, as a recorder that was killed."""
+        """Stop the display, like a recorder that was killed."""
         self._going = False
         self._thread.join()
 
@@ -67,7 +67,7 @@ class LiveRun:
 
 
 class Listening:
-    """Hears the operator's lines where a controller would, and takes them all."""
+    """Receives the operator's lines in place of a controller, and accepts all."""
 
     def __init__(self, waits: str = "waits for tests") -> None:
         self._waits = waits
@@ -131,7 +131,7 @@ class Listening:
 
 
 class Watch:
-    """`hil watch` as a process. `link` is the one it printed, `base` its origin."""
+    """`hil watch` as a process. `link` is the printed address, `base` its origin."""
 
     def __init__(self, configuration: str, *options: str) -> None:
         self.process = start(
@@ -167,7 +167,7 @@ class Watch:
 
 
 def operating(folder: Path) -> str:
-    """Return a configuration whose page may operate."""
+    """Path of a configuration whose page may operate."""
     text = load("virtual").text
     path = folder / "operating.yaml"
     path.write_text(f"{text}\nwatch:\n  operate: true\n")

@@ -1,7 +1,7 @@
-"""How long this machine stood still: one sleeper a processor, which notes how late it wakes.
+"""Stalls of this machine: one sleeper per processor measures how late it wakes.
 
-The sleepers are above every other process (SCHED_FIFO 99): what a test itself computes does not delay them.
-Where that is not allowed they say nothing.
+The sleepers have priority over every other process (SCHED_FIFO 99), so a test's own computation does not
+delay them. Without the right to that priority they measure nothing.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ print(max(longest, time.monotonic() - last - 0.002))
 
 
 class StallWatch:
-    """While it is entered, processes of its own sleep 2 ms at a time; `longest_s` is how late one woke."""
+    """Runs sleeper processes of 2 ms a time while it is entered; `longest_s`: latest wake-up."""
 
     longest_s = 0.0
 
@@ -50,6 +50,6 @@ class StallWatch:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, where: TracebackType | None
     ) -> None:
-        """End them and read what they saw."""
+        """End the sleepers and read their results."""
         found = [sleeper.communicate(timeout=30.0)[0] for sleeper in self._sleepers]
         self.longest_s = max((float(text) for text in found if text), default=0.0)

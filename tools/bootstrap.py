@@ -1,8 +1,9 @@
-"""Make `.venv`: the locked dependencies, then the project itself, editable.
+"""Create `.venv` with the locked dependencies and the project itself, editable.
 
-Standard library only. The stamp `.venv/.ready` is written last and names what the environment was made of:
-where interpreter, place or locks differ, or there is no stamp, the environment is made again; where only
-`pyproject.toml` differs, the project is installed again. A warm call reads four files and returns.
+Standard library only. The stamp `.venv/.ready` is written last and lists the inputs of the environment. If
+interpreter, place or locks differ, or there is no stamp, the environment is created again. If only
+`pyproject.toml` differs, the project is installed again. If nothing differs, a call reads four files and
+ends.
 """
 
 import hashlib
@@ -22,7 +23,7 @@ VENV_PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 
 
 class BootstrapError(Exception):
-    """The environment cannot be made; the message says what to do."""
+    """The environment cannot be created; the message says what to do."""
 
 
 def say(text: str) -> None:
@@ -31,23 +32,23 @@ def say(text: str) -> None:
 
 
 def system_compiler() -> str | None:
-    """Return the C compiler that the FMU will be built with, or None where there is none."""
+    """Find the C compiler for the FMU; None if there is none."""
     wanted = os.environ.get("CC", "").split()
     return shutil.which(wanted[0]) if wanted else shutil.which("cc")
 
 
 def lock_files() -> list[Path]:
-    """Return the locks to install: the compiler from its wheel only where the system has none."""
+    """Lock files to install; that of the compiler only if the system has no compiler."""
     return [LOCK] if system_compiler() else [LOCK, COMPILER_LOCK]
 
 
 def interpreter() -> str:
-    """Return which Python the environment is made with."""
+    """Line of the stamp about the Python interpreter."""
     return f"python {sys.version.split()[0]} of {sys.base_prefix}\n"
 
 
 def content(locks: list[Path]) -> str:
-    """Return what is installed and where."""
+    """Lines of the stamp about the dependencies and the folder of the environment."""
     digest = hashlib.sha256()
     for path in locks:
         digest.update(path.read_bytes())
@@ -55,18 +56,18 @@ def content(locks: list[Path]) -> str:
 
 
 def project() -> str:
-    """Return what the installed project is made of: its metadata, entry points among them."""
+    """Line of the stamp about the installed project: a hash of its metadata, entry points included."""
     return f"project {hashlib.sha256((ROOT / 'pyproject.toml').read_bytes()).hexdigest()}\n"
 
 
 def wanted_start(stamped: str, locks: list[Path]) -> str:
-    """Return how the stamp must start; an interpreter that nobody asked for by name may stay as it is."""
+    """How the stamp has to start; the interpreter may differ unless $PYTHON selects one."""
     made_with = stamped[: stamped.find("\n") + 1]
     return (interpreter() if os.environ.get("PYTHON") or not made_with else made_with) + content(locks)
 
 
 def run(arguments: list[str], failure: str) -> None:
-    """Run a command quietly; where it fails, raise with the end of its output."""
+    """Run a command quietly; if it fails, raise BootstrapError with the end of its output."""
     environment = {**os.environ, "PIP_DISABLE_PIP_VERSION_CHECK": "1", "PIP_NO_INPUT": "1"}
     environment.pop("PYTHONPATH", None)
     done = subprocess.run(
@@ -86,9 +87,9 @@ def run(arguments: list[str], failure: str) -> None:
 
 
 def pip_of_environment() -> list[str]:
-    """Return the pip command that installs into the environment: its own, else the one outside (pip 22.3).
+    """Find the pip command for the environment: its own pip, or else one outside of it (pip 22.3).
 
-    Debian ships `venv` without `ensurepip` unless python3-venv is installed.
+    Debian has `venv` without `ensurepip` unless python3-venv is installed.
     """
     inside = [str(VENV_PYTHON), "-m", "pip"]
     outside = [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
@@ -106,7 +107,7 @@ def pip_of_environment() -> list[str]:
 
 
 def make_environment() -> list[str]:
-    """Make an empty environment and return the pip command that installs into it."""
+    """Create an empty environment; return the pip command that installs into it."""
     venv = [sys.executable, "-m", "venv", str(VENV)]
     try:
         run(venv, "python -m venv failed:")
@@ -117,9 +118,9 @@ def make_environment() -> list[str]:
 
 
 def install_dependencies(pip: list[str], locks: list[Path]) -> None:
-    """Install the locks: hashes required, wheels only."""
+    """Install the locked dependencies: hashes required, wheels only."""
     listed = [argument for lock in locks for argument in ("-r", str(lock))]
-    say("installing the locked dependencies (about 340 MB to fetch when nothing is cached) ...")
+    say("installing the locked dependencies (about 340 MB to download if nothing is cached) ...")
     run(
         [*pip, "install", "--quiet", "--require-hashes", "--only-binary", ":all:", "--no-deps", *listed],
         "the locked dependencies cannot be installed (no network, or a package index without them?):",
@@ -127,7 +128,7 @@ def install_dependencies(pip: list[str], locks: list[Path]) -> None:
 
 
 def install_project(pip: list[str]) -> None:
-    """Install the project, editable, with the locked build back end and without the network."""
+    """Install the project, editable, with the locked build back end and without network."""
     say("installing the project itself, editable ...")
     run(
         [
@@ -145,9 +146,9 @@ def install_project(pip: list[str]) -> None:
 
 
 def make(locks: list[Path], stamped: str) -> None:
-    """Bring the environment from what the stamp says to what is wanted; the stamp comes last."""
+    """Update the environment from the state in the stamp to the required one; write the stamp last."""
     if VENV.is_symlink() or (VENV.exists() and not VENV.is_dir()):
-        raise BootstrapError(f"{VENV} is not a folder of ours; move it away.")
+        raise BootstrapError(f"{VENV} is not a folder; move it away.")
     wanted = wanted_start(stamped, locks)
     if stamped.startswith(wanted) and VENV_PYTHON.exists():
         STAMP.unlink()
@@ -166,7 +167,7 @@ def make(locks: list[Path], stamped: str) -> None:
 
 
 def main() -> int:
-    """Make the environment unless it is there; return the exit code."""
+    """Create the environment unless it is up to date; return the exit code."""
     locks = lock_files()
     stamped = STAMP.read_text() if STAMP.is_file() else ""
     if stamped == wanted_start(stamped, locks) + project() and VENV_PYTHON.exists():
@@ -181,7 +182,7 @@ def main() -> int:
             print(f"[setup] failed: {error}", file=sys.stderr)
             return 1
         if isinstance(error, KeyboardInterrupt):
-            print("[setup] stopped; the half-made .venv is removed", file=sys.stderr)
+            print("[setup] stopped; the incomplete .venv is removed", file=sys.stderr)
             return 130
         raise
     say(f"ready in {time.monotonic() - started:.0f} s")

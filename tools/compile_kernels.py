@@ -1,4 +1,4 @@
-"""Every kernel compiled into the cache: else test processes side by side would each compile the same ones."""
+"""Compiles every kernel into the cache, so that parallel test processes need not compile the same ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ PACKAGES = "drivers", "plant_fmu", "hil"
 
 
 def modules() -> list[str]:
-    """Return the names of all modules of the project; importing one compiles its kernels."""
+    """List the names of all modules of the project; importing a module compiles its kernels."""
     return [
         module.name
         for package in PACKAGES

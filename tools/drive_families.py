@@ -1,9 +1,9 @@
-"""The leg errors that each drive family costs, as the table of docs/guides/drives.md.
+"""Leg errors of each drive family: the table in docs/guides/drives.md.
 
     python -m tools.drive_families [FAMILY...]
 
-Each row is `hil sim desktop` with the changes that its table below has. A run that a fault has ended shows
-the fault. A log that does not replay exactly ends the program.
+Each row is `hil sim desktop` with the changes in FAMILIES. If a fault ended the run, the row shows the fault.
+A log that does not replay exactly ends the program.
 """
 
 import sys
@@ -56,13 +56,13 @@ FAMILIES: dict[str, Changes] = {
         "bus": {"layout": "fd"},
     },
 }
-"""Row of the table -> what differs from configs/desktop.yaml."""
+"""Row of the table -> changes to configs/desktop.yaml."""
 NO_FRICTION = {"viscous_friction_N_s_m": 0, "coulomb_friction_N": 0}
 NO_LOSS = {"efficiency": 1.0, "back_driving_efficiency": 1.0}
 
 
 def merged(*changes: Changes) -> dict[str, Any]:
-    """Return several changes as one, section by section."""
+    """Merge several changes, section by section."""
     whole: dict[str, Any] = {}
     for change in changes:
         for key, value in change.items():
@@ -72,7 +72,7 @@ def merged(*changes: Changes) -> dict[str, Any]:
 
 
 def simulated(changes: Changes) -> dict[str, Any]:
-    """Return the summary of a changed `desktop`. Raises RuntimeError if its log replays otherwise."""
+    """Simulate `desktop` with changes; return the summary. Raises RuntimeError if the replay is not exact."""
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     with TemporaryDirectory() as folder:
         summary = simulate(loads(with_changes(text, changes), "desktop"), log=Path(folder) / "run.mcap")
@@ -82,7 +82,7 @@ def simulated(changes: Changes) -> dict[str, Any]:
 
 
 def errors(summary: Mapping[str, Any], per_mm: float = 1.0, digits: int = 3) -> str:
-    """Return rms and peak leg error, or what ended the run."""
+    """Text of rms and peak leg error, or of the fault that ended the run."""
     if not summary["success"]:
         return str(summary["trouble"]).split(" (")[0]
     tracking = summary["tracking"]

@@ -1,7 +1,7 @@
 """`make soak`: days of ticks in lockstep, across the wraps of their counters, or half an hour in real time.
 
-A day is made of shifts: each is a run that begins at another tick, crosses another wrap soon after, and is
-replayed. All of them share one process.
+A soak consists of shifts. Each shift is a run that begins shortly before another wrap of a counter and is
+replayed. All shifts share one process.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from mcap.reader import make_reader
 from drivers.frame_array import NO_FRAMES
 from hil.app.compose import build_cycle, build_nodes, record
 from hil.app.configuration.configuration import Configuration
-from hil.app.output import closing
+from hil.app.output import end_record
 from hil.app.sim.build import build_lockstep
 from hil.loop.clock import collector_paused
 from hil.loop.cycle import Cycle
@@ -33,46 +33,46 @@ from tools.benchmarks.live import live_run
 from tools.benchmarks.tick import steps
 
 LEAD_S = 2.0
-"""A shift begins so long before its wrap: it is crossed in motion."""
+"""Time from the start of a shift to its wrap, which is then crossed in motion."""
 SETTLED = 0.25
-"""Share of a shift after which memory counts: tables and caches are full."""
+"""Share of a shift after which memory counts: tables and caches are full by then."""
 GROWTH = Mark(1.0)
-"""MB that a shift may add to the memory of a process: its logs and messages come and go."""
+"""MB by which the memory of a process may grow in a shift: its logs and messages come and go."""
 CHUNK_MB = 117 / 2**20
-"""Of the index that a log ends in, for each chunk: its recorder holds that until then."""
+"""Memory of the recorder for each chunk of a log, MB: it keeps the index until the end of the log."""
 INTERNED = 100_000
-"""Names that Python's table of them has seen before the first shift: it grows once, by 2 MB, when some ten
-thousand have come and gone, which dozens of runs take. Then it keeps its size."""
+"""Number of names that are interned before the first shift. Python's table of names grows once by 2 MB, after
+some ten thousand names, which dozens of runs take; then its size is constant."""
 
 
 def wraps(rate_Hz: float) -> dict[str, int]:
-    """Give the ticks at which a number no longer fits: a count of ticks, or a time in ns.
+    """Ticks at which a number overflows: a count of ticks, or a time in ns.
 
-    16 bit: of a counter; 31 and 32: of a signed and an unsigned word, after 25 and 50 days at 1 kHz; 53: of
-    what a double tells to 1 ns, after 104 days. The next would be 63 bit of ns, after 292 years.
+    16 bit: a counter; 31 and 32: a signed and an unsigned word, after 25 and 50 days at 1 kHz; 53: a time
+    that a double resolves to 1 ns, after 104 days. The next would be 63 bit of ns, after 292 years.
     """
     return {"16 bit": 2**16, "31 bit": 2**31, "32 bit": 2**32, "53 bit of ns": 2**53 // round(1e9 / rate_Hz)}
 
 
 class Shift(NamedTuple):
-    """What became of one run."""
+    """Result of one run."""
 
     first: int
     ticks: int
     crossed: list[str]
-    """Names of the wraps that lie within it."""
+    """Names of the wraps within the run."""
     wall_s: float
     trouble: str
     different: int
-    """Ticks that come out differently in a replay."""
+    """Number of ticks that differ in a replay."""
     grown_MB: tuple[float, float]
-    """Of loop and recorder, the latter less its index, once they had settled."""
+    """Memory growth of loop and recorder after they had settled; that of the recorder without its index."""
     held: tuple[float, int] = (0.0, 0)
-    """By the process at the end: MB, open files."""
+    """MB and number of open files of this process at the end."""
 
 
 def first_ticks(rate_Hz: float) -> Iterator[int]:
-    """Yield where shifts begin: at 0, then just before each wrap, and so on again."""
+    """Yield the first ticks of shifts: 0, then one shortly before each wrap, and so on again."""
     lead = round(LEAD_S * rate_Hz)
     while True:
         yield 0
@@ -88,7 +88,7 @@ def _controller(c: Configuration, first: int) -> Cycle:
 
 
 def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
-    """Run so many simulated seconds from a tick on, record and replay them. Without trouble, the log goes."""
+    """Simulate, record and replay `seconds` from tick `first` on; without trouble delete the log."""
     rate_Hz = c.loop.rate_Hz
     until = first + round(seconds * rate_Hz)
     looks = first + round(SETTLED * (until - first)), until - 1
@@ -112,7 +112,7 @@ def shift(c: Configuration, first: int, seconds: float, log: Path) -> Shift:
             begun = time.perf_counter()
             ending = lockstep.run(until / rate_Hz, None, recording.event, take=take)
             wall_s = time.perf_counter() - begun
-            closed = recording.close(closing(ending, ending.trouble))
+            closed = recording.close(end_record(ending, ending.trouble))
     finally:
         physics.close()
     lost = closed.dropped + closed.lost
@@ -138,7 +138,7 @@ def _chunks(path: Path) -> int:
 
 
 def differences(c: Configuration, first: int, path: Path) -> int:
-    """Run a log from a tick on through the same code; count ticks that differ or are missing."""
+    """Replay a log from its first tick on; count ticks that differ or are missing."""
     log = Log.open(path)
     ticks = log.rows("tick")["tick"]
     missing = int(np.count_nonzero(ticks != first + np.arange(len(ticks))))
@@ -147,7 +147,7 @@ def differences(c: Configuration, first: int, path: Path) -> int:
 
 
 def figures(shifts: list[Shift], rate_Hz: float) -> list[Figure]:
-    """Judge shifts."""
+    """Compute the figures of all shifts, with their marks."""
     ticks, wall_s = sum(s.ticks for s in shifts), sum(s.wall_s for s in shifts)
     trouble = [s.trouble for s in shifts if s.trouble]
     crossed = {name: sum(name in s.crossed for s in shifts) for name in wraps(rate_Hz)}
@@ -170,7 +170,7 @@ def figures(shifts: list[Shift], rate_Hz: float) -> list[Figure]:
 
 
 def real(c: Configuration, minutes: float, folder: Path) -> list[Figure]:
-    """Run the daemon with its plant for so long, as users start it. Raises RunError: it has no summary."""
+    """Run the daemon with its plant in real time. Raises RunError if it leaves no summary."""
     summary, seen = live_run(c, 60.0 * minutes, folder)
     settled = seen[int(SETTLED * (len(seen) - 1)) :]
     ends = {"success": summary["success"], "exact replay": summary.get("replay", {}).get("agrees")}
@@ -188,13 +188,18 @@ def real(c: Configuration, minutes: float, folder: Path) -> list[Figure]:
 @click.option("--shift-minutes", type=click.FloatRange(min=0.05), default=15.0, show_default=True)
 @click.option("--configuration", default="virtual", show_default=True)
 @click.option("--folder", type=click.Path(path_type=Path), default=Path("build/soak"), show_default=True)
-@click.option("--real", "real_minutes", type=click.FloatRange(min=0.1), help="Minutes in real time instead.")
+@click.option(
+    "--real",
+    "real_minutes",
+    type=click.FloatRange(min=0.1),
+    help="Run in real time for these minutes instead.",
+)
 def main(
     hours: float, shift_minutes: float, configuration: str, folder: Path, real_minutes: float | None
 ) -> None:
-    """Run for long, and print what memory, open files, counters and replay made of it.
+    """Run for a long time, and print the effects on memory, open files, counters and replay.
 
-    Exit code 1 where a mark is missed.
+    Exit code 1 if a mark is missed.
     """
     folder.mkdir(parents=True, exist_ok=True)
     c = patient(configuration, folder, 60.0 * max(shift_minutes, real_minutes or 0.0))

@@ -1,4 +1,4 @@
-"""The directive `columns`: a table of the columns of a log, from the table that makes the log."""
+"""The directive `columns`: a table of the columns of a log, from the table that defines the log."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from sphinx.util.docutils import SphinxDirective
 
 
 class Columns(SphinxDirective):
-    """Its argument names a tuple of `drivers.tick_columns.Column`."""
+    """Directive whose argument is the name of a tuple of `drivers.tick_columns.Column`."""
 
     required_arguments = 1
 
     def run(self) -> list[nodes.Node]:
-        """Return the table, and the names of its numbers."""
+        """Create the table, and the lists of named values."""
         columns = resolve_name(self.arguments[0])
         lines = ["| column | type | unit | elements | meaning |", "|---|---|---|---|---|"]
         lines += [

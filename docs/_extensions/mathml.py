@@ -1,7 +1,7 @@
 """Equations as MathML: browsers draw it themselves, so no script is fetched when a page is read.
 
-docutils translates; what it leaves to be wished is mended in the tree: an accent belongs to its letter and an
-index beside it, and brackets around what is tall grow with it.
+docutils translates; its output is corrected here: an accent belongs to its letter with the index next to
+both, and brackets around tall content grow with it.
 """
 
 from __future__ import annotations
@@ -22,30 +22,30 @@ logger = logging.getLogger(__name__)
 NAMESPACE = "http://www.w3.org/1998/Math/MathML"
 ACCENTS = frozenset({*accents.values(), over["overline"][0]})
 PAIRS = {"(": ")", "[": "]", "{": "}", "|": "|", "‖": "‖"}
-"""Opening brackets and their ends."""
+"""Opening brackets -> closing brackets."""
 SHORT = re.compile(r"(\\[td]?frac)\s*(\d)\s*(\d)")
 """A fraction of two digits without braces, which docutils reads as one number."""
 ENTITY = re.compile(r"&(?!amp;|lt;|gt;|quot;|apos;|#)\w+;")
-"""Names of characters that HTML has and XML has not."""
+"""Named characters that HTML has and XML has not."""
 TALL = frozenset({"mfrac", "mtable", "munder", "mover", "munderover"})
-"""What brackets around it grow with; an accent alone is not."""
+"""Elements with which brackets around them grow, except a single accent."""
 
 
 def mathml(node: nodes.Element, *, block: bool) -> str:
-    """Return the equation of a node as MathML; what cannot be translated is a warning."""
+    """Translate the equation of a node to MathML; an equation that cannot be translated is a warning."""
     text = node.astext()
     try:
-        return mended(str(tex2mathml(SHORT.sub(r"\1{\2}{\3}", text), as_block=block)))
+        return corrected(str(tex2mathml(SHORT.sub(r"\1{\2}{\3}", text), as_block=block)))
     except MathError as error:
         logger.warning("equation %r: %s", text, error, location=node)
         return ""
 
 
-def mended(text: str) -> str:
-    """Return MathML with accents on their letters and brackets that grow."""
+def corrected(text: str) -> str:
+    """Correct MathML: accents on their letters, and brackets that grow."""
     plain = ENTITY.sub(lambda found: unescape(found[0]), text.replace(f' xmlns="{NAMESPACE}"', ""))
     root = ET.fromstring(plain)  # noqa: S314 - from our own pages
-    _each_child(root, _beside)
+    _each_child(root, _side_scripts)
     _each_child(root, _one_script)
     for row in list(root.iter()):
         if row.tag in {"math", "mrow", "mtd", "msqrt"}:
@@ -64,29 +64,29 @@ def _is_accent(element: ET.Element) -> bool:
     return element.tag == "mo" and element.text in ACCENTS
 
 
-def _made(tag: str, *content: ET.Element, **attributes: str) -> ET.Element:
+def _element(tag: str, *content: ET.Element, **attributes: str) -> ET.Element:
     found = ET.Element(tag, attributes)
     found.extend(content)
     return found
 
 
-def _beside(element: ET.Element) -> ET.Element:
-    """Return an accented letter with its index: docutils has both around the letter."""
+def _side_scripts(element: ET.Element) -> ET.Element:
+    """Move the index of an accented letter next to it: docutils puts index and accent around the letter."""
     if element.tag != "munderover" or not _is_accent(element[2]):
         return element
     base, index, accent = element
-    return _made("msub", _made("mover", base, accent, accent="true"), index)
+    return _element("msub", _element("mover", base, accent, accent="true"), index)
 
 
 def _one_script(element: ET.Element) -> ET.Element:
-    """Return an index and an exponent above each other: after an accent docutils has one behind the other."""
+    """Put index and exponent above each other: after an accent docutils puts one behind the other."""
     if element.tag != "msup" or element[0].tag != "msub":
         return element
-    return _made("msubsup", element[0][0], element[0][1], element[1])
+    return _element("msubsup", element[0][0], element[0][1], element[1])
 
 
 def _grow(row: ET.Element) -> None:
-    """Let each pair of brackets of a row be as tall as its content."""
+    """Make each pair of brackets of a row as tall as its content."""
     opened: list[int] = []
     place = 0
     while place < len(row):
@@ -101,18 +101,18 @@ def _grow(row: ET.Element) -> None:
 
 
 def _group(row: ET.Element, first: int, last: int) -> None:
-    """Put a pair of brackets and what is between them into a row of its own."""
+    """Put a pair of brackets and its content into a row of its own."""
     inner = row[first : last + 1]
     tall = str(any(map(_is_tall, inner[1:-1]))).lower()
     for fence, form in ((inner[0], "prefix"), (inner[-1], "postfix")):
         bracket = fence if fence.tag == "mo" else fence[0]
         for name, value in (("stretchy", tall), ("fence", "true"), ("form", form)):
             bracket.set(name, value)
-    row[first : last + 1] = [_made("mrow", *inner)]
+    row[first : last + 1] = [_element("mrow", *inner)]
 
 
 def _bracket(element: ET.Element, *, closing: bool = False) -> str:
-    """Return the bracket that an element is, closing ones with index or exponent too; empty for others."""
+    """Bracket of an element, for closing ones also with index or exponent; empty for other elements."""
     if closing and element.tag in {"msub", "msup", "msubsup"}:
         element = element[0]
     return (element.text or "") if element.tag == "mo" else ""

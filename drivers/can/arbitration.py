@@ -1,4 +1,4 @@
-"""Arbitration: which of the waiting frames has the bus, and when."""
+"""Arbitration: which waiting frame gets the bus, and when."""
 
 from drivers.arrays import Ints
 from drivers.compiled.compiler import helper
@@ -9,11 +9,12 @@ FOREVER = 1 << 62
 
 @helper
 def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Frame
-    """Return the arbitration field as a number: of two frames the smaller wins the bus.
+    """Arbitration rank of a frame: the smaller number wins the bus.
 
-    Bits in the order of the wire, dominant 0: identifier 28..18 | RTR or SRR | IDE | identifier 17..0 | RTR.
-    A standard frame beats the extended one with the same eleven leading bits, a data frame the remote one.
-    An error frame comes before everything.
+    Bits in the order of the wire, dominant is 0: identifier 28..18 | RTR or SRR | IDE | identifier 17..0 |
+    RTR.
+    A standard frame beats an extended frame with the same eleven leading bits; a data frame beats a remote
+    frame. An error frame comes first.
     """
     if flags & ERROR:
         return 0
@@ -24,18 +25,19 @@ def priority(id: int, flags: int) -> int:  # noqa: A002 - the field's name in Fr
 
 
 QUEUED_NS, PRIORITY, NUMBER, DURATION_NS, WIRE = range(5)
-"""Columns of a transmit queue: ns, number in order of queueing, which of several buses; SENT: it is on it."""
+"""Columns of a transmit queue: time of queueing (ns), priority, order of queueing, duration (ns), bus. WIRE
+is SENT once the frame is on the bus."""
 SENT = -1
 
 
 @helper
 def transmit(queue: Ints, count: int, wire: int, free_ns: int, until_ns: int) -> tuple[int, int]:
-    """Return the row of the frame that begins next on a bus and when it ends; -1: none begins by `until_ns`.
+    """Row of the next frame on a bus, and its end, ns; row -1: no frame begins by `until_ns`.
 
-    The bus falls free at `free_ns`. Whenever it is free, the frame of the smallest priority among those
-    queued by then starts and holds it for its duration; if none is queued, the next one to come starts at
-    once. Equal priorities go in order of number. The end may lie after `until_ns`; a frame that answers one
-    is queued at that one's end. The caller marks the row as SENT.
+    The bus is free from `free_ns`. On a free bus the queued frame with the smallest priority starts and holds
+    the bus for its duration; with an empty queue the next frame to be queued starts at once. Equal priorities
+    go in order of NUMBER. The end may lie after `until_ns`. A reply is queued at the end of the frame that it
+    answers. The caller marks the row as SENT.
     """
     soonest = FOREVER
     for k in range(count):

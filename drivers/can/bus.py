@@ -1,6 +1,6 @@
-"""Bus: the door to the CAN bus, whatever interface is behind it.
+"""The CAN bus as the other packages see it, independent of the interface.
 
-Frames go out and come in as they are, elements of FRAME; what they mean is the protocol's.
+Frames pass unchanged, as elements of FRAME; the protocol interprets them.
 """
 
 from __future__ import annotations
@@ -30,36 +30,35 @@ from drivers.protocol import ERROR
 from drivers.signals import BusState
 
 DEAD_AFTER_NS = 50_000_000
-"""A bus that takes no frame at all for this long is dead; for less, it is busy."""
-_FIRST_LOOK_NS = 200_000
-"""Between two looks at a link that cannot be waited for together with others."""
+"""A bus that accepts no frame for this long counts as dead; before that it is busy."""
+_POLL_NS = 200_000
+"""Pause between two polls where one of several links has no descriptor to wait on."""
 
 
 class BusEvents(NamedTuple):
-    """What happened on the bus beside frames since the last call."""
+    """Events of the bus since the last call, other than frames."""
 
     errors: int
-    """Error frames."""
+    """Number of error frames."""
     off: int
-    """Bit i: bus i is off or down as of now, has taken no frame for `DEAD_AFTER_NS`, or was bus-off since the
-    last call."""
+    """Bit i is set if bus i is off or down now, has accepted no frame for `DEAD_AFTER_NS`, or was bus-off
+    since the last call."""
     overflow: int
-    """Received frames that were lost because they were not read in time."""
+    """Received frames lost because they were not read in time."""
     state: BusState = BusState.UNKNOWN
-    """The worst state of the CAN controller since the last call."""
+    """Worst state of the CAN controller since the last call."""
 
 
 class Bus(Source):
-    """An open bus, or several as one; each frame says on which it is.
+    """One open bus, or several as one; each frame carries the index of its bus.
 
-    `clock` is that of its frames' times and of all deadlines: of the links, where all have the same.
+    `clock`: clock of frame times and deadlines; the links' clock if all share one, else CLOCK_MONOTONIC.
+    `knows_ends`: True if `sent_ns` gives the end of each frame on the wire.
+    `virtual`: True if on some bus frames arrive as soon as they are sent, without bus time.
 
-    `knows_ends`: whether `sent_ns` says when frames ended on each wire. `virtual`: whether frames of a bus
-    are there as soon as they are sent: no wire takes its time.
-
-    Mutable state: the links, in the order of their buses; the error count since the last `events`, which
-    buses were off then, and the worst state of each; since when each refuses frames, and whether it is dead;
-    on which each identifier was last received, and each frame of the last `send` went.
+    Mutable state: the links, in the order of their buses; error frames, buses off and worst controller states
+    as of the last `events`; for each bus the start of its present refusals, and whether it is dead; the bus
+    on which each identifier was last received; the bus of each frame of the last `send`.
     """
 
     def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
@@ -78,16 +77,16 @@ class Bus(Source):
 
     @property
     def facts(self) -> str:
-        """What was read of the interfaces, in one line; empty where there is nothing to read."""
+        """Facts read from the interfaces, in one line; empty if there are none."""
         return "; ".join(link.facts for link in self._links if link.facts)
 
     @classmethod
     def open(cls, settings: BusSettings, role: str) -> Bus:
-        """Open the bus of the configuration.
+        """Open the configured bus.
 
-        role: at most one process has it on a channel of this machine; on one of localcan, in its runtime
-        folder. Several `localcan` channels go by the clock of the first.
-        Raises RunError when another process has the role, BusError when the bus cannot be opened.
+        role: at most one process holds it per channel of this machine (on localcan: per runtime folder). All
+        `localcan` channels share the clock of the first.
+        Raises RunError if another process holds the role, BusError if the bus cannot be opened.
         """
         links: list[Link] = []
         with ExitStack() as roles, ExitStack() as opened:
@@ -102,11 +101,11 @@ class Bus(Source):
             return cls(links, roles.pop_all())
 
     def send(self, frames: Rows) -> int:
-        """Send frames, each on its bus; return the number of those that were not taken.
+        """Send each frame on its bus; the result is the number of frames not accepted.
 
-        Each bus takes its own from the first on. A refusal that passes is a busy bus; one that lasts makes
-        `events().off`. Does not wait for the buses, and raises only for frames that one cannot carry at all
-        (BusError): the others still get theirs, which may be an emergency stop.
+        Each bus accepts a leading part of its frames. A brief refusal means a busy bus; a lasting one sets
+        `events().off`. Never waits. Raises BusError for a frame that its bus cannot carry, but only after all
+        other buses have their frames, which may be an emergency stop.
         """
         self._order = frames["bus"].tolist()
         taken = 0
@@ -117,7 +116,7 @@ class Bus(Source):
                 continue
             try:
                 took = link.send(own)
-            except Exception as error:  # noqa: BLE001 - raised when all have theirs
+            except Exception as error:  # noqa: BLE001 - raised after all buses have their frames
                 failed = failed or error
             taken += took
             now = self.clock.now()
@@ -128,7 +127,7 @@ class Bus(Source):
         return len(frames) - taken
 
     def receive(self) -> Rows:
-        """Return what is there on all buses, error frames included, in the order of time."""
+        """Frames received on all buses, error frames included, in order of time."""
         parts = [link.receive() for link in self._links]
         if len(parts) == 1:
             return parts[0]
@@ -141,10 +140,10 @@ class Bus(Source):
         return received[np.argsort(received["t_ns"], kind="stable")]
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
-        """Sleep until there may be more, at most until the deadline.
+        """Sleep until more frames may have arrived, at most until the deadline.
 
-        What is missing is awaited bus by bus, each identifier on the bus where it was last heard; where
-        that is not known, or anything is awaited, on all buses together.
+        Each missing identifier is awaited on the bus that last delivered it, one bus after the other. If that
+        bus is unknown, or any frame is awaited (empty `missing`), all buses are awaited together.
         """
         if len(self._links) == 1:
             self._links[0].block(deadline_ns, missing)
@@ -161,7 +160,7 @@ class Bus(Source):
             return
         files = [link.fileno() for link in self._links]
         if min(files) < 0:
-            clock.sleep_until(min(deadline_ns, clock.now() + _FIRST_LOOK_NS))
+            clock.sleep_until(min(deadline_ns, clock.now() + _POLL_NS))
             return
         clock.waiting(deadline_ns)
         quiet = [link.arm() for link in self._links]
@@ -172,19 +171,19 @@ class Bus(Source):
         clock.working()
 
     def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> Rows:
-        """Return all frames in the order received, as soon as one of every wanted identifier has come.
+        """All frames in order of reception, as soon as every wanted identifier has arrived.
 
-        Returns at the deadline with what is there. What came before the call counts: to wait for answers,
-        `drain_now` before asking. An empty `wanted` is fulfilled at once.
+        At the deadline: the frames received so far. Frames that arrived before the call count: to wait for
+        answers, call `drain_now` before the request. An empty `wanted` does not wait.
         """
         return self._sift(collect(self, deadline_ns, wanted))
 
     def drain_now(self) -> Rows:
-        """Return what has been received. Does not block."""
+        """Frames received so far; does not block."""
         return self._sift(self.receive())
 
     def wait(self, deadline_ns: int) -> Rows:
-        """Return as soon as anything has come, or at the deadline with nothing."""
+        """Frames received, as soon as there are any; empty at the deadline."""
         while True:
             raw = collect(self, deadline_ns)
             received = self._sift(raw)
@@ -193,23 +192,23 @@ class Bus(Source):
 
     def _sift(self, received: Rows) -> Rows:
         """Count error frames and keep the rest."""
-        if max(received["flags"].tolist(), default=0) < ERROR:  # sooner known than of each
+        if max(received["flags"].tolist(), default=0) < ERROR:  # faster than a mask for each frame
             return received
         frames: Rows = received[received["flags"] & ERROR == 0]
         self._errors += len(received) - len(frames)
         return frames
 
     def events(self) -> BusEvents:
-        """Return error frames and losses since the last call, and which buses are off.
+        """Error frames and losses since the last call, controller state, and the buses that are off.
 
-        Where one has just gone off, what waits to be sent is dropped as far as the interface lets it.
+        When a bus goes off, its waiting frames are dropped as far as the interface allows.
         """
         overflow = sum(link.overflow for link in self._links)
         self._states = [link.worst_state() for link in self._links]
         off = self._off_bits()
-        gone = off & ~self._was_off
+        went_off = off & ~self._was_off
         for bus, link in enumerate(self._links):
-            if gone >> bus & 1:
+            if went_off >> bus & 1:
                 link.died()
         self._was_off = off
         events = BusEvents(self._errors, off, overflow - self._overflow_seen, max(self._states))
@@ -218,16 +217,16 @@ class Bus(Source):
         return events
 
     def _off_bits(self) -> int:
-        """As `BusEvents.off`, with the states that the last `events` has found."""
+        """Bits of `BusEvents.off`, with the controller states of the last `events`."""
         bits = 0
         for bus, link in enumerate(self._links):
             bits |= (self._dead[bus] or link.off or self._states[bus] is BusState.OFF) << bus
         return bits
 
     def skew_ns(self) -> int:
-        """Return the time between the first frames of the last `send` on the buses; 0 of a single bus.
+        """Time between the first frames of the last `send` on the buses, ns; 0 on a single bus.
 
-        Each as in `sent_ns`; a bus that took none does not count.
+        Times as in `sent_ns`; a bus that accepted no frame does not count.
         """
         if len(self._links) == 1:
             return 0
@@ -235,17 +234,18 @@ class Bus(Source):
         return max(first, default=0) - min(first, default=0)
 
     def sent_ns(self) -> Sequence[int | None]:
-        """Return when each frame of the last `send` ended on its wire, where the interface knows it.
+        """End of each frame of the last `send` on its wire, ns, if the interface knows it.
 
-        Else when the interface had taken it; None for what was not taken.
+        Otherwise the time at which the interface accepted the frame; None for a frame not accepted.
         """
         own = [iter(link.sent_ns()) for link in self._links]
         return [next(own[bus], None) for bus in self._order]
 
     def flush_tx(self) -> None:
-        """Drop frames that still wait to be sent, and have a dead bus another try.
+        """Drop frames that still wait to be sent, and try a dead bus again.
 
-        Raises BusError when an interface cannot, or is not the configured one any more; all are tried.
+        Raises BusError, after all interfaces were tried, if one cannot drop them or differs from the
+        configuration.
         """
         failed: BusError | None = None
         for link in self._links:
@@ -257,7 +257,7 @@ class Bus(Source):
             raise failed
 
     def close(self) -> None:
-        """Leave the bus and give the role back."""
+        """Leave the bus and release the role."""
         with ExitStack() as opened:
             if self._role is not None:
                 opened.callback(self._role.close)
@@ -272,7 +272,7 @@ class Bus(Source):
 
 
 def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
-    """Open one interface; clock: that of another localcan channel, which this one is to go by."""
+    """Open one interface; clock: that of an earlier localcan channel, shared by this one."""
     interface = settings.interface
     options: dict[str, Any] = settings.options
     known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS,)}.get(interface)

@@ -16,9 +16,9 @@ stuff bits, one before the stuff count and one after every fourth bit: 1 + floor
 1 + floor(25 / 4) = 7.
     n = 12: 34 bits + (5 + 96 + 25 + 4 + 17 + 6 = 153 bits);  at 1M/5M 34 + 30.6 = 64.6 us
     n = 32: 34 bits + (5 + 256 + 65 + 4 + 21 + 7 = 358 bits);  at 1M/5M 34 + 71.6 = 105.6 us
-BRS and CRC delimiter straddle the two rates; both are counted at the slow one. Without the switch all are.
+BRS and CRC delimiter straddle the two rates; both count at the slow one. Without the switch all bits do.
 
-At least: no stuff bits but the fixed ones, and of BRS and CRC delimiter together one bit at each rate.
+Fewest bits: only the fixed stuff bits; BRS and CRC delimiter together count as one bit at each rate.
     classic, 11-bit identifier, n = 8: 44 + 64 + 3 = 111 bits;  29-bit: 131 bits
     CAN FD, n = 12: 29 bits + (5 + 96 + 4 + 17 + 6 + 1 = 129 bits);  at 1M/5M 29 + 25.8 = 54.8 us
 
@@ -54,15 +54,14 @@ class BitTiming(NamedTuple):
 
     @classmethod
     def of(cls, bus: BusSettings) -> BitTiming:
-        """Return the configured ones."""
+        """Bit rates of the configuration."""
         return cls(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
 
 
 def frame_bits(length: int, flags: int, *, least: bool = False) -> tuple[int, int]:
-    """Count a frame's worst-case bits at the arbitration and at the data rate, interframe space included.
+    """Worst-case bits of a frame at the arbitration and at the data rate, with interframe space.
 
-    length in data bytes; flags as in `Frame`; least: the fewest bits instead. Formulas: this module's
-    docstring.
+    length: data bytes; flags as in `Frame`; least: fewest bits instead. Formulas: see the module docstring.
     Raises BusError for a length that no CAN frame has.
     """
     if flags & ERROR:
@@ -91,9 +90,9 @@ def frame_bits(length: int, flags: int, *, least: bool = False) -> tuple[int, in
 
 @lru_cache(maxsize=1024)
 def frame_time_ns(length: int, flags: int, timing: BitTiming, *, least: bool = False) -> int:
-    """Return how long a frame holds the wire at worst, ns rounded up, interframe space included.
+    """Longest time that a frame holds the wire, ns rounded up, with interframe space.
 
-    least: the time from the end of one frame to that of the next at least, ns rounded down; the interframe
+    least: shortest time from the end of one frame to the end of the next, ns rounded down; the interframe
     space lies between them. Raises BusError for a length that no CAN frame has.
     """
     slow, fast = frame_bits(length, flags, least=least)

@@ -1,7 +1,7 @@
-"""A CAN network interface as the kernel has it, and whether it is the one that the configuration means.
+"""A CAN network interface as the kernel reports it, and its comparison with the configuration.
 
-Read by netlink: IFLA_LINKINFO of linux/if_link.h, and within it IFLA_CAN_* of linux/can/netlink.h. Its error
-frames are those of linux/can/error.h: classes in the identifier, more of each in eight bytes.
+Read by netlink: IFLA_LINKINFO of linux/if_link.h, and within it IFLA_CAN_* of linux/can/netlink.h. Error
+frames follow linux/can/error.h: classes in the identifier, details in eight data bytes.
 """
 
 import struct
@@ -16,50 +16,50 @@ _INFO_KIND, _INFO_DATA = 1, 2
 _BITTIMING, _STATE, _CTRLMODE, _RESTART_MS, _BERR_COUNTER, _DATA_BITTIMING = 1, 4, 5, 6, 8, 9
 _LOOPBACK, _LISTEN_ONLY, _FD = 0x01, 0x02, 0x20
 _UNKNOWN_RATES = (0, 0xFFFFFFFF)
-"""CAN_BITRATE_UNSET, CAN_BITRATE_UNKNOWN: the adapter was set up past the kernel."""
+"""CAN_BITRATE_UNSET, CAN_BITRATE_UNKNOWN: the bit rate was not set through the kernel."""
 _STATES = (BusState.ACTIVE, BusState.WARNING, BusState.PASSIVE, BusState.OFF)
-"""enum can_state; what comes after, stopped and sleeping, is a controller that is down."""
+"""enum can_state; the later values, stopped and sleeping, mean that the controller is down."""
 FD_MTU = 72
 _CONTROLLER, _BUS_OFF, _RESTARTED = 0x004, 0x040, 0x100
-"""Classes of error frames: a state or an overflow, in byte 1; gone off; back again."""
+"""Classes of error frames: state or overflow of the controller, in byte 1; bus-off; restarted."""
 _OVERFLOW, _WARNS, _PASSIVE, _ACTIVE = 0x01, 0x0C, 0x30, 0x40
-"""Bits of byte 1: of reception and of transmission, and the return to error active."""
+"""Bits of byte 1, for reception and transmission: overflow, warning, error passive; back to error active."""
 RESTART_MS = "restart_ms"
-"""The option that says what restart-ms has to be."""
+"""Option with the required restart-ms."""
 
 
 class CanInterface(NamedTuple):
-    """One network interface, and what its CAN controller is set to and how it fares."""
+    """One network interface, with the settings and the state of its CAN controller."""
 
     name: str
     number: int
-    """The kernel's, ifindex."""
+    """Index in the kernel, ifindex."""
     up: bool
     mtu: int
     kind: str
-    """can, vcan, vxcan; empty where the kernel says none."""
+    """can, vcan or vxcan; empty if the kernel reports none."""
     has_controller: bool = False
-    """A virtual interface has none, and nothing of what follows."""
+    """False for a virtual interface; the fields below then keep their defaults."""
     bitrate_bit_s: int | None = None
-    """None where the kernel does not know it."""
+    """Arbitration bit rate; None if the kernel does not know it."""
     data_bitrate_bit_s: int | None = None
-    """Of CAN FD; None where it is off or not known."""
+    """Data bit rate of CAN FD; None if CAN FD is off or the rate is unknown."""
     state: BusState = BusState.UNKNOWN
-    """UNKNOWN while the controller is down, too."""
+    """UNKNOWN also while the controller is down."""
     restart_ms: int = 0
-    """It comes back by itself so long after bus-off; 0: it does not."""
+    """Delay of the automatic restart after bus-off, ms; 0: no automatic restart."""
     modes: int = 0
     """CAN_CTRLMODE_* bits."""
     errors: tuple[int, int] | None = None
-    """Transmit and receive error counters, where it tells them."""
+    """Transmit and receive error counters, if the driver reports them."""
 
     @property
     def facts(self) -> str:
-        """What was read, in one line."""
+        """Settings and state of the interface, in one line."""
         if not self.has_controller:
             return (
-                f"{self.name} is {self.kind or 'of no known kind'}: it has no bit rate, no controller state "
-                "and no restart-ms, so nothing was compared"
+                f"{self.name} is {self.kind or 'of unknown kind'}: it has no bit rate, no controller state "
+                "and no restart-ms, so nothing was compared with the configuration"
             )
         rate = "unknown bit rate" if self.bitrate_bit_s is None else f"{self.bitrate_bit_s} bit/s"
         fast = "" if self.data_bitrate_bit_s is None else f", data {self.data_bitrate_bit_s} bit/s"
@@ -69,7 +69,7 @@ class CanInterface(NamedTuple):
 
 
 def parse(name: str, answer: bytes) -> CanInterface:
-    """Return the interface of an RTM_NEWLINK payload."""
+    """Interface described by an RTM_NEWLINK payload."""
     index, flags, link = split_link(answer)
     info = attributes(link.get(_IFLA_LINKINFO, b""))
     kind = info.get(_INFO_KIND, b"").rstrip(b"\0").decode(errors="replace")
@@ -94,13 +94,13 @@ def _word(raw: bytes | None) -> int:
 
 
 def _rate(timing: bytes | None) -> int | None:
-    """Return the first member of struct can_bittiming."""
+    """Bit rate, the first member of struct can_bittiming; None if unknown."""
     rate = _word(timing)
     return None if rate in _UNKNOWN_RATES else rate
 
 
 def read_error(identifier: int, data: bytes) -> tuple[BusState, bool]:
-    """Return the state that an error frame reports, UNKNOWN without one, and whether a frame was lost."""
+    """Controller state in an error frame (UNKNOWN without one), and True if a frame was lost."""
     detail = data[1] if identifier & _CONTROLLER and len(data) > 1 else 0
     state = BusState.UNKNOWN
     if identifier & _BUS_OFF:
@@ -115,9 +115,9 @@ def read_error(identifier: int, data: bytes) -> tuple[BusState, bool]:
 
 
 def refusal(found: CanInterface, settings: BusSettings) -> str:
-    """Say how an interface differs from the section `bus`; empty where it does not.
+    """Text of the differences between an interface and the section `bus`; empty if there are none.
 
-    What neither the kernel knows nor the configuration asks for is not compared.
+    A bit rate unknown to the kernel and a restart-ms that is not configured are not compared.
     """
     name, fd = found.name, settings.layout == "fd"
     if not found.up:
@@ -131,29 +131,27 @@ def refusal(found: CanInterface, settings: BusSettings) -> str:
     if not found.has_controller:
         if asked is None:
             return ""
-        return f"has no restart-ms, bus.options.{RESTART_MS} is {asked}: leave that option out"
+        return f"has no restart-ms, but bus.options.{RESTART_MS} is {asked}: remove that option"
     rates = [
         ("bitrate", "bus.bitrate_bit_s", found.bitrate_bit_s, settings.bitrate_bit_s),
         ("dbitrate", "bus.data_bitrate_bit_s", found.data_bitrate_bit_s, settings.data_bitrate_bit_s),
     ][: 1 + fd]
     wrong = [
-        f"runs at {word} {has}, {key} is {wants}"
+        f"runs at {word} {has}, but {key} is {wants}"
         for word, key, has, wants in rates
         if has not in (None, wants)
     ]
     if asked is not None and asked != found.restart_ms:
-        wrong.append(f"has restart-ms {found.restart_ms}, bus.options.{RESTART_MS} is {asked}")
+        wrong.append(f"has restart-ms {found.restart_ms}, but bus.options.{RESTART_MS} is {asked}")
     if found.modes & _LISTEN_ONLY:
-        wrong.append("only listens (listen-only on)")
+        wrong.append("only receives (listen-only on)")
     if found.modes & _LOOPBACK:
-        wrong.append("sends to itself alone (loopback on)")
+        wrong.append("sends only to itself (loopback on)")
     if wrong:
         word = " ".join(f"{word} {wants}" for word, _, _, wants in rates)
         again = "" if asked is None else f" restart-ms {asked}"
-        mend = f"ip link set {name} type can {word}{again} listen-only off loopback off"
-        return (
-            f"{'; '.join(wrong)}: 'ip link set {name} down', '{mend}' and '... up', or mend the configuration"
-        )
+        fix = f"ip link set {name} type can {word}{again} listen-only off loopback off"
+        return f"{'; '.join(wrong)}: 'ip link set {name} down', '{fix}' and '... up', or change bus.*"
     if found.state is BusState.OFF:
-        return f"is bus-off: find out why, then 'ip link set {name} type can restart', or down and up"
+        return f"is bus-off: find the cause, then 'ip link set {name} type can restart', or down and up"
     return ""

@@ -1,7 +1,7 @@
-"""Files of CAN frames that other tools read: candump, ASC, BLF. Frames are written one by one.
+"""Files of CAN frames for other tools: candump, ASC, BLF. Frames are written one by one.
 
-Times are UTC in ns. candump and ASC carry them in microseconds. BLF has nanoseconds from a start in whole
-milliseconds. The writers of python-can take seconds as a float, which is good to a quarter of a microsecond.
+Times are UTC in ns. candump and ASC store microseconds. BLF stores nanoseconds from a start in whole
+milliseconds. The writers of python-can take seconds as a float, which resolves a quarter of a microsecond.
 ASC states its start in local time, without a zone, as its readers expect.
 """
 
@@ -18,11 +18,11 @@ from drivers.can.messages import to_message
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 
 ERROR_FLAG = 0x2000_0000
-"""Of an identifier in candump's form: an error frame."""
+"""Flag of an error frame in a candump identifier."""
 
 
 class CandumpWriter:
-    """What `candump -L` writes: canplayer and Wireshark read it. It has no room for the direction."""
+    """Writer of the format of `candump -L`, for canplayer and Wireshark. The format has no direction."""
 
     def __init__(self, path: Path, channels: Sequence[str]) -> None:
         self._file = path.open("w", encoding="ascii")
@@ -50,14 +50,14 @@ class CandumpWriter:
 
 
 class BlfWriter:
-    """Vector's binary log, by python-can."""
+    """Writer of Vector's binary log, by python-can."""
 
     def __init__(self, path: Path, _channels: Sequence[str]) -> None:
         self._file: IO[Any] = path.open("wb")
         self._writer: Any = BLFWriter(self._file)
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Add a frame. Its time is not before that of the first."""
+        """Add a frame, which must not be earlier than the first."""
         identifier, data, flags = frame
         own = OWN if sent else 0
         given = utc_ns, identifier, 0, len(data), flags | own, data
@@ -65,12 +65,12 @@ class BlfWriter:
 
     def close(self) -> None:
         """Write the last container and the header, and close the file."""
-        with self._file:  # the writer leaves it open where the disk is full
+        with self._file:  # the writer leaves it open if the disk is full
             self._writer.stop()
 
 
 class AscWriter(BlfWriter):
-    """Vector's ASCII log, by python-can. Its times begin at the second of the first frame."""
+    """Writer of Vector's ASCII log, by python-can. Times count from the second of the first frame."""
 
     def __init__(self, path: Path, _channels: Sequence[str]) -> None:
         self._file = path.open("w", encoding="ascii")

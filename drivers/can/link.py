@@ -1,4 +1,4 @@
-"""One interface behind a bus, and waiting for frames on it."""
+"""One interface behind a bus, and waiting for its frames."""
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
@@ -10,22 +10,22 @@ from drivers.protocol import ERROR
 from drivers.signals import BusState
 
 OWN = 1 << 6
-"""Flag of a received frame that its reader has sent itself."""
+"""Flag of a received frame that its reader sent itself."""
 
 
 class Source:
-    """Where frames come from; `clock` is that of their times."""
+    """Source of frames; `clock` is the clock of their times."""
 
     clock: Clock
 
     def receive(self) -> Rows:
-        """Return the frames that have arrived: elements of FRAME in memory of their own."""
+        """Frames that have arrived: elements of FRAME in memory of their own."""
         raise NotImplementedError
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
-        """Sleep until there may be more, at most until the deadline.
+        """Sleep until more frames may have arrived, at most until the deadline.
 
-        missing: the identifiers that are awaited; empty where anything is.
+        missing: the awaited identifiers; empty: any frame.
         """
         raise NotImplementedError
 
@@ -33,65 +33,65 @@ class Source:
 class Link(Source):
     """One interface; received frames may be error frames.
 
-    What stands here is that of an interface which knows neither a controller nor its wire.
+    The defaults suit an interface that knows neither its controller nor its wire.
     """
 
     knows_ends = False
-    """Whether it knows when a frame ended on the wire."""
+    """True if the end of a frame on the wire is known."""
     virtual = False
-    """Whether frames are there as soon as they are sent."""
+    """True if frames arrive as soon as they are sent."""
     overflow = 0
     """Frames lost so far."""
     _taken_ns: list[int]
 
     @property
     def facts(self) -> str:
-        """What was read of the interface, in one line; empty where there is nothing to read."""
+        """Facts read from the interface, in one line; empty if there are none."""
         return ""
 
     @property
     def off(self) -> bool:
-        """Whether the interface says that the bus is off or down."""
+        """True while the interface reports the bus as off or down."""
         return False
 
     def send(self, frames: Rows) -> int:
-        """Return how many elements of FRAME were taken, from the first on; all are for this interface."""
+        """Send elements of FRAME, all for this interface; the result counts the leading ones accepted."""
         raise NotImplementedError
 
     def sent_ns(self) -> Sequence[int]:
-        """Return when each frame that the last `send` took ended on the wire, else when it was taken."""
+        """Times, ns, of the frames accepted by the last `send`: end on the wire if known, else acceptance."""
         return self._taken_ns
 
     def fileno(self) -> int:
-        """Return a descriptor that is readable when something has come; -1 where there is none."""
+        """Descriptor that is readable when a frame has arrived; -1 if there is none."""
         return -1
 
     def foresee(self) -> int | None:
-        """Return when the next foreign frame that is under way will have ended; None where none is known."""
+        """Expected end of the next foreign frame under way, ns; None if none is known."""
         return None
 
     def arm(self) -> bool:
-        """Ask for a word by `fileno`, unless something has come; return whether nothing has."""
+        """Request a signal on `fileno`, unless a frame has arrived; True if none has."""
         return True
 
     def worst_state(self) -> BusState:
-        """Return the worst state of the controller since the last call."""
+        """Worst state of the controller since the last call."""
         return BusState.UNKNOWN
 
     def died(self) -> None:
-        """Take note that the bus has died: frames that wait to be sent are stale."""
+        """React to a dead bus: frames that wait to be sent are stale."""
 
     def flush_tx(self) -> object:
-        """Drop frames that wait to be sent. Raises BusError where that fails."""
+        """Drop frames that wait to be sent. Raises BusError if that fails."""
 
     def close(self) -> None:
         """Free the interface."""
 
 
 def collect(source: Source, deadline_ns: int, wanted: AbstractSet[int] | None = None) -> Rows:
-    """Receive until all of `wanted` (None: anything) has come, or the deadline.
+    """Receive until all of `wanted` (None: any frame) has arrived, or until the deadline.
 
-    An empty `wanted` is fulfilled at once.
+    An empty `wanted` does not wait.
     """
     received: list[Rows] = []
     missing = set(wanted or ())

@@ -9,7 +9,7 @@ from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 def to_message(
     frame: tuple[int, int, int, int, int, bytes], epoch_ns: int = 0, channel: str | int = ""
 ) -> can.Message:
-    """Return python-can's Message of one of `unpack_frames`; `epoch_ns` is Unix time minus the channel's."""
+    """python-can Message of a tuple of `unpack_frames`; `epoch_ns`: Unix time minus the channel's, ns."""
     t_ns, id_, _, size, flags, data = frame
     return can.Message(
         timestamp=(t_ns + epoch_ns) * 1e-9,
@@ -27,7 +27,7 @@ def to_message(
 
 
 def from_message(message: can.Message) -> Frame:
-    """Return python-can's Message as a Frame. A remote frame's length code is not kept."""
+    """Frame of a python-can Message. The length code of a remote frame is dropped."""
     flags = (
         EXTENDED * message.is_extended_id
         | REMOTE * message.is_remote_frame

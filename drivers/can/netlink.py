@@ -1,7 +1,7 @@
-"""Route netlink, as much of it as a network interface needs: links read and set, queues read.
+"""Route netlink for network interfaces: read and set links, read transmit queues.
 
-Standard library only. Layouts are those of linux/netlink.h, linux/rtnetlink.h and linux/pkt_sched.h; numbers
-are in the machine's own byte order, a message and an attribute each padded to four bytes.
+Standard library only. Layouts follow linux/netlink.h, linux/rtnetlink.h and linux/pkt_sched.h. Numbers are in
+native byte order; messages and attributes are padded to four bytes.
 """
 
 import os
@@ -17,7 +17,7 @@ TC_H_ROOT = 0xFFFFFFFF
 _NLMSG_ERROR, _NLMSG_DONE = 2, 3
 _TCA_STATS2, _TCA_STATS_QUEUE = 7, 3
 _KIND = 0x3FFF
-"""The upper two bits of an attribute's type are flags."""
+"""Mask of an attribute's type; the upper two bits are flags."""
 _CAP_NET_ADMIN = 12
 _HEADER = struct.Struct("=IHHII")
 _ATTRIBUTE = struct.Struct("=HH")
@@ -26,13 +26,13 @@ _LINK = struct.Struct("=BxHiII")
 _QUEUE = struct.Struct("=BxxxiIII")
 """struct tcmsg: family, index, handle, parent, info."""
 _ERROR = struct.Struct("=i")
-"""What struct nlmsgerr begins with: 0, or a negative error number."""
+"""Start of struct nlmsgerr: 0, or a negative error number."""
 _ANSWER = 1 << 16
 _TIMEOUT_S = 1.0
 
 
 def _pieces(raw: bytes, header: struct.Struct) -> Iterator[tuple[int, bytes]]:
-    """Give kind and payload of what begins with its size and kind; a cut one ends them."""
+    """Type and payload of each item that begins with size and type; a truncated item ends the iteration."""
     at = 0
     while at + header.size <= len(raw):
         size, kind, *_ = header.unpack_from(raw, at)
@@ -43,14 +43,14 @@ def _pieces(raw: bytes, header: struct.Struct) -> Iterator[tuple[int, bytes]]:
 
 
 def attributes(raw: bytes) -> dict[int, bytes]:
-    """Return the route attributes of a message or of a nest, by kind; a cut one ends them."""
+    """Route attributes of a message or nest, by type; a truncated attribute ends them."""
     return {kind & _KIND: payload for kind, payload in _pieces(raw, _ATTRIBUTE)}
 
 
 def request(kind: int, flags: int, body: bytes) -> list[bytes]:
-    """Send one request to the kernel and return the payloads of its answers.
+    """Send one request to the kernel and collect the payloads of its answers.
 
-    Raises OSError with the kernel's number where it refuses, and TimeoutError where it does not answer.
+    Raises OSError with the kernel's error number on a refusal, TimeoutError without an answer.
     """
     answers: list[bytes] = []
     header = _HEADER.pack(_HEADER.size + len(body), kind, NLM_F_REQUEST | NLM_F_ACK | flags, 1, 0)
@@ -70,26 +70,26 @@ def request(kind: int, flags: int, body: bytes) -> list[bytes]:
 
 
 def get_link(name: str) -> bytes:
-    """Return what RTM_GETLINK answers for an interface. Raises OSError (ENODEV) where there is none."""
+    """Answer to RTM_GETLINK for an interface. Raises OSError (ENODEV) if it does not exist."""
     index = socket.if_nametoindex(name)
     (answer, *_) = request(RTM_GETLINK, 0, _LINK.pack(socket.AF_UNSPEC, 0, index, 0, 0))
     return answer
 
 
 def split_link(answer: bytes) -> tuple[int, int, dict[int, bytes]]:
-    """Return index, flags and attributes of an RTM_NEWLINK payload."""
+    """Index, flags and attributes of an RTM_NEWLINK payload."""
     _, _, index, flags, _ = _LINK.unpack_from(answer)
     return index, flags, attributes(answer[_LINK.size :])
 
 
 def set_up(index: int, *, up: bool) -> None:
-    """Bring an interface up or take it down. Raises OSError: EPERM without the right CAP_NET_ADMIN."""
+    """Bring an interface up or take it down. Raises OSError: EPERM without CAP_NET_ADMIN."""
     body = _LINK.pack(socket.AF_UNSPEC, 0, index, IFF_UP if up else 0, IFF_UP)
     request(RTM_NEWLINK, 0, body)
 
 
 def queued(index: int) -> int:
-    """Return how many frames wait in the transmit queue of an interface, whoever sent them."""
+    """Number of frames in the transmit queue of an interface, from all senders."""
     waiting = 0
     for answer in request(RTM_GETQDISC, NLM_F_DUMP, _QUEUE.pack(socket.AF_UNSPEC, index, 0, 0, 0)):
         _, of, _, parent, _ = _QUEUE.unpack_from(answer)
@@ -100,7 +100,7 @@ def queued(index: int) -> int:
 
 
 def administers() -> bool:
-    """Tell whether this process may take interfaces down and up."""
+    """True if this process may take interfaces down and up (CAP_NET_ADMIN)."""
     for line in Path("/proc/self/status").read_text().splitlines():
         if line.startswith("CapEff:"):
             return bool(int(line.split()[1], 16) >> _CAP_NET_ADMIN & 1)

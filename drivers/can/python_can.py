@@ -1,7 +1,4 @@
-"""Every interface of python-can that has no code of its own here.
-
-Beside localcan's own interface the only importer of python-can.
-"""
+"""All python-can interfaces that have no code of their own here."""
 
 import select
 import struct
@@ -23,18 +20,18 @@ from drivers.frame_array import FRAME, RECEIVED, frame_bytes, unpack_frames
 
 _WIRELESS = frozenset({"udp_multicast"})
 _BATCH = 512
-"""Looks of one `receive`: where frames come all the time it ends, too."""
+"""Most polls of one `receive`, which so ends even if frames keep arriving."""
 _FAILURES = 8
-"""Looks that fail one after the other: the interface is gone. A single one is a frame that is lost."""
+"""Consecutive failed polls after which the interface counts as gone. A single failure is a lost frame."""
 _UNREADABLE = (can.CanError, OSError, ValueError, IndexError, KeyError, TypeError, struct.error)
-"""What `recv` raises where the interface is gone, has lost frames, or has read what is no frame."""
+"""Exceptions of `recv` if the interface is gone, has lost frames or has read an invalid frame."""
 
 
 class PythonCan(Link):
-    """One bus of python-can. interface: its name there.
+    """One bus of python-can; interface: its name there.
 
-    Mutable state: the bus, whether it has failed, how many looks in a row have, what came, how many frames
-    were lost, and when it had taken the last frames.
+    Mutable state: the bus, `off`, consecutive failures, received frames, frames lost, and the times at which
+    the last frames were accepted.
     """
 
     clock = MONOTONIC
@@ -52,7 +49,7 @@ class PythonCan(Link):
             self._selectable = False
 
     def send(self, frames: Rows) -> int:
-        """Send until the interface refuses one."""
+        """Send until the interface refuses a frame."""
         self._taken_ns.clear()
         for frame in unpack_frames(frames.tobytes()):
             try:
@@ -67,7 +64,7 @@ class PythonCan(Link):
         return len(frames)
 
     def fileno(self) -> int:
-        """Return the interface's descriptor, readable when something has come; -1 where it has none."""
+        """Descriptor of the interface, readable when a frame has arrived; -1 if there is none."""
         if not self._selectable:
             return -1
         try:
@@ -77,7 +74,7 @@ class PythonCan(Link):
             return -1
 
     def _take(self, timeout_s: float) -> Literal["frame", "nothing", "failure"]:
-        """Look once; a frame of our own that the interface hands back is none that has come."""
+        """Poll once; an echo of our own frame counts as a frame but is not kept."""
         try:
             message = self._bus.recv(timeout_s)
         except _UNREADABLE as error:
@@ -100,7 +97,7 @@ class PythonCan(Link):
         return "frame"
 
     def _readable(self, seconds: float) -> bool:
-        """Wait until the descriptor is readable; one that is gone is off."""
+        """Wait until the descriptor is readable; a failing descriptor sets `off`."""
         file = self.fileno()
         if file < 0:
             return False
@@ -111,10 +108,10 @@ class PythonCan(Link):
             return False
 
     def receive(self) -> Rows:
-        """Return what is there, up to a batch.
+        """Frames received, at most one batch.
 
-        An interface that has read a line or datagram that is no frame says that there is none, though others
-        may wait behind it: its descriptor tells.
+        After an invalid line or datagram the interface reports no frame, although more may wait: its
+        descriptor decides.
         """
         for _ in range(_BATCH):
             found = self._take(0.0)
@@ -124,7 +121,7 @@ class PythonCan(Link):
         return np.frombuffer(received, FRAME)
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
-        """Sleep until something can be received, or the deadline."""
+        """Sleep until a frame can be received, at most until the deadline."""
         seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
         if self.off:
             time.sleep(min(seconds, 1e-3))
@@ -134,30 +131,30 @@ class PythonCan(Link):
             self._take(seconds)
 
     def flush_tx(self) -> None:
-        """Drop frames that wait to be sent, where the interface can. Raises BusError where it fails."""
+        """Drop frames that wait to be sent, if the interface can. Raises BusError if it fails."""
         try:
             self._bus.flush_tx_buffer()
         except NotImplementedError:
             return
-        except Exception as error:  # each interface has its own
-            raise BusError(f"bus: what waits to be sent cannot be dropped: {error}") from error
+        except Exception as error:  # each interface raises its own
+            raise BusError(f"bus: waiting frames cannot be dropped: {error}") from error
 
     def close(self) -> None:
-        """Shut the bus down; an interface that is gone has nothing left to shut."""
+        """Shut the bus down; errors of a lost interface are ignored."""
         with suppress(Exception):
             self._bus.shutdown()
 
 
 def unknown_interface(name: str) -> str:
-    """List the known interfaces for an unknown one; empty for a known one."""
+    """Message with the known interfaces, for an unknown name; empty for a known one."""
     if name in can.VALID_INTERFACES:
         return ""
     known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
-    return f"bus.interface: {name} is unknown; known are {known}; localcan needs no hardware"
+    return f"bus.interface: {name} is unknown, allowed: {known}; localcan needs no hardware"
 
 
 def open_python_can(settings: BusSettings) -> PythonCan:
-    """Open `bus.interface`. Raises BusError for one that is unknown or does not open."""
+    """Open `bus.interface`. Raises BusError if it is unknown or does not open."""
     fd = settings.layout == "fd"
     options: dict[str, Any] = {"fd": True} if fd else {}
     if settings.interface != "udp_multicast":

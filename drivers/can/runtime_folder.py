@@ -1,4 +1,4 @@
-"""Where this user's running programs meet: the runtime folder, and one lock per role on a bus."""
+"""The runtime folder, where this user's programs meet, and one lock per role on a bus."""
 
 import errno
 import hashlib
@@ -18,11 +18,11 @@ _PEER = struct.Struct("=3i")
 
 
 def runtime_folder() -> Path:
-    """Return the folder for sockets and shared memory, made if need be, mode 0700.
+    """Folder for sockets and shared memory, created if missing, mode 0700.
 
-    It lies under XDG_RUNTIME_DIR; without one it is a folder of the user's own in /dev/shm (memory, so that
-    no page of it is ever written to a disk) or, failing that, in the temporary directory.
-    Raises BusError when the folder is not this user's alone.
+    It lies under XDG_RUNTIME_DIR. Without one it is a folder of the user's own in /dev/shm (memory, so that
+    no page of it reaches a disk), or else in the temporary directory.
+    Raises BusError if the folder does not belong to this user alone.
     """
     session = os.environ.get("XDG_RUNTIME_DIR", "")
     if session and Path(session).is_dir():
@@ -35,20 +35,20 @@ def runtime_folder() -> Path:
         return own_folder(folder)
     except OSError as error:
         raise BusError(
-            f"runtime folder {folder}: {error.strerror}; fix that, or set XDG_RUNTIME_DIR to a "
+            f"runtime folder {folder}: {error.strerror}; correct this, or set XDG_RUNTIME_DIR to a "
             "folder of your own"
         ) from error
 
 
 def safe_name(text: str) -> str:
-    """Return `text` as a file name: anything but letters, digits and _.-~ percent-encoded."""
+    """`text` as a file name: all but letters, digits and _.-~ percent-encoded."""
     return quote(text, safe="")
 
 
 def address(*words: str) -> bytes:
-    """Return the abstract socket address that this machine has once for what these words name.
+    """Abstract socket address for these words, unique on this machine.
 
-    Such a socket leaves no file behind, and the kernel drops it with its process.
+    Such a socket leaves no file behind; the kernel drops it with its process.
     """
     name = hashlib.sha256(os.fsencode("\0".join(words))).hexdigest()
     return b"\0hexapod-hil." + name.encode()
@@ -60,15 +60,15 @@ def _role(interface: str, channel: str, role: str) -> bytes:
 
 
 def role_holder(interface: str, channel: str, role: str) -> int | None:
-    """Process of this machine, of any user, that has a role on a channel; 0: unknown; None: nobody has it.
+    """Process of this machine, of any user, that holds a role on a channel; 0: unknown; None: free.
 
-    A channel of localcan lies in the runtime folder: another folder has another one.
+    On localcan each runtime folder has channels of its own.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
         try:
             probe.connect(_role(interface, channel, role))
-        except BlockingIOError:  # it has been asked so often that no more may wait for an answer
+        except BlockingIOError:  # its queue of waiting connections is full
             return 0
         except OSError:
             return None
@@ -76,10 +76,10 @@ def role_holder(interface: str, channel: str, role: str) -> int | None:
 
 
 class RoleLock:
-    """Holds a role (controller, plant) on a channel for as long as the process lives or until `close`.
+    """Holds a role (controller, plant) on a channel until `close` or the end of the process.
 
-    It is a socket, which the kernel drops with the process, however it ends: mutable state.
-    Raises RunError when another process has the role.
+    Mutable state: a socket, which the kernel drops with the process, however it ends.
+    Raises RunError if another process holds the role.
     """
 
     def __init__(self, interface: str, channel: str, role: str) -> None:
@@ -91,7 +91,7 @@ class RoleLock:
             held.close()
             bus = f"bus {interface}:{channel}"
             if error.errno != errno.EADDRINUSE:
-                raise BusError(f"{bus}: no lock of the {role}: {error.strerror}") from error
+                raise BusError(f"{bus}: cannot take the lock of the {role}: {error.strerror}") from error
             raise RunError(
                 f"{bus} already has a {role}, process {role_holder(interface, channel, role) or 'unknown'}; "
                 "stop it first, or choose another bus.channel"

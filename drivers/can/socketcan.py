@@ -1,6 +1,6 @@
-"""SocketCAN as a raw socket: frames with the kernel's time stamps, error frames, losses, stale frames.
+"""SocketCAN through a raw socket: kernel time stamps, error frames, losses, stale frames.
 
-Layouts and constants are those of linux/can.h, linux/can/raw.h and asm-generic/socket.h.
+Layouts and constants follow linux/can.h, linux/can/raw.h and asm-generic/socket.h.
 """
 
 import errno
@@ -31,34 +31,34 @@ _TIMESPEC = struct.Struct("=qq")
 _EFF, _RTR, _ERR = 0x80000000, 0x40000000, 0x20000000
 _SO_TIMESTAMPNS, _SO_RXQ_OVFL, _SO_MEMINFO = 35, 40, 55
 _WMEM = struct.Struct("=8xI")
-"""What SO_MEMINFO begins with, up to SK_MEMINFO_WMEM_ALLOC."""
+"""Start of SO_MEMINFO, up to SK_MEMINFO_WMEM_ALLOC."""
 _SOL_CAN_RAW, _RAW_ERR_FILTER, _RAW_FD_FRAMES, _ERR_MASK = 101, 2, 5, 0x1FFFFFFF
 _DOWN = frozenset({errno.ENETDOWN, errno.ENXIO, errno.ENODEV})
-"""The interface is down, or gone."""
+"""Errors of an interface that is down or gone."""
 _BATCH = 512
 _RECEIVE_BUFFER = 1 << 20
 _FLUSH_S = 0.05
 STUCK_NS = 50_000_000
-"""A bus that has not emptied our transmit queue once in so long is dead, ..."""
+"""A bus is dead if it has not emptied our transmit queue for this long, ..."""
 STUCK_LOOKS = 5
-"""... if we have looked so often: a machine that stood still has not."""
+"""... over at least this many checks: after a stall of the machine there are fewer."""
 _NO_WIRE = ("vcan", "vxcan")
-"""Kinds of interfaces without one."""
+"""Kinds of interfaces without a wire."""
 _CLOCK_LOOKS, _CLOSE_NS = 5, 10_000
-"""At most so many looks at both clocks, until they are so close."""
+"""Most readings of both clocks, and the time between them that is close enough."""
 _LOOK_NS = 100_000_000
-"""How often it is looked whether an interface is back."""
+"""Interval of the checks whether an interface is back."""
 
 
 class SocketCan(Link):
     """A raw CAN socket.
 
-    Mutable state: the socket, `overflow` (frames lost so far in the kernel or the controller), whether the
-    interface is down or gone, whether it could not be cleared or is not the configured one any more, whether
-    the controller is bus-off, its worst state since it was asked for, since when our frames wait, and when
-    the kernel had taken the last ones.
-    Raises BusError when the kernel has no CAN, or the channel does not exist, is down or differs from
-    the section `bus`.
+    Mutable state: the socket; `overflow` (frames lost so far in the kernel or the controller); whether the
+    interface is down or gone, could not be cleared, or differs from the configuration; whether the controller
+    is bus-off, and its worst state since the last query; since when our frames wait; and the times at which
+    the kernel accepted the last frames.
+    Raises BusError if the kernel has no CAN, or the channel is missing, down, or differs from the section
+    `bus`.
     """
 
     clock = MONOTONIC
@@ -75,8 +75,8 @@ class SocketCan(Link):
 
     @property
     def facts(self) -> str:
-        """What was read of the interface, in one line."""
-        stale = "; without the right CAP_NET_ADMIN frames that wait on a dead bus stay in its queue"
+        """Settings and state of the interface, in one line."""
+        stale = "; without CAP_NET_ADMIN frames that wait on a dead bus stay in its queue"
         return f"bus socketcan:{self._interface.facts}{'' if netlink.administers() else stale}"
 
     def _open(self) -> tuple[socket.socket, CanInterface]:
@@ -109,7 +109,7 @@ class SocketCan(Link):
         return sock, interface
 
     def _look(self) -> CanInterface:
-        """Read the interface. Raises BusError where it is not the one of the configuration."""
+        """Interface as it is now. Raises BusError if it differs from the configuration."""
         channel = self.channel
         try:
             interface = parse(channel, netlink.get_link(channel))
@@ -125,19 +125,19 @@ class SocketCan(Link):
 
     @property
     def off(self) -> bool:
-        """Whether the interface is down, gone or another one, the controller bus-off, or our frames wait.
+        """True while the interface is down or not the configured one, bus-off, or our frames are stuck.
 
-        Until the contrary is seen.
+        Each condition lasts until its end is observed.
         """
         return self._down or self._refused or self._bus_off or self._stuck
 
     def worst_state(self) -> BusState:
-        """Return the worst state of the controller since the last call."""
+        """Worst state of the controller since the last call."""
         worst, self._worst = self._worst, self._state
         return worst
 
     def _look_at_queue(self) -> None:
-        """Take note whether our frames wait in the transmit queue, since when, and how often they did."""
+        """Note whether our frames wait in the transmit queue, since when, and over how many checks."""
         (waiting,) = _WMEM.unpack(self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _WMEM.size))
         if not waiting:
             self._waited = 0
@@ -150,9 +150,9 @@ class SocketCan(Link):
         self._stuck = self._waited >= STUCK_LOOKS and now - self._waiting_since >= STUCK_NS
 
     def send(self, frames: Rows) -> int:
-        """Return how many frames the kernel took, from the first on.
+        """Send frames; the result counts the leading frames that the kernel accepted.
 
-        None while the bus is off, or older ones have waited for STUCK_NS: what a dead bus is given comes out
+        None while the bus is off or older frames have waited for STUCK_NS: a dead bus would send them later,
         when it is back.
         """
         self._taken_ns.clear()
@@ -175,11 +175,11 @@ class SocketCan(Link):
         return len(self._taken_ns)
 
     def fileno(self) -> int:
-        """Return the socket's descriptor, readable when something has come."""
+        """Descriptor of the socket, readable when a frame has arrived."""
         return self._socket.fileno()
 
     def _is_back(self) -> bool:
-        """Look now and then whether an interface that was down or deleted is there again."""
+        """Check from time to time whether an interface that was down or deleted is back; True if so."""
         now = time.monotonic_ns()
         if now - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now
@@ -188,7 +188,7 @@ class SocketCan(Link):
         return not self._down
 
     def _come_back(self) -> None:
-        """Go on with an interface that is up again. Raises BusError where it is not the configured one."""
+        """Resume with an interface that is up again. Raises BusError if it is not the configured one."""
         if self._down:
             sock, self._interface = self._open()
             self._socket.close()
@@ -200,7 +200,7 @@ class SocketCan(Link):
         self._state = self._interface.state
 
     def receive(self) -> Rows:
-        """Return the frames that are there, error frames included."""
+        """Frames received so far, error frames included."""
         received = bytearray()
         real_to_monotonic = _real_to_monotonic()
         for _ in range(_BATCH):
@@ -239,14 +239,14 @@ class SocketCan(Link):
             self._bus_off = state is BusState.OFF
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
-        """Sleep until something can be received, or the deadline."""
+        """Sleep until a frame can be received, at most until the deadline."""
         seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
         select.select([self._socket], [], [], min(seconds, 1e-3) if self.off else seconds)
 
     def died(self) -> None:
-        """Drop what waits to be sent, once until something is received, where this process may.
+        """Drop frames that wait to be sent, if permitted; once until a frame is received.
 
-        A controller that is to stay bus-off is left so: its driver drops the frames when it is restarted.
+        A controller that is to stay bus-off is left alone: its driver drops the frames at the restart.
         """
         stays_off = self._bus_off and self._interface.has_controller and not self._interface.restart_ms
         if self._dropped or self._down or stays_off:
@@ -266,9 +266,9 @@ class SocketCan(Link):
     def flush_tx(self) -> None:
         """Drop stale frames, restart a bus-off controller, and compare the interface with the section `bus`.
 
-        Stale are frames that wait longer than 50 ms, whoever sent them. The interface is taken down and up.
-        Raises BusError where that needs the right CAP_NET_ADMIN and this process has it not, or where the
-        interface is gone or differs: the bus then counts as off.
+        Stale frames have waited longer than 50 ms, whoever sent them. The interface is taken down and up.
+        Raises BusError if that needs CAP_NET_ADMIN and this process lacks it, or if the interface is gone or
+        differs: the bus then counts as off.
         """
         self._refused = True
         try:
@@ -276,9 +276,9 @@ class SocketCan(Link):
                 self._drop()
         except PermissionError as error:
             raise BusError(
-                f"bus socketcan:{self.channel} is bus-off, or has stale frames in its transmit queue and "
-                f"sends none; clear it with 'ip link set {self.channel} down' and '... up', or give this "
-                "program the right CAP_NET_ADMIN"
+                f"bus socketcan:{self.channel} is bus-off, or stale frames are stuck in its transmit queue; "
+                f"clear it with 'ip link set {self.channel} down' and '... up', or give this "
+                "program CAP_NET_ADMIN"
             ) from error
         except OSError as error:
             raise BusError(f"bus socketcan:{self.channel} cannot be cleared: {error.strerror}") from error
@@ -286,7 +286,7 @@ class SocketCan(Link):
         self._refused = False
 
     def _to_drop(self) -> bool:
-        """Tell whether a controller is bus-off, or frames still wait after a while."""
+        """True if the controller is bus-off, or frames still wait after `_FLUSH_S`."""
         self._interface = parse(self.channel, netlink.get_link(self.channel))
         if self._interface.state is BusState.OFF:
             return True
@@ -303,9 +303,9 @@ class SocketCan(Link):
 
 
 def _real_to_monotonic() -> int:
-    """Return the monotonic clock less that of the kernel's stamps, ns, from two looks close to each other.
+    """Monotonic clock minus the clock of the kernel's time stamps, ns, from two close readings.
 
-    A stall between the two would move all stamps.
+    A stall between the readings would shift all time stamps.
     """
     for _ in range(_CLOCK_LOOKS):
         before, real, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
@@ -315,7 +315,7 @@ def _real_to_monotonic() -> int:
 
 
 def pack(identifier: int, data: bytes, flags: int) -> bytes:
-    """Return a frame as struct can_frame or canfd_frame."""
+    """Frame as struct can_frame or canfd_frame. Raises BusError for too many bytes."""
     size = len(data)
     if size > (64 if flags & FD else 8):
         raise BusError(f"bus: frame 0x{identifier:X} has {size} bytes; classic CAN carries 8, CAN FD 64")
@@ -326,7 +326,7 @@ def pack(identifier: int, data: bytes, flags: int) -> bytes:
 
 
 def unpack(raw: bytes) -> tuple[int, bytes, int]:
-    """Return identifier (of an error its classes), data and flags of struct can_frame or canfd_frame."""
+    """Identifier (of an error frame its classes), data and flags of struct can_frame or canfd_frame."""
     if len(raw) == _FD.size:
         word, length, bits, data = _FD.unpack(raw)
         flags = FD | (bits & 3) << 2

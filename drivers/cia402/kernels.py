@@ -1,4 +1,4 @@
-"""The controller's end of six CiA 402 drives, compiled: one record, which has the dialogue."""
+"""The controller's end of six CiA 402 drives, compiled: one record, with the dialogue."""
 
 from __future__ import annotations
 
@@ -17,23 +17,24 @@ from drivers.tick_columns import TICK, part
 from drivers.transmission import FIELDS, loss_of
 
 OLDEST = 50
-"""Ticks after which a difference of lengths says nothing of the rate."""
+"""Ticks after which a difference of lengths no longer gives a rate."""
 STRAYING = 8
-"""Ticks after a drive was missed within which what it still owes may come: a stall shifts answers."""
+"""Ticks after a missing answer within which a drive may send answers that it owes: a stall delays them."""
 SHORTEST = 0.5
-"""Periods; a stall leaves shorter steps, over which the steps of the encoder make too rough a rate."""
+"""Periods; a stall leaves shorter steps, over which the resolution of the encoder makes the rate too rough.
+"""
 MOST_PERMILLE = 32_767
 MOST_STEPS = 96
-"""Of a plan."""
+"""Most steps of a plan."""
 OPTIONAL = 1 << 32
 """Bit of a mask: a drive may lack the object."""
 NOT_ASKED = -1
 DRIVES = np.dtype(
     [
         ("nodes", "<i8", (LEGS,)),
-        ("controller", "<i8"),  # its node
-        ("velocity", "<i8"),  # 1: it comes in TPDO2
-        ("buses", "<i8"),  # how many; frames of others are not ours
+        ("controller", "<i8"),  # its node number
+        ("velocity", "<i8"),  # 1: TPDO2 carries the velocity
+        ("buses", "<i8"),  # number of buses; frames of others are ignored
         ("bus_of", "<i8", (LEGS,)),
         ("beat", "<i8"),  # ticks from one heartbeat of ours to the next
         ("lossless", "<i8"),
@@ -42,29 +43,29 @@ DRIVES = np.dtype(
         *FIELDS,
         # the start-up dialogue
         ("patience", "<i8"),  # ticks after which a request is repeated
-        ("steps", "<i8", (LEGS,)),  # of each plan
+        ("steps", "<i8", (LEGS,)),  # number of steps of each plan
         ("requests", "<i8", (LEGS, MOST_STEPS)),  # data of an SDO request; of NMT the command and the node
-        ("values", "<i8", (LEGS, MOST_STEPS)),  # that are written or expected
-        ("masks", "<i8", (LEGS, MOST_STEPS)),  # bits of it that are compared, and OPTIONAL
-        ("at", "<i8", (LEGS,)),  # step of its plan that a drive is at
-        ("asked", "<i8", (LEGS,)),  # tick of the request that is not answered
-        ("tries", "<i8", (LEGS,)),  # how often that has been sent
-        ("refused", "<i8", (LEGS,)),  # step, from 1 on, that a drive has refused or reads otherwise; 0: none
-        ("abort", "<i8", (LEGS,)),  # its abort code; 0: it reads otherwise
-        ("read", "<i8", (LEGS,)),  # and what
-        # what a tick needs of those before
+        ("values", "<i8", (LEGS, MOST_STEPS)),  # written or expected
+        ("masks", "<i8", (LEGS, MOST_STEPS)),  # bits that are compared, and OPTIONAL
+        ("at", "<i8", (LEGS,)),  # present step of a drive's plan
+        ("asked", "<i8", (LEGS,)),  # tick of the unanswered request
+        ("tries", "<i8", (LEGS,)),  # number of times that it was sent
+        ("refused", "<i8", (LEGS,)),  # step, from 1 on, that was refused or has another value; 0: none
+        ("abort", "<i8", (LEGS,)),  # its abort code; 0: it has another value
+        ("read", "<i8", (LEGS,)),  # that value
+        # state from earlier ticks
         ("states", "<i8", (LEGS,)),
-        ("mode", "<i8"),  # commanded last
-        ("stopped", "<i8"),  # bit i: drive i has been stopped quickly, and no RESET since
-        ("resets", "<i8"),  # bit i: drive i could not hear a RESET, and gets one when it is set up
+        ("mode", "<i8"),  # of the last command
+        ("stopped", "<i8"),  # bit i: drive i has had a quick stop, and no RESET since
+        ("resets", "<i8"),  # bit i: drive i has missed a RESET, and gets one when it is set up
         ("rate", "<f8", (LEGS,)),
-        ("owed", "<i8", (2 * LEGS,)),  # TPDO1, then TPDO2 of each drive to earlier SYNCs, that have not come
-        ("missed", "<i8", (LEGS,)),  # last tick in which a drive was not heard
+        ("owed", "<i8", (2 * LEGS,)),  # TPDO1, then TPDO2 of each drive: missing answers to earlier SYNCs
+        ("missed", "<i8", (LEGS,)),  # last tick without an answer of a drive
         # the step from one length of a leg to the next
         ("mean", "<f8", (LEGS,)),  # rate, m/s
-        ("T", "<f8", (LEGS,)),  # s, between the two; 0: there is one length only
-        ("latched_ns", "<i8", (LEGS,)),  # when the last one was latched, by the clock
-        ("length", "<f8", (LEGS,)),  # that one, m
+        ("T", "<f8", (LEGS,)),  # s, between the two lengths; 0: there is only one
+        ("latched_ns", "<i8", (LEGS,)),  # ns, time at which the last length was latched
+        ("length", "<f8", (LEGS,)),  # m, of the last one
         ("has_length", "<i8", (LEGS,)),
         # scratch: TPDO1, then TPDO2 of a tick, their bytes as one number
         ("held", "<i8", (2 * LEGS,)),
@@ -72,7 +73,7 @@ DRIVES = np.dtype(
         ("late", "<i8", (2 * LEGS,)),
     ]
 )
-"""The controller's end of six drives."""
+"""Record of the controller's end of six drives."""
 _PLACE_BYTES, _SPEED_BYTES, _EMERGENCY_BYTES, _SDO_BYTES = 8, 4, 8, 8
 _DRIVES = record(DRIVES)
 _TICK = record(TICK, "tick", "t_ns", "lateness_ns", "latch_ns", *part("measurement"))
@@ -87,13 +88,13 @@ _TPDO1, _TPDO2, _RPDO = o.TPDO_ID[0], o.TPDO_ID[1], o.RPDO_ID[0]
 
 @helper
 def difference(c: Any, leg: int, length: float, latched_ns: int, rate: float) -> float:
-    """Return the rate, m/s, at the end of a step from the last two mean rates; keep what the next one needs.
+    """Rate, m/s, at the end of a step, from the last two mean rates; stores the values for the next step.
 
     dq = d1 + (d1 - d0) T1 / (T1 + T0), the slope at the end of the parabola through the last three lengths:
-    the mean rate d1 of the step alone is that of T1 / 2 ago. T from SYNC to SYNC as the bus carried them: at
-    400 Hz one that is 25 us late moves a leg by 1 % of its step. A step shorter than SHORTEST periods leaves
-    the rate as it was read last, m/s, and is part of the next one; after OLDEST periods the rate begins at 0.
-    length: m; latched_ns: when it was.
+    the mean rate d1 of the step alone is that of T1 / 2 ago. T is the time from SYNC to SYNC as the bus
+    carried them: at 400 Hz a SYNC that is 25 us late moves a leg by 1 % of its step. A step shorter than
+    SHORTEST periods leaves the last rate, m/s, unchanged and becomes part of the next step; after OLDEST
+    periods the rate starts at 0. length: m; latched_ns: time of its latching.
     """
     T1 = 1e-9 * (latched_ns - c.latched_ns[leg])
     goes_on = c.has_length[leg] != 0 and OLDEST * c.period_s >= T1
@@ -110,7 +111,7 @@ def difference(c: Any, leg: int, length: float, latched_ns: int, rate: float) ->
 
 @helper
 def _take(c: Any, slot: int, leg: int, data: int, late: bool, tick: Any) -> None:
-    """Keep a TPDO, as one number, if it is newer than what is there and its drive owes it."""
+    """Keep a TPDO, as one number, if it is newer than the one held and its drive owes it."""
     if late and tick.age[leg] <= 1:
         return
     if not c.has[slot] or c.held[slot] != data:
@@ -123,7 +124,7 @@ def _take(c: Any, slot: int, leg: int, data: int, late: bool, tick: Any) -> None
 
 @helper
 def _move(c: Any, leg: int, at: int) -> None:
-    """Let a drive be at a step of its plan that it has not been asked yet."""
+    """Move a drive to a step of its plan that has not been requested yet."""
     c.at[leg], c.asked[leg], c.tries[leg] = at, NOT_ASKED, 0
     if at == c.steps[leg]:
         c.refused[leg] = 0
@@ -131,9 +132,9 @@ def _move(c: Any, leg: int, at: int) -> None:
 
 @helper
 def _answered(c: Any, leg: int, data: Any, tick: Any) -> bool:
-    """Take an SDO answer; tell whether it is one.
+    """Take an SDO answer; True if it is one.
 
-    After a refusal the plan begins again, but not before the patience is over: it would be refused at once.
+    After a refusal the plan starts again, but only after the patience: at once it would be refused again.
     """
     specifier, key, value = int(data[0]), whole(data, 1, 3), whole(data, 4)
     aborts, wrote, reads = specifier == 0x80, specifier >> 5 == 3, specifier >> 5 == 2 and specifier & 2 != 0
@@ -165,7 +166,7 @@ def _answered(c: Any, leg: int, data: Any, tick: Any) -> bool:
 
 @helper
 def _beat(c: Any, leg: int, state: int, tick: Any) -> bool:
-    """Take a heartbeat; tell whether it can be believed. A drive that boots or halts is set up again."""
+    """Take a heartbeat; True if it is valid. A drive that boots or halts is set up again."""
     if state not in (o.BOOTS, o.STOPPED, o.OPERATES, o.PREPARES):
         return False
     if state == o.BOOTS or (state != o.OPERATES and c.at[leg] == c.steps[leg]):
@@ -179,7 +180,7 @@ def _beat(c: Any, leg: int, state: int, tick: Any) -> bool:
 
 @helper
 def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> bool:
-    """Take a frame that has the number of a drive; tell whether it can be believed."""
+    """Take a frame with the node number of a drive; True if it is valid."""
     data, size = frame.data, int(frame.length)
     late = frame.t_ns < since_ns + tick.latch_ns[leg]
     if base == _TPDO1:
@@ -207,7 +208,7 @@ def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> 
 
 @helper
 def _foreign(c: Any, identifier: int) -> int:
-    """Return which frame of a controller has an identifier without the number of a drive."""
+    """Kind of a controller's frame whose identifier has no node number of a drive; 0: none."""
     if identifier == o.SYNC_ID:
         return Foreign.SYNC.value
     if identifier == o.NMT_ID:
@@ -217,7 +218,7 @@ def _foreign(c: Any, identifier: int) -> int:
 
 @helper
 def _begin(c: Any, last: Any, tick: Any) -> None:
-    """Begin with what each drive owes, that for this tick's SYNC included."""
+    """Start a tick: each drive owes an answer to its SYNC, and may owe earlier ones."""
     begin_measurement(last, tick)
     for leg in range(LEGS):
         if last.age[leg]:
@@ -263,16 +264,16 @@ def _set_up(c: Any) -> int:
 
 @pointed(_DRIVES, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick from that of the last one and the frames since.
+    """Fill the measurement of a tick from that of the last tick and the frames since.
 
-    frames: address of `count` elements of FRAME; since_ns: when the loop woke up. A TPDO that came after this
-    tick's SYNC had ended answers it; an earlier one answers the last one, and counts with age 1 if nothing
-    newer is held. Refused, and counted in `rejected`: a wrong length, an unknown statusword or NMT state, an
-    SDO frame that is not an expedited answer. A second TPDO of a tick with other data makes the node
-    `doubled`, and the first one counts; unless the drive owes one to an earlier SYNC since it was missed
-    within the last STRAYING ticks: then the last one counts. A leg is as old as the older one of its two
-    TPDOs. Boot-up, and a drive that has left Operational, begin its set-up again. Returns 1 where other
-    drives are set up than before, else 0.
+    frames: address of `count` elements of FRAME; since_ns: wake-up time of the loop. A TPDO after the end of
+    this tick's SYNC answers it. An earlier one answers the last SYNC, and counts with age 1 if nothing newer
+    is held. Refused, and counted in `rejected`: a wrong length, an unknown statusword or NMT state, an SDO
+    frame that is not an expedited answer. A second TPDO of a tick with other data marks the node as
+    `doubled`, and the first one counts. If the drive was missed within the last STRAYING ticks and owes an
+    answer to an earlier SYNC, the last one counts instead. A leg is as old as the older of its two TPDOs.
+    Boot-up, and leaving Operational, restart a drive's set-up. Returns 1 if the set of configured drives has
+    changed, else 0.
     """
     _begin(c, last, tick)
     set_up = _set_up(c)
@@ -315,7 +316,7 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
 
 @helper
 def _permille(c: Any, leg: int, force: float) -> float:
-    """Return a force in whole thousandths of the rated torque."""
+    """Torque for a force, in whole permille of the rated torque."""
     if c.lossless:
         return float(np.rint(force * c.permille_per_N[leg]))
     loss = loss_of(force, c.rate[leg], c.driving[leg], c.back_driving[leg], c.full_loss_m_s)
@@ -324,9 +325,9 @@ def _permille(c: Any, leg: int, force: float) -> float:
 
 @pointed(_DRIVES, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int) -> int:
-    """Put six RPDO1, and our heartbeat where it is due, into elements of FRAME at an address.
+    """Write six RPDO1, and the controller's heartbeat if due, to elements of FRAME at an address.
 
-    force_at: address of (6,) N. Returns how many they are, or FAILED: a force does not fit.
+    force_at: address of (6,) N. Returns the number of frames, or FAILED if a force does not fit.
     """
     force = reals_at(force_at, LEGS)
     for leg in range(LEGS):

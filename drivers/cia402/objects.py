@@ -14,7 +14,7 @@ NMT_ID, SYNC_ID, EMCY_ID = 0x000, 0x080, 0x080
 TPDO_ID = 0x180, 0x280, 0x380, 0x480
 RPDO_ID = 0x200, 0x300, 0x400, 0x500
 SDO_REPLY_ID, SDO_REQUEST_ID, HEARTBEAT_ID = 0x580, 0x600, 0x700
-"""The predefined connection set; the node number is added, but for NMT and SYNC."""
+"""Predefined connection set; the node number is added, except for NMT and SYNC."""
 START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 """NMT commands."""
 BOOTS, STOPPED, OPERATES, PREPARES = 0, 4, 5, 127
@@ -119,34 +119,34 @@ ABORTS: dict[int, str] = {
 
 
 def place(key: Key) -> str:
-    """Return how an object is written, with its name where it has one here: `0x6060:0 mode of operation`."""
+    """Text for an object, with its name if it has one here: `0x6060:0 mode of operation`."""
     text = f"0x{key[0]:04X}:{key[1]}"
     return f"{text} {NAMES[key]}" if key in NAMES else text
 
 
 def head(specifier: int, key: Key) -> bytes:
-    """Return the first four bytes of an SDO frame."""
+    """First four bytes of an SDO frame."""
     return bytes((specifier, key[0] & 0xFF, key[0] >> 8, key[1]))
 
 
 def download(key: Key, value: int, size: int) -> bytes:
-    """Return the request that writes an object of 1, 2 or 4 bytes; a negative value as two's complement."""
+    """Request that writes an object of 1, 2 or 4 bytes; a negative value as two's complement."""
     number = value & ((1 << 8 * size) - 1)
     return head(0x23 | 4 - size << 2, key) + number.to_bytes(4, "little")
 
 
 def upload(key: Key) -> bytes:
-    """Return the request that reads an object."""
+    """Request that reads an object."""
     return head(UPLOAD, key) + bytes(4)
 
 
 def abort(key: Key, code: int) -> bytes:
-    """Return the frame that ends a transfer."""
+    """Frame that aborts a transfer."""
     return head(0x80, key) + code.to_bytes(4, "little")
 
 
 def read_value(data: bytes) -> tuple[Key, int] | None:
-    """Return the object, and its value as an unsigned number, of a transfer that read it; else None."""
+    """Object and its unsigned value in an SDO answer to a read; None for any other data."""
     specifier = data[0] if len(data) == 8 else 0
     if specifier >> 5 != 2 or not specifier & 2:
         return None
@@ -155,7 +155,7 @@ def read_value(data: bytes) -> tuple[Key, int] | None:
 
 
 def mapped(key: Key, bits: int) -> int:
-    """Return the entry of a PDO mapping."""
+    """Entry of a PDO mapping."""
     return key[0] << 16 | key[1] << 8 | bits
 
 
@@ -168,10 +168,10 @@ _MAPPED: tuple[Key, ...] = (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TO
 
 
 def check_eds(path: str, *, velocity: bool) -> None:
-    """Read a data sheet. velocity: whether 0x606C has to fit into a second TPDO.
+    """Check a drive's data sheet. velocity: True if 0x606C has to fit into a second TPDO.
 
-    Raises ConfigurationError if the package canopen is not there, if the sheet cannot be read, and with all
-    that the drive lacks.
+    Raises ConfigurationError if the package canopen is missing, if the sheet cannot be read, and with all
+    objects that the drive lacks.
     """
     try:
         import canopen  # noqa: PLC0415 - an extra
@@ -189,7 +189,7 @@ def check_eds(path: str, *, velocity: bool) -> None:
     lacks = _lacks(found, velocity=velocity)
     if lacks:
         raise ConfigurationError(
-            f"drives.options.eds: by {path} the drive lacks what cia402 needs: {'; '.join(lacks)}"
+            f"drives.options.eds: according to {path} the drive lacks objects: {'; '.join(lacks)}"
         )
 
 
@@ -200,7 +200,7 @@ def _lacks(found: Any, *, velocity: bool) -> list[str]:
     for key in (*_READ, *_WRITTEN, *second, *mapped):
         variable = found.get_variable(*key)
         if variable is None:
-            lacks.append(f"{place(key)} is not there")
+            lacks.append(f"{place(key)} is missing")
         elif key in (*_WRITTEN, *second) and not variable.writable:
             lacks.append(f"{place(key)} cannot be written")
         elif key in mapped and not variable.pdo_mappable:

@@ -1,9 +1,9 @@
 """CiA 402 drives over CANopen as a `Family`: cyclic synchronous torque by SYNC and PDO.
 
-A tick: SYNC without counter; each drive answers with TPDO1 (statusword, position, torque), where asked for
-with TPDO2 (velocity) too; each gets RPDO1 (controlword, target torque), which acts at once; every few ticks
-our heartbeat follows. A TPDO carries no counter: it answers the SYNC after which it arrived. Which drive a
-frame concerns the predefined connection set says by the node number. No clock.
+In a tick SYNC is sent, without counter. Each drive answers with TPDO1 (statusword, position, torque) and, if
+configured, TPDO2 (velocity). Each gets RPDO1 (controlword, target torque), which acts at once; every few
+ticks the controller's heartbeat follows. A TPDO has no counter: it answers the SYNC after which it arrived.
+The node number in an identifier gives the drive, by the predefined connection set. No clock.
 """
 
 import struct
@@ -12,8 +12,18 @@ from functools import cached_property
 import numpy as np
 
 from drivers.arrays import Rows
-from drivers.cia402 import end, kernels
+from drivers.cia402 import kernels
 from drivers.cia402 import objects as o
+from drivers.cia402.controller_end import (
+    FAULT_REACTIONS,
+    MOST_REQUESTS,
+    Cia402End,
+    Step,
+    addressed,
+    fresh,
+    max_torque,
+    plan,
+)
 from drivers.cia402.kernels import FROM_DRIVES
 from drivers.cia402.states import STOP_QUICKLY, meaning
 from drivers.config import BusSettings, DriveSettings
@@ -27,25 +37,25 @@ _NODE = 0x7F
 _IDENTITY = {o.SERIAL: SERIAL, o.REVISION: REVISION}
 _ALLOWED = ("rated_torque_Nm", "velocity", "controller_node", "check_encoder", "eds")
 _MOST_Nm = 4_294_967.0
-"""What 0x6076 can say."""
+"""Largest value of 0x6076, N m."""
 
 
 _BRAKES = (
-    "drives.protocol cia402: the drives keep their own brakes, open in Operation Enabled alone, and give no "
-    "force while these are closed: the brake tests prove that the brakes carry the platform, but a brake "
-    "that slips is not backed by a force (modes LOADING, UNLOADING and HELD); set the drives' own delays "
+    "drives.protocol cia402: the drives operate their own brakes, open only in Operation Enabled, and give "
+    "no force while these are closed: the brake tests prove that the brakes carry the platform, but no "
+    "force holds a leg whose brake slips (modes LOADING, UNLOADING and HELD); set the drives' own delays "
     "between torque and brake"
 )
 _DIFFERENCE = (
-    "drives.options.velocity difference: leg rates are differences of lengths, with the noise of the encoder "
-    "times the rate of the loop"
+    "drives.options.velocity difference: leg rates are differences of lengths; their noise is that of the "
+    "encoder times the rate of the loop"
 )
 
 
 class Cia402Protocol(Family):
     """Six CiA 402 drives. Holds tables only."""
 
-    fresh_by, addressed_by = end.fresh, end.addressed
+    fresh_by, addressed_by = fresh, addressed
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
         options = Options(bus, drives, "cia402", "classic", _ALLOWED)
@@ -62,7 +72,7 @@ class Cia402Protocol(Family):
         self._increments = [round(count) if check_encoder else 0 for count in transmission.counts.tolist()]
         self.rated_torque_mNm = round(1e3 * rated_Nm)
         force_N = drives.force_limit_N / float(transmission.driving.min())
-        self.max_torque_permille = end.max_torque(force_N, N_per_permille)
+        self.max_torque_permille = max_torque(force_N, N_per_permille)
         self.heartbeat_ms = min(max(round(drives.heartbeat_ms), 1), 0xFFFF)
         self.tables: Rows = np.zeros((), kernels.DRIVES)
         c = self.tables
@@ -78,11 +88,11 @@ class Cia402Protocol(Family):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of such drives.
+        """Properties of such drives.
 
-        The heartbeats, of which no tick needs one, are left to the free part of the bus, as are SDO and EMCY.
-        A rate of TPDO2 is a count off. An emergency stop is a quick stop: its option code 2 ends in Switch On
-        Disabled, brake shut.
+        No tick needs heartbeats, SDO or EMCY: they use the free part of the bus. A rate of TPDO2 is off by
+        one count. An emergency stop is a quick stop: its option code 2 ends in Switch On Disabled, brake
+        closed.
         """
         t, sizes = self.transmission, zip(o.TPDO_ID, (8, 4) if self.velocity else (8,), strict=False)
         count = t.m_per_turn / t.counts
@@ -98,9 +108,9 @@ class Cia402Protocol(Family):
             emergency_stop=self._to_each(o.RPDO_ID[0], _RPDO.pack(STOP_QUICKLY, 0)),
             feedback_ids=frozenset(self.wanted),
             identity_requests=tuple(self._to_each(o.SDO_REQUEST_ID, o.upload(key)) for key in _IDENTITY),
-            set_up_frames=end.MOST_REQUESTS,
+            set_up_frames=MOST_REQUESTS,
             reset_ticks=6,
-            reactions=tuple(end.FAULT_REACTIONS),
+            reactions=tuple(FAULT_REACTIONS),
             dangers=(_BRAKES,) if self.velocity else (_BRAKES, _DIFFERENCE),
             stop_latches=True,
             latches_together=True,
@@ -108,31 +118,31 @@ class Cia402Protocol(Family):
         )
 
     def fault_text(self, code: int) -> str:
-        """Return what the code of an EMCY means, with the code as the documents write it."""
+        """Meaning of an EMCY code, with the code as the documents write it."""
         return f"EMCY 0x{code:04X}, {meaning(code)}"
 
     # controller's end
 
-    def plans(self, setup: DriveSetup) -> tuple[tuple[end.Step, ...], ...]:
-        """Return the steps of each drive's start-up dialogue.
+    def plans(self, setup: DriveSetup) -> tuple[tuple[Step, ...], ...]:
+        """Steps of each drive's start-up dialogue.
 
         Raises ProtocolError if the watchdog does not fit or is too short for the rate, and for a reaction
         that such drives do not have.
         """
         own = zip(self.nodes, self._increments, strict=True)
-        return tuple(end.plan(node, setup, self, increments) for node, increments in own)
+        return tuple(plan(node, setup, self, increments) for node, increments in own)
 
-    def controller_end(self, setup: DriveSetup) -> end.Cia402End:
-        """Return the controller's end, compiled; see `plans`."""
-        return end.Cia402End(self, setup, self.plans(setup))
+    def controller_end(self, setup: DriveSetup) -> Cia402End:
+        """The controller's end, compiled; see `plans`."""
+        return Cia402End(self, setup, self.plans(setup))
 
-    # which drive a frame concerns
+    # the drive of a frame
 
     def _to_each(self, base: int, data: bytes) -> tuple[Frame, ...]:
         return self.to_each(Frame(base + node, data) for node in self.nodes)
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Return what an SDO answer says of the identity object; an abort says nothing."""
+        """Serial number or revision in an SDO answer; None for any other frame, or an abort."""
         leg, read = self.senders.get(frame.id, -1), o.read_value(frame.data)
         if leg < 0 or frame.id & ~_NODE != o.SDO_REPLY_ID or frame.flags & STRANGE or read is None:
             return None

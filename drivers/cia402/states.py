@@ -1,9 +1,9 @@
-"""The state machine of CiA 402, in the words of the contract, and the error codes of EMCY messages.
+"""The state machine of CiA 402, mapped to DriveMode and DriveState, and the error codes of EMCY messages.
 
 Statusword and transitions: IEC 61800-7-201, tables of the finite state automaton. The brake is the drive's:
-it is open in Operation Enabled and Quick Stop Active alone. Codes: CiA 301, table 26; of drives: CiA 402-2
-(IEC 61800-7-201), table of error codes. The first two digits name the class, by which a code without a row is
-explained.
+it is open in Operation Enabled and Quick Stop Active only. Codes: CiA 301, table 26; of drives: CiA 402-2
+(IEC 61800-7-201), table of error codes. The first two digits give the class, which explains a code without a
+row.
 """
 
 from enum import IntEnum
@@ -30,7 +30,7 @@ class State(IntEnum):
 
 
 UNHEARD = -1
-"""State of a drive that has not been heard."""
+"""State of a drive that has not reported yet."""
 _WORDS = {
     State.NOT_READY: (0x0200, 0x4F, DriveState.BOOT),
     State.DISABLED: (0x0250, 0x4F, DriveState.OFF),
@@ -41,11 +41,11 @@ _WORDS = {
     State.FAULT_REACTION: (0x021F, 0x4F, DriveState.FAULT),
     State.FAULT: (0x0218, 0x4F, DriveState.FAULT),
 }
-"""Statusword of the emulated drives (remote, voltage enabled, quick stop as the state has it), the bits of it
-that are the state, and the contract's state. Switched On gives no force: it acts in Operation Enabled."""
+"""Statusword of the emulated drives (remote, voltage enabled, quick stop as in the state), mask of its state
+bits, and DriveState. Switched On gives no force: force acts in Operation Enabled."""
 STATUSWORDS = {state: word for state, (word, _, _) in _WORDS.items()}
 DRIVE_STATE = tuple(known for _, _, known in _WORDS.values())
-"""The contract's state, by State."""
+"""DriveState by State."""
 
 
 def _state(low: int) -> int:
@@ -54,7 +54,7 @@ def _state(low: int) -> int:
 
 
 STATE_OF = tuple(map(_state, range(128)))
-"""State of the low seven bits of a statusword; UNHEARD for bits that no state has."""
+"""State of the low seven bits of a statusword; UNHEARD for invalid bits."""
 
 DISABLE_VOLTAGE, STOP_QUICKLY, SHUTDOWN, SWITCH_ON, ENABLE, RESET_FAULT = 0x00, 0x02, 0x06, 0x07, 0x0F, 0x80
 """Controlwords."""
@@ -67,11 +67,11 @@ NOT_READY, DISABLED, READY_TO_SWITCH_ON, SWITCHED_ON, ENABLED, QUICK_STOP, FAULT
 
 @helper
 def controlword(mode: int, state: int, edge: bool, stopped: bool) -> int:
-    """Return the controlword that brings a drive from its state a step towards a mode.
+    """Controlword that brings a drive from its state one step towards a mode.
 
-    edge: whether this tick's RESET has bit 7; a fault is cleared at its rising edge. stopped: the drive has
-    been stopped quickly, and is enabled by a RESET alone. Only a drive that reports Switched On is enabled.
-    An OFF goes through Ready to Switch On, because Disable Voltage would end a quick stop.
+    edge: True if this tick's RESET has bit 7; a fault is cleared at its rising edge. stopped: the drive has
+    had a quick stop, and only a RESET enables it. Only a drive that reports Switched On is enabled. OFF goes
+    through Ready to Switch On, because Disable Voltage would end a quick stop.
     """
     powered = state in (SWITCHED_ON, ENABLED)
     if mode == _RESET:
@@ -87,9 +87,9 @@ def controlword(mode: int, state: int, edge: bool, stopped: bool) -> int:
 
 @helper
 def commanded(word: int, state: int, rises: bool) -> int:
-    """Return the state to which a controlword brings a drive.
+    """State to which a controlword brings a drive.
 
-    rises: bit 7 was 0 before. Transitions 2 to 12, 15 and 3 with 4; 16 is that of other quick stop options.
+    rises: bit 7 was 0 before. Transitions 2 to 12, 15 and 3 with 4; 16 belongs to other quick stop options.
     """
     if state == IN_FAULT:
         return DISABLED if rises and word & RESET_FAULT else state
@@ -115,7 +115,7 @@ CODES = {
     DriveFault.SENSOR: 0x7305,
     DriveFault.STROKE: 0x8612,
 }
-"""What an emulated drive sends for its fault."""
+"""EMCY code of an emulated drive for its fault."""
 _MEANINGS = {
     0x2310: "continuous over current",
     0x2320: "short circuit or earth leakage",
@@ -132,7 +132,7 @@ _MEANINGS = {
     0x7380: "position sensor",
     0x8110: "CAN overrun, objects lost",
     0x8120: "CAN in error passive mode",
-    HEARTBEAT_LOST: "life guard or heartbeat error: the controller's heartbeat was not heard",
+    HEARTBEAT_LOST: "life guard or heartbeat error: the drive missed the controller's heartbeat",
     0x8140: "recovered from bus off",
     0x8150: "CAN-ID collision",
     0x8210: "PDO not processed because of its length",
@@ -182,6 +182,6 @@ _CLASSES = {
 
 
 def meaning(code: int) -> str:
-    """Return the meaning of an error code: its own, else that of its class."""
+    """Meaning of an error code: its own, else that of its class."""
     fitting = _CLASSES.get(code >> 8) or _CLASSES.get(code >> 8 & 0xF0, "unknown")
     return _MEANINGS.get(code, fitting)

@@ -1,1 +1,1 @@
-"""Compiling kernels with Numba, once per source, into a cache of the user's own."""
+"""Compilation of kernels with Numba, once per source, into a private cache."""

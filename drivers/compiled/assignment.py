@@ -1,7 +1,7 @@
-"""Assignments to slices and rows inside kernels, as the move of memory or the loop that they are.
+"""Assignments to slices and rows inside kernels, compiled to a memory move or a loop.
 
-Numba's own code copies what may overlap and puts the shapes into the message of its error: some hundred
-instructions in each kernel. What is left, and what others compile, is Numba's.
+Numba's own code copies arrays that may overlap and puts the shapes into its error message: some hundred
+instructions in each kernel. Other assignments, and those of other packages, remain Numba's.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
-"""Which file a compiled kernel is kept in: its folder has the hash of all sources that the kernel may use.
+"""Cache file of a compiled kernel: its folder has the hash of all sources that the kernel may use.
 
-These are the sources of its room and of the rooms below; of a module outside the project those of its package
-and of all rooms. Where they lie does not count: a second clone or an installed wheel finds what is compiled.
+These are the sources of its room and of the rooms below; for a module outside the project those of its
+package and of all rooms. Their location does not count: a second clone or an installed wheel finds the
+compiled kernels.
 """
 
 from __future__ import annotations
@@ -41,13 +42,14 @@ ROOMS = {
     "hil.loop": ("hil.control", "hil.estimation", "hil.safety", "hil.record"),
     "hil.app": ("hil.loop", "plant_fmu"),
 }
-"""Rooms with kernels, and those next below that their kernels use; a room inside another comes behind it."""
+"""Rooms with kernels, and the rooms next below that their kernels use; a room inside another comes after it.
+"""
 _PLACES = {
     room: (f"{_ROOT / room.replace('.', '/')}/", f"{_ROOT / room.replace('.', '/')}.py") for room in ROOMS
 }
 _SOURCES = {".py", ".dbc", ".eds"}
 _EARLIER_NS = 50_000_000
-"""By which a source may be read before this package is imported, or the stamp of a file be late."""
+"""Tolerance: a source may be read before this package is imported, and a file's time stamp may be late."""
 
 
 def _room_of(file: Path) -> str | None:
@@ -56,7 +58,7 @@ def _room_of(file: Path) -> str | None:
 
 @functools.cache
 def files_of(room: str) -> frozenset[Path]:
-    """Return the sources of a room and of those below."""
+    """Sources of a room and of the rooms below."""
     path = _ROOT / room.replace(".", "/")
     own = [each for each in [*path.rglob("*"), path.with_suffix(".py")] if _room_of(each) == room]
     return frozenset(filter(_is_source, own)).union(*map(files_of, ROOMS[room]))
@@ -68,7 +70,7 @@ def _is_source(file: Path) -> bool:
 
 @functools.cache
 def _sources_of(file: Path) -> frozenset[Path]:
-    """Return the sources that decide what the kernels of a file compile to."""
+    """Sources that decide the machine code of a file's kernels."""
     room = _room_of(file)
     if room:
         return files_of(room)
@@ -86,7 +88,7 @@ def _content(file: Path) -> bytes:
 
 @functools.cache
 def _folder_of(file: Path) -> Path | None:
-    """Return the folder of the kernels of a file; None where this process may have read another source."""
+    """Folder of the kernels of a file; None if this process may have read another source."""
     digest = hashlib.sha256(sys.version.encode())
     for each in sorted(_sources_of(file)):
         digest.update(_content(each))
@@ -94,17 +96,17 @@ def _folder_of(file: Path) -> Path | None:
 
 
 def is_as_read(file: Path) -> bool:
-    """Tell whether no source of a file's kernels was saved since this process began to read them.
+    """True if no source of a file's kernels was saved since this process began to read them.
 
-    Else machine code of the old source could be kept under the hash of the new one. A stamp of the future
-    tells nothing: the clock was set back.
+    Otherwise machine code of the old source could be stored under the hash of the new one. A time stamp in
+    the future is ignored: the clock was set back.
     """
     began_ns, now_ns = BEGAN_NS - _EARLIER_NS, time.time_ns()
     return not any(began_ns <= each.stat().st_ctime_ns <= now_ns for each in _sources_of(file))
 
 
 def place_of(function: Callable[..., Any], kind: str) -> Path | None:
-    """Return where a kernel is kept that is compiled for `kind`; None: nowhere."""
+    """Cache file of a kernel that is compiled for `kind`; None: it is not cached."""
     file = source_of(function)
     folder = _folder_of(file)
     if folder is None or function.__closure__:
@@ -114,9 +116,9 @@ def place_of(function: Callable[..., Any], kind: str) -> Path | None:
 
 
 def source_of(function: Callable[..., Any]) -> Path:
-    """Return the file of a function."""
+    """Source file of a function."""
     return Path(function.__code__.co_filename).resolve()
 
 
 def progress(compiling: bool) -> None:
-    """Take note that a kernel is about to be compiled, or was; who shows that replaces this function."""
+    """Note that a kernel is about to be compiled, or was; a program that shows this replaces the function."""

@@ -1,4 +1,4 @@
-"""How kernels are compiled: by Numba, at import, for one set of argument types; and these types."""
+"""Compilation of kernels: by Numba, at import, for one set of argument types; and these types."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from drivers.compiled.library import Kept, Library
 _extending: Any = extending
 F = TypeVar("F", bound=Callable[..., Any])
 _dispatchers: list[Any] = []
-"""Of kernels that are called by their entry; Numba keeps weak references alone."""
+"""Dispatchers of kernels that are called by their entry; Numba keeps only weak references."""
 
 
 def _no_blas() -> None:
     raise ImportError("kernels use no BLAS")
 
 
-# there Numba imports SciPy's BLAS, for 0.1 to 0.3 s of each start
+# this module imports SciPy's BLAS, which takes 0.1 to 0.3 s of each start
 _ensure_blas, linalg.ensure_blas = linalg.ensure_blas, _no_blas
 import_module("numba.np.arraymath")
 linalg.ensure_blas = _ensure_blas
@@ -43,13 +43,13 @@ OUT_MATRIX = types.Array(types.float64, 2, "C")
 INTEGERS = types.Array(types.int64, 1, "C", readonly=True)
 OUT_INTEGERS = types.Array(types.int64, 1, "C")
 WORDS = types.Array(types.int64, 1, "A", readonly=True, aligned=False)
-"""Argument: integers at any distance, at any address."""
+"""Argument: integers at any stride, at any address."""
 MATRIX_OF_INTEGERS = types.Array(types.int64, 2, "C", readonly=True)
 OUT_FLAGS = types.Array(types.boolean, 1, "C")
 OUT_INTEGER_MATRIX = types.Array(types.int64, 2, "C")
 """OUT_...: arguments that the kernel fills."""
 DATA = types.Bytes(types.uint8, 1, "C", readonly=True)
-"""Argument: `bytes`, as a frame has them."""
+"""Argument: `bytes`, such as the data of a frame."""
 POINTER = types.CPointer(types.int64)  # type: ignore[no-untyped-call]
 BYTE_POINTER = types.CPointer(types.uint8)  # type: ignore[no-untyped-call]
 """Arguments of a `pointed` function: any array, as int64 or bytes."""
@@ -61,13 +61,13 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_
 
 
 class RecordArgument(types.Record):
-    """An element of a structured dtype as argument: its address. The caller holds its array."""
+    """Argument: an element of a structured dtype, passed by address. The caller keeps its array."""
 
 
 def record(dtype: np.dtype[np.void], *names: str) -> Any:
-    """Argument: one element of a structured dtype, which may be written; the kernel sees the columns named.
+    """Argument: one element of a structured dtype, writeable; the kernel sees only the named columns.
 
-    Without names it sees all. From Python it is an array of no dimensions; only its size is looked at.
+    Without names it sees all. From Python it is an array of no dimension; only its size is checked.
     """
     seen: Any = from_dtype(dtype[list(names or dtype.names or ())])
     fields = [(name, field._asdict()) for name, field in seen.fields.items()]
@@ -89,19 +89,20 @@ def _unbox(kind: Any, given: Any, c: Any) -> Any:
 
 _extending.register_model(RecordArgument)(_extending.models.RecordModel)
 _extending.unbox(RecordArgument)(_unbox)
-# a column is handed on to a kernel that takes any array: its owner needs no counting
+# a column may be passed to a kernel that takes any array, without reference counting
 _extending.lower_cast(types.NestedArray, types.Array)(lambda _context, _builder, _given, _taken, view: view)
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Hold Ctrl-C and the end of a time budget back to the end: half a kernel would crash the process.
+    """Delay Ctrl-C and the end of a time budget to the end: half a kernel would crash the process.
 
-    A mask would not do: the kernel gives a press to any thread that does not block it.
+    A signal mask would not help: the operating system delivers the signal to any thread that does not block
+    it.
     """
     held: list[int] = []
     handlers: dict[int, Any] = {}
-    with suppress(ValueError):  # not the main thread, in which alone handlers run
+    with suppress(ValueError):  # not the main thread, the only one that runs handlers
         for number in (signal.SIGINT, signal.SIGALRM):
             if callable(signal.getsignal(number)):
                 handlers[number] = signal.signal(number, lambda given, _: held.append(given))
@@ -115,11 +116,11 @@ def undisturbed() -> Iterator[None]:
 
 
 def compiled(made: Any, function: Callable[..., Any], *signature: Any) -> Kept:
-    """Compile what Numba makes of a function, or load it from the cache."""
-    made._cache = kept = Kept(function)  # noqa: SLF001 - Numba's own looks at the function's file alone
+    """Compile a function through Numba, or load it from the cache."""
+    made._cache = kept = Kept(function)  # noqa: SLF001 - Numba's own checks only the function's file
     codegen: Any = cpu_target.target_context.codegen()
     with undisturbed():
-        codegen._library_class = Library  # noqa: SLF001 - over that of its class: what others compile is Numba's
+        codegen._library_class = Library  # noqa: SLF001 - overrides that of its class: code of other packages stays Numba's
         try:
             made.compile(*signature)
         finally:
@@ -130,9 +131,9 @@ def compiled(made: Any, function: Callable[..., Any], *signature: Any) -> Kept:
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
     """Compile for exactly these argument types when the module is imported; others are refused.
 
-    Nothing can then be compiled inside the loop, whatever it is called with. `unlocked` lets other threads of
-    the interpreter run meanwhile. A kernel of records returns numbers only; Numba then looks at the size of
-    the elements of its arrays alone: the caller answers for their type, order and dimensions.
+    So no call can compile anything inside the loop. `unlocked` lets other threads of the interpreter run
+    meanwhile. A kernel of records returns numbers only; Numba then checks only the size of its arrays'
+    elements: the caller is responsible for their type, order and dimensions.
     """
 
     def decorate(function: F) -> F:
@@ -146,7 +147,7 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
             return cast("F", made)
         _dispatchers.append(made)
         (only,) = made.overloads.values()
-        # Numba's dispatcher would look the type of a record up at each call, for 40 us
+        # Numba's dispatcher would look up the type of a record at each call, which takes 40 us
         cpu_target.typing_context.insert_global(only.entry_point, types.Dispatcher(made))
         return cast("F", only.entry_point)
 
@@ -154,5 +155,5 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 
 def helper(function: F) -> F:
-    """Compile as a part of the kernels that call it; elsewhere it is the function as it is written."""
+    """Compile as part of the kernels that call it; elsewhere it remains the Python function."""
     return cast("F", _extending.register_jitable(**OPTIONS)(function))

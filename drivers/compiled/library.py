@@ -1,10 +1,10 @@
-"""How kernels are linked and kept: machine code, the names in it, and LLVM's bitcode set aside.
+"""Linking and caching of kernels: machine code, the names in it, and LLVM's bitcode apart.
 
-Numba optimises each helper by itself and makes machine code of it, which nobody calls, and optimises it once
-more in each of its callers. Here a helper is linked as it was lowered and optimised once, in the kernel.
+Numba optimises each helper alone, makes machine code of it, which nobody calls, and optimises it again in
+each of its callers. Here a helper is linked as it was lowered, and optimised once, in the kernel.
 
 Numba parses the bitcode of each kernel that it loads, for the names in it and for kernels that may inline it.
-Here the names are kept, and the bitcode is parsed when a kernel that calls this one is compiled.
+Here the names are stored, and the bitcode is parsed when a kernel that calls this one is compiled.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from numba.core.compiler import CompileResult
 from drivers.compiled import cache
 from drivers.files import made_folder, whole_file
 
-# ruff: noqa: SLF001 - Numba has no public way
+# ruff: noqa: SLF001 - Numba has no public interface for this
 
 _DIGEST = hashlib.sha256().digest_size
 _ENTRIES = "_ZN7cpython", "cfunc."
-"""How the names of functions begin that Python or C calls."""
+"""Prefixes of the names of functions that Python or C calls."""
 
 
 class Library(JITCodeLibrary):
-    """One kernel or helper. Mutable state: a kernel's bitcode, until it is parsed; what is linked to it."""
+    """One kernel or helper. Mutable state: a kernel's bitcode, until it is parsed; its linked libraries."""
 
     bitcode = b""
     _helps = False
     codegen = property(lambda library: library)
-    """Whose `set_env` Numba calls."""
+    """Object whose `set_env` Numba calls."""
 
     def finalize(self) -> None:
-        """Link it; of a helper, which has no entry from Python or C, that is all."""
+        """Link it; a helper, which has no entry from Python or C, needs no more."""
         if any(each.name.startswith(_ENTRIES) for each in self._final_module.functions):
             super().finalize()  # type: ignore[no-untyped-call]
             return
@@ -49,7 +49,7 @@ class Library(JITCodeLibrary):
         self._finalized = self._helps = True
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Give a kernel its environment, as Numba does; a helper has no machine code that could hold one."""
+        """Give a kernel its environment, as Numba does; a helper has no machine code to hold one."""
         if not self._helps:
             self._codegen.set_env(name, environment)  # type: ignore[attr-defined]
 
@@ -78,7 +78,7 @@ class Kept:
         self.code = b""
 
     def load_overload(self, signature: Any, target: Any) -> CompileResult | None:
-        """Load what was compiled; None where there is nothing, or it is damaged."""
+        """Load the compiled kernel; None if there is none, or it is damaged."""
         target.refresh()
         file = self._file(signature, target)
         try:
@@ -92,7 +92,7 @@ class Kept:
         return CompileResult._rebuild(target, library, *rest)  # type: ignore[no-untyped-call, no-any-return]
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Keep what was compiled, unless a source was saved meanwhile or it cannot be written."""
+        """Store the compiled kernel, unless a source was saved meanwhile or the file cannot be written."""
         names = [each.name for each in result.library.get_defined_functions()]
         (name, _, (self.code, bitcode)), *rest = result._reduce()
         file = self._file(signature, result.target_context)

@@ -1,8 +1,8 @@
-"""Kernels that others call by their address: what a record points to decides what runs.
+"""Kernels that are called by address: the pointer in a record decides which function runs.
 
-A law, a reference, a decoder is a C function and the record of what it works on. A compiled pass calls it by
-the two addresses, without knowing which one it is, in a few ns. A function in plain Python goes by the same
-door, through a callback (`of_python`), in 0.3 us and its own time.
+A law, a reference, a decoder is a C function and the record that it works on. A compiled pass calls it by the
+two addresses, without knowing which one it is, in a few ns. A function in plain Python is called in the same
+way, through a callback (`of_python`), in 0.3 us and its own time.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import OPTIONS, compiled, helper
 
 FAILED = -1
-"""Status of a function that could not do its work."""
+"""Status that a function returns when it fails."""
 _carray: Any = vars(numba)["carray"]
 _C_TYPES: dict[Any, Any] = {types.int64: ctypes.c_int64, types.float64: ctypes.c_double}
 
@@ -34,19 +34,19 @@ class Pointed:
 
     address: int
     machine_code: tuple[str, bytes]
-    """Its name, and the object file that it is in."""
+    """Name of the function, and the object file that contains it."""
     raw: Callable[..., int]
-    """The function, of numbers and addresses."""
+    """The function, with numbers and addresses as arguments."""
 
     def __call__(self, *arguments: Any) -> int:
-        """Return the status. A record or a pointer is given as an array; the caller answers for it."""
+        """Status of a call. A record or a pointer is passed as an array; the caller is responsible for it."""
         return self.raw(*[each.ctypes.data if isinstance(each, np.ndarray) else each for each in arguments])
 
 
 def pointed(*arguments: Any) -> Callable[[Callable[..., int]], Pointed]:
     """Compile a function of records (`compiler.record`), INTEGER and REAL that returns a status, an int.
 
-    Kept in the cache as `compiler.kernel`. A record is its address alone: nothing checks it.
+    Cached as by `compiler.kernel`. Only the address of a record is passed: nothing checks it.
     """
 
     def decorate(function: Callable[..., int]) -> Pointed:
@@ -60,7 +60,7 @@ def pointed(*arguments: Any) -> Callable[[Callable[..., int]], Pointed]:
 
 
 class Callee(NamedTuple):
-    """What a record holds of a function and of what it works on; `keeps` keeps both in memory."""
+    """Addresses of a function and of the record that it works on; `keeps` keeps both in memory."""
 
     address: int
     context: int
@@ -68,7 +68,7 @@ class Callee(NamedTuple):
 
 
 def context_of(dtype: np.dtype[np.void], **values: Any) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Return a record of a dtype with these values; an array that does not fit in goes by its address."""
+    """Record of a dtype with these values; an array for a scalar field is stored by its address."""
     context = np.zeros((), dtype)
     for name, value in values.items():
         by_address = isinstance(value, np.ndarray) and not dtype[name].shape
@@ -77,21 +77,21 @@ def context_of(dtype: np.dtype[np.void], **values: Any) -> np.ndarray[Any, np.dt
 
 
 def of_python(function: Callable[..., int], *kinds: Any) -> tuple[int, Any]:
-    """Return the address of a Python function of INTEGER and REAL, and what keeps it alive.
+    """Address of a Python function of INTEGER and REAL, and the object that keeps it alive.
 
-    The function must not raise: it returns FAILED instead, and keeps what it met.
+    The function must not raise: it returns FAILED instead, and keeps the error.
     """
     callback = ctypes.CFUNCTYPE(ctypes.c_int32, *(_C_TYPES[kind] for kind in kinds))(function)
     return ctypes.cast(callback, ctypes.c_void_p).value or 0, callback
 
 
 def data_at(array: np.ndarray[Any, Any]) -> int:
-    """Return the address of an array's data: its owner must live as long as the address is used."""
+    """Address of an array's data: its owner must live as long as the address is used."""
     return int(array.ctypes.data)
 
 
 def record_at(argument: Any) -> Any:
-    """Return what makes, inside a kernel, a record of a type (`compiler.record`) from its address."""
+    """Function that makes, inside a kernel, a record of a type (`compiler.record`) from its address."""
 
     def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
         return builder.inttoptr(values[0], context.get_value_type(argument))
@@ -107,11 +107,11 @@ def _address_of(_context: Any, record: Any) -> Any:
 
 
 address_of: Any = intrinsic(_address_of)
-"""address_of(record): inside a kernel, where it is."""
+"""address_of(record): inside a kernel, its address."""
 
 
 def records_at(argument: Any) -> Any:
-    """Return a function (address, shape) that gives a kernel the array of records or numbers there."""
+    """Function (address, shape) that gives a kernel the array of records or numbers at an address."""
     to_elements = record_at(types.CPointer(argument))  # type: ignore[no-untyped-call]
     return helper(lambda address, shape: _carray(to_elements(address), shape))
 
@@ -132,7 +132,7 @@ def _call(_context: Any, address: Any, arguments: Any) -> Any:
 
 
 call: Any = intrinsic(_call)
-"""call(address, arguments): inside a kernel, call the C function there with a tuple; it returns a C int.
+"""call(address, arguments): inside a kernel, call the C function at an address with a tuple; returns a C int.
 
-Integers pass as what they are, pointers as int64. A wrong address or argument crashes the process.
+Integers pass unchanged, pointers as int64. A wrong address or argument crashes the process.
 """

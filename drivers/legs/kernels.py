@@ -1,11 +1,11 @@
-"""The own protocol's controller's end, compiled: all feedback to SI in one call, forces to frames.
+"""The controller's end of the protocol `legs`, compiled: all feedback to SI in one call, forces to frames.
 
-Fields are little-endian, those of 64 bits float64. The end-to-end checks are SAE J1850 CRC-8, and a CRC-16
-where a frame is longer. Both begin with the two bytes of the identifier, low byte first: a frame that was
-sent or routed under another one fails. CRC-8 finds any two wrong bits in up to 255 (Hamming distance 3); with
-its 224 bits, check included 240, the command of layout fd has a CRC-16 that finds any four (Hamming distance
-5). Polynomial 0x5935 is that of P. Koopman's tables (0xAC9A in his notation, the best of 16 bits for up to
-241 bits of data); CCITT's 0x1021 finds three. `tests/drivers/test_crc.py` counts it out.
+Fields are little-endian, those of 64 bits float64. The end-to-end checks are SAE J1850 CRC-8, and a CRC-16 in
+longer frames. Both begin with the two bytes of the identifier, low byte first: a frame sent or routed under
+another identifier fails. CRC-8 detects any two wrong bits in up to 255 (Hamming distance 3). The command of
+layout fd has 224 bits, with its check 240; its CRC-16 detects any four wrong bits (Hamming distance 5).
+Polynomial 0x5935 is from P. Koopman's tables (0xAC9A in his notation, the best of 16 bits for up to 241 bits
+of data); CCITT's 0x1021 detects three. `tests/drivers/test_crc.py` counts this out.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from drivers.signals import INVALID, LEGS, DriveFault, DriveState, Foreign
 from drivers.tick_columns import TICK, part
 
 STRANGE = EXTENDED | REMOTE | ERROR
-"""Flags of frames that cannot be ours."""
+"""Flags that frames of this protocol never have."""
 OLDEST = 8
-"""Of the 16 counter values, these many ticks back count as late; the rest are refused."""
+"""Most ticks by which an answer may be late, of 16 counter values; other values are refused."""
 QUANTITIES = 3
-"""Of a feedback: length, rate, force."""
+"""Quantities of a feedback: length, rate, force."""
 EXACT = 64
-"""Bits of a float64. It is not rounded, and its range has to be checked."""
+"""Bits of a float64, which is not rounded and whose range has to be checked."""
 COMMAND_IDS = 5
 COMMAND = np.dtype(
     [
@@ -38,8 +38,8 @@ COMMAND = np.dtype(
         ("leg", "<i8", (LEGS,)),
     ]
 )
-"""A command frame of a bus: how many legs it has, and for how many forces there is room; bits of a force, and
-the first one's first; first bit and bits of other fields; the leg of each force, -1 where there is none."""
+"""A command frame of a bus: its number of legs, and of places for forces; bits of a force, first bit of the
+first force; first bit and bits of other fields; the leg of each force, -1: none."""
 ENDS = np.dtype(
     [
         *((name, "<i8", (LEGS,)) for name in ("feedback", "status", "config", "place", "home")),
@@ -55,18 +55,19 @@ ENDS = np.dtype(
         ("present", "<i8", (LEGS,)),
     ]
 )
-"""Both ends. Tables: each leg's identifiers, its place in the command, from 1 on, and its bus; identifiers
-and bytes of the other frames; the byte of a feedback with counter and state; address of `frames` elements of
-COMMAND; identifiers of the commands of all layouts; of each quantity first bit, bits (0: there is none),
-scale and range, SI; of a force step and range, in steps where it is rounded, else N; step of the watchdog, s.
+"""Record of both ends. Tables: each leg's identifiers, its place in the command, from 1 on, and its bus;
+identifiers and bytes of the other frames; the byte of a feedback with counter and state; address of `frames`
+elements of COMMAND; identifiers of the commands of all layouts; of each quantity first bit, bits (0:
+missing), scale and range, SI; of a force step and range, in steps if it is rounded, else N; step of the
+watchdog, s.
 
-What the controller remembers: the checksum of each leg's set-up, what its last status has said of it, how
-often it was sent its CONFIG; bit i: the last status of drive i has confirmed it; the ticks from one CONFIG of
-a drive to its next. What the drives remember: Cycle of the present SYNC of each bus."""
+State of the controller: checksum of each leg's set-up, checksum in its last status, number of CONFIG sent to
+it; bit i: the last status of drive i has confirmed it; ticks from one CONFIG of a drive to its next. State of
+the drives: Cycle of the present SYNC of each bus."""
 NO_SYNC = -1
-"""Of drives that have heard no SYNC yet."""
+"""Cycle of drives that have received no SYNC yet."""
 CHANGED = 1
-"""Status of `decode`: not all drives have confirmed their set-up, or one has just done so."""
+"""Status of `decode`: not all drives have confirmed their set-up, or one has just confirmed it."""
 ends: Any = record(ENDS)
 commands_at: Any = records_at(record(COMMAND))
 _STATES = len(DriveState)
@@ -83,7 +84,7 @@ b"123456789" is 0x772B, that of CRC-16/M17."""
 
 
 def _table(polynomial: int, bits: int) -> Ints:
-    """Return byte * x^bits modulo a polynomial of that degree, for each byte."""
+    """Byte * x^bits modulo a polynomial of that degree, for each byte."""
     register = np.arange(256) << bits - 8
     for _ in range(8):
         register = register << 1 ^ (register >> bits - 1) * (1 << bits | polynomial)
@@ -95,7 +96,7 @@ _TABLE, _TABLE_16 = _table(POLYNOMIAL, 8).astype(np.uint8), _table(POLYNOMIAL_16
 
 @helper
 def check_of(identifier: int, data: Any, size: int, width: int) -> int:
-    """Return the check of an identifier and data[:size], `width` bytes long, most significant bit first."""
+    """Check of an identifier and data[:size], `width` bytes long, most significant bit first."""
     if width == 1:
         register = int(_TABLE[_TABLE[0xFF ^ (identifier & 0xFF)] ^ (identifier >> 8)])
         for k in range(size):
@@ -110,7 +111,7 @@ def check_of(identifier: int, data: Any, size: int, width: int) -> int:
 
 @helper
 def intact(frame: Any) -> bool:
-    """Tell whether a record of FRAME, not empty, ends in its CRC-8."""
+    """True if a record of FRAME, not empty, ends in its CRC-8."""
     identifier: Any = np.int64(frame.id)
     last: Any = np.int64(frame.length) - 1
     return bool(check_of(identifier, frame.data, last, 1) == frame.data[last])
@@ -118,27 +119,27 @@ def intact(frame: Any) -> bool:
 
 @kernel(INTEGER, DATA, INTEGER)
 def check(identifier: int, data: Any, width: int) -> int:
-    """Return the check of bytes, from Python; see `check_of`."""
+    """Check of bytes, for Python code; see `check_of`."""
     return check_of(identifier, data, len(data), width)
 
 
 @helper
 def natural(data: Any, start: int, bits: int) -> int:
-    """Return a field of up to 32 bits, or 64 on a byte, by its first bit."""
+    """Field of up to 32 bits, or of 64 on a byte boundary, by its first bit."""
     value = whole(data, start >> 3, ((start & 7) + bits + 7) >> 3) >> (start & 7)
     return value if bits == EXACT else value & ((1 << bits) - 1)
 
 
 @helper
 def read(data: Any, start: int, bits: int, word: Ints) -> float:
-    """Return a field, see `natural`, as a signed integer or a float64; `word` (1,) is scratch."""
+    """Field, see `natural`, as a signed integer or a float64; `word` (1,) is scratch."""
     word[0] = natural(data, start, bits)
     return float(word.view(np.float64)[0]) if bits == EXACT else float(signed(word[0], bits))
 
 
 @helper
 def put(value: int, data: Bytes, start: int, bits: int) -> None:
-    """Put the low bits of an integer into a field that is 0, see `natural`."""
+    """Write the low bits of an integer into a field that is 0, see `natural`."""
     shift = start & 7
     raw = value if bits == EXACT else (value & ((1 << bits) - 1)) << shift
     for k in range((shift + bits + 7) >> 3):
@@ -147,7 +148,7 @@ def put(value: int, data: Bytes, start: int, bits: int) -> None:
 
 @helper
 def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
-    """Put a value that fits into its field, which is 0; see `read`."""
+    """Write a value that fits into its field, which is 0; see `read`."""
     if bits == EXACT:
         word.view(np.float64)[0] = value
     else:
@@ -159,7 +160,7 @@ def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
 def _take_feedback(
     e: Any, data: Any, early: bool, leg: int, value: Array, word: Ints, last: Any, tick: Any
 ) -> bool:
-    """Take an intact feedback; tell whether it can be believed. `value` and `word` are scratch."""
+    """Take an intact feedback; True if it is valid. `value` and `word` are scratch."""
     counted = int(data[e.counter_at])
     behind = (tick.tick - counted) & 0xF
     state = counted >> 4 & ~INVALID
@@ -174,7 +175,7 @@ def _take_feedback(
             value[k] = raw * e.scale[k]
     has_force = e.bits[QUANTITIES - 1] > 0
     blind = tick.blind[leg] != 0
-    if behind == tick.age[leg] or (blind and behind == 0):  # answers the SYNC of what is held
+    if behind == tick.age[leg] or (blind and behind == 0):  # answers the same SYNC as the one held
         same = invalid == (blind and behind == 0)
         if not invalid:
             same = same and value[0] == tick.length[leg] and value[1] == tick.rate[leg]
@@ -196,7 +197,7 @@ def _take_feedback(
 
 @helper
 def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
-    """Take an intact status; tell whether it can be believed."""
+    """Take an intact status; True if it is valid."""
     state, fault, mine = int(data[0]), int(data[1]), 1 << leg
     e.said[leg] = whole(data, 2, 2)
     if state >= _STATES or fault >= _FAULTS:
@@ -212,7 +213,7 @@ def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
 
 @helper
 def _foreign(e: Any, identifier: int) -> int:
-    """Return which frame of the controller has this identifier; the own ones are not received."""
+    """Kind of a controller's frame with this identifier, 0: none; own frames are not received."""
     if identifier == e.sync:
         return Foreign.SYNC.value
     if identifier == e.estop:
@@ -225,18 +226,18 @@ def _foreign(e: Any, identifier: int) -> int:
 
 @pointed(ends, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick from that of the last one and the frames since, elements of FRAME.
+    """Fill the measurement of a tick from that of the last tick and the frames since, elements of FRAME.
 
-    Every leg first ages by the ticks since the last one, up to NEVER. A feedback whose counter is this tick's
-    has age 0, unless it came before `since_ns`: then it answers an older SYNC with the same four bits, and is
-    refused. One whose counter lies d = 1..8 ticks back takes effect with age d if that is newer than what is
-    held, else it is passed over; any other counter is refused. Refused as well, and counted in `rejected`:
-    wrong length, CRC, state or fault, a value that is not finite, of several buses another one than the
-    drive's. A feedback of this tick that calls its length invalid gives state and force alone: the leg ages,
-    and is `blind`. A second answer to the SYNC of what is held that says something else makes the node
-    `doubled`; the first one counts. SYNC, command, CONFIG and E-stop are `foreign`, whatever they carry:
-    nobody hears what he sends himself. Other frames are ignored. Fault and set-up come from the status, state
-    from the feedback. Layout classic carries no force: it stays as it was. Returns CHANGED or 0.
+    Every leg first ages by the ticks since the last one, up to NEVER. A feedback with this tick's counter has
+    age 0, unless it came before `since_ns`: then it answers an older SYNC with the same four bits, and is
+    refused. A feedback with a counter d = 1..8 ticks back takes effect with age d if it is newer than the one
+    held, else it is skipped; any other counter is refused. Refused as well, and counted in `rejected`: wrong
+    length, CRC, state or fault; a value that is not finite; with several buses, another bus than the drive's.
+    A feedback of this tick with an invalid length gives state and force only: the leg ages, and is `blind`. A
+    second answer to the same SYNC with other content marks the node as `doubled`; the first one counts. SYNC,
+    command, CONFIG and E-stop are `foreign`, whatever they carry: a node does not receive its own frames.
+    Other frames are ignored. Fault and set-up come from the status, state from the feedback. Layout classic
+    carries no force: the force keeps its value. Returns CHANGED or 0.
     """
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
@@ -273,10 +274,10 @@ def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
 
 @pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def command(e: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
-    """Fill the elements of FRAME at `into` with the frames of a tick's command; return how many they are.
+    """Fill the elements of FRAME at `into` with the frames of a tick's command; returns their number.
 
-    number: of the tick, of whose low bits the counter has as many as there is room for; force_at: address of
-    (6,) N, > 0 extends. FAILED: a force does not fit. An emergency stop is a frame of its own.
+    number: of the tick; the counter takes as many of its low bits as fit. force_at: address of (6,) N, > 0
+    extends. FAILED: a force does not fit. An emergency stop is a frame of its own.
     """
     forces, word = reals_at(force_at, LEGS), np.empty(1, np.int64)
     commands, sent = commands_at(e.commands, e.frames), frames_at(into, e.frames)

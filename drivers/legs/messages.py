@@ -1,8 +1,8 @@
-"""The messages of legs.dbc that a run uses: those of its layout, their forces in newtons.
+"""The messages of legs.dbc that a run uses: those of its layout, with forces in newtons.
 
 The short force fields, of the classic command and the fd feedback, count in per cent of the drives' rated
-force. That is said once, in `drives.force_limit_N`; both ends, the log's copy of the DBC and the checksum of
-a drive's set-up take it from there.
+force. `drives.force_limit_N` sets it for both ends, the log's copy of the DBC and the checksum of a drive's
+set-up.
 """
 
 import re
@@ -19,10 +19,10 @@ COMMANDS = {
     "fd": (("COMMAND_FD",), ("COMMAND_FD_SHORT",)),
     "ideal": (("COMMAND_IDEAL",), ("COMMAND_IDEAL",)),
 }
-"""Of each layout; the second ones of a bus with SHORT legs or fewer."""
+"""Command messages of each layout; the second tuple is for a bus with SHORT legs or fewer."""
 SHORT = 3
 RATED_N = 0.001, 4294967.295
-"""Least and largest rated force that the checksum of a set-up can carry, N."""
+"""Smallest and largest rated force that the checksum of a set-up can carry, N."""
 _MESSAGE = re.compile(r"^BO_ (\d+) (\w+): (\d+) \w+\n((?: SG_ .*\n)+)", re.MULTILINE)
 _SIGNAL = re.compile(r' SG_ (\w+) : (\d+)\|(\d+)@1[+-] \((.+),0\) \[(.+)\|(.+)\] "(.*)"')
 _KIND = re.compile(r'^BA_ "(VFrameFormat|CANFD_BRS)" BO_ (\d+) (\d+);', re.MULTILINE)
@@ -46,36 +46,36 @@ class Layout(NamedTuple):
     high: tuple[float, ...]
 
     def place(self, signal: str) -> tuple[int, int]:
-        """Return first bit and bits of a field."""
+        """First bit and bits of a field."""
         return self.places[self.signals.index(signal)]
 
     def pack(self, *values: int) -> bytes:
-        """Return the bytes with the low bits of whole numbers in the first fields."""
+        """Bytes with the low bits of integers in the first fields."""
         fields = zip(values, self.places, strict=False)
         whole = sum((value & (1 << bits) - 1) << start for value, (start, bits) in fields)
         return whole.to_bytes(self.length, "little")
 
     def unpack(self, data: bytes) -> list[int]:
-        """Return the fields as whole numbers that are not negative."""
+        """Fields as unsigned integers."""
         whole = int.from_bytes(data, "little")
         return [whole >> start & (1 << bits) - 1 for start, bits in self.places]
 
     def frame(self, identifier: int, *values: int) -> Frame:
-        """Return the frame with whole numbers in all fields but the last, which is the CRC-8."""
+        """Frame with integers in all fields but the last, which is the CRC-8."""
         data = self.pack(*values)[:-1]
         return Frame(identifier, data + bytes([check(identifier, data, 1)]), self.flags)
 
 
 def read_dbc(package: str, name: str) -> str:
-    """Return the text of a DBC of ours, for the log and for other tools."""
+    """Text of a DBC file of ours, for the log and for other tools."""
     return resources.files(package).joinpath(name).read_text(encoding="ascii")
 
 
 @cache
 def layouts(dbc: str, rated_N: float = 100.0) -> dict[str, Layout]:
-    """Return the messages of a DBC of ours by their names; fields in per cent are of a rated force.
+    """Messages of a DBC file of ours by name; fields in per cent refer to a rated force.
 
-    cantools reads it, too, but takes a third of a second to be imported.
+    cantools could read it, too, but its import takes a third of a second.
     """
     kinds = {(name, int(identifier)): int(value) for name, identifier, value in _KIND.findall(dbc)}
     found = {}
@@ -95,7 +95,7 @@ def layouts(dbc: str, rated_N: float = 100.0) -> dict[str, Layout]:
 
 
 def read_messages(rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
-    """Return legs.dbc with the forces in N, the version of the protocol, and the messages by their names.
+    """Text of legs.dbc with the forces in N, version of the protocol, and messages by name.
 
     Raises ConfigurationError for a force that the checksum of a set-up cannot carry.
     """
@@ -115,5 +115,5 @@ def read_messages(rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
 
 
 def set_up_checksum(identifier: int, config: bytes, rated_force_N: float) -> int:
-    """Return what a status says of a set-up: of its CONFIG without the CRC and the drive's rated force."""
+    """Checksum of a set-up in a status: of its CONFIG without the CRC, and of the drive's rated force."""
     return check(identifier, config + round(rated_force_N * 1e3).to_bytes(4, "little"), 2)

@@ -1,4 +1,4 @@
-"""The own protocol, compiled at start from legs.dbc into tables.
+"""The protocol `legs`, compiled at start from legs.dbc into tables.
 
 No state, no clock. `docs/guides/protocol.md` has the rules of both ends.
 """
@@ -27,17 +27,17 @@ from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record
 
 TRIES = 10
-"""How often a drive that does not confirm its set-up is sent its CONFIG."""
+"""Most CONFIG sent to a drive that does not confirm its set-up."""
 SETUP_S = 0.02
-"""From one CONFIG of a drive to its next."""
+"""Time from one CONFIG of a drive to its next."""
 NOT_HEARD = -1
-"""Said by a drive whose status has not been heard."""
+"""Checksum of a drive whose status has not been received."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
 @pointed(ends, INTEGER, INTEGER, INTEGER)
 def fresh(e: Any, frame_address: int, tick: int, since_ns: int) -> int:
-    """Return the leg, from 1 on, of an intact feedback to this tick's SYNC on its own bus; else 0."""
+    """Leg, from 1 on, of an intact feedback to this tick's SYNC on its own bus; else 0."""
     frame = frame_at(frame_address)
     identifier: Any = np.int64(frame.id)
     leg = place_of(identifier, e.feedback)
@@ -49,7 +49,7 @@ def fresh(e: Any, frame_address: int, tick: int, since_ns: int) -> int:
 
 @pointed(ends, INTEGER)
 def addressed(e: Any, frame_address: int) -> int:
-    """Return which legs on its bus a frame is for, bit i: leg i. Only a CONFIG is for one."""
+    """Legs on its bus that a frame addresses, bit i: leg i. Only a CONFIG addresses a single leg."""
     frame = frame_at(frame_address)
     identifier: Any = np.int64(frame.id)
     only = identifier if place_of(identifier, e.config) >= 0 else EVERYONE
@@ -62,7 +62,7 @@ class LegsController(ControllerEnd):
     first = "expected"
 
     def __init__(self, family: Any, setup: DriveSetup) -> None:
-        """Begin the dialogue. Raises ProtocolError if the watchdog does not fit."""
+        """Start the dialogue. Raises ProtocolError if the watchdog does not fit."""
         configs, begun = family.configure(setup.watchdog_s, setup.reaction), family.tables.copy()
         self._family, self._configs = family, sent_array(configs)
         begun["expected"] = [set_up_checksum(n, data[:-1], family.rated_force_N) for n, data, _ in configs]
@@ -70,9 +70,9 @@ class LegsController(ControllerEnd):
         super().__init__(begun, kernels.decode, kernels.command, family.syncs)
 
     def set_up(self, tick: Record) -> Rows:
-        """Return the CONFIG of a drive that is heard and has none from us or does not confirm it, one a tick.
+        """CONFIG for a drive that answers and has none from us or has not confirmed it, one per tick.
 
-        A drive that is out of boot gets it TRIES times at most.
+        A drive that has left BOOT gets it at most TRIES times.
         """
         s, leg = self.state, int(tick["tick"]) % int(self.state["interval"])
         if leg >= LEGS or tick["age"][leg] > 1:
@@ -85,23 +85,23 @@ class LegsController(ControllerEnd):
         return self._configs[leg : leg + 1]
 
     def lack(self, leg: int) -> str:
-        """Return why a drive is not taken for set up; a status has a checksum of the set-up alone."""
+        """Reason why a drive does not count as set up; a status has only a checksum of the set-up."""
         times, said, expected = (int(self.state[name][leg]) for name in ("sent", "said", "expected"))
         if not times:
-            return "it was sent no CONFIG"
+            return "it has been sent no CONFIG"
         if int(self.state["confirmed"]) >> leg & 1:
             return ""
         if said in (NOT_HEARD, expected):
-            return f"no status of it was heard that confirms one of {times} CONFIG"
+            return f"it has not confirmed any of {times} CONFIG frames by a status"
         if said == 0:
             return "it reports no set-up: it has accepted no CONFIG"
         return (
-            f"its set-up has checksum 0x{said:04X}, not 0x{expected:04X}: it holds another than the CONFIG "
-            f"sent, or its rated force is not drives.force_limit_N, {self._family.rated_force_N:g} N"
+            f"its set-up has checksum 0x{said:04X}, not 0x{expected:04X}: it uses a CONFIG other than the "
+            f"one sent, or its rated force is not drives.force_limit_N, {self._family.rated_force_N:g} N"
         )
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Return that a force does not fit."""
+        """Error for a force that does not fit."""
         of = self._family.commands[0][0]
         return ProtocolError(
             f"force command {force.tolist()} N does not fit layout {self._family.layout}: {of.low[0]:.12g} "
@@ -113,13 +113,12 @@ MAX_NODE = 127
 
 
 class LegsProtocol(Family):
-    """The own protocol in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
+    """The protocol `legs` in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
 
-    `node_ids` are the drives' node numbers, leg order, 1..127, all different; `rated_force_N` is the unit of
-    the forces where their fields are short; `legs` are those of each bus. Each bus has a command of its own,
-    with the forces of its legs alone: CONFIG says to a drive which place its leg has among them. On a bus
-    with three legs or fewer there is room for three. Raises ConfigurationError on other node numbers or a
-    rated force that does not fit.
+    `node_ids`: the drives' node numbers, leg order, 1..127, all different; `rated_force_N`: unit of the
+    forces in short fields; `legs`: the legs of each bus. Each bus has a command of its own, with the forces
+    of its legs only; CONFIG gives a drive the place of its leg in it. A bus with three legs or fewer has room
+    for three. Raises ConfigurationError for other node numbers or a rated force that does not fit.
     """
 
     fresh_by, addressed_by = fresh, addressed
@@ -139,11 +138,11 @@ class LegsProtocol(Family):
         self.sync, self.estop, self.config = m["SYNC"], m["ESTOP"], m["CONFIG_1"]
         self.status, self.feedback = m["STATUS_1"], m[f"FEEDBACK_{layout.upper()}_1"]
         self.commands = tuple([m[name] for name in names] for names in COMMANDS[layout])
-        """The short ones behind the others."""
+        """Messages of a command: the long ones, then the short ones."""
         self.exact = self.feedback.places[0][1] == EXACT
-        """Whether the quantities are float64."""
+        """True if the quantities are float64."""
         self.tables: Any = np.zeros((), ENDS)
-        """What each end begins with; see `drivers.legs.kernels.ENDS`."""
+        """Initial record of each end; see `drivers.legs.kernels.ENDS`."""
         commands = {m[name].id: 0 for both in COMMANDS.values() for names in both for name in names}
         self.tables["version"], self.tables["command_ids"] = version, [*commands]
         self._tabulate()
@@ -179,7 +178,7 @@ class LegsProtocol(Family):
         t["commands"], t["frames"] = data_at(self._commands), len(rows)
 
     def _command_rows(self, bus: int) -> list[tuple[Any, ...]]:
-        """Return the command frames of a bus as elements of COMMAND."""
+        """Command frames of a bus as elements of COMMAND."""
         rest, rows = [*self.legs[bus]], []
         for of in self.commands[len(rest) <= SHORT]:
             forces = sum(name.startswith("Force") for name in of.signals)
@@ -191,7 +190,7 @@ class LegsProtocol(Family):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of such drives; fields are rounded, so half a step off."""
+        """Properties of such drives; fields are rounded, so half a step off."""
         of, stop, zeros = self.feedback, self.estop, np.zeros(LEGS)
         end = self.controller_end(DriveSetup(1.0, Reaction.BRAKE, 1000.0))
         sent = *sent_frames(end.begin(0)), *sent_frames(end.give(Command(DriveMode.OFF, zeros), 0))
@@ -215,13 +214,13 @@ class LegsProtocol(Family):
         )
 
     def controller_end(self, setup: DriveSetup) -> LegsController:
-        """Return the controller's end. Raises ProtocolError if the watchdog does not fit."""
+        """The controller's end. Raises ProtocolError if the watchdog does not fit."""
         return LegsController(self, setup)
 
     # frames
 
     def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
-        """Return the six CONFIG frames. Raises ProtocolError if the watchdog is not 1 us .. 4294 s."""
+        """Six CONFIG frames. Raises ProtocolError for a watchdog outside 1 us .. 4294 s."""
         of, t = self.config, self.tables
         steps = watchdog_s / of.scale[0]
         if not isfinite(steps) or not 1 <= round(steps) < 1 << 32:
@@ -235,17 +234,18 @@ class LegsProtocol(Family):
 
 
 _made = cache(LegsProtocol)
-"""The codec of some drives: one is as good as another."""
+"""Codec for some arguments; equal arguments share one."""
 
 
 def legs(bus: BusSettings, drives: DriveSettings) -> LegsProtocol:
-    """Return the codec of a configuration. Raises ConfigurationError for settings that it does not have."""
+    """Codec of a configuration. Raises ConfigurationError for settings that the protocol does not have."""
     if drives.options:
         raise ConfigurationError(
-            f"drives.options: protocol legs has none, given: {', '.join(drives.options)}"
+            f"drives.options: protocol legs has no options, given: {', '.join(drives.options)}"
         )
     if drives.transmission is not None:
         raise ConfigurationError(
-            "drives.transmission: protocol legs speaks of leg lengths and forces and has none; leave it out"
+            "drives.transmission: protocol legs reports leg lengths and forces and has no transmission; "
+            "remove this section"
         )
     return _made(bus.layout, tuple(drives.node_ids), drives.force_limit_N, bus.legs)

@@ -1,4 +1,4 @@
-"""The framing of the MIT mini-cheetah motor and of those that took it over, as one protocol with variants."""
+"""MIT mini-cheetah framing and the drives that adopted it, as one protocol with variants."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The fields of MIT framing, numbers of n bits over a range, and a table of those that took it over. Pure.
+"""Fields of MIT framing, numbers of n bits over a range, and a table of the drives that adopted it. Pure.
 
 The reference is B. Katz's motor firmware (github.com/bgkatz/motorcontrol at 3586419, math_ops.c and
-CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range is no code: it is sent as half a step less.
+CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range has no code: it is sent as half a step less.
 """
 
 from math import pi
@@ -10,7 +10,7 @@ from typing import NamedTuple
 TURN = 2.0 * pi
 """rad."""
 TOP_COMMAND = 0xFFB
-"""Highest torque code sent: with all else at the top, FFC to FFF are the special frames and their kin."""
+"""Highest torque code sent: with all else at the top, FFC to FFF would be special frames or reserved ones."""
 
 
 class Ranges(NamedTuple):
@@ -29,18 +29,18 @@ FOUR_PI = 12.566370614359172
 
 
 class Variant(NamedTuple):
-    """One family."""
+    """One variant."""
 
     models: dict[str, Ranges]
-    """Ranges by name, as the drives leave the factory."""
+    """Ranges by model, with factory settings."""
     faults: dict[int, str]
     """Fault codes, or bits."""
     silence: int | None = None
-    """Fault code of its own watchdog; None: it has none that a controller can set, or does not report it."""
+    """Fault code of its own watchdog; None: a controller cannot set one, or the drive does not report it."""
     reply_bytes: tuple[int, ...] = (8,)
-    """Lengths of a reply that are accepted; an emulated drive sends the last."""
+    """Accepted lengths of a reply; an emulated drive sends the last."""
     clamps: bool = True
-    """Its replies saturate; else they wrap."""
+    """True if its replies saturate; else they wrap."""
 
 
 CUBEMARS_FAULTS = {
@@ -95,4 +95,4 @@ VARIANTS = {
         {"rs-02": Ranges(FOUR_PI, 44.0, 17.0), "rs-03": Ranges(FOUR_PI, 50.0, 60.0)}, ROBSTRIDE_FAULTS
     ),
 }
-"""`drives.options.variant`."""
+"""Variants by `drives.options.variant`."""

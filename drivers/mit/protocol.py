@@ -1,9 +1,9 @@
-"""MIT framing on 11-bit identifiers: mini-cheetah, CubeMars and Damiao: the codec.
+"""Codec of MIT framing on 11-bit identifiers: mini-cheetah, CubeMars and Damiao.
 
-A command to a drive is its poll; it answers with position, velocity and torque. Gains are sent as zero: the
-law is the controller's. Special frames are seven FF and FC enable, FD disable, FE zero (never sent), FB clear
-the fault (Damiao). Damiao alone reports whether it is enabled, and has registers: control mode, the limit of
-silence in units of 50 us, and the ranges, which are compared with the configured ones.
+A command polls its drive, which answers with position, velocity and torque. Gains are sent as zero: the law
+runs in the controller. Special frames are seven FF and FC enable, FD disable, FE zero (never sent), FB clear
+the fault (Damiao). Only a Damiao reports whether it is enabled, and has registers: control mode, watchdog in
+units of 50 us, and the ranges, which are compared with the configured ones.
 """
 
 import struct
@@ -30,14 +30,14 @@ READ, WRITE, REFRESH = 0x33, 0x55, 0xCC
 TIMEOUT, CTRL_MODE, SW_VER, SN, PMAX, VMAX, TMAX = 9, 10, 14, 15, 21, 22, 23
 ENABLE, DISABLE, CLEAR, ZERO = (b"\xff" * 7 + bytes((last,)) for last in (0xFC, 0xFD, 0xFB, 0xFE))
 NOTHING = bytes.fromhex("7fff7ff000000000")
-"""Position and velocity in the middle of their ranges, no gains, the torque's code 0."""
+"""Position and velocity in the middle of their ranges, no gains, torque code 0."""
 TICKS_PER_S = 20_000
-"""Of Damiao's TIMEOUT."""
+"""Units of Damiao's TIMEOUT per second."""
 
 
 @helper
 def _answer(data: Any, leg: int, heard: Any) -> int:
-    """Take the answer of a Damiao's register; of one that nobody here asks for the leg alone."""
+    """Decode the answer of a Damiao's register; for a register not used here only the leg."""
     register = int(data[3])
     is_single = register in (PMAX, VMAX, TMAX)
     if not is_single and register not in (CTRL_MODE, TIMEOUT):
@@ -50,7 +50,7 @@ def _answer(data: Any, leg: int, heard: Any) -> int:
 
 @helper
 def take_motion(ear: Any, leg: int, position: int, velocity: int, torque: int, bits: int, heard: Any) -> int:
-    """Take the codes in a reply; the ends of a position that saturates are no reading."""
+    """Decode the codes in a reply; a position at the end of a saturating field is no reading."""
     at_end = ear.clamps and position in (0, 0xFFFF)
     motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE | (0 if at_end else motors.MOTION))
     if not at_end:
@@ -62,7 +62,7 @@ def take_motion(ear: Any, leg: int, position: int, velocity: int, torque: int, b
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Take a reply: position turns, velocity turns/s, torque N m, status."""
+    """Decode a reply: position turns, velocity turns/s, torque N m, status."""
     identifier, size, data = int(frame.id), int(frame.length), frame.data
     if frame.flags & STRANGE:
         return 0
@@ -95,13 +95,13 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 
 
 _HOSTS = {"mini_cheetah": (0,), "cubemars": (0,), "damiao": (16,), "robstride": (253, 128, 255)}
-"""Identifier of the replies; Damiao: what is added to a drive's own number; RobStride: the controller's, and
-its range."""
+"""Identifier of the replies; Damiao: offset added to a drive's own number; RobStride: the controller's
+number, and its range."""
 _FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
 
 
 class MitFamily(MotorProtocol):
-    """The tables of six drives with the same ranges."""
+    """Codec of six drives with the same ranges."""
 
     def __init__(self, bus: BusSettings, drives: DriveSettings, torque_field: tuple[int, int]) -> None:
         """Take the sections, and first byte and bits of a command's torque.
@@ -121,7 +121,7 @@ class MitFamily(MotorProtocol):
         self.tables["clamps"] = VARIANTS[self.variant].clamps
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
-        """Return the traits; steps of position, velocity and torque are truncated, at either end."""
+        """Properties of the drives; steps of position, velocity and torque are truncated, at either end."""
         r, (_, bits, _), t = self.ranges, self.torque_field, self.transmission
         fields = (r.position, 16), (r.velocity, bits), (r.torque, bits)
         position, velocity, torque = (2.0 * end / ((1 << n) - 1) for end, n in fields)
@@ -141,7 +141,7 @@ class MitFamily(MotorProtocol):
 
 
 class MitProtocol(MitFamily):
-    """One variant's tables."""
+    """Codec of one variant."""
 
     ear = hear
     number_at = 0, ANY
@@ -152,13 +152,13 @@ class MitProtocol(MitFamily):
         known, damiao = VARIANTS[variant], variant == "damiao"
         self.damiao = self.clears = damiao
         self.fault_names = known.faults
-        self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as its reply names the node")
+        self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as a reply has the number")
         self.replies = [node + host if damiao else host for node in self.nodes]
         for reply in self.replies:
             if not 0 <= reply < REGISTERS or reply in self.nodes:
                 raise ConfigurationError(
-                    f"drives.options: host_id {host} makes replies come on {reply:#x}, a drive's own "
-                    "identifier or none; allowed: one that keeps them apart"
+                    f"drives.options: with host_id {host} a reply has the identifier {reply:#x}, which is a "
+                    "drive's own or invalid; choose another host_id"
                 )
         t = self.tables
         t["replies"], t["registers"] = self.replies, damiao
@@ -173,7 +173,7 @@ class MitProtocol(MitFamily):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of a variant: a Damiao alone says whether it is enabled and who it is; no stop latches."""
+        """Properties of a variant: only a Damiao reports its power state and identity; no stop latches."""
         size = VARIANTS[self.variant].reply_bytes[-1] - 1
         replies = zip(self.replies, self.nodes, strict=True)
         return self.traits_of(
@@ -191,12 +191,14 @@ class MitProtocol(MitFamily):
         )
 
     def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Return Damiao's registers; the others have none. Raises ProtocolError for too short a watchdog."""
+        """Exchanges with Damiao's registers; others have none. Raises ProtocolError for a short watchdog."""
         if not self.damiao:
             return super().exchanges(setup)
         ticks = round(setup.watchdog_s * TICKS_PER_S)
         if ticks < 1:
-            raise ProtocolError(f"drive watchdog of {setup.watchdog_s} s: Damiao counts it in 50 us")
+            raise ProtocolError(
+                f"drive watchdog of {setup.watchdog_s} s: Damiao counts in steps of 50 us, at least one"
+            )
         r = self.ranges
         return tuple(
             (
@@ -210,7 +212,7 @@ class MitProtocol(MitFamily):
         )
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Return what such a reading is answered with."""
+        """Serial number or revision in the answer to a read of its register; else None."""
         identifier, data, flags = frame
         if not self.damiao or flags & STRANGE or identifier not in self.replies or len(data) != 8:
             return None
@@ -220,7 +222,7 @@ class MitProtocol(MitFamily):
         return Said(leg, SAID[data[3]], int.from_bytes(data[4:], "little"))
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Return DISABLE, what clears a fault, ENABLE, and torque: polls, all of them."""
+        """Frames of DISABLE, of clearing a fault, of ENABLE and of torque: all of them are polls."""
         rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, NOTHING
         return tuple(tuple(Frame(node, data) for node in self.nodes) for data in rows)
 

@@ -2,8 +2,8 @@
 
 Identifier: type << 24 | data << 8 | target. Type 1 commands, data is the torque's code; 2 is the feedback,
 data is mode << 14 | faults << 8 | motor; 3 enables; 4 stops, and clears faults if its first byte is 1; 17
-reads and 18 writes a register; 0 asks for the processor's 64-bit number, which is answered to 0xFE or to the
-host. Positions and torques are big-endian, registers and that number little-endian.
+reads and 18 writes a register; 0 requests the processor's 64-bit number, which is sent to 0xFE or to the
+host. Positions and torques are big-endian, registers and the processor's number little-endian.
 """
 
 import struct
@@ -22,13 +22,13 @@ from drivers.protocol import ERROR, EXTENDED, FD, REMOTE, SERIAL, DriveSetup, Fr
 
 WHO, CONTROL, FEEDBACK, ENABLE, STOP, READ, WRITE = 0, 1, 2, 3, 4, 17, 18
 RESETTING, CALIBRATING, RUNNING = range(3)
-"""Mode of a feedback."""
+"""Modes in a feedback."""
 STRANGE = FD | REMOTE | ERROR
 
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Take a feedback, or a register's answer."""
+    """Decode a feedback, or a register's answer."""
     if not frame.flags & EXTENDED or frame.flags & STRANGE:
         return 0
     identifier = int(frame.id)
@@ -52,15 +52,15 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 
 
 ASKED_WHO = 0xFE
-"""Whom the answer to the request for the processor's number is for."""
+"""Target of the answer to the request for the processor's number."""
 RUN_MODE = 0x7005
 OPERATION = 0
-"""Of RUN_MODE: MIT's five numbers. A drive leaves the factory in it, and says so."""
+"""Value of RUN_MODE for MIT's five numbers: the factory setting, which a drive reports."""
 _ZEROS = bytes(8)
 
 
 class RobStrideProtocol(MitFamily):
-    """The tables of six drives."""
+    """Codec of six drives."""
 
     ear = hear
     number_at = 0, 0xFF
@@ -82,7 +82,7 @@ class RobStrideProtocol(MitFamily):
 
     @cached_property
     def traits(self) -> Traits:
-        """Those of drives that answer each command; a stop does not latch."""
+        """Properties of drives that answer each command; a stop does not latch."""
         answers = (FEEDBACK << 24 | RUNNING << 22 | node << 8 | self.host for node in self.nodes)
         return self.traits_of(
             (Frame(each, _ZEROS, EXTENDED) for each in answers),
@@ -95,7 +95,7 @@ class RobStrideProtocol(MitFamily):
         )
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Return that number."""
+        """Serial number of a drive: its processor's 64-bit number; None for any other frame."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 8 & 0xFFFF)
         answers = identifier >> 24 == WHO and identifier & 0xFF in (ASKED_WHO, self.host) and len(data) == 8
@@ -104,14 +104,14 @@ class RobStrideProtocol(MitFamily):
         return Said(leg, SERIAL, int.from_bytes(data, "little"))
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Return the writing and reading back of the run mode."""
+        """Exchange that writes the run mode and reads it back."""
         writes = self._to_each(WRITE, struct.pack("<HxxI", RUN_MODE, OPERATION))
         reads = self._to_each(READ, struct.pack("<HxxI", RUN_MODE, 0))
         frames = zip(writes, reads, strict=True)
         return tuple((Exchange("run_mode (0x7005)", RUN_MODE, both, OPERATION),) for both in frames)
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Return STOP, the STOP that clears faults, ENABLE, and torque: polls, all of them."""
+        """Frames of STOP, of the STOP that clears faults, of ENABLE and of torque: all of them are polls."""
         zeros = [code(0.0, -end, end, 16) for end in (self.ranges.position, self.ranges.velocity)]
         torque = struct.pack(">HHHH", *zeros, 0, 0)
         clear = bytes((1, *bytes(7)))

@@ -1,1 +1,1 @@
-"""One module per command; the only place that imports both ends of the bus."""
+"""One module for each command; the only package that imports both ends of the bus."""

@@ -1,4 +1,4 @@
-"""From a Configuration to the parts of both ends of the bus."""
+"""Parts of both ends of the bus, built from a Configuration."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from drivers.signals import Reaction
 from hil.app.configuration.bus_budget import bus_names
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of, controller_path
-from hil.app.configuration.fault_rules import refuse_what_no_bus_has
+from hil.app.configuration.fault_rules import require_bus
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.law_file import ATTACHMENT
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
@@ -58,14 +58,14 @@ from plant_fmu.config import BenchPlant
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
 
-if TYPE_CHECKING:  # what only those need who run or record is imported then
+if TYPE_CHECKING:  # imported at run time only by commands that run or record
     from hil.estimation.fusion import FusedEstimator
     from hil.loop.cycle import Cycle
     from hil.record import Recording, Scene
     from plant_fmu.drives.nodes import Nodes
 
 LENGTH_TOLERANCE_M = 1e-3
-"""How far the plant's initial lengths may be from those of the section `platform`."""
+"""Largest difference between the plant's initial leg lengths and those of section `platform`."""
 REFERENCE_CSV = "reference.csv"
 """Attachment of a log: the samples of its reference."""
 CONTROLLER_FILE = "controller.yaml"
@@ -79,24 +79,23 @@ NAMED_FILES: tuple[tuple[str, str, str, type[Any], Callable[[Any, Path], Path]],
     (CONTROLLER_FILE, "controller", "controller_file", StateSpaceSettings, controller_path),
     (FEEDFORWARD_CSV, "feedforward", "file", FeedforwardSettings, feedforward_path),
 )
-"""Name in a log, section and key of each file that a configuration may name, the settings that name one, and
-where it is."""
+"""Name in a log, section, key, type of settings and path of each file that a configuration may refer to."""
 
 
 def build_protocol(configuration: Configuration) -> Family:
-    """Return the codec that both ends use."""
+    """Codec for both ends of the bus."""
     return drivers.build_protocol(configuration.bus, configuration.drives)
 
 
 def drive_setup(configuration: Configuration, rate_Hz: float, watchdog_s: float | None = None) -> DriveSetup:
-    """Return what a loop at `rate_Hz` sets in the drives; by default with the configured watchdog."""
+    """Settings that a loop at `rate_Hz` writes to the drives; `watchdog_s` defaults to the configured one."""
     default_s = configuration.drives.watchdog_ms * 1e-3
     reaction = Reaction[configuration.reactions.silence.upper()]
     return DriveSetup(default_s if watchdog_s is None else watchdog_s, reaction, rate_Hz)
 
 
 def build_sensors(configuration: Configuration) -> SensorProtocol | None:
-    """Return the codec of the configured sensors, for both ends; None where there are none."""
+    """Codec of the configured sensors, for both ends; None without sensors."""
     sensors = SensorProtocol(configuration.bus, configuration.sensors)
     return sensors if sensors.kinds else None
 
@@ -109,11 +108,14 @@ def build_cycle(
     trajectory: Trajectory | None = None,
     last_pose: LastPose | None = None,
 ) -> Cycle:
-    """Return the controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
+    """Controller at `rate_Hz`, which sets the drives' watchdogs to `watchdog_s`.
 
-    At another rate than the configured one the force may change by the same amount per second. `recorded` is
-    the plan of its reference that a log carries. It follows `trajectory`; by default that of section
-    `reference`. Drives that forget their turns were parked at `last_pose`; by default where the plant begins.
+    The largest force step is scaled so that the force slope in N/s stays the same at every rate.
+
+    recorded: planned reference from a log.
+    trajectory: path to follow; by default that of section `reference`.
+    last_pose: pose at which drives without absolute encoders were parked; by default the plant's initial
+    pose.
     """
     from hil.loop.cycle import Cycle
 
@@ -198,7 +200,7 @@ def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> E
 
 
 def build_admission(c: Configuration, platform: Platform) -> Admission:
-    """Return what judges the set-points of a live reference, and where a jog may go on any other."""
+    """Checks on set-points of a live reference; with any other reference, on jogging."""
     if isinstance(c.reference, LiveReference):
         ddchi = axis_limits(c.reference.limits)[1]
     else:
@@ -230,7 +232,7 @@ def _fusion(c: Configuration, platform: Platform, rate_Hz: float) -> FusedEstima
 
 
 def _predictor(c: Configuration, platform: Platform, period_s: float) -> Predictor | None:
-    """Return what looks ahead for the law, where its section `delay_compensation` asks for it."""
+    """Predictor for the law; None without section `delay_compensation`."""
     delay, believed = c.controller.lookahead, c.controller.believed
     if delay is None or believed is None:
         return None
@@ -239,15 +241,15 @@ def _predictor(c: Configuration, platform: Platform, period_s: float) -> Predict
 
 
 def _force_path(delay: ForceDelay, period_s: float) -> ForcePath:
-    """Return how commands become forces in the legs."""
     return ForcePath(period_s, 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms)
 
 
 def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -> tuple[Nodes, Plant]:
-    """Return the emulated drives and sensors, and the plant behind them; the caller closes the plant.
+    """Emulated drives and sensors, and the plant behind them; the caller closes the plant.
 
-    The faults of `plant.faults` come first, then those of `faults`, whose seed counts.
-    Raises PlantError: the plant cannot be opened, or does not start at the configured platform's lengths.
+    The faults of `plant.faults` come first, then those of `faults`. The random seed is that of `faults`.
+    Raises PlantError: the plant cannot be opened, or starts at other leg lengths than the configured
+    platform.
     """
     from plant_fmu.drives.nodes import Nodes
 
@@ -266,7 +268,7 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
         if not isinstance(c.plant.model, BenchPlant):
             _compare_lengths(c, plant, p, R)
         more, seed = ((), 0) if faults is None else (faults.faults, faults.seed)
-        refuse_what_no_bus_has([*c.plant.faults, *more], c.bus, c.drives)
+        require_bus([*c.plant.faults, *more], c.bus, c.drives)
         plan = FaultPlan([*c.plant.faults, *more], seed, c.platform.gravity_m_s2)
         drives = (plant, build_protocol(c), c.plant.drives, c.drives, plan)
         sensors = build_sensors(c)
@@ -282,16 +284,16 @@ def build_nodes(configuration: Configuration, faults: FaultPlan | None = None) -
 
 
 def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None:
-    """Refuse a plant whose legs start elsewhere than the configured platform's: it is another robot or pose.
+    """Refuse a plant that starts at other leg lengths than the configured platform: another robot or pose.
 
-    The controller would move it as if it were the configured one. A bench has no platform to compare with.
+    The controller would use the wrong model for it. A bench has no platform to compare with.
     """
     given, _ = plant.reset()
     expected = leg_lengths(build_platform(c.platform), p, R)
     if np.abs(given - expected).max() > LENGTH_TOLERANCE_M:
         raise PlantError(
-            f"{c.source}: the plant starts with other leg lengths than section platform has at the initial "
-            f"pose, allowed: {1e3 * LENGTH_TOLERANCE_M:g} mm apart.\n"
+            f"{c.source}: the plant's leg lengths differ from those of section platform at the initial "
+            f"pose, allowed: by {1e3 * LENGTH_TOLERANCE_M:g} mm.\n"
             f"  plant:    {' '.join(f'{q:.4f}' for q in given)} m\n"
             f"  platform: {' '.join(f'{q:.4f}' for q in expected)} m\n"
             "Give the plant the same geometry, or set plant.initial_position_m and "
@@ -300,7 +302,7 @@ def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None
 
 
 def build_scene(configuration: Configuration) -> Scene:
-    """Return what live views draw."""
+    """Geometry that live views draw."""
     from hil.record import Scene
 
     robot = platform_dict(configuration.platform)
@@ -320,7 +322,7 @@ def record(
 ) -> Recording:
     """Start the recorder of a controller: `kind` is run or sim, `live` draws a status line.
 
-    A run in real time shows itself to `hil watch`; `run` is the identity of a simulated one.
+    A run in real time is visible to `hil watch`; `run` identifies a simulated run.
     """
     from hil.app.watch.state import run_description
     from hil.record import Live, Recording
@@ -359,20 +361,20 @@ def record(
 
 
 def databases(configuration: Configuration) -> list[tuple[str, bytes]]:
-    """Return the databases of protocol and sensors: what the frames of a log mean."""
+    """DBC files (name, bytes) of protocol and sensors, which decode the frames of a log."""
     sensors = build_sensors(configuration)
     ours = build_protocol(configuration).traits.database, None if sensors is None else sensors.database
     return [(each[0], each[1].encode()) for each in ours if each is not None]
 
 
 def version_of(database: str) -> str:
-    """Return VERSION of the text of a DBC; empty where it has none."""
+    """VERSION entry of the text of a DBC; empty without one."""
     found = re.search(r'^VERSION "([^"]*)"', database, re.MULTILINE)
     return "" if found is None else found[1]
 
 
 def attachments(c: Configuration) -> list[tuple[str, bytes]]:
-    """Return what a log carries beside its configuration: what replay needs and the text does not hold."""
+    """Attachments (name, bytes) of a log: every file that replay needs in addition to the configuration."""
     files = databases(c)
     for name, section, _, kind, path_of in NAMED_FILES:
         settings = getattr(c, section)

@@ -1,4 +1,4 @@
-"""From a configuration to the limits of the rules on encoders, and to leg errors for the fused pose."""
+"""Limits of the encoder rules, and leg errors for the fused pose, from a configuration."""
 
 from math import ceil, hypot, inf, sqrt
 from typing import NamedTuple
@@ -20,35 +20,35 @@ from hil.safety.residuals import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 
 LENGTH_STEP_M = 1e-7
-"""Least step of a length that counts."""
+"""Smallest resolution of a length."""
 AWAY = 2.0
-"""Mobility at home times this bounds it elsewhere, the error of the model included."""
+"""Bound on the ratio of mobility in the workspace to mobility at home, model error included."""
 ASSUMED_FRICTION = 0.05
-"""Share of the largest force of a leg that friction may take where nobody states it."""
+"""Assumed friction of a leg, as a share of its largest force, where none is configured."""
 PUSH = {False: 0.038, True: 0.25}
-"""Share of the stated disturbance that a leg is pushed by, by whether it sticks: nobody feels a slow rise."""
+"""Probe push as a share of the stated disturbance, by whether the leg sticks: then it is a slow ramp."""
 PUSHED_SPEED = 0.8
-"""Share of the largest leg speed that legs may reach which come free under their pushes."""
+"""Share of the largest leg speed that a leg may reach when it breaks free under its probe push."""
 LONGEST_RISE_S = 0.2
-"""No push rises more slowly: the law changes meanwhile."""
+"""Longest rise of a probe push: after that the law's force has changed."""
 NEVER_TICKS = 1e12
-"""30 years at 1 kHz: what takes longer is never seen."""
+"""30 years at 1 kHz: an upper bound for detection times."""
 LAGS = 3.0
-"""Time constants of the drives' force loop after which a force acts in full, but for 5 % of it."""
+"""Settling time of the drives' force loop to 5 %, in time constants."""
 REACHES_BACK = 2
-"""Periods from a rate that is a slope of lengths to the first length that it is made of."""
+"""Periods between a rate computed as a difference of lengths and the first length that it uses."""
 NOISE = sqrt(12.0)
-"""Largest deviation by standard deviation: a step, or 3 to 4 standard deviations of white noise."""
+"""Ratio of largest to standard deviation: of a quantisation step, or 3 to 4 sigma of white noise."""
 UNKNOWN = sqrt(3.0)
-"""The same of a constant that may be anything from the bound to its negative."""
+"""Ratio of largest to standard deviation of a constant, uniform within +- its bound."""
 
 
 def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
-    """Return what the rules on encoders compare with at a rate of the loop.
+    """Limits of the encoder rules at a rate of the loop.
 
-    A push takes a leg that bears F N from one end of what friction and losses balance, (F - friction) eta_b,
-    to beyond the other, (F + friction + what accelerates it) / eta_d. Where the pose is fused with a tracker,
-    the filter decides: no encoder is watched here. Raises ConfigurationError where the legs are singular.
+    A probe push takes a leg with load F, N, across its whole friction band: from (F - friction) eta_b to
+    (F + friction + force to accelerate it) / eta_d. Where a tracker is fused into the pose, the filter checks
+    the encoders and no leg is watched here. Raises ConfigurationError where the legs are singular at home.
     """
     payload, period_s = unknown_payload(c), 1.0 / rate_Hz
     friction, protocol = friction_N(c), build_protocol(c.bus, c.drives)
@@ -65,7 +65,7 @@ def encoder_limits(c: Configuration, rate_Hz: float) -> EncoderLimits:
     up_N = (payload.holding_N + friction + push / low) / driving
     push_N = up_N - (payload.holding_N - friction) * back_driving
     if not np.isfinite(push_N).all():
-        raise ConfigurationError("platform: no leg forces hold it at home: the legs are singular there")
+        raise ConfigurationError("platform: no leg forces can hold it at home: the legs are singular there")
     seen_s = sqrt((2.0 if sticks else 24 / 7) * MOVED * noise_m / push)  # x = a t^2 / 2, or 7/24 a t^2
     late_s = delay.transport_s * c.loop.rate_Hz * period_s + period_s + 2.0 * delay.lag_s
     rise = (
@@ -108,12 +108,13 @@ def _ticks(number: float) -> int:
 def _rise_ticks(
     push_N: Array, A: Array, late_s: float, rate_noise_m_s: float, speed_m_s: float, period_s: float
 ) -> int:
-    """Return within how many ticks a push may rise, so that legs that come free are seen in time; 1: at once.
+    """Rise time of a probe push in ticks, so that legs that break free are noticed in time; 1: a step.
 
-    At once is best, as a leg that does not move is found the sooner: a leg may gain v = S F late_s, S the
-    largest sum of a row of A (6, 6) 1/kg, F the push on all legs, if v is within a share of the largest
-    speed. Else at r N/s one of them gains v = S r t^2 / 2. That is seen beyond the noise v_0 of a rate, and
-    late_s later the push goes: sqrt(v) = sqrt(v_0) + late_s sqrt(S r / 2), v that share.
+    A step is preferred, as it finds a stuck leg sooner. In late_s a free leg gains v = S F late_s, where S is
+    the largest row sum of A (6, 6) 1/kg and F the push on all legs. The step is allowed while v is at most a
+    share of the largest speed. Otherwise the push is a ramp of r N/s, under which v = S r t^2 / 2. The motion
+    is seen above the rate noise v_0, and the push ends late_s later: sqrt(v) = sqrt(v_0) + late_s sqrt(S r /
+    2).
     """
     S, most = float(A.sum(axis=1).max()), PUSHED_SPEED * speed_m_s
     if S * float(push_N.max()) * late_s <= most:
@@ -126,27 +127,27 @@ def _rise_ticks(
 
 
 class Noise(NamedTuple):
-    """Largest deviation of what is read of a leg."""
+    """Largest deviation of a leg's readings."""
 
     length_m: float
     rate_m_s: float
 
 
 def steps(c: Configuration, rate_Hz: float) -> Noise:
-    """Return what the steps leave of a reading, of an emulated encoder and of the drives' frames."""
+    """Quantisation of readings, by an emulated encoder and by the drives' frames."""
     encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
     read = build_protocol(c.bus, c.drives).traits.resolution.at(rate_Hz)
     return Noise(encoder_m + max(float(read.length.max()), LENGTH_STEP_M), float(read.rate.max()))
 
 
 def read_noise(c: Configuration, rate_Hz: float) -> Noise:
-    """Return what a reading may be off: as section monitor states, and no less than the steps leave."""
+    """Largest deviation of readings: as stated in section `monitor`, and at least the quantisation."""
     least = steps(c, rate_Hz)
     return Noise(max(c.monitor.length_noise_m, least.length_m), max(c.monitor.rate_noise_m_s, least.rate_m_s))
 
 
 def efficiencies(c: Configuration) -> tuple[Array, Array]:
-    """Return what is left of a force (6,) where the motor drives the leg, and where the leg drives it."""
+    """Efficiencies (6,): of the motor driving the leg, and of the leg driving the motor."""
     if c.drives.transmission is None:
         return np.ones(LEGS), np.ones(LEGS)
     gear = Transmission(c.drives.transmission)
@@ -154,13 +155,13 @@ def efficiencies(c: Configuration) -> tuple[Array, Array]:
 
 
 def believed_mass_kg(c: Configuration) -> Array:
-    """Mass that motor and screw add along each leg as the controller believes, (6,) kg."""
+    """Reflected mass of motor and screw along each leg in the controller's model, (6,) kg."""
     believed = c.controller.believed
     return np.broadcast_to(0.0 if believed is None else np.array(believed.reflected_mass_kg, float), LEGS)
 
 
 def stated_friction_N(c: Configuration) -> float:
-    """Dry friction that is configured or identified, N."""
+    """Configured or identified dry friction, N."""
     if c.monitor.friction_N is not None:
         return c.monitor.friction_N
     believed = c.controller.believed
@@ -171,7 +172,7 @@ def stated_friction_N(c: Configuration) -> float:
 
 
 def friction_N(c: Configuration) -> float:
-    """Dry friction that may hold a leg still, N: stated, or assumed where nobody knows."""
+    """Dry friction that may hold a leg still, N: as stated, or an assumed share of the largest force."""
     stated = stated_friction_N(c)
     emulated = c.plant is not None and isinstance(c.plant.model, StewartPlant | BenchPlant)
     if emulated or c.monitor.friction_N is not None:
@@ -182,12 +183,12 @@ def friction_N(c: Configuration) -> float:
 
 
 def leg_errors(c: Configuration) -> LegErrors:
-    """Return the errors of the legs as the sections estimation, monitor and plant state them."""
+    """Errors of the legs from the sections `estimation`, `monitor` and `plant`."""
     s, monitor = c.estimation.fusion, c.monitor
     length_std_m, rate_std_m_s, force_std_N = s.length_std_m, s.rate_std_m_s, s.leg_force_std_N
     if length_std_m is None:
         length_std_m = read_noise(c, c.loop.rate_Hz).length_m / NOISE
-        if c.plant is not None:  # from the steps in which it comes
+        if c.plant is not None:  # quantisation noise
             encoder_m = c.plant.drives.encoder_resolution_m
             length_std_m = hypot(encoder_m, steps(c, c.loop.rate_Hz).length_m - encoder_m) / NOISE
     if rate_std_m_s is None:

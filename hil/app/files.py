@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Atomic writing of files, and checks of output files before the work begins."""
 
 import contextlib
 import os
@@ -12,9 +12,9 @@ from hil.app.terminal import one_line
 
 
 def write_whole(path: Path, text: str) -> None:
-    """Write a text file, in the place of an earlier one. Raises OSError.
+    """Write a text file atomically; an earlier file is replaced. Raises OSError.
 
-    What UTF-8 cannot hold, as bytes of a file's name that are none, becomes a question mark.
+    Characters that UTF-8 cannot encode, as undecodable bytes of a file name, become question marks.
     """
     with made_whole(path, overwrite=True) as temporary:
         temporary.write_text(text, encoding="utf-8", errors="replace")
@@ -22,9 +22,9 @@ def write_whole(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
-    """Yield a new file beside `path`; give it that name at the end, or remove it where something failed.
+    """Yield a temporary file next to `path`; rename it to `path` at the end, or remove it after an error.
 
-    Raises LogError where `path` exists meanwhile and `overwrite` is not set, OSError.
+    Raises LogError where `path` was created in the meantime and `overwrite` is False; OSError.
     """
     with whole_file(path) as temporary:
         yield temporary
@@ -33,16 +33,16 @@ def made_whole(path: Path, *, overwrite: bool) -> Iterator[Path]:
 
 
 class Kind(NamedTuple):
-    """A kind of output, by which a command knows an earlier file of its own: that one is replaced."""
+    """Kind of an output file. A command replaces an earlier file of its own kind."""
 
     name: str
-    """What is missed of another file: `a PNG picture`."""
+    """Noun for messages: `a PNG picture`."""
     holds: Callable[[Path], bool]
-    """Whether a file is of this kind."""
+    """True for a file of this kind."""
 
 
 def beginning(name: str, head: bytes) -> Kind:
-    """Make a kind of files that begin with `head`."""
+    """Kind of the files that begin with the bytes `head`."""
     return Kind(name, lambda path: _begins(path, head))
 
 
@@ -53,18 +53,19 @@ PICTURE = beginning("a PNG picture", b"\x89PNG\r\n")
 def new_file(
     path: Path, *, option: str = "--out", force: bool | None = None, own: Kind | None = None
 ) -> Path:
-    """Return the output file `path`, checked before the work begins.
+    """Check the output file `path` before the work begins, and return it.
 
-    option: what the file was named with, empty for an argument. force: whether --force is given; None: the
-    command has none. own: a file of this kind, or an empty one, is replaced without `force`, and no other is.
+    option: the option that sets the path; empty for an argument.
+    force: True with --force; None: the command has no --force.
+    own: a file of this kind, or an empty file, is replaced without `force`; any other file is kept.
 
-    Raises LogError: it exists and may not be replaced, is a log, a folder or a device, or its folder cannot
-    be written.
+    Raises LogError: the file exists and may not be replaced, or is a log, a folder or a device; or its folder
+    is missing or not writable.
     """
     if path.is_dir():
         why = "is a folder; name a file"
     elif path.exists() and not path.is_file():
-        why = "is a device or a pipe, which no file replaces; name a file"
+        why = "is a device or a pipe and is not replaced; name a file"
     elif LOG.holds(path):
         why = "is a log, and no log is ever overwritten; name another file"
     elif own and path.exists() and path.stat().st_size and not own.holds(path):
@@ -76,14 +77,14 @@ def new_file(
     elif not os.access(real_path(path).parent, os.W_OK | os.X_OK) or (
         path.exists() and not os.access(path, os.W_OK)
     ):
-        why = "no right to write there; name another file"
+        why = "no permission to write there; name another file"
     else:
         return path
     raise LogError(f"{option} {path}: {why}".strip())
 
 
 def printable(name: str | os.PathLike[str]) -> str:
-    """Return a name of a file as one line of text; bytes that are no UTF-8 are shown as numbers."""
+    """A file name as one line of text; bytes that are not UTF-8 appear as escapes."""
     return one_line(os.fspath(name))
 
 

@@ -1,15 +1,15 @@
-"""`hil fmu`: the platform's physics as FMUs, and what of another FMU may be mapped to what."""
+"""`hil fmu`: the platform's physics as FMUs, and a proposed mapping for the variables of another FMU."""
 
 from pathlib import Path
 from typing import Any, Literal
 
-from hil.app.new.text import flow
+from hil.app.new.template import flow
 from plant_fmu.fmu.propose import Proposal, propose
 from plant_fmu.stewart.build import build
 
 
 def build_fmus(choice: Literal["2.0", "3.0", "both"], folder: Path | None = None) -> dict[str, Any]:
-    """Build the FMUs, or take them from the cache, and copy them into `folder`; return the summary.
+    """Build the FMUs, or take them from the cache, copy them into `folder`, and return the summary.
 
     Raises PlantError without a working compiler.
     """
@@ -24,9 +24,9 @@ def build_fmus(choice: Literal["2.0", "3.0", "both"], folder: Path | None = None
 
 
 def plant_section(path: str, proposal: Proposal) -> list[str]:
-    """Return section `plant.model` for an FMU as lines of YAML without indentation.
+    """Section `plant.model` for an FMU, as lines of YAML without indentation.
 
-    What nothing was found for is left empty, with a comment that says what is needed.
+    A key without a proposed variable is left empty, with a comment on what it needs.
     """
     needed = {"force": "inputs, N, > 0 extends", "length": "outputs, m", "rate": "outputs, m/s"}
     lines = ["type: fmu", f"path: {flow(path)}", "isolation: child_process"]
@@ -45,14 +45,14 @@ def plant_section(path: str, proposal: Proposal) -> list[str]:
 
 
 def show_fmu(path: Path) -> tuple[list[str], dict[str, Any]]:
-    """Return what `hil fmu show` prints, and its summary. Raises PlantError."""
+    """Lines that `hil fmu show` prints, and its summary. Raises PlantError."""
     proposal = propose(path)
     lines = [
         f"{path}: FMI {proposal.fmi}, made by {proposal.tool}",
         *([f"  {proposal.obstacle}"] if proposal.obstacle else []),
         *(f"  {variable}" for variable in proposal.variables),
         f"parameters: {', '.join(proposal.parameters) or 'none'}",
-        "proposed, to be read before it is used:",
+        "proposed mapping, to be checked before use:",
         "plant:",
         "  model:",
         *(f"    {line}" for line in plant_section(path.name, proposal)),

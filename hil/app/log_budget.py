@@ -1,7 +1,7 @@
-"""Old logs make room for a new one: `recording.budget_GB`.
+"""`recording.budget_GB`: remove old logs to make room for a new one.
 
-Only logs with dated names of the same configuration in its recordings folder count and go; a log that was
-given a name of its own is never touched.
+Only logs with dated names of the same configuration in its recordings folder are counted and removed. A log
+with a name given by the user is never touched.
 """
 
 import re
@@ -16,25 +16,25 @@ from hil.record.mcap_file import being_written
 from hil.record.schema import SUMMARY
 
 TICK_BYTES = 2000
-"""What a tick takes in a log at most: 0.8 to 1.1 kB were measured on the shipped configurations."""
+"""Upper bound of the log size of a tick; 0.8 to 1.1 kB were measured on the shipped configurations."""
 GB = 1_000_000_000
 
 
 def needed_bytes(c: Configuration, path_s: float | None, duration_s: float | None) -> int:
-    """Return what a run may write at most, bytes; 0 where it has no end that is known.
+    """Upper bound of the log of a run, bytes; 0 for a run without a known end.
 
-    path_s: duration of the reference. Approach, brake tests and parking count as half a minute.
+    path_s: duration of the reference. Approach, brake tests and parking count as 30 s.
     """
     ends = [s for s in (path_s, duration_s) if s is not None]
     return round((min(ends) + 30.0) * c.loop.rate_Hz * TICK_BYTES) if ends else 0
 
 
 def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[str]:
-    """Remove old logs until the budget and the disk have room for `needed` bytes; return what was removed.
+    """Remove old logs until budget and disk have room for `needed` bytes; return the removed paths.
 
-    The oldest go first: those that ended without a fault, then the others. The newest stays, and so does each
-    run that is being recorded meanwhile. Without `recording.budget_GB` nothing is removed. The folder has to
-    be there. Raises LogError: the disk has less than the run may need, or the budget is smaller than that.
+    The oldest logs are removed first: those without a fault, then the others. The newest run is kept, and so
+    is every log that is still being written. Without `recording.budget_GB` nothing is removed. The folder
+    must exist. Raises LogError: the disk or the budget is too small for the run.
     """
     folder = Path(c.recording.folder) if given is None else given.parent
     budget = None if c.recording.budget_GB is None else round(c.recording.budget_GB * GB)
@@ -48,7 +48,7 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
         runs = dated_logs(folder, c.name)
         sizes = {path: _size(path) for logs in runs.values() for path in logs}
         total = sum(sizes.values())
-        for path in _going(list(runs.values())):
+        for path in _removable(list(runs.values())):
             if total + needed <= budget and shutil.disk_usage(folder).free >= needed:
                 break
             path.unlink(missing_ok=True)
@@ -64,9 +64,9 @@ def make_room(c: Configuration, needed: int, given: Path | None = None) -> list[
 
 
 def dated_logs(folder: Path, name: str) -> dict[tuple[str, int], list[Path]]:
-    """Return the logs of the runs of a configuration that got their names from them, the oldest run first.
+    """Logs with dated names of a configuration, by run, the oldest first.
 
-    A run is its date and its number on it; it has its own log, its plant's, or both.
+    A run is (date, number on that date); it has its own log, its plant's log, or both.
     """
     pattern = re.compile(re.escape(name) + r"-(\d{8}T\d{6})(?:-(\d+))?(?:-plant)?\.mcap")
     runs: dict[tuple[str, int], list[Path]] = {}
@@ -77,22 +77,22 @@ def dated_logs(folder: Path, name: str) -> dict[tuple[str, int], list[Path]]:
 
 
 def _size(path: Path) -> int:
-    """Return the bytes of a log; 0 of one that is gone: another run may have made room meanwhile."""
+    """Size of a log, bytes; 0 if another run has removed it in the meantime."""
     try:
         return path.stat().st_size
     except OSError:
         return 0
 
 
-def _going(runs: list[list[Path]]) -> Iterator[Path]:
-    """Yield what may go, in its order: a run's own log and its plant's go and stay together."""
+def _removable(runs: list[list[Path]]) -> Iterator[Path]:
+    """Yield the logs that may be removed, in order; a run's own log and its plant's log stay together."""
     old = [logs for logs in runs[:-1] if not any(map(being_written, logs))]
     for logs in sorted(old, key=lambda logs: any(map(_had_trouble, logs))):
         yield from logs
 
 
 def _had_trouble(path: Path) -> bool:
-    """Tell whether a log holds a fault, was cut, or cannot be read: what somebody may still want to see."""
+    """True for a log with a fault, a cut log or an unreadable one: somebody may still need it."""
     if path.stem.endswith("-plant"):
         return False
     try:

@@ -1,4 +1,4 @@
-"""How late a force answers a measurement, from the configuration."""
+"""Delay from measurement to force, from the configuration."""
 
 from math import pi
 from typing import NamedTuple
@@ -9,26 +9,26 @@ from plant_fmu.config import StewartPlant
 
 
 class LoopDelay(NamedTuple):
-    """The way from the encoders' latch to the force in the legs."""
+    """Delay from the encoder sample to the force in the legs."""
 
     period_s: float
     transport_s: float
-    """Pure delay until the drives have the command: SYNC to feedback, computing, command."""
+    """Pure delay from SYNC through feedback and computation to the drives' receipt of the command."""
     lag_s: float
-    """Time constant of the drives' force loop, first order; 0: none known."""
+    """Time constant of the drives' first-order force loop; 0: unknown."""
 
     @property
     def total_s(self) -> float:
-        """Delay of the loop at low frequency: transport, lag, and the hold's half period."""
+        """Delay of the loop at low frequency: transport, lag, and half a period of the zero-order hold."""
         return self.transport_s + self.lag_s + 0.5 * self.period_s
 
 
 def loop_delay(c: Configuration) -> LoopDelay:
-    """Return the loop's delay: each key that the law states in `delay_compensation`, else a bound of it.
+    """Delay of the loop: from `delay_compensation` of the law where stated, else a bound.
 
-    The bounds: a command takes one period at most, none in layout `ideal`, and one more where the next tick's
-    poll carries it. The lag is that of our FMU, else of the emulated drives. Layout `ideal` has no delay but
-    theirs, whatever the law states.
+    Transport is at most one period, none in layout `ideal`, and one more where the poll of the next tick
+    carries the command. The lag is that of our own FMU, else of the emulated drives. In layout `ideal` the
+    values of the law are ignored.
     """
     period = 1.0 / c.loop.rate_Hz
     ideal = c.bus.layout == "ideal"

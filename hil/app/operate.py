@@ -1,4 +1,4 @@
-"""`hil ctl` and `hil setpoint`: an operator's words to a running controller, from a terminal."""
+"""`hil ctl` and `hil setpoint`: an operator's commands to a running controller, from a terminal."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ if TYPE_CHECKING:
     from hil.operate.client import OperatorClient
 
 REPEAT_S = 0.02
-"""Between two key frames, or words of a jog."""
+"""Period of key frames and of repeated jog commands."""
 REPEATED = frozenset({"key", "jog"})
-"""Words that count for as long as they are said again."""
+"""Commands that act only while they are repeated."""
 SHOWN = {
     "mode": "mode",
     "faults": "faults",
     "waits_for": "waits for",
     "key": "key",
-    "speed_percent": "speed asked for, %",
+    "speed_percent": "requested speed, %",
     "speed_now_percent": "speed now, %",
     "path_s": "along the path, s",
     "path_length_s": "of, s",
@@ -30,18 +30,18 @@ SHOWN = {
     "rotation_vector_deg": "rotation vector, deg",
     "leg_lengths_m": "leg lengths, m",
     "tick": "tick",
-    "refused_lines": "lines that were no words",
+    "refused_lines": "invalid lines",
 }
 
 
 def status(bus: BusAddress) -> dict[str, Any]:
-    """Return the controller's status as a summary. Raises RunError where no controller runs or answers."""
+    """Status of the controller as a summary. Raises RunError: no controller runs or answers."""
     with _client(bus) as client:
         return {"success": True, "kind": "ctl", **client.status()}
 
 
 def status_lines(summary: dict[str, Any]) -> list[str]:
-    """Return a status as lines to read."""
+    """Status as lines for the terminal."""
     return [f"{title:26s}{_shown(summary[key])}" for key, title in SHOWN.items()]
 
 
@@ -60,16 +60,16 @@ def _client(bus: BusAddress) -> OperatorClient:
 
 
 def say(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> dict[str, Any]:
-    """Say one command; hold the key, or repeat a jog, until Ctrl-C or for `seconds`. Return the summary.
+    """Send one command; hold the key, or repeat a jog, until Ctrl-C or for `seconds`; return the summary.
 
-    Its trouble is a controller that refused the word, or ended while one was repeated. Raises RunError where
-    none runs or answers.
+    Its `trouble` names a refused command, or a controller that ended during a repeated one. Raises RunError:
+    no controller runs or answers.
     """
     line, sent, begun, trouble = " ".join(words), 0, time.monotonic(), ""
     repeated = line == "key" or words[0] == "jog"
     with _client(bus) as client:
         try:
-            with contextlib.suppress(*[KeyboardInterrupt] * repeated):  # it lets go of a key or a jog
+            with contextlib.suppress(*[KeyboardInterrupt] * repeated):  # Ctrl-C releases a key or a jog
                 while not sent or (repeated and (seconds is None or time.monotonic() - begun < seconds)):
                     if line == "key":
                         client.key()
@@ -89,10 +89,10 @@ def say(bus: BusAddress, words: Sequence[str], seconds: float | None = None) -> 
 
 
 def send_setpoints(bus: BusAddress, lines: Iterable[str]) -> dict[str, Any]:
-    """Send each line `x y z [rx ry rz]` (m, deg) as it comes; return the summary.
+    """Send each line `x y z [rx ry rz]` (m, deg) as it arrives, and return the summary.
 
-    A controller that ends meanwhile is trouble of the summary, which says how many it had taken. Raises
-    RunError when no controller listens, or none answers the first line.
+    A controller that ends meanwhile is the `trouble` of the summary, which counts the accepted set-points.
+    Raises RunError: no controller listens, or none answers the first line.
     """
     sent, taken, refused, trouble = 0, 0, list[str](), ""
     with _client(bus) as client:

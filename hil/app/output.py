@@ -1,4 +1,4 @@
-"""Where results go: log names, the summary on the terminal, its JSON twin, the picture."""
+"""Output of commands: log names, the summary on the terminal, its JSON file, the picture."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from hil.app.files import PICTURE, Kind, new_file, printable, write_whole
 from hil.app.terminal import visible
 
 if TYPE_CHECKING:
-    from hil.loop.run_end import Ending  # its kernels are for who runs
+    from hil.loop.run_end import Ending  # its kernels are imported only by commands that run
 
 
 def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Path:
-    """Return the log file to write: the given one, or a new dated one in the recordings folder.
+    """Path of the log to write: the given one, or a new dated one in the recordings folder.
 
-    Raises LogError if the file exists (no log is ever overwritten) or its folder cannot be made or written.
+    Raises LogError: the file exists (a log is never overwritten), or its folder cannot be made or written.
     """
     path = _dated(Path(folder), name, f"{suffix}.mcap") if given is None else given
     _make_folder(path, "--log" + " or recording.folder" * (given is None))
@@ -36,14 +36,12 @@ def log_path(folder: str, name: str, given: Path | None, suffix: str = "") -> Pa
 
 
 def _dated(folder: Path, name: str, end: str) -> Path:
-    """Find a dated name that no file has."""
     stem = f"{name}-{time.strftime('%Y%m%dT%H%M%S', time.gmtime())}"
     numbered = (f"{stem}{end}" if n == 1 else f"{stem}-{n}{end}" for n in count(1))
     return next(folder / each for each in numbered if not os.path.lexists(folder / each))
 
 
 def _make_folder(file: Path, option: str) -> None:
-    """Make the folder of a file where there is none. Raises LogError."""
     try:
         made_folder(file.parent)
     except OSError as error:
@@ -53,10 +51,10 @@ def _make_folder(file: Path, option: str) -> None:
 
 
 def picture_path(folder: str, stem: str, given: Path | None, option: str = "--picture") -> Path:
-    """Return the PNG file to write: the given one, or a new dated one in the given or the recordings folder.
+    """Path of the PNG file to write: the given one, or a new dated one in the given or the recordings folder.
 
-    option: what the file was named with. Raises LogError: it exists and is no PNG picture, or its folder
-    cannot be made or written.
+    option: the option that sets the path. Raises LogError: the file exists and is not a PNG picture, or its
+    folder cannot be made or written.
     """
     path = Path(folder) if given is None else given
     if given is None or given.is_dir():
@@ -68,16 +66,16 @@ def picture_path(folder: str, stem: str, given: Path | None, option: str = "--pi
 
 
 def picture_beside(file: Path, option: str) -> Path:
-    """Return the PNG file beside another output, which `option` names. Raises LogError, as `picture_path`."""
+    """Path of the PNG file next to another output, set by `option`. Raises LogError, as `picture_path`."""
     if file.suffix.lower() == ".png":
         raise LogError(f"{option} {file}: its picture takes a name in .png; let this one end otherwise")
     return picture_path("", "", file.with_suffix(".png"), f"{option} {file}: the picture")
 
 
 def check_json_path(path: Path) -> None:
-    """Refuse a summary file that could not be written in the end, before anything starts.
+    """Refuse a summary file that cannot be written, before anything starts.
 
-    Raises LogError, as `new_file`; a pipe or a device is written to.
+    A pipe or a device is allowed. Raises LogError, as `new_file`.
     """
     if path.is_file() or path.is_dir() or not path.exists():
         new_file(path, option="--json", own=Kind("a summary of hil", _is_summary))
@@ -92,9 +90,9 @@ def _is_summary(path: Path) -> bool:
 
 
 def write_json(path: Path, summary: dict[str, Any]) -> None:
-    """Write a summary, whole or not at all; what is not finite becomes null.
+    """Write a summary atomically; numbers that are not finite become null.
 
-    Raises LogError if the folder cannot be written.
+    Raises LogError: the folder cannot be written.
     """
     text = json.dumps(_plain(summary), indent=2, allow_nan=False) + "\n"
     try:
@@ -112,9 +110,9 @@ def _plain(value: Any) -> Any:
 
 
 def fail(summary: dict[str, Any], why: str) -> None:
-    """Make a run that is over no success, and say why beside what else was wrong; nothing where why is empty.
+    """Mark a run that has ended as failed, and append `why` to its `trouble`; an empty `why` changes nothing.
 
-    Its summary is written in any case: it moved, and that is what there is to read of it.
+    The summary is still written: the platform moved, and the summary is the record of it.
     """
     if why:
         trouble = "; ".join(filter(None, (summary.get("trouble"), why)))
@@ -123,9 +121,9 @@ def fail(summary: dict[str, Any], why: str) -> None:
 
 @contextmanager
 def further(summary: dict[str, Any]) -> Iterator[None]:
-    """Have one more output written when the work is done.
+    """Write one more output after the work is done.
 
-    Where it cannot be, its summary says why in `unwritten` and is no success; the work is not lost.
+    An error is added to `unwritten` of the summary, which is marked as failed; the work is not lost.
     """
     try:
         yield
@@ -135,31 +133,31 @@ def further(summary: dict[str, Any]) -> Iterator[None]:
 
 
 def reason(error: HilError | OSError) -> str:
-    """Return what an error says, with the file that it is about."""
+    """Text of an error, with its file."""
     if isinstance(error, OSError):
         return ": ".join(str(part) for part in (error.filename, error.strerror or error) if part)
     return str(error)
 
 
-def told(ending: Ending) -> dict[str, Any] | None:
-    """Return the story of a run's faults for its summary; None without a fault."""
+def fault_story(ending: Ending) -> dict[str, Any] | None:
+    """Story of a run's faults for its summary; None without a fault."""
     return None if ending.story is None else ending.story.fields()
 
 
-def closing(ending: Ending, trouble: str) -> dict[str, Any]:
-    """Return what a log says of the end of its run."""
+def end_record(ending: Ending, trouble: str) -> dict[str, Any]:
+    """Fields that a log stores about the end of its run."""
     end: dict[str, Any] = {"ending": ending.mode.name, "reason": trouble, "faults": int(ending.faults)}
-    return end if ending.story is None else end | {"story": told(ending)}
+    return end if ending.story is None else end | {"story": fault_story(ending)}
 
 
 def after_run(ending: Ending) -> str:
-    """Say how a run that is over ended, for who does not wait for its summary."""
+    """How a run ended, as the beginning of a message about an error after it."""
     return f"after the run, which ended in {ending.mode.name}" + f": {ending.trouble}" * bool(ending.trouble)
 
 
 @contextmanager
 def leaving(there: Callable[[], str]) -> Iterator[None]:
-    """Add to a KeyboardInterrupt, where it says nothing yet, what there is: it is called then."""
+    """Add the text of `there()`, the existing outputs, to a KeyboardInterrupt without a text."""
     try:
         yield
     except KeyboardInterrupt as interrupt:
@@ -167,7 +165,7 @@ def leaving(there: Callable[[], str]) -> Iterator[None]:
 
 
 def warn(text: str) -> None:
-    """Print one message that deserves attention to standard error."""
+    """Print a warning to standard error."""
     click.secho(visible(text), fg="yellow", bold=True, err=True)
 
 
@@ -184,13 +182,13 @@ UNITS = {
     "_MB": "MB",
     "_percent": "%",
 }
-"""End of a key -> unit of its value, the longest first."""
+"""Unit by the suffix of a key; the longest suffix first."""
 _SILENT = frozenset({"success", "kind", "story", "unwritten"})
 """Keys that the headline shows, or that are for the JSON file only."""
 
 
 def show(title: str, summary: dict[str, Any]) -> None:
-    """Print a summary: a headline and one aligned line for each figure, with its unit."""
+    """Print a summary: a headline, and one aligned line for each figure with its unit."""
     good = bool(summary["success"])
     click.secho(f"{title}: {'success' if good else 'failed'}", fg="green" if good else "red", bold=True)
     rows = figure_rows(summary)
@@ -202,7 +200,7 @@ def show(title: str, summary: dict[str, Any]) -> None:
 
 
 def show_lines(lines: Iterable[str]) -> None:
-    """Print lines folded to the terminal, each under its own indentation."""
+    """Print lines folded to the width of the terminal, each at its own indentation."""
     for line in map(visible, lines):
         text = line.lstrip()
         indent = len(line) - len(text)
@@ -220,7 +218,7 @@ def fold(text: str, width: int) -> list[str]:
 
 
 def figure_rows(summary: dict[str, Any]) -> list[tuple[str, str]]:
-    """Return the figures of a summary as name and value with unit."""
+    """Figures of a summary as (name, value with unit)."""
     return list(_rows(summary, ""))
 
 
@@ -229,7 +227,7 @@ def _rows(values: dict[str, Any], indent: str) -> Iterator[tuple[str, str]]:
         if key in _SILENT or value is None:
             continue
         if isinstance(value, dict) and not any(value.values()) and "max" in value:
-            continue  # simulated time: nobody woke up and nothing took time
+            continue  # simulated time: no wake-ups and no computing time
         name, unit = _name_and_unit(key)
         label = indent + name
         if key == "replay":
@@ -237,7 +235,7 @@ def _rows(values: dict[str, Any], indent: str) -> Iterator[tuple[str, str]]:
         elif not isinstance(value, dict):
             yield label, _text(value, unit)
         elif key == "pushes":
-            yield label, f"{value['count']} of legs that stood still, by {value['largest_N']:.3g} N at most"
+            yield label, f"{value['count']} on legs at rest, by {value['largest_N']:.3g} N at most"
         elif set(value) == {"p50", "p99", "max"}:
             yield label, ", ".join(f"{k} {number(v)}" for k, v in value.items()) + f" {unit}"
         elif key == "limited_ticks":
@@ -249,7 +247,7 @@ def _rows(values: dict[str, Any], indent: str) -> Iterator[tuple[str, str]]:
 
 
 def replay_sentence(summary: dict[str, Any]) -> str:
-    """Say in one sentence what a replay found (`hil.app.replay.summary`)."""
+    """Result of a replay in one sentence, from `hil.app.replay.summary`."""
     ticks, different = summary["ticks"], summary["different_ticks"]
     if not ticks:
         return "0 ticks: nothing to compare"
@@ -275,7 +273,7 @@ def _text(value: Any, unit: str) -> str:
 
 
 def number(value: Any) -> str:
-    """Return a figure as tables have it: three digits of a small one, a larger one in full."""
+    """Figure as text: three digits for small ones, larger ones in full."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, float):

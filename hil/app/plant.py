@@ -1,6 +1,6 @@
-"""`hil plant`: the other end of the bus in real time - six emulated drives in front of a plant.
+"""`hil plant`: the other end of the bus in real time, six emulated drives in front of a plant.
 
-It also tests somebody else's controller: it knows frames and time only.
+It only deals with frames and time, so that it can test other controllers as well.
 """
 
 import contextlib
@@ -40,22 +40,23 @@ from plant_fmu.faults.kinds import PROCESS, ProcessKill, ProcessSlow, ProcessSto
 from plant_fmu.plant import Plant
 
 IDLE_NS = 2_000_000
-"""The plant never lags the present by more than this. In a run the frames themselves wake it more
-often; waking without need at real-time priority would starve the recorders beside it."""
+"""Largest lag of the plant behind real time. During a run the frames wake it more often; needless
+wake-ups at real-time priority would starve the recorders on the same core.
+"""
 LOOK_NS = 20_000_000
-"""How often it looks whether to end."""
+"""Period of the checks for an end."""
 ORPHAN_S = 3.0
-"""A supervised plant outlives its supervisor by this at most: the drives shall bring the platform to rest."""
+"""Longest life of a supervised plant after its supervisor: time for the drives to stop the platform."""
 REST_NS = 200_000_000
-"""An orphan at rest for this long ends."""
+"""Time at rest after which an orphaned plant ends."""
 CLOSING_S = 5.0
-"""Closing an orphan's log takes no longer."""
+"""Longest time to close the log of an orphaned plant."""
 
 
 class ProcessFaults:
-    """Kills, stops and slows this process when its time has come.
+    """Kills, stops and slows this process at the configured times.
 
-    Mutable state: which faults are still to come.
+    Mutable state: the faults still to come.
     """
 
     def __init__(self, faults: Iterable[Fault], t0_ns: int) -> None:
@@ -64,7 +65,7 @@ class ProcessFaults:
         ]
 
     def strike(self, now_ns: int) -> None:
-        """Let what is due happen."""
+        """Apply the faults that are due."""
         for entry in list(self._left):
             at_ns, fault = entry
             if now_ns < at_ns:
@@ -83,12 +84,12 @@ class ProcessFaults:
 
 
 class Bench(NamedTuple):
-    """Drives on a substitute for the configured plant, and what does an operator's work by hand there."""
+    """Drives on a substitute for the configured plant, and a callback for manual work on it."""
 
     nodes: Nodes
     plant: Plant
     hands: Callable[[], None]
-    """Called often: does what somebody has asked of the hands."""
+    """Called in each pass of the loop: carries out requested manual work."""
 
 
 def run_plant(
@@ -100,9 +101,9 @@ def run_plant(
     ready: Callable[[], None] = lambda: None,
     bench: Bench | None = None,
 ) -> dict[str, Any]:
-    """Serve the drives until SIGINT, SIGTERM, SIGHUP, `duration_s`, or after the supervisor's pipe closed.
+    """Serve the drives until SIGINT, SIGTERM, SIGHUP, `duration_s`, or until the supervisor's pipe closes.
 
-    An orphan goes on until its drives have brought the platform to rest, for ORPHAN_S at most. `bench`
+    An orphaned plant continues until its drives have stopped the platform, for at most ORPHAN_S. `bench`
     takes the place of the configured plant.
     Raises ConfigurationError, BusError, PlantError; RunError when another plant serves the bus.
     """
@@ -111,7 +112,7 @@ def run_plant(
     assert c.plant is not None
     with contextlib.ExitStack() as stack:
         bus = stack.enter_context(_open_bus(c, 0.0 if supervisor is None else ORPHAN_S + CLOSING_S))
-        ours = supervisor is not None or bench is not None  # a foreign controller does not hold time
+        ours = supervisor is not None or bench is not None  # another controller does not hold time
         if ours and c.loop.on_stall == "stretch" and isinstance(bus.clock, BenchClock):
             bus.clock.holds = True
         served = bench or Bench(*build_nodes(c), lambda: None)
@@ -172,7 +173,7 @@ def run_plant(
 
 
 def _open_bus(c: Configuration, patience_s: float) -> Bus:
-    """Open the bus as its plant; wait `patience_s` for a predecessor whose daemon was killed."""
+    """Open the bus as its plant; wait up to `patience_s` for a predecessor whose daemon was killed."""
     end = time.monotonic() + patience_s
     while True:
         try:
@@ -184,22 +185,21 @@ def _open_bus(c: Configuration, patience_s: float) -> Bus:
 
 
 class _Stop:
-    """Why to end; set by signals, which otherwise would cut the log. Mutable state: the reason."""
+    """Reason to end, set by signals, which otherwise would cut the log. Mutable state: the reason."""
 
     def __init__(self) -> None:
         self.reason = ""
 
     def signalled(self, signum: int, frame: FrameType | None) -> None:
-        """Handle a signal."""
         del frame
         self.reason = signal.Signals(signum).name
 
 
 @contextlib.contextmanager
 def _failures_logged(recording: Recording | None, clock: Clock) -> Iterator[None]:
-    """Write what fails into the log before it goes up.
+    """Record an error in the log, then raise it again.
 
-    A defect of this program becomes a PlantError, too: silence is what stops the controller.
+    A defect of this program becomes a PlantError as well: the plant falls silent, which stops the controller.
     """
     try:
         yield
@@ -268,13 +268,12 @@ def _serve(
 
 
 def latest(queued: Rows, now_ns: int, protocol: Family) -> Rows:
-    """Return what is on the bus by `now_ns` of what is queued, of feedback what is not out of date.
+    """Queued frames that are due by `now_ns`, without outdated feedback.
 
-    After a stall of this process several SYNCs are answered at once. What is out of date would keep the bus
-    busy and delay the answers that count: a stall of 2.6 ms then made 5 stale ticks at 1 kHz. As from a
-    drive's mailbox, an answer does not go out that the same drive has followed by one of a later instant on
-    that bus; the newest takes the place of the first. Two of one instant are two nodes, or a fault: both go
-    out, and so does all that is no feedback.
+    After a stall of this process several SYNCs are answered at once. Outdated feedback would load the bus and
+    delay current feedback: a stall of 2.6 ms caused 5 stale ticks at 1 kHz. As in a drive's mailbox, newer
+    feedback of the same drive and bus takes the place of older feedback. Two frames of one instant come from
+    two nodes, or from a fault: both are sent, and so is every frame that is not feedback.
     """
     times = queued["t_ns"].tolist()
     due = [k for k, t_ns in enumerate(times) if t_ns <= now_ns]

@@ -1,4 +1,4 @@
-"""The plant's log: its columns, and its rows in real time, where what drives are asked is answered first."""
+"""Columns of the plant's log, and its rows in real time, which are written after the drives have answered."""
 
 from collections.abc import Callable
 from functools import partial
@@ -20,7 +20,7 @@ PLANT = Table(
     (
         own("tick", int, "", "number of the row"),
         own("t_ns", int, "ns", "instant of length and rate on the monotonic clock"),
-        own("syncs", int, "", "SYNC frames, of polled drives the polls of each, heard so far on all buses"),
+        own("syncs", int, "", "SYNC frames, or polls of each polled drive, received so far on all buses"),
         own("commands", int, "", "valid command frames with a new counter so far"),
         own("repeated", int, "", "valid command frames without one so far"),
         own("rejected", int, "", "frames refused so far"),
@@ -29,8 +29,8 @@ PLANT = Table(
         own("length", float, "m", "true leg length, joint centre to joint centre", *PER_LEG),
         own("rate", float, "m/s", "true leg rate", *PER_LEG),
         own("command", float, "N", "last valid command, > 0 extends", *PER_LEG),
-        own("force", float, "N", "what the drive puts on the plant, > 0 extends", *PER_LEG),
-        own("applied_force", float, "N", "the plant's own answer to that; force where it has none", *PER_LEG),
+        own("force", float, "N", "force of the drive on the plant, > 0 extends", *PER_LEG),
+        own("applied_force", float, "N", "force that the plant reports; else `force`", *PER_LEG),
         own("brake", float, "1", "1 engaged, 0 released", *PER_LEG),
         own("wrench", float, "N, N m", "load ON the platform", *WRENCH),
         own("p", float, "m", "platform origin in the base frame; nan: unknown", *XYZ),
@@ -38,22 +38,22 @@ PLANT = Table(
         own("twist", float, "m/s, rad/s", "velocity of the origin; omega; base frame", *TWIST),
     ),
 )
-"""The truth that the controller does not know.
+"""True state of the plant, unknown to the controller.
 
-One row for every SYNC, for every other frame that the drives send (for several of them where they come so
-fast that there is only time to answer), and every few milliseconds while something moves and nobody asks.
+One row for every SYNC and every other frame that the drives send. Frames in quick succession share a row.
+Without requests there is a row every few milliseconds while something moves.
 """
 SILENT_NS = 5_000_000
-"""How often a moving platform is recorded when nobody asks, and one that has to answer all the time."""
+"""Period of rows while the platform moves without requests; longest delay of a row while drives answer."""
 REST_RATE_m_s = 1e-3
-"""A leg slower than this is at rest."""
+"""Leg speed below which a leg is at rest."""
 _ROW = PLANT.dtype
 Row = np.ndarray[Any, np.dtype[np.void]]
 """One row of PLANT."""
 
 
 def plant_row(number: int, s: Snapshot) -> Row:
-    """Return one row of PLANT."""
+    """One row of PLANT."""
     row = np.zeros((), _ROW)
     truth = s.truth
     row[()] = (
@@ -65,20 +65,20 @@ def plant_row(number: int, s: Snapshot) -> Row:
 
 
 def at_rest(s: Snapshot) -> bool:
-    """Tell whether no drive is powered and no leg moves."""
+    """True while no drive is powered and no leg moves."""
     powered = np.isin(s.state, (DriveState.READY, DriveState.RUN)).any()
     return not powered and float(np.abs(s.rate).max()) < REST_RATE_m_s
 
 
 class PlantRows:
-    """Rows of the plant's log: one when drives were heard or have spoken, and now and then while legs move.
+    """Rows of the plant's log: one per exchange of frames, and periodic ones while legs move.
 
-    Mutable state: the last snapshot, the number of rows, the frames since then, whether legs move, and since
-    when a row is due.
+    Mutable state: the last snapshot, the number of rows, the frames since then, whether legs move, and the
+    time at which a row became due.
     """
 
     def __init__(self, record: Callable[[Row, Rows, Rows], Any] | None, nodes: Nodes) -> None:
-        """Take what records a row with the frames heard and sent; None records nothing."""
+        """record: called with a row, the frames received and the frames sent; None records nothing."""
         self._record, self._nodes = record, nodes
         self._last = nodes.snapshot()
         self._number, self._moving = 0, False
@@ -86,7 +86,7 @@ class PlantRows:
         self._due_ns: int | None = None
 
     def take(self, heard: Rows, sent: Rows, now_ns: int) -> None:
-        """Note what the drives heard and sent until now."""
+        """Note the frames that the drives received and sent until now."""
         if self._record is None:
             return
         self._heard += heard.tobytes()
@@ -96,7 +96,7 @@ class PlantRows:
             self._due_ns = now_ns
 
     def write(self, now_ns: int, *, answered: bool = True) -> None:
-        """Write the row that is due, if any: once all is `answered`, after SILENT_NS in any case."""
+        """Write the row that is due, if any: once all is `answered`, at the latest after SILENT_NS."""
         if self._record is None or self._due_ns is None:
             return
         if answered or now_ns - self._due_ns >= SILENT_NS:

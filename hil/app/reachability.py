@@ -1,4 +1,4 @@
-"""Walk along the reference before anything moves: lengths, rates, forces, condition, against the limits."""
+"""Check of the reference before anything moves: lengths, rates, forces and condition against the limits."""
 
 from typing import NamedTuple
 
@@ -19,21 +19,21 @@ from hil.trajectory.piecewise import PiecewisePolynomial
 from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
 SAMPLE = 24
-"""Numbers of a sample: p (3,) m, R (3, 3) by rows, twist (6,), dtwist (6,), SI."""
+"""Length of a sample: p (3,) m, R (3, 3) by rows, twist (6,), dtwist (6,), SI."""
 LENGTH, RATE, ACCELERATION, FORCE, CONDITION = 0, 6, 12, 18, 24
-"""Where a row of what is found has q, dq, ddq (6,) m, m/s, m/s^2, tau (6,) N, and the condition of J."""
+"""Offsets in a row of results: q, dq, ddq (6,) m, m/s, m/s^2, tau (6,) N, and the condition number of J."""
 SAMPLES = 20_000
-"""Most samples of a walk; a longer path is walked in longer steps."""
+"""Most samples of a walk; a longer path is sampled in longer steps."""
 FEWEST = 5
-"""Samples within WINDOW_S that show what forces change by meanwhile."""
+"""Fewest samples within WINDOW_S that resolve the change of forces."""
 PAIRS = 5_000
-"""Ticks of a longer path, evenly spread, at which the change of forces is looked at beside its knots."""
+"""Evenly spread ticks of a longer path at which the force step is checked, in addition to its knots."""
 OTHER_UNIT = 50.0
-"""Legs that would be so many times as long as the longest: no path of this robot, whatever was meant."""
+"""Ratio of leg length to the longest leg above which the path must be in another unit."""
 
 
 class Walk(NamedTuple):
-    """A reference, sampled. Rows are instants."""
+    """Sampled reference; rows are instants."""
 
     t: Array
     """(n,) s."""
@@ -44,31 +44,32 @@ class Walk(NamedTuple):
     ddq: Array
     """(n, 6) m/s^2."""
     tau: Array
-    """(n, 6) N, what the drives have to give."""
+    """(n, 6) N, forces of the drives."""
     rest: Array
-    """(2, 6) N, what holds the first and the last pose."""
+    """(2, 6) N, forces that hold the first and the last pose."""
     condition: Array
-    """(n,) of J, lengths made comparable; inf where it is singular."""
+    """(n,) condition number of J with rotations scaled to lengths; inf where singular."""
     sign: Array
-    """(n,) sign of det J: where it changes, the path has gone through a singularity."""
+    """(n,) sign of det J; a change means that the path has crossed a singularity."""
     every_tick: bool
-    """Whether the step is one period of the loop."""
+    """True if the step is one period of the loop."""
     repeats: bool
-    """Whether the path goes on where the walk ends, with its beginning."""
+    """True if the path starts again where the walk ends."""
     jumps: tuple[Array, Array] | None = None
-    """Where not every tick is there: instants (m,) s, what forces (m, 6) N change by until the next tick."""
+    """Force steps where ticks are skipped: instants (m,) s, changes (m, 6) N until the next tick."""
 
     def forces(self) -> tuple[Array, Array]:
-        """Return instants (n,) s and forces (n, 6) N from rest to rest; two passes of a path that repeats."""
+        """Instants (n,) s and forces (n, 6) N from rest to rest; two passes of a path that repeats."""
         passes = 2 if self.repeats else 1
         t = np.concatenate([self.t + k * self.t[-1] for k in range(passes)])
         tau = np.vstack([self.rest[:1], *[self.tau] * passes, self.rest[1:]])
         return np.concatenate([t[:1], t, t[-1:]]), tau
 
     def steps(self) -> tuple[Array, Array]:
-        """Return instants (n,) s and what forces (n, 6) N change by there from one tick to the next.
+        """Instants (n,) s and force steps (n, 6) N, each from the tick before.
 
-        Of a longer path at its ends, its knots, where accelerations may jump, and at `PAIRS` ticks between.
+        A longer path is checked at its ends, at its knots, where accelerations may jump, and at `PAIRS`
+        ticks.
         """
         t, forces = self.forces()
         changes = np.vstack([np.zeros((1, 6)), np.diff(forces, axis=0)])
@@ -81,19 +82,19 @@ class Walk(NamedTuple):
         return instants[order], np.vstack([changes[sudden], self.jumps[1]])[order]
 
     def swings(self, period: float) -> Array | None:
-        """Return (n, 6) N, what forces change by within WINDOW_S; None where samples are too far apart."""
+        """Largest force changes (n, 6) N within WINDOW_S; None where samples are too far apart."""
         step = period if self.every_tick or len(self.t) < 2 else float(self.t[1] - self.t[0])
         ticks = max(1, round(WINDOW_S / step))
         return window_swing(self.forces()[1], ticks) if ticks >= FEWEST or self.every_tick else None
 
 
 class Violation(NamedTuple):
-    """The first instant at which one limit does not hold."""
+    """First instant at which a limit is violated."""
 
     t: float
     message: str
     limit: str
-    """Which one, whatever the leg and its figure."""
+    """Text of the limit, without leg and value."""
 
 
 @kernel(MATRIX, MATRIX, VECTOR, INTEGER, REAL, MATRIX, OUT_MATRIX, OUT_MATRIX)
@@ -102,8 +103,8 @@ def walk_kernel(
 ) -> None:
     """Fill found (n, 25) and J (n, 36) at each of the samples (n, 24).
 
-    a, b (6, 3) m: base and platform joints. c, code: of the model, see `hil.robot.dynamics`. radius: m that
-    makes rotations comparable with displacements. Forces are those of `inverse_dynamics_kernel`.
+    a, b (6, 3) m: base and platform joints. c, code: constants and code of the model, see
+    `hil.robot.dynamics`. radius: m, scales rotations to displacements. Forces: `inverse_dynamics_kernel`.
     """
     p, R, twist, dtwist = np.empty(3), np.empty((3, 3)), np.empty(6), np.empty(6)
     no_wrench, l, J = np.zeros(6), np.empty(6), np.empty((6, 6))
@@ -129,7 +130,7 @@ def walk_kernel(
 
 
 def span_s(trajectory: Trajectory) -> float:
-    """Return how long the walk has to be: one period of what repeats."""
+    """Duration of the walk, s: one period of a path that repeats."""
     if isinstance(trajectory, PiecewisePolynomial):
         return trajectory.period_s
     return trajectory.duration_s or 0.0
@@ -143,11 +144,11 @@ def walk(
     period: float,
     plant: PlantSettings | None = None,
 ) -> Walk:
-    """Sample the reference over `span` s, once per `period` s where that gives at most SAMPLES samples.
+    """Sample the reference over `span` s: once per `period` s, with at most SAMPLES samples.
 
-    Leg forces: inverse dynamics of `model`, plus friction and reflected mass of our own plant; the bench
-    plant's own equation where that is the plant; nan where the path meets a singularity. Raises ModelError
-    where it begins or ends in one.
+    Leg forces: inverse dynamics of `model`, plus friction and reflected mass of our own plant. The bench
+    plant has its own equation. Forces are nan where the path meets a singularity. Raises ModelError where it
+    begins or ends in one.
     """
     steps = round(span / period)
     n = min(steps, SAMPLES) + 1
@@ -162,7 +163,7 @@ def walk(
     repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
     jumps: tuple[Array, Array] | None = None
     if steps > n - 1:
-        at = np.asarray(period * _looked_at(trajectory, period, steps), float)
+        at = np.asarray(period * _checked_ticks(trajectory, period, steps), float)
         parts = [
             _sampled(platform, model, trajectory, np.minimum(each, inside)) for each in (at, at + period)
         ]
@@ -174,7 +175,7 @@ def walk(
 def _sampled(
     platform: Platform, model: Model, trajectory: Trajectory, t: Array
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
-    """Return q, dq, ddq, tau, each (n, 6), condition (n,) and J (n, 6, 6) at instants (n,) s."""
+    """q, dq, ddq, tau, each (n, 6), condition (n,) and J (n, 6, 6) at instants (n,) s."""
     n = len(t)
     samples, found, Js = np.empty((n, SAMPLE)), np.empty((n, CONDITION + 1)), np.empty((n, 36))
     for k in range(n):
@@ -187,8 +188,8 @@ def _sampled(
     return q, dq, ddq, tau, found[:, CONDITION], Js.reshape(n, 6, 6)
 
 
-def _looked_at(trajectory: Trajectory, period: float, steps: int) -> Ints:
-    """Return ticks from which to the next one forces are compared: around knots, and evenly spread."""
+def _checked_ticks(trajectory: Trajectory, period: float, steps: int) -> Ints:
+    """Ticks at which the force step to the next tick is checked: around knots, and evenly spread."""
     ticks = np.linspace(0, steps - 1, PAIRS).astype(np.int64)
     if isinstance(trajectory, PiecewisePolynomial):
         knots = np.floor(trajectory.knots / period * (1 + 1e-12)).astype(np.int64)
@@ -199,9 +200,9 @@ def _looked_at(trajectory: Trajectory, period: float, steps: int) -> Ints:
 def drive_forces(
     plant: PlantSettings | None, q: Array, dq: Array, ddq: Array, tau: Array, rest: Array
 ) -> tuple[Array, Array]:
-    """Add what the plant has and the rigid-body model has not; return tau and rest, each (n, 6) N.
+    """Forces tau and rest, each (n, 6) N, with the plant's own terms added to those of the rigid-body model.
 
-    The bench plant has an equation of its own: what is given as tau counts for nothing there.
+    The bench plant has its own equation, which ignores the given tau.
     """
     if plant is not None and isinstance(plant.model, StewartPlant):
         m = plant.model
@@ -219,9 +220,9 @@ def drive_forces(
 
 
 def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, period: float) -> list[Violation]:
-    """Return the first violation of each limit, in order of time.
+    """First violation of each limit, in order of time.
 
-    Of a path in another unit that alone: no other limit has a meaning there.
+    A path in another unit yields that violation only: the other limits have no meaning then.
     """
     times = float(w.q.max()) / platform.length_max_m
     if times > OTHER_UNIT:
@@ -255,15 +256,15 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
 
 
 def _other_unit(w: Walk, length_max_m: float) -> Violation:
-    """Return where the legs would first be that long, and the likely reason."""
+    """Violation of a path in another unit, at the first leg that would be too long."""
     k, leg = map(int, np.argwhere(w.q > OTHER_UNIT * length_max_m)[0])
-    text = "positions far out of the robot's size: in mm, where m are meant? Divide x_m, y_m and z_m by 1000"
+    text = "positions far beyond the robot's size: in mm instead of m? Divide x_m, y_m and z_m by 1000"
     long = f"leg {leg} would be {w.q[k, leg]:.4g} m long, allowed: platform.length_max_m {length_max_m:g}"
     return Violation(float(w.t[k]), f"{text}. {long}", text)
 
 
 def _singularity(w: Walk, limit: float) -> Violation | None:
-    """Return where the path comes too near to a singularity, or has gone through one between two samples."""
+    """First point of the path that is too close to a singularity, or past one."""
     turned = np.concatenate([[False], np.diff(w.sign) != 0])
     far = (w.condition > limit) | turned
     if not far.any():
@@ -278,8 +279,8 @@ def _singularity(w: Walk, limit: float) -> Violation | None:
 
 
 def window_swing(forces: Array, ticks: int) -> Array:
-    """Return (n, 6) N, the largest change of each leg's force against any of the `ticks` rows before."""
-    low, high, covered = forces.copy(), forces.copy(), 1  # over that many rows, up to each
+    """Largest change of each leg's force against any of the `ticks` rows before, (n, 6) N."""
+    low, high, covered = forces.copy(), forces.copy(), 1  # number of rows covered, up to each
     while covered < ticks + 1:
         step = min(covered, ticks + 1 - covered)
         low[step:] = np.minimum(low[step:], low[:-step])

@@ -1,4 +1,4 @@
-"""A log to look at: whole, or of one that is cut as far as it goes."""
+"""Reading of a log: the whole, or a cut one as far as it goes."""
 
 from collections.abc import Collection
 from pathlib import Path
@@ -9,25 +9,25 @@ from hil.record.log import Log
 from hil.record.schema import CLEAN, SALVAGE, SUMMARY
 
 MOST_RATE_HZ = 1e5
-"""Of what a log says of its run: windows of ticks grow with it."""
+"""Largest rate accepted from a log's metadata: windows of ticks grow with it."""
 
 
 class Readable(NamedTuple):
-    """A log that can be read to its end."""
+    """Log that can be read to its end."""
 
     log: Log
     rows: Rows
-    """In tick order, with the columns that were asked for."""
+    """In tick order, with the requested columns."""
     remark: str
-    """What is missing; empty for a log that its run has closed."""
+    """Missing parts, as a sentence; empty for a log that its run has closed."""
 
 
 def readable(path: Path, columns: Collection[str] = ()) -> Readable:
     """Read a log.
 
-    columns: those that are needed, as far as the log has them; none: all.
+    columns: the needed ones, as far as the log has them; empty: all.
 
-    Raises LogError: no such file, not a log of this product, or damaged.
+    Raises LogError: the file is missing, not a log of this product, or damaged.
     """
     log = Log(path)
     rows = log.rows(*(column.name for column in log.columns if column.name in columns))
@@ -35,7 +35,7 @@ def readable(path: Path, columns: Collection[str] = ()) -> Readable:
 
 
 def lacking(log: Log) -> str:
-    """Return what a log lacks, by its end or by what it says; empty for one that its run has closed."""
+    """Missing parts of a log, as a sentence; empty for a log that its run has closed."""
     if log.cut:
         return f"the log is {log.cut.partition(' (')[0]}"
     found = []

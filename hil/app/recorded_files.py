@@ -1,4 +1,4 @@
-"""The files that a log carries, in the place of those that its configuration names."""
+"""Files of a log in place of the files that its configuration refers to."""
 
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -13,9 +13,9 @@ from hil.app.configuration.configuration import Configuration
 
 @contextmanager
 def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterator[Configuration]:
-    """Yield what `with_attachments` returns; nothing is written where the configuration names no file.
+    """Yield `with_attachments` in a temporary folder; the configuration itself if it refers to no file.
 
-    Raises LogError, as that does; OSError where the disk of temporary files takes none.
+    Raises LogError, as `with_attachments`; OSError where the temporary folder cannot be written.
     """
     if not any(isinstance(getattr(configuration, section), kind) for _, section, _, kind, _ in NAMED_FILES):
         yield configuration
@@ -25,12 +25,12 @@ def attached(configuration: Configuration, files: Mapping[str, bytes]) -> Iterat
 
 
 def with_attachments(configuration: Configuration, files: Mapping[str, bytes], folder: Path) -> Configuration:
-    """Return the configuration with the files of a log in the place of those that it names.
+    """Configuration with the files of a log in place of those that it refers to.
 
-    They are written to `folder`, with the controller that comes with the product never in their place: what
-    replay reads is in the log. A plan is none of them, `build_cycle` takes it as it is.
+    The files are written to `folder`, and replay reads only these, even where the product ships one of the
+    same name. A planned reference is not among them: `build_cycle` takes it directly.
 
-    Raises LogError where the configuration names a file that the log does not carry.
+    Raises LogError where the configuration refers to a file that the log does not carry.
     """
     changes: dict[str, Any] = {}
     for name, section, key, kind, _ in NAMED_FILES:
@@ -39,8 +39,8 @@ def with_attachments(configuration: Configuration, files: Mapping[str, bytes], f
             continue
         if name not in files:
             raise LogError(
-                f"the configuration in the log names a file in {section}.{key}, and the log does not carry "
-                f"it (attachment {name}): replay reads nothing else from the disk"
+                f"the configuration in the log refers to a file in {section}.{key} that the log does not "
+                f"carry (attachment {name}): replay reads no other file"
             )
         path = folder.absolute() / name
         path.write_bytes(files[name])

@@ -1,4 +1,4 @@
-"""`hil replay`: a log's recorded inputs through the same code, compared to the bit."""
+"""`hil replay`: feed a log's recorded inputs through the same code, and compare to the bit."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -23,18 +23,18 @@ from hil.record.log import Log
 from hil.record.schema import ENVIRONMENT, SUMMARY
 
 WHAT_IF = "what-if"
-"""Kind of a log that holds what another controller would have answered: no run."""
+"""Kind of a log with the answers of another controller: not a run."""
 _DIGITS = 19
-"""Of a count: more are none."""
+"""Most digits of a valid count."""
 MOST = {"rate_Hz": MOST_RATE_HZ, "watchdog_s": 3600.0}
-"""Of what a log says of its run."""
+"""Upper bounds of values in the metadata of a run."""
 _DRAWN = "`hil plot` draws its columns"
 
 
 def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
-    """Return a log of `hil run` or `hil sim`, what it says of the run, and its configuration.
+    """A log of `hil run` or `hil sim`, the metadata of its run, and its configuration.
 
-    Raises LogError for a file that is no such log, and for one whose columns this version cannot read.
+    Raises LogError: the file is not such a log, or has columns that this version cannot read.
     """
     log, run = _open(path)
     refuse_unread(log)
@@ -42,7 +42,7 @@ def open_run(path: Path) -> tuple[Log, dict[str, Any], Configuration]:
 
 
 def refuse_unread(log: Log) -> None:
-    """Refuse a log whose columns this version cannot read. Raises LogError."""
+    """Refuse a log with columns that this version cannot read. Raises LogError."""
     there = {c.name: (c.kind, c.shape) for c in log.columns}
     other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
     if other:
@@ -56,15 +56,17 @@ def _open(path: Path) -> tuple[Log, dict[str, Any]]:
 
 
 def run_of(log: Log, path: Path, needed: Iterable[str] = MOST) -> dict[str, Any]:
-    """Metadata of the run in a log of `hil run` or `hil sim`. Raises LogError: another log, or no rate.
+    """Metadata of the run in a log of `hil run` or `hil sim`.
 
-    needed : which keys of MOST.
+    needed : the required keys of MOST.
+
+    Raises LogError: another kind of log, or a required value is missing or out of range.
     """
     run: dict[str, Any] = dict(log.metadata.get("hil", {}))
     if run.get("kind") == WHAT_IF:
         raise LogError(
-            f"{path}: holds a what-if on {run.get('what_if_of', 'a log')!r:.200}, no run: its measurements "
-            "did not follow its forces; allowed: that log itself"
+            f"{path}: holds a what-if on {run.get('what_if_of', 'a log')!r:.200}, not a run: its "
+            "measurements did not follow its forces; allowed: the log of a run"
         )
     if run.get("kind") not in {"run", "sim"}:
         raise LogError(
@@ -86,12 +88,13 @@ def run_of(log: Log, path: Path, needed: Iterable[str] = MOST) -> dict[str, Any]
 
 
 def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[str, Any], Configuration]:
-    """Return a log that this version can replay, what it says of the run, and its configuration.
+    """A log that this version can replay, the metadata of its run, and its configuration.
 
-    A law in a file runs where the disk has the same file and this user has run it, or with `trust_code`.
+    The code of a law in a file runs only if the disk has the same file and this user has run it before, or
+    with `trust_code`.
 
-    Raises LogError for a file that is no log of `hil run` or `hil sim`, and for one of other columns, of
-    another protocol or of a law that is not on the disk.
+    Raises LogError: the file is not a log of `hil run` or `hil sim`, has other columns or another protocol,
+    or its law is not on the disk.
     """
     log, run = _open(path)
     difference = other_columns(log.columns)
@@ -111,10 +114,10 @@ def open_replayable(path: Path, *, trust_code: bool = False) -> tuple[Log, dict[
 
 
 def law_of_log(c: Configuration, log: Log, run: dict[str, Any], *, trust_code: bool) -> Configuration:
-    """Return a log's configuration with its law, where that is a file.
+    """Configuration of a log, with its law loaded where the law is a file.
 
-    Raises LogError where the disk has not the file that the log carries, or this user has never run it from a
-    configuration, unless `trust_code`.
+    Raises LogError: the disk lacks the file that the log carries, or this user has never run it from a
+    configuration; `trust_code` permits both.
     """
     if not isinstance(c.controller, UnreadLaw):
         return c
@@ -135,10 +138,10 @@ def replay_log(
 ) -> tuple[Comparison, dict[str, Any]]:
     """Replay a log of `hil run` or `hil sim`; return the comparison and its summary.
 
-    `progress` is called with the number of ticks done, every thousand; `trust_code` as `open_replayable`.
+    `progress` is called with the number of ticks done, every 1000 ticks. `trust_code`: see `open_replayable`.
 
-    Raises LogError for a file that is no such log, and for one of other columns or another protocol; OSError
-    where the files that it carries cannot be written to the disk of temporary files.
+    Raises LogError: the file is not such a log, or has other columns or another protocol; OSError: the files
+    that it carries cannot be written to the temporary folder.
     """
     log, run, configuration = open_replayable(path, trust_code=trust_code)
     with attached(configuration, log.attachments) as configuration:
@@ -149,7 +152,7 @@ def replay_log(
     with collector_paused():
         comparison = replay(log, cycle, progress)
     wall = time.perf_counter() - begun
-    _require_as_many_as_counted(log, comparison)
+    _check_counts(log, comparison)
     result = summary(comparison, wall, comparison.ticks / run["rate_Hz"])
     there, here = log.metadata.get(ENVIRONMENT, {}).get("cpu"), environment()["cpu"]
     if there != here:
@@ -161,10 +164,10 @@ def replay_log(
     return comparison, result
 
 
-def _require_as_many_as_counted(log: Log, comparison: Comparison) -> None:
-    """Add the ticks that index or end of a log count and that are not there to the gaps.
+def _check_counts(log: Log, comparison: Comparison) -> None:
+    """Add ticks that the log's index or end counts but that are missing to the gaps.
 
-    A log that was cut has neither. Raises LogError: index or end count fewer than there are.
+    A cut log has no such counts. Raises LogError: index or end count fewer ticks than there are.
     """
     if log.cut or comparison.gaps:
         return
@@ -184,10 +187,10 @@ def _require_as_many_as_counted(log: Log, comparison: Comparison) -> None:
 
 
 def measured(result: dict[str, Any], path: Path, lost: str = "", *, check_replay: bool = True) -> Rows | None:
-    """Add what the log of a run that is over shows, and its replay, to the run's summary; return its rows.
+    """Add the figures of a log and its replay to the summary of the run; return the log's rows.
 
-    lost: why the log is not whole, where that is known; then it is no news that it cannot be read. What
-    cannot be read or replayed makes the run no success; a difference is left to the caller to judge.
+    lost: known reason why the log is incomplete; an unreadable log is then expected. A log that cannot be
+    read or replayed makes the run a failure. The caller judges differences of the replay.
     """
     try:
         rows = Log.open(path).rows()
@@ -220,7 +223,7 @@ def _other_version(log: Log, difference: str, what: str) -> LogError:
 
 
 def summary(comparison: Comparison, wall_s: float, logged_s: float) -> dict[str, Any]:
-    """Return a comparison as plain values."""
+    """Comparison as plain values."""
     return {
         "exact": comparison.exact,
         "equivalent": comparison.equivalent,

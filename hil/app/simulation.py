@@ -18,19 +18,19 @@ from hil.record.log import Log
 
 @dataclass(frozen=True)
 class Run:
-    """A run that is over."""
+    """Run that has ended."""
 
     log: Log
-    """What was recorded."""
+    """The log of the run."""
     summary: dict[str, Any]
-    """What `hil sim --json` writes; keys carry their units."""
+    """Summary as `hil sim --json` writes it; keys carry their units."""
 
     def __repr__(self) -> str:
         return f"Run(success={self.success}, log={str(self.log.path)!r})"
 
     @property
     def success(self) -> bool:
-        """Whether it parked without a fault, and the log replayed exactly where that was asked for."""
+        """True if it parked without a fault and, if requested, the log replayed exactly."""
         return bool(self.summary["success"])
 
 
@@ -53,23 +53,23 @@ def sim(
     config
         A YAML file, or the name of a shipped configuration.
     duration_s
-        After how many simulated seconds to stop along the reference and park; without, at its end.
+        Simulated seconds along the reference, after which the platform parks; None: to its end.
     log
-        The log file to write; without, a new one in the folder `recording.folder`.
+        The log file to write; None: a new one in the folder `recording.folder`.
     plant_log
-        Record the plant's truth beside it, for ``run.log.frame("plant.p")``.
+        Record the plant's true state in a second log, for ``run.log.frame("plant.p")``.
     faults
-        What goes wrong at the plant, in the words of ``hil sim --fault``: one text a fault.
+        Faults of the plant, in the words of ``hil sim --fault``: one text a fault.
     setpoints
         CSV of poses for a live reference.
     commands
-        What the operator says: ``[(2.5, "hold"), (4.0, "speed 40"), (4.0, "start")]``, at simulated seconds
-        since the first tick, in the words of ``hil ctl``. With an ``"arm"`` among them it waits for that.
+        Operator commands ``[(2.5, "hold"), (4.0, "speed 40"), (4.0, "start")]``: simulated seconds since the
+        first tick, and the words of ``hil ctl``. With an ``"arm"`` among them the run waits for it.
     check_replay
         Replay the log at the end, and count a difference as a failure.
     changes
         Sections of the configuration: ``controller={"wn_rad_s": 25}`` changes this key, a mapping with
-        another `law` or `type` replaces the section, None takes a key away.
+        another `law` or `type` replaces the section, None removes a key.
 
     Returns
     -------
@@ -79,12 +79,11 @@ def sim(
     Raises
     ------
     ConfigurationError
-        The configuration, a change, the duration, or a reference out of reach.
+        Invalid configuration, change or duration, or a reference out of reach.
     PlantError
         The plant does not start.
     LogError
         The log exists, or cannot be written.
-
     """
     if duration_s is not None and not 0.0 < duration_s <= LATEST_S:
         raise ConfigurationError(

@@ -1,17 +1,17 @@
-"""Text of strangers on a terminal: what would steer it, or reorder what is read, is shown as its number."""
+"""Untrusted text on a terminal: control and reordering characters are shown as escapes."""
 
 import unicodedata
 
 _STEERING = {"Cc", "Cf", "Cs", "Zl", "Zp"}
-"""Unicode categories: control, format (reordering among them), halves of pairs, line and paragraph breaks."""
+"""Unicode categories: control, format (reordering among them), surrogates, line and paragraph separators."""
 
 
 LONGEST = 4000
-"""Signs of a text in one line: a page of a book."""
+"""Most characters of a text in one line: a page of a book."""
 
 
 def visible(text: str) -> str:
-    r"""Return a text with what is no sign as \x1b or \u202e; line feeds stay."""
+    r"""Text with control characters escaped, as \x1b or \u202e; line feeds stay."""
     if text.isprintable():
         return text
     return "".join(
@@ -23,7 +23,7 @@ def visible(text: str) -> str:
 
 
 def one_line(text: str) -> str:
-    """Return a text as `visible`, in one line, and not without end."""
+    """Text as `visible`, in one line of limited length."""
     more = len(text) - LONGEST
-    end = f" ... and {more} signs more" if more > 0 else ""
+    end = f" ... and {more} more characters" if more > 0 else ""
     return visible(text[:LONGEST].replace("\n", "\\n")) + end

@@ -1,7 +1,7 @@
-"""How forces and a payload that is known by ranges move legs at home, and what safety has to allow for it.
+"""Acceleration of the legs at home by forces and an uncertain payload, and the tolerance safety needs for it.
 
-A step dF of the forces in frames leaves e'' + K_D e' + K_P e = d with |d| <= |P| dF, P the accelerations of
-the legs per force: at rest |e| <= |P| dF / K_P, leg by leg.
+A step dF of the forces in frames leaves e'' + K_D e' + K_P e = d with |d| <= |P| dF. P (6, 6) 1/kg is the
+acceleration of the legs per force. At rest |e| <= |P| dF / K_P, leg by leg.
 """
 
 from typing import NamedTuple
@@ -22,25 +22,25 @@ from hil.robot.kinematics import jacobian
 
 
 class UnknownPayload(NamedTuple):
-    """The robot with the model's payload and at each corner of its ranges, at home."""
+    """Robot at home with the payload of the model, and at each corner of the payload's ranges."""
 
     mobility: Array
-    """(n, 6, 6) 1/kg, J M^-1 J^T: how forces on the legs accelerate legs."""
+    """(n, 6, 6) 1/kg, J M^-1 J^T: acceleration of the legs per force on the legs."""
     leg: float
-    """m/s^2, largest acceleration of a leg under the forces that hold the model's payload."""
+    """m/s^2, largest acceleration of a leg by an uncertain payload under the model's holding forces."""
     position: float
-    """m/s^2, of one coordinate of the platform's position."""
+    """m/s^2, the same of a coordinate of the platform's position."""
     rotation: float
-    """rad/s^2, of one of its rotations."""
+    """rad/s^2, the same of a rotation of the platform."""
     holding_N: Array
-    """(6,) N, largest force that a leg bears at home."""
+    """(6,) N, largest holding force of each leg at home."""
 
     def allowed(self, monitor: MonitorSettings) -> MonitorSettings:
-        """Return the stated disturbances of legs, with what the payload does to them added."""
+        """Monitor settings with the effect of the payload added to the disturbance of the legs."""
         return monitor.model_copy(update={"disturbance_m_s2": monitor.disturbance_m_s2 + self.leg})
 
     def allowed_of_the_pose(self, monitor: MonitorSettings) -> MonitorSettings:
-        """Return the stated disturbances of a pose, with what the payload does to it added."""
+        """Monitor settings with the effect of the payload added to the disturbances of the pose."""
         update = {
             "disturbance_m_s2": monitor.disturbance_m_s2 + self.position,
             "disturbance_rad_s2": monitor.disturbance_rad_s2 + self.rotation,
@@ -49,9 +49,9 @@ class UnknownPayload(NamedTuple):
 
 
 def unknown_payload(c: Configuration, along_legs_kg: ArrayLike = 0.0) -> UnknownPayload:
-    """Mobility and accelerations by a payload within its ranges; those of the model where it has none.
+    """Mobility and accelerations by a payload within its ranges; those of the model without ranges.
 
-    along_legs_kg: (6,) kg or one for all legs, what motor and screw add along each.
+    along_legs_kg: (6,) kg or one for all legs, reflected mass of motor and screw along each.
     """
     home = pose_arrays(c.platform.home)
     platforms = [build_platform(corner.settings) for corner in corners(c.platform)]
@@ -78,22 +78,22 @@ def unknown_payload(c: Configuration, along_legs_kg: ArrayLike = 0.0) -> Unknown
 
 
 def force_steps_N(c: Configuration) -> Array:
-    """Return what one step of the command's field is at each leg, (6,) N; 0: as fine as a number is."""
+    """Resolution of the force command at each leg, (6,) N; 0: floating point."""
     return build_protocol(c.bus, c.drives).traits.resolution.force
 
 
 def error_m(P: Array, steps_N: Array, K_P: Array | float) -> float:
-    """Return the largest error of a leg at rest, m, from P (..., 6, 6) 1/kg, steps (6,) N and K_P 1/s^2."""
+    """Largest error of a leg at rest, m, from P (..., 6, 6) 1/kg, steps (6,) N and K_P 1/s^2."""
     return float((np.abs(P) @ steps_N / K_P).max())
 
 
 def stepped_error_m(c: Configuration) -> float | None:
-    """Return that error at home, m; None for a law whose error dynamics are not known by themselves."""
+    """Largest error at rest at home by the force resolution, m; None where error dynamics are unknown."""
     dynamics = c.controller.error_dynamics()
     if not isinstance(dynamics, ErrorDynamics):
         return None
     K_P = float(dynamics.K_P.min()) if dynamics.pose else dynamics.K_P
     P, believed = unknown_payload(c).mobility, c.controller.believed
-    if believed is not None:  # rotors and screws move along the legs
+    if believed is not None:  # with rotors and screws
         P = np.linalg.inv(np.linalg.inv(P) + believed.reflected_mass_kg * np.eye(6))
     return error_m(P, force_steps_N(c), K_P)

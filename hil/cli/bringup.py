@@ -10,20 +10,20 @@ from hil.cli.interrupts import pressed
 
 @click.command()
 @shared.configuration_argument
-@shared.flag("--rehearse", "On an emulated bench, in simulated time; nothing is moved.")
+@shared.flag("--rehearse", "Rehearse on an emulated bench, in simulated time; nothing moves.")
 @shared.mistake_option
-@shared.flag("--yes", "Agree to all steps, on a bench only.")
-@shared.option("--state", shared.OUTPUT, "FILE", "Where the answers are kept between runs.")
-@shared.flag("--again", "Measure everything again, whatever the state file holds.")
+@shared.flag("--yes", "Confirm all steps; on an emulated bench only.")
+@shared.option("--state", shared.OUTPUT, "FILE", "File that keeps the answers between runs.")
+@shared.flag("--again", "Measure everything again and ignore the state file.")
 @shared.log_option
 @shared.reporting
 def command(configuration: str, rehearse: bool, mistakes: tuple[str, ...], **options: Any) -> None:
     """Bring a machine up, from parts to a moving platform, one leg at a time.
 
-    Each step explains what it will do and how to stop it, and asks. Legs lie on trestles, without load, until
-    the step `mounted`; at most one brake is open. Give the command again to go on. Ctrl-C at any moment, or a
-    terminal that goes, takes force and power away. The configuration found and a checklist are written next
-    to CONFIGURATION, never over it.
+    Each step explains what it will do and how to stop it, and asks for confirmation. Until the step `mounted`
+    the legs lie on trestles, without load; at most one brake is open. Repeat the command to continue after a
+    break. Ctrl-C at any moment, or a closed terminal, switches force and power off. The resulting
+    configuration and a checklist are written next to CONFIGURATION, never over it.
 
     \b
     Examples:

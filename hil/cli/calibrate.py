@@ -16,9 +16,10 @@ def command(configuration: str, poses: Path, out: Path | None) -> None:
     """Fit joint positions and length offsets of CONFIGURATION to the measured pairs in POSES, a CSV file.
 
     Columns x_m,y_m,z_m,rx_deg,ry_deg,rz_deg (pose of the platform, rotation vector) and l1_m to l6_m (what
-    the legs read, in the order of the joint lists); optional standard deviations length_std_m,
-    position_std_m, rotation_std_deg. At least 8 rows; some 30, all over the workspace and tilted, are good.
-    Prints how sure each figure is, and which these poses cannot determine. CONFIGURATION is not changed.
+    the leg encoders read, in the order of the joint lists); optional standard deviations length_std_m,
+    position_std_m, rotation_std_deg. At least 8 rows; about 30 are recommended, tilted and all over
+    the workspace. Prints the uncertainty of each figure, and the figures that these poses cannot determine.
+    CONFIGURATION is not changed.
 
     \b
     Examples:

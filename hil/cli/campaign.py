@@ -1,4 +1,4 @@
-"""`hil campaign FILE`, and `hil campaign rerun FILE ROW`: a row of it again."""
+"""`hil campaign FILE`, and `hil campaign rerun FILE ROW`, which repeats one row."""
 
 from pathlib import Path
 from typing import Any
@@ -8,20 +8,20 @@ import click
 from hil.cli import shared
 
 FOLDER = click.Path(file_okay=False, path_type=Path)
-LOG = "Record it, last or with FILE; default runs/NAME-row-ROW-TIME.mcap. The plant's truth is beside it."
+LOG = "Record run and plant; the option comes last or has FILE; default runs/NAME-row-ROW-TIME.mcap."
 
 
 @click.command("rerun")
 @click.argument("file", metavar="FILE", type=shared.FILE)
 @click.argument("row", type=click.IntRange(min=0))
-@shared.option("--out", FOLDER, "FOLDER", "Where the campaign's results are, if named.")
+@shared.option("--out", FOLDER, "FOLDER", "Results of the campaign, if it ran with --out.")
 @shared.option("--log", shared.OUTPUT, "[FILE]", LOG, is_flag=False, flag_value="")
 @shared.reporting
 def rerun(file: Path, row: int, out: Path | None, log: Path | None) -> None:
     """Run row ROW of the campaign FILE again and compare its figures, to the bit, with the stored ones.
 
     With --log the run is recorded, and the figures of the log are compared, too. A row that is not stored can
-    be recorded, too: nothing is compared then.
+    also be recorded; its figures are then compared with nothing.
 
     \b
     Examples:
@@ -42,20 +42,20 @@ class _OrRerun(shared.OrOther):
 
 @click.command(cls=_OrRerun)
 @click.argument("file", metavar="FILE", type=shared.FILE)
-@shared.option("--out", FOLDER, "FOLDER", "Of the results; default runs/NAME-campaign.")
+@shared.option("--out", FOLDER, "FOLDER", "Folder of the results; default runs/NAME-campaign.")
 @shared.jobs_option
 @shared.option("--scheduler", str, "ADDRESS", "Run on the workers of a Dask cluster, as tcp://10.0.0.5:8786.")
-@shared.flag("--fresh", "Discard the rows that are there, and begin anew.")
+@shared.flag("--fresh", "Discard the stored rows and start again.")
 @shared.option("--page", shared.OUTPUT, "FILE", "New HTML page; default: report.html in the folder.")
 @shared.junit_option
 @shared.reporting
 def command(file: Path, out: Path | None, page: Path | None, junit: Path | None, **options: Any) -> None:
-    """Run a configuration many times in simulated time, with its keys swept, and count how often it fails.
+    """Run a configuration many times in simulated time, with swept keys, and count the failures.
 
-    FILE is a YAML file, or the name of a shipped campaign: payload. It states which keys of which
-    configuration take which values, and the limits that a run has to keep. Rows are kept as they come, in
-    FOLDER/campaign.sqlite; the same command goes on with the rows that are missing. Nothing is recorded:
-    `hil campaign rerun FILE ROW --log` makes any row again, with its log.
+    FILE is a YAML file, or the name of a shipped campaign: payload. It states a configuration, the values
+    of its swept keys, and the limits of a run. Each finished row is stored in FOLDER/campaign.sqlite; the
+    same command continues with the missing rows. No logs are written: `hil campaign rerun FILE ROW --log`
+    repeats a row and records its log.
 
     \b
     Examples:
@@ -65,7 +65,7 @@ def command(file: Path, out: Path | None, page: Path | None, junit: Path | None,
     Guide: docs/guides/campaigns.md.
     """
     if options["jobs"] is not None and options["scheduler"] is not None:
-        raise click.UsageError("--jobs counts processes here, --scheduler runs elsewhere: give one of them.")
+        raise click.UsageError("--jobs is for this machine, --scheduler for a cluster: give one of them.")
     from hil.app.files import new_file
     from hil.app.output import further
     from hil.study.campaign.command import run_campaign

@@ -9,11 +9,11 @@ from hil.cli.shared import configuration_argument, counted, finish_lines, load, 
 @configuration_argument
 @reporting
 def command(configuration: str) -> None:
-    """Print what the bus, the legs and the limits of CONFIGURATION have to do, before anything moves.
+    """Print the load on bus, legs and limits of CONFIGURATION, before anything moves.
 
     Bus time of a tick, forces and lengths at home and along the whole reference, drive watchdog, delay,
-    what is proven of the law, real-time rights of this machine. Of a configuration that cannot be used all
-    problems are printed at once, each as FILE:LINE:COLUMN: path: what, allowed, given.
+    stability proof of the control law, real-time rights of this machine. An invalid configuration is refused
+    with all its problems at once, each as FILE:LINE:COLUMN: path: what, allowed, given.
 
     \b
     Examples:

@@ -17,9 +17,9 @@ def _names(context: click.Context, parameter: click.Parameter, value: str | None
     return names
 
 
-PATHS = "Laws to run also with the losses taken out, `all` or `none`; default: CONFIGURATION's."
+PATHS = "Laws that also run with losses removed, `all` or `none`; default: CONFIGURATION's law."
 WRENCH = "Load ON the platform at its origin, N and N m, base frame."
-WRENCH_AT = "When --wrench comes, along the reference; default: at its start."
+WRENCH_AT = "Time along the reference at which --wrench begins; default: 0."
 FOLDER = click.Path(path_type=Path)
 
 
@@ -28,19 +28,19 @@ FOLDER = click.Path(path_type=Path)
 @shared.option("--laws", str, "A,B", "Laws to compare; default: compare.laws, else all.", callback=_names)
 @shared.option("--paths path_laws", str, "A,B", PATHS, callback=_names)
 @shared.option("--duration duration_s", shared.DURATION, "S", "Stop after S s; default: one period.")
-@shared.option("--inertia-scale", shared.POSITIVE, "X", "Masses that laws believe in: 0.9 is 10 % too light.")
+@shared.option("--inertia-scale", shared.POSITIVE, "X", "Scale of the masses in all models: 0.9: too light.")
 @shared.option("--wrench", (shared.FiniteRange(),) * 6, "FX FY FZ MX MY MZ", WRENCH)
 @shared.option("--wrench-at", shared.NOT_NEGATIVE, "S", WRENCH_AT)
-@shared.flag("--lift-limits", "Without the limits of error, force change and speed.")
+@shared.flag("--lift-limits", "Run without the limits of tracking error, force change and speed.")
 @shared.jobs_option
 @shared.option("--picture", FOLDER, "FILE", "PNG file, or a folder for it; an earlier picture is replaced.")
 @shared.reporting
 def command(configuration: str, **options: Any) -> None:
     """Run all control laws on the platform, path, bus and drives of CONFIGURATION, in simulated time.
 
-    Each law follows the reference and answers a step of 1 mm at home, with gains of the natural frequency and
-    damping of the configuration's own law. Printed are errors, forces, step response, bandwidth, what
-    encoders, bus time and drive lag cost, and the claims of the control chapter. The picture goes to
+    Each law follows the reference and a step of 1 mm at home, with gains for the natural frequency and
+    damping of the configuration's own law. Prints errors, forces, step response, bandwidth, the error
+    added by encoders, bus time and drive lag, and the claims of the control chapter. The picture goes to
     --picture, else to runs/NAME-compare-TIME.png (recording.folder).
 
     \b
@@ -52,7 +52,7 @@ def command(configuration: str, **options: Any) -> None:
     """
     scale, wrench, at_s = (options.pop(name) for name in ("inertia_scale", "wrench", "wrench_at"))
     if at_s is not None and wrench is None:
-        raise click.UsageError("--wrench-at says when --wrench comes: give both.")
+        raise click.UsageError("--wrench-at is the time of --wrench: give both.")
     loaded = shared.load(configuration, "sim")
     from hil.study.compare import table
     from hil.study.compare.command import compare, with_options

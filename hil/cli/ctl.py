@@ -8,7 +8,7 @@ from hil.cli import shared
 @click.command(context_settings={"ignore_unknown_options": True})
 @click.argument("configuration")
 @click.argument("words", nargs=-1, required=True, metavar="WORD [ARGUMENTS]")
-@shared.option("--for seconds", shared.POSITIVE, "S", "Let go of the key, or of the jog, after S seconds.")
+@shared.option("--for seconds", shared.POSITIVE, "S", "Release the key, or end the jog, after S seconds.")
 @shared.reporting
 def command(configuration: str, words: tuple[str, ...], seconds: float | None) -> None:
     """Operate a running `hil run CONFIGURATION` from another terminal.
@@ -17,7 +17,7 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
     Words:
       status        mode, faults, speed, pose, and what the controller waits for
       arm           let the platform move, as Enter in the terminal of `hil run`
-      start         go on along the path, or begin it (operator.start: asked)
+      start         continue along the path, or begin it (operator.start: asked)
       hold          slow down along the path to rest and stay, brakes open
       speed P       speed along the path in percent, 0 .. 100; it changes smoothly
       jog AXIS F    from hold, move along x, y, z, turn about rx, ry, rz, or move leg0 .. leg5
@@ -25,14 +25,14 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
       park          back to the first pose at set-up speed, brakes shut
       stop          stop along the path, brakes shut, as Ctrl-C
       estop         drives off and brakes shut, at once
-      reset         clear latched faults; arm is the next step
+      reset         clear latched faults; then arm
       key           hold the key (operator.deadman_s) until Ctrl-C, or for --for S
-      release       let go of a platform that force holds because a brake failed
+      release       switch off the force that holds a platform with a failed brake
       setpoint ...  x y z in m and the rotation vector in deg, for a live reference
       end           end a run that stays (operator.stays)
 
-    All words are inputs of the controller, stand in its log and are replayed. None of them is a safety
-    function: keep the emergency stop of the hardware at hand.
+    All words are inputs of the controller; they are recorded in its log and replayed. None of them is a
+    safety function: keep the emergency stop of the hardware within reach.
 
     \b
     Examples:
@@ -51,5 +51,5 @@ def command(configuration: str, words: tuple[str, ...], seconds: float | None) -
         summary = operate.status(bus)
         shared.finish_lines(operate.status_lines(summary), summary)
     if words == ("key",) and seconds is None:
-        click.echo("the key is held; Ctrl-C lets go of it", err=True)
+        click.echo("the key is held; Ctrl-C releases it", err=True)
     shared.finish("ctl", operate.say(bus, words, seconds))

@@ -11,20 +11,20 @@ METHODS = {
         "H-infinity: the weights are met at every frequency.",
         """Design an H-infinity controller for the linearised axes of a robot, from DESIGN.
 
-    DESIGN is a YAML file or the name of a shipped one: hinf, constant_hinf. It states what the axis is, what
-    acts on it, and what is wanted: the error allowed at rest and at the worst frequency, the acceleration the
-    controller may command. gamma is the share of that which is used: below 1 all of it is met.""",
+    DESIGN is a YAML file or the name of a shipped one: hinf, constant_hinf. It states the axis, its
+    disturbances, and the requirements: the error allowed at rest and at the worst frequency, the acceleration
+    that the controller may command. gamma is the used share of these bounds: below 1 all of them are met.""",
     ),
     "mu": (
-        "mu: the weights are met whatever the robot is within its uncertainty.",
-        """Design a controller by D-K iteration for axes that are known within limits only, from DESIGN.
+        "mu: the weights are met for every robot within the uncertainty.",
+        """Design a controller by D-K iteration for axes with bounded uncertainty, from DESIGN.
 
-    DESIGN is a YAML file or the name of a shipped one: mu. In addition to what `hil design hinf` takes, its
-    section uncertainty states by how much inertia, delay and the drives' bandwidth may differ. mu is the
-    share of the weights that the worst of these axes uses: below 1 all of it is met by every one of them.""",
+    DESIGN is a YAML file or the name of a shipped one: mu. In addition to the keys of `hil design hinf`, its
+    section uncertainty states how much inertia, delay and the drives' bandwidth may differ. mu is the share
+    of the weights that the worst of these axes uses: below 1 every one of them meets all weights.""",
     ),
 }
-"""Name -> one line, and introduction; what it does is in the table of hil.app.design.command."""
+"""Name -> one line of help, and its introduction; hil.app.design.command has the functions."""
 EXAMPLES = """
 
     \b
@@ -34,8 +34,8 @@ EXAMPLES = """
 
     Guide: docs/guides/design.md.
     """
-MODEL = "The axis, from `hil identify`; before DESIGN's own."
-ROBOT = "Stand the coupling of its axes, along its reference, at every corner of its payload's ranges."
+MODEL = "Axis model from `hil identify`; it replaces DESIGN's own."
+ROBOT = "Allow for the coupling of its axes, along its reference, at every corner of its payload ranges."
 PLOT = "PNG file: S, T, K S against their weights, and the loop."
 
 

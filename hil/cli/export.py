@@ -7,7 +7,7 @@ import click
 
 from hil.cli import shared
 
-START = "UTC of the first tick, ISO 8601; default: the log's own, in simulated time 2000-01-01."
+START = "UTC of the first tick, ISO 8601; default: from the log; simulated time begins at 2000-01-01."
 COLUMN = "Only this column (tau) or component (tau.leg_3) in .csv, .parquet, .rrd; may be repeated."
 
 
@@ -19,17 +19,17 @@ COLUMN = "Only this column (tau) or component (tau.leg_3) in .csv, .parquet, .rr
 @shared.flag("--force overwrite", "Replace files that exist.")
 @shared.reporting
 def command(log: Path, out: tuple[Path, ...], **options: Any) -> None:
-    """Write LOG's CAN frames and columns into files that other tools read, each by its ending.
+    """Write LOG's CAN frames and columns to files for other tools; the file ending selects the format.
 
     \b
       .log .candump  frames as `candump -L` writes them: canplayer, Wireshark, SavvyCAN
       .asc           frames as Vector's ASCII log (its start is in local time)
       .blf           frames as Vector's binary log
-      .csv           columns, one for each component, named with its unit
+      .csv           columns, one per component, named with its unit
       .parquet       the same with units and meanings as metadata (needs the extra `analysis`)
       .rrd           Rerun: scalars, states and events by name, the robot in 3D (extra `viewers`)
 
-    A log that was cut is exported as far as it goes.
+    A truncated log is exported up to its last readable message.
 
     \b
     Examples:

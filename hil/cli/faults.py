@@ -7,15 +7,15 @@ import click
 
 from hil.cli import shared
 
-SEED = "Draws leg, size and sign of each case; default: leg 2 and the usual sizes."
+SEED = "Random seed of leg, size and sign of each case; default: leg 2 and the usual sizes."
 
 
 def _legs(_context: click.Context, _parameter: click.Parameter, value: str | None) -> tuple[int, ...]:
-    """Return the legs of a list with commas, each once."""
+    """Legs of a list with commas, without repetitions."""
     try:
         return tuple(dict.fromkeys(map(int, value.split(",") if value is not None else ())))
     except ValueError:
-        raise click.BadParameter(f"{value}, allowed: numbers of legs with commas, as 0,3") from None
+        raise click.BadParameter(f"{value}, allowed: leg numbers with commas, as 0,3") from None
 
 
 @click.command()
@@ -23,17 +23,17 @@ def _legs(_context: click.Context, _parameter: click.Parameter, value: str | Non
 @shared.option(
     "--only", str, "GLOB", "Cases by KIND or KIND/MOMENT, as 'brake_*'; repeatable.", multiple=True
 )
-@shared.option("--legs", str, "LEG,...", "Whose faults, where they are a leg's; default 2.", callback=_legs)
+@shared.option("--legs", str, "LEG,...", "Legs for the kinds that affect one leg; default 2.", callback=_legs)
 @shared.option("--seed", click.IntRange(min=0), "N", SEED)
 @shared.jobs_option
 @shared.junit_option
 @shared.reporting
 def command(configuration: str, junit: Path | None, **options: Any) -> None:
-    """Inject each kind of fault once at each moment of a run, in simulated time, and judge what follows.
+    """Inject each kind of fault once at each moment of a run, in simulated time, and judge the reaction.
 
     The moments: LOADING, APPROACH, TRACKING where the reference is fastest, HOLD, PARKING, UNLOADING. A case
-    passes if the run ends held within the bound of its kind and names a right cause and the leg, or if
-    nothing came of the fault; where the sensors cannot see it, the error that it leaves is printed.
+    passes if the platform is held within the bound of its kind and the run reports a correct cause and the
+    leg, or if the fault has no effect. If the sensors cannot detect it, the remaining error is printed.
 
     \b
     Examples:

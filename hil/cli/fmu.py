@@ -12,9 +12,9 @@ FOLDER = click.Path(file_okay=False, path_type=Path)
 
 @click.group()
 def command() -> None:
-    """Build the platform's FMU, for this project and for any other tool; look at an FMU of your own.
+    """Build the platform's FMU, for this project and other tools; inspect your own FMU.
 
-    `hil run --plant`, `hil plant` and `hil sim` build it by themselves when it is needed.
+    `hil run --plant`, `hil plant` and `hil sim` build it automatically when needed.
     """
 
 
@@ -25,7 +25,7 @@ def command() -> None:
 def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -> None:
     """Compile the platform's physics into FMUs for co-simulation (system `cc`, else ziglang).
 
-    One FMU serves every platform: geometry and inertia are its parameters. It stays in the user's cache.
+    One FMU serves every platform: geometry and inertia are its parameters. It is kept in the user's cache.
 
     \b
     Examples:
@@ -41,13 +41,13 @@ def fmu_build_command(fmi: Literal["2.0", "3.0", "both"], output: Path | None) -
     shared.finish("fmu build", build_fmus(fmi, output))
 
 
-@command.command("show", short_help="Variables of an FMU, and a proposal how to map them.")
+@command.command("show", short_help="Variables of an FMU, and a proposed mapping.")
 @click.argument("fmu", type=shared.FILE)
 @shared.reporting
 def fmu_show_command(fmu: Path) -> None:
     """List inputs, outputs and parameters of FMU with their units, and propose section `plant.model`.
 
-    Only its description is read. `hil check` on a configuration with it pushes each leg once.
+    Only its description is read. `hil check` on a configuration with this FMU pushes each leg once.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""`hil identify`: the loop from a run or a log, and `hil identify payload`: masses and friction from logs."""
+"""`hil identify`: axis models or delay from a run or a log; `hil identify payload`: masses and friction."""
 
 from pathlib import Path
 
@@ -6,10 +6,10 @@ import click
 
 from hil.cli import shared
 
-REFLECTED = "Reflected mass of motor and screw of each leg, where it is known; else it is identified."
-FORCE = "Largest leg force of the excitation; default 2 % of limits.force_N, less where limits ask for it."
-DURATION = "Of the excitation, fading in and out included; default 12.5, with --delay 4."
-MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture is beside it."
+REFLECTED = "Reflected mass of motor and screw of each leg, if known; else it is identified."
+FORCE = "Largest leg force of the excitation; default 2 % of limits.force_N, less if limits require it."
+DURATION = "Duration of the excitation, including fade-in and fade-out; default 12.5, with --delay 4."
+MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml. Its picture goes next to it."
 
 
 @click.command("payload")
@@ -20,8 +20,8 @@ MODEL = "Axis model to write, an earlier one is replaced; default LOG-axes.yaml.
 def payload(logs: tuple[Path, ...], reflected: float | None, out: Path | None) -> None:
     """Find masses, inertia and friction of the robot in logs of ordinary runs.
 
-    Least squares over the leg forces, of any log with motion of all six axes in which nothing but gravity
-    acts on the platform. Printed are standard errors, what this motion cannot show, and a block for the
+    Least squares over the leg forces, from any log with motion of all six axes and no load on the platform
+    but gravity. Prints standard errors, parameters that this motion does not determine, and a block for the
     configuration: payload, platform and `controller.model`. Nothing moves.
 
     \b
@@ -54,10 +54,10 @@ class _OrPayload(shared.OrOther):
 
 @click.command(cls=_OrPayload)
 @click.argument("configuration", metavar="CONFIG|LOG", default="virtual", type=shared.FILE)
-@shared.flag("--delay", "Only the delay, from the measurement to the force that answers it.")
+@shared.flag("--delay", "Identify only the delay, from the measurement to the force that responds to it.")
 @shared.flag("--run real_time", "In real time: moves real drives. Default is lockstep.")
 @shared.flag("--plant with_plant", "With --run: start `hil plant` at the other end.")
-@shared.flag("--arm", "With --run: move as soon as all drives are ready, without asking.")
+@shared.flag("--arm", "With --run: move as soon as all drives are ready, without confirmation.")
 @shared.option("--force", shared.POSITIVE, "N", FORCE)
 @shared.option("--duration", shared.FiniteRange(min=1, max=1e5), "S", DURATION)
 @shared.option("-o --model", shared.OUTPUT, "FILE", MODEL)
@@ -72,17 +72,17 @@ def command(
     duration: float | None,
     **how: bool,
 ) -> None:
-    """Measure what the loop is like, from a run that excites it or from a log that is there.
+    """Identify the loop, from a run that excites it or from an existing log.
 
-    The linearised axes with a nominal model and the bound of its error, as `hil design` takes them; with
-    --delay only the time from the encoders' latch to the force that answers it. With CONFIG small sinusoids
-    move the platform about home, in lockstep, or with --run in real time, which moves real drives by some
-    50 mm; Ctrl-C stops and parks. Masses, inertia and friction: `hil identify payload LOG...`.
+    Results are the linearised axes, with a nominal model and its error bound, as input of `hil design`; with
+    --delay only the time from the encoders' sampling to the force that responds to it. With CONFIG, small
+    sinusoids move the platform about home, in lockstep, or with --run in real time, which moves real drives
+    by some 50 mm; Ctrl-C stops and parks. Masses, inertia and friction: `hil identify payload LOG...`.
 
     \b
     Examples:
-      hil identify my.yaml --run --force 800      real drives; more force, where friction hides the answer
-      hil identify runs/today.mcap                a run that is there already
+      hil identify my.yaml --run --force 800      real drives; more force, if friction hides the response
+      hil identify runs/today.mcap                an existing log
       hil identify virtual --delay --run --plant --arm    only the delay, in real time
 
     Guide: docs/guides/identify.md.
@@ -92,12 +92,12 @@ def command(
     from hil.lab.identify import delay as delay_of
 
     if delay and model:
-        raise click.UsageError("--model has no use with --delay, which prints what it finds")
+        raise click.UsageError("--model does not apply to --delay, which only prints the delay")
     made = run = files = None
     if runs.is_log(configuration):
         if any(how.values()) or force or duration or log:
             raise click.UsageError(
-                f"{configuration} is a log: --run, --plant, --arm, --force, --duration, --log have no use"
+                f"{configuration} is a log: --run, --plant, --arm, --force, --duration, --log do not apply"
             )
         log = configuration
     else:

@@ -1,4 +1,4 @@
-"""Ctrl-C in a command: what was begun is closed, one line reports it, exit code 130."""
+"""Ctrl-C in a command: open files are closed, one line reports it, the exit code is 130."""
 
 import io
 import signal
@@ -11,28 +11,27 @@ from typing import Any, TextIO
 import click
 
 INTERRUPTED = 128 + signal.SIGINT
-"""Exit code: what a shell shows of a tool that SIGINT has ended."""
-NOBODY_READS = 128 + signal.SIGPIPE
-"""Exit code: the same for SIGPIPE, as after `hil check | head -1`."""
+"""Exit code that a shell reports for a process ended by SIGINT."""
+BROKEN_PIPE = 128 + signal.SIGPIPE
+"""Exit code that a shell reports for a process ended by SIGPIPE, as after `hil check | head -1`."""
 
 
 def pressed(signum: int, frame: FrameType | None) -> None:
-    """Raise KeyboardInterrupt, unless one is on its way: files are being closed and processes ended."""
+    """Raise KeyboardInterrupt, unless one is being handled, while files are closed and processes ended."""
     del signum, frame
     if not isinstance(sys.exc_info()[1], KeyboardInterrupt):
         raise KeyboardInterrupt
 
 
 class _Raw(io.FileIO):
-    """Standard output or error, of which what cannot be written is dropped: it costs no result.
+    """Standard output or error that drops text it cannot write, so that no result is lost.
 
-    Mutable state: why something was dropped.
+    Mutable state: the first error of a write.
     """
 
     trouble: OSError | None = None
 
     def write(self, data: Any) -> int:
-        """Write, or drop."""
         if self.trouble is None:
             try:
                 return super().write(data)
@@ -42,7 +41,7 @@ class _Raw(io.FileIO):
 
 
 def _dropping(stream: TextIO, raws: list[_Raw]) -> TextIO:
-    """Return what takes the place of a stream and takes every character; itself, if it is no file."""
+    """Replace a stream by one that accepts every character; return it unchanged if it is not a file."""
     buffer = getattr(stream, "buffer", None)
     if not isinstance(stream, io.TextIOWrapper) or not isinstance(buffer, io.BufferedWriter | io.FileIO):
         return stream
@@ -56,10 +55,10 @@ def _dropping(stream: TextIO, raws: list[_Raw]) -> TextIO:
 
 @contextmanager
 def attached() -> Iterator[None]:
-    """Be the signals and the output of a whole process.
+    """Install the signal handling and the output streams of the process.
 
-    SIGINT goes to `pressed`, unless it is ignored, as in the background of a script; afterwards it is
-    ignored: nothing disturbs how Python leaves. Output that could not be printed gives an exit code.
+    SIGINT goes to `pressed`, unless it is ignored, as in the background of a script. Afterwards it is
+    ignored, so that Python exits undisturbed. Output that could not be printed gives an exit code.
     """
     if signal.getsignal(signal.SIGINT) in {signal.default_int_handler, signal.SIG_DFL}:
         signal.signal(signal.SIGINT, pressed)
@@ -76,16 +75,16 @@ def attached() -> Iterator[None]:
         sys.stdout, sys.stderr = before
         if trouble := next((raw.trouble for raw in raws if raw.trouble), None):
             if isinstance(trouble, BrokenPipeError):
-                sys.exit(NOBODY_READS)
+                sys.exit(BROKEN_PIPE)
             click.echo(f"hil: standard output cannot be written: {trouble.strerror}", err=True)
             sys.exit(1)
 
 
 @contextmanager
 def one_line_of_interrupt() -> Iterator[None]:
-    """Turn a KeyboardInterrupt, or the error that a library makes of it, into one line and INTERRUPTED.
+    """Turn a KeyboardInterrupt, or a library's error caused by it, into one line and exit code INTERRUPTED.
 
-    The text of the exception tells what there is: a log, as far as it goes.
+    The text of the exception states what was saved: a log up to the interruption.
     """
     try:
         yield

@@ -1,4 +1,4 @@
-"""`hil learn`: the feed-forward of the next run, from the logs of those before."""
+"""`hil learn`: the feed-forward of the next run, from the logs of earlier runs."""
 
 from pathlib import Path
 from typing import Any
@@ -15,12 +15,12 @@ FOLDER = click.Path(exists=True, file_okay=False, path_type=Path)
 @click.argument("sources", metavar="LOG...|CONFIG", nargs=-1, required=True, type=shared.FILE)
 @shared.option("-o --out", shared.OUTPUT, "FILE", "CSV of the feed-forward; an earlier one is replaced.")
 @shared.option("--axes", shared.FILE, "FILE", "Axes of `hil identify`; default: the configuration's.")
-@shared.option("--gain-error", shared.NOT_NEGATIVE, "X", "Share by which an axis may be off.", default=0.25)
-@shared.option("--delay-error", shared.NOT_NEGATIVE, "MS", "By what the delay may be off.", default=1.0)
+@shared.option("--gain-error", shared.NOT_NEGATIVE, "X", "Relative error of an axis' gain.", default=0.25)
+@shared.option("--delay-error", shared.NOT_NEGATIVE, "MS", "Error of the delay.", default=1.0)
 @shared.option("--limit", shared.POSITIVE, "N", LIMIT)
-@shared.option("--runs", click.IntRange(1, 100), "N", "With CONFIG: make so many runs in lockstep.")
-@shared.option("--inertia-scale", shared.POSITIVE, "X", "With --runs: masses that the law believes in.")
-@shared.option("--logs", FOLDER, "FOLDER", "With --runs: keep logs and feed-forwards there; it has to exist.")
+@shared.option("--runs", click.IntRange(1, 100), "N", "With CONFIG: number of runs to make in lockstep.")
+@shared.option("--inertia-scale", shared.POSITIVE, "X", "With --runs: scale of the law's model masses.")
+@shared.option("--logs", FOLDER, "FOLDER", "With --runs: existing folder for logs and feed-forwards.")
 @shared.reporting
 def command(
     sources: tuple[Path, ...],
@@ -35,9 +35,9 @@ def command(
 ) -> None:
     """Learn from run to run: a feed-forward of the leg forces over the time of the reference.
 
-    Each call takes the log of the last run and the one before, and writes the feed-forward that the next
-    configuration names in section `feedforward`; the first call takes the log of a run without any. A run
-    whose error does not fall as predicted is refused. --gain-error and --delay-error count without --axes.
+    Each call takes the logs of the last two runs and writes the feed-forward for section `feedforward` of the
+    next configuration; the first call takes the log of a run without feed-forward. A run whose error does not
+    decrease as predicted is refused. --gain-error and --delay-error apply without --axes.
     Nothing moves, except with --runs.
 
     \b
@@ -59,11 +59,11 @@ def command(
     first = sources[0]
     is_log = first.suffix not in {".yaml", ".yml"} and (first.exists() or str(first) not in shipped())
     if runs is None and not is_log:
-        raise click.UsageError(f"{first} is a configuration: name logs, or make runs with --runs")
+        raise click.UsageError(f"{first} is a configuration: give logs instead, or add --runs N")
     if out is None and runs is None:
-        raise click.UsageError("name the file to write: -o FILE")
+        raise click.UsageError("the file to write is missing: add -o FILE")
     if runs is None and (inertia_scale is not None or logs is not None):
-        raise click.UsageError("--inertia-scale and --logs are for --runs")
+        raise click.UsageError("--inertia-scale and --logs need --runs N")
     if runs is not None and len(sources) != 1:
         raise click.UsageError("--runs takes one configuration")
     if out is not None:

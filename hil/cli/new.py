@@ -15,38 +15,38 @@ if TYPE_CHECKING:
 
 
 class _Asked(click.Command):
-    """A command with one option for each question; the table is imported when it is called."""
+    """A command with one option per question; the table of questions is imported when it is called."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the parameters, those of the questions last."""
+        """Parameters, with the options of the questions before the last one."""
         from hil.app.new.answers import QUESTIONS
 
-        asked: list[click.Parameter] = []
+        added: list[click.Parameter] = []
         for question in QUESTIONS:
             default = "" if question.default is None else "; has a default"
             unit = question.unit.upper().replace(" ", "_") or None
             names = [question.option, question.key]
-            asked.append(click.Option(names, help=question.text + default, type=question.kind, metavar=unit))
+            added.append(click.Option(names, help=question.text + default, type=question.kind, metavar=unit))
         parameters = super().get_params(ctx)
-        return [*parameters[:-1], *asked, parameters[-1]]
+        return [*parameters[:-1], *added, parameters[-1]]
 
 
 @click.command(cls=_Asked)
 @click.argument("file", type=shared.FILE)
 @click.argument("name", required=False)
-@shared.option("--fmu", shared.FILE, None, "A co-simulation FMU of yours as the plant, instead of ours.")
-@shared.flag("--yes", "Take defaults; ask nothing. What has none has to be an option.")
+@shared.option("--fmu", shared.FILE, None, "Your own co-simulation FMU, instead of the built-in plant.")
+@shared.flag("--yes", "Ask nothing and take defaults. A question without a default needs its option.")
 @shared.force_option
 @shared.reporting
 def command(file: Path, name: str | None, fmu: Path | None, yes: bool, force: bool, **given: Any) -> None:
     """Write a configuration of your robot into FILE, from a few figures.
 
     `hil new law NAME` and `hil new protocol NAME` write a package for a law or a drive family of your own
-    into the folder NAME; it runs and passes its contract suite as it is.
+    into the folder NAME; the package runs and passes its contract suite unchanged.
 
-    Asks what no option answers, each with its unit and range, and refuses at once what cannot work. The rest
-    follows by rules that stand next to the numbers in FILE, or is called usual there: nothing comes from
-    another robot. What it writes passes `hil check`, whose warnings are printed.
+    Asks for each figure not given as an option, with its unit and range, and refuses an impossible answer at
+    once. The other numbers follow from rules, which FILE states next to them, or are marked there as usual:
+    none comes from another robot. FILE passes `hil check`, whose warnings are printed.
 
     \b
     Examples:
@@ -91,7 +91,7 @@ def _skeleton(kind: str, name: str) -> NoReturn:
 def _answers(
     questions: tuple[Question, ...], given: dict[str, Any], known: dict[str, Any], *, ask: bool
 ) -> dict[str, Any]:
-    """Return all answers: options, then prompts or defaults. Raises ConfigurationError."""
+    """All answers: from options, else prompts or defaults. Raises ConfigurationError."""
     from drivers.errors import ConfigurationError
 
     missing = [q.option for q in questions if given[q.key] is None and q.default is None and q.needed(given)]
@@ -103,7 +103,7 @@ def _answers(
         if not question.needed(answers):
             if answer is not None:
                 raise ConfigurationError(
-                    f"{question.option}: nothing that drives of {answers['drives']} are asked; leave it out"
+                    f"{question.option}: does not apply to drives of {answers['drives']}; leave it out"
                 )
             continue
         default = None if question.default is None else question.default(answers)
@@ -118,7 +118,7 @@ def _answers(
 
 
 def _typed(question: Question, default: Any, before: dict[str, Any]) -> Any:
-    """Return the answer to a question, which is asked until it can work.
+    """Typed answer to a question, which is repeated until the answer is possible.
 
     Raises KeyboardInterrupt: Ctrl-C; ConfigurationError: Ctrl-D, or the input ended.
     """
@@ -127,7 +127,7 @@ def _typed(question: Question, default: Any, before: dict[str, Any]) -> Any:
     def judged(typed: Any) -> Any:
         answer = question.kind(typed)
         if trouble := question.trouble(before | {question.key: answer}):
-            raise click.UsageError(f"cannot work: {trouble}")
+            raise click.UsageError(f"impossible: {trouble}")
         return answer
 
     click.echo(question.text + (f" ({question.allowed})" if question.allowed else ""))
@@ -136,7 +136,7 @@ def _typed(question: Question, default: Any, before: dict[str, Any]) -> Any:
     except click.Abort as error:
         click.echo()
         there = (
-            f"at {question.key}, nothing is written; begin again, or give what was answered as options "
+            f"at {question.key}, nothing is written; begin again, or give the answers as options "
             f"({question.option} for this one)"
         )
         if isinstance(error.__context__, KeyboardInterrupt):

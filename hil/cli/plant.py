@@ -32,10 +32,9 @@ def command(
 ) -> None:
     """Serve six emulated drives and the plant behind them on the bus, in real time.
 
-    The other end for `hil run` without hardware, or for somebody else's controller. Brakes hold at boot and
-    after a fault. Ends with Ctrl-C or after --duration. The log goes to --log, else to
-    runs/NAME-TIME-plant.mcap (recording.folder), with the true pose; `plant.log: false` in the configuration
-    writes none.
+    The other end of the bus for `hil run` without hardware, or for another controller. Brakes are engaged at
+    boot and after a fault. Ends with Ctrl-C or after --duration. The log, with the true pose, goes to --log,
+    else to runs/NAME-TIME-plant.mcap (recording.folder); `plant.log: false` in the configuration writes none.
 
     \b
     Examples:
@@ -49,7 +48,7 @@ def command(
     from hil.app.plant import run_plant
 
     if mistakes and not with_bench:
-        raise click.UsageError("--mistake wires the bench: add --bench.")
+        raise click.UsageError("--mistake changes the wiring of the bench: add --bench.")
     loaded = with_faults(loaded, faults)
     if watchdog_s is not None:  # a slowed loop's, as if set with the maker's tool
         drives = loaded.drives.model_copy(update={"watchdog_ms": 1e3 * watchdog_s})
@@ -64,11 +63,11 @@ def command(
     with contextlib.ExitStack() as stack:
         bench = None
         if with_bench:
-            from hil.lab.bringup.ends import served_bench
+            from hil.lab.bringup.connection import served_bench
 
             bench = stack.enter_context(served_bench(loaded, mistakes))
         summary = run_plant(loaded, ready=tell, bench=bench, **options)
     if report is not None:
-        with contextlib.suppress(OSError):  # nobody listens when the daemon was killed
+        with contextlib.suppress(OSError):  # the daemon was killed
             os.write(report, json.dumps(summary).encode())
     shared.finish("plant", summary)

@@ -7,7 +7,7 @@ import click
 
 from hil.cli import shared
 
-COLUMN = "A panel: column, column.element, or 'one - other'; may be repeated."
+COLUMN = "Column of a panel, as column, column.element or 'one - other'; may be repeated."
 
 
 @click.command()
@@ -19,7 +19,7 @@ COLUMN = "A panel: column, column.element, or 'one - other'; may be repeated."
 @shared.force_option
 @shared.reporting
 def command(logs: tuple[Path, ...], columns: tuple[str, ...], **options: Any) -> None:
-    """Draw columns of logs over time, one panel a name, several logs over each other, as PNG or SVG.
+    """Draw columns of logs over time, one panel per name, all logs in the same panels, as PNG or SVG.
 
     Without --column: leg error, force, mode. The picture goes to --out, else next to the first log, as
     ...-plot.png.

@@ -13,10 +13,10 @@ from hil.cli.shared import FILE, finish_lines, reporting, status
 def command(file: Path) -> None:
     """Prove the stability of an equilibrium of dx/dt = f(x) by a Lyapunov function.
 
-    FILE is YAML: the states with their derivatives, the candidate V and ranges of the states in which it is
-    claimed. Without V one is proposed.
-    Symbols that are not states are parameters: any positive number, or one of the range stated. A claim is
-    proven, refuted with a counterexample, or undecided; nothing is proven by samples or by floating point.
+    FILE is YAML: the states with their derivatives, the candidate V, and the ranges of the states for which
+    it is claimed. Without V, a candidate is proposed. Symbols that are not states are parameters: any
+    positive number, or any number of the range given. A claim is proven, refuted with a counterexample, or
+    undecided. Proofs use neither samples nor floating point.
 
     \b
     A pendulum with damping d:

@@ -1,4 +1,4 @@
-"""`hil replay`: a log again, what another controller would have sent, two logs compared, a folder of logs."""
+"""`hil replay`: replay a log or a folder of logs, run another controller on a log, compare two logs."""
 
 import time
 from pathlib import Path
@@ -13,13 +13,13 @@ _FORM_OF = {
     **dict.fromkeys(("tolerances", "align"), "--against"),
     **dict.fromkeys(("jobs", "junit"), "--suite"),
 }
-"""Options that belong to one form."""
-SALVAGE = "Recover a log cut by power loss into the new file OUT first, and replay that."
+"""Option -> the only form of the command that takes it."""
+SALVAGE = "First recover a log truncated by power loss into the new file OUT, then replay OUT."
 WHAT_IF = "What the controller of CONFIG would have sent on the recorded measurements."
-SET = "The same with a key changed, as controller.wn_rad_s=25, of the log's configuration or of CONFIG."
-TOLERANCE = "With --against: allowed in the column's unit, inf: any; or one number, relative, for the others."
-ALIGN = "With --against: rows of one number (default), or counted from the first motion."
-TRUST = "Run a law in a file as the log carries it, if the disk has another one."
+SET = "The same with a changed key, as controller.wn_rad_s=25, of CONFIG or of the log's configuration."
+TOLERANCE = "With --against: allowed, in the column's unit, inf: any; or a number, relative, for all others."
+ALIGN = "With --against: pair rows by tick number (default), or counted from the first motion."
+TRUST = "Run the law file contained in the log, even if the file on disk differs."
 CONFIGURATIONS = shared.complete_configuration
 
 
@@ -28,7 +28,7 @@ CONFIGURATIONS = shared.complete_configuration
 @shared.option("--salvage", shared.OUTPUT, "OUT", SALVAGE)
 @shared.option("--what-if", str, "CONFIG", WHAT_IF, shell_complete=CONFIGURATIONS)
 @shared.option("--set words", str, "KEY=VALUE", SET, multiple=True)
-@shared.option("--log out", shared.OUTPUT, "OUT", "With a what-if: write it as a log, too.")
+@shared.option("--log out", shared.OUTPUT, "OUT", "With a what-if: also write its outputs as a log.")
 @shared.option("--against", shared.FILE, "OTHER", "Compare LOG with the log OTHER, column by column.")
 @shared.option("--tolerance tolerances", str, "COLUMN=VALUE", TOLERANCE, multiple=True)
 @shared.option("--align", click.Choice(["tick", "motion"]), None, ALIGN)
@@ -42,10 +42,10 @@ CONFIGURATIONS = shared.complete_configuration
 def command(log: Path | None, **given: Any) -> None:
     """Run the recorded inputs of LOG through the same code and compare every sent frame and every column.
 
-    LOG comes from `hil run` or `hil sim`; its configuration is inside, and it stays as it is. Printed are the
-    first tick and each column that differs there, with both values; on another CPU columns may differ by
-    1e-9. With --what-if or --set another controller is given the same inputs: its answers, not how the robot
-    would have moved. --against compares two logs, --suite replays a folder.
+    LOG comes from `hil run` or `hil sim`; it contains its configuration and is not changed. Prints the first
+    tick with a difference and each column that differs there, with both values; on another CPU columns may
+    differ by 1e-9. With --what-if or --set another controller receives the same inputs: this shows its
+    outputs, not how the robot would have moved. --against compares two logs, --suite replays a folder.
 
     \b
     Examples:
@@ -68,30 +68,30 @@ def command(log: Path | None, **given: Any) -> None:
 
 
 def _chosen_form(log: Path | None, given: dict[str, Any]) -> str:
-    """Return which form is asked for: its option, or nothing. Raises UsageError for what excludes another."""
+    """Option of the requested form, or empty. Raises UsageError: options exclude each other."""
     option_of = {each.name: each.opts[0] for each in click.get_current_context().command.params}
     there = {name: option_of[name] for name, value in given.items() if value not in (None, (), False)}
-    asked = [form for form in ("--what-if", "--against", "--suite") if form in there.values()]
+    forms = [form for form in ("--what-if", "--against", "--suite") if form in there.values()]
     if "words" in there and "what_if" not in there:
-        asked.insert(0, "--set")
-    if len(asked) > 1:
-        raise click.UsageError(f"{' and '.join(asked)} are different questions: give one of them.")
-    form = "--what-if" if asked == ["--set"] else "".join(asked)
+        forms.insert(0, "--set")
+    if len(forms) > 1:
+        raise click.UsageError(f"{' and '.join(forms)} exclude each other: give one of them.")
+    form = "--what-if" if forms == ["--set"] else "".join(forms)
     for name, given_as in there.items():
         if (wanted := _FORM_OF.get(name, form)) != form:
             needed = "--what-if CONFIG or --set KEY=VALUE" if wanted == "--what-if" else wanted
-            raise click.UsageError(f"{given_as} belongs to {needed}, which is not given.")
+            raise click.UsageError(f"{given_as} needs {needed}.")
         if name in {"salvage", "trust_code"} and form in {"--against", "--suite"}:
-            raise click.UsageError(f"{given_as} is for the replay of one log: it does not go with {form}.")
+            raise click.UsageError(f"{given_as} applies to the replay of one log, not to {form}.")
     if form == "--suite" and log is not None:
-        raise click.UsageError(f"--suite takes a folder, and no LOG beside it: {log}.")
+        raise click.UsageError(f"--suite takes a folder and no LOG: leave out {log}.")
     if form != "--suite" and log is None:
         raise click.UsageError("Missing argument 'LOG'.")
     return form
 
 
 def _whole(log: Path, salvage: Path | None) -> Path:
-    """Return the log to replay: itself, refused where it is damaged, or what is left of it."""
+    """Log to replay: the given one, refused if damaged, or its salvaged copy."""
     from hil.record.log import Log
 
     if salvage is None:
@@ -129,7 +129,6 @@ def _replay(log: Path, *, trust_code: bool) -> NoReturn:
 
 
 def _what_if(log: Path, given: dict[str, Any]) -> NoReturn:
-    """Answer what another controller would have sent."""
     from hil.app.output import show_lines
     from hil.study.what_if.command import shown, story, tables, what_if_log
 
@@ -143,8 +142,7 @@ def _what_if(log: Path, given: dict[str, Any]) -> NoReturn:
 
 
 def _against(log: Path, given: dict[str, Any]) -> NoReturn:
-    """Say where two logs part."""
-    from hil.study.against import against, show, shown
+    from hil.study.log_comparison import against, show, shown
 
     result = against(log, given["against"], given["tolerances"], align=given["align"] or "tick")
     show(result)
@@ -152,7 +150,6 @@ def _against(log: Path, given: dict[str, Any]) -> NoReturn:
 
 
 def _suite(folder: Path, given: dict[str, Any]) -> NoReturn:
-    """Replay every log of a folder."""
     from hil.study.replay_suite import Case, logs_in, run_suite, show, summary, verdicts
 
     paths = logs_in(folder)

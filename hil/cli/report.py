@@ -13,11 +13,11 @@ from hil.cli.shared import FILE, finish, force_option, out_option, reporting
 @force_option
 @reporting
 def command(log: Path, out: Path | None, force: bool) -> None:
-    """Write one HTML page about a run: what went wrong, or how much of every limit was left.
+    """Write one HTML page about a run: its faults, and its margin to every limit.
 
-    Then tracking, forces, modes and faults over time, latency, bus load, the pose in 3D that plays. Any
-    browser shows the page, without network; a log that is cut is shown as far as it goes. The page goes to
-    --out, else next to the log, as ....html.
+    The page also has tracking, forces, modes and faults over time, latency, bus load, and the motion in 3D.
+    Any browser shows it, without network; a truncated log is shown up to its last readable message. The page
+    goes to --out, else next to the log, as ....html.
 
     \b
     Examples:

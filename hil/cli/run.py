@@ -10,11 +10,11 @@ from hil.cli import shared
 @click.command()
 @shared.configuration_argument
 @shared.flag("--plant with_plant", "Start and supervise `hil plant` at the other end of the bus.")
-@shared.flag("--arm", "Let the platform move as soon as all drives are ready, without asking for Enter.")
-@shared.flag("--wait-for-arm", "Let the platform move on `hil ctl CONFIG arm`; no terminal is needed here.")
+@shared.flag("--arm", "Let the platform move as soon as all drives are ready, without waiting for Enter.")
+@shared.flag("--wait-for-arm", "Wait for `hil ctl CONFIG arm` before the platform moves; needs no terminal.")
 @shared.flag("--reset", "Clear faults that the drives have latched before engaging.")
-@shared.flag("--release", "Tell a running `hil run` to let go of a platform whose brake failed.")
-@shared.flag("--watch with_watch", "Start `hil watch` beside it, which prints the link of a page.")
+@shared.flag("--release", "Make a running `hil run` switch off the force on a held platform.")
+@shared.flag("--watch with_watch", "Also start `hil watch`, which prints the link of a live page.")
 @shared.duration_option
 @shared.log_option
 @shared.fault_option
@@ -22,15 +22,15 @@ from hil.cli import shared
 def command(configuration: str, release: bool, **options: Any) -> None:
     """Run the daemon in real time.
 
-    Waits for six drives, and for the operator's word that the platform may move: Enter, --arm, or
-    `hil ctl CONFIG arm` from another terminal. Then it proves the brakes, moves to the start of the
-    reference, tracks it, parks and closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C
-    is an emergency stop. The log goes to --log, else to runs/NAME-TIME.mcap (recording.folder), with a
-    picture beside it; with --plant the plant's own log is NAME-plant. It is replayed at the end.
+    Waits for six drives, and for the operator's consent to motion: Enter, --arm, or `hil ctl CONFIG arm` from
+    another terminal. Then it proves the brakes, moves to the start of the reference, tracks it, parks and
+    closes the brakes. Ctrl-C stops along the path and parks; a second Ctrl-C is an emergency stop. The log
+    goes to --log, else to runs/NAME-TIME.mcap (recording.folder), with a picture next to it; with --plant the
+    plant's own log is NAME-plant. The log is replayed at the end.
 
     \b
     Examples:
-      hil run --plant --arm --watch         all virtual, with a live page; needs nothing but this machine
+      hil run --plant --arm --watch         all virtual, with a live page; on this machine alone
       hil run --plant --arm --duration 5 --fault "encoder_jump leg=0 at=2 by=5e-3"
       hil run socketcan --reset             real drives on can0; clears faults that the drives have latched
 
@@ -41,7 +41,7 @@ def command(configuration: str, release: bool, **options: Any) -> None:
 
         shared.finish("release", release_held(shared.load(configuration)))
     if options["arm"] and options["wait_for_arm"]:
-        raise click.UsageError("--arm lets the platform move by itself: leave out --wait-for-arm, or --arm.")
+        raise click.UsageError("--arm and --wait-for-arm contradict each other: give one of them.")
     loaded = shared.load(configuration, "run")
     from hil.app.configuration.fault_words import with_faults
     from hil.app.run.command import run_daemon

@@ -11,10 +11,10 @@ from hil.cli.shared import FILE, finish_lines, reporting
 @click.argument("file", type=FILE, required=False)
 @reporting
 def command(file: Path | None) -> None:
-    """Print where the JSON Schema of configurations is, or name it in the configuration FILE.
+    """Print the path of the JSON Schema of configurations, or write it into the configuration FILE.
 
-    Editors with a YAML language server complete keys and underline mistakes by it. With FILE its first line
-    names the schema of this installation by its absolute path; no other line changes.
+    With the schema, editors with a YAML language server complete keys and underline mistakes. The first line
+    of FILE becomes the absolute path of this installation's schema; no other line changes.
 
     \b
     Examples:

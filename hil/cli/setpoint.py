@@ -9,7 +9,7 @@ from hil.cli import shared
 
 @click.command()
 @shared.configuration_argument
-@shared.option("--position", (float,) * 3, "X Y Z", "Where to go, m.")
+@shared.option("--position", (float,) * 3, "X Y Z", "Position of the platform, m.")
 @shared.option(
     "--rotation", (float,) * 3, "RX RY RZ", "Rotation vector, deg; with --position; default 0 0 0."
 )
@@ -21,14 +21,14 @@ def command(
 ) -> None:
     """Send set-points to a running `hil run CONFIG` whose reference is of type live.
 
-    Without --position every line of the standard input is one: x y z in m and, after them, the rotation
-    vector in deg. The controller moves there within reference.limits, and answers whether it took the
-    set-point: out of stroke, too near to a singularity or beyond the force it refuses it.
+    Without --position every line of the standard input is a set-point: x y z in m, then the rotation vector
+    in deg. The controller moves there within reference.limits, and reports whether it accepted the set-point.
+    It refuses poses out of stroke, too near to a singularity or with too large forces.
 
     \b
     Examples:
       hil setpoint my.yaml --position 0 0 1 --rotation 0 5 10
-      hil setpoint my.yaml                  one for each line typed, until Ctrl-D
+      hil setpoint my.yaml                  a set-point per typed line, until Ctrl-D
 
     Guide: docs/guides/references.md.
     """

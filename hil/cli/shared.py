@@ -1,4 +1,4 @@
-"""What the commands share: options, the way to end, the way to refuse. Heavy imports wait."""
+"""Shared by the commands: options, exit with a summary, refusals. Heavy imports are deferred."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn, cast
 import click
 from click.shell_completion import CompletionItem
 
-from hil.config.number import ALLOWED, in_reason
+from hil.config.number import ALLOWED, is_allowed
 
 if TYPE_CHECKING:
     from hil.app.configuration.configuration import Configuration
@@ -25,22 +25,22 @@ if TYPE_CHECKING:
 
 
 class FiniteRange(click.FloatRange):
-    """A finite number within a range; click's own lets nan through, which is in no order to its ends."""
+    """A finite number within a range; click's own range accepts NaN, which no comparison excludes."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number; refuse what is none, not finite or out of range."""
+        """Parse the number; refuse text that is not a number, is not finite or is out of range."""
         number: float = super().convert(value, param, ctx)
-        if not (math.isfinite(number) and in_reason(number)):
+        if not (math.isfinite(number) and is_allowed(number)):
             self.fail(f"{value!r}, allowed in size: {ALLOWED}.", param, ctx)
         return number
 
 
 class Output(click.Path):
-    """A file that a command writes; it is no other file of the command."""
+    """A file that a command writes; it must differ from all other files of the command."""
 
 
 def complete_configuration(ctx: click.Context, param: click.Parameter, begun: str) -> list[CompletionItem]:
-    """Offer the shipped configurations, and files."""
+    """Complete the names of shipped configurations, and files."""
     del ctx, param
     from importlib.resources import files
 
@@ -52,18 +52,18 @@ def complete_configuration(ctx: click.Context, param: click.Parameter, begun: st
 POSITIVE = FiniteRange(min=0, min_open=True)
 NOT_NEGATIVE = FiniteRange(min=0)
 DURATION = FiniteRange(min=0, max=1e9, min_open=True)
-"""s, to `hil.app.sim.commands.LATEST_S`."""
+"""s, up to `hil.app.sim.commands.LATEST_S`."""
 FILE = click.Path(dir_okay=False, path_type=Path)
 OUTPUT = Output(dir_okay=False, path_type=Path)
 
 
 def option(names: str, kind: Any, metavar: str | None, text: str, **more: Any) -> Callable[[Any], Any]:
-    """Return an option of a command: its names, its type, what stands for its value, its help."""
+    """Option of a command. metavar : placeholder of its value in the help; text : its help."""
     return click.option(*names.split(), type=kind, metavar=metavar, help=text, **more)
 
 
 def flag(names: str, text: str) -> Callable[[Any], Any]:
-    """Return an option without a value."""
+    """Option without a value."""
     return click.option(*names.split(), is_flag=True, help=text)
 
 
@@ -73,38 +73,38 @@ fault_option = option(
     "--fault faults",
     str,
     "WORDS",
-    'What goes wrong at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
+    'Fault to inject at the plant, as "encoder_jump leg=0 at=2 by=5e-3"; may be repeated.',
     multiple=True,
 )
 mistake_option = option(
     "--mistake mistakes",
     str,
     "WORDS",
-    'On a bench: what is wired wrongly, as "encoder_sign leg=2"; may be repeated.',
+    'Wiring mistake of the bench, as "encoder_sign leg=2"; may be repeated.',
     multiple=True,
 )
 picture_option = option("--picture", OUTPUT, "FILE", "PNG file to draw; an earlier picture is replaced.")
 out_option = option("--out", OUTPUT, "FILE", "File to write; an existing one is refused.")
-jobs_option = option("--jobs", click.IntRange(min=1), "N", "Processes at once; default: one a processor.")
-junit_option = option("--junit", OUTPUT, "FILE", "Write a case a verdict as JUnit XML; an earlier one goes.")
-force_option = flag("--force", "Write over an existing file.")
+jobs_option = option("--jobs", click.IntRange(min=1), "N", "Number of processes; default: one per processor.")
+junit_option = option("--junit", OUTPUT, "FILE", "Write JUnit XML, a case per verdict; overwrites.")
+force_option = flag("--force", "Overwrite an existing file.")
 configuration_argument = click.argument(
     "configuration", default="virtual", shell_complete=complete_configuration
 )
 _NAMED = ("configuration", "design", "robot", "what_if")
-"""Arguments that name a file, or one that is shipped."""
+"""Arguments with a file path or the name of a shipped file."""
 FULL = frozenset({"scipy", "sympy", "flint", "matplotlib", "rich"})
 """Modules of the extra `full`."""
 _RAN = 1
-"""Exit code of what had begun."""
-SAY_S = 20.0
-"""Where there is no terminal, a line of progress comes that often."""
+"""Exit code of a failure after the start."""
+REPORT_S = 20.0
+"""Interval, s, of progress lines if there is no terminal."""
 _REPORTED = frozenset({"run", "sim"})
-"""Kinds of summary whose log `hil report` shows."""
+"""Kinds of summaries after which `hil report` is recommended for the log."""
 
 
 def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = None) -> NoReturn:
-    """Write a summary's JSON twin, print it (`shown`, where that says it better), exit 0 only on success."""
+    """Write a summary as JSON, print it (or `shown` in its place), exit with code 0 only on success."""
     from hil.app.output import show
     from hil.app.terminal import visible
 
@@ -121,7 +121,7 @@ def finish(title: str, summary: dict[str, Any], shown: dict[str, Any] | None = N
 
 
 def finish_lines(lines: Iterable[str], summary: dict[str, Any]) -> NoReturn:
-    """Write a report's JSON twin, print it, exit 0 only on success."""
+    """Write a summary as JSON, print the lines, exit with code 0 only on success."""
     from hil.app.output import show_lines
 
     unwritten = write_twin(summary)
@@ -130,7 +130,7 @@ def finish_lines(lines: Iterable[str], summary: dict[str, Any]) -> NoReturn:
 
 
 def write_twin(summary: dict[str, Any]) -> list[str]:
-    """Write the JSON, before anything is printed that nobody may read; return what is not written."""
+    """Write the JSON before anything is printed, since printing may fail; return errors of output files."""
     unwritten = list(summary.get("unwritten", ()))
     json_file = click.get_current_context().params["json_file"]
     if json_file is not None:
@@ -155,7 +155,7 @@ def _end(summary: dict[str, Any], unwritten: list[str]) -> NoReturn:
 def reporting(command: Callable[..., None]) -> Callable[..., None]:
     """Add --json, and check the output files before the command begins."""
 
-    @option("--json json_file", OUTPUT, "FILE", "Write the summary there as JSON, too.")
+    @option("--json json_file", OUTPUT, "FILE", "Also write the summary as JSON.")
     @wraps(command)
     def reporting(*args: Any, **kwargs: Any) -> None:
         _show_compilation()
@@ -174,7 +174,7 @@ def reporting(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def write(summary: dict[str, Any], out: Path | None, text: str) -> None:
-    """Write a further output, where a file is named; the summary tells if that fails."""
+    """Write a further output if `out` is given; an error becomes part of the summary."""
     from hil.app.files import write_whole
     from hil.app.output import further
 
@@ -185,7 +185,7 @@ def write(summary: dict[str, Any], out: Path | None, text: str) -> None:
 
 
 def write_cases(summary: dict[str, Any], junit: Path | None, name: str, cases: Iterable[Verdict]) -> None:
-    """Write the verdicts of a batch as JUnit XML, where a file is named; the summary tells if that fails."""
+    """Write verdicts as JUnit XML if `junit` is given; an error becomes part of the summary."""
     if junit is not None:
         from hil.app.output import further
         from hil.study.junit import write_junit
@@ -202,7 +202,7 @@ class OrOther(click.Command):
     def make_context(
         self, info_name: str | None, args: list[str], parent: click.Context | None = None, **extra: Any
     ) -> click.Context:
-        """Return the context of the command that the words name."""
+        """Context of the command that the first word selects."""
         if args and args[0] == self.other.name:
             return self.other.make_context(f"{info_name} {args[0]}", args[1:], parent, **extra)
         return super().make_context(info_name, args, parent, **extra)
@@ -210,7 +210,7 @@ class OrOther(click.Command):
 
 @contextmanager
 def status(text: str) -> Iterator[Callable[[str], None]]:
-    """Show what is being done in a row of the terminal, if there is one; yield what takes the next text."""
+    """Show an activity in a row of the terminal, if there is one; yield a function that changes the text."""
     from drivers.terminal_row import rewriting
     from hil.app.terminal import one_line
 
@@ -227,21 +227,21 @@ def status(text: str) -> Iterator[Callable[[str], None]]:
 
 @contextmanager
 def counted(text: str) -> Iterator[Callable[[int, int], None]]:
-    """Show how far a batch is: in a row of the terminal, elsewhere in a line every SAY_S.
+    """Show the progress of a batch: in a row of the terminal, without a terminal in a line every REPORT_S.
 
-    Yields what takes the count of jobs done and of all; those of its first call were done before.
+    Yields a function of the numbers of finished and of all jobs. Its first call sets the jobs done before.
     """
-    begun = said = time.monotonic()
+    begun = reported = time.monotonic()
     before: int | None = None
 
     def count(done: int, of: int) -> None:
-        nonlocal said, before
+        nonlocal reported, before
         now, before = time.monotonic(), done if before is None else before
         left = timedelta(seconds=round((now - begun) * (of - done) / max(done - before, 1)))
         line = f"{text}: {done} of {of}, {left} left"
         show(line)
-        if not sys.stderr.isatty() and now - said >= SAY_S:
-            said = now
+        if not sys.stderr.isatty() and now - reported >= REPORT_S:
+            reported = now
             click.echo(line, err=True)
 
     with status(text) as show:
@@ -249,7 +249,7 @@ def counted(text: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def _show_compilation() -> None:
-    """Show on standard error how far a compilation is: a row of a terminal, elsewhere one line."""
+    """Show the progress of a compilation on standard error: a row of the terminal, else one line."""
     from drivers.compiled import cache as kernels
     from drivers.terminal_row import rewriting
 
@@ -259,7 +259,7 @@ def _show_compilation() -> None:
         number = next(numbers) if compiling else 0
         text = (
             f"compiling the mathematics, once: kernel {number}; about a minute of processor time; Ctrl-C "
-            "loses little of it ..."
+            "keeps finished kernels ..."
         )
         if sys.stderr.isatty():
             click.echo(rewriting(text if compiling else "", sys.stderr), err=True, nl=False)
@@ -291,7 +291,7 @@ def one_line_of_error() -> Iterator[None]:
 
 
 def _refuse_same_files(arguments: dict[str, Any]) -> None:
-    """Refuse an output that is another file of the command. Raises LogError."""
+    """Refuse an output that is also another file of the command. Raises LogError."""
     from drivers.errors import LogError
     from drivers.files import real_path
 
@@ -305,7 +305,7 @@ def _refuse_same_files(arguments: dict[str, Any]) -> None:
             file = real_path(Path(each))
             if file in seen and isinstance(parameter.type, Output):
                 raise LogError(
-                    f"{parameter.opts[0]} {each}: is another file of this command; name a file of its own"
+                    f"{parameter.opts[0]} {each}: this command already uses that file; give another file"
                 )
             seen.add(file)
 
@@ -318,7 +318,7 @@ def _refuse(message: str, code: int = 2) -> NoReturn:
 
 
 def load(configuration: str, command: Literal["run", "plant", "sim"] | None = None) -> Configuration:
-    """Load a configuration; for a command that moves, refuse what cannot work before anything starts.
+    """Load a configuration; for a command that moves the platform, refuse an impossible one at once.
 
     Raises ConfigurationError.
     """

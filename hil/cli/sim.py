@@ -9,7 +9,7 @@ import click
 from hil.cli import shared
 
 SETPOINTS = "CSV of poses for a live reference: t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg."
-COMMANDS = "What the operator says: lines of a simulated time in s and a word of `hil ctl`, as `2.5 hold`."
+COMMANDS = "Operator commands: lines with a simulated time in s and a word of `hil ctl`, as `2.5 hold`."
 
 
 @click.command()
@@ -19,17 +19,15 @@ COMMANDS = "What the operator says: lines of a simulated time in s and a word of
 @shared.fault_option
 @shared.option("--setpoints", shared.FILE, "FILE", SETPOINTS)
 @shared.option("--commands", shared.FILE, "FILE", COMMANDS)
-@shared.flag(
-    "--plant-log", "Record the plant's truth, too, as NAME-plant.mcap beside the log; takes no name."
-)
+@shared.flag("--plant-log", "Also record the plant's true values, as NAME-plant.mcap next to the log.")
 @shared.reporting
 def command(configuration: str, faults: tuple[str, ...], commands: Path | None, **options: Any) -> None:
     """Run both ends of the bus in lockstep, in simulated time, as fast as the machine can.
 
-    Deterministic: the same configuration gives the same frames and rows, byte for byte. The bus takes its
+    Deterministic: the same configuration gives the same frames and rows, byte for byte. Frames take their
     worst-case bit time. `--duration` stops along the path at S simulated seconds and parks. Without
-    `--commands` nobody is waited for, whatever section operator asks for. The log goes to --log, else to
-    runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
+    `--commands` the run never waits for an operator, whatever section `operator` requires. The log goes to
+    --log, else to runs/NAME-TIME.mcap (recording.folder), and is replayed at the end.
 
     \b
     Examples:
@@ -48,5 +46,5 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
     loaded = with_faults(loaded, faults)
     if danger := falls(loaded):
         warn(f"hil: {danger}")
-    said = () if commands is None else read_commands(commands)
-    shared.finish("sim", simulate(loaded, live=sys.stderr.isatty(), commands=said, **options))
+    orders = () if commands is None else read_commands(commands)
+    shared.finish("sim", simulate(loaded, live=sys.stderr.isatty(), commands=orders, **options))

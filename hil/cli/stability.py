@@ -6,13 +6,13 @@ from typing import Any
 import click
 
 from hil.cli import shared
-from hil.config.number import in_reason
+from hil.config.number import is_allowed
 
 Point = tuple[float, float, float]
 
 
 def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> tuple[float, Point] | None:
-    """Return kg and m of `230kg@0.5,0.3,0.5`; without a place, of the origin. Raises BadParameter."""
+    """Mass, kg, and place, m, in `230kg@0.5,0.3,0.5`; default place: the origin. Raises BadParameter."""
     if value is None:
         return None
     mass, _, place = value.partition("@")
@@ -21,16 +21,16 @@ def mass_at(_ctx: click.Context, _param: click.Parameter, value: str | None) -> 
         x, y, z = (float(part) for part in (place or "0,0,0").split(","))
     except ValueError:
         kg = x = y = z = nan
-    if not (kg >= 0.0 and all(map(in_reason, (kg, x, y, z)))):
+    if not (kg >= 0.0 and all(map(is_allowed, (kg, x, y, z)))):
         raise click.BadParameter(f"{value!r}, allowed: a mass in kg and its place in m, as 230kg@0.5,0.3,0.5")
     return kg, (x, y, z)
 
 
-FORCE = "Unknown force on the platform, of any direction, changing as it likes."
-TORQUE = "Unknown torque about the platform's origin, likewise."
+FORCE = "Largest unknown force on the platform, in any direction, varying arbitrarily."
+TORQUE = "Largest unknown torque about the platform's origin, varying arbitrarily."
 SHARE = shared.FiniteRange(min=0, max=1, max_open=True)
-MODEL = "Masses and inertias that the law believes are wrong by this share, either way: 0.1 is 10 %."
-PAYLOAD = "A mass that the law does not know of, and its place in m: 230kg@0.5,0.3,0.5."
+MODEL = "Relative error of masses and inertias in the law's model, either sign: 0.1 is 10 %."
+PAYLOAD = "Mass unknown to the law, and its place in m: 230kg@0.5,0.3,0.5."
 
 
 @click.command()
@@ -41,15 +41,15 @@ PAYLOAD = "A mass that the law does not know of, and its place in m: 230kg@0.5,0
 @shared.option("--payload", str, "KG@X,Y,Z", PAYLOAD, callback=mass_at)
 @shared.reporting
 def command(configuration: str, payload: tuple[float, Point] | None, **options: Any) -> None:
-    """Print what is proven of the law of CONFIGURATION, by which function, and under which conditions.
+    """Print what is proven about the control law of CONFIGURATION, by which function, under which conditions.
 
-    The verdict is proven; conditional, if the listed conditions hold, which are not checked here; not proven,
-    where no theorem applies; or unstable. Printed are eigenvalues and margins of the loop as it is sampled,
-    held and late, and what the law's theorem gives: a bound of the error, or a boundary layer.
+    The verdict is proven; conditional, with a list of conditions that are not checked here; not proven, if no
+    theorem applies; or unstable. Prints eigenvalues and margins of the loop with its sampling, hold and
+    delay, and the result of the law's theorem: a bound of the error, or a boundary layer.
 
     \b
     Examples:
-      hil stability virtual --payload 230kg@0.5,0.3,0.5  and a load that the law does not know
+      hil stability virtual --payload 230kg@0.5,0.3,0.5  with a load that the law does not know
       hil stability my.yaml --disturbance-force 2000 --model-error 0.1 --json proof.json
 
     Guide: docs/theory/stability.md.

@@ -12,8 +12,8 @@ VIEWER = click.Choice(["rerun", "foxglove", "plotjuggler"])
 
 @click.command()
 @click.argument("log", type=shared.FILE)
-@shared.option("--with viewer", VIEWER, None, "Which viewer; default: rerun.", default="rerun")
-@shared.flag("--no-start", "Write the file, start nothing.")
+@shared.option("--with viewer", VIEWER, None, "Viewer; default: rerun.", default="rerun")
+@shared.flag("--no-start", "Write the file without starting the viewer.")
 @shared.out_option
 @shared.force_option
 @shared.reporting
@@ -21,7 +21,7 @@ def command(log: Path, viewer: str, no_start: bool, **options: Any) -> None:
     """Open LOG in a viewer: the robot in 3D, plots of errors, forces and timing, states and faults by name.
 
     Writes a Rerun recording, or a layout for Lichtblick and Foxglove or for PlotJuggler, and starts the
-    viewer. The file goes to --out, else next to the log, in the place of an earlier one.
+    viewer. The file goes to --out, else next to the log, replacing an earlier one.
 
     \b
     Examples:

@@ -16,9 +16,9 @@ from hil.cli import shared
 def command(configuration: str, **options: Any) -> None:
     """Serve a live page about the run on the bus of CONFIG: pose, legs, forces, errors, timing, faults.
 
-    Prints a link, which any browser opens without network. Ctrl-C ends the page, and nothing else. With
-    --host others see it, too, and need the token of the link; there is no encryption: use it in a network
-    that you trust. With watch.operate in CONFIG the page has buttons, which always need the token.
+    Prints a link that any browser opens without network. Ctrl-C ends the page, not the run. With --host other
+    machines can open it with the token in the link. There is no encryption: use it in a trusted network. With
+    watch.operate in CONFIG the page has buttons, which always need the token.
 
     \b
     Examples:

@@ -1,4 +1,4 @@
-"""The file that `hil identify` writes and `hil design` reads: one axis of the linearised loop."""
+"""File written by `hil identify` and read by `hil design`: one axis of the linearised loop."""
 
 from typing import Annotated, Literal, Self
 
@@ -9,14 +9,14 @@ from hil.config.delay import Delay
 from hil.config.values import NonNegative, Positive, SixPositive
 
 AxisSpace = Literal["joint", "pose"]
-"""Legs, or x, y, z and the rotations about them."""
+"""Six legs, or x, y, z and the rotations about them."""
 
 
 class NominalAxis(Section):
-    """From demanded to measured: gain exp(-transport s) / (lag s + 1) / s^2, behind a hold of one period."""
+    """Demanded to measured: gain exp(-transport s) / (lag s + 1) / s^2, after a hold of one period."""
 
     gain: SixPositive
-    """Of each axis; 1 where model and robot agree."""
+    """Gain of each axis; 1 where model and robot agree."""
     transport_ms: Delay
     """Pure delay: feedback, computing, command."""
     lag_ms: Delay
@@ -24,28 +24,28 @@ class NominalAxis(Section):
 
 
 class UncertaintyProfile(Section):
-    """What the measured axes differ from the nominal one by, at most: |P / P0 - 1| <= bound."""
+    """Largest deviation of the measured axes from the nominal one: |P / P0 - 1| <= bound."""
 
     frequency_Hz: Annotated[list[Positive], Field(min_length=2)]
-    """Rising."""
+    """Frequencies in rising order."""
     bound: Annotated[list[Positive], Field(min_length=2)]
 
     @model_validator(mode="after")
     def _a_function(self) -> Self:
         if len(self.frequency_Hz) != len(self.bound):
             counts = f"{len(self.frequency_Hz)} frequencies and {len(self.bound)} bounds"
-            raise ValueError(f"{counts}, allowed: as many of each")
+            raise ValueError(f"{counts}, allowed: equal numbers")
         if any(b <= a for a, b in zip(self.frequency_Hz, self.frequency_Hz[1:], strict=False)):
-            raise ValueError("frequency_Hz does not rise, allowed: each above the one before")
+            raise ValueError("frequency_Hz does not rise, allowed: each value above the previous one")
         return self
 
 
 class AxisResponse(Section):
-    """The measured frequency response of one axis, at the frequencies that excited it."""
+    """Measured frequency response of one axis, at the excited frequencies."""
 
     frequency_Hz: list[Positive]
     magnitude: list[NonNegative]
-    """Of position over demanded acceleration, s^2."""
+    """Position over demanded acceleration, s^2."""
     phase_deg: list[float]
     coherence: list[Annotated[float, Field(ge=0, le=1)]]
     magnitude_std: list[NonNegative]
@@ -53,11 +53,11 @@ class AxisResponse(Section):
 
 
 class AxisModel(Section):
-    """An identified axis: nominal model, bound of its error, and what it was found from."""
+    """An identified axis: nominal model, bound of its error, and the measured responses."""
 
     kind: Literal["axis-model"]
     source: str
-    """Log it was found from."""
+    """Log from which the axis was identified."""
     axes: AxisSpace
     rate_Hz: Positive
     nominal: NominalAxis

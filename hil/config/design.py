@@ -1,4 +1,4 @@
-"""The file that `hil design` reads: an axis, how it is controlled, and what is asked of the loop."""
+"""File that `hil design` reads: an axis, its controller, and the requirements on the loop."""
 
 from math import pi
 from typing import Annotated, Literal, Self
@@ -13,14 +13,14 @@ from hil.config.values import Positive
 
 
 class TransferFunction(Section):
-    """A rational function of s in rad/s; coefficients of the highest power first."""
+    """Rational function of s in rad/s; coefficient of the highest power first."""
 
     numerator: Annotated[list[float], Field(min_length=1)]
     denominator: Annotated[list[float], Field(min_length=1)]
 
 
 class DesignAxis(Section):
-    """gain exp(-transport s) / (lag s + 1) / s^2, behind a hold of one period."""
+    """gain exp(-transport s) / (lag s + 1) / s^2, after a hold of one period."""
 
     gain: Positive = 1.0
     """Measured over demanded acceleration; 1 where model and robot agree."""
@@ -29,25 +29,25 @@ class DesignAxis(Section):
     lag_ms: Delay
     """Time constant of the drives' force loop, first order: 1000 / (2 pi bandwidth in Hz)."""
     drive: TransferFunction | None = None
-    """What the drives do beyond that lag: a force loop of higher order, a resonance. Gain 1 at rest."""
+    """Drive dynamics beyond that lag: a force loop of higher order, a resonance. Gain 1 at rest."""
 
 
 class DisturbanceWeight(Section):
-    """The acceleration that acts on the axis without the law's knowledge: loads, friction, a wrong model."""
+    """Acceleration on the axis that the law does not know: loads, friction, model errors."""
 
     amplitude_m_s2: Positive
-    """rad/s^2 on an axis that turns; so below."""
+    """rad/s^2 on a rotation axis; likewise below."""
 
 
 class ErrorWeight(Section):
-    """The error that is allowed under the disturbance: `low` at rest, `peak` above `bandwidth`."""
+    """Allowed error under the disturbance: `low` at rest, `peak` above `bandwidth`."""
 
     low_m: Positive
-    """Of a disturbance that lasts. The smaller, the more the controller integrates."""
+    """Allowed error under a constant disturbance. A smaller value makes the controller integrate more."""
     peak_m: Positive
-    """Of a disturbance at the worst frequency."""
+    """Allowed error under a disturbance at the worst frequency."""
     bandwidth_rad_s: Positive
-    """From here on `peak` is allowed; below, in proportion less, down to `low`."""
+    """Frequency above which `peak` is allowed; below it proportionally less, down to `low`."""
 
     @model_validator(mode="after")
     def _low_is_low(self) -> Self:
@@ -57,25 +57,25 @@ class ErrorWeight(Section):
 
 
 class ControlWeight(Section):
-    """The acceleration that the controller may ask for under disturbance and noise."""
+    """Allowed acceleration of the controller under disturbance and noise."""
 
     limit_m_s2: Positive
-    """At low frequency. Over the disturbance's amplitude it bounds the peak of T."""
+    """Limit at low frequency. Divided by the disturbance's amplitude it bounds the peak of T."""
     roll_off_rad_s: Positive | None = None
-    """Above it, in proportion less: what acts there is noise and what the model does not hold."""
+    """Frequency above which proportionally less is allowed: noise and unmodelled dynamics act there."""
 
 
 class NoiseWeight(Section):
-    """What the measurements are wrong by; the controller trusts them, one against the other, by it."""
+    """Errors of the measurements; their ratio decides which measurement the controller trusts more."""
 
     error_m: Positive
-    """Encoder: resolution and what bends between encoder and load."""
+    """Encoder error: resolution and compliance between encoder and load."""
     rate_error_m_s: Positive | None = None
     """Only with rate_error in `inputs`."""
 
 
 class DesignWeights(Section):
-    """What is asked of the loop. gamma <= 1 says that all of it is reached."""
+    """Requirements on the loop. gamma <= 1 means that all are met."""
 
     disturbance: DisturbanceWeight
     error: ErrorWeight | TransferFunction
@@ -86,47 +86,47 @@ class DesignWeights(Section):
 
 
 class UncertaintyRanges(Section):
-    """What the controller has to stand at once; mu < 1 says that it does."""
+    """Uncertainties that the controller must tolerate together; mu < 1 means that it does."""
 
     inertia: Annotated[float, Field(gt=0, lt=1)]
-    """Share by which mass and inertia may be off: 0.2 for +-20 %."""
+    """Relative error of mass and inertia: 0.2 for +-20 %."""
     transport_ms: tuple[Delay, Delay]
-    """From, to: pure delay of feedback, computing and command."""
+    """Range of the pure delay of feedback, computing and command."""
     drive_bandwidth_Hz: tuple[Positive, Positive]
-    """From, to: corner of the drives' force loop, first order."""
+    """Range of the corner frequency of the drives' force loop, first order."""
 
     @model_validator(mode="after")
     def _ranges(self) -> Self:
         for name in ("transport_ms", "drive_bandwidth_Hz"):
             low, high = getattr(self, name)
             if low >= high:
-                raise ValueError(f"{name} goes from {low:g} to {high:g}, allowed: from less to more")
+                raise ValueError(f"{name} goes from {low:g} to {high:g}, allowed: the smaller value first")
         return self
 
     @property
     def lag_ms(self) -> tuple[float, float]:
-        """Time constants of the drives, ms, least and most: 1000 / (2 pi bandwidth)."""
+        """Smallest and largest time constant of the drives, ms: 1000 / (2 pi bandwidth)."""
         slow, fast = self.drive_bandwidth_Hz
         return 1000.0 / (2.0 * pi * fast), 1000.0 / (2.0 * pi * slow)
 
 
 class Design(Section):
-    """A design: one controller for each of six axes that are alike."""
+    """A design: one controller for each of six equal axes."""
 
     kind: Literal["design"]
     description: str = ""
     axes: AxisSpace = "joint"
     rate_Hz: Positive
-    """Of the loop that will run the controller."""
+    """Rate of the loop that will run the controller."""
     inputs: Annotated[list[ControllerInput], Field(min_length=1, max_length=2)] = ["error", "rate_error"]
     nominal: DesignAxis | None = None
-    """The axis in figures ..."""
+    """Parameters of the axis ..."""
     model: str | None = None
-    """... or a file of `hil identify`, relative to this one; `--model` goes before both."""
+    """... or a file of `hil identify`, relative to this file; `--model` overrides both."""
     delay_order: Annotated[int, Field(ge=1, le=4)] = 1
-    """Of the Pade approximation of transport and half a period."""
+    """Order of the Pade approximation of transport plus half a period."""
     lump_lag: bool = False
-    """Take the lag as further dead time: a state less, and no fast pole of the controller that undoes it."""
+    """Treat the lag as extra dead time: one state fewer, and no fast controller pole that cancels the lag."""
     weights: DesignWeights
     uncertainty: UncertaintyRanges | None = None
     """For `hil design mu`."""
@@ -134,13 +134,15 @@ class Design(Section):
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         if len(set(self.inputs)) != len(self.inputs):
-            raise ValueError("inputs names one twice, allowed: each once")
+            raise ValueError("inputs lists an entry twice, allowed: each once")
         if "error" not in self.inputs:
-            raise ValueError("inputs lacks error, allowed: error, rate_error; a rate alone holds no position")
+            raise ValueError(
+                "inputs lacks error, allowed: error, rate_error; the rate alone cannot hold a position"
+            )
         if (self.weights.noise.rate_error_m_s is None) != ("rate_error" not in self.inputs):
             raise ValueError(
                 "noise.rate_error_m_s and the input rate_error go together, allowed: both or neither"
             )
         if self.nominal is not None and self.model is not None:
-            raise ValueError("nominal and model both say what the axis is, allowed: one of them")
+            raise ValueError("nominal and model both define the axis, allowed: one of them")
         return self

@@ -1,4 +1,4 @@
-"""Section `estimation`: where the State comes from, and the external load on the platform."""
+"""Section `estimation`: source of the State, and the external load on the platform."""
 
 from typing import Annotated, Literal
 
@@ -11,56 +11,62 @@ from hil.config.values import NonNegative, Positive
 
 
 class WrenchSettings(ForceDelay):
-    """Where the external wrench of the State comes from; laws with a model compensate it."""
+    """Source of the external wrench in the State; laws with a model compensate the wrench."""
 
     source: Literal["none", "observer", "sensor"] = "none"
-    """`observer`: from the forces sent and the motion they caused. `sensor`: the wrench of `sensors`."""
+    """`observer`: from the forces sent and the resulting motion. `sensor`: the wrench of `sensors`."""
     bandwidth_Hz: Annotated[float, Field(gt=0, le=100)] = 15.0
-    """Of the observer. More is faster, noisier, and less forgiving of wrong delays and masses."""
+    """Bandwidth of the observer. A larger value is faster, noisier, and more sensitive to wrong delays and
+    masses."""
     model: ModelSettings = ModelSettings()
-    """Of the observer: what it does not hold, friction included, counts as external."""
+    """Model of the observer; forces outside the model, friction included, count as external."""
 
 
 class FusionSettings(Section):
-    """The error-state Kalman filter of `hil.estimation.fusion`: what it believes of legs and motion."""
+    """Error-state Kalman filter of `hil.estimation.fusion`: its assumptions about legs and motion."""
 
     model: ModelSettings = ModelSettings()
-    """Turns leg forces into the acceleration that carries the pose from tick to tick."""
+    """Model that turns leg forces into the acceleration, which predicts the pose of the next tick."""
     length_std_m: Positive | None = None
-    """Noise of a leg length, one standard deviation. Default: the steps of the virtual plant's encoders and
-    of the feedback, each divided by sqrt(12); without a plant monitor.length_noise_m divided by sqrt(12)."""
+    """Standard deviation of the noise of a leg length. Default: the resolution of the virtual plant's
+    encoders and of the feedback, each / sqrt(12); without a plant monitor.length_noise_m / sqrt(12)."""
     rate_std_m_s: Positive | None = None
-    """Noise of a leg rate. Default: monitor.rate_noise_m_s divided by sqrt(12). Skew and scale of the rates
-    come on top: monitor.rate_skew_us and rate_error_percent, each divided by sqrt(3)."""
+    """Standard deviation of the noise of a leg rate. Default: monitor.rate_noise_m_s / sqrt(12). Skew and
+    scale of the rates are added: monitor.rate_skew_us and rate_error_percent, each / sqrt(3)."""
     latch_std_us: NonNegative = 0.0
-    """How far the instants at which the drives latch are from even, beyond the known lateness of a tick."""
+    """Standard deviation of the drives' sampling instants, beyond the known lateness of a tick."""
     acceleration_noise_m_s2_sqrtHz: Positive = 0.01
-    """Density of what the model's linear acceleration is wrong by, as white noise."""
+    """Error of the model's linear acceleration, as a density of white noise."""
     angular_acceleration_noise_rad_s2_sqrtHz: Positive = 0.01
-    """The same of the angular acceleration."""
+    """Error of the model's angular acceleration, as a density of white noise."""
     leg_force_std_N: NonNegative | None = None
-    """Force along a leg that neither model nor drives know, root of its mean square: friction, inertia of
-    motor and screw. Default: friction as for monitor.friction_N, less that of the model. 0: there is none."""
+    """Root mean square of the force along a leg that neither model nor drives know: friction, inertia of
+    motor and screw. Default: friction as for monitor.friction_N, minus that of the model. 0: no such
+    force."""
     leg_force_time_ms: Positive = 100.0
-    """Correlation time of that force. Dry friction that turns r times a second has 500 / r."""
+    """Correlation time of that force. Dry friction that reverses r times a second: 500 / r."""
     gate_std: Annotated[float, Field(ge=3)] = 6.0
-    """A measurement further from its prediction than this many standard deviations is left out."""
+    """Outlier limit: a measurement farther from its prediction than this many standard deviations is left
+    out."""
     encoder_slip_m: Positive = 2e-4
-    """A length that alone contradicts its prediction by more than this, three ticks in a row, is a slip."""
+    """Encoder slip: one length alone differs from its prediction by more than this in three consecutive
+    ticks."""
     may_lose_legs: list[Annotated[int, Field(ge=0, le=5)]] = []
-    """Legs whose encoder may be lost: the run goes on without it. All others fault as ever."""
+    """Legs that may lose their encoder: the run continues without it. A lost encoder of any other leg
+    faults."""
     lost_at_once: Annotated[int, Field(ge=1, le=6)] = 1
-    """More lost encoders than this at once fault."""
+    """Largest number of encoders lost at once; more fault."""
     tracker_gap_max_ms: Positive = 100.0
-    """With a leg lost, longer than this without a useful sample of the tracker, the only hold, faults."""
+    """Longest gap between useful tracker samples while a leg is lost and only the tracker helps; more
+    faults."""
     position_std_max_m: Positive = 5e-3
-    """The filter's own standard deviation of the platform's position that faults, over all directions."""
+    """Largest standard deviation of the platform's position in the filter, all directions; more faults."""
     imu_biases: bool = True
-    """Estimate the biases of the IMU, too."""
+    """Estimate the IMU biases, too."""
     gyro_bias_walk_rad_s_sqrts: NonNegative = 1e-5
-    """How fast the bias of the angular rate drifts: standard deviation after one second."""
+    """Drift of the bias of the angular rate: standard deviation after one second."""
     accelerometer_bias_walk_m_s2_sqrts: NonNegative = 1e-4
-    """How fast the bias of the specific force drifts."""
+    """Drift of the bias of the specific force: standard deviation after one second."""
 
     @field_validator("may_lose_legs")
     @classmethod
@@ -71,11 +77,12 @@ class FusionSettings(Section):
 
 
 class EstimationSettings(Section):
-    """How the state of the platform is estimated."""
+    """Estimation of the platform's state."""
 
     pose: Literal["legs", "fused"] = "legs"
-    """`legs`: forward kinematics of six lengths. `fused`: legs, model and the poses of section `sensors`."""
+    """`legs`: forward kinematics of the six lengths. `fused`: legs, model and the poses of section
+    `sensors`."""
     fusion: FusionSettings = FusionSettings()
     """For pose `fused`."""
     wrench: WrenchSettings = WrenchSettings()
-    """The external load on the platform."""
+    """External load on the platform."""

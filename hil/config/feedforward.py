@@ -1,4 +1,4 @@
-"""Section `feedforward`: leg forces that were learned from run to run over the reference's own time."""
+"""Section `feedforward`: leg forces learned from run to run, over the time of the reference."""
 
 from typing import Annotated, Literal
 
@@ -9,19 +9,19 @@ from hil.config.values import NonNegative, Positive
 
 
 class FeedforwardSettings(Section):
-    """What `hil learn` found out about this reference, this controller and this platform."""
+    """Result of `hil learn` for one reference, controller and platform."""
 
     file: str
-    """CSV that `hil learn` writes, relative to the configuration file."""
+    """CSV file of `hil learn`, relative to the configuration file."""
     limit_N: Positive
-    """Largest learned force of a leg. `hil learn` cuts what it writes there; a file with more is refused."""
+    """Largest learned force of a leg. `hil learn` limits its output to this; a file with more is refused."""
     fade_s: Annotated[float, Field(ge=0.001, le=10)] = 0.05
-    """Time in which it fades out where a run leaves the clock of its reference (hold, speed, stop), and in
-    where the run reaches full speed only after the reference's start."""
+    """Fade-out time where a run leaves the clock of its reference (hold, speed, stop), and fade-in time where
+    the run reaches full speed only after the reference's start."""
 
 
 class MadeFor(Section):
-    """What a feed-forward belongs to, as fingerprints: on anything else its forces are wrong."""
+    """Fingerprints of the reference, controller and platform; for any others the forces are wrong."""
 
     reference: str
     controller: str
@@ -29,27 +29,27 @@ class MadeFor(Section):
 
 
 class FeedforwardHead(Section):
-    """The head of the file that `hil learn` writes: what it was learned from, and how."""
+    """Head of the file of `hil learn`: source and settings of the learning."""
 
     kind: Literal["feedforward"]
     source: str
-    """The log that it was learned from."""
+    """Log from which the forces were learned."""
     run: Annotated[int, Field(ge=1)]
-    """So many runs it has learned from."""
+    """Number of runs learned from."""
     made_for: MadeFor
     rate_Hz: Positive
-    """Of these runs."""
+    """Loop rate of these runs."""
     cutoff_Hz: Positive
-    """Where its zero-phase filter ends."""
+    """Cut-off frequency of the zero-phase filter."""
     contraction: Annotated[float, Field(ge=0, lt=1)]
     """Largest factor by which the error may shrink from run to run, over frequency and uncertainty."""
     first_rms_error_mm: NonNegative
-    """Of the legs, in the first run of all."""
+    """RMS leg error of the very first run."""
     rms_error_mm: NonNegative
-    """In the run that it was learned from."""
+    """RMS leg error of the run in `source`."""
     peak_N: NonNegative
     """Largest force in the file."""
     rows: Annotated[int, Field(ge=2)]
-    """Of the file: one that has been cut would keep its last force."""
+    """Number of rows in the file; a truncated file would keep its last force."""
     digest: str = ""
-    """Of its times and forces; others than these nobody has learned."""
+    """Checksum of the times and forces; a file with other values is refused."""

@@ -1,4 +1,4 @@
-"""The file that `hil design` writes and the law `state_space` runs: one controller for each of six axes."""
+"""File written by `hil design` and run by the law `state_space`: one controller for each of six axes."""
 
 from typing import Annotated, Any, Literal, Self
 
@@ -13,10 +13,10 @@ ControllerInput = Literal["error", "rate_error"]
 
 
 class LinearController(Section):
-    """x[k+1] = A x[k] + B y[k], u[k] = C x[k] + D y[k] for each axis; u joins the demanded acceleration.
+    """x[k+1] = A x[k] + B y[k], u[k] = C x[k] + D y[k] of each axis; u adds to the demanded acceleration.
 
-    y holds e = demanded - measured, m or rad, and, where `inputs` names it, de. With anti-windup the state
-    also moves by `anti_windup` (n,) times what the limits took from u.
+    y holds e = demanded - measured, m or rad, and also de if `inputs` lists it. With anti-windup the state
+    also changes by `anti_windup` (n,) times the part of u that the limits removed.
     """
 
     kind: Literal["linear-controller"]
@@ -29,9 +29,9 @@ class LinearController(Section):
     C: Annotated[list[Row], Field(min_length=1, max_length=1)]
     D: Annotated[list[Row], Field(min_length=1, max_length=1)]
     anti_windup: Row
-    """(n,) state per m/s^2 or rad/s^2."""
+    """(n,) change of the state per m/s^2 or rad/s^2."""
     design: dict[str, Any]
-    """How it was made: weights, gamma, bounds of mu, margins, closed-loop poles."""
+    """Design data: weights, gamma, bounds of mu, margins, closed-loop poles."""
 
     @model_validator(mode="after")
     def _shapes(self) -> Self:
@@ -42,5 +42,5 @@ class LinearController(Section):
             if len(given) != rows or any(len(row) != columns for row in given):
                 raise ValueError(f"{name} is not {rows} x {columns}, with {n} rows of A and {m} inputs")
         if len(self.anti_windup) != n:
-            raise ValueError(f"anti_windup has {len(self.anti_windup)} numbers, allowed: {n}, one a state")
+            raise ValueError(f"anti_windup has {len(self.anti_windup)} numbers, allowed: {n}, one per state")
         return self

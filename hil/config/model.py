@@ -1,4 +1,4 @@
-"""What the controller believes of the robot."""
+"""The controller's model of the robot: masses, friction, variant."""
 
 from typing import Literal, Self
 
@@ -9,17 +9,18 @@ from hil.config.values import NonNegative, Pose, Positive, SixNonNegative
 
 
 class MechanicsSettings(Section):
-    """What the controller believes of masses and friction."""
+    """Masses and friction in the controller's model."""
 
     inertia_scale: Positive = 1.0
-    """All masses, all inertias and the platform's centre of mass times this. The centres of mass along the
+    """Factor on all masses, all inertias and the platform's centre of mass. The centres of mass along the
     legs stay exact, as do lengths, J, its rate, gravity and friction."""
     reflected_mass_kg: NonNegative | SixNonNegative = 0.0
-    """Of motor and screw: rotary inertia times (2 pi / lead)^2. One for all legs, or one each; so below."""
+    """Reflected mass of motor and screw: rotary inertia times (2 pi / lead)^2. One for all legs, or one each;
+    likewise below."""
     viscous_friction_N_s_m: NonNegative | SixNonNegative = 0.0
     coulomb_friction_N: NonNegative | SixNonNegative = 0.0
     sliding_speed_m_s: NonNegative = 1e-3
-    """Leg rate from which Coulomb friction counts in full; below, it grows linearly. 0: sgn of the rate."""
+    """Leg rate above which Coulomb friction acts in full; below, it grows linearly. 0: sgn of the rate."""
 
 
 class ModelSettings(MechanicsSettings):
@@ -34,7 +35,7 @@ class ModelSettings(MechanicsSettings):
         constant = self.variant in {"constant", "constant_MG"}
         if constant != (self.frozen_at is not None):
             raise ValueError(
-                "frozen_at is for the variants constant and constant_MG, allowed: with them, where it is "
-                f"needed, given: variant {self.variant} with{'out' * constant} it"
+                "the variants constant and constant_MG need frozen_at, allowed: with these variants "
+                f"only, given: variant {self.variant} with{'out' * constant} it"
             )
         return self

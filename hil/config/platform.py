@@ -25,11 +25,11 @@ class JointCircle(Section):
     radius_m: Positive
     z_m: float = 0.0
     angles_deg: Six | None = None
-    """One angle a leg, from x towards y."""
+    """One angle per leg, from x towards y."""
     pair_centres_deg: Vector3 | None = None
     """Instead of angles: direction of each pair of joints."""
     pair_half_angle_deg: Annotated[float, Field(ge=0, lt=60)] | None = None
-    """The joints of a pair stand at its centre minus and plus this."""
+    """Angle of the joints of a pair, minus and plus, from its centre."""
     pair_spacing_m: NonNegative | None = None
     """Instead of the half angle: distance between the two joints of a pair."""
     pairs_begin: Literal["first_leg", "second_leg"] = "first_leg"
@@ -41,7 +41,7 @@ class JointCircle(Section):
         if (self.angles_deg is None) == (self.pair_centres_deg is None):
             raise ValueError("allowed: either angles_deg or pair_centres_deg")
         if self.angles_deg is not None and (halves != (None, None) or self.pairs_begin != "first_leg"):
-            raise ValueError("angles_deg needs no pairs, allowed: radius_m, z_m and angles_deg alone")
+            raise ValueError("angles_deg excludes keys of pairs, allowed: radius_m, z_m and angles_deg alone")
         if self.pair_centres_deg is not None and halves.count(None) != 1:
             raise ValueError("allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m")
         if self.pair_spacing_m is not None and not self.pair_spacing_m < 2 * self.radius_m:
@@ -51,23 +51,23 @@ class JointCircle(Section):
 
 
 class Frame(Section):
-    """A coordinate system in the platform frame: x_platform = origin + R x."""
+    """Coordinate system in the platform frame: x_platform = origin + R x."""
 
     origin_m: Vector3 = (0.0, 0.0, 0.0)
     rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
 
 
 class InertiaReference(Section):
-    """What a tensor refers to, where that is not the centre of mass and the axes of the body's frame."""
+    """Reference of a tensor, if not the centre of mass and the axes of the body's frame."""
 
     point_m: Vector3 | None = None
-    """The tensor is about this point of the body's frame; default: the centre of mass."""
+    """Point of the body's frame to which the tensor refers; default: the centre of mass."""
     rotation_vector_deg: RotationVector = (0.0, 0.0, 0.0)
-    """Turns the axes of the body's frame into those of the tensor (principal axes, say)."""
+    """Rotation from the axes of the body's frame to those of the tensor, for example principal axes."""
 
 
 class BoxShape(Section):
-    """Homogeneous box, its sides along the axes of the body's frame, centred on com_m."""
+    """Homogeneous box, sides along the axes of the body's frame, centred on com_m."""
 
     type: Literal["box"]
     size_m: tuple[Positive, Positive, Positive]
@@ -85,7 +85,7 @@ class CylinderShape(Section):
     def _wall(self) -> Self:
         if self.inner_radius_m >= self.radius_m:
             allowed = f"less than radius_m, {self.radius_m:g}, given: {self.inner_radius_m:g}"
-            raise ValueError(f"inner_radius_m leaves no wall, allowed: {allowed}")
+            raise ValueError(f"inner_radius_m leaves no wall thickness, allowed: {allowed}")
         return self
 
 
@@ -112,14 +112,14 @@ class RigidBodySettings(Section):
     com_m: Vector3
     """Centre of mass in the body's frame."""
     inertia_kg_m2: Matrix3 | None = None
-    """About the centre of mass in the axes of the body's frame, unless inertia_about says otherwise."""
+    """About the centre of mass in the axes of the body's frame, unless inertia_about is set."""
     shape: Shape | None = None
-    """Instead of the tensor."""
+    """Instead of inertia_kg_m2."""
     frame: Frame = Frame()
-    """The coordinate system of the figures above, in the platform frame; default: the platform frame."""
+    """Coordinate system of the values above, in the platform frame; default: the platform frame."""
     inertia_about: InertiaReference = InertiaReference()
     products: Literal["negative_integral", "positive_integral"] = "negative_integral"
-    """What stands off the diagonal of inertia_kg_m2: minus or plus the integral of x y dm."""
+    """Off-diagonal elements of inertia_kg_m2: minus or plus the integral of x y dm."""
 
     @model_validator(mode="after")
     def _tensor_or_shape(self) -> Self:
@@ -133,7 +133,7 @@ class RigidBodySettings(Section):
 
 def _rising(pair: tuple[float, float]) -> tuple[float, float]:
     if not pair[0] <= pair[1]:
-        raise ValueError(f"allowed: the lower end, then the upper one, given: {pair[0]:g}, {pair[1]:g}")
+        raise ValueError(f"allowed: the lower end first, then the upper end, given: {pair[0]:g}, {pair[1]:g}")
     return pair
 
 
@@ -142,18 +142,18 @@ PlaceRange = Annotated[tuple[float, float], AfterValidator(_rising)]
 
 
 class PayloadSettings(RigidBodySettings):
-    """A body that rides on the platform. The model has its figures; what is not always the same, ranges."""
+    """A body carried by the platform. The model has its values; ranges describe what varies."""
 
     mass_kg: NonNegative
-    """0: the model does not have it; then with `shape` and `mass_range_kg`."""
+    """0: the model does not include the body; then `shape` and `mass_range_kg` are required."""
     mass_range_kg: MassRange | None = None
-    """What the mass may be. Its tensor, or shape, grows with it."""
+    """Range of the mass. The tensor, or shape, scales with it."""
     com_range_m: tuple[PlaceRange, PlaceRange, PlaceRange] | None = None
-    """Where the centre of mass may be: from, to, along each axis of the body's frame."""
+    """Range of the centre of mass: from, to, along each axis of the body's frame."""
 
     @property
     def ranged(self) -> bool:
-        """Tell whether anything of it is known by a range."""
+        """True if the mass or the centre of mass has a range."""
         return self.mass_range_kg is not None or self.com_range_m is not None
 
     @model_validator(mode="after")
@@ -170,10 +170,10 @@ class PayloadSettings(RigidBodySettings):
 
 
 class BodySettings(RigidBodySettings):
-    """The moving platform, and what is mounted on it."""
+    """The moving platform, and the bodies mounted on it."""
 
     payload: list[PayloadSettings] = []
-    """Further bodies; all are put together into one."""
+    """Further bodies; all are combined into one."""
 
     @model_validator(mode="after")
     def _one_range(self) -> Self:
@@ -188,9 +188,9 @@ class LegBodySettings(Section):
 
     mass_kg: NonNegative
     com_m: NonNegative
-    """Cylinder: from the base joint. Rod: from the platform joint. Along the leg."""
+    """Centre of mass along the leg. Cylinder: from the base joint. Rod: from the platform joint."""
     inertia_axial_kg_m2: NonNegative | None = None
-    """About the leg's own axis; has no effect unless the legs spin."""
+    """About the leg's own axis; no effect unless the legs spin."""
     inertia_transverse_kg_m2: NonNegative
 
 
@@ -198,9 +198,9 @@ class PlatformSettings(Section):
     """Geometry and inertia of the robot."""
 
     base_joints_m: SixVectors | JointCircle
-    """a_i in the base frame."""
+    """Joint centres a_i in the base frame."""
     platform_joints_m: SixVectors | JointCircle
-    """b_i in the platform frame."""
+    """Joint centres b_i in the platform frame."""
     platform: BodySettings
     cylinder: LegBodySettings
     rod: LegBodySettings
@@ -208,18 +208,19 @@ class PlatformSettings(Section):
     leg_spin: LegSpin = "none"
     universal_joint_base_axes: SixVectors | None = None
     home: Pose
-    """Where forward kinematics is seeded and the virtual plant starts."""
+    """Initial pose of forward kinematics and of the virtual plant."""
     length_min_m: Positive
     """Hard end of the stroke, joint centre to joint centre."""
     length_max_m: Positive
     base_joint_angle_max_deg: JointAngle | None = None
-    """Largest angle of a leg to the axis of its base joint; left out: not looked at. `hil workspace`."""
+    """Largest angle between leg and axis of the base joint, for `hil workspace`. Default: not checked."""
     platform_joint_angle_max_deg: JointAngle | None = None
-    """The same for the platform joint."""
+    """Largest angle between leg and axis of the platform joint. Default: not checked."""
     base_joint_axes: SixVectors | None = None
     """Axes of the base joints' cones, base to platform, base frame. Default: each leg's direction at home."""
     platform_joint_axes: SixVectors | None = None
-    """Axes of the platform joints' cones: directions from base to platform, platform frame. Same default."""
+    """Axes of the platform joints' cones, base to platform, platform frame. Default: each leg's direction at
+    home."""
 
     @model_validator(mode="after")
     def _joint_axes_are_directions(self) -> Self:

@@ -1,4 +1,4 @@
-"""Section `reference`: one model a kind, told apart by `type`."""
+"""Section `reference`: one model per kind, selected by `type`."""
 
 from typing import Annotated, Literal
 
@@ -8,28 +8,28 @@ from drivers.section import Section
 from hil.config.values import Axis, Pose, Positive, RotationVector, Vector3
 
 LONGEST_S = 86_400.0
-"""Of what does not repeat: it is looked at from end to end before it runs."""
+"""Longest duration without repetition: the whole reference is checked before it runs."""
 LONGEST_HOLD_S = 1e9
-"""As the longest --duration; without an end it holds until it is stopped."""
+"""Longest hold, as the longest --duration; without an end it holds until it is stopped."""
 MOST_PERIODS = 1_000_000
 MOST_POINTS = 10_000
-"""Of a path in the configuration; a longer one is for a CSV file."""
+"""Most points of a path in the configuration; a longer path belongs in a CSV file."""
 MOST_PLANNED = 1000
-"""Poses between which the shortest time is looked for."""
+"""Most poses of a time-optimal path."""
 MOST_LINES = 1000
-"""Sinusoids of a sum: each is evaluated at each tick."""
+"""Most sinusoids of a sum; each is evaluated at each tick."""
 MOST_AXES = 24
-"""Groups of lines of a multisine."""
+"""Most groups of lines in a multisine."""
 Periods = Annotated[int, Field(ge=1, le=MOST_PERIODS)]
 Moment = Annotated[float, Field(ge=0, le=LONGEST_S)]
 Duration = Annotated[float, Field(gt=0, le=LONGEST_S)]
 
 
 class Evaluated(Section):
-    """What every reference has that is known before the run."""
+    """Keys of every reference that is known before the run."""
 
     evaluation: Literal["online", "offline"] = "online"
-    """No difference: samples are computed at each tick."""
+    """No effect: samples are computed at each tick."""
 
 
 class HoldReference(Evaluated):
@@ -51,18 +51,18 @@ class Waypoint(Section):
 
 
 class WaypointReference(Evaluated):
-    """A path through way-points at given times; position and rotation vector interpolated."""
+    """Path through way-points at given times, with position and rotation vector interpolated."""
 
     type: Literal["waypoints"]
     interpolation: Literal["cubic", "quintic", "minimum_jerk"] = "quintic"
-    """cubic and quintic rest at every point, minimum_jerk at the first and the last one."""
+    """cubic and quintic rest at every point, minimum_jerk only at the first and the last one."""
     points: Annotated[list[Waypoint], Field(min_length=2, max_length=MOST_POINTS)]
     periods: Periods | None = 1
-    """How many times the list is run through; null is for ever."""
+    """Number of passes through the list; null repeats it for ever."""
 
 
 AxisLimit = Positive | tuple[Positive, Positive, Positive]
-"""One for all three axes, or one each."""
+"""One value for all three axes, or one per axis."""
 
 
 class AxisLimits(Section):
@@ -77,13 +77,13 @@ class AxisLimits(Section):
 
 
 class TimeOptimalReference(Evaluated):
-    """From pose to pose in the shortest time within limits, at rest at each; the times follow."""
+    """From pose to pose in the shortest time within limits, at rest at each; the times are computed."""
 
     type: Literal["time_optimal"]
     points: Annotated[list[Pose], Field(min_length=2, max_length=MOST_PLANNED)]
     limits: AxisLimits
     periods: Periods | None = 1
-    """How many times the list is run through; null is for ever."""
+    """Number of passes through the list; null repeats it for ever."""
 
 
 class Sinusoid(Section):
@@ -91,7 +91,7 @@ class Sinusoid(Section):
 
     axis: Axis
     amplitude: float
-    """In the axis' unit."""
+    """In the unit of the axis."""
     frequency_Hz: Positive
     phase_rad: float = 0.0
 
@@ -112,23 +112,23 @@ class MultisineAxis(Section):
 
     axis: Axis
     band_Hz: tuple[Positive, Positive]
-    """The lines are spread evenly from the first to the second frequency."""
+    """Evenly spread lines from the first to the second frequency."""
     lines: Annotated[int, Field(ge=1, le=MOST_LINES)]
     amplitude: Positive
-    """Largest deviation from the centre, in the axis' unit."""
+    """Largest deviation from the centre, in the unit of the axis."""
     phases: Literal["schroeder", "random"] = "schroeder"
     seed: int = 0
-    """Of random phases."""
+    """Seed of random phases."""
 
 
 class MultisineReference(Evaluated):
-    """Sums of sinusoids on multiples of 1/period_s, for identification; faded in before and out after."""
+    """Sums of sinusoids at multiples of 1/period_s, for identification; faded in before and out after."""
 
     type: Literal["multisine"]
     centre: Pose | None = None
     """Default: home."""
     axes: Annotated[list[MultisineAxis], Field(min_length=1, max_length=MOST_AXES)]
-    """No two of them share a frequency."""
+    """No two axes share a frequency."""
     period_s: Duration
     periods: Periods = 1
     """Whole periods between the ramps."""
@@ -136,7 +136,7 @@ class MultisineReference(Evaluated):
 
 
 class SampledReference(Evaluated):
-    """A CSV file: t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector), cubic spline through it."""
+    """CSV file: t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector), as a cubic spline."""
 
     type: Literal["sampled"]
     path: str
@@ -145,11 +145,11 @@ class SampledReference(Evaluated):
 
 
 class LiveReference(Section):
-    """Set-points that come while it runs, approached within limits on each axis; holds at the last one."""
+    """Set-points received during the run, approached within limits on each axis; holds at the last one."""
 
     type: Literal["live"]
     start: Pose | None = None
-    """Before the first set-point. Default: home."""
+    """Pose before the first set-point. Default: home."""
     limits: AxisLimits
 
 

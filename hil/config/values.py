@@ -1,4 +1,4 @@
-"""What several sections are made of: vectors, six per leg, bounds, a pose."""
+"""Building blocks of several sections: vectors, six values per leg, bounds, a pose."""
 
 import math
 from typing import Annotated, Literal, get_args
@@ -17,7 +17,7 @@ JointAngle = Annotated[float, Field(gt=0, le=180)]
 LegSpin = Literal["none", "universal"]
 Axis = Literal["x_m", "y_m", "z_m", "rx_deg", "ry_deg", "rz_deg"]
 AXES: tuple[Axis, ...] = get_args(Axis)
-"""The six words of a pose: position and rotation vector."""
+"""Six coordinates of a pose: position and rotation vector."""
 SixPositive = Annotated[list[Positive], Field(min_length=6, max_length=6)]
 ThreePositive = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 SixNonNegative = Annotated[list[NonNegative], Field(min_length=6, max_length=6)]
@@ -26,7 +26,9 @@ SixNonNegative = Annotated[list[NonNegative], Field(min_length=6, max_length=6)]
 def _at_most_half_a_turn(vector: Vector3) -> Vector3:
     angle = math.hypot(*vector)
     if angle > 180 * (1 + 1e-12):
-        raise ValueError(f"more than half a turn, allowed: a length of at most 180 deg, given: {angle:g} deg")
+        raise ValueError(
+            f"the rotation is more than half a turn, allowed: at most 180 deg, given: {angle:g} deg"
+        )
     return vector
 
 

@@ -1,7 +1,7 @@
 """Contract suites for laws and drive protocols, ours and those of other packages.
 
-A test class inherits one: `hil.contracts.law.LawContract`, `hil.contracts.trouble.TroubleContract`. pytest loads
-this file by an entry point, so that assertions in the suites show their values.
+A test class inherits one: `hil.contracts.law.LawContract`, `hil.contracts.trouble.TroubleContract`. pytest
+loads this file through an entry point, so that assertions in the suites show their values.
 """
 
 import pytest
@@ -10,5 +10,5 @@ pytest.register_assert_rewrite("hil.contracts.law", "hil.contracts.protocol", "h
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Declare the mark of the suites' slow tests."""
+    """Declare the marker of the suites' slow tests."""
     config.addinivalue_line("markers", 'long: takes a while; leave it out with -m "not long"')

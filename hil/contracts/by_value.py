@@ -1,6 +1,6 @@
-"""Both ends of a protocol as values: each call takes what an end remembers, and returns what it does then.
+"""Both ends of a protocol as pure functions: each call takes the state of an end and gives the next state.
 
-So a test can go back, ask twice, or compare what two courses of frames leave behind.
+So a test can go back, repeat a call, or compare the states after two sequences of frames.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from drivers.tick_columns import Record
 from hil.contracts.drives_end import go_back, memory_of, reading_of
 from hil.contracts.messages import DeviceMessage, Status, Sync, announce, hear, reply
 from plant_fmu.drives import drives_end
-from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.drives.codec import DrivesEnd
 
 
 class Remembered:
-    """What an end remembers; its fields are those of the end's record, tuples where there are several."""
+    """State of an end. It has the fields of the end's record, as tuples where a field has several values."""
 
     def __init__(self, state: Any, setup: DriveSetup | None = None, first: str | None = None) -> None:
-        """Take the state, of a dialogue also its set-up and the first field of the record that is its own."""
+        """Take the state; for a dialogue also its set-up and the first own field of its record."""
         self.state, self.setup, self.first = state, setup, first
 
     def __getattr__(self, name: str) -> Any:
@@ -51,7 +51,7 @@ class Remembered:
         return type(self), (self.state, self.setup, self.first)
 
     def _replace(self, **values: Any) -> Remembered:
-        """Return it with other values of fields."""
+        """Copy with other values of fields."""
         if not isinstance(self.state, np.ndarray):
             return type(self)(self.state._replace(**values), self.setup)
         state = self.state.copy()
@@ -61,7 +61,7 @@ class Remembered:
 
 
 class ByValue:
-    """A protocol, and its two ends by value."""
+    """A protocol, and its two ends as pure functions."""
 
     def __init__(self, protocol: Any) -> None:
         self.protocol = protocol
@@ -75,13 +75,13 @@ class ByValue:
 
     @staticmethod
     def of(protocol: Any) -> ByValue:
-        """Return a protocol by value, itself if it is."""
+        """Wrap a protocol, unless it is wrapped already."""
         return protocol if isinstance(protocol, ByValue) else ByValue(protocol)
 
     # controller's end
 
     def start(self, setup: DriveSetup) -> Remembered:
-        """Return the dialogue before its first frame."""
+        """Dialogue before its first frame."""
         end = self._controllers[setup] = self.protocol.controller_end(setup)
         return self._dialogue(end, setup)
 
@@ -97,7 +97,7 @@ class ByValue:
         return end
 
     def begin(self, dialogue: Remembered, tick: int) -> tuple[Frame, ...]:
-        """Return the frames that start a tick."""
+        """Frames that start a tick."""
         return sent_frames(self._end(dialogue).begin(tick))
 
     def decode(
@@ -111,33 +111,33 @@ class ByValue:
     def command(
         self, dialogue: Remembered, command: Command, tick: int
     ) -> tuple[Remembered, tuple[Frame, ...]]:
-        """Return the frames of one tick's command."""
+        """Frames of one tick's command."""
         end = self._end(dialogue)
         frames = sent_frames(end.give(command, tick))
         return self._dialogue(end, dialogue.setup), frames
 
     def set_up(self, dialogue: Remembered, tick: Record) -> tuple[Remembered, tuple[Frame, ...]]:
-        """Return the frames of the start-up dialogue of a tick."""
+        """Frames of the start-up dialogue in a tick."""
         end = self._end(dialogue)
         frames = sent_frames(end.set_up(tick))
         return self._dialogue(end, dialogue.setup), frames
 
     def legs_set_up(self, dialogue: Remembered) -> tuple[bool, ...]:
-        """Return which drives have been set up."""
+        """True for each drive that has been set up."""
         return self._end(dialogue).legs_set_up()
 
     def set_up_lacks(self, dialogue: Remembered) -> tuple[str, ...]:
-        """Return what each drive has not confirmed."""
+        """Set-up that each drive has not confirmed, as text."""
         return self._end(dialogue).lacks()
 
     def carried(self, dialogue: Remembered, force: Array) -> Array:
-        """Return what a command of forces gives legs at rest."""
+        """Forces that legs at rest get from a command of forces."""
         return self._end(dialogue).carried(force)
 
     # drives' end
 
     def power_up(self) -> Remembered:
-        """Return the memory of six drives that have heard nothing."""
+        """Memory of six drives that have received nothing."""
         self._drives = drives_end(self.protocol)
         return self._memory(self._drives)
 
@@ -167,19 +167,19 @@ class ByValue:
         state: Ints,
         fault: Ints | None = None,
     ) -> tuple[Remembered, list[tuple[int, Frame]]]:
-        """Encode what the drives answer."""
+        """Encode the drives' answers."""
         end = self._at(memory)
         frames = reply(end, sync, reading_of(length, rate, force, state, 0 if fault is None else fault))
         return self._memory(end), frames
 
     def report(self, memory: Remembered, status: Status) -> tuple[Remembered, tuple[Frame, ...]]:
-        """Encode what a drive sends of its state."""
+        """Encode a drive's report of its state."""
         end = self._at(memory)
         frames = announce(end, status)
         return self._memory(end), frames
 
     def restarted(self, memory: Remembered, legs: Sequence[int]) -> Remembered:
-        """Return the memory after drives were switched off and on."""
+        """Memory after drives were switched off and on."""
         end = self._at(memory)
         end.restart(legs)
         return self._memory(end)

@@ -1,4 +1,4 @@
-"""What drives send that have just been powered up."""
+"""Frames of drives that have just been powered up."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -9,35 +9,35 @@ from drivers.arrays import Array, Ints
 from drivers.protocol import Frame
 from hil.contracts.messages import DeviceCommand, DeviceMessage, Status, Sync, announce, reply
 from plant_fmu.drives import drives_end
-from plant_fmu.drives.ends import READING
+from plant_fmu.drives.codec import READING
 
 
 def answers(
     protocol: Any, sync: Sync, length: Array, rate: Array, force: Array, state: Ints
 ) -> list[tuple[int, Frame]]:
-    """Return what the drives answer to a SYNC or poll, each frame with its leg."""
+    """Answers of the drives to a SYNC or poll, each frame with its leg."""
     return reply(drives_end(protocol), sync, reading_of(length, rate, force, state))
 
 
 def reading_of(length: Array, rate: Array, force: Array, state: Ints, fault: Ints | int = 0) -> Any:
-    """Return what six drives read, as one record."""
+    """Readings of six drives as one record."""
     reading: Any = np.zeros((), READING)
     reading[()] = length, rate, force, state, fault
     return reading
 
 
 def reports(protocol: Any, status: Status) -> tuple[Frame, ...]:
-    """Return what a drive sends of its state."""
+    """Frames that report the state of a drive."""
     return announce(drives_end(protocol), status)
 
 
 def memory_of(end: Any) -> Any:
-    """Return a copy of what six drives remember."""
+    """Copy of the memory of six drives."""
     return getattr(end, "memory", None) or end.state.copy()
 
 
 def go_back(end: Any, before: Any) -> None:
-    """Let six drives remember what they did before."""
+    """Restore an earlier memory of six drives."""
     if hasattr(end, "memory"):
         end.memory = before
     else:
@@ -45,7 +45,7 @@ def go_back(end: Any, before: Any) -> None:
 
 
 def plain(messages: Sequence[DeviceMessage]) -> tuple[DeviceMessage, ...]:
-    """Return messages that can be compared: forces as lists, rounded."""
+    """Messages in a form that can be compared: forces as rounded lists."""
     return tuple(
         each._replace(force=[round(float(f), 6) for f in each.force])  # type: ignore[arg-type]
         if isinstance(each, DeviceCommand)
@@ -55,5 +55,5 @@ def plain(messages: Sequence[DeviceMessage]) -> tuple[DeviceMessage, ...]:
 
 
 def command(leg: int, mode: int, counter: int, force: float = 0.0) -> DeviceMessage:
-    """Return the command of one leg, as `plain` has it."""
+    """Command of one leg, in the form of `plain`."""
     return DeviceCommand((leg,), int(mode), [round(force, 6)], counter)  # type: ignore[arg-type]

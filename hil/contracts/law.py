@@ -1,4 +1,4 @@
-"""What every control law promises. A law's test class gives its settings.
+"""Contract of every control law. The test class of a law gives its settings.
 
 ::
 
@@ -23,18 +23,18 @@ from hil.trajectory.path import PoseSample
 
 
 class LawContract:
-    """The suite: `settings`, or a fixture `law`, and a fixture `platform` for another robot."""
+    """Contract suite: give `settings`, or a fixture `law`; and a fixture `platform` for another robot."""
 
     settings: ClassVar[LawSettings]
 
     @pytest.fixture
     def platform(self) -> Platform:
-        """The robot of the shipped configuration `virtual`."""
+        """Robot of the shipped configuration `virtual`."""
         return build_platform(load("virtual").platform)
 
     @pytest.fixture
     def home(self) -> PoseSample:
-        """A pose of the robot, at rest."""
+        """Pose of the robot at rest."""
         return PoseSample(*pose_arrays(load("virtual").platform.home), np.zeros(6), np.zeros(6))
 
     @pytest.fixture
@@ -58,20 +58,20 @@ class LawContract:
     def ticks(self, platform: Platform, samples: list[PoseSample]) -> list[Record]:
         return [arrived(platform, sample) for sample in samples]
 
-    def test_finite_in_finite_out(self, law: Law, ticks: list[Record]) -> None:
+    def test_finite_inputs_give_finite_forces(self, law: Law, ticks: list[Record]) -> None:
         random = np.random.default_rng(7)
         for tick in ticks:
             tick["q"] += random.normal(0, 0.01, 6)
             tick["dq"] += random.normal(0, 0.1, 6)
             assert np.isfinite(asked(law, tick)).all()
 
-    def test_reset_repeats_to_the_bit(self, law: Law, ticks: list[Record]) -> None:
+    def test_a_reset_law_repeats_its_forces_to_the_bit(self, law: Law, ticks: list[Record]) -> None:
         first = [asked(law, tick).tobytes() for tick in ticks]
         law.reset()
         assert [asked(law, tick).tobytes() for tick in ticks] == first
 
-    def test_any_finite_input_gives_a_number_or_nan(self, law: Law, platform: Platform) -> None:
-        """Poses far out of reach, any turn, speeds and shortfalls that no machine has; nothing is raised."""
+    def test_extreme_finite_inputs_give_numbers_or_nan(self, law: Law, platform: Platform) -> None:
+        """Poses far out of reach, any rotation, extreme speeds and shortfalls: no exception."""
         random = np.random.default_rng(3)
         for size in np.repeat([0.1, 1.0, 30.0, 1e3], 25):
             p, p_d = random.normal(0, size, (2, 3))
@@ -83,16 +83,16 @@ class LawContract:
             fill_reference(platform, PoseSample(p_d, R_d, twist_d, dtwist_d), tick)
             assert not np.isinf(asked(law, tick, shortfall=random.normal(0, 1e4 * size, 6))).any()
 
-    def test_no_number_is_given_where_the_pose_has_none(self, law: Law, ticks: list[Record]) -> None:
-        """A pose that is not a number never becomes a force: NaN or an exception, which latch a fault."""
+    def test_a_nan_pose_gives_nan_or_an_exception(self, law: Law, ticks: list[Record]) -> None:
+        """A pose of nan never becomes a force: the law gives nan or an exception, which latch a fault."""
         try:
             tau = asked(law, ticks[0], q=np.nan, dq=np.nan, p=np.nan, R=np.nan, J=np.nan, twist=np.nan)
         except Exception:  # noqa: BLE001 - whatever a law raises
             return
         assert np.isnan(tau).all()
 
-    def test_what_a_limit_holds_back_does_not_pile_up(self, law: Law, ticks: list[Record]) -> None:
-        """Half of the force is given, for 2 s and for 20 s: the law wants the same in the end."""
+    def test_a_limited_force_does_not_wind_up_the_law(self, law: Law, ticks: list[Record]) -> None:
+        """Half of the force is applied, for 2 s and for 20 s: in the end the law demands the same."""
         tick = ticks[5]
         tick["q"] -= 2e-3
         limit = 0.5 * np.abs(asked(law, tick))

@@ -1,4 +1,4 @@
-"""What six emulated drives hear and send, as values that can be compared: `plant_fmu.drives.ends` has records."""
+"""Messages of six emulated drives as values that can be compared; `plant_fmu.drives.codec` has the records."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from drivers.errors import ProtocolError
 from drivers.frame_array import FRAME, sent_frames
 from drivers.protocol import ALL_LEGS, Frame
 from drivers.signals import Reaction
-from plant_fmu.drives import ends
-from plant_fmu.drives.ends import MESSAGE, DrivesEnd
+from plant_fmu.drives import codec as ends
+from plant_fmu.drives.codec import MESSAGE, DrivesEnd
 
 
 class Sync(NamedTuple):
-    """The drives of `legs` latch their encoders and answer."""
+    """SYNC: the drives of `legs` sample their encoders and answer."""
 
     counter: int
     legs: tuple[int, ...] = ALL_LEGS
 
 
 class DeviceCommand(NamedTuple):
-    """A command: force N, one for each of `legs`."""
+    """Command: one force, N, for each of `legs`."""
 
     legs: tuple[int, ...]
     mode: int
@@ -34,11 +34,11 @@ class DeviceCommand(NamedTuple):
 
 
 class UnwatchedCommand(DeviceCommand):
-    """A command that does not feed the drives' watchdogs."""
+    """Command that does not reset the drives' watchdogs."""
 
 
 class Alive(NamedTuple):
-    """What those watchdogs wait for."""
+    """Message that resets these watchdogs."""
 
     legs: tuple[int, ...] = ALL_LEGS
 
@@ -52,7 +52,7 @@ class Configure(NamedTuple):
 
 
 class EmergencyStop(NamedTuple):
-    """The drives of `legs` fault at once."""
+    """Emergency stop: the drives of `legs` fault at once."""
 
     legs: tuple[int, ...] = ALL_LEGS
 
@@ -66,14 +66,14 @@ class Answer(NamedTuple):
 
 @dataclass(frozen=True)
 class Rejected:
-    """A frame of ours that cannot be trusted."""
+    """A frame with our identifier and invalid content."""
 
 
 DeviceMessage = Sync | DeviceCommand | Alive | Configure | EmergencyStop | Answer | Rejected
 
 
 class Status(NamedTuple):
-    """What a drive is in."""
+    """State of a drive."""
 
     leg: int
     state: int
@@ -83,7 +83,7 @@ class Status(NamedTuple):
 
 
 def message_of(record: Any) -> DeviceMessage:
-    """Return an element of MESSAGE as a value."""
+    """Element of MESSAGE as a value."""
     kind, mode, counter, count, at, force = record.tolist()
     legs = tuple(at[:count])
     match kind:
@@ -109,14 +109,14 @@ def hear(end: DrivesEnd, frame: Frame) -> tuple[DeviceMessage, ...]:
 
 
 def reply(end: DrivesEnd, sync: Sync, reading: Any) -> list[tuple[int, Frame]]:
-    """Answers of the drives of a SYNC to a reading, frames with their legs. Raises ProtocolError on NaN."""
-    asked: Any = np.zeros((), MESSAGE)
-    asked["kind"], asked["counter"], asked["count"] = ends.SYNC, sync.counter, len(sync.legs)
-    asked["legs"][: len(sync.legs)] = sync.legs
+    """Answers of the drives to a SYNC, as frames with their legs. Raises ProtocolError for a nan reading."""
+    request: Any = np.zeros((), MESSAGE)
+    request["kind"], request["counter"], request["count"] = ends.SYNC, sync.counter, len(sync.legs)
+    request["legs"][: len(sync.legs)] = sync.legs
     frames, legs = np.zeros(ends.MOST_MESSAGES, FRAME), np.zeros(ends.MOST_MESSAGES, np.int64)
-    count = end.answer(end.record, asked, reading, frames, legs)
+    count = end.answer(end.record, request, reading, frames, legs)
     if count == FAILED:
-        raise ProtocolError("what a drive reads is not a number")
+        raise ProtocolError("the reading of a drive is not a number")
     return list(zip(legs[:count].tolist(), sent_frames(frames[:count]), strict=True))
 
 

@@ -1,6 +1,6 @@
-"""What every drive protocol promises: its two ends, exchanged frame by frame over a bus without bit time.
+"""Contract of every drive protocol: both ends exchange frames over a bus without bit time.
 
-A protocol's test class gives `protocol` and `RESOLUTION`; see test_protocols.py.
+The test class of a protocol gives `family` and `RESOLUTION`; see test_protocols.py.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from drivers.signals import LEGS, NEVER, Command, DriveMode, DriveState
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
 from hil.contracts.drives_end import answers
-from hil.contracts.ends import (
+from hil.contracts.loopback import (
     FORCE,
     LENGTH,
     PATIENCE,
@@ -38,17 +38,17 @@ from plant_fmu.faults.kinds import DriveSilence, FramesLoss
 
 
 class ProtocolContract:
-    """Inherit, and give what stands first."""
+    """Contract suite: inherit it and set the attributes below."""
 
     RESOLUTION: tuple[float, float, float | None, float]
-    """Of length m, rate m/s, force N in the feedback (None: it carries none) and force in the command. Twice
-    the step where a codec truncates."""
+    """Resolution of length m, rate m/s, force N in the feedback (None: no force) and force in the command.
+    Twice the step if a codec truncates."""
     READS_RATES = True
-    """It does not make them of lengths, which stand still here."""
+    """False for a protocol that computes rates from lengths, which are constant here."""
     SETS_WATCHDOG = True
-    """The dialogue, or each command, sets the drive's own watchdog."""
+    """True if the dialogue, or each command, sets the drive's own watchdog."""
     TELLS_BOOT = True
-    """A drive says in its feedback that it has lost its set-up."""
+    """True if the feedback of a drive shows that it has lost its set-up."""
 
     @pytest.fixture
     def family(self) -> Family:
@@ -58,12 +58,12 @@ class ProtocolContract:
     def protocol(self, family) -> ByValue:
         return ByValue(family)
 
-    def test_an_end_that_goes_back_to_what_it_remembered_does_the_same_again(self, family):
+    def test_an_end_restored_to_an_earlier_state_repeats_its_frames(self, family):
         ends = Ends(Twice(family))
         ends.running()
         assert pickle.loads(pickle.dumps(ends.dialogue)) == ends.dialogue
 
-    def test_the_dialogue_sets_up_every_drive_and_then_falls_silent(self, protocol):
+    def test_start_up_sets_up_every_drive_and_then_sends_nothing(self, protocol):
         ends = Ends(protocol)
         assert not any(protocol.legs_set_up(ends.dialogue))
         assert all(protocol.set_up_lacks(ends.dialogue))
@@ -75,9 +75,7 @@ class ProtocolContract:
         assert drives.seen.reaction.tolist() == [reaction_of(protocol)] * LEGS
         assert [ends.step() for _ in range(60)] == [()] * 60
 
-    def test_a_drive_that_is_ready_gives_force_on_its_closed_brake_or_the_protocol_says_that_it_does_not(
-        self, protocol
-    ):
+    def test_force_of_ready_drives_on_closed_brakes_matches_the_traits(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         for _ in range(4):
@@ -87,7 +85,7 @@ class ProtocolContract:
         assert there.brake.tolist() == [1.0] * LEGS
         assert bool(there.force.any()) == protocol.traits.force_on_brakes
 
-    def test_what_a_command_carries_at_rest_is_what_the_drives_take(self, protocol):
+    def test_forces_carried_at_rest_equal_the_forces_at_the_drives(self, protocol):
         ends = Ends(protocol)
         ends.running()
         for _ in range(4):
@@ -95,26 +93,26 @@ class ProtocolContract:
         taken = ends.nodes.snapshot().command
         assert protocol.carried(ends.dialogue, FORCE) == pytest.approx(taken, rel=1e-6, abs=2.0)
 
-    def test_no_tick_has_more_frames_of_set_up_than_stated(self, protocol):
+    def test_no_tick_has_more_set_up_frames_than_stated(self, protocol):
         ends = Ends(protocol)
         counts = [len(ends.step()) for _ in range(PATIENCE)]
         assert max(counts) == protocol.traits.set_up_frames
         for frame in ends.set_up:
             frame_bits(len(frame.data), frame.flags)
-            assert len(frame.data) <= 8, "the bus time that `hil check` states counts on it"
+            assert len(frame.data) <= 8, "the bus time of `hil check` assumes it"
 
-    def test_a_drive_that_is_silent_is_not_set_up_and_does_not_hold_up_the_others(self, protocol):
+    def test_a_silent_drive_does_not_delay_the_set_up_of_the_others(self, protocol):
         ends = Ends(protocol, DriveSilence(leg=3))
         ends.until_set_up([0, 1, 2, 4, 5])
         assert not protocol.legs_set_up(ends.dialogue)[3]
         assert [bool(lack) for lack in protocol.set_up_lacks(ends.dialogue)] == [leg == 3 for leg in range(6)]
 
-    def test_a_dialogue_that_loses_frames_comes_to_its_end_all_the_same(self, protocol):
+    def test_start_up_completes_although_frames_are_lost(self, protocol):
         ends = Ends(protocol, FramesLoss(probability=0.3, for_s=0.2))
         ends.until_set_up()
         assert ends.nodes._drives.seen.configured.tolist() == [True] * LEGS
 
-    def test_a_dialogue_begun_anew_sets_up_drives_that_stayed_powered(self, protocol):
+    def test_a_second_start_up_sets_up_drives_that_stayed_powered(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         ends.dialogue = protocol.start(SETUP._replace(watchdog_s=0.08, reaction=reaction_of(protocol)))
@@ -123,11 +121,11 @@ class ProtocolContract:
         if self.SETS_WATCHDOG:
             assert ends.nodes._drives.seen.watchdog_ns.tolist() == [80_000_000] * LEGS
 
-    def test_a_drive_that_has_lost_its_set_up_is_set_up_again(self, protocol):
+    def test_a_drive_that_lost_its_set_up_is_set_up_again(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         drives = ends.nodes._drives
-        if not self.TELLS_BOOT:  # then its silence does
+        if not self.TELLS_BOOT:  # then its silence shows it
             ends.step()
             ends.received.clear()
             m = at_tick(ends.tick + 40)
@@ -140,7 +138,7 @@ class ProtocolContract:
         ends.until_set_up()
         assert drives.seen.configured.tolist() == [True] * LEGS
 
-    def test_the_dialogue_leaves_powered_drives_alone(self, protocol):
+    def test_start_up_sends_nothing_to_running_drives(self, protocol):
         ends = Ends(protocol)
         ends.running()
         run = Command(DriveMode.RUN, FORCE)
@@ -151,11 +149,11 @@ class ProtocolContract:
         assert ends.measurement["drive_state"].tolist() == [DriveState.RUN] * LEGS
 
     @pytest.mark.parametrize("watchdog_s", [0.0, -1.0, 1e6, np.nan])
-    def test_a_watchdog_that_does_not_fit_is_refused(self, protocol, watchdog_s):
+    def test_a_watchdog_time_out_of_range_is_refused(self, protocol, watchdog_s):
         with pytest.raises(ProtocolError, match="watchdog"):
             protocol.start(SETUP._replace(watchdog_s=watchdog_s))
 
-    def test_a_command_reaches_the_drives_after_the_stated_delay_and_not_before(self, protocol):
+    def test_a_command_reaches_the_drives_exactly_at_the_stated_delay(self, protocol):
         ends = Ends(protocol)
         ends.running(np.zeros(LEGS))
         heard = []
@@ -169,7 +167,7 @@ class ProtocolContract:
         np.testing.assert_allclose(heard[delay], FORCE, rtol=0, atol=allowed)
         np.testing.assert_allclose(heard[delay + 1], 2.0 * FORCE, rtol=0, atol=allowed)
 
-    def test_nothing_but_the_delay_decides_which_frames_carry_the_command(self, protocol):
+    def test_the_stated_delay_decides_which_frames_carry_the_command(self, protocol):
         ends = Ends(protocol)
         ends.running()
         before = ends.protocol.begin(ends.dialogue, 1000)
@@ -192,7 +190,7 @@ class ProtocolContract:
             total = (resolution[2] + resolution[3]) / 2 * (1 + 1e-6)
             np.testing.assert_allclose(m["drive_force"], FORCE, rtol=0, atol=total)
 
-    def test_readings_and_commands_are_off_by_no_more_than_the_stated_resolution(self, protocol):
+    def test_readings_and_commands_are_exact_to_the_stated_resolution(self, protocol):
         ends = Ends(protocol)
         ends.running()
         stated, m, rounding = protocol.traits.resolution.at(1e9 / PERIOD_NS), ends.measurement, 1.0 + 1e-6
@@ -203,7 +201,7 @@ class ProtocolContract:
         assert (stated.length <= self.RESOLUTION[0] + 1e-6).all()
         assert (stated.force <= self.RESOLUTION[3] * rounding).all()
 
-    def test_every_frame_of_the_feedback_is_fresh_in_its_tick_alone(self, protocol):
+    def test_each_feedback_frame_is_fresh_only_in_its_own_tick(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         for _ in range(20):
@@ -214,7 +212,7 @@ class ProtocolContract:
             assert not any(protocol.fresh(each, ends.tick + 1, begun + PERIOD_NS) for each in fresh)
             assert not any(protocol.fresh(Received(begun, frame), ends.tick, begun) for frame in ends.opening)
 
-    def test_a_drive_that_falls_silent_ages_by_itself(self, protocol):
+    def test_only_the_feedback_of_the_silent_drive_ages(self, protocol):
         ends = Ends(protocol, DriveSilence(leg=2, at_s=1.0))
         ends.until_set_up()
         while ends.measurement["age"][2] == 0:
@@ -225,24 +223,24 @@ class ProtocolContract:
             ages.append(ends.measurement["age"].tolist())
         assert ages == [[0, 0, n, 0, 0, 0] for n in (1, 2, 3)]
 
-    def test_what_was_never_heard_is_as_old_as_never(self, protocol):
+    def test_drives_without_any_feedback_have_age_never(self, protocol):
         m = at_tick(5)
         protocol.decode(Ends(protocol).dialogue, NO_FRAMES, new_record(), m)
         assert m["age"].tolist() == [NEVER] * LEGS
         assert (m["tick"], m["rejected"]) == (5, 0)
 
-    def test_an_emergency_stop_faults_all_drives_and_says_why(self, protocol):
+    def test_an_emergency_stop_faults_all_drives_with_a_fault_code(self, protocol):
         ends = Ends(protocol)
         ends.running()
         ends.step(Command(DriveMode.RUN, FORCE), set_up=False, first=protocol.traits.emergency_stop)
-        for _ in range(ends.told_ticks - 1):
+        for _ in range(ends.report_ticks - 1):
             ends.step()
         stopped = DriveState.FAULT if protocol.traits.stop_latches else DriveState.OFF
         assert ends.measurement["drive_state"].tolist() == [stopped] * LEGS
         assert (ends.measurement["drive_fault"] != 0).all() == protocol.traits.stop_latches
         assert ends.nodes.snapshot().brake.all()
 
-    def test_a_reset_for_as_many_ticks_as_stated_clears_the_faults(self, protocol):
+    def test_a_reset_of_the_stated_length_clears_the_faults(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         ends.step(first=protocol.traits.emergency_stop)
@@ -255,7 +253,7 @@ class ProtocolContract:
         assert ends.measurement["drive_state"].tolist() == [DriveState.OFF] * LEGS
         assert not ends.measurement["drive_fault"].any()
 
-    def test_the_frames_of_a_tick_are_those_that_the_bus_time_counts(self, protocol):
+    def test_the_frames_of_a_tick_match_the_bus_budget(self, protocol):
         ends = Ends(protocol)
         ends.running()
         ends.step(Command(DriveMode.RUN, FORCE), set_up=False)
@@ -268,7 +266,7 @@ class ProtocolContract:
         found = shapes((*ends.opening, *ends.sent, *answers), named=named)
         assert found == shapes(protocol.traits.cyclic_frames, named=named)
 
-    def test_every_frame_can_be_on_a_bus(self, protocol):
+    def test_every_frame_is_a_valid_can_frame(self, protocol):
         ends = Ends(protocol)
         ends.step()
         stop = protocol.traits.emergency_stop
@@ -277,7 +275,7 @@ class ProtocolContract:
             assert 0 <= frame.id <= (0x1FFF_FFFF if frame.flags & EXTENDED else 0x7FF)
             assert frame.bus == 0
 
-    def test_it_tells_which_drive_a_frame_is_for_and_which_has_sent_it(self, protocol):
+    def test_sender_and_receivers_of_every_frame_are_known(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         ends.step()
@@ -288,7 +286,7 @@ class ProtocolContract:
             assert {leg for frame in frames for leg in protocol.addressed(frame)} == set(range(LEGS))
 
     @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 255 * BUS])
-    def test_frames_of_another_kind_or_bus_are_foreign(self, protocol, flag):
+    def test_frames_with_another_flag_or_bus_are_ignored(self, protocol, flag):
         ends = Ends(protocol)
         ends.until_set_up()
         ends.step()
@@ -302,7 +300,7 @@ class ProtocolContract:
         for frame in (*ends.opening, *ends.sent, *protocol.traits.emergency_stop):
             assert protocol.parse(memory, _other(frame, flag)) == (memory, ())
 
-    def test_frames_of_any_length_and_content_are_survived_at_both_ends(self, protocol):
+    def test_both_ends_survive_frames_of_any_length_and_content(self, protocol):
         ends = Ends(protocol)
         stop = protocol.traits.emergency_stop
         seen = {frame.id: frame for frame in (*protocol.traits.cyclic_frames, *stop)}
@@ -325,16 +323,16 @@ class ProtocolContract:
             assert m["rejected"] > 0
 
     @pytest.mark.parametrize("force", [[np.nan] * 6, [0, 0, np.inf, 0, 0, 0], [1e12] * 6, [0.0] * 5])
-    def test_a_force_that_does_not_fit_is_refused(self, protocol, force):
+    def test_a_force_that_is_invalid_or_out_of_range_is_refused(self, protocol, force):
         with pytest.raises(ProtocolError, match="N"):
             protocol.command(Ends(protocol).dialogue, Command(DriveMode.RUN, np.array(force)), 0)
 
-    def test_a_drive_never_sends_a_nan(self, protocol):
+    def test_a_drive_refuses_to_send_a_nan_reading(self, protocol):
         state = np.zeros(LEGS, np.int64)
         with pytest.raises(ProtocolError, match="not a number"):
             answers(protocol, Sync(0), LENGTH, np.full(LEGS, np.nan), FORCE, state)
 
-    def test_the_database_if_there_is_one_can_be_read(self, protocol):
+    def test_the_dbc_file_of_a_protocol_can_be_read(self, protocol):
         if protocol.traits.database is not None:
             name, text = protocol.traits.database
             assert name.endswith(".dbc")
@@ -342,5 +340,5 @@ class ProtocolContract:
 
 
 def _other(frame: Frame, flag: int) -> Frame:
-    """Return the frame with a flag that it did not have, or without the one that it had."""
+    """Frame with one flag inverted."""
     return frame._replace(flags=frame.flags ^ flag)

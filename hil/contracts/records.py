@@ -1,4 +1,4 @@
-"""Records of a tick for tests: the columns that a test names, and what a law makes of them."""
+"""Records of a tick for tests: chosen columns, and the forces of a law."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.trajectory.path import PoseSample
 
 
 def altered(tick: Record, /, **columns: Any) -> Record:
-    """Return a copy of a tick with other columns."""
+    """Copy of a tick with other columns."""
     record = copy_of(tick)
     for name, value in columns.items():
         record[name] = value
@@ -22,26 +22,26 @@ def altered(tick: Record, /, **columns: Any) -> Record:
 
 
 def record_of(**columns: Any) -> Record:
-    """Return a new record with these columns."""
+    """New record with these columns."""
     return altered(new_record(), **columns)
 
 
 def referred(platform: Platform, sample: PoseSample, t: float = nan, /, **columns: Any) -> Record:
-    """Return a record with the reference of a sample at the time t s, and these columns."""
+    """Record with the reference of a sample at the time t, s, and these columns."""
     record = record_of(t_d=t, **columns)
     fill_reference(platform, sample, record)
     return record
 
 
 def arrived(platform: Platform, sample: PoseSample, t: float = nan, /, **columns: Any) -> Record:
-    """Return a record with the platform on the reference of a sample, but for these columns."""
+    """Record of a platform on the reference of a sample, except for these columns."""
     record = referred(platform, sample, t)
     here = {name: record[name + "_d"] for name in ("q", "dq", "p", "R", "twist")}
     return altered(record, **here | {"J": jacobian(platform, sample.p, sample.R)} | columns)
 
 
 def asked(law: Any, tick: Record, /, **columns: Any) -> Array:
-    """Return the forces (6,) N that a law asks for in a tick with these columns."""
+    """Forces (6,) N of a law in a tick with these columns."""
     seen = altered(tick, **columns)
     law.effort(seen)
     return seen["tau_law"]

@@ -1,6 +1,6 @@
-"""What every drive protocol promises in trouble, beside its contract: edges, broken frames, power, silence.
+"""Contract of every drive protocol under faults: field limits, broken frames, power, silence.
 
-A family's test class inherits `TroubleContract` and states where it differs.
+The test class of a family inherits `TroubleContract` and sets its differences.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from drivers.family import Family
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import (
+from hil.contracts.loopback import (
     CLIPS_N,
     FORCE,
     LEG,
@@ -36,53 +36,54 @@ from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
 
 EXAMPLES = settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-"""Of a property; a machine that is busy is no failure."""
+"""Settings of a property test; a busy machine is not a failure."""
 
 
 LONG_SEEDS = [pytest.param(seed, marks=pytest.mark.long) for seed in range(2, 12)]
 
 
 class TroubleContract(ProtocolContract):
-    """Inherit, and state what is different."""
+    """Contract suite: inherit it and set the differences."""
 
     LENGTHS: tuple[float, float]
-    """m, that feedback carries."""
+    """Smallest and largest length in the feedback, m."""
     SPEED: float
-    """m/s, that feedback carries both ways."""
+    """Largest rate in the feedback, m/s, in both directions."""
     RELATIVE = 1e-12
-    """Relative resolution of all of them; 6e-8 of a single."""
+    """Relative resolution of these values; 6e-8 for single precision."""
     ENDS = True
-    """What lies beyond saturates or is no reading; False: a single has no end."""
+    """True if values beyond the field saturate or give no reading; False for single precision, which has
+    no end."""
     WRAPS = False
-    """What lies beyond wraps, as the maker's firmware does."""
+    """True if values beyond the field wrap round, as in the maker's firmware."""
     WATCHED = True
-    """The drive reacts by itself to a silent controller."""
+    """True if the drive reacts by itself to a silent controller."""
     RESTART = "boot"
-    """What a drive that restarts in motion shows: boot, nothing (it gives no force), or it obeys again."""
+    """Behaviour of a drive that restarts in motion: `boot` state, `nothing` (no force), or `obeys` again."""
     TELLS_FAULTS = True
     LATCHES = True
-    """A fault stays until a reset; else it is over when the drive is switched off."""
+    """True if a fault stays until a reset; False if it ends when the drive is switched off."""
     CLEARS = True
-    """A reset clears a fault; else the drive has to be switched off and on."""
+    """True if a reset clears a fault; False if the drive needs to be switched off and on."""
     MOST_N = CLIPS_N
-    """The drive clips here what a command asks for."""
+    """Force at which the drive clips a command, N."""
     BEATS: str | None = None
-    """What its own heartbeat is for: `state`, `set-up` or `nothing`; None: it has none."""
+    """Purpose of the drive's own heartbeat: `state`, `set-up` or `nothing`; None without heartbeat."""
     OTHER = 0x40
-    """Bit of an identifier that makes it nobody's."""
+    """Bit of an identifier that makes the frame foreign."""
 
     def beat_ids(self, protocol: Family) -> set[int]:
-        """Return the identifiers of heartbeats."""
+        """Identifiers of heartbeats."""
         return set()
 
     def ids_of(self, protocol: Family, leg: int) -> set[int]:
-        """Return what `awaited` gives for the feedback of a leg."""
+        """Values of `awaited` for the feedback of a leg."""
         cyclic = protocol.traits.cyclic_frames
         return {protocol.awaited(frame) for frame in cyclic if protocol.sender(frame) == leg}
 
-    # edges
+    # limits of fields
 
-    def test_any_force_that_a_command_takes_reaches_the_drive_and_the_largest_too(self, protocol):
+    def test_every_allowed_force_up_to_the_largest_reaches_the_drive(self, protocol):
         line, most = Line(protocol), min(most_force(protocol), self.MOST_N)
         line.running()
         allowed = self.RESOLUTION[3] / 2 * (1 + 1e-6)
@@ -97,7 +98,7 @@ class TroubleContract(ProtocolContract):
         one = st.floats(-most, most)
         EXAMPLES(given(st.lists(one, min_size=LEGS, max_size=LEGS))(arrives))()
 
-    def test_any_length_and_rate_within_the_fields_reach_the_controller(self, protocol):
+    def test_every_length_and_rate_in_range_reaches_the_controller(self, protocol):
         line = Line(protocol)
         line.until_set_up()
 
@@ -120,7 +121,7 @@ class TroubleContract(ProtocolContract):
         EXAMPLES(given(places, motions)(arrives))()
 
     @pytest.mark.parametrize("end", [0, 1])
-    def test_what_lies_beyond_a_field_saturates_or_is_no_reading(self, protocol, end):
+    def test_values_beyond_a_field_saturate_or_give_no_reading(self, protocol, end):
         line = Line(protocol)
         line.until_set_up()
         low, high = self.LENGTHS
@@ -145,7 +146,7 @@ class TroubleContract(ProtocolContract):
     # frames
 
     @pytest.mark.parametrize("what", ["cut", "strange", "late"])
-    def test_a_frame_that_is_cut_or_late_or_nobodys_is_no_feedback(self, protocol, what):
+    def test_a_truncated_late_or_foreign_frame_is_not_feedback(self, protocol, what):
         line = Line(protocol)
         line.running()
         before = line.measurement["length"].copy()
@@ -181,7 +182,7 @@ class TroubleContract(ProtocolContract):
             return each._replace(frame=each.frame._replace(data=each.frame.data[:3]))
         return each._replace(frame=each.frame._replace(id=each.frame.id ^ self.OTHER))
 
-    def test_the_same_answer_twice_does_no_harm(self, protocol):
+    def test_a_duplicated_answer_is_harmless(self, protocol):
         line = Line(protocol)
         line.running()
         line.to_hear = lambda frames: [each for each in frames for _ in range(2)]
@@ -192,9 +193,7 @@ class TroubleContract(ProtocolContract):
             assert m["doubled"] == m["foreign"] == 0
 
     @pytest.mark.parametrize("what", ["cut", "strange"])
-    def test_a_command_that_is_cut_is_counted_and_one_to_nobody_is_not_and_neither_is_obeyed(
-        self, protocol, what
-    ):
+    def test_truncated_and_foreign_commands_are_not_obeyed(self, protocol, what):
         line = Line(protocol)
         line.running()
         before = line.nodes.snapshot()
@@ -232,18 +231,18 @@ class TroubleContract(ProtocolContract):
         line.restart()
 
     @pytest.mark.parametrize("seed", [0, 1, *LONG_SEEDS])
-    def test_drives_that_are_switched_on_in_any_order_get_ready(self, protocol, seed):
+    def test_drives_switched_on_in_any_order_become_ready(self, protocol, seed):
         generator = np.random.default_rng(seed)
         self.powers_up(protocol, generator.permutation(LEGS).tolist(), float(generator.uniform(0.0, 0.25)))
 
-    def test_drives_that_were_there_before_the_controller_are_found(self, protocol):
+    def test_drives_powered_before_the_controller_are_set_up(self, protocol):
         line = Line(protocol)
         line.alone(100)
-        line.begin_anew()
+        line.replace_controller()
         line.until_set_up()
         line.restart()
 
-    def test_a_drive_that_was_off_for_a_while_at_rest_is_set_up_again(self, protocol):
+    def test_a_drive_switched_off_and_on_at_rest_is_set_up_again(self, protocol):
         off, on = DriveSilence(leg=2, at_s=0.6, for_s=0.15), DriveReset(leg=2, at_s=0.75)
         line = Line(protocol, off, on)
         line.until_set_up()
@@ -254,7 +253,7 @@ class TroubleContract(ProtocolContract):
         if self.SETS_WATCHDOG:
             assert line.nodes._drives.seen.watchdog_ns.tolist() == [50_000_000] * LEGS
 
-    def test_a_drive_that_restarts_in_motion_shows_it_and_the_others_run_on(self, protocol):
+    def test_a_restart_in_motion_leaves_the_other_drives_running(self, protocol):
         line = Line(protocol, DriveReset(leg=2, at_s=0.9))
         line.running()
         while line.tick * PERIOD_NS < 890_000_000:
@@ -272,7 +271,7 @@ class TroubleContract(ProtocolContract):
 
     # faults, silence
 
-    def test_a_fault_is_told_with_its_leg_and_its_meaning(self, protocol):
+    def test_a_fault_is_reported_with_its_leg_and_its_meaning(self, protocol):
         line = Line(protocol)
         line.running()
         now_ns, n = line.nodes.now_ns, line.nodes._drives.seen
@@ -297,30 +296,28 @@ class TroubleContract(ProtocolContract):
                 line.step(RESET)
             assert line.states()[LEG] == DriveState.FAULT
 
-    def test_silent_controllers_leave_no_force_where_the_drive_has_a_watchdog_and_the_next_one_takes_over(
-        self, protocol
-    ):
+    def test_watchdogs_remove_the_force_and_a_new_controller_takes_over(self, protocol):
         line = Line(protocol)
         line.running()
         line.alone(50)
         snapshot = line.nodes.snapshot()
         found = DriveState.FAULT if self.WATCHED else DriveState.RUN
         assert snapshot.state.tolist() == [found] * LEGS
-        line.begin_anew()
+        line.replace_controller()
         while not all(protocol.legs_set_up(line.dialogue)):
             line.step()
         for _ in range(8):
             line.step()
         if self.WATCHED and self.LATCHES:
             assert line.states() == [DriveState.FAULT] * LEGS
-            assert line.measurement["drive_fault"].all(), "each says why"
+            assert line.measurement["drive_fault"].all(), "each has a fault code"
         line.recover()
         line.restart()
 
-    def test_drives_that_a_dead_daemon_left_enabled_are_switched_off_by_the_next_one(self, protocol):
+    def test_drives_left_enabled_are_switched_off_by_a_new_controller(self, protocol):
         line = Line(protocol)
         line.running()
-        line.begin_anew()
+        line.replace_controller()
         for _ in range(3):
             line.step()
         assert line.nodes.snapshot().brake.all()
@@ -328,7 +325,7 @@ class TroubleContract(ProtocolContract):
         line.recover()
         line.restart()
 
-    def test_a_drive_that_never_sends_a_heartbeat_is_set_up_only_if_nothing_hangs_on_it(self, protocol):
+    def test_missing_heartbeats_block_set_up_only_if_it_needs_them(self, protocol):
         if self.BEATS is None:
             assert not self.beat_ids(protocol)
             return
@@ -347,7 +344,7 @@ class TroubleContract(ProtocolContract):
         assert protocol.legs_set_up(line.dialogue) == (not needed,) * LEGS
         assert all(protocol.set_up_lacks(line.dialogue)) == needed
 
-    def test_heartbeats_that_stop_in_motion_are_noticed_where_they_alone_tell_the_state(self, protocol):
+    def test_lost_heartbeats_are_noticed_if_only_they_carry_the_state(self, protocol):
         if self.BEATS is None:
             return
         line, beats = Line(protocol), self.beat_ids(protocol)
@@ -365,7 +362,7 @@ class TroubleContract(ProtocolContract):
         assert line.nodes.snapshot().state.tolist() == [DriveState.RUN] * LEGS
 
     @pytest.mark.parametrize("seed", [1, *LONG_SEEDS])
-    def test_after_random_trouble_all_drives_run_again(self, protocol, seed):
+    def test_all_drives_run_again_after_random_faults(self, protocol, seed):
         generator = np.random.default_rng(seed)
         resets = [
             DriveReset(leg=int(generator.integers(LEGS)), at_s=float(t)) for t in generator.uniform(0, 1, 4)
@@ -391,7 +388,7 @@ class TroubleContract(ProtocolContract):
                 first = protocol.traits.emergency_stop if generator.random() < 0.02 else ()
                 line.step(command, first=first)
             if generator.random() < 0.03:
-                line.begin_anew()
+                line.replace_controller()
         line.to_obey = list
         for _ in range(30):
             line.step()

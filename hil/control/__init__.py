@@ -8,10 +8,10 @@ from drivers.registry import sections
 from hil.control.law import LawSettings
 
 LAWS = sections("hil.laws", LawSettings, "law")
-"""`controller.law` of the configuration -> its settings."""
+"""Value of `controller.law` in the configuration -> settings class."""
 
 if TYPE_CHECKING:
     ControllerSettings = LawSettings
 else:
     ControllerSettings = Annotated[Union[tuple(LAWS.values())], Field(discriminator="law")]  # noqa: UP007
-"""Section `controller`: one of LAWS."""
+"""Section `controller`: the settings of one law in LAWS."""

@@ -1,4 +1,4 @@
-"""PD on the platform's pose (control notes, section 6.1, topology a: direct kinematics in the loop)."""
+"""PD on the platform's pose (control notes, section 6.1, topology a: forward kinematics in the loop)."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 RotationError = Literal["shortest_turn", "vector_difference"]
 GAINS = np.dtype([("K_p", "<f8", 6), ("K_v", "<f8", 6), ("vector_difference", "<i8")])
-"""The diagonals; whether that is the rotation's error, or the shortest turn."""
+"""Diagonals of the gains; rotation error: 1 vector difference, 0 shortest turn."""
 
 
 class CartesianPDSettings(LawSettings):
-    """PD on position and rotation of the platform, found by forward kinematics."""
+    """PD on position and rotation of the platform; forward kinematics gives the pose."""
 
-    uncertified = "its energy function belongs to a reference at rest; in motion it may grow"
+    uncertified = "its energy function decreases only for a reference at rest; in motion it may grow"
     law: Literal["cartesian_pd"]
     kp_position_N_m: Positive | ThreePositive
-    """One for all axes of the base frame, or one each; so are the others."""
+    """Each gain: one number for all three axes of the base frame, or one per axis."""
     kv_position_N_s_m: Positive | ThreePositive
     kp_rotation_N_m_rad: Positive | ThreePositive
     kv_rotation_N_m_s_rad: Positive | ThreePositive
     rotation_error: RotationError = "shortest_turn"
-    """log(R_d R^T), or the difference of the rotation vectors of the two poses as it is often printed."""
+    """log(R_d R^T), or the often printed difference of the rotation vectors of the two poses."""
     model: ModelSettings | None = None
-    """Its gravity is compensated; default none is."""
+    """Model for gravity compensation; default: no compensation."""
 
     @property
     def believed(self) -> ModelSettings | None:
@@ -45,26 +45,26 @@ class CartesianPDSettings(LawSettings):
         return self.model
 
     def gains(self) -> tuple[Array, Array]:
-        """Return the diagonals K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
+        """Diagonals K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
         return (
             per_axis(self.kp_position_N_m, self.kp_rotation_N_m_rad),
             per_axis(self.kv_position_N_s_m, self.kv_rotation_N_m_s_rad),
         )
 
     def build(self, context: LawContext) -> CartesianPD:
-        """Return the law."""
+        """Build the law."""
         model = None if self.model is None else context.model(self.model)
         return CartesianPD(*self.gains(), model, self.rotation_error)
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Return frequency and damping ratio of the heaviest translation under the largest gains."""
+        """Natural frequency, rad/s, and damping ratio of the heaviest translation at the largest gains."""
         del leg_mass
         wn = sqrt(np.max(self.kp_position_N_m) / mass)
         return wn, float(np.max(self.kv_position_N_s_m) / (2.0 * wn * mass))
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return gains by which the heaviest translation and the heaviest rotation have wn and zeta."""
+        """Gains that give the heaviest translation and the heaviest rotation wn and zeta."""
         stiffness, damping = loop.wn**2, 2.0 * loop.zeta * loop.wn
         return {
             "kp_position_N_m": loop.mass * stiffness,
@@ -98,14 +98,14 @@ class CartesianPD(PointedLaw):
     """tau = J^-T [K_p e + K_v (twist_d - twist) + G], e = [p_d - p; e_R], G only with a model.
 
     K_p and K_v are diagonal in the base frame. ``shortest_turn``: e_R = log(R_d R^T), the rotation vector
-    (base frame) of the shortest turn from R to R_d: no Euler angles, no other singularity than half a turn
-    between the two. For a reference at rest, an exact G and one K_p for all three rotations, V = kinetic
-    energy + e.K_p e / 2 falls by twist.K_v twist (Bullo and Murray, 1995); with three different ones that
-    holds to first order in e.
+    (base frame) of the shortest turn from R to R_d. It uses no Euler angles and is singular only at half a
+    turn between R and R_d. For a reference at rest, an exact G and one K_p for all three rotations, V =
+    kinetic energy + e.K_p e / 2 decreases by twist.K_v twist (Bullo and Murray, 1995). With three different
+    K_p this holds to first order in e.
 
     ``vector_difference``, for comparison: the often printed e_R = phi_d - phi, phi the rotation vector of the
-    pose itself. It is another law wherever the platform is turned: its stiffness is K_p times the inverse of
-    d omega / d phi', which is not symmetric, so that no energy belongs to it; and it jumps where the platform
+    measured pose. Away from phi = 0 it is a different law. Its stiffness is K_p times the inverse of
+    d omega / d phi', which is not symmetric, so no energy function exists. e_R jumps where the platform
     itself is turned by half a turn.
 
     tau is NaN where J is singular.
@@ -115,5 +115,5 @@ class CartesianPD(PointedLaw):
     fill = _fill
 
     def __init__(self, K_p: Array, K_v: Array, model: Model | None, rotation_error: RotationError) -> None:
-        """K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad are the diagonals, position first."""
+        """Diagonals K_p (6,) N/m, N m/rad and K_v (6,) N s/m, N m s/rad, position first."""
         super().__init__(model, K_p, K_v, rotation_error == "vector_difference")

@@ -1,4 +1,4 @@
-"""Feed-forward of the inverse dynamics along the reference, and PD on leg lengths (control notes, 6.1.2)."""
+"""Inverse dynamics feed-forward along the reference, and PD on leg lengths (control notes, 6.1.2)."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from drivers.arrays import Array
 from drivers.compiled.compiler import INTEGER, record
 from drivers.compiled.pointed import pointed, reals_at
 from hil.control.law import LawContext, ModelBasedSettings, per_leg
@@ -15,10 +14,9 @@ from hil.control.pd import JointPD, LegGains, pd_force
 from hil.control.pointed_law import SEEN, PointedLaw
 from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
-from hil.trajectory.path import PoseSample
 
 GAINS = np.dtype([*PD_GAINS.descr, ("loaded", "<i8")])
-"""Those of the PD; 1 where the external wrench counts."""
+"""Gains of the PD; 1 if the feed-forward includes the external wrench."""
 
 
 class FeedforwardPDSettings(LegGains, ModelBasedSettings):
@@ -27,11 +25,12 @@ class FeedforwardPDSettings(LegGains, ModelBasedSettings):
     uncertified = "its error dynamics J^-T M J^-1 E'' + K_v E' + K_p E = 0 change with the pose"
     law: Literal["feedforward_pd"]
     evaluation: Literal["online", "offline"] = "online"
-    """`offline`: forces of the reference alone, as if computed before the run; `online`: with the external
-    wrench. Both are computed at each tick."""
+    """`offline`: feed-forward of the reference alone, as if computed before the run; `online`: it includes
+    the external wrench. Both are computed in each tick.
+    """
 
     def build(self, context: LawContext) -> FeedforwardPD:
-        """Return the law."""
+        """Build the law."""
         pd = JointPD(per_leg(self.kp_N_m), per_leg(self.kv_N_s_m), np.zeros(6))
         return FeedforwardPD(pd, context.model(self.model), loaded=self.evaluation == "online")
 
@@ -51,8 +50,8 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
 class FeedforwardPD(PointedLaw):
     """tau = tau_ff + K_v (dq_d - dq) + K_p (q_d - q), tau_ff = J^-T (M dtwist_d + H + G - wrench) + friction.
 
-    All of tau_ff is of the reference, not of the measured pose. With an exact model and q near q_d the error
-    follows J^-T M J^-1 E'' + K_v E' + K_p E = 0, E = q_d - q: coupled and different in each pose.
+    tau_ff is evaluated on the reference, not at the measured pose. With an exact model and q near q_d the
+    error E = q_d - q obeys J^-T M J^-1 E'' + K_v E' + K_p E = 0, which is coupled and depends on the pose.
 
     tau is NaN where J is singular on the reference.
     """
@@ -61,10 +60,5 @@ class FeedforwardPD(PointedLaw):
     fill = _fill
 
     def __init__(self, pd: JointPD, model: Model, *, loaded: bool) -> None:
-        """Take the PD and the model; `loaded`: whether the external wrench counts."""
+        """Combine a PD with a model; `loaded`: include the external wrench in tau_ff."""
         super().__init__(model, *pd.gains.item(), loaded)
-
-
-def tau_ff(model: Model, reference: PoseSample, wrench: Array) -> Array:
-    """Return J^-T (M dtwist_d + H + G - wrench) + friction at the reference, (6,) N."""
-    return inverse_dynamics_kernel(model.constants, model.code, *reference, wrench)

@@ -1,8 +1,8 @@
 """Exact inverse dynamics control in joint space (control notes, section 6.1.3).
 
-The notes drop the term J_dot twist when they pass from leg to pose accelerations; with it the error
-dynamics is linear: E'' + K_D E' + K_P E = 0 for a model that is exact. What the controller believes of
-the robot is the model's business (hil.robot.dynamics.Model), not the law's.
+The notes omit the term J_dot twist in the conversion from leg to pose accelerations. With this term and an
+exact model the error dynamics are linear: E'' + K_D E' + K_P E = 0. Model simplifications belong to
+`hil.robot.dynamics.Model`, not to the law.
 """
 
 from __future__ import annotations
@@ -21,29 +21,28 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, joint_idc_kernel
 
 GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("loaded", "<i8")])
-"""The diagonals; whether the external wrench is taken off."""
+"""Diagonals of the gains; 1 if the law compensates the external wrench."""
 
 
 class InverseDynamicsSettings(ErrorGains, ModelBasedSettings):
-    """Exact inverse dynamics in joint space; approximate ones are variants of its model."""
+    """Exact inverse dynamics in joint space; the model variants give approximate ones."""
 
     law: Literal["inverse_dynamics"]
 
     def build(self, context: LawContext) -> JointInverseDynamics:
-        """Return the law."""
+        """Build the law."""
         return JointInverseDynamics(context.model(self.model), *self.gains())
 
 
 @helper
 def linearise(constants: int, code: int, tick: Any, ddq_star: Array, wrench: Array) -> None:
-    """Fill tau_law for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
+    """Fill tau_law for leg accelerations ddq* (6,) m/s^2 by the model variant; NaN where J is singular."""
     c = reals_at(constants, SIZE)
     tick.tau_law[:] = joint_idc_kernel(c, code, tick.p, tick.R, tick.twist, tick.J, ddq_star, wrench)
 
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
-    """Fill tau_law for ddq* = ddq_d + K_D dE + K_P E (6,) m/s^2."""
     ddq_star, wrench = np.empty(6), np.zeros(6)
     for i in range(6):
         e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
@@ -57,21 +56,21 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
 class JointInverseDynamics(PointedLaw):
     """tau = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction, ddq* = ddq_d + K_D dE + K_P E.
 
-    E = q_d - q (6,) m; K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals. Friction is that of the measured
-    rates. tau is NaN where J is singular.
+    E = q_d - q (6,) m; K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals. Friction is evaluated at the
+    measured leg rates. tau is NaN where J is singular.
     """
 
     dtype = GAINS
     fill = _fill
     compensates_wrench: ClassVar[bool] = True
-    """Whether the external wrench is taken off; otherwise it counts as none."""
+    """True if the law compensates the external wrench; otherwise it assumes wrench = 0."""
 
     def __init__(self, model: Model, K_P: Array, K_D: Array) -> None:
         super().__init__(model, K_P, K_D, self.compensates_wrench)
 
 
 def linearising_tau(model: Model, tick: Record, ddq_star: Array) -> Array:
-    """Return tau (6,) N for ddq* (6,) m/s^2 with what the model's variant keeps; NaN where J is singular."""
+    """Leg forces (6,) N for accelerations ddq* (6,) m/s^2 by the model variant; NaN where J is singular."""
     return joint_idc_kernel(
         model.constants, model.code, tick["p"], tick["R"], tick["twist"], tick["J"], ddq_star, tick["wrench"]
     )

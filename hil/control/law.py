@@ -1,7 +1,7 @@
-"""The contract of a control law, and what the file of one declares.
+"""The interface of a control law, and the base classes of its settings.
 
-A law turns estimate and reference of a tick into leg forces. It knows no mode, no limit, no bus and no
-clock; the cycle adds the bumpless entry, safety limits the result. How a compiled pass calls it:
+A law computes leg forces from estimate and reference of a tick. It is independent of modes, limits, bus and
+clock: the cycle adds the bumpless entry, and safety limits the force. Call from compiled code:
 `hil.control.pointed_law`.
 """
 
@@ -23,17 +23,17 @@ from hil.robot.geometry import Platform
 
 
 class LawContext(NamedTuple):
-    """What a law is built for, beside its own settings."""
+    """Data for building a law, in addition to its own settings."""
 
     platform: Platform
     leg_spin: LegSpin
     period_s: float
-    """Between two efforts."""
+    """Period of the control loop."""
     controller: LinearController | None = None
-    """For the law that runs one from a file."""
+    """Linear controller read from a file, for the law that runs one."""
 
     def model(self, settings: ModelSettings) -> Model:
-        """Return the model that a law is configured with."""
+        """Build the model of a law's settings."""
         return build_model(settings, self.platform, self.leg_spin)
 
 
@@ -41,26 +41,26 @@ class Law(Protocol):
     """One control law.
 
     Contract, checked by the suite in ``tests/hil/control``: for finite input the effort is finite, or NaN
-    where the law has no answer (singular J), which safety turns into a latched fault; it never raises.
-    With zero error and nothing accumulated it is pure feed-forward. `reset` followed by the same inputs
-    repeats to the bit. What it integrates does not grow while a limit holds back what it asks for.
+    where the law is undefined (singular J); safety turns NaN into a latched fault. The law never raises.
+    With zero error and zero integrals it is pure feed-forward. `reset` followed by the same inputs
+    repeats to the bit. Integrals do not wind up while a limit reduces the force.
     """
 
     def reset(self) -> None:
-        """Forget everything accumulated."""
+        """Set the law's state to its initial value."""
 
     def effort(self, tick: Record) -> None:
         """Fill tau_law (6,) N of a tick, > 0 extends, from its estimate, reference and shortfall.
 
-        Where the law looks ahead, estimate and reference are those of the instant at which its force acts.
+        With delay compensation, estimate and reference are predicted for the instant at which the force acts.
         """
 
 
 class ErrorDynamics(NamedTuple):
-    """The error dynamics e'' + K_D e' + K_P e = d that a law leaves, and where they end.
+    """Error dynamics e'' + K_D e' + K_P e = d under a law, valid inside its boundary layer.
 
-    Beyond the layer, |de + slope e| > layer, the law asks for steepness (|de + slope e| - layer) less. With a
-    layer of 0 it switches: gains and steepness are infinite.
+    Outside the layer, |de + slope e| > layer, the law saturates: its acceleration is smaller by
+    steepness (|de + slope e| - layer). With a layer of 0 the law switches; gains and steepness are infinite.
     """
 
     K_P: Array
@@ -68,74 +68,74 @@ class ErrorDynamics(NamedTuple):
     K_D: Array
     """(6,) 1/s."""
     pose: bool = False
-    """Of the pose, not of the legs."""
+    """True: e is the pose error; False: leg errors."""
     slope: Array | float = 0.0
     steepness: float = 0.0
-    """1/s; 0: the law has no layer."""
+    """1/s; 0: the law has no boundary layer."""
     layer: float = 1.0
     """m/s."""
     shared: bool = False
-    """The layer is of all legs at once."""
+    """True: one layer for the norm over all legs."""
 
 
 class DesiredLoop(NamedTuple):
-    """What default gains are made of: the loop that a configuration asks for, and its robot at home."""
+    """Input for default gains: the desired closed loop, and the robot's inertia at home."""
 
     wn: float
     """rad/s."""
     zeta: float
     leg_mass: float
-    """kg, the largest eigenvalue of J^-T M J^-1: what six legs feel that move together at worst."""
+    """kg, the largest eigenvalue of J^-T M J^-1: effective mass of the worst motion of all legs."""
     mass: float
     """kg, the largest eigenvalue of M among translations."""
     inertia: float
-    """kg m^2, the same among rotations."""
+    """kg m^2, the largest eigenvalue of M among rotations."""
     force_limit: float
-    """N, of a leg."""
+    """N, of one leg."""
 
 
 class LawSettings(Section):
-    """Section `controller` of one law, and what others need to know of the law.
+    """Section `controller` of one law, and properties of the law for other modules.
 
-    A law derives from it, adds its keys, and overrides what differs from a law without a model of which
-    nothing is proven.
+    A law's settings derive from this class, add keys, and override the defaults. The defaults describe a law
+    without a model and without a proof.
     """
 
     law: str
-    """Control law."""
+    """Name of the control law."""
     axes: ClassVar[AxisSpace | Literal["designed"] | None] = None
-    """Axes in which the law linearises the robot; `designed`: those of its controller file."""
+    """Axes in which the law linearises the robot; `designed`: the axes of its controller file."""
     compensates_wrench: ClassVar[bool] = True
-    """Of a law that linearises: whether its forces take the external wrench off."""
-    uncertified: ClassVar[str] = "no error dynamics of it are known"
-    """Why no V of constant gains belongs to its error."""
+    """For a law that linearises: True if its forces compensate the external wrench."""
+    uncertified: ClassVar[str] = "its error dynamics are unknown"
+    """Reason why no Lyapunov function with constant gains is known."""
     tuning: ClassVar[tuple[str, str]] = ("wn_rad_s", "lower it")
-    """Keys that set its gains, and what to do where the phase margin is too small."""
+    """Keys that set the gains, and the advice for a phase margin that is too small."""
 
     def build(self, context: LawContext) -> Law:
-        """Return the law. Raises ConfigurationError where it cannot serve the context."""
+        """Build the law. Raises ConfigurationError where it cannot serve the context."""
         raise NotImplementedError
 
     @property
     def believed(self) -> ModelSettings | None:
-        """The law's model of the robot."""
+        """Settings of the law's model of the robot; None without a model."""
         return None
 
     @property
     def lookahead(self) -> DelayCompensation | None:
-        """The delay that is compensated by prediction; it takes a model."""
+        """Settings of the delay compensation by prediction, which needs a model; None without it."""
         return None
 
     def error_dynamics(self) -> ErrorDynamics | str:
-        """Return the linear error dynamics that an exact model leaves, or why there are none."""
+        """Error dynamics under an exact model, or the reason why there are none."""
         return self.uncertified
 
     def described(self) -> list[str]:
-        """Return lines for `hil check`: figures that follow from the settings."""
+        """Lines for `hil check`: figures derived from the settings."""
         return []
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float] | None:
-        """Return the natural frequency, rad/s, and damping ratio that the gains ask for; None: not known.
+        """Natural frequency, rad/s, and damping ratio that result from the gains; None: unknown.
 
         leg_mass, mass: as in `DesiredLoop`, kg.
         """
@@ -144,26 +144,26 @@ class LawSettings(Section):
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return the keys, other than `model`, that give this loop, for `hil compare`."""
+        """Keys, other than `model`, that give the desired loop, for `hil compare`."""
         del loop
         return {}
 
 
 class ModelBasedSettings(LawSettings):
-    """A law with a model: what it believes of the robot, and whether it uses that to look ahead."""
+    """A law with a model of the robot, optionally with delay compensation."""
 
     model: ModelSettings = ModelSettings()
     delay_compensation: DelayCompensation | None = None
-    """State and reference of the instant at which the force acts; left out: of the measurement."""
+    """Predict state and reference to the instant at which the force acts; omitted: no prediction."""
 
     @property
     def believed(self) -> ModelSettings:
-        """The law's model of the robot."""
+        """Settings of the law's model of the robot."""
         return self.model
 
     @property
     def lookahead(self) -> DelayCompensation | None:
-        """The delay that is compensated by prediction."""
+        """Settings of the delay compensation by prediction; None without it."""
         return self.delay_compensation
 
 
@@ -173,35 +173,36 @@ class ErrorGains(LawSettings):
     axes: ClassVar[AxisSpace] = "joint"
     wn_rad_s: Positive | SixPositive
     """Natural frequency, K_P = wn^2; one for all, or one per leg (in pose space one each for x, y, z and the
-    rotation about them)."""
+    rotation about each).
+    """
     damping_ratio: Positive = 1.0
     """K_D = 2 zeta wn."""
 
     def gains(self) -> tuple[Array, Array]:
-        """Return K_P (6,) 1/s^2 and K_D (6,) 1/s."""
+        """Gains K_P (6,) 1/s^2 and K_D (6,) 1/s."""
         w_n = per_leg(self.wn_rad_s)
         return w_n**2, 2.0 * self.damping_ratio * w_n
 
     def error_dynamics(self) -> ErrorDynamics | str:
-        """Return the error dynamics that an exact model leaves."""
+        """Error dynamics under an exact model."""
         return ErrorDynamics(*self.gains(), pose=self.axes == "pose")
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Return wn, rad/s, of the fastest error, and the damping ratio."""
+        """Largest natural frequency wn, rad/s, and the damping ratio."""
         del leg_mass, mass
         return float(np.max(self.wn_rad_s)), self.damping_ratio
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return frequency and damping of the loop."""
+        """Natural frequency and damping ratio of the desired loop."""
         return {"wn_rad_s": loop.wn, "damping_ratio": loop.zeta}
 
 
 def per_leg(gain: float | list[float]) -> Array:
-    """Return a gain as (6,): one number is the same for all legs."""
+    """Gains of the legs (6,); one number applies to all legs."""
     return np.broadcast_to(np.asarray(gain, float), (6,)).copy()
 
 
 def per_axis(position: float | list[float], rotation: float | list[float]) -> Array:
-    """Return gains of position and rotation as (6,): one number is the same for all three axes."""
+    """Gains of position and rotation (6,); one number applies to all three axes."""
     return np.concatenate([np.broadcast_to(np.asarray(gain, float), (3,)) for gain in (position, rotation)])

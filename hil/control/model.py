@@ -1,4 +1,4 @@
-"""From the configuration's `model` to what the controller believes of the robot."""
+"""Build the controller's model of the robot from the `model` settings."""
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from hil.robot.geometry import Platform
 
 
 def build_model(settings: ModelSettings, platform: Platform, leg_spin: LegSpin) -> Model:
-    """Return the model that a law is configured with."""
+    """Model of the robot with the parameters of a law's settings."""
     frozen = settings.frozen_at
     return Model(
         platform,

@@ -1,4 +1,4 @@
-"""Inverse dynamics control with H and the external load left out (control notes, section 6.1.3 B)."""
+"""Inverse dynamics control without H and the external load (control notes, section 6.1.3 B)."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ class PartialLinearisationSettings(ErrorGains):
 
     @property
     def believed(self) -> ModelSettings:
-        """The law's model of the robot: always without H."""
+        """Settings of the law's model of the robot, always without H."""
         return ModelSettings(variant="no_H", **dict(self.model))
 
     def build(self, context: LawContext) -> PartialLinearisation:
-        """Return the law."""
+        """Build the law."""
         return PartialLinearisation(context.model(self.believed), *self.gains())
 
 
 class PartialLinearisation(JointInverseDynamics):
     """tau = J^-T [M J^-1 (ddq* - J_dot twist) + G] + friction, ddq* = ddq_d + K_D dE + K_P E, E = q_d - q.
 
-    The exact law less H and wrench, which stay as a disturbance: with exact M, G, J it leaves
-    E'' + K_D E' + K_P E = J M^-1 (H - wrench). Without G there would be a constant error, without J_dot twist
-    a far larger one than H's: on the book's path (wn 20 rad/s) H costs 0.23 mm of leg error, J_dot twist 2.6.
+    H and wrench remain as a disturbance: with exact M, G, J the error obeys
+    E'' + K_D E' + K_P E = J M^-1 (H - wrench). Omitting G would leave a constant error. Omitting J_dot twist
+    costs more than omitting H: on the book's path (wn 20 rad/s) 2.6 mm of leg error instead of 0.23 mm.
     """
 
     compensates_wrench = False

@@ -25,47 +25,48 @@ class LegGains(LawSettings):
     kv_N_s_m: Positive | SixPositive
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Return frequency and damping ratio of the heaviest motion of the legs under the largest gains."""
+        """Natural frequency, rad/s, and damping ratio of the heaviest leg motion at the largest gains."""
         del mass
         wn = sqrt(np.max(self.kp_N_m) / leg_mass)
         return wn, float(np.max(self.kv_N_s_m) / (2.0 * wn * leg_mass))
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return gains of M E'' + K_v E' + K_p E = 0 by which the heaviest motion has wn and zeta.
+        """Gains of M E'' + K_v E' + K_p E = 0 that give the heaviest motion wn and zeta.
 
-        The others are faster and better damped.
+        All other motions are faster and better damped.
         """
         return {"kp_N_m": loop.leg_mass * loop.wn**2, "kv_N_s_m": 2.0 * loop.zeta * loop.wn * loop.leg_mass}
 
 
 class DriveGains(LegGains):
-    """A PD on leg lengths, and the acceleration feed-forward of each drive by itself."""
+    """PD on leg lengths with acceleration feed-forward of each drive alone."""
 
     feedforward_mass_kg: NonNegative | SixNonNegative = 0.0
-    """m: what each drive accelerates along its leg, for drives whose gears dominate: rotary inertia times
-    (2 pi / lead)^2, and a share of the platform. One for all legs, or one per leg."""
+    """m: mass that each drive accelerates along its leg, for drives with dominant gears: rotary inertia times
+    (2 pi / lead)^2, and a share of the platform. One for all legs, or one per leg.
+    """
 
     def pd(self) -> JointPD:
-        """Return the PD of these gains."""
+        """PD with these gains."""
         return JointPD(per_leg(self.kp_N_m), per_leg(self.kv_N_s_m), per_leg(self.feedforward_mass_kg))
 
 
 class PDSettings(DriveGains):
     """Decentralised PD on leg lengths: tau = Kp (q_d - q) + Kv (dq_d - dq) + m ddq_d."""
 
-    uncertified = "its error dynamics are those of the platform: they change with the pose"
+    uncertified = "its error dynamics change with the pose of the platform"
     law: Literal["pd"]
 
     def build(self, context: LawContext) -> JointPD:
-        """Return the law; it needs no model."""
+        """Build the law; it needs no model."""
         del context
         return self.pd()
 
 
 @helper
 def pd_force(k: Any, tick: Any, i: int) -> float:
-    """Return K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d of leg i, N."""
+    """Force of leg i, N: K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d."""
     e, de = tick.q_d[i] - tick.q[i], tick.dq_d[i] - tick.dq[i]
     return float(k.K_p[i] * e + k.K_v[i] * de + k.m[i] * tick.ddq_d[i])
 
@@ -80,15 +81,15 @@ def _fill(k: Any, _constants: int, _code: int, tick: Any) -> int:
 class JointPD(PointedLaw):
     """tau = K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d, K_p, K_v and m diagonal.
 
-    m is what each drive has to accelerate along its own leg. Where gears make it dominate the platform,
-    m ddq_d is all the feed-forward that a leg needs, and nothing couples the legs (Siciliano, Sciavicco,
-    Villani and Oriolo, Robotics, 2009, 8.3). A leg of mass m alone follows m E'' + K_v E' + K_p E = 0,
-    E = q_d - q. m = 0 is the notes' law.
+    m is the mass that each drive accelerates along its own leg. Where gears make m dominate the platform,
+    m ddq_d is a sufficient feed-forward, and the legs are not coupled (Siciliano, Sciavicco, Villani and
+    Oriolo, Robotics, 2009, 8.3). A leg of mass m alone obeys m E'' + K_v E' + K_p E = 0, E = q_d - q.
+    m = 0 is the law of the notes.
     """
 
     dtype = GAINS
     fill = _fill
 
     def __init__(self, K_p: Array, K_v: Array, m: Array) -> None:
-        """K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg are the diagonals."""
+        """Diagonals K_p (6,) N/m, K_v (6,) N s/m and m (6,) kg."""
         super().__init__(None, K_p, K_v, m)

@@ -16,16 +16,16 @@ from hil.robot.dynamics_kernels import SIZE, inverse_dynamics_kernel
 
 
 class PDGravitySettings(DriveGains, ModelBasedSettings):
-    """Decentralised PD on leg lengths, and the forces that hold platform and legs up where they are.
+    """Decentralised PD on leg lengths with gravity compensation at the measured pose.
 
-    Of the model, gravity counts.
+    Of the model, only gravity is used.
     """
 
-    uncertified = "its energy function belongs to a reference at rest; in motion it may grow"
+    uncertified = "its energy function decreases only for a reference at rest; in motion it may grow"
     law: Literal["pd_gravity"]
 
     def build(self, context: LawContext) -> JointPDGravity:
-        """Return the law."""
+        """Build the law."""
         return JointPDGravity(self.pd(), context.model(self.model))
 
 
@@ -41,8 +41,8 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
 class JointPDGravity(PointedLaw):
     """tau = K_p (q_d - q) + K_v (dq_d - dq) + m ddq_d + J^-T G, J and G at the measured pose.
 
-    With an exact G a reference at rest is reached without error: V = kinetic energy + e.K_p e / 2 falls by
-    dq.K_v dq (Takegaki and Arimoto, 1981; LaSalle). In motion the error is that of the PD less gravity.
+    With an exact G a reference at rest is reached without error: V = kinetic energy + e.K_p e / 2 decreases
+    by dq.K_v dq (Takegaki and Arimoto, 1981; LaSalle). In motion the error is that of the PD without gravity.
     tau is NaN where J is singular.
     """
 

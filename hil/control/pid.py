@@ -16,31 +16,29 @@ from hil.control.pd import DriveGains, JointPD, pd_force
 from hil.control.pointed_law import SEEN, PointedLaw
 
 GAINS = np.dtype([*PD_GAINS.descr, *((name, "<f8", 6) for name in ("K_i_T", "share", "xi_max", "xi"))])
-"""Those of the PD; K_i times the period; what one call takes of the shortfall; largest xi; xi."""
+"""Gains of the PD; K_i times the period; share of the shortfall added to xi per call; largest xi; xi."""
 
 
 class PIDSettings(DriveGains):
-    """Decentralised PID on leg lengths, with an integral that limits do not wind up."""
+    """Decentralised PID on leg lengths with anti-windup."""
 
-    uncertified = (
-        "its error dynamics are those of the platform, and its integral is a state that is not measured"
-    )
+    uncertified = "its error dynamics change with the pose of the platform, and its integral is not measured"
     law: Literal["pid"]
     ki_N_m_s: Positive | SixPositive
     """Integral gain, force per error and second; one for all legs, or one per leg."""
     integral_limit_N: Positive | SixPositive
-    """Largest force of the integral, either way; at least what a leg carries at rest."""
+    """Largest force of the integral, either sign; at least the load of a leg at rest."""
     tracking_time_s: Positive | None = None
-    """In which the integral gives back what a limit has taken; default sqrt(kv / ki)."""
+    """Time constant of the back-calculation while a limit reduces the force; default sqrt(kv / ki)."""
 
     def build(self, context: LawContext) -> JointPID:
-        """Return the law; it needs no model."""
+        """Build the law; it needs no model."""
         K_i, xi_max = per_leg(self.ki_N_m_s), per_leg(self.integral_limit_N)
         return JointPID(self.pd(), K_i, xi_max, context.period_s, self.tracking_time_s)
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return the gains of the PD, and a tenth of what K_i may be at most: Routh, K_i m < K_p K_v."""
+        """Gains of the PD, and a tenth of the stability limit of K_i (Routh: K_i m < K_p K_v)."""
         return {
             **super().derived(loop),
             "ki_N_m_s": 0.2 * loop.zeta * loop.leg_mass * loop.wn**3,
@@ -50,7 +48,7 @@ class PIDSettings(DriveGains):
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, _constants: int, _code: int, tick: Any) -> int:
-    """Take xi one period on and add it to the PD's force."""
+    """Advance xi by one period and add it to the PD's force."""
     for i in range(6):
         value = k.xi[i] + k.K_i_T[i] * (tick.q_d[i] - tick.q[i]) + k.share[i] * tick.shortfall[i]
         k.xi[i] = min(max(value, -k.xi_max[i]), k.xi_max[i])
@@ -61,13 +59,13 @@ def _fill(k: Any, _constants: int, _code: int, tick: Any) -> int:
 class JointPID(PointedLaw):
     """tau = K_p e + K_v de + m ddq_d + xi, dxi/dt = K_i e + shortfall / T_t, |xi| <= xi_max; e = q_d - q.
 
-    The integral takes away the error that a constant load leaves to a PD. While a limit holds the force back,
-    ``shortfall``, the force sent less the force asked for, leads xi to where the law asks for no more than
-    the limit gives (back-calculation: Astrom and Hagglund, PID Controllers, 1995, 3.5; by default with their
-    T_t = sqrt(T_i T_d) = sqrt(K_v / K_i)). Euler's rule with the period of the loop; a T_t below one period
-    counts as one period.
+    The integral removes the steady error that a PD has under a constant load. While a limit reduces the
+    force, ``shortfall``, the force sent minus the force requested, drives xi until the law requests no more
+    than the limit (back-calculation: Astrom and Hagglund, PID Controllers, 1995, 3.5; by default with their
+    T_t = sqrt(T_i T_d) = sqrt(K_v / K_i)). Integration by Euler's rule with the loop's period. A T_t below
+    one period counts as one period.
 
-    Mutable state: ``xi``; `reset` makes it zero. The entry of the cycle is bumpless with that: its offset
+    Mutable state: ``xi``; `reset` sets it to zero. The cycle's entry stays bumpless: its offset
     carries the load while it fades, and the integral takes over.
     """
 
@@ -77,17 +75,17 @@ class JointPID(PointedLaw):
     def __init__(
         self, pd: JointPD, K_i: Array, xi_max: Array, period_s: float, T_t: float | None = None
     ) -> None:
-        """K_i (6,) N/(m s) and xi_max (6,) N; T_t in s."""
+        """Integral gain K_i (6,) N/(m s) and limit xi_max (6,) N; T_t in s."""
         tracking = np.sqrt(pd.gains["K_v"] / K_i) if T_t is None else np.full(6, T_t)
         share = np.minimum(period_s / tracking, 1.0)
         super().__init__(None, *pd.gains.item(), period_s * K_i, share, xi_max)
 
     def reset(self) -> None:
-        """Forget the integral."""
+        """Set the integral to zero."""
         self.xi[:] = 0.0
 
     @property
     def xi(self) -> Array:
-        """The integral (6,) N: a view, that of the law's own record."""
+        """Integral force (6,) N, a view of the law's record."""
         integral: Array = self.gains["xi"]
         return integral

@@ -1,7 +1,7 @@
-"""A law as a compiled pass calls it: by its address, on the record of its gains, its model and the tick.
+"""A law as a C function: compiled code calls its address with its gains, its model and the tick.
 
-A law of this project is one compiled function (`PointedLaw`). A law in plain Python has `reset` and `effort`
-alone and needs no compiler: `called_by_pointer` gives it the same pointer.
+The laws of this project are compiled functions (`PointedLaw`). A law in plain Python needs `reset` and
+`effort` only, and no compiler: `called_by_pointer` wraps it in a callback of the same signature.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from hil.control.law import Law
 from hil.robot.dynamics import Model
 
 LAW_COLUMNS = part("estimate", "reference", "effort")
-"""What a law sees of a tick."""
+"""Columns of a tick that a law reads."""
 SEEN = record(TICK, *LAW_COLUMNS)
-"""Last argument of a law's function, after gains, address of the model's constants or 0, and code."""
+"""Last argument of a law's function, after gains, address of the model's constants or 0, and variant."""
 _seen_at: Any = record_at(SEEN)
 
 
 @helper
 def ask(law: int, gains: int, constants: int, code: int, tick: int) -> None:
-    """Let a law fill tau_law of the tick at an address: nan where it has no answer.
+    """Call a law to fill tau_law of the tick at an address; nan where the law is undefined or fails.
 
-    Ctrl-C at the first instruction of a callback ends it without a status.
+    tau_law is nan before the call: Ctrl-C at a callback's first instruction ends the callback without a
+    status.
     """
     seen = _seen_at(tick)
     seen.tau_law[:] = np.nan
@@ -39,7 +40,7 @@ def ask(law: int, gains: int, constants: int, code: int, tick: int) -> None:
 
 
 class Pointer(NamedTuple):
-    """A law's C function and its first three arguments; the fourth is the tick's address."""
+    """Address of a law's C function and its first three arguments; the fourth is the tick's address."""
 
     address: int
     gains: int
@@ -49,11 +50,11 @@ class Pointer(NamedTuple):
     code: int
     """The model's variant."""
     keeps: PointedLaw | PythonLaw
-    """Keeps all of them in memory, and what the law has raised."""
+    """Owner of the memory at these addresses; its `raised` is the law's exception."""
 
 
 def gains(dtype: np.dtype[np.void], *values: Array | float) -> Record:
-    """Return a law's gains as a record of `dtype`, in the order of its fields; the fields left are zero."""
+    """Gains of a law as a record of `dtype`, in the order of its fields; remaining fields are zero."""
     filled = np.zeros((), dtype)
     for name, value in zip((dtype.names or ())[: len(values)], values, strict=True):
         filled[name] = value
@@ -61,19 +62,20 @@ def gains(dtype: np.dtype[np.void], *values: Array | float) -> Record:
 
 
 class PointedLaw:
-    """A law that is one compiled function of the record of its gains, its model and the tick.
+    """A law that is one compiled function of its gains, its model and the tick.
 
-    A subclass names the record and the function. Mutable state, where a law has any, is in the record.
+    A subclass defines the record of the gains and the function. A law's mutable state, if any, is in the
+    record.
     """
 
     dtype: ClassVar[np.dtype[np.void]]
     fill: ClassVar[Pointed]
-    """Fills tau_law; NaN where the law has no answer."""
+    """Fills tau_law; NaN where the law is undefined."""
     raised: None = None
-    """Compiled laws raise nothing."""
+    """Compiled laws raise no exception."""
 
     def __init__(self, model: Model | None, *values: Array | float) -> None:
-        """Take the gains in the order of their record."""
+        """Store the gains, given in the order of their record."""
         self.gains = gains(self.dtype, *values)
         self._model = model
         constants, code = (0, 0) if model is None else (data_at(model.constants), model.code)
@@ -81,21 +83,21 @@ class PointedLaw:
 
     @property
     def model(self) -> Model:
-        """What the law believes of the robot. Raises AttributeError where it has no model."""
+        """The law's model of the robot. Raises AttributeError for a law without a model."""
         if self._model is None:
             raise AttributeError(f"{type(self).__name__} has no model")
         return self._model
 
     @property
     def pointer(self) -> Pointer:
-        """The function and what it works on."""
+        """Address of the function and its first three arguments."""
         return Pointer(self.fill.address, *self._called_with, self)
 
     def reset(self) -> None:
-        """Nothing is accumulated."""
+        """Do nothing: the law has no state."""
 
     def effort(self, tick: Record) -> None:
-        """Fill tau_law, as the compiled pass does."""
+        """Fill tau_law, as compiled code does."""
         self.fill(*self._called_with, tick)
 
 
@@ -107,22 +109,22 @@ _TAU_LAW = slice(_fields["tau_law"][1] // 8, _fields["tau_law"][1] // 8 + 6)
 
 
 class PythonLaw:
-    """A law in plain Python behind the pointer of a compiled one.
+    """A callback that runs a law in plain Python, with the signature of a compiled law.
 
-    It is given a copy of the tick; only tau_law comes back.
+    The law receives a copy of the tick; only tau_law is copied back.
 
-    Mutable state: what the law raised in the last call.
+    Mutable state: the exception of the last call.
     """
 
     def __init__(self, law: Law) -> None:
         self.law = law
         self.raised: BaseException | None = None
-        """None: it did not."""
+        """Exception of the last call, or None."""
         self._address, self._callback = of_python(self._called, INTEGER, INTEGER, INTEGER, INTEGER)
 
     @property
     def pointer(self) -> Pointer:
-        """The callback; it works on the tick alone."""
+        """Address of the callback; gains, constants and variant are 0."""
         return Pointer(self._address, 0, 0, 0, self)
 
     def reset(self) -> None:
@@ -130,7 +132,7 @@ class PythonLaw:
         self.law.reset()
 
     def effort(self, tick: Record) -> None:
-        """Fill tau_law as the compiled pass does; what was raised before stays if nothing is now."""
+        """Fill tau_law as compiled code does; an earlier exception stays if this one succeeds."""
         before = self.raised
         tick["tau_law"] = nan
         self._called(0, 0, 0, data_at(tick))
@@ -151,7 +153,7 @@ class PythonLaw:
 
 
 def called_by_pointer(law: Law) -> Pointer:
-    """Return the pointer of a law: its own function, or a callback where its `effort` is Python."""
+    """Pointer to a law: its compiled function, or a callback for an `effort` in Python."""
     if isinstance(law, PointedLaw) and getattr(law.effort, "__func__", None) is _effort:
         return law.pointer
     return PythonLaw(law).pointer

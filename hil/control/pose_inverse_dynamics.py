@@ -25,13 +25,13 @@ class PoseInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
     law: Literal["pose_inverse_dynamics"]
 
     def build(self, context: LawContext) -> PoseInverseDynamics:
-        """Return the law."""
+        """Build the law."""
         return PoseInverseDynamics(context.model(self.model), *self.gains())
 
 
 @kernel(VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR)
 def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_d: Array) -> Array:
-    """Return [e; de] (2, 6) of `PoseInverseDynamics`: e = [p_d - p; r] m, rad, de its derivative."""
+    """Errors [e; de] (2, 6) of `PoseInverseDynamics`: e = [p_d - p; r] m, rad, de its derivative."""
     r = relative_rotation(R, R_d)
     still = np.zeros(3)
     E, _, _ = rotation_motion_kernel(r, still, still)
@@ -47,7 +47,7 @@ def pose_errors(p: Array, R: Array, twist: Array, p_d: Array, R_d: Array, twist_
 
 @kernel(MATRIX, VECTOR, VECTOR, VECTOR, VECTOR)
 def demanded_dtwist(errors: Array, u: Array, twist: Array, twist_d: Array, dtwist_d: Array) -> Array:
-    """Return dtwist* (6,) m/s^2, rad/s^2 of `PoseInverseDynamics`, under which the errors obey e'' = -u."""
+    """Acceleration dtwist* (6,) m/s^2, rad/s^2 of `PoseInverseDynamics`; the errors then obey e'' = -u."""
     r, dr = errors[0, 3:].copy(), errors[1, 3:].copy()
     E, _, dOmega = rotation_motion_kernel(r, dr, -u[3:])
     E_omega = rotate(E, at(twist, 3))
@@ -75,17 +75,17 @@ def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
 class PoseInverseDynamics(PointedLaw):
     """tau = J^-T (M dtwist* + H + G - wrench) + friction, all at the measured pose.
 
-    With an exact model dtwist = dtwist*, and that is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
+    With an exact model dtwist = dtwist*. It is chosen so that e = [p_d - p; r], r = log(R_d R^T) the
     rotation vector of the shortest turn from R to R_d (base frame), obeys e'' + K_D e' + K_P e = 0 in
-    all six components, exactly and for turns of any size below half a turn:
+    all six components, exactly and for all turns below half a turn:
 
     - position: dv* = dv_d + K_D (v_d - v) + K_P (p_d - p);
     - rotation: E = R_d R^T = exp([r]x) turns with Omega = omega_d - E omega, hence r' = L(r)^-1 Omega with
       L = d Omega / d r' (``hil.mathematics.rotations.rotation_vector_rate``), and
       domega* = E^T (domega_d - Omega x E omega - Omega'*), Omega'* the Omega' of r'' = -K_D r' - K_P r.
 
-    Often omega_d - omega is put for r'. It is no derivative of r, not even to first order, where
-    r' = omega_d - omega - r x omega: that law's error dynamics change with the speed.
+    Often r' is replaced by omega_d - omega. This is not the derivative of r, not even to first order, where
+    r' = omega_d - omega - r x omega. The error dynamics of that law change with the speed.
 
     K_P (6,) 1/s^2 and K_D (6,) 1/s are the diagonals, position first, axes of the base frame.
     """

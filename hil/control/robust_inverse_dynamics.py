@@ -9,17 +9,17 @@ M. W. Spong, S. Hutchinson and M. Vidyasagar, Robot Modeling and Control, 2006, 
     w    = rho y / max(|y|, epsilon),  y = B^T P x,  A^T P + P A = -Q
     tau  = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction
 
-Why it works: what the model does not know is an acceleration d (6,) of the legs, and the law leaves
+Stability: the model error is an acceleration d (6,) of the legs, and the closed loop is
 dx/dt = A x - B (w + d). With V = x^T P x
 
     dV/dt = -x^T Q x - 2 y^T (w + d) <= -x^T Q x - 2 |y| (rho - |d|)    outside |y| < epsilon
 
-falls for |d| <= rho; inside, dV/dt <= -x^T Q x + rho epsilon / 2: x ends in a ball that shrinks with epsilon.
-Where rho comes from: `UncertaintySettings`.
+decreases for |d| <= rho. Inside, dV/dt <= -x^T Q x + rho epsilon / 2: x ends in a ball that shrinks with
+epsilon. rho follows from `UncertaintySettings`.
 
-Q = diag(K_D K_P, K_D) gives y = de + K_D / 2 e, in m/s. At damping ratio 1, K_D / 2 = wn, that is
-dy/dt = -wn y - w - d: |y| < epsilon is never left again and |e| <= epsilon / wn of each leg, as of a sliding
-variable, but all legs share one bound. What it costs: docs/theory/robust.md.
+Q = diag(K_D K_P, K_D) gives y = de + K_D / 2 e, in m/s. At damping ratio 1, K_D / 2 = wn and
+dy/dt = -wn y - w - d. Then y never leaves |y| < epsilon again, and |e| <= epsilon / wn for each leg, as with
+a sliding variable, but with one bound for all legs. Cost: docs/theory/robust.md.
 """
 
 from __future__ import annotations
@@ -41,27 +41,28 @@ GAINS = np.dtype([("K_P", "<f8", 6), ("K_D", "<f8", 6), ("rho", "<f8"), ("epsilo
 
 
 class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
-    """Inverse dynamics with an outer loop that masters bounded uncertainty (Lyapunov redesign)."""
+    """Inverse dynamics with an outer loop that is robust to bounded uncertainty (Lyapunov redesign)."""
 
-    tuning = ("wn_rad_s and boundary_layer_m_s", "make wn smaller, the layer thicker,")
+    tuning = ("wn_rad_s and boundary_layer_m_s", "reduce wn, increase the layer,")
     law: Literal["robust_inverse_dynamics"]
     uncertainty: UncertaintySettings
     boundary_layer_m_s: NonNegative
-    """epsilon, the |de + zeta wn e| over all legs below which the law is linear: |e| <= epsilon / wn at
-    damping ratio 1. 0 switches, and chatters."""
+    """epsilon: the law is linear while |de + zeta wn e| over all legs is below it; |e| <= epsilon / wn at
+    damping ratio 1. 0: the law switches and chatters.
+    """
 
     @property
     def bound(self) -> float:
-        """rho, m/s^2: the uncertainty of six legs at once."""
+        """rho, m/s^2: bound on the uncertainty of all six legs together."""
         return sqrt(6.0) * self.uncertainty.bound()
 
     def build(self, context: LawContext) -> RobustInverseDynamics:
-        """Return the law."""
+        """Build the law."""
         model = context.model(self.model)
         return RobustInverseDynamics(model, *self.gains(), self.bound, self.boundary_layer_m_s)
 
     def error_dynamics(self) -> ErrorDynamics:
-        """Return the error dynamics inside the boundary layer."""
+        """Error dynamics inside the boundary layer."""
         K_P, K_D = self.gains()
         slope, layer = K_D / 2.0, self.boundary_layer_m_s
         steepness = self.bound / layer if layer > 0.0 else inf
@@ -69,12 +70,12 @@ class RobustInverseDynamicsSettings(ErrorGains, ModelBasedSettings):
         return ErrorDynamics(*gains, slope=slope, steepness=steepness, layer=layer, shared=True)
 
     def described(self) -> list[str]:
-        """Return the bound and the layer."""
+        """Line for `hil check` with the bound and the layer."""
         return [f"bound rho {self.bound:.3g} m/s^2, boundary layer {self.boundary_layer_m_s:.3g} m/s"]
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return a bound of the disturbance, and a layer inside which the loop is no faster than without."""
+        """Default bound on the disturbance, and a layer that does not make the loop faster."""
         return {
             **super().derived(loop),
             "uncertainty": {"disturbance_m_s2": ASSUMED_m_s2},

@@ -6,14 +6,14 @@
     ddq* = ddq_d + lambda de + k sat(s / phi)
     tau  = J^-T [M J^-1 (ddq* - J_dot twist) + H + G - wrench] + friction
 
-Why it works: what the model does not know is an acceleration d of a leg, and the law leaves
+Stability: the model error is an acceleration d of a leg, and the closed loop is
 ds/dt = d - k sat(s / phi). For |d| <= D, k = D + eta, outside the boundary layer |s| <= phi
 
     d/dt s^2 / 2 = s d - k |s| <= -eta |s|
 
-so that s is inside within |s(0)| / eta and stays there. Inside, de + lambda e = s is a lag of first order:
-|e| <= phi / lambda, whatever d is. Where D comes from: `UncertaintySettings`. What it costs, and how thin the
-layer may be: docs/theory/robust.md. Where phi = 0 the law switches, and the force chatters.
+so s reaches the layer within |s(0)| / eta and stays inside. Inside, de + lambda e = s is a first-order lag:
+|e| <= phi / lambda for every d. D follows from `UncertaintySettings`. Cost, and smallest useful layer:
+docs/theory/robust.md. With phi = 0 the law switches, and the force chatters.
 """
 
 from __future__ import annotations
@@ -38,55 +38,56 @@ class SlidingModeSettings(ModelBasedSettings):
     """Sliding mode on the leg lengths with a boundary layer, s = de + lambda e."""
 
     axes = "joint"
-    tuning = ("lambda_rad_s and boundary_layer_m_s", "make lambda smaller, the layer thicker,")
+    tuning = ("lambda_rad_s and boundary_layer_m_s", "reduce lambda, increase the layer,")
     law: Literal["sliding_mode"]
     lambda_rad_s: Positive
-    """Slope of the sliding surface: on it an error decays as exp(-lambda t)."""
+    """Slope of the sliding surface; on the surface an error decays as exp(-lambda t)."""
     uncertainty: UncertaintySettings
-    """The switching gain k is its bound and the reaching acceleration on top."""
+    """The switching gain k is the bound of this uncertainty plus the reaching acceleration."""
     reaching_m_s2: Positive
-    """How fast s approaches the boundary layer at least, whatever the uncertainty does."""
+    """Smallest rate at which s approaches the boundary layer under any allowed uncertainty."""
     boundary_layer_m_s: NonNegative | None = None
-    """phi, the |s| below which the law is linear: |e| <= phi / lambda. Default k / lambda, which gives the
-    linear law two poles at lambda; 0 switches, and chatters."""
+    """phi: the law is linear for |s| < phi; |e| <= phi / lambda. Default k / lambda, which gives the
+    linear law two poles at lambda. 0: the law switches and chatters.
+    """
 
     @property
     def switching_gain(self) -> float:
-        """k, m/s^2."""
+        """Switching gain k, m/s^2."""
         return self.uncertainty.bound(self.reaching_m_s2)
 
     @property
     def boundary_layer(self) -> float:
-        """phi, m/s."""
+        """Boundary layer phi, m/s."""
         phi = self.boundary_layer_m_s
         return self.switching_gain / self.lambda_rad_s if phi is None else phi
 
     def build(self, context: LawContext) -> SlidingMode:
-        """Return the law."""
+        """Build the law."""
         model = context.model(self.model)
         return SlidingMode(model, self.lambda_rad_s, self.switching_gain, self.boundary_layer)
 
     def error_dynamics(self) -> ErrorDynamics:
-        """Return the error dynamics inside the boundary layer."""
+        """Error dynamics inside the boundary layer."""
         slope, phi = self.lambda_rad_s, self.boundary_layer
         steepness = self.switching_gain / phi if phi > 0.0 else inf
         gains = np.full(6, slope * steepness), np.full(6, slope + steepness)
         return ErrorDynamics(*gains, slope=slope, steepness=steepness, layer=phi)
 
     def described(self) -> list[str]:
-        """Return gain, layer and the error that the layer allows."""
+        """Line for `hil check` with gain, layer and the largest error inside the layer."""
         phi = self.boundary_layer
         layer = f"boundary layer {phi:.3g} m/s: |e| <= {1e3 * phi / self.lambda_rad_s:.3g} mm"
         return [f"switching gain {self.switching_gain:.3g} m/s^2, {layer}"]
 
     def bandwidth(self, leg_mass: float, mass: float) -> tuple[float, float]:
-        """Return lambda, rad/s: two poles there."""
+        """Double pole at lambda: natural frequency lambda, rad/s, and damping ratio 1."""
         del leg_mass, mass
         return self.lambda_rad_s, 1.0
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return a bound of the disturbance, and two poles at zeta wn inside the boundary layer."""
+        """Default bound on the disturbance, and two poles at zeta wn inside the boundary layer."""
         return {
             "lambda_rad_s": loop.zeta * loop.wn,
             "uncertainty": {"disturbance_m_s2": ASSUMED_m_s2},
@@ -109,7 +110,7 @@ def _fill(g: Any, constants: int, code: int, tick: Any) -> int:
 class SlidingMode(PointedLaw):
     """ddq* = ddq_d + lambda de + k sat(s / phi), s = de + lambda e, by exact inverse dynamics.
 
-    e = q_d - q (6,) m; sat(x) is x between -1 and 1, and sgn(s) stands for it where phi = 0, sgn(0) = 0.
+    e = q_d - q (6,) m; sat(x) is x clamped to -1 .. 1; with phi = 0 it is sgn(s), sgn(0) = 0.
     Gains: lambda in 1/s (``slope``), k in m/s^2 and phi in m/s, the same for all legs.
     """
 

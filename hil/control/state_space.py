@@ -1,24 +1,24 @@
-"""A designed linear controller around inverse dynamics (H-infinity or mu synthesis on the linearised axes).
+"""A linear controller around inverse dynamics (H-infinity or mu synthesis on the linearised axes).
 
 ::
 
-    y = [e; de]                                        of each axis, as the file's `inputs` say
-    x[k+1] = A x[k] + B y[k] + L (what the limits took from u[k])
+    y = [e; de]                        of each axis; the file's `inputs` select the rows
+    x[k+1] = A x[k] + B y[k] + L a[k]  a: change of the acceleration u by the limits
     u[k]   = C x[k] + D y[k]
-    ddq*   = ddq_d + u                                 then inverse dynamics
+    ddq*   = ddq_d + u                 then inverse dynamics
 
 Anti-windup (K. J. Astrom and L. Rundqwist, Integrator windup and how to avoid it, ACC 1989: an observer of
-the controller's own state). Where a limit holds back forces, the axes accelerate by u + a with
-a = J M^-1 J^T shortfall (legs) instead of u, and the state moves as if u + a had been asked for:
+the controller's own state). While a limit reduces the forces, the axes accelerate by u + a with
+a = J M^-1 J^T shortfall (legs) instead of u, and the state is updated as if u + a had been requested:
 
     x[k+1] = A x + B y + L (sat(u) - u) = (A - L C) x + (B - L D) y + L sat(u)
 
-which stays bounded wherever A - L C is stable, whatever A is. The map from force to acceleration is the
-inverse of the law's own linear part, by its own model at the present pose, and it is full: a leg that is held
-back slows its neighbours, and their controllers have to know. Axes of the pose have the error
+It stays bounded if A - L C is stable, for any A. The map from force to acceleration is the inverse of the
+law's own linear part, by its own model at the measured pose. It is a full matrix: limiting one leg slows its
+neighbours, and their controllers must account for it. Axes of the pose have the error
 e = [p_d - p; log(R_d R^T)] of `hil.control.pose_inverse_dynamics`.
 
-No delay compensation: the delay is in the axis that the controller was designed for.
+No delay compensation: the controller was designed for an axis that includes the delay.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from hil.robot.dynamics import Model
 from hil.robot.dynamics_kernels import SIZE, fill_jacobian, inverse_dynamics_kernel, model_inertia
 
 _INPUTS = {"error": 0, "rate_error": 1}
-"""Row of the axes' errors."""
+"""Row of the input in y = [e; de]."""
 GAINS = np.dtype(
     [
         ("pose", "<i8"),
@@ -53,32 +53,32 @@ GAINS = np.dtype(
         *((name, "<i8") for name in ("A", "B", "C", "L", "x")),
     ]
 )
-"""Whether the axes are the pose's; n; D; where A (n, n), B (n, 2), C, L (n,) and the state x (n, 6) are.
-"""
+"""1: axes of the pose, 0: legs; n; D; addresses of A (n, n), B (n, 2), C, L (n,) and the state x (n, 6)."""
 
 
 class StateSpaceSettings(ModelBasedSettings):
     """A controller of `hil design` around inverse dynamics: ddq* = ddq_d + u, in the file's axes."""
 
     axes = "designed"
-    uncertified = "its own states are part of the error dynamics"
+    uncertified = "the states of its controller are part of the error dynamics"
     law: Literal["state_space"]
     controller_file: str
-    """What `hil design` wrote, relative to this file's folder, or the name of a shipped one: hinf."""
+    """File written by `hil design`, relative to this file's folder, or the name of a shipped controller:
+    hinf."""
 
     @model_validator(mode="after")
     def _no_looking_ahead(self) -> Self:
         if self.delay_compensation is not None:
             raise ValueError(
-                "delay_compensation has no meaning for law state_space: its controller was designed for an "
-                "axis with the delay in it, and one that looks ahead is another axis; leave it out"
+                "delay_compensation is not allowed with law state_space, because its controller was designed "
+                "for an axis that includes the delay; remove it"
             )
         return self
 
     def build(self, context: LawContext) -> StateSpace:
-        """Return the law, which runs the controller of the context.
+        """Build the law with the controller of the context.
 
-        Raises ConfigurationError where the controller was sampled for another rate than the loop's.
+        Raises ConfigurationError if the controller was sampled for another rate than the loop's.
         """
         controller = context.controller
         if controller is None:
@@ -88,16 +88,16 @@ class StateSpaceSettings(ModelBasedSettings):
 
     @classmethod
     def derived(cls, loop: DesiredLoop) -> dict[str, Any]:
-        """Return the shipped controller, at the rate and for the delay that it was made for."""
+        """Shipped controller, at the rate and for the delay of its design."""
         del loop
         return {"controller_file": "hinf", "delay_compensation": None}
 
 
 @kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR)
 def accelerations(c: Array, code: int, p: Array, R: Array, tau: Array) -> Array:
-    """Return [M^-1 J^T tau; J M^-1 J^T tau] (2, 6), of platform and legs; nan: M is singular.
+    """Accelerations [M^-1 J^T tau; J M^-1 J^T tau] (2, 6) of platform and legs; nan where M is singular.
 
-    With the M and J of the variant. One leg's force moves all legs.
+    M and J are those of the model variant. The force of one leg moves all legs.
     """
     M = np.empty((6, 6))
     model_inertia(c, code, p, R, M)
@@ -122,9 +122,9 @@ def accelerations(c: Array, code: int, p: Array, R: Array, tau: Array) -> Array:
 
 @kernel(MATRIX, VECTOR)
 def pose_acceleration(errors: Array, dtwist: Array) -> Array:
-    """Return [dv; L(r)^-1 E domega] (6,) m/s^2, rad/s^2, for dtwist = [dv; domega] of the platform.
+    """Acceleration [dv; L(r)^-1 E domega] (6,) m/s^2, rad/s^2, for dtwist = [dv; domega] of the platform.
 
-    errors (2, 6): of `pose_errors`. Of the rotation vector r = log(R_d R^T) the second derivative is then
+    errors (2, 6): see `pose_errors`. The rotation vector r = log(R_d R^T) then has the second derivative
     -L(r)^-1 E domega, E = R_d R^T.
     """
     r = errors[0, 3:].copy()
@@ -137,7 +137,7 @@ def pose_acceleration(errors: Array, dtwist: Array) -> Array:
 
 @helper
 def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array:
-    """Return what the limits took from the last u, (6,) m/s^2, rad/s^2: of the axes, for the shortfall."""
+    """Change of the last u by the limits, (6,) m/s^2, rad/s^2, from the shortfall."""
     taken, limited = np.zeros(6), False
     for i in range(6):
         limited = limited or tick.shortfall[i] != 0.0
@@ -153,9 +153,9 @@ def _taken(k: Any, constants: int, code: int, tick: Any, errors: Array) -> Array
 
 @helper
 def _step(k: Any, y: Array, taken: Array) -> Array:
-    """Return u (6,) and take x (n, 6) one step on. y (2, 6): e and de; taken (6,): of the last u.
+    """Compute u (6,) and advance x (n, 6). y (2, 6): e and de; taken (6,): change of the last u.
 
-    The axes are the inner loop: six sums side by side, each in the order of the states.
+    The axes are the inner loop: six independent sums, each in the order of the states.
     """
     n = k.order
     A, B, C, L = reals_at(k.A, n * n), reals_at(k.B, 2 * n), reals_at(k.C, n), reals_at(k.L, n)
@@ -180,7 +180,6 @@ def _step(k: Any, y: Array, taken: Array) -> Array:
 
 @pointed(record(GAINS), INTEGER, INTEGER, SEEN)
 def _fill(k: Any, constants: int, code: int, tick: Any) -> int:
-    """Fill tau_law and take the controller one step on."""
     twist = tick.twist
     if k.pose:
         errors = pose_errors(tick.p, tick.R, twist, tick.p_d, tick.R_d, tick.twist_d)
@@ -206,8 +205,8 @@ class StateSpace(PointedLaw):
 
     tau is NaN where J is singular.
 
-    Mutable state: ``x`` (n, 6), zero after `reset`. With it the law begins as its D alone, and the cycle's
-    entry takes off what that asks for.
+    Mutable state: ``x`` (n, 6), zero after `reset`. The law then starts with D y alone; the cycle's bumpless
+    entry compensates that force.
     """
 
     dtype = GAINS
@@ -216,7 +215,7 @@ class StateSpace(PointedLaw):
     def __init__(self, model: Model, controller: LinearController) -> None:
         n = len(controller.A)
         self.order = n
-        """States of the controller of one axis."""
+        """Number of states of one axis' controller."""
         A = np.array(controller.A, float).reshape(n, n)
         B, D = np.zeros((n, 2)), np.zeros(2)
         for column, name in enumerate(controller.inputs):
@@ -228,14 +227,14 @@ class StateSpace(PointedLaw):
         super().__init__(model, controller.axes == "pose", n, D, *map(data_at, (*self._matrices, self.x)))
 
     def reset(self) -> None:
-        """Back to x = 0."""
+        """Set x = 0."""
         self.x[:] = 0.0
 
 
 def require_rate(controller: LinearController, rate_Hz: float) -> None:
-    """Refuse to run a controller at another rate than that it was sampled for. Raises ConfigurationError."""
+    """Check that the loop runs at the controller's sampling rate. Raises ConfigurationError."""
     if abs(controller.rate_Hz - rate_Hz) > 1e-9 * rate_Hz:
         raise ConfigurationError(
-            f"controller.controller_file: made for {controller.rate_Hz:g} Hz, and the loop runs at "
-            f"{rate_Hz:g} Hz, where it is another controller; design again for that rate"
+            f"controller.controller_file: made for {controller.rate_Hz:g} Hz, but the loop runs at "
+            f"{rate_Hz:g} Hz; design the controller again for this rate"
         )

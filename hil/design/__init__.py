@@ -1,1 +1,1 @@
-"""What is synthesised and what is bounded: controllers from weights, and what can be proven of a loop."""
+"""Controller synthesis from weights, and stability proofs of a loop."""

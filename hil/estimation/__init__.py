@@ -1,1 +1,1 @@
-"""Where the platform is, what pushes it, and where it will be when the force acts."""
+"""Pose of the platform, the external wrench on it, and its predicted state when the force acts."""

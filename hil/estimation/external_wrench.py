@@ -1,4 +1,4 @@
-"""The external wrench that the law counts on: none, the observer's, or the sensor's."""
+"""The external wrench that the law uses: none, the observer's, or the sensor's."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ from hil.mathematics.vectors import at, rotate
 
 _ALL_LEGS = (1 << LEGS) - 1
 SENSOR_PATIENCE = 3.0
-"""Sample periods of the wrench sensor without a sample that warn."""
+"""A wrench sensor that sends no sample for more than this number of sample periods causes a warning."""
 WRENCH = np.dtype(
     [
         *((name, "<i8") for name in ("observe", "observer", "residual", "sensed", "read_at")),
@@ -25,13 +25,13 @@ WRENCH = np.dtype(
         *((name, "<f8", 6) for name in ("last", "reading")),
     ]
 )
-"""The observer's function, its record and where its estimate is, 0 where it is not the source; whether the
-sensor is, and when it was read."""
+"""The observer's function, its record and the address of its estimate, 0 if it is not the source; whether the
+sensor is the source, and the tick of its last sample."""
 
 
 @pointed(record(WRENCH), INTEGER, record(TICK, "tick", "legs_used", "wrench", "wrench_sensor"))
 def _fill(k: Any, fusing: int, tick: Any) -> int:
-    """Fill wrench and wrench_sensor, as `ExternalWrench.fill`; return 1 where the sensor is late."""
+    """Fill wrench and wrench_sensor, as `ExternalWrench.fill`; return 1 if the sensor is late."""
     late = False
     if k.observe:
         seen = 1 if fusing == 0 or tick.legs_used == _ALL_LEGS else 0
@@ -55,7 +55,7 @@ def _fill(k: Any, fusing: int, tick: Any) -> int:
     record(TICK, "tick", "rejected", "sensors_rejected"),
 )
 def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: Any) -> int:
-    """Take in a tick's samples from `count` elements of FRAME at an address, and count what is refused.
+    """Read a tick's samples from `count` elements of FRAME at an address, and count the refused ones.
 
     The wrench sensor turns with the platform: R, address of its rotation (3, 3).
     """
@@ -76,14 +76,14 @@ def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: An
 class ExternalWrench:
     """The wrench of the configured source, (6,) N, N m on the platform at its origin, base frame.
 
-    Mutable state: the wrench of the last tick, the last reading of the sensor and when it came, and the
-    observer's own. `reset` restores the initial one.
+    Mutable state: the wrench of the last tick, the last reading of the sensor with its tick, and the
+    observer's state. `reset` restores the initial state.
     """
 
     def __init__(
         self, observer: WrenchObserver | None, sensor_rate_Hz: float | None, period_s: float
     ) -> None:
-        """observer: where it is the source; sensor_rate_Hz: set where the sensor is; neither: no source."""
+        """observer, sensor_rate_Hz: set for the source only; neither: no source."""
         self.observer = observer
         self._record = np.zeros((), WRENCH)
         self._record["period_s"] = period_s
@@ -93,9 +93,9 @@ class ExternalWrench:
         if sensor_rate_Hz is not None:
             self._record["sensed"], self._record["rate_Hz"] = 1, sensor_rate_Hz
         self.look = Callee(_fill.address, data_at(self._record), self)
-        """(wrench, fusing, tick): what `fill` calls."""
+        """Arguments: (wrench, fusing, tick); the compiled part of `fill`."""
         self.last: Array = self._record["last"]
-        """(6,): of the last tick; a view of what the next one changes."""
+        """(6,): of the last tick; a view that the next tick changes."""
         self.reset()
 
     def reset(self) -> None:
@@ -106,17 +106,17 @@ class ExternalWrench:
             self.observer.reset()
 
     def forget(self) -> None:
-        """Forget the reading: a sensor that is there gives another before the brakes open."""
+        """Clear the reading: a working sensor gives another one before the brakes open."""
         self._record["reading"] = 0.0
 
     @property
     def has_source(self) -> bool:
-        """Whether anything gives the wrench; it is zero where nothing does."""
+        """True if there is a source; without one the wrench is zero."""
         return bool(self._record["observe"] or self._record["sensed"])
 
     def fill(self, tick: Record, *, fusing: bool) -> bool:
-        """Fill the wrench of a tick, zero without a source, and what the sensor last read; call it once.
+        """Fill the wrench of a tick, zero without a source, and the sensor's last reading; call it once.
 
-        Return whether the sensor is the source and has left out samples: its last one is held.
+        Return True if the sensor is the source and has missed samples: its last one is held.
         """
         return bool(_fill(self._record, int(fusing), tick))

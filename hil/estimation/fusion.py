@@ -1,24 +1,24 @@
-"""Where the platform is: legs, model, tracker and IMU in one error-state Kalman filter on SE(3).
+"""Pose from legs, model, tracker and IMU: one error-state Kalman filter on SE(3).
 
 Equations of one interval: `hil.estimation.fusion_kernels`.
 
-The state is pose and twist, with an IMU its biases, and where there is some the force along each leg that
-neither model nor drives know: friction, inertia of motor and screw. It is carried from tick to tick by the
-acceleration that the model gives for the forces which the drives report, at their own latching: the command
-of the tick before would miss what the force loop and the bus do to it (1.1 ms at 1 kHz), the reference would
-miss every disturbance and the law's own corrections. A drive that is silent is taken at its last command. On
-the brakes there is no acceleration: no leg is doubted while they stop the platform, and once all legs that
-are heard are at rest, so is the platform, in the direction that a lost leg leaves open, too.
+The state is pose and twist; with an IMU also its biases; optionally the force along each leg that neither
+model nor drives know: friction, inertia of motor and screw. The prediction from tick to tick uses the model's
+acceleration under the forces that the drives report, at their own latching. The command of the tick before
+would miss the delay of force loop and bus (1.1 ms at 1 kHz). The reference would miss every disturbance and
+the law's own corrections. For a silent drive its last command is used. On the brakes there is no
+acceleration: while they stop the platform, no leg is doubted. Once all legs with readings are at rest, the
+platform is at rest, too, also in the direction that a lost leg leaves open.
 
-Each leg gives length and rate. What contradicts the prediction is left out, leg by leg; where two legs do so
-at once it is the prediction that was wrong, and the process noise of that interval is raised until it is
-not. The encoder of a leg that alone is off by `encoder_slip_m` three ticks in a row has slipped, and stays
-out. One that is off by less for ten ticks is believed: it takes a disturbance of 4 m/s^2 to look like a slip
-of 0.2 mm. An encoder that drifts slowly cannot be told from a platform that does.
+Each leg gives length and rate. A leg that contradicts the prediction is left out. If two legs do so at once,
+the prediction was wrong, and the process noise of that interval is raised until it fits. The encoder of a leg
+that alone is off by `encoder_slip_m` three ticks in a row has slipped, and stays out. A leg that is off by
+less for ten ticks is trusted again: a disturbance of 4 m/s^2 is needed to look like a slip of 0.2 mm. An
+encoder that drifts slowly cannot be told from a platform that drifts.
 
-A sample of tracker or IMU belongs to an instant between two ticks that are past. The filter keeps the states,
-covariances and measurements of the last ticks, puts the sample where it belongs and runs them again: the
-result is that of a filter to which nothing was late. What was decided about a leg before stays decided.
+A sample of tracker or IMU belongs to an instant between two past ticks. The filter keeps the states,
+covariances and measurements of the last ticks, inserts the sample at its instant and runs them again. The
+result equals that of a filter with all samples in time. Earlier decisions about legs stay.
 """
 
 from math import ceil, inf
@@ -37,25 +37,25 @@ from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 
 SILENT_SAMPLES = 5
-"""A sensor that misses so many samples in a row is missed."""
+"""A sensor is missed after this number of missing samples in a row."""
 _BIAS_STD = (0.05, 0.5)
-"""rad/s and m/s^2, of an IMU whose biases nobody has seen."""
+"""rad/s and m/s^2, for the unknown biases of an IMU."""
 _START_STD = (1e-3, 1e-2, 1e-3, 1e-3)
-"""Pose m and rad, linear and angular rate of a platform at rest whose legs have just been heard."""
+"""Pose m and rad, linear and angular rate of a platform at rest, just after a reading of all legs."""
 
 
 class FusedEstimator:
-    """The filter, from tick to tick, with which legs may be lost, what warns and what faults.
+    """The filter, from tick to tick, with the legs that may be lost, warnings and faults.
 
-    Mutable state, in its record and the rings that this leads to: states, covariances and intervals, their
-    ticks, which one is the newest and how many there are; the last forces; ticks left out, contradictions in
-    a row and slips per leg; when each sensor was last of use. `start` resets all of it.
+    Mutable state, in its record and the rings that this points to: states, covariances and intervals, their
+    ticks, the newest one and their number; the last forces; ticks left out, contradictions in a row and slips
+    per leg; the last use of each sensor. `start` resets all of it.
 
     Parameters
     ----------
-    model : carries the pose on.
-    legs : what encoders and drives are wrong by.
-    tracker, imu : the configured ones, with their standard deviations; None where there is none.
+    model : predicts the pose.
+    legs : errors of encoders and drives.
+    tracker, imu : the configured sensors, with their standard deviations; None without one.
     """
 
     def __init__(
@@ -118,9 +118,9 @@ class FusedEstimator:
             **seen,
         )
         self.fuse = Callee(fuse.address, data_at(self.record), self)
-        """(filter, sensors, command, wrench, tick): fills estimate and fusion of a tick at its latching. The
-        tick is after that of the last call, `start` or this. innovation_q counts whether a leg was used or
-        not; innovation_tracker is that of the newest sample that came in this tick, 0 without."""
+        """Arguments: (filter, sensors, command, wrench, tick). Fills estimate and fusion of a tick at its
+        latching; the tick must follow that of the last call or `start`. innovation_q is filled also for
+        unused legs; innovation_tracker is that of the newest sample that came in this tick, 0 without."""
         self.start(0, 0, np.zeros(3), np.eye(3))
 
     @property
@@ -129,11 +129,11 @@ class FusedEstimator:
         return tuple(leg for leg in range(LEGS) if self.record["contradicting"] >> leg & 1)
 
     def begin(self, tick: Record) -> None:
-        """Begin at rest at the pose that the legs give in a tick."""
+        """Begin at rest at the pose from the legs of a tick."""
         self.start(int(tick["tick"]), latched_at(tick), tick["p"], tick["R"])
 
     def start(self, tick: int, t_ns: int, p: Array, R: Array) -> None:
-        """Begin at rest at a pose that the legs have just given, at their latching, ns."""
+        """Begin at rest at a pose that the legs have just given; t_ns: their latching."""
         for name in ("newest", "driven", "left_out", "against", "slipped"):
             self.record[name] = 0
         self.record["count"], self.record["heard"], self.record["R"] = 1, tick, R

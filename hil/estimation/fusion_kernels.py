@@ -1,11 +1,11 @@
 """One interval of the error-state Kalman filter of `hil.estimation.fusion`: predict, decide, update.
 
-All measurements are processed one number at a time, so nothing is inverted; every update of P is Joseph's
-(Bucy and Joseph, 1968), which keeps P symmetric and positive whatever the gain.
+All measurements are processed one number at a time, so no matrix is inverted. Every update of P has Joseph's
+form (Bucy and Joseph, 1968), which keeps P symmetric and positive for any gain.
 
 State x (30,): p 0..2, R 3..11 row-major, twist 12..17, biases of gyro 18..20 and accelerometer 21..23, leg
-forces that the model does not know 24..29. Error (n,), n = 12, 18 or 24: dp, dtheta, dv, domega, biases where
-the IMU has some, leg forces where there are some; p = p + dp, R = exp(dtheta) R: all in the base frame (the
+forces that the model does not know 24..29. Error (n,), n = 12, 18 or 24: dp, dtheta, dv, domega, biases if
+the IMU has some, leg forces if there are some; p = p + dp, R = exp(dtheta) R. All are in the base frame (the
 global perturbation of Sola, Deray and Atchuthan, A micro Lie theory, 2018), biases in the platform frame.
 """
 
@@ -24,24 +24,24 @@ from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, rotate_
 from hil.robot.kinematics_kernels import leg, lengths_and_jacobian
 
 NOTHING = 1e-8
-"""A bend whose square is less than this share of the variance of a length is left out."""
+"""A bend is left out if its square is below this share of the variance of a length."""
 FADES = 6
-"""Most times that the process noise is raised by 100; then the measurements are accepted."""
+"""Largest number of times that the process noise is raised by 100; then the measurements are accepted."""
 steps_at = records_at(record(STEP))
 
 
 @helper
 def covariances_of(f: Any) -> Array:
-    """Return the ring of covariances (size, n, n)."""
+    """Ring of covariances (size, n, n)."""
     n = f.errors
     return reals_at(f.covariances, f.size * n * n).reshape((f.size, n, n))
 
 
 @helper
 def take(P: Array, h: Array, r: float, innovation: float, dx: Array) -> None:
-    """Use one number: z = h . error + noise of variance r; adds to the correction dx, and updates P.
+    """Process one number: z = h . error + noise of variance r; adds to the correction dx, and updates P.
 
-    innovation is that of the state before any correction. P = (I - K h) P (I - K h)^T + K r K^T.
+    innovation is relative to the state before any correction. P = (I - K h) P (I - K h)^T + K r K^T.
     """
     n = P.shape[0]
     K, Ph = np.empty(n), np.empty(n)
@@ -74,7 +74,7 @@ def take(P: Array, h: Array, r: float, innovation: float, dx: Array) -> None:
 
 @helper
 def correct(f: Any, x: Array, dx: Array) -> None:
-    """Apply the correction dx (n,) to x, and clear it."""
+    """Apply the correction dx (n,) to x, and set dx to zero."""
     for i in range(3):
         x[i] += dx[i]
     for i in range(6, f.forces):
@@ -89,10 +89,10 @@ def correct(f: Any, x: Array, dx: Array) -> None:
 
 @helper
 def leg_rows(f: Any, i: int, x: Array, h: Array, g: Array) -> tuple[float, float]:
-    """Return length and rate of leg i, and fill their rows h and g (n,) of the measurement matrix.
+    """Length and rate of leg i; fills their rows h and g (n,) of the measurement matrix.
 
-    With r = R b, u = v + omega x r: dl = s . (dp + dtheta x r); the rate s . u changes with the pose by
-    ds . (dp + dtheta x r) + s . (omega x (dtheta x r)), ds = (u - s s.u) / l, and with the twist like dl.
+    With r = R b, u = v + omega x r: dl = s . (dp + dtheta x r). The rate s . u changes with the pose by ds .
+    (dp + dtheta x r) + s . (omega x (dtheta x r)), ds = (u - s s.u) / l, and with the twist like dl.
     """
     r = rotate(rotation_of(x), row(f.platform_joints, i))
     l, s = leg(row(f.base_joints, i), r, at(x, 0))
@@ -115,7 +115,7 @@ def leg_rows(f: Any, i: int, x: Array, h: Array, g: Array) -> tuple[float, float
 
 @helper
 def variance_of(P: Array, h: Array) -> float:
-    """Return h P h^T."""
+    """Variance h P h^T."""
     n = P.shape[0]
     total = 0.0
     for i in range(n):
@@ -129,7 +129,7 @@ def variance_of(P: Array, h: Array) -> float:
 
 @helper
 def rate_variance(f: Any, s: Any, g: Array, rate: float) -> float:
-    """Return the variance of a measured leg rate: its noise, its skew beside the length, its scale.
+    """Variance of a measured leg rate: noise, time skew to the length, scale.
 
     With the row g of the rate, its gradient in pose and twist, the leg accelerates by g . [twist; dtwist].
     """
@@ -141,12 +141,12 @@ def rate_variance(f: Any, s: Any, g: Array, rate: float) -> float:
 
 @helper
 def bend(f: Any, b: Vector, x: Array, P: Array, h: Array, l: float) -> tuple[float, float]:
-    """Return mean and variance of what a length l differs from its tangent h by, over P.
+    """Mean and variance, over P, of the difference between a length l and its tangent h.
 
     With N the second derivative of the length by dp and dtheta: tr(N P) / 2 and tr(N P N P) / 2 (Bar-Shalom,
-    Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 10.3). With d_i how the
-    joint moves, e_i or e_i x r: N_ij = (d_i . d_j - h_i h_j) / l, and of the rotation s_i r_j, made
-    symmetric, less s . r on the diagonal. 0 where it is nothing beside a length's noise.
+    Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 10.3). With d_i the
+    motion of the joint, e_i or e_i x r: N_ij = (d_i . d_j - h_i h_j) / l; for the rotation plus s_i r_j, made
+    symmetric, less s . r on the diagonal. 0 where it is negligible against a length's noise.
     """
     s = at(h, 0)
     r = rotate(rotation_of(x), b)
@@ -179,7 +179,7 @@ def bend(f: Any, b: Vector, x: Array, P: Array, h: Array, l: float) -> tuple[flo
 
 @helper
 def beyond(f: Any, s: Any, P: Array, bent: Array) -> tuple[int, int]:
-    """Return how many legs contradict the prediction, and the last of them; fill the innovation and bent.
+    """Number of legs that contradict the prediction, and the last of them; fills the innovation and bent.
 
     bent (2, 6): mean and variance of `bend`.
     """
@@ -203,7 +203,7 @@ def beyond(f: Any, s: Any, P: Array, bent: Array) -> tuple[int, int]:
 
 @helper
 def update_tracker(f: Any, s: Any, P: Array, dx: Array) -> None:
-    """Use the tracker's pose at the state's instant, unless a number of it lies beyond the gate."""
+    """Update with the tracker's pose at the state's instant, unless one of its numbers is beyond the gate."""
     x, Z = s.x, s.tracker_R
     R = rotation_of(x)
     turned = np.empty((3, 3))
@@ -232,7 +232,7 @@ def update_tracker(f: Any, s: Any, P: Array, dx: Array) -> None:
 
 @helper
 def update_gyro(f: Any, s: Any, P: Array, dx: Array) -> None:
-    """Use the angular rate R^T omega + bias, carried to the interval's end by the model's acceleration.
+    """Update with the gyro: R^T omega + bias, moved to the interval's end by the model's acceleration.
 
     R^T changes by -R^T [dtheta]x: d(R^T omega) = R^T (domega + omega x dtheta).
     """
@@ -256,10 +256,10 @@ def update_gyro(f: Any, s: Any, P: Array, dx: Array) -> None:
 
 @helper
 def interval(f: Any, before: Any, P0: Array, s: Any, P: Array) -> None:
-    """Fill the state of a step and P from those at the beginning of its interval.
+    """Fill the state of a step, and P, from those at the beginning of its interval.
 
-    The first run decides which legs are used, how much process noise there was, and whether the tracker is
-    believed; later ones, for a sample that came late, keep to it.
+    The first run decides which legs are used, the amount of process noise, and whether the tracker is
+    trusted. Later runs, for a late sample, keep these decisions.
     """
     n = f.errors
     dx, h, g, bent = np.zeros(n), np.empty(n), np.empty(n), np.empty((2, 6))
@@ -296,7 +296,7 @@ def interval(f: Any, before: Any, P0: Array, s: Any, P: Array) -> None:
 
 @kernel(record(FUSION), INTEGER)
 def rerun_kernel(f: Any, first: int) -> None:
-    """Run the intervals of the ring from the place ``first`` to the newest, each from the state before it."""
+    """Run the intervals of the ring from index ``first`` to the newest, each from the state before it."""
     steps, covariances = steps_at(f.steps, f.size), covariances_of(f)
     for i in range((f.newest - first) % f.size + 1):
         now = (first + i) % f.size
@@ -309,8 +309,8 @@ def fill_estimate(f: Any, s: Any, P: Array, tick: Any) -> None:
     """Fill q, dq, p, R, twist, J, fk_residual, condition, innovation_q and pose_std of a tick.
 
     s, P (n, n): the newest step and its covariance. Units, shapes and frames of the columns:
-    `drivers.tick_columns`. fk_residual is the largest |measured - q| of the used legs, nan where the state is
-    not finite; pose_std the root of P's first six variances; condition that of `condition_kernel`.
+    `drivers.tick_columns`. fk_residual is the largest |measured - q| of the used legs, nan if the state is
+    not finite; pose_std the root of P's first six variances; condition as in `condition_kernel`.
     """
     x, q, J = s.x, tick.q, tick.J
     tick.p[:] = x[0:3]

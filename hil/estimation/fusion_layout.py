@@ -1,13 +1,13 @@
-"""What the filter of `hil.estimation.fusion` works on: its record, and the steps that it keeps."""
+"""Data of the filter of `hil.estimation.fusion`: its record, and the steps that it keeps."""
 
 from typing import NamedTuple
 
 import numpy as np
 
 TWIST, GYRO_BIAS, FORCE_BIAS, LEG_FORCE = 12, 18, 21, 24
-"""In a state (30,), behind p and R."""
+"""Indices in a state (30,), behind p and R."""
 KEPT, UNDECIDED = 2, 2
-"""`used` of a leg that is used whatever it reports; `tracker` of a sample that no run has seen yet."""
+"""`used` of a leg that is used in any case; `tracker` of a sample that no run has seen yet."""
 
 STEP = np.dtype(
     [
@@ -30,7 +30,7 @@ STEP = np.dtype(
         ("tracker_innovation", "<f8", (6,)),  # measured less predicted pose, m and rad
     ]
 )  # fmt: skip
-"""One tick: its state, what was measured since the tick before, and what was decided about it."""
+"""One tick: its state, the measurements since the tick before, and the decisions about them."""
 FUSION = np.dtype(
     [
         ("base_joints", "<f8", (6, 3)), ("platform_joints", "<f8", (6, 3)), ("radius", "<f8"),  # m
@@ -66,19 +66,19 @@ FUSION = np.dtype(
         ("gap_s", "<f8"), ("alone_s", "<f8"),  # since the tracker was of use; while a leg is lost, else 0
     ]
 )  # fmt: skip
-"""The robot, what is believed of legs, sensors and motion, and what the filter remembers."""
+"""The robot, error models of legs, sensors and motion, limits, and the state of the filter."""
 
 
 class LegErrors(NamedTuple):
-    """What lengths, rates and forces of a leg are wrong by. Standard deviations, equal for all legs."""
+    """Errors of a leg's length, rate and force. Standard deviations, equal for all legs."""
 
     length_std_m: float
     rate_std_m_s: float
     rate_skew_std_s: float = 0.0
-    """Of the instant of a rate beside that of its length."""
+    """Of the time skew between a rate and its length."""
     rate_scale_std: float = 0.0
-    """Of the share of a rate that is wrong."""
+    """Of the relative error of a rate."""
     force_std_N: float = 0.0
-    """Of the force along a leg that model and drives do not know; 0: there is none."""
+    """Of the force along a leg that model and drives do not know; 0: no such force."""
     force_time_s: float = 0.1
-    """Its correlation time."""
+    """Correlation time of that force."""

@@ -13,12 +13,12 @@ from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale, 
 from hil.robot.dynamics_kernels import SIZE, fill_jacobian, forward_dynamics_kernel, model_inertia
 
 DIFFERENCE = 1e-6
-"""m or rad: step of the gradient."""
+"""Step of the gradient, m or rad."""
 
 
 @helper
 def exp_step(R: Array, w: Vector) -> None:
-    """Replace R by exp([w]x) R, |w| <= 0.5: series to the last bit for the rotations of one interval."""
+    """Replace R by exp([w]x) R, |w| <= 0.5: series, exact to the last bit for rotations of one interval."""
     x = dot(w, w)
     A = 1.0 + x * (-1.0 / 6.0 + x * (1.0 / 120.0 + x * (-1.0 / 5040.0 + x / 362880.0)))
     B = 0.5 + x * (-1.0 / 24.0 + x * (1.0 / 720.0 + x * (-1.0 / 40320.0 + x / 3628800.0)))
@@ -33,13 +33,13 @@ def exp_step(R: Array, w: Vector) -> None:
 
 @helper
 def rotation_of(x: Array) -> Array:
-    """Return the view R (3, 3) of a state."""
+    """View of R (3, 3) in a state."""
     return x[3:12].reshape(3, 3)
 
 
 @helper
 def acceleration(f: Any, s: Any) -> tuple[Vector, Vector]:
-    """Return dv and domega of an interval: the model's, and that of the leg forces it does not know."""
+    """Accelerations dv and domega of an interval: the model's, plus those of the unknown leg forces."""
     a, turn, I = at(s.dtwist, 0), at(s.dtwist, 3), s.influence
     for leg in range(f.errors - f.forces):
         force = s.x[LEG_FORCE + leg]
@@ -50,7 +50,7 @@ def acceleration(f: Any, s: Any) -> tuple[Vector, Vector]:
 
 @helper
 def multiply(A: Array, B: Array, C: Array) -> None:
-    """Fill C = A B, all (n, n), past the zeros of A."""
+    """Fill C = A B, all (n, n), skipping zeros of A."""
     n = A.shape[0]
     for i in range(n):
         for j in range(n):
@@ -64,7 +64,7 @@ def multiply(A: Array, B: Array, C: Array) -> None:
 
 @helper
 def carry(P: Array, F: Array) -> None:
-    """Replace the upper half of P by that of F P F^T, row by row."""
+    """Replace the upper half of P by the upper half of F P F^T, row by row."""
     n, W = P.shape[0], np.empty_like(P)
     multiply(F, P, W)
     for i in range(n):
@@ -78,10 +78,10 @@ def carry(P: Array, F: Array) -> None:
 
 @helper
 def weigh(f: Any, s: Any, a: Vector, dt: float, F: Array) -> tuple[Vector, float]:
-    """Return the linear acceleration of an interval and the IMU's share in it, a being the model's.
+    """Linear acceleration of an interval, and the IMU's weight in it; a: the model's acceleration.
 
-    The mean of a and R (f - bias) + g, weighted by the inverse of their variances: two measurements of one
-    acceleration. Fills what it changes of F: dv changes by dtheta x f share dt.
+    It is the mean of a and R (f - bias) + g, weighted by the inverse of their variances: two measurements of
+    one acceleration. Fills the entries of F that depend on it: dv changes by dtheta x f share dt.
     """
     if s.imu == 0 or s.T <= 0.0:
         return a, 0.0
@@ -105,7 +105,7 @@ def weigh(f: Any, s: Any, a: Vector, dt: float, F: Array) -> tuple[Vector, float
 
 @helper
 def fill_transition(f: Any, s: Any, dt: float, share: float, phi: Vector, stays: float, F: Array) -> None:
-    """Fill what is left of F: gradients of the model's acceleration, rotation by phi, decay of leg forces."""
+    """Fill the rest of F: gradients of the model's acceleration, rotation by phi, decay of leg forces."""
     n, forces = f.errors, f.forces
     for i in range(6):
         kept = dt * (1.0 - share) if i < 3 else dt
@@ -138,9 +138,9 @@ def fill_transition(f: Any, s: Any, dt: float, share: float, phi: Vector, stays:
 
 @helper
 def predict(f: Any, s: Any, P: Array, dt: float) -> None:
-    """Carry the state of a step and P on by dt (s) in place, with the acceleration of its interval.
+    """Predict the state of a step and P by dt (s) in place, with the acceleration of its interval.
 
-    The noise of the leg forces comes in two halves, before and after.
+    The noise of the leg forces is added in two halves, before and after.
     """
     x, n, forces = s.x, f.errors, f.forces
     w = at(x, TWIST + 3)
@@ -187,7 +187,7 @@ def add_process_noise(f: Any, P: Array, q_v: float, q_w: float, dt: float) -> No
 def accelerate_kernel(f: Any, before: Any, tau: Array, wrench: Array, s: Any) -> None:
     """Fill dtwist, gradient and influence of a step from the state before and the forces tau (6,) N.
 
-    A platform on legs that are given forces is an inverted pendulum: an error in a direction that no leg sees
+    A platform on legs with given forces is an inverted pendulum: an error in a direction that no leg measures
     grows by itself, about as fast as a tracker of 1 mm and 200 Hz corrects it. Forward differences.
     """
     c, code, x = reals_at(f.constants, SIZE), f.code, before.x

@@ -1,4 +1,4 @@
-"""One tick of the filter of `hil.estimation.fusion`: its interval, late samples, what becomes of the legs."""
+"""One tick of the filter of `hil.estimation.fusion`: its interval, late samples, and lost legs."""
 
 from math import nan
 from typing import Any
@@ -17,13 +17,13 @@ from hil.estimation.fusion_predict import accelerate_kernel
 from hil.mathematics.rotations import rotation_motion_kernel
 
 SLIP_TICKS = 3
-"""Contradictions in a row that make a slip."""
+"""Number of contradictions in a row that count as a slip."""
 LEFT_OUT_TICKS = 10
-"""For how long a leg is left out at most that contradicts the prediction, but not by as much as a slip."""
+"""Longest time for which a leg is left out that contradicts the prediction by less than a slip."""
 LOST_TICKS = 2
 """Age from which a leg counts as lost."""
 STANDING_m_s = 5e-3
-"""On shut brakes no leg is faster that stands."""
+"""Largest rate of a leg that stands on shut brakes."""
 _ALL_LEGS = (1 << LEGS) - 1
 _NOWHERE = -1
 _STEP_WORDS = STEP.itemsize // 8
@@ -31,7 +31,7 @@ _STEP_WORDS = STEP.itemsize // 8
 
 @helper
 def latched_ns(tick: Any) -> int:
-    """Return when the first encoder of a tick was latched, ns."""
+    """Instant at which the first encoder of a tick was latched, ns."""
     first = np.int64(0)
     for leg in range(LEGS):
         at_ns = tick.latch_ns[leg]
@@ -46,7 +46,7 @@ latched_at = kernel(record(TICK, "t_ns", "lateness_ns", "latch_ns"))(latched_ns)
 
 @helper
 def _brakes(tick: Any) -> tuple[bool, bool]:
-    """Tell whether all brakes are open, and whether they are shut and no leg that is heard moves."""
+    """Two flags: all brakes are open; all are shut and no leg with a reading moves."""
     free = shut = at_rest = True
     heard = False
     for leg in range(LEGS):
@@ -60,7 +60,7 @@ def _brakes(tick: Any) -> tuple[bool, bool]:
 
 @helper
 def _open(f: Any, tick: Any, command: Array, wrench: Array) -> None:
-    """Begin the interval that ends at the tick."""
+    """Begin the interval that ends at this tick."""
     steps = steps_at(f.steps, f.size)
     before = steps[f.newest]
     f.newest = (f.newest + 1) % f.size
@@ -91,9 +91,9 @@ def _open(f: Any, tick: Any, command: Array, wrench: Array) -> None:
 
 @helper
 def _interval_of(f: Any, sample: Any) -> tuple[int, float]:
-    """Return which interval holds a sample, and at which share of it.
+    """Interval that contains a sample, and the sample's place in it as a share.
 
-    _NOWHERE when the sample is older than the rings, or stamped after the newest latching.
+    _NOWHERE if the sample is older than the rings, or stamped after the newest latching.
     """
     steps, at_ns = steps_at(f.steps, f.size), nan
     for back in range(f.count):
@@ -112,9 +112,9 @@ def _interval_of(f: Any, sample: Any) -> tuple[int, float]:
 
 @helper
 def _place(f: Any, sensors: Any) -> tuple[int, int]:
-    """Put samples into their intervals; return the first to run again, and the newest with a new pose.
+    """Insert samples into their intervals; return the first to run again, and the newest with a new pose.
 
-    A sample that no interval holds is passed over.
+    A sample outside all intervals is ignored.
     """
     first, tracked, zero = f.newest, _NOWHERE, np.zeros(3)
     for kind in (TRACKER, IMU):
@@ -138,7 +138,7 @@ def _place(f: Any, sensors: Any) -> tuple[int, int]:
 
 @helper
 def _close(f: Any, tick: Any, tracked: int) -> None:
-    """Fill what the filter has found, and tell which legs do not count any more."""
+    """Fill the results of the filter, and update which legs are lost."""
     steps = steps_at(f.steps, f.size)
     s = steps[f.newest]
     fill_estimate(f, s, covariances_of(f)[f.newest], tick)
@@ -171,7 +171,7 @@ def _close(f: Any, tick: Any, tracked: int) -> None:
 
 @helper
 def judge(f: Any, tick: Any) -> None:
-    """Fill which legs may be lost, what warns and what faults."""
+    """Fill which lost legs are allowed, the warnings and the faults."""
     lost = allowed = 0
     for leg in range(LEGS):
         lost += f.lost >> leg & 1
@@ -194,7 +194,7 @@ def judge(f: Any, tick: Any) -> None:
 def fuse(f: Any, sensors: Any, command: int, wrench: int, tick: Any) -> int:
     """Fill estimate and fusion of a tick, see `FusedEstimator`.
 
-    command, wrench: addresses of the forces last sent, (6,) N, and the external load, (6,) N, N m.
+    command, wrench: addresses of the last forces sent, (6,) N, and the external load, (6,) N, N m.
     """
     _open(f, tick, reals_at(command, LEGS), reals_at(wrench, 6))
     first, tracked = _place(f, sensors)

@@ -1,20 +1,20 @@
-"""The external wrench from the momentum that the commanded forces do not explain.
+"""Observer of the external wrench: the change of momentum that the commanded forces do not explain.
 
 A. De Luca and R. Mattone, Sensorless robot collision detection and hybrid force/motion control, ICRA 2005:
 with the momentum P = M twist the residual r = K (P - P(0) - integral of (J^T tau + dM/dt twist - H - G + r))
-obeys dr/dt = K (wrench - r). Here the integral advances by one period at a time, and since
-M1 v1 - M0 v0 = (M0 + M1)/2 (v1 - v0) + (M1 - M0) (v0 + v1)/2, its part dM/dt twist cancels against the
-change of M in P: what is left of one period is
+obeys dr/dt = K (wrench - r). Here the integral advances by one period at a time. Since M1 v1 - M0 v0 = (M0 +
+M1)/2 (v1 - v0) + (M1 - M0) (v0 + v1)/2, its part dM/dt twist cancels against the change of M in P. One period
+leaves
 
     w = mean of (M (v1 - v0)/T + H + G) at both ends - mean of J^T (tau - friction),
     r := w + (r - w) exp(-K T),
 
-the solution of dr/dt = K (w - r) over the period. No derivative of M is needed, no acceleration is measured
-beyond the difference of P, and no sum grows: nothing drifts.
+the solution of dr/dt = K (w - r) over the period. It needs no derivative of M and no measured acceleration
+beyond the difference of P, and no sum grows: the estimate does not drift.
 
-tau is what the drives apply, taken from the commands through `hil.robot.force_path`: transport delay and
-lag. The feedback carries a force, too, but not in every layout, as one sample where the mean over the period
-is needed, in steps of 2 N, and from another sensor on every drive.
+tau is the force that the drives apply, computed from the commands through `hil.robot.force_path`: transport
+delay and lag. The feedback contains a force, too, but not in every layout. It is one sample instead of the
+mean over the period, in steps of 2 N, and from a different sensor on every drive.
 """
 
 from math import pi
@@ -39,8 +39,8 @@ OBSERVER = np.dtype(
         ("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6),
     ]
 )  # fmt: skip
-"""Where the record of the force path is; the model; whether a tick has been seen, the last one, and whether
-its p, R and twist count; what is left of r - w after a period; and r."""
+"""Address of the record of the force path; the model; whether a tick has been seen, the last one, and whether
+its p, R and twist are valid; the factor exp(-K T) of one period; and r."""
 
 
 @kernel(VECTOR, INTEGER, VECTOR, MATRIX, VECTOR, VECTOR, MATRIX, VECTOR, VECTOR, REAL)
@@ -56,7 +56,7 @@ def unexplained(
     tau: Array,
     T: float,
 ) -> Array:
-    """Return w (6,) N, N m, the mean over T s of M dtwist + H + G - J^T (tau - friction).
+    """Mean over T s, w (6,) N, N m, of M dtwist + H + G - J^T (tau - friction).
 
     The platform moved from p0, R0, twist0 to p1, R1, twist1; tau (6,) N is the mean leg force.
     """
@@ -79,13 +79,13 @@ def unexplained(
 
 @pointed(record(OBSERVER), INTEGER, record(TICK, "tick", "drive_state", "p", "R", "twist"))
 def observe(k: Any, seen: int, tick: Any) -> int:
-    """Take the residual on to a tick's measurement; call it once a tick.
+    """Update the residual with a tick's measurement; call it once a tick.
 
-    While a brake is shut it carries what it carries: the estimate stays as it is, so that the force does
-    not change while brakes shut one after the other, and goes on from the momentum of the first tick with
-    all brakes open. A drive without force makes it zero.
-    seen: 1, the motion is measured in all directions. Where it is not, a model that is given this estimate
-    carries the state on, and would confirm whatever it says: the estimate stays as it is, too.
+    While a brake is shut it carries an unknown part of the load. The estimate is then kept, so that the force
+    does not change while brakes shut one after the other. It continues from the momentum of the first tick
+    with all brakes open. A drive that is not powered resets it to zero. seen: 1, the motion is measured in
+    all directions. Otherwise the estimate is kept, too: the fusion filter would predict with this estimate
+    and so confirm any value of it.
     """
     path, tau = path_at(k.path), np.empty(6)
     periods = tick.tick - k.tick if k.begun else 1
@@ -114,12 +114,12 @@ def observe(k: Any, seen: int, tick: Any) -> int:
 
 
 class WrenchObserver:
-    """Estimates the wrench on the platform that is not of the model: first order, `bandwidth_Hz`.
+    """Estimates the wrench on the platform that the model does not contain: first order, `bandwidth_Hz`.
 
-    What the model does not hold counts as external: wrong masses, friction, a drive that does not give the
-    force commanded.
+    Everything outside the model counts as external: wrong masses, friction, a drive that does not apply the
+    commanded force.
 
-    Mutable state: the residual, the last state and tick, the forces under way. `reset` forgets all.
+    Mutable state: the residual, the last state and tick, the forces under way. `reset` clears all.
     """
 
     def __init__(self, model: Model, path: ForcePath, bandwidth_Hz: float) -> None:
@@ -130,13 +130,13 @@ class WrenchObserver:
         model_at = {"constants": model.constants, "code": model.code}
         self.record = context_of(OBSERVER, path=path.record, left=left, **model_at)
         self.look = Callee(observe.address, data_at(self.record), self)
-        """(observer, seen, tick): `observe`."""
+        """Arguments: (observer, seen, tick), of `observe`."""
         self.residual: Array = self.record["residual"]
-        """(6,) N, N m: r, the estimate; a view of what the next tick changes."""
+        """(6,) N, N m: r, the estimate; a view that the next tick changes."""
         self.reset()
 
     def reset(self) -> None:
-        """No load, no force under way."""
+        """Reset to no load and no force under way."""
         self.path.reset()
         for name in ("residual", "begun", "follows"):
             self.record[name] = 0

@@ -1,14 +1,14 @@
-"""Where the platform is: forward kinematics seeded with the last pose, and a watch on its assembly.
+"""Pose from leg lengths: forward kinematics from the last pose, with a check of the assembly mode.
 
-Six lengths belong to up to 40 poses, and Newton's method finds one of them wherever it starts. It is the
-one that the machine can have reached if the iteration started well inside the region of Kantorovich's
-theorem: with K a Lipschitz constant of J^-1 dJ and eta the first step, h = K eta <= 1/2 means that there
-is exactly one solution within 2 eta and that J is regular on the way to it. In that region each Newton
-step is at most h/2 times the one before (Deuflhard, Newton Methods for Nonlinear Problems, 2004, 2.1), so
-a ratio Theta > 1/4 of two steps proves that h > 1/2. The converse does not hold, Theta being seen along
-the iteration only, hence a factor of two: ``hop`` = 8 max Theta, steps measured as the largest
-displacement of a platform joint. hop >= 1 means that the change of the lengths does not explain the
-change of the pose. Tracking at 1 kHz gives about 0.01.
+Six lengths belong to up to 40 poses, and Newton's method finds one of them from any start. It is the pose
+that the machine can have reached if the iteration started well inside the region of Kantorovich's theorem:
+with K a Lipschitz constant of J^-1 dJ and eta the first step, h = K eta <= 1/2 means that there is exactly
+one solution within 2 eta and that J is regular on the way to it. In that region each Newton step is at most
+h/2 times the one before (Deuflhard, Newton Methods for Nonlinear Problems, 2004, 2.1), so a ratio Theta > 1/4
+of two steps proves that h > 1/2. The converse does not hold, as Theta is observed along the iteration only,
+hence a factor of two: ``hop`` = 8 max Theta, with steps measured as the largest displacement of a platform
+joint. hop >= 1 means that the change of the lengths does not explain the change of the pose. Tracking at 1
+kHz gives about 0.01.
 """
 
 from typing import Any
@@ -37,17 +37,16 @@ ESTIMATOR = np.dtype(
 )
 """The robot, and the last pose: m, base frame."""
 TOLERANCE_M = 1e-10
-"""Largest residual that ends Newton's method; the last one is mostly far smaller."""
+"""Residual that ends Newton's method; the final residual is mostly far smaller."""
 MAX_ITERATIONS = 12
-"""Newton steps before giving up."""
+"""Largest number of Newton steps."""
 
 
 class Estimator:
     """Tracks the pose from tick to tick.
 
     Mutable state: the last pose, ``p`` and ``R``, in its `record`. ``update`` adopts a new one only if
-    Newton's method converged and ``hop`` < 1, so that a doubtful tick cannot become the truth by being
-    repeated.
+    Newton's method converged and ``hop`` < 1, so a doubtful tick cannot become valid by repetition.
 
     Parameters
     ----------
@@ -58,7 +57,7 @@ class Estimator:
     Raises
     ------
     KinematicsError
-        Where p0 is not finite or R0 no rotation.
+        If p0 is not finite, or R0 is not a rotation.
     """
 
     def __init__(self, platform: Platform, p0: ArrayLike, R0: ArrayLike) -> None:
@@ -72,7 +71,7 @@ class Estimator:
         self.reset(p0, R0)
 
     def adopt(self, p: Array, R: Array) -> None:
-        """Take p (3,) m and R (3, 3) as the last pose."""
+        """Store p (3,) m and R (3, 3) as the last pose."""
         self.record["p"], self.record["R"] = p, R
 
     def reset(self, p0: ArrayLike, R0: ArrayLike) -> None:
@@ -89,7 +88,7 @@ class Estimator:
     def acquire(self, q: Array) -> bool:
         """Move the last pose to the lengths ``q`` (6,) m, far away or after a gap; False if it cannot.
 
-        Follows a straight line in the lengths, in steps that each pass the watch: see
+        Follows a straight line in the lengths, in steps that each pass the assembly check: see
         ``hil.robot.kinematics.continue_kinematics``. Takes up to some milliseconds: not for the loop.
         """
         own = self.record
@@ -110,12 +109,12 @@ class Estimator:
 
 @kernel(record(ESTIMATOR), record(TICK, *part("estimate")))
 def estimate_pose(own: Any, tick: Any) -> float:
-    """Fill the estimate from its q and dq, started at the last pose; return the residual, m. Never raises.
+    """Fill the estimate from its q and dq, from the last pose on; return the residual, m. Never raises.
 
-    twist = J^-1 dq. Where Newton's method fails (`fk_residual` inf), p and R are those of the last pose, and
-    J, twist, condition belong there. `condition` as in ``condition_kernel`` with the platform's radius; inf
-    and twist nan where J is singular. `hop` >= 1: the pose may belong to another assembly than the last one.
-    The pose becomes the last one unless one of the two holds.
+    twist = J^-1 dq. If Newton's method fails (`fk_residual` inf), p and R are those of the last pose, with J,
+    twist and condition there. `condition` as in ``condition_kernel`` with the platform's radius; inf, with
+    twist nan, if J is singular. `hop` >= 1: the pose may belong to another assembly than the last one.
+    Without these two failures the pose becomes the last one.
     """
     a, b = own.base_joints, own.platform_joints
     p, R, J = tick.p, tick.R, tick.J

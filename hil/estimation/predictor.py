@@ -1,8 +1,8 @@
-"""Where the platform will be when the force that is computed now acts.
+"""Prediction of the platform's state at the time when the force that is computed now acts.
 
-What happens until then is decided already: by the motion, by the forces under way, by gravity. Only the part
-of the horizon after the new command's arrival is not, and there the last command is taken to go on: along a
-smooth path it differs by one period's change.
+The motion until then is determined already: by the present motion, the forces under way, and gravity. Only
+the part of the horizon after the arrival of the new command is open. There the last command is assumed to
+continue: along a smooth path the error is one period's change.
 """
 
 from typing import Any
@@ -22,16 +22,16 @@ from hil.robot.kinematics_kernels import lengths_and_jacobian
 PREDICTOR = np.dtype(
     [(name, "<i8") for name in ("path", "segments", "count", "constants", "code", "begun", "tick")]
 )
-"""Where the record of the force path is, and the segments of the horizon, and how many; the model; whether a
-tick has been seen, and which was the last."""
+"""Address of the record of the force path; the segments of the horizon, and their number; the model; whether
+a tick has been seen, and the last one."""
 _SEGMENT_BYTES = SEGMENT.itemsize
 
 
 @pointed(record(PREDICTOR), INTEGER, record(TICK, "tick", *part("estimate")))
 def ahead(k: Any, free: int, tick: Any) -> int:
-    """Move the state of a tick on by the horizon, q, dq, p, R, twist, J; call it once a tick.
+    """Advance the state of a tick by the horizon, q, dq, p, R, twist, J; call it once a tick.
 
-    free: 1, all brakes are open. Where they are not, the platform stays where it is.
+    free: 1, all brakes are open. Otherwise the platform stays at its pose.
     """
     path = path_at(k.path)
     force, mean = np.empty(6), np.empty(6)
@@ -68,14 +68,15 @@ class Predictor:
     """The state a fixed time after the measurement: M dtwist + H + G = J^T (tau - friction) + wrench.
 
     Each command's share of the horizon is one step, second order in its length: half the way with the old
-    twist, the twist's change by the mean force at the pose half way, half the way with the new one. The
-    rotation moves by the Cayley map, which is orthogonal. With 1 kHz and 2 ms the steps add less than 1 um.
+    twist, the change of the twist by the mean force at the midpoint pose, half the way with the new twist.
+    The rotation moves by the Cayley map, which is orthogonal. With 1 kHz and 2 ms the steps add less than 1
+    um.
 
     Mutable state: the forces under way and the tick of the last call. `reset` forgets both.
     """
 
     def __init__(self, model: Model, path: ForcePath, hold_s: float) -> None:
-        """path: how commands become forces; hold_s: how late, on average, a held command acts."""
+        """path: how commands become forces; hold_s: mean delay of a held command."""
         self.model = model
         self.horizon_s = path.transport_s + path.lag_s + hold_s
         self.path = path
@@ -83,10 +84,10 @@ class Predictor:
         places = {"path": path.record, "segments": self._segments, "constants": model.constants}
         self.record = context_of(PREDICTOR, count=len(self._segments), code=model.code, **places)
         self.look = Callee(ahead.address, data_at(self.record), self)
-        """(predictor, free, tick): `ahead`."""
+        """Arguments: (predictor, free, tick), of `ahead`."""
         self.reset()
 
     def reset(self) -> None:
-        """No force under way."""
+        """Reset to no force under way."""
         self.path.reset()
         self.record["begun"] = 0

@@ -1,1 +1,1 @@
-"""One tick and what drives it: cycle, modes, motion, daemon, replay."""
+"""The control loop: one tick (cycle, modes, motion), the daemon that runs it, and replay."""

@@ -1,4 +1,4 @@
-"""Set-points on their way into motion: which poses are admitted, also on the way, and which are refused."""
+"""Checks that admit or refuse set-points, and the poses on the way to them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,8 +27,8 @@ from hil.trajectory.override import CURVATURE, PEAK
 from hil.trajectory.path import PoseSample
 
 CLEARANCE_M = 1e-3
-"""Room that set-points leave before the soft ends, beyond which moving on is a fault: for the law's error,
-and for the way between two poses that are judged."""
+"""Distance of set-points from the soft ends, beyond which outward motion is a fault. It leaves room for the
+tracking error, and for the path between two checked poses."""
 _STILL = (0.0, 0.0, 0.0)
 _NOT_A_POSE, _STROKE = int(Refusal.NOT_A_POSE), int(Refusal.STROKE)
 _CONDITION, _FORCE, _SPEED = int(Refusal.CONDITION), int(Refusal.FORCE), int(Refusal.SPEED)
@@ -42,13 +42,13 @@ ADMISSION = np.dtype(
         *((name, "<f8") for name in ("condition", "force", "speed", "deceleration")),
     ]
 )  # fmt: skip
-"""Robot and address of the model's constants, largest accelerations of the axes, and limits: lengths of a
-set-point and on the way, condition, force, rate of a leg and its deceleration."""
+"""Robot geometry, address of the model's constants, largest axis accelerations, and limits: leg lengths of a
+set-point (low, high) and on the way (soft), condition number, force, rate and deceleration of a leg."""
 
 
 @pointed(record(ADMISSION), INTEGER)
 def judge(k: Any, words: int) -> int:
-    """Return the bits of Refusal against the six words (6,) m, rad at an address; see `Admission`."""
+    """Refusal bits for the pose of six words (6,) m, rad at an address; see `Admission`."""
     chi, constants = reals_at(words, 6), reals_at(k.constants, SIZE)
     if not all_finite(chi) or chi[3] * chi[3] + chi[4] * chi[4] + chi[5] * chi[5] > math.pi * math.pi:
         return _NOT_A_POSE
@@ -75,7 +75,7 @@ def judge(k: Any, words: int) -> int:
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
 def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int:
-    """Return the bits of Refusal against a sample of a move; see `Admission.on_the_way`."""
+    """Refusal bits for one sample of a move; see `Admission.on_the_way`."""
     q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
     J = jacobian_kernel(k.base_joints, k.platform_joints, p, R)
     dq = np.zeros_like(twist)
@@ -99,9 +99,9 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
 def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faster: float) -> float:
-    """Return the most, N, that a leg's force changes by within WINDOW_S; see `Admission.change_N`.
+    """Largest change, N, of a leg's force within WINDOW_S; see `Admission.change_N`.
 
-    faster: largest d sigma/dt over sigma, 1/s. nan where it is no number.
+    faster: largest d sigma/dt over sigma, 1/s. nan where the change is not a number.
     """
     constants, still, most = reals_at(k.constants, SIZE), np.zeros_like(twist), 0.0
     turn, turned = np.empty_like(R), np.empty_like(R)
@@ -126,10 +126,10 @@ def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faste
 
 
 class Admission:
-    """Refuses poses at or beyond a soft end of the stroke, near a singularity, or that take too much force.
+    """Refuses poses near a soft end of the stroke, near a singularity, or with too much leg force.
 
-    At an end is nearer than CLEARANCE_M. The force is what holds the platform at rest there plus, at worst,
-    what the largest acceleration of each axis takes, ddchi (6,) m/s^2, rad/s^2.
+    Near an end: within CLEARANCE_M. The force holds the platform at rest and, in the worst case, also gives
+    each axis its largest acceleration, ddchi (6,) m/s^2, rad/s^2.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Admission:
         ddchi: Array,
         stop_s: float,
     ) -> None:
-        """Take the largest accelerations of the axes, and in which time a jog comes to rest, s."""
+        """ddchi: largest accelerations of the axes; stop_s: time that a jog takes to come to rest, s."""
         soft_min, soft_max = length_min + limits.stroke_margin_m, length_max - limits.stroke_margin_m
         self._record = context_of(
             ADMISSION,
@@ -164,39 +164,39 @@ class Admission:
         )
         self._model = model
         self.callee = Callee(judge.address, data_at(self._record), self)
-        """(admission, address of six words): what a call does."""
+        """Compiled form of a call: (admission record, address of six words)."""
         self._stop_s, self._window_N = stop_s, limits.force_window_N
 
     def __call__(self, chi: Array) -> int:
-        """Return the bits of Refusal against the six words chi (6,) m, rad; 0 for a good pose."""
+        """Refusal bits for the six words chi (6,) m, rad; 0: the pose is admitted."""
         return judge(self._record, np.ascontiguousarray(chi, np.float64))
 
     def on_the_way(self, s: PoseSample) -> int:
-        """Return the bits of Refusal against a sample of a move: what `hil check` asks of a reference.
+        """Refusal bits for one sample of a move, by the checks of `hil check` on a reference.
 
-        Soft ends of the stroke, condition, rates of the legs, the braking way before a soft end, and force.
+        Soft ends of the stroke, condition number, leg rates, braking distance to a soft end, and force.
         """
         R = np.ascontiguousarray(s.R)
         return judge_moving(self._record, s.p, R, s.twist, s.dtwist)
 
     def change_N(self, s: PoseSample, sigma: float) -> float:
-        """Return the most, N, that the force of a leg changes by within 250 ms of a jog near a sample of it.
+        """Largest change, N, of a leg's force within 250 ms of a jog near a sample.
 
-        By weight over that way, by speed, and by the inertia that starts and stops it, each way with the
-        largest d sigma/dt on the way from 0 to sigma, the share of the sample's speed; see
-        `hil.trajectory.override`. nan where it is no number.
+        It adds up the change of weight along the motion, the force due to speed, and the inertia forces of
+        start and stop. These use the largest d sigma/dt between 0 and sigma, the share of the sample's speed;
+        see `hil.trajectory.override`. nan where the change is not a number.
         """
         faster = min(PEAK, math.sqrt(CURVATURE * sigma)) / (self._stop_s * sigma) if sigma > 0.0 else 0.0
         R, twist = np.ascontiguousarray(s.R), sigma * s.twist
         return float(change_within(self._record, s.p, R, twist, sigma * sigma * s.dtwist, faster))
 
     def too_sudden(self, s: PoseSample, sigma: float) -> bool:
-        """Tell whether a jog near a sample of it could change a force by more than limits.force_window_N."""
+        """True where a jog near a sample could change a leg's force by more than limits.force_window_N."""
         return not self.change_N(s, sigma) <= self._window_N
 
 
 class Counts(NamedTuple):
-    """How many set-points have been taken and refused so far, and why in this tick."""
+    """Numbers of set-points accepted and refused so far, and the Refusal bits of this tick."""
 
     taken: int
     refused: int
@@ -207,30 +207,30 @@ NO_SETPOINTS = Counts(0, 0, 0)
 
 
 class Steering:
-    """Sends a live trajectory where the set-points ask it to go.
+    """Passes accepted set-points to a live trajectory.
 
-    Mutable state: the trajectory's own, the counts, and the answers to the set-points of the last tick.
-    `reset` restores the initial one.
+    Mutable state: that of the trajectory, the counts, and the answers to the set-points of the last tick.
+    `reset` restores the initial state.
     """
 
     def __init__(self, trajectory: LiveTrajectory, admission: Callable[[Array], int], judge: Callee) -> None:
-        """Take the judge of poses (6,) m, rad: bits of Refusal against them; see `hil.loop.admission`.
+        """admission: gives the Refusal bits of a pose (6,) m, rad; see `hil.loop.admission`.
 
-        judge: the same by address, see `LiveTrajectory.advance`.
+        judge: the same check by address, see `LiveTrajectory.advance`.
         """
         self.trajectory = trajectory
         self._admission, self.judge = admission, judge
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start, with nothing counted."""
+        """Reset the trajectory, the counts and the answers."""
         self.trajectory.reset()
         self.counts = NO_SETPOINTS
         self.answers: list[int] = []
-        """Bits of Refusal for each set-point of the last tick, in their order."""
+        """Refusal bits for each set-point of the last tick, in order."""
 
     def take(self, setpoints: Sequence[SetPoint], *, tracking: bool) -> None:
-        """Take this tick's set-points: only while `tracking`; of several good ones the last is followed."""
+        """Check this tick's set-points and aim at the last accepted one. Unless `tracking`, refuse all."""
         taken, refused, refusal = self.counts
         refusal = 0
         if setpoints or self.answers:
@@ -248,11 +248,11 @@ class Steering:
         self.counts = Counts(taken, refused, refusal)
 
     def stopped(self, against: int) -> None:
-        """Count a stop on the way, with what was found against it."""
+        """Count a stop on the way, with the Refusal bits `against` it."""
         taken, refused, refusal = self.counts
         self.counts = Counts(taken, refused + 1, refusal | against | int(Refusal.ON_THE_WAY))
 
     @property
-    def tells(self) -> bool:
-        """Whether the next tick has to take back what this one says."""
+    def answered(self) -> bool:
+        """True while the next tick must clear the counts or answers of this one."""
         return bool(self.counts.refusal or self.answers)

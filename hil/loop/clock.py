@@ -23,11 +23,11 @@ class Wake(NamedTuple):
     """Scheduled time."""
     lateness_ns: int
     skipped: int
-    """Whole periods that were over before the loop came back."""
+    """Whole periods that had passed before the loop came back."""
 
 
 class Deadlines:
-    """Absolute deadlines t0 + k T that keep phase: periods that are over are skipped, never caught up.
+    """Absolute deadlines t0 + k T that keep phase: missed periods are skipped, never caught up.
 
     Mutable state: the last tick. Times are those of `clock`, ns.
     """
@@ -42,7 +42,7 @@ class Deadlines:
         self.tick = -1
 
     def wait(self) -> Wake:
-        """Sleep, then spin, until the next deadline that is still ahead."""
+        """Sleep, then spin, until the next deadline in the future."""
         tick = self.tick + 1
         now = self.clock.now()
         skipped = max(0, (now - self.start_ns) // self.period_ns - tick)
@@ -56,20 +56,20 @@ class Deadlines:
 
 @dataclass
 class RealTime:
-    """What the kernel granted, and what it did not."""
+    """Real-time settings that the kernel granted, and those that are missing."""
 
     granted: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
 
     @property
     def fifo(self) -> bool:
-        """Whether the loop has SCHED_FIFO."""
+        """True if the loop has SCHED_FIFO."""
         return "SCHED_FIFO" in self.granted
 
 
 @contextlib.contextmanager
 def collector_paused() -> Iterator[None]:
-    """Keep the garbage collector out of a loop that makes no cycles: a full collection takes milliseconds."""
+    """Disable the garbage collector: a full collection takes milliseconds, and the loop makes no cycles."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -81,9 +81,9 @@ def collector_paused() -> Iterator[None]:
 
 @contextlib.contextmanager
 def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
-    """Ask for real-time scheduling as `real_time_rights`, and keep the garbage collector, frozen, out.
+    """Request real-time scheduling as `real_time_rights`; freeze and disable the garbage collector.
 
-    Undone on exit; what others had frozen before stays so. Compile and allocate before entering.
+    Undone on exit; objects frozen before stay frozen. Compile and allocate before entering.
     """
     with real_time_rights(priority, cpu) as report:
         others = gc.get_freeze_count()
@@ -99,10 +99,10 @@ def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
 
 @contextlib.contextmanager
 def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
-    """Ask for real-time scheduling of this process, each part only as far as the rights go.
+    """Request real-time scheduling of this process; each part as far as the rights go.
 
-    SCHED_FIFO (reset on fork), pinning only together with it, locked memory on fault, no deep CPU sleep.
-    Undone on exit: policy and priority are what they were, as far as the rights go.
+    SCHED_FIFO (reset on fork), with it CPU pinning, memory locked on fault, no deep CPU sleep.
+    On exit, policy and priority are restored as far as the rights go.
     """
     report = RealTime()
     latency = None
@@ -130,7 +130,7 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
 
 
 def fifo_allowed(priority: int) -> bool:
-    """Say whether this process may have SCHED_FIFO at this priority; leaves it as `real_time_rights` does."""
+    """True if this process may use SCHED_FIFO at this priority; restores the policy as the rights allow."""
     scheduling = _scheduling()
     try:
         _fifo(priority)
@@ -154,14 +154,14 @@ def _fifo(priority: int) -> None:
 
 
 def _scheduling() -> tuple[int, os.sched_param]:
-    """Return the policy, with whether it is reset on fork, and its parameters."""
+    """Scheduling policy, including its reset-on-fork flag, and its parameters."""
     return os.sched_getscheduler(0), os.sched_getparam(0)
 
 
 def _reschedule(policy: int, parameters: os.sched_param) -> None:
-    """Go back to a policy from `_fifo`, as far as the rights go.
+    """Restore the policy from before `_fifo`, as far as the rights go.
 
-    An ordinary user may not end the reset on fork.
+    An ordinary user may not remove the reset-on-fork flag.
     """
     try:
         os.sched_setscheduler(0, policy, parameters)
@@ -181,20 +181,21 @@ def _mlockall(flags: int) -> None:
 
 
 STALL_S = 0.040
-"""Longest stall expected of a machine that does not keep real time (32 ms was seen)."""
+"""Longest stall expected on a machine without real-time scheduling (32 ms was measured)."""
 LATE_PERIODS = 0.1
-"""A wake-up later than this part of the period is late."""
+"""A wake-up is late beyond this share of the period."""
 LATE_SHARE = 0.01
-"""A machine with more late wake-ups under SCHED_FIFO does not keep real time."""
+"""With a larger share of late wake-ups under SCHED_FIFO, a machine does not keep real time."""
 SLOWEST_Hz = 100.0
-"""No loop is slowed below this: the delay of a slower one takes the phase margin of a usual control law."""
+"""Lowest rate that is proposed: a slower loop has a delay that uses up the phase margin of a usual control
+law."""
 
 
 def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[float, float]:
-    """Return the highest of rate, rate/2, rate/4 ... that is held without real time, and the worst wake-up.
+    """Highest of rate, rate/2, rate/4 ... that holds without real-time scheduling, and the worst wake-up, s.
 
-    The worst wake-up (s) is measured now, under the present load. A stall of `periods` periods ends a run: at
-    the rate returned they take STALL_S or twice the worst wake-up, whichever is longer. Not below SLOWEST_Hz.
+    Measures the worst wake-up now, under the present load. A stall of `periods` periods ends a run: at the
+    returned rate these take at least STALL_S and twice the worst wake-up. Not below SLOWEST_Hz.
     """
     deadlines = Deadlines(rate_Hz, 0.0)
     wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
@@ -206,7 +207,7 @@ def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[f
 
 
 def late_share(rate_Hz: float, priority: int, seconds: float = 0.5) -> float:
-    """Return the share of late wake-ups under SCHED_FIFO, measured now, under the present load."""
+    """Share of late wake-ups under SCHED_FIFO, measured now, under the present load."""
     with real_time(priority, None):
         deadlines = Deadlines(rate_Hz, 0.0)
         wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
@@ -215,5 +216,5 @@ def late_share(rate_Hz: float, priority: int, seconds: float = 0.5) -> float:
 
 
 def resident_MB() -> float:
-    """Return the peak resident memory of this process, MB."""
+    """Peak resident memory of this process, MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0

@@ -1,8 +1,8 @@
 """The compiled pass of a tick: from frames to the estimate, and from the reference to frames.
 
-`observe` decodes and estimates; then the cycle looks at what it returns and decides where there is something
-to be decided; `act` goes from the reference through law and safety to the encoded command. Both work on one
-record, CONTROL, which the cycle owns; what differs from robot to robot is a function by address.
+`observe` decodes and estimates. If its result is not 0, the cycle decides next. `act` then goes from the
+reference through law and safety to the encoded command. Both work on one record, CONTROL, which the cycle
+owns. Functions that differ between robots are called by address.
 """
 
 from typing import Any
@@ -73,20 +73,20 @@ CONTROL = np.dtype(
         ("sent", "<i8"),  # frames of the command
     ]
 )  # fmt: skip
-"""The controller's state between Python and the pass. Addresses and flags are integers."""
+"""The controller's state, shared between Python and the compiled pass. Addresses and flags are integers."""
 
 DIALOGUE, UNLOCATED, MODE = 1, 2, 4
-"""What `observe` returns, added up: the drives' dialogue has news, the pose is still to be found, a mode may
-end."""
+"""Bits that `observe` returns: news in the drives' dialogue; the pose is not yet found; the mode may end."""
 EFFORT, JUDGE, COMMAND = 1, 2, 4
-"""Parts of `act`."""
+"""Parts of `act`, as bits."""
 ALL = EFFORT | JUDGE | COMMAND
 DONE, VERDICT, UNFIT, STOPPED = range(4)
-"""How `act` ends: all done; before the command, as there is a verdict to look at; a force does not fit; at
-its beginning, as a live reference stops on its way: what is against that is the verdict."""
+"""Results of `act`: complete; stopped before the command, with a verdict to handle; a force does not fit its
+field; stopped at the start, as the live reference stops on its way: its Refusal bits are the verdict."""
 NEVER = 1 << 62
 AGREED_m = 1e-4
-"""A fused pose that fits all six lengths so well is one from which the legs alone can go on."""
+"""Residual, m, below which a fused pose agrees with all six lengths, so that the legs alone can go on from
+it."""
 _ALL_LEGS = (1 << 6) - 1
 WHOLE = -1
 _WARN_SENSOR, _WARN_SETPOINT = int(Warn.SENSOR), int(Warn.SETPOINT)
@@ -108,13 +108,13 @@ _sample_at = record_at(record(SAMPLE))
 
 @helper
 def controlled(mode: int) -> bool:
-    """Tell whether the law acts in a mode."""
+    """True in a mode in which the law acts."""
     return bool(_CONTROLLED >> mode & 1)
 
 
 @helper
 def estimate(c: Any, tick: Any) -> None:
-    """Fill the estimate of a tick, a leg without fresh data being carried on at its last rate."""
+    """Fill the estimate of a tick. A leg without fresh data is extrapolated at its last rate."""
     for i in range(6):
         if tick.age[i]:
             for j in range(6):
@@ -125,7 +125,7 @@ def estimate(c: Any, tick: Any) -> None:
 
 @helper
 def fuse(c: Any, tick: Any, last: Any) -> None:
-    """Let the filter fill the estimate of a tick, once it has begun."""
+    """Fill the estimate of a tick by the fusion filter, after it has begun."""
     tau = np.int64(last.tau.ctypes.data)
     call(c.fuse, (c.filter, c.sensors, tau, c.last_load, c.tick))
     if tick.legs_used == _ALL_LEGS and tick.fk_residual < AGREED_m:
@@ -143,7 +143,7 @@ def load(c: Any) -> None:
 
 @helper
 def may_end(c: Any, tick: Any) -> bool:
-    """Tell whether the present mode may end in a tick, so that the cycle has to look."""
+    """True if the present mode may end in this tick, so that the cycle has to check."""
     elapsed = tick.tick - c.mode_tick
     if c.watchful or elapsed > c.overdue or tick.tick >= c.key_until or tick.altered:
         return True
@@ -161,7 +161,7 @@ def may_end(c: Any, tick: Any) -> bool:
 def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
     """Fill measurement, estimate and wrench of a tick from its input columns and the frames received.
 
-    Returns what there is to look at, bits of DIALOGUE, UNLOCATED, MODE; 0: nothing.
+    Returns bits of DIALOGUE, UNLOCATED and MODE for the cycle to handle; 0: none.
     """
     c.tick, c.last = address_of(tick), address_of(last)
     tick.frames_received = frames.shape[0]
@@ -187,7 +187,7 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
 
 @helper
 def entry_share(c: Any, number: int) -> float:
-    """Return how much of the entry offset is left, 1 .. 0."""
+    """Remaining share of the entry offset, 1 .. 0."""
     if c.entry_tick == WHOLE:
         return 1.0
     if c.blend_s == 0.0:
@@ -197,7 +197,7 @@ def entry_share(c: Any, number: int) -> float:
 
 @helper
 def place(c: Any, tick: Any) -> None:
-    """Fill the reference of a tick: where the motion is, or the pose itself where nothing is controlled."""
+    """Fill the reference of a tick: the sample of the motion, or the pose itself where no law acts."""
     sample, motion, override = _sample_at(c.sample), _motion_at(c.motion), _override_at(c.override)
     if controlled(c.mode) or c.mode == _UNLOADING:
         place_reference(override, motion.function, motion.context, tick.tick, sample)
@@ -214,7 +214,7 @@ def place(c: Any, tick: Any) -> None:
 
 @helper
 def all_free(tick: Any) -> bool:
-    """Tell whether all brakes are open, on the drives' own word."""
+    """True if all drives report that their brakes are open."""
     for i in range(6):  # noqa: SIM110 - compiled
         if tick.drive_state[i] != _FREE:
             return False
@@ -223,10 +223,10 @@ def all_free(tick: Any) -> bool:
 
 @helper
 def seen_by_law(c: Any, tick: Any) -> Any:
-    """Return the address of the tick as the law sees it: now, or when its force will act.
+    """Address of the tick as the law sees it: now, or at the instant when its force will act.
 
-    Safety judges the present one. The external wrench comes in as the entry offset goes out: each alone makes
-    up for what the law's own model does not hold.
+    Safety judges the present tick. The external wrench fades in as the entry offset fades out: both stand for
+    the load that the law's own model does not contain.
     """
     if not (c.predict or c.has_load):
         return c.tick
@@ -251,7 +251,7 @@ def seen_by_law(c: Any, tick: Any) -> Any:
 
 @helper
 def fill_effort(c: Any, tick: Any) -> None:
-    """Fill the law's own force, what was learned, and what is asked for, (6,) N each."""
+    """Fill the law's own force, the learned force, and the sum asked for, (6,) N each."""
     acts = 0
     if c.learn:
         given = (c.learner, c.motion, c.override, tick.tick, c.mode, c.mode_tick, c.along, c.faults)
@@ -286,15 +286,15 @@ def fill_effort(c: Any, tick: Any) -> None:
 
 @helper
 def within(value: float, low: float, high: float) -> float:
-    """Return a value between two ends; nan stays nan."""
+    """The value clamped to low .. high; nan stays nan."""
     return low if value < low else min(value, high)
 
 
 @helper
 def judge_pass(c: Any, tick: Any) -> bool:
-    """Let safety judge a tick, and limit the force asked for with that of the probe: its verdict, and tau.
+    """Fill safety's verdict, the probe force, and tau: the limited sum of asked and probe force.
 
-    Tells whether the verdict is to be looked at, or a push that begins.
+    True if there is a verdict to handle, or a push begins.
     """
     tick.mode, begins = c.mode, False
     window, watched = reals_at(c.window, (c.window_rows, 6)), reals_at(c.watched, (c.watched_rows, 6))
@@ -335,9 +335,9 @@ def send(c: Any, tick: Any, into: Any) -> int:
 
 @kernel(_CONTROL, _TICK, records(FRAME), INTEGER)
 def act(c: Any, tick: Any, into: Any, parts: int) -> int:
-    """Go through the parts of a tick, EFFORT, JUDGE, COMMAND; return how it ends.
+    """Run the given parts of a tick, EFFORT, JUDGE, COMMAND; return one of the results above.
 
-    into: elements of FRAME for the command, `sent` of which are filled.
+    into: elements of FRAME for the command; the record's `sent` counts the filled ones.
     """
     if parts & EFFORT:
         if c.live_since != NEVER:

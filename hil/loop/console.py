@@ -1,4 +1,4 @@
-"""The operator of a run: what he says by signals, Enter and the channel, his answers, and the status."""
+"""The operator's side of a run: commands by signal, Enter and channel, their answers, and the status."""
 
 import json
 from collections.abc import Callable
@@ -17,21 +17,21 @@ from hil.operate.channel import Heard, OperatorChannel
 from hil.record import Recording
 from hil.signals import Operator, explain
 
-NOT_LIVE = "the reference takes no set-points: reference.type has to be live"
+NOT_LIVE = "only a live reference takes set-points: set reference.type to live"
 REFUSED = "operator's command refused: "
-"""How the log begins to say so."""
+"""Prefix of the log event for a refused command."""
 
 
 def refusal(command: Operator, mode: Mode, *, was_held: bool, goes_on: bool) -> str:
-    """Return why a word without numbers cannot be taken in a mode; empty where it can.
+    """Reason why a command without numbers is refused in a mode; empty if it is accepted.
 
-    was_held: the platform was in the tick before, too; goes_on: see `hil.loop.run_end.Course`.
+    was_held: the platform was also held in the tick before; goes_on: see `hil.loop.run_end.Course`.
     """
     match command:
         case Operator.ENGAGE if mode is not Mode.IDLE:
-            return f"there is nothing to arm in mode {mode.name}: all drives have to be ready (IDLE)"
+            return f"cannot arm in mode {mode.name}: all drives have to be ready (mode IDLE)"
         case Operator.RELEASE if not (mode is Mode.HELD and was_held):
-            return "nothing is held: no platform whose brakes failed"
+            return "nothing is held: release is for a platform that force holds (mode HELD)"
         case Operator.RESET if mode not in {Mode.FAULT, Mode.WAITING} and not (
             mode is Mode.PARKED and goes_on
         ):
@@ -41,20 +41,20 @@ def refusal(command: Operator, mode: Mode, *, was_held: bool, goes_on: bool) -> 
 
 
 def setpoint_refusals(cycle: Cycle, count: int) -> list[str]:
-    """Return why each of the last tick's `count` set-points was refused; empty where it was taken."""
+    """Reason for the refusal of each of the last tick's `count` set-points; empty where it was accepted."""
     steering = cycle.parts.steering
     return [NOT_LIVE] * count if steering is None else [explain(each) for each in steering.answers]
 
 
 STATUS_S = 0.01
-"""How old a status may be: composing one takes some 50 us."""
+"""Largest age of a status: composing one takes some 50 us."""
 
 
 class Console:
     """Gathers the operator's commands of a tick, and answers them after it.
 
-    Mutable state: whether the platform was held in the last tick, why commands of this one were refused, how
-    many set-points nobody takes, and the last status with its tick.
+    Mutable state: whether the platform was held in the last tick, reasons for this tick's refusals, the
+    number of set-points without a live reference, and the last status with its tick.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Console:
         self._status, self._status_tick = "", -1
 
     def take(self) -> Heard:
-        """Return what the operator has said since the last tick, without what was refused."""
+        """Commands that came since the last call, without the refused ones."""
         course, mode = self.course, self.course.cycle.mode
         held = mode is Mode.HELD
         was_held, self._held = self._held, held
@@ -84,7 +84,7 @@ class Console:
         if self.channel is None:
             return Heard(operator)
         # What came before the platform was held must not release it, whenever it is read.
-        heard = self.channel.take(anew=held and not was_held)
+        heard = self.channel.take(mark_old=held and not was_held)
         if course.cycle.parts.steering is None:
             self._not_live = len(heard.setpoints)
             heard = heard._replace(setpoints=())
@@ -100,7 +100,7 @@ class Console:
         return heard._replace(operator=operator + (Operator.STOP,) * (Operator.END in taken))
 
     def answer(self, recording: Recording, t_ns: int) -> None:
-        """Tell who waits what became of his commands, and the log what was refused."""
+        """Answer the waiting clients, and log the refusals."""
         cycle, channel = self.course.cycle, self.channel
         steering, operating = cycle.parts.steering, cycle.operating
         if steering is not None and steering.counts.refusal:
@@ -122,7 +122,7 @@ class Console:
 
 
 def waits_for(course: Course) -> str:
-    """Say what the operator could do for the platform to move; empty where it needs nothing."""
+    """The operator action that the platform needs in order to move; empty if it needs none."""
     cycle = course.cycle
     mode, operating = cycle.mode, cycle.operating
     if mode is Mode.WAITING:
@@ -138,19 +138,19 @@ def waits_for(course: Course) -> str:
             return NO_KEY
         if operating.trouble:
             return f"another order: {operating.trouble}"
-        return "start, which first goes back to where the path was left" if cycle.motion.away else "start"
+        return "start, which first returns to where the path was left" if cycle.motion.away else "start"
     if operating.moves(mode) and operating.speed == 0.0:
         return "a speed above 0 %"
     return ""
 
 
 def _known(values: Array) -> list[float] | None:
-    """Return values as a list; None where one is not finite, for which JSON has no number."""
+    """Values as a list; None if one is not finite, as JSON has no such number."""
     return values.tolist() if np.isfinite(values).all() else None
 
 
 def status_text(course: Course, malformed: int) -> str:
-    """Return the status as JSON; `hil.operate.client.OperatorClient.status` names its keys."""
+    """The status as JSON; `hil.operate.client.OperatorClient.status` lists its keys."""
     cycle = course.cycle
     tick, operating, motion = cycle.tick, cycle.operating, cycle.motion
     number = int(tick["tick"])

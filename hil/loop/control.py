@@ -1,4 +1,4 @@
-"""What the cycle and the compiled pass share: the one record of the control, and who keeps it current."""
+"""The record that the cycle and the compiled pass share, and the class that keeps it up to date."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ _ENDS_WITH = {
     Mode.PARKING: 1 << DriveState.READY | 1 << DriveState.FAULT,
     Mode.UNLOADING: _ANY,
 }
-"""Modes that end after a time, and the states of all six drives in which they do."""
+"""Modes that end after a time, and the states in which all six drives must be for that, as bits."""
 _WATCHED = frozenset({Mode.WAITING, Mode.FAULT, Mode.HELD})
 """Modes in which the cycle decides in each tick."""
 
 
 def ticks_from(seconds: float, period_s: float, *, beyond: bool = False) -> int:
-    """Return the fewest ticks that take so long at least, or longer where `beyond`."""
+    """Fewest ticks that last at least `seconds`, or longer than `seconds` with `beyond`."""
     n = max(ceil(seconds / period_s) - 1, 0)
     while n * period_s < seconds or (beyond and n * period_s == seconds):
         n += 1
@@ -37,13 +37,13 @@ def ticks_from(seconds: float, period_s: float, *, beyond: bool = False) -> int:
 
 
 class Control:
-    """The record of the control, of the parts that it points to.
+    """The control record, with the addresses of the parts that it points to.
 
-    `settle` brings what was decided into the record. Mutable state: the record.
+    `settle` copies the cycle's decisions into the record. Mutable state: the record.
     """
 
     def __init__(self, cycle: Any) -> None:
-        """Take the cycle (`hil.loop.cycle.Cycle`), whose parts are complete but for their first reset."""
+        """cycle: a `hil.loop.cycle.Cycle` with all its parts, before their first reset."""
         self._cycle = cycle
         parts, effort = cycle.parts, cycle.effort
         self.record: Record = np.zeros((), CONTROL)
@@ -91,7 +91,7 @@ class Control:
                 c["paths"][k] = data_at(follower.path.record)
 
     def settle(self, *, attentive: bool = False) -> None:
-        """Bring what has been decided into the record; attentive: the verdict of this tick is looked at."""
+        """Copy the cycle's decisions into the record. attentive: the cycle checks the tick's verdict."""
         cycle, c = self._cycle, self.record
         mode, operating, motion, effort = cycle.mode, cycle.operating, cycle.motion, cycle.effort
         period_s = cycle.period_s
@@ -116,7 +116,7 @@ class Control:
         c["watchful"] = (
             mode in _WATCHED
             or cycle.yields
-            or (steering is not None and steering.tells)
+            or (steering is not None and steering.answered)
             or motion.away
             or operating.busy(mode)
             or (stops and mode in STOPPABLE)
@@ -135,7 +135,7 @@ class Control:
             c["setpoints"] = steering.counts
 
     def act(self, tick: Record, into: Rows) -> int:
-        """Go from the reference of a tick to its command, `into`; return how `compiled_pass.act` ends."""
+        """Run a tick from its reference to its command in `into`; return the result of `act`."""
         if not self.probes:
             return act(self.record, tick, into, ALL)
         while act(self.record, tick, into, EFFORT):
@@ -144,14 +144,14 @@ class Control:
         return act(self.record, tick, into, JUDGE | COMMAND)
 
     def stop_on_the_way(self) -> None:
-        """Count that the live reference has stopped on its way."""
+        """Count a stop of the live reference on its way."""
         steering = self._cycle.parts.steering
         assert steering is not None
         steering.stopped(int(self.record["verdict"][0]))
         self.settle(attentive=bool(self.record["attentive"]))
 
     def probe(self, tick: Record) -> None:
-        """Watch the legs while a force holds them; one that does not obey gets none."""
+        """Check that the legs obey the holding force; take the force off a leg that does not."""
         cycle, watch = self._cycle, self._cycle.obedience
         last_tau = cycle.effort.last_tau
         if cycle.watches and watch.watch(tick, last_tau):

@@ -1,7 +1,7 @@
 """The controller: one pure step from received frames to frames to send.
 
-No clock, no file, no random number, no log. All that changes a decision is in TickInput; that is why a log
-replays to the bit.
+No clock, no file, no random number, no log. TickInput contains everything that changes a decision; that is
+why a log replays to the bit.
 
 ``frames -> decode -> estimate -> reference -> law -> safety -> encode -> frames``, each stage filling its
 columns of the tick's record (`drivers.tick_columns`).
@@ -37,16 +37,16 @@ from hil.safety.motion import REST_m_s
 from hil.signals import Operator, TickInput, TickOutput
 
 REST_PATIENCE_S = 1.0
-"""Legs that are not at rest so long after the motion has ended are a fault: they would never park."""
+"""Legs that still move this long after the end of the motion are a fault: otherwise they would never park."""
 
 
 class Cycle:
     """Six encoders in, six forces out, once per tick.
 
-    Mutable state, all of it: the dialogue with the drives, the records of the last two ticks, what is seen of
-    the platform, the forgotten turns, mode and the tick of its entry, latched faults, E-stop, whether the
-    brakes are proven shut, the motion, what the operator allows, the effort's ramps, the record of the
-    compiled pass, what law, observers, steering and safety keep. `reset` restores the initial one.
+    Mutable state: the dialogue with the drives, the records of the last two ticks, the observed platform
+    state, the forgotten turns, the mode and its entry tick, latched faults, emergency stop, brake proof, the
+    motion, the operator's permissions, the ramps of the effort, the record of the compiled pass, and the
+    states of law, observers, steering and safety. `reset` restores the initial state.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -69,34 +69,34 @@ class Cycle:
         self.end = parts.protocol.controller_end(parts.setup)
         """The dialogue with the drives."""
         self.control = Control(self)
-        """What the compiled pass works on."""
+        """The record of the compiled pass."""
         self.reset()
         self.first = parts.trajectory.sample(0.0)
-        """Where the reference begins."""
+        """Start of the reference."""
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
         parts = self.parts
         self.end.start()
         self.tick = self.last = new_record()
-        """The last tick's record, and the one before it."""
+        """Records of the last tick and of the one before it."""
         self.sight.reset()
         self.homing.reset()
         self.motion = Motion(self.period_s, parts.home_p, parts.home_R, parts.engage.stop_s)
         self.mode = Mode.WAITING
         self.mode_tick = 0
         self.looked = True
-        """Whether there was anything to decide in the last tick."""
+        """True if the last tick had something for the cycle to decide."""
         self._yields = False
-        """PARKING after a fault: the reference stays with the platform, and what holds it is all the force. A
-        law that was not followed could work against the brakes."""
+        """PARKING after a fault: the reference stays at the platform's pose, and the holding force is the
+        whole force. A law that the platform did not follow could work against the brakes."""
         self.proven = True
-        """A brake test has passed since the brakes were last open, or they have not been open."""
+        """True if a brake test has passed since the brakes were last open, or if they have not been open."""
         self.faults, self.estop = Fault.NONE, False
-        """An emergency stop is repeated until all drives confirm it."""
+        """Latched faults; emergency stop, which is repeated until all drives confirm it."""
         self.stop_requested = Stop.NONE
         self.reset_tick: int | None = None
-        """When the operator last asked to clear the drives' faults."""
+        """Tick at which the operator last requested that the drives' faults be cleared."""
         self.effort.reset()
         self.obedience.reset()
         self.operating.reset()
@@ -106,11 +106,11 @@ class Cycle:
         self.control.reset()
 
     def begin(self, tick: int) -> Rows:
-        """Return the frames that start a tick, elements of FRAME: the drives answer with their encoders."""
+        """Frames that start a tick, elements of FRAME: the drives answer them with their encoder readings."""
         return self.end.begin(tick)
 
     def step(self, inp: TickInput) -> TickOutput:
-        """Return what to send and what to record for one tick."""
+        """Run one tick; return the frames to send and the row to record."""
         tick, into = new_record(), np.empty(MOST_FRAMES, FRAME)
         put_input(tick, inp)
         look = observe(self.control.record, tick, self.tick, inp.frames)
@@ -118,13 +118,13 @@ class Cycle:
         return TickOutput(self.decide(inp, into, look), row_of(tick))
 
     def pass_on(self, last: Record, tick: Record) -> None:
-        """Take the records of the last two ticks, in which there was nothing to decide."""
+        """Store the records of the last two ticks, after ticks without anything to decide."""
         self.last, self.tick, self.looked = last, tick, False
 
     def decide(self, inp: TickInput, into: Rows, look: int = 0) -> Rows:
-        """Decide and act in a tick that has been observed; return its frames, elements of FRAME.
+        """Decide and act in a tick after `observe`; return its frames, elements of FRAME.
 
-        into: room for MOST_FRAMES of them; look: the value that `compiled_pass.observe` returned.
+        into: room for MOST_FRAMES of them; look: the result of `compiled_pass.observe`.
         """
         looked = look or inp.orders or inp.operator or inp.setpoints
         if looked:
@@ -134,12 +134,12 @@ class Cycle:
         return self.end_tick(inp, into, ended, looked=bool(looked or self.control.probes))
 
     def end_tick(self, inp: TickInput, into: Rows, ended: int, *, looked: bool = False) -> Rows:
-        """Return the frames of a tick for which `compiled_pass.act` returned `ended`."""
+        """Frames of a tick for which `compiled_pass.act` returned `ended`."""
         self.looked = looked or bool(ended)
         return self._finish(inp, self.tick, into, ended) if ended else into[: self.control.record["sent"]]
 
     def _decide(self, inp: TickInput, tick: Record, look: int) -> None:
-        """Look at what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
+        """Handle what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
         parts, number = self.parts, inp.tick
         if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
@@ -153,7 +153,7 @@ class Cycle:
             steering.take(inp.setpoints, tracking=follows and not self.operating.parks)
 
     def _finish(self, inp: TickInput, tick: Record, into: Rows, ended: int) -> Rows:
-        """Look at the verdict of a tick, and send what follows from it."""
+        """React to the verdict of a tick, and return the resulting frames."""
         control, record, parts = self.control, self.control.record, self.parts
         if ended == STOPPED:
             control.stop_on_the_way()
@@ -230,18 +230,18 @@ class Cycle:
             self.motion.rest(tick["p"], tick["R"], number)
 
     def _finished(self, tick: Record) -> bool:
-        """Tell whether the motion has ended, with nothing to follow, and the legs are at rest."""
+        """True if the motion has ended, no other motion follows, and the legs are at rest."""
         motion = self.motion
         ended = motion.finished(int(tick["tick"])) and not motion.away
         return ended and not self.operating.stays(self.mode) and max(abs(tick["dq"]).tolist()) < REST_m_s
 
     def _restless(self, tick: Record) -> bool:
-        """Tell whether the legs are not at rest long after the motion has ended, with nothing to follow."""
+        """True if no motion follows and the legs still move REST_PATIENCE_S after the end of the motion."""
         ended = self.mode in ENDING and self.motion.overdue(int(tick["tick"]), REST_PATIENCE_S)
         return ended and not self.operating.stays(self.mode) and not self._finished(tick)
 
     def _provable(self, tick: Record) -> bool:
-        """Tell whether a test could prove the brakes: all legs are heard, believed and at rest."""
+        """True if a test could prove the brakes: all legs report trusted readings and are at rest."""
         possible = self.durations.load > 0.0 and not self.faults & modes.NO_PROOF
         return possible and measured_at_rest(tick)
 
@@ -292,7 +292,7 @@ class Cycle:
         self.mode, self.mode_tick = mode, number
 
     def _park(self, facts: Facts, tick: Record) -> None:
-        """Begin the way back to the first pose once the platform rests, or stop on it."""
+        """Start the way back to the first pose once the platform rests; on it, stop on request or fault."""
         number, motion = int(tick["tick"]), self.motion
         if self.mode is Mode.STOPPING:
             if facts.stop or self.faults or Operator.STOP in facts.operator:
@@ -305,16 +305,16 @@ class Cycle:
                 self.operating.enter(self.mode, number, motion)
 
     def _yield(self, tick: Record) -> None:
-        """Let what holds the platform where it is be all the force, until the brakes are shut."""
+        """Make the static holding force at the present pose the whole force, until the brakes are shut."""
         self._yields = True
         self.motion.rest(tick["p"], tick["R"], int(tick["tick"]))
         self.effort.holding = self.effort.statics(tick["p"], tick["R"], tick["wrench"])
         self.obedience.forget()
 
     def _hold(self, previous: Mode, tick: Record) -> None:
-        """Begin to hold the platform: by the last force that did, or by what does so where it is.
+        """Start to hold the platform, by the last holding force or by the static force at its pose.
 
-        In motion that is where it should be if the measurement is no longer believed.
+        From motion, the pose is the reference if a fault has made the measurement unusable.
         """
         effort, number = self.effort, int(tick["tick"])
         blind = bool(self.faults & modes.NOT_MEASURED)
@@ -332,12 +332,12 @@ class Cycle:
 
     @property
     def yields(self) -> bool:
-        """Whether what holds the platform while it parks is all the force."""
+        """True while the platform parks with the holding force as the whole force."""
         return self.mode is Mode.PARKING and self._yields
 
     @property
     def watches(self) -> bool:
-        """Whether each leg is watched for one that does not obey."""
+        """True while each leg is checked for a drive that does not obey."""
         shuts = self.mode is Mode.HELD and not self.faults & modes.NO_PROOF  # no brake is known to be open
         return self.yields or shuts
 
@@ -350,7 +350,7 @@ class Cycle:
             self.stop_requested = verdict.stop
 
     def _react(self, inp: TickInput, faults: Fault) -> None:
-        """Go where faults lead that strike now."""
+        """Latch the faults of this tick and enter the mode that they lead to."""
         if self.mode is Mode.HELD and self.faults & modes.NOT_MEASURED:
             faults &= ~modes.OF_THE_POSE  # no news, and no cause
         if Operator.ESTOP in inp.operator:
@@ -369,7 +369,7 @@ class Cycle:
                 self._yield(self.tick)
 
     def _after(self, faults: Fault, tick: Record) -> Mode:
-        """Return where faults lead that strike now."""
+        """Mode that faults of this tick lead to."""
         patience = modes.DRIVE_PATIENCE_S / self.period_s
         heard = bool(((tick["age"] < patience) | (tick["blind"] != 0)).any())
         return modes.after_fault(
@@ -377,7 +377,7 @@ class Cycle:
         )
 
     def _command_mode(self, tick: Record) -> DriveMode:
-        """Return what the drives are asked for in a tick."""
+        """Drive mode to command in this tick."""
         if self.mode is Mode.WAITING and self.reset_tick is not None:
             since = int(tick["tick"]) - self.reset_tick
             if since < self.parts.protocol.traits.reset_ticks:  # not for ever: a fault that comes back stays

@@ -1,7 +1,7 @@
 """The real-time shell around Cycle: wait, SYNC, drain, step, send, record.
 
-It decides nothing about the platform; whatever it learns goes into TickInput. No other thread runs in this
-process and no file is written here: the recorder is a process of its own.
+It decides nothing about the platform; everything it learns goes into TickInput. No other thread runs in this
+process, and no file is written here: the recorder is a process of its own.
 """
 
 import time
@@ -20,7 +20,7 @@ from hil.loop.console import Console
 from hil.loop.cycle import Cycle
 from hil.loop.latches import checked, fresh_ids, latch_ns
 from hil.loop.panel import OperatorPanel
-from hil.loop.report import not_told
+from hil.loop.report import off_not_sent
 from hil.loop.run_end import Course, Ending
 from hil.operate.channel import OperatorChannel
 from hil.record import Recording
@@ -34,12 +34,12 @@ _UNRECORDED = {
 }
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
-"""Commands to switch off that a loop sends which has failed itself: the bus may lose some."""
-_TOLD = "the drives were told to switch off"
+"""Number of OFF commands that a failed loop sends: the bus may lose some."""
+_SWITCHED_OFF = "the drives were told to switch off"
 
 
 class Shell(NamedTuple):
-    """What the loop reads from and writes to."""
+    """Inputs and outputs of the loop."""
 
     bus: Bus
     deadlines: Deadlines
@@ -47,19 +47,19 @@ class Shell(NamedTuple):
     panel: OperatorPanel
     feedback_window_ns: int
     channel: OperatorChannel | None = None
-    """Where the operator's lines come in."""
+    """Source of the operator's lines."""
     consent: Callable[[], bool] | None = None
-    """Tells whether the operator has said that the platform may move; None: that was said at the start,
-    or comes over `channel`."""
+    """True once the operator has given consent to motion; None: consent was given at the start, or comes over
+    `channel`."""
     say: Callable[[str], None] = lambda _: None
-    """Tells the operator what the run waits for, or why it goes on after a fault."""
+    """Shows the operator what the run waits for, or why it goes on after a fault."""
     answer_ns: int | None = None
-    """A feedback takes at least so long on the bus, 0 where none takes any; None: the bus knows when its
-    frames were out, and no answer has to tell."""
+    """Shortest time of a feedback on the bus, 0 on a bus without transmission time; None: the bus itself
+    reports when its frames were sent, so no answer has to show it."""
 
 
 def run(course: Course, shell: Shell) -> Ending:
-    """Run a cycle on its course until that ends.
+    """Run a cycle on its course until the course ends.
 
     Whatever fails in here, the drives are commanded off before it returns.
     """
@@ -67,7 +67,7 @@ def run(course: Course, shell: Shell) -> Ending:
     try:
         return _run(course, shell)
     except Exception as error:  # noqa: BLE001 - a defect anywhere in the step must not leave drives powered
-        told = switch_off(cycle, shell.bus, shell.deadlines)
+        sent_off = switch_off(cycle, shell.bus, shell.deadlines)
         tick = shell.deadlines.tick
         if isinstance(error, HilError):
             reason, unexpected = f"tick {tick}: {error}", ""
@@ -75,7 +75,7 @@ def run(course: Course, shell: Shell) -> Ending:
             what = f"{type(error).__name__}: {error}"
             reason = f"tick {tick}: defect of this program, {what}; the log has the details"
             unexpected = traceback.format_exc()
-        done = _TOLD if told else not_told(cycle.parts)
+        done = _SWITCHED_OFF if sent_off else off_not_sent(cycle.parts)
         return Ending(
             Mode.FAULT,
             cycle.faults,
@@ -93,18 +93,18 @@ def run(course: Course, shell: Shell) -> Ending:
 
 
 def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
-    """Tell the drives to switch off, a few times one a period, past the cycle.
+    """Command the drives off, bypassing the cycle: SAFE_FRAMES times, once a period.
 
-    Behind what waits: to drop that takes a while, and a bus that cannot be flushed takes nothing more. Where
-    the bus has taken none it is flushed, if it is off, and given them again.
-    Returns whether the bus took a whole one of these commands.
+    The commands queue behind waiting frames: dropping these takes a while, and a bus that cannot be flushed
+    accepts nothing more. If the bus has accepted no command, it is flushed if it is off, and all are
+    repeated. Returns True if the bus has accepted at least one complete command.
     """
     protocol = cycle.parts.protocol
     end, off = cycle.end, Command(DriveMode.OFF, ZERO6)
-    told, first = False, deadlines.tick + 1
+    sent_off, first = False, deadlines.tick + 1
     for tick in range(first, first + 2 * SAFE_FRAMES):
         if tick == first + SAFE_FRAMES:
-            if told:
+            if sent_off:
                 break
             with suppress(HilError):
                 if bus.events().off:
@@ -114,9 +114,9 @@ def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
             opening = end.begin(tick)  # drives obey the present SYNC alone
             frames = end.give(off, tick)
             failed = bus.send(end.begin(tick) if polls else joined((opening, frames)))
-            told = told or not failed
+            sent_off = sent_off or not failed
         time.sleep(deadlines.period_ns * 1e-9)
-    return told
+    return sent_off
 
 
 def _run(course: Course, shell: Shell) -> Ending:
@@ -183,7 +183,7 @@ def _run(course: Course, shell: Shell) -> Ending:
 
 
 def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
-    """Have a bus that was dead another try, without the frames that it was given before."""
+    """Discard the frames queued on a dead bus, so that it gets another try."""
     try:
         bus.flush_tx()
     except BusError as error:
@@ -191,10 +191,10 @@ def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
 
 
 def _ask(cycle: Cycle, shell: Shell, wake: Wake, opening: Rows) -> tuple[Rows, tuple[int, ...], int]:
-    """Send what starts a tick, and wait for the answers.
+    """Send the frames that start a tick, and wait for the answers.
 
-    Returns what has come since the last tick, when each drive latched (ns after the wake-up), and how many
-    frames the bus refused.
+    Returns the frames received since the last tick, when each drive latched (ns after the wake-up), and the
+    number of frames that the bus refused.
     """
     bus, protocol = shell.bus, cycle.parts.protocol
     tick, t_ns, lateness_ns, _ = wake
@@ -211,9 +211,9 @@ def _ask(cycle: Cycle, shell: Shell, wake: Wake, opening: Rows) -> tuple[Rows, t
 
 
 def _answers(cycle: Cycle, bus: Bus, tick: int, begun_ns: int, deadline_ns: int) -> Rows:
-    """Wait for the six feedbacks of a tick whose first frames were given to the bus from `begun_ns` on.
+    """Wait for the six feedbacks of a tick; `begun_ns`: when its first frames were given to the bus.
 
-    No longer than until the deadline, however many other frames come.
+    Waits at most until the deadline, however many other frames arrive.
     """
     protocol = cycle.parts.protocol
     answers: list[Rows] = []

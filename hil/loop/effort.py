@@ -1,4 +1,4 @@
-"""The force asked for: the law's own, how it takes over from what holds, and what was learned."""
+"""The force asked for: the law's own, its takeover from the holding force, and the learned forces."""
 
 from math import isnan, nan
 from typing import Any
@@ -31,12 +31,12 @@ LEARNED = np.dtype(
         ("tau", "<f8", 6),
     ]
 )
-"""Where the forces (count, 6) N are; their times; what a tick adds to the share; the state of `Learned`."""
+"""Address of the forces (count, 6) N; their times; change of the share per tick; the state of `Learned`."""
 
 
 @helper
 def between(rows: Array, place: float, into: Array) -> None:
-    """Fill `into` (6,) with `rows` (6 n,) at a place 0 .. n - 1, linear between two rows; the last behind."""
+    """Fill `into` (6,) from `rows` (6 n,) at a place 0 .. n - 1, linear between rows; the last row beyond."""
     last = len(rows) // 6 - 2
     place = min(place, last + 1.0)
     k = min(int(place), last)
@@ -59,9 +59,9 @@ def step(
     faults: int,
     into: int,
 ) -> int:
-    """Fill the forces of a tick, (6,) N at `into`, in a mode entered at mode_tick; return 1 where any act.
+    """Fill the learned forces of a tick, (6,) N at `into`; return 1 if any acts.
 
-    along: of `Learned.along`; faults: those latched.
+    mode_tick: when the mode was entered; along: of `Learned.along`; faults: the latched ones.
     """
     t = nan  # of the reference, at which forces could act, s: before 0 on the way to its start
     if along and is_full(override):  # else path time is not the clock's
@@ -93,13 +93,13 @@ def step(
 class Learned:
     """The share of the learned forces that acts.
 
-    They act on the very reference that they were learned on, and on the last of the way to its start, while
-    path time is the clock's. Where TRACKING leaves that (hold, speed, jog, park, stop), the last of them
-    fades out, and none acts before the reference begins anew. At the reference's end the last one stays until
-    the brakes are shut, and goes with the holding force. After a fault none acts any more.
+    They act on the reference on which they were learned, and on the last part of the way to its start, while
+    path time equals clock time. When TRACKING leaves that (hold, speed, jog, park, stop), the last force
+    fades out, and none acts until the reference starts again. At the reference's end the last force stays
+    until the brakes are shut, and fades with the holding force. After a fault none acts.
 
-    Mutable state: whether a fault has struck, whether the present way along the reference has been left, and
-    the forces with their share, 0 .. 1; `reset` restores the initial one.
+    Mutable state: whether a fault has struck, whether the reference has been left, and the forces with their
+    share, 0 .. 1; `reset` restores the initial state.
     """
 
     def __init__(self, forces: LearnedForces, trajectory: Trajectory, period_s: float) -> None:
@@ -109,7 +109,8 @@ class Learned:
         times = {"start_s": forces.start_s, "step_s": forces.step_s, "step": period_s / forces.fade_s}
         self._record = context_of(LEARNED, rows=self._rows, count=len(self._rows), **times)
         self.look = Callee(step.address, data_at(self._record), self)
-        """(learned, motion, override, tick, mode, mode_tick, along, faults, where the forces go)."""
+        """Arguments: (learned, motion, override, tick, mode, mode_tick, along, faults, address of the
+        forces)."""
         self.reset()
 
     def reset(self) -> None:
@@ -118,16 +119,16 @@ class Learned:
             self._record[name] = 0
 
     def along(self, mode: Mode, motion: Motion) -> bool:
-        """Tell whether the platform is on the reference of the forces, or on the way to its start."""
+        """True while the platform is on the reference of the forces, or on the way to its start."""
         if mode is Mode.APPROACH:
             return motion.then is self._trajectory
         return mode is Mode.TRACKING and motion.trajectory is self._trajectory and not motion.away
 
 
 class Effort:
-    """What the law asks for, with what was learned and the ramps of entry and exit.
+    """The force of the law and the learned forces, with the ramps of entry and exit.
 
-    Mutable state, all of it public; `reset` restores the initial one.
+    Mutable state, all of it public; `reset` restores the initial state.
     """
 
     def __init__(self, parts: Parts, durations: Durations) -> None:
@@ -135,29 +136,31 @@ class Effort:
         self.durations = durations
         self.period_s = 1.0 / parts.rate_Hz
         self.law = called_by_pointer(parts.law)
-        """The law's function, and what keeps it and what it has raised."""
+        """The law's function, with the object that owns it and the exception that it raised."""
         self.model = parts.model
         forces = parts.learned
         self.learned = None if forces is None else Learned(forces, parts.trajectory, self.period_s)
         self.reach_N = float(parts.safety.limits["force_window_N"])
-        """How far the law may go from the holding force where the platform is held: without an end it pushes
-        a brake open whose leg seems to move, as its encoder drifts."""
+        """Largest difference between the law's force and the holding force while the platform is held.
+        Without a limit, the law would push a brake open when a drifting encoder makes its leg seem to move.
+        """
         self.reset()
 
     def reset(self) -> None:
         """Back to the state before the first tick."""
         self.holding = ZERO6
-        """(6,) N: what holds weight and external wrench where the brakes open, or the force as they close."""
+        """(6,) N: force that holds weight and external wrench while the brakes open, or the force as they
+        close."""
         self.offset = ZERO6
-        """(6,) N: holding force less the law's own at the moment of entry; fades out."""
+        """(6,) N: holding force minus the law's own at the moment of entry; fades out."""
         self.entry_tick: int | None = None
-        """When the entry offset began to fade; None while it is whole."""
+        """Tick at which the entry offset began to fade; None before that."""
         self.last_tau = ZERO6
         if self.learned is not None:
             self.learned.reset()
 
     def statics(self, p: Array, R: Array, wrench: Array) -> Array:
-        """Return the forces (6,) N that hold weight and external wrench (6,) N, N m at a pose.
+        """Forces (6,) N that hold weight and external wrench (6,) N, N m at a pose.
 
         p (3,) m, R (3, 3); wrench at the platform's origin; base frame.
         """
@@ -166,8 +169,8 @@ class Effort:
     def hold(self, tick: Record, holding: Array, sample: PoseSample, *, on_it: bool = False) -> None:
         """Begin with a holding force (6,) N at a sample at rest; on_it: as if the platform were there.
 
-        The offset makes up for what the law asks for there, without load. As the law is given it at entry:
-        it begins with this very tick, and the offset fits.
+        The offset fills the gap to the force that the law asks for there without load. The law is evaluated
+        as at entry: it starts in this very tick, so the offset fits.
         """
         self.entry_tick, self.holding = None, holding
         self.offset = holding - tau_at_rest(self.law.keeps, self.parts.platform, tick, sample, on_it=on_it)

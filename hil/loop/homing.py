@@ -1,8 +1,8 @@
-"""Motors that forget their turns at power-off: which turn they are in, from where the legs were parked.
+"""Turns of motors that forget them at power-off, found from the lengths at which the legs were parked.
 
-Pure. A drive that forgets reads length + k step with an unknown whole number k. A leg whose brake was closed
-is where it was; so k is the number that brings the reading nearest to the length at which it was parked. What
-is left of the difference must be small, else the leg has moved, or the drive is another one.
+Pure. A drive that forgets reads length + k step with an unknown whole number k. A leg with a closed brake has
+not moved; so k is the number that brings the reading nearest to the parked length. The remaining difference
+must be small; otherwise the leg has moved, or the drive was replaced.
 """
 
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ from drivers.signals import LEGS
 from drivers.tick_columns import Record
 
 SILENT_TICKS = 20
-"""A drive that was silent for so long may have been switched off."""
+"""A drive that was silent for longer may have been switched off."""
 
 
 LOST, MOVED, ENDS = 1, 2, 3
-"""What is wrong with a leg: nobody knows its turn; it is not where it was left; its drive was switched on
-where it cannot report all of the stroke."""
+"""Problems of a leg: its turn is unknown; it is not where it was parked; its drive was switched on where its
+position field does not cover the whole stroke."""
 HOMING = np.dtype(
     [
         ("decode", "<i8"), ("codec", "<i8"),  # the family's decoder, and what it works on
@@ -35,48 +35,48 @@ HOMING = np.dtype(
         ("wrong", "<i8", (LEGS,)),  # LOST, MOVED or ENDS
     ]
 )  # fmt: skip
-"""What `Homing` and the decoder around the family's have in common."""
+"""Record that `Homing` shares with the decoder around the family's own."""
 
 
 class LastPose(NamedTuple):
-    """Where the legs stood with their brakes closed. Arrays are (6,), leg order."""
+    """Leg lengths at which the brakes were closed. Arrays are (6,), leg order."""
 
     length: Array
     """m."""
     limit_m: Array
-    """How far a leg may be found from there."""
+    """Largest allowed distance of a leg from there, m."""
     step_m: Array
-    """Leg length, > 0, of which a drive forgets whole multiples."""
+    """Leg length, m, > 0; a drive forgets whole multiples of it."""
     m_per_turn: Array
-    """Leg length a turn of the motor, with its sign."""
+    """Leg length per turn of the motor, m, with its sign."""
     origin: str
-    """How that is known, and since when."""
+    """Source and date of these lengths."""
     command: str
-    """By which a leg's length can be said."""
+    """Command that sets a leg's length."""
 
 
 class Stroke(NamedTuple):
-    """What a leg can be and what its drive can report, m."""
+    """Possible lengths of a leg, and the lengths that its drive can report, m."""
 
     shortest: float
     longest: float
     reported: tuple[Array, Array] | None
-    """Ends (6,) of the position field where the drive was switched on at its zero; None: it has none."""
+    """Ends (6,) of the position field of a drive that was switched on at its zero; None: no such limit."""
 
 
 class Homing:
     """The turns that the drives have forgotten; `hil.loop.homing_kernels.decode` adds them to each length.
 
-    A drive that was silent for long, or whose reading leaps by half a step and more, has been switched off:
-    its turn is found again, from where the leg was last seen. With its brake open nobody knows how far it
-    went meanwhile, and its turn is lost.
+    A drive has been switched off if it was silent for long, or if its reading jumps by half a step or more.
+    Its turn is then found again, from the last known length. If its brake was open, the leg may have moved
+    any distance meanwhile, and its turn is lost.
 
-    Mutable state, in its record: lengths as the drives report them, what is added, where each leg was last
-    known, which turns are known or lost, what is wrong.
+    Mutable state, in its record: lengths as the drives report them, the added lengths, the last known length
+    of each leg, which turns are known or lost, and problems.
     """
 
     def __init__(self, pose: LastPose | None, stroke: Stroke, period_s: float) -> None:
-        """Take where the legs stood; None: the drives forget nothing."""
+        """pose: the parked lengths; None: the drives forget nothing."""
         self._pose = pose
         self.record: Record = np.zeros((), HOMING)
         self.record["period_s"] = period_s
@@ -85,7 +85,7 @@ class Homing:
         if pose is not None:
             self.record["step_m"], self.record["limit_m"] = pose.step_m, pose.limit_m
         self.added, self.raw = self.record["added"], self.record["raw"]
-        """(6,) m each: whole multiples of the step; lengths as the drives report them."""
+        """(6,) m each: added whole multiples of the step; lengths as the drives report them."""
         self.reset()
 
     def reset(self) -> None:
@@ -96,27 +96,26 @@ class Homing:
 
     @property
     def refusal(self) -> str:
-        """Why the platform must not move; empty where every leg that was heard is where it was left."""
+        """Reason why the platform must not move; empty if all reporting legs are at their parked lengths."""
         wrong = "; ".join(
             self._wrong(leg, why) for leg, why in enumerate(self.record["wrong"].tolist()) if why
         )
         if self._pose is None or not wrong:
             return ""
         return (
-            f"{wrong}. A closed brake lets a leg make no turn: see whether it has moved, its brake slips or "
-            "its drive is another one; measure it, and say its length, to a quarter of what its drive "
-            "forgets, with "
-            f"`{self._pose.command} --leg LEG LENGTH`"
+            f"{wrong}. On a closed brake a motor cannot turn: check whether the leg has moved, its brake "
+            "slips or its drive was replaced. Measure the leg, accurate to a quarter of the length that its "
+            f"drive forgets, and set its length with `{self._pose.command} --leg LEG LENGTH`"
         )
 
     @property
     def opened(self) -> bool:
-        """Whether the brakes have been open."""
+        """True once the brakes have been open."""
         return bool(self.record["opened"])
 
     @property
     def known(self) -> bool:
-        """Whether the turns of all six legs are known."""
+        """True while the turns of all six legs are known."""
         return self._pose is None or bool(self.record["known"].all() and not self.record["wrong"].any())
 
     def _wrong(self, leg: int, why: int) -> str:
@@ -124,25 +123,25 @@ class Homing:
         if why == LOST:
             return (
                 f"leg {leg}: its drive was switched off, or silent for {SILENT_TICKS} ticks, while its brake "
-                "was open, so nobody knows how far the leg went"
+                "was open, so the leg may have moved any distance"
             )
         low, high, there, added, raw = (
             float(self.record[name][leg]) for name in ("low", "high", "there", "added", "raw")
         )
         if why == ENDS:
             return (
-                f"leg {leg}: its drive was switched on where its position ends at leg lengths of "
-                f"{low + added:.4f} and {high + added:.4f} m, allowed: {self.record['shortest']:g} to "
-                f"{self.record['longest']:g} m within them; switch it on with the leg nearer to mid-stroke"
+                f"leg {leg}: its drive was switched on where its position field covers leg lengths of "
+                f"{low + added:.4f} to {high + added:.4f} m, and the stroke is {self.record['shortest']:g} "
+                f"to {self.record['longest']:g} m; switch it on with the leg nearer to mid-stroke"
             )
         off, turns = raw + added - there, (there - raw - added) / float(self._pose.m_per_turn[leg])
         return (
             f"leg {leg} is {raw + added:.6f} m long, and was {there:.6f} m ({self._pose.origin}): "
             f"{1e3 * off:+.3f} mm, allowed: {1e3 * self._pose.limit_m[leg]:g} mm (drives.homing); "
-            f"{turns:+.3f} turns of its motor would mend it"
+            f"{turns:+.3f} turns of its motor would correct it"
         )
 
 
 def unwrapped_turns(homing: Homing, pose: LastPose) -> Sequence[float]:
-    """Return how many turns of each motor are added to what its drive reports."""
+    """Number of turns of each motor that is added to the reading of its drive."""
     return [round(float(turns), 6) + 0.0 for turns in np.divide(homing.added, pose.m_per_turn)]  # -0 is 0

@@ -1,8 +1,8 @@
-"""Jogging: one axis or leg at set-up speed from hold, while the operator's words keep coming.
+"""Jogging: one axis or leg at set-up speed while on hold, as long as the operator's jog words keep coming.
 
-Pure: it judges by ticks. Before each tick the pose is judged at which the platform would come to rest if it
-went on for this tick and then braked. Where that is refused it brakes at once, to the rest that was judged a
-tick before: so each pose on the way has been judged, and it stops inside.
+Pure: its time is the tick. Before each tick it checks the rest pose: where the platform would stop if it
+moved for one more tick and then braked. If that pose is refused, it brakes at once, to the rest pose that was
+admitted one tick before. So each pose on the way has been checked, and the platform stops inside the limits.
 """
 
 from collections.abc import Callable
@@ -32,9 +32,9 @@ from hil.trajectory.path import SAMPLE, CompiledTrajectory, PoseSample
 
 AXIS = np.dtype([("p0", "<f8", 3), ("R0", "<f8", (3, 3)), ("rate", "<f8", 6)])
 TOLERANCE_M = 1e-12
-"""By how much the lengths of a leg's jog may be off."""
+"""Largest error of the lengths during a jog of a leg."""
 SUBSTEPS = 40
-"""Most steps from one pose to the next: a tick takes one, the way to rest a few."""
+"""Most steps from one pose to the next: a tick takes one, the way to the rest pose a few."""
 
 
 @pointed(record(AXIS), REAL, record(SAMPLE))
@@ -55,7 +55,7 @@ def evaluate(jog: Any, t: float, into: Any) -> int:
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR)
 def pose_rates(a: Array, b: Array, p: Array, R: Array, dq: Array) -> tuple[Array, Array]:
-    """Return twist = J^-1 dq and dtwist = -J^-1 (dJ/dt) twist for constant rates dq (6,) of the legs, m/s.
+    """Twist J^-1 dq and dtwist = -J^-1 (dJ/dt) twist at constant leg rates dq (6,), m/s.
 
     Both nan where J is singular.
     """
@@ -76,7 +76,7 @@ def pose_rates(a: Array, b: Array, p: Array, R: Array, dq: Array) -> tuple[Array
 
 
 class AxisJog(CompiledTrajectory):
-    """Along x, y or z of the base frame, or about one of these through the platform's origin.
+    """Motion along x, y or z of the base frame, or about one of these axes through the platform's origin.
 
     here: a pose at rest. rate (6,) m/s, rad/s: the constant twist.
     """
@@ -91,11 +91,11 @@ class AxisJog(CompiledTrajectory):
 
 
 class LegJog:
-    """One leg longer or shorter, the other five as long as they are.
+    """One leg gets longer or shorter; the other five keep their lengths.
 
-    The pose is that of the lengths at each time, so that none of them drifts. here: a pose at rest. rate (6,)
-    m/s: of the lengths, one not zero. Mutable state: the last sample with its time, from which the next pose
-    is looked for.
+    Each pose is solved from the lengths at its time, so no length drifts. here: a pose at rest. rate (6,)
+    m/s: leg rates, one of them not zero. Mutable state: the last sample with its time, from which the search
+    for the next pose starts.
     """
 
     duration_s = None
@@ -108,14 +108,14 @@ class LegJog:
         self._t, self._last = 0.0, PoseSample(p, R, *pose_rates(*self._joints, p, R, rate))
 
     def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s) >= 0, and go on from there; where there is none, the last one."""
+        """Sample at t (s) >= 0, from which the next search starts; the last sample if no pose is found."""
         found = self.ahead(t)
         if found is not None:
             self._t, self._last = t, found
         return self._last
 
     def ahead(self, t: float) -> PoseSample | None:
-        """Return the sample at t (s) >= 0; None where no pose of these lengths leads on from here."""
+        """Sample at t (s) >= 0; None where no pose with these lengths connects to the last one."""
         if t == self._t:
             return self._last
         p, R, _, residual = continuation_kernel(
@@ -133,7 +133,7 @@ JogPath = AxisJog | LegJog
 def jog_path(
     platform: Platform, here: PoseSample, axis: int, speeds: tuple[float, float], way: float
 ) -> JogPath:
-    """Return what a jog follows from a pose at rest.
+    """Path of a jog from a pose at rest.
 
     axis: index in JOG_NAMES; speeds: of set-up, m/s and rad/s; way: its sign is the direction.
     """
@@ -146,22 +146,22 @@ def jog_path(
 
 
 def setup_share(sample: PoseSample, speeds: tuple[float, float]) -> float:
-    """Return at which share of a sample's speed the platform is no faster than at set-up, m/s and rad/s."""
+    """Largest share, at most 1, of a sample's speed within the set-up speeds, m/s and rad/s."""
     vx, vy, vz, wx, wy, wz = sample.twist.tolist()
     v, w = hypot(vx, vy, vz), hypot(wx, wy, wz)
     return min(1.0, speeds[0] / v if v else inf, speeds[1] / w if w else inf)
 
 
 WORD_S = 0.1
-"""A jog whose word is not heard again for so long ends."""
-ON_HOLD = "jog: only on hold, in mode TRACKING: say hold first"
-NOT_RESTING = "jog: the platform still comes to rest: wait for it"
+"""A jog ends if its word is not repeated within this time."""
+ON_HOLD = "jog: only possible on hold, in mode TRACKING: send hold first"
+NOT_RESTING = "jog: the platform is still slowing down: wait until it rests"
 NO_KEY = "jog: the key is not held (operator.deadman_s): hold it while you jog"
 SUDDEN = (
     "a leg's force could change by more than limits.force_window_N within 250 ms: lower the set-up speed, or "
     "lengthen engage.stop_s"
 )
-LIVE = "jog: the reference is live, and moves to set-points alone: say start, then setpoint"
+LIVE = "jog: a live reference moves to set-points only: send start, then setpoint"
 
 
 class Word(NamedTuple):
@@ -175,15 +175,15 @@ class Word(NamedTuple):
 
     @property
     def way(self) -> tuple[int, int]:
-        """Axis and direction: -1, 1, or 0 where it lets go."""
+        """Axis and direction: -1, 1, or 0 for a released key."""
         return self.axis, (self.fraction > 0.0) - (self.fraction < 0.0)
 
 
 class Jogging:
     """Moves the platform along one axis or leg, and stops it before a limit.
 
-    Mutable state: the last word, the path it is on with its way, and the way on which a limit stopped it with
-    the reason, until the words cease.
+    Mutable state: the last word, the present path with its axis and direction, and, until its words end, the
+    word that a limit has stopped, with the reason.
     """
 
     def __init__(
@@ -194,9 +194,9 @@ class Jogging:
         admission: Callable[[Array], int] | None,
         too_sudden: Callable[[PoseSample, float], bool],
     ) -> None:
-        """Take the judge of poses (6,) m, rad: bits of Refusal; None: the reference is live.
+        """admission: Refusal bits of a pose (6,) m, rad; None: the reference is live.
 
-        too_sudden: the judge of samples at a share of their speed, by what forces change by.
+        too_sudden: True for a sample and a share of its speed at which the forces would change too much.
         """
         self._speeds = settings.setup_speed_m_s, radians(settings.setup_speed_deg_s)
         self._patience = max(1, int(WORD_S * rate_Hz + 1e-9))
@@ -204,17 +204,17 @@ class Jogging:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start: no word."""
+        """Forget all words."""
         self._word: Word | None = None
         self._path: JogPath | None = None
         self._way: tuple[int, int] | None = None
         self._stopped: Word | None = None
         self.refusal = ""
-        """Why the jog does not go on; empty unless a limit has stopped it."""
+        """Reason why a limit has stopped the jog; else empty."""
 
     @property
     def waits(self) -> bool:
-        """Whether a word has been taken that moves the platform yet to come."""
+        """True while a jog word is in effect."""
         return self._word is not None
 
     def let_go(self) -> None:
@@ -223,7 +223,7 @@ class Jogging:
         self.refusal = ""
 
     def take(self, order: Order, tick: int, motion: Motion, *, on_hold: bool, key: bool) -> str:
-        """Take a jog word; return why it is refused, empty where it counts."""
+        """Take a jog word; return the reason if it is refused, else an empty text."""
         if self._admission is None:
             return LIVE
         if not on_hold:
@@ -243,7 +243,7 @@ class Jogging:
         return ""
 
     def step(self, tick: int, motion: Motion, *, key: bool) -> None:
-        """Set how the jog goes on from a tick on, to which the motion has been advanced."""
+        """Set the speed of the jog from this tick on; the motion has already advanced to it."""
         word = self._word
         if word is not None and not (key and word.fraction and tick - word.tick < self._patience):
             word = self._word = None
@@ -265,7 +265,7 @@ class Jogging:
         return jog_path(self._platform, here, word.axis, self._speeds, word.fraction)
 
     def _judged(self, path: JogPath, word: Word, tick: int, motion: Motion, zero_s: float) -> float:
-        """Return the speed to go on at, 0 .. 1 of the path's; 0 where a limit is ahead, which is noted.
+        """Speed of the next tick, 0 .. 1 of the path's; 0 at a limit, which is noted in `refusal`.
 
         zero_s: the motion's time at which the path begins.
         """
@@ -284,7 +284,7 @@ class Jogging:
         if not against:
             return speed
         self._word, self._stopped = None, word
-        self.refusal = f"jog {JOG_NAMES[word.axis]}: it stops, since beyond, {against}"
+        self.refusal = f"jog {JOG_NAMES[word.axis]}: stopped, since farther on {against}"
         return 0.0
 
     def _share(self, sample: PoseSample | None) -> float:

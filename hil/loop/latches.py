@@ -1,9 +1,9 @@
-"""When the drives latched their encoders, as far as the controller can know, and which answers are fresh.
+"""Instants at which the drives latched their encoders, as the controller knows them, and fresh answers.
 
-A drive latches when its SYNC or poll has ended on the bus. The clock at wake-up does not tell that: a stall
-before the frame is written makes it late. A stall after it makes the clock read late instead; then the
-answer tells, as it cannot come sooner than its own time on the wire after the SYNC. Answers that name an
-older SYNC, and damaged ones, tell nothing.
+A drive latches when its SYNC or poll has ended on the bus. The clock at wake-up does not show that instant: a
+stall before the write delays the frame. A stall after the write delays the reading of the clock instead. Then
+the answer limits the instant: it cannot arrive earlier than its own time on the wire after the SYNC. Damaged
+answers, and answers to an older SYNC, show nothing.
 """
 
 from collections.abc import Sequence
@@ -17,14 +17,14 @@ from drivers.signals import LEGS
 
 
 def fresh_ids(protocol: Family, frames: Rows, tick: int, since_ns: int) -> list[int]:
-    """Return what is `awaited` of a tick and `fresh` among frames."""
+    """Identifiers of the fresh feedbacks of a tick among the frames, as in `Family.wanted`."""
     places = fresh_places(protocol.fresh_by.address, protocol.context, frames, tick, since_ns)
     return [each for k, each in enumerate(protocol.wanted) if places >> k & 1]
 
 
 @kernel(INTEGER, INTEGER, records(FRAME), INTEGER, INTEGER)
 def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: int) -> int:
-    """Return bit k for each frame that is `fresh` and has place k in `Family.wanted`."""
+    """Bit k for each `fresh` frame with place k in `Family.wanted`."""
     places = 0
     for k in range(len(frames)):
         place = call(fresh, (context, address_of(frames[k]), tick, since_ns))
@@ -35,19 +35,19 @@ def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: in
 
 @kernel(INTEGER, INTEGER, records(FRAME), INTEGER)
 def legs_addressed(addressed: int, context: int, frames: Rows, k: int) -> int:
-    """Return bit i where frame k is for leg i, by `Family.addressed_by`."""
+    """Bit i for each leg i that frame k addresses, by `Family.addressed_by`."""
     return int(call(addressed, (context, address_of(frames[k]))))
 
 
 PROMPT_NS = 100_000
-"""A send that took less, and less than an answer takes, is not checked against its answers."""
+"""A send that took less time than this, and less than an answer takes, is not checked against its answers."""
 
 
 def latch_ns(protocol: Family, opening: Rows, sent_ns: Sequence[int | None], woke_ns: int) -> tuple[int, ...]:
-    """Return for each leg the ns from the wake-up to when its SYNC or poll had gone out; 0 where it has none.
+    """Time of each leg from the wake-up until its SYNC or poll was sent, ns; 0 for a leg without one.
 
-    sent_ns: when each of the first frames of `opening` was out; those behind were not taken by the bus, nor
-    one that has None.
+    sent_ns: send times of the first frames of `opening`. The bus did not accept the others, and no frame with
+    None.
     """
     delays = [0] * LEGS
     for k, t_ns in zip(range(len(opening)), sent_ns, strict=False):
@@ -69,11 +69,11 @@ def checked(
     given_ns: int,
     answer_ns: int,
 ) -> Sequence[int | None]:
-    """Return when each frame of `opening` was out, where its answers say so: sooner than the clock.
+    """Send time of each frame of `opening`, corrected where its answers show an earlier one than the clock.
 
-    begun_ns, given_ns: just before the frames were given to the bus, and just after; answers: what came
-    since; answer_ns: what a feedback takes on the wire at least, 0 where there is no wire. Feedback that came
-    within that time answers an older frame.
+    begun_ns, given_ns: just before and just after the frames were given to the bus; answers: frames received
+    since; answer_ns: shortest time of a feedback on the wire, 0 without a wire. A feedback within that time
+    answers an older frame.
     """
     if given_ns - begun_ns < min(PROMPT_NS, answer_ns):
         return sent_ns

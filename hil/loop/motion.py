@@ -1,4 +1,4 @@
-"""Which path the platform is on, and where along it; the functions are for the compiled pass as well."""
+"""The present path of the platform and the place on it; the compiled pass uses the functions as well."""
 
 from math import inf, nan
 from typing import Any
@@ -23,16 +23,16 @@ MOTION = np.dtype(
         ("then_context", "<i8"),
     ]
 )
-"""The trajectory's function and what it works on, its length in s (inf without an end), the tick at which a
-stop from less than full speed came to rest, and the same two of what comes next, 0 where nothing does."""
+"""The trajectory's function and its context, its length in s (inf without an end), the tick at which a stop
+from less than full speed came to rest; function and context of the next trajectory, 0 without one."""
 ENDED, OVERDUE = 1, 2
 NO_STOP, SLOWS = -2, -1
-"""`stopped` without such a stop, and until it has come to rest."""
+"""Values of `stopped`: no such stop; still slowing down."""
 
 
 @helper
 def along(function: int, context: int, t: float, sigma: float, dsigma: float, sample: Any) -> int:
-    """Fill the sample of a path at its time t (s), which runs at sigma and its rate; return the status."""
+    """Fill the sample of a path at path time t (s), at speed share sigma and its rate; return the status."""
     status: int = call(function, (context, t, address_of(sample)))
     if sigma != 1.0 or dsigma != 0.0:
         slow(sample, sigma, dsigma)
@@ -41,14 +41,14 @@ def along(function: int, context: int, t: float, sigma: float, dsigma: float, sa
 
 @helper
 def place_reference(override: Any, function: int, context: int, tick: int, sample: Any) -> int:
-    """Fill the sample with where the platform should be at a tick; return the path's status."""
+    """Fill the sample of the reference at a tick; return the path's status."""
     t = time_at(override, tick)
     return along(function, context, t, override.sigma, override.dsigma, sample)
 
 
 @helper
 def advance(motion: Any, override: Any, tick: int) -> None:
-    """Go on to a tick."""
+    """Advance the motion to a tick."""
     go_on(override, tick)
     if motion.stopped == SLOWS and is_resting(override):
         motion.stopped = tick
@@ -56,7 +56,7 @@ def advance(motion: Any, override: Any, tick: int) -> None:
 
 @helper
 def ended(motion: Any, override: Any, tick: int) -> bool:
-    """Whether the present trajectory has ended."""
+    """True if the present trajectory has ended."""
     if motion.stopped != NO_STOP:
         return bool(0 <= motion.stopped <= tick)
     return bool(time_at(override, tick) >= motion.duration)
@@ -64,7 +64,7 @@ def ended(motion: Any, override: Any, tick: int) -> bool:
 
 @helper
 def overdue(motion: Any, override: Any, tick: int, patience: float) -> bool:
-    """Whether the present trajectory ended longer than `patience` (s) ago."""
+    """True if the present trajectory ended more than `patience` (s) ago."""
     if motion.stopped != NO_STOP:
         late = (tick - motion.stopped) * override.period > patience
         return bool(late and ended(motion, override, tick))
@@ -73,9 +73,9 @@ def overdue(motion: Any, override: Any, tick: int, patience: float) -> bool:
 
 @helper
 def ticks_left(motion: Any, override: Any, tick: int) -> int:
-    """In how many ticks the present trajectory will have ended at full speed; 0 where it has.
+    """Ticks until the present trajectory ends at full speed; 0 after its end.
 
-    It has an end. By path time: a hold on the way puts the end off.
+    For a trajectory with an end. Counted in path time: a hold on the way delays the end.
     """
     ticks = max(int((motion.duration - time_at(override, tick)) / override.period), 0)
     while time_at(override, tick + ticks) < motion.duration:
@@ -85,9 +85,9 @@ def ticks_left(motion: Any, override: Any, tick: int) -> int:
 
 @helper
 def ahead(motion: Any, override: Any, tick: int, s: float, sample: Any) -> tuple[int, float]:
-    """Fill the sample with where the platform should be `s` seconds after a tick.
+    """Fill the sample of the reference `s` seconds after a tick.
 
-    Returns the status, and that time along what comes next: nan unless that is expected to have begun.
+    Returns the status, and the time along the next trajectory: nan unless it should have begun by then.
     """
     function, context = motion.function, motion.context
     if not is_full(override):
@@ -108,24 +108,23 @@ def sample_at(motion: Any, override: Any, tick: int, sample: Any) -> int:
 
 @kernel(record(MOTION), record(OVERRIDE), INTEGER, REAL)
 def end(motion: Any, override: Any, tick: int, patience: float) -> int:
-    """Return 0 before the trajectory has ended, then ENDED, and OVERDUE after `patience` (s) more."""
+    """State of the trajectory: 0 before its end, then ENDED, then OVERDUE after `patience` (s) more."""
     if overdue(motion, override, tick, patience):
         return OVERDUE
     return ENDED if ended(motion, override, tick) else 0
 
 
 advance_to = kernel(record(MOTION), record(OVERRIDE), INTEGER)(advance)
-"""advance for Python."""
+"""`advance` for Python."""
 
 
 class Motion:
     """The present trajectory, the tick of its time zero, and the speed along it.
 
-    A trajectory whose state goes from tick to tick (`LiveTrajectory`) is not slowed down along a path: it has
-    a speed of its own.
-    Mutable state: all of these, what comes next, and the path that was left for another trajectory with the
-    time along it. `start`, `rest` and `stop` replace the trajectory and forget what was left. `record`, a
-    MOTION, holds what the compiled pass needs of them.
+    A trajectory with state from tick to tick (`LiveTrajectory`) is not slowed down along its path: it has a
+    speed of its own. Mutable state: all of these, the next trajectory, and a path that was left for another
+    one, with the time along it. `start`, `rest` and `stop` replace the trajectory and forget the left path.
+    `record`, a MOTION, holds the part that the compiled pass needs.
     """
 
     def __init__(self, period_s: float, p: Array, R: Array, change_s: float) -> None:
@@ -136,7 +135,7 @@ class Motion:
         self.rest(p, R, 0)
 
     def start(self, trajectory: Trajectory, tick: int, then: Trajectory | None = None) -> None:
-        """Begin a trajectory whose time zero is this tick, `then` another one as soon as it has ended."""
+        """Begin a trajectory with time zero at this tick; `then` follows as soon as it has ended."""
         self.tick = tick
         self._go_along(trajectory)
         self.override.begin(tick)
@@ -163,14 +162,14 @@ class Motion:
         self.start(HoldTrajectory(p, R), tick)
 
     def leave(self, trajectory: Trajectory, tick: int) -> None:
-        """Rest at the start of another trajectory; `resume` comes back to the path that is left at rest."""
+        """Rest at the start of another trajectory; `resume` returns to the path, which is left at rest."""
         left = self._left or (self.trajectory, self.time(tick))
         self.start(trajectory, tick)
         self._left = left
         self.override.settle(tick, 0.0)
 
     def resume(self, tick: int) -> None:
-        """Rest on the path that was left, where it was left."""
+        """Rest on the path that was left, at the same place."""
         assert self._left is not None
         trajectory, s = self._left
         self.start(trajectory, tick)
@@ -178,7 +177,7 @@ class Motion:
 
     @property
     def left(self) -> tuple[PoseSample, float] | None:
-        """Where the path was left: the pose at rest, and the time along it, s. None while on it."""
+        """Place where the path was left: the pose at rest, and the time along it, s; None while on it."""
         if self._left is None:
             return None
         trajectory, s = self._left
@@ -187,11 +186,11 @@ class Motion:
 
     @property
     def away(self) -> bool:
-        """Whether a path has been left that `resume` comes back to."""
+        """True while off a path to which `resume` returns."""
         return self._left is not None
 
     def aim(self, tick: int, speed: float, *, go: bool) -> None:
-        """Let the speed change smoothly to a share 0 .. 1 of the configured one, or to rest."""
+        """Change the speed smoothly to a share 0 .. 1 of the configured one; to rest unless `go`."""
         if isinstance(self.trajectory, LiveTrajectory):
             self.trajectory.limit(speed)
             if not go:
@@ -200,18 +199,18 @@ class Motion:
             self.override.aim(tick, speed if go else 0.0)
 
     def settle(self, tick: int, speed: float) -> None:
-        """Go on at a share 0 .. 1 of the configured speed, at once."""
+        """Set the speed to a share 0 .. 1 of the configured one, at once."""
         if not isinstance(self.trajectory, LiveTrajectory):
             self.override.settle(tick, speed)
 
     def advance(self, tick: int) -> None:
-        """Go on to a tick."""
+        """Advance the motion to a tick."""
         advance_to(self.record, self.override.record, tick)
 
     def stop(self, tick: int, duration_s: float) -> None:
-        """Slow down to rest along the present path within `duration_s`; a live one within its own limits.
+        """Slow down to rest along the present path within `duration_s`; a live trajectory by its own limits.
 
-        Where the speed is just rising it takes up to a third longer.
+        While the speed is still rising, it takes up to a third longer.
         """
         self._expect(None)
         self._left = None
@@ -225,26 +224,26 @@ class Motion:
             self.record["stopped"] = tick if self.override.resting else SLOWS
 
     def time(self, tick: int) -> float:
-        """Return the time along the present trajectory, s."""
+        """Time along the present trajectory, s."""
         return self.override.time(tick)
 
     @property
     def resting(self) -> bool:
-        """Whether the reference stands still and stays so until it is asked to go on."""
+        """True while the reference stands still, and stays so until it is commanded on."""
         if isinstance(self.trajectory, LiveTrajectory):
             return self.trajectory.resting
         return self.override.resting
 
     def finished(self, tick: int) -> bool:
-        """Tell whether the present trajectory has ended."""
+        """True if the present trajectory has ended."""
         return end(self.record, self.override.record, tick, 0.0) != 0
 
     def overdue(self, tick: int, patience_s: float) -> bool:
-        """Tell whether the present trajectory ended longer than `patience_s` ago."""
+        """True if the present trajectory ended more than `patience_s` ago."""
         return end(self.record, self.override.record, tick, patience_s) == OVERDUE
 
     def sample(self, tick: int) -> PoseSample:
-        """Return where the platform should be at this tick."""
+        """Sample of the reference at this tick."""
         into = np.ndarray((), SAMPLE)
         require(sample_at(self.record, self.override.record, tick, into), self._callee)
         return of_record(into)

@@ -1,9 +1,9 @@
-"""A drive that does not obey: its leg gets faster against the force that should slow it, by that alone.
+"""Detection of a drive that does not obey: its leg accelerates against the force that should slow it.
 
-After a fault the forces hold the platform while the brakes close, so no leg that moves against its force gets
-faster by itself. With swapped wires, or a wrong sign, the force works against the brake, and is taken off. A
-load moves the legs in another proportion than an error of one leg's force does, which is that of a column of
-J M^-1 J^T, or that leg alone on closed brakes; along one leg it looks the same.
+After a fault the forces hold the platform while the brakes close, so no leg accelerates against its own
+force. With swapped wires or a wrong sign, the force works against the brake, and must be switched off. An
+error of one leg's force changes the leg rates in the proportion of a column of J M^-1 J^T, or changes that
+leg's rate alone on closed brakes. A load changes them in another proportion, except a load along one leg.
 """
 
 from collections import deque
@@ -17,14 +17,14 @@ from hil.mathematics.linear_algebra import solve
 from hil.robot.dynamics import Model
 
 FASTER_m_s = 0.1
-"""Within `WITHIN_s`: beyond noise, and what the motion of the others does to a leg."""
+"""Increase of speed within `WITHIN_s` that noise and the motion of the other legs cannot cause."""
 WITHIN_s = 0.02
 UNLIKE = 0.3
-"""So large a share of the change of the six rates may be that of something else."""
+"""Largest residual share of the change of the six rates that another cause may explain."""
 
 
 class Obedience:
-    """Watches the legs while the force holds them after a fault. State: their last rates, who is refused."""
+    """Checks the legs while force holds them after a fault. Mutable state: last rates, refused leg."""
 
     def __init__(self, model: Model, rate_Hz: float) -> None:
         self._model = model
@@ -32,17 +32,17 @@ class Obedience:
         self.reset()
 
     def reset(self) -> None:
-        """Believe all drives."""
+        """Trust all drives."""
         self.refused: int | None = None
-        """The leg that gets no force any more; the sparsest cause is one."""
+        """The leg that no longer gets a force; at most one, as the simplest explanation."""
         self.forget()
 
     def forget(self) -> None:
-        """Begin anew: the force has not held before."""
+        """Forget the rates: a new holding force begins."""
         self._rates.clear()
 
     def watch(self, tick: Record, tau: Array) -> bool:
-        """Take in a tick's rates, and the forces (6,) N that were sent last; tell whether one is refused."""
+        """Add a tick's rates, given the forces (6,) N sent last; return True when a leg is newly refused."""
         rate = tick["rate"]
         if self.refused is not None or tick["age"].any():
             return False
@@ -56,7 +56,7 @@ class Obedience:
         return True
 
     def _alone(self, leg: int, change: Array, tick: Record) -> bool:
-        """Tell whether the change (6,) m/s of the rates is that of one leg's force: brakes open, or shut."""
+        """True if one leg's force explains the change (6,) m/s of the rates, with brakes open or shut."""
         J, M = tick["J"], self._model.mass_matrix(tick["p"], tick["R"])
         coupled = (J * solve(M, J[leg])).sum(axis=1)
         for of in (coupled, np.eye(LEGS)[leg]):

@@ -1,7 +1,7 @@
-"""What the operator lets the platform do: go or hold, how fast, jog, park; and whether the key is held.
+"""The operator's permissions: go or hold, speed, jog, park; and whether the key is held.
 
-Pure: it judges by ticks. Orders come with a tick's input. Moves at set-up speed no file has, so each is
-judged before it is followed, a few poses a tick while the platform rests.
+Pure: its time is the tick. Orders come with a tick's input. Moves at set-up speed are in no file, so each is
+checked before it starts, a few poses a tick while the platform rests.
 """
 
 from collections.abc import Callable, Sequence
@@ -23,11 +23,11 @@ from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import PoseSample
 
 PEAK = 1.875
-"""Largest speed of a quintic over its mean."""
+"""Largest speed of a quintic, relative to its mean."""
 
 
 def approach(parts: Parts, here: PoseSample, period_s: float) -> GeodesicMove:
-    """Return the move from a pose at rest to the start of the reference."""
+    """Move from a pose at rest to the start of the reference."""
     start, engage = parts.trajectory.sample(0.0), parts.engage
     farthest = farthest_leg_m(parts.platform, here, start)
     duration = max(farthest / engage.approach_speed_m_s, engage.blend_s, period_s)
@@ -37,9 +37,9 @@ def approach(parts: Parts, here: PoseSample, period_s: float) -> GeodesicMove:
 def at_setup_speed(
     settings: OperatorSettings, least_s: float, here: PoseSample, there: PoseSample
 ) -> GeodesicMove:
-    """Return the move between two poses that is nowhere faster than the set-up speed.
+    """Move between two poses that nowhere exceeds the set-up speed.
 
-    It takes `least_s` at least, and its largest acceleration is 3.1 times the set-up speed over that.
+    It takes at least `least_s`; its largest acceleration is 3.1 times the set-up speed divided by that.
     """
     way = _length(there.p - here.p)
     turn = _length(relative_rotation(np.array(here.R, order="C"), np.array(there.R, order="C")))
@@ -48,35 +48,35 @@ def at_setup_speed(
 
 
 def _length(vector: Array) -> float:
-    """Return the length of a vector (3,), without BLAS."""
+    """Length of a vector (3,), without BLAS."""
     x, y, z = vector.tolist()
     return sqrt(x * x + y * y + z * z)
 
 
 APART_M = 5e-3
-"""No joint of the platform moves farther from one pose that is judged to the next."""
+"""Largest distance that a joint of the platform moves from one checked pose to the next."""
 LEAST, MOST = 16, 1000
-"""Poses of a way, beside its start."""
+"""Bounds on the number of checked poses of a move, without its start."""
 PER_TICK = 2
-"""Poses judged in one tick."""
+"""Poses checked in one tick."""
 
 
 class Inspection:
-    """A move under judgement. Mutable state: how many of its poses are judged, and why one is refused."""
+    """Running check of a move. Mutable state: number of checked poses, reason for a refusal."""
 
     def __init__(
         self, platform: Platform, judge: Callable[[PoseSample], int], name: str, move: GeodesicMove
     ) -> None:
-        """Take the judge of samples, bits of Refusal, and what the move is called."""
+        """judge: Refusal bits of a sample; name: how messages call the move."""
         self.move, self._judge, self._name = move, judge, name
         reach = max(hypot(*joint) for joint in platform.platform_joints.tolist())
         self._steps = min(max(ceil(move.travel_m(reach) / APART_M), LEAST), MOST)
         self._next = 0
         self.refusal = ""
-        """Why it cannot be followed; empty as far as it has been judged."""
+        """Reason why the move is refused; empty as far as it has been checked."""
 
     def step(self) -> bool:
-        """Judge the next poses; return whether all have been, or one is refused."""
+        """Check the next poses; return True when all have been checked, or one is refused."""
         for _ in range(PER_TICK):
             if self.refusal or self._next > self._steps:
                 break
@@ -84,24 +84,23 @@ class Inspection:
             against = self._judge(self.move.sample(t))
             if against:
                 at = f"{100.0 * self._next / self._steps:.0f} %"
-                self.refusal = f"{self._name}: not followed, since {at} along it {explain(against)}"
+                self.refusal = f"{self._name}: refused, since at {at} of it {explain(against)}"
             self._next += 1
         return bool(self.refusal) or self._next > self._steps
 
 
-NO_KEY = "the key is not held (operator.deadman_s): hold it, then say start"
+NO_KEY = "the key is not held (operator.deadman_s): hold it, then send start"
 _ON_THE_WAY = frozenset({Operator.KEY, Operator.SPEED})
-"""Orders that leave the platform on its way."""
+"""Orders that do not cancel the check of a way back."""
 NOT_MOVING = "nothing moves in mode {}: the platform has to be on its way or on hold"
 
 
 class Operating:
     """Turns the operator's orders into the speed along the path.
 
-    Mutable state: whether the platform may go, the speed that was asked for, whether it is to park at the
-    first pose or on its way there, the tick of the last key frame, the answers to the last tick's orders, the
-    way back to the path after a jog, the one that is being judged and why the last one was refused, and what
-    `jogging` keeps.
+    Mutable state: permission to go, requested speed, parking at or on the way to the first pose, the tick of
+    the last key frame, and the answers to the last tick's orders; the way back to the path after a jog, the
+    move under check, the reason for the last refusal, and the state of `jogging`.
     """
 
     def __init__(
@@ -112,17 +111,17 @@ class Operating:
         jogging: Jogging,
         judged: Callable[[str, GeodesicMove], Inspection],
     ) -> None:
-        """Take the least time of a move at set-up speed, s, and what judges such a move, with its name."""
+        """least_s: shortest time of a move at set-up speed; judged: starts the check of a named move."""
         self.jogging, self._judged = jogging, judged
         self.settings = settings
         self.least_s = least_s
         deadman_s = settings.deadman_s
         self.patience = None if deadman_s is None else max(1, int(deadman_s * rate_Hz + 1e-9))
-        """Ticks after which a key that is not heard again counts as let go; None: no key is needed."""
+        """Ticks without a key frame after which the key counts as released; None: no key is needed."""
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start: full speed, no key heard."""
+        """Reset to full speed, without a key frame."""
         self.go = True
         self.speed = 1.0
         self.parks = False
@@ -130,37 +129,37 @@ class Operating:
         self._way_back: GeodesicMove | None = None
         self._inspection: Inspection | None = None
         self.trouble = ""
-        """Why a way back cannot be followed, until the next order, or until it moves anew."""
+        """Reason why a way back is refused; kept until the next order or the next motion."""
         self.key_tick: int | None = None
         self.answers: list[str] = []
-        """Why each order of the last tick was refused, in their order; empty where it was taken."""
+        """Reason for the refusal of each order of the last tick, in order; empty where it was accepted."""
 
     def holds_key(self, tick: int) -> bool:
-        """Tell whether the key is held, or none is needed."""
+        """True while the key is held, or if no key is needed."""
         if self.patience is None:
             return True
         return self.key_tick is not None and tick - self.key_tick < self.patience
 
     def moves(self, mode: Mode) -> bool:
-        """Tell whether the operator decides in a mode how the platform goes on."""
+        """True in a mode in which the operator controls the motion."""
         return mode in {Mode.APPROACH, Mode.TRACKING} or (mode is Mode.STOPPING and self.parks)
 
     def stays(self, mode: Mode) -> bool:
-        """Tell whether the brakes stay open where the motion has ended.
+        """True while the brakes stay open at the end of the motion.
 
-        On hold, and where the way back to the first pose is still to begin.
+        On hold, and before the way back to the first pose has begun.
         """
         if mode is Mode.TRACKING:
             return self.parks or not self.go
         return mode is Mode.STOPPING and self.parks and not self.go
 
     def busy(self, mode: Mode) -> bool:
-        """Whether it has to be asked in the next tick though no order comes."""
+        """True if the next tick needs a decision even without an order."""
         parks = self.parks and mode is not Mode.STOPPING
         return bool(self.answers) or parks or self.jogging.waits or self._inspection is not None
 
     def step(self, orders: Sequence[Order], tick: int, mode: Mode, motion: Motion) -> None:
-        """Go on to a tick along the motion, take its orders, look at the key, and set the speed from here."""
+        """Advance the motion to a tick, take the tick's orders, check the key, and set the speed."""
         motion.advance(tick)
         if not self.go and self.stays(mode) and not motion.away and motion.finished(tick):
             motion.settle(tick, 0.0)  # the motion is over: so is its time
@@ -201,7 +200,7 @@ class Operating:
         return ""
 
     def _jog(self, orders: Sequence[Order], tick: int, motion: Motion) -> None:
-        """Go on with a jog; where a limit has stopped it in this tick, its words are refused."""
+        """Continue a jog; if a limit has stopped it in this tick, refuse its words."""
         jogging = self.jogging
         jogging.step(tick, motion, key=self.holds_key(tick))
         if jogging.refusal:
@@ -211,7 +210,7 @@ class Operating:
             ]
 
     def _return(self, tick: int, motion: Motion) -> None:
-        """Go back to where the path was left, and on along it; a jog comes to rest first."""
+        """Return to the place where the path was left, and follow it again; a jog comes to rest first."""
         self.jogging.let_go()
         if motion.finished(tick):
             motion.resume(tick)
@@ -224,14 +223,14 @@ class Operating:
                 motion.leave(move, tick)
 
     def engage(self, tick: int, motion: Motion) -> None:
-        """Begin to move, where the key is held; no way back of the motion before counts any more."""
+        """Begin to move, if the key is held; forget a way back from an earlier motion."""
         self.parks, self.go = False, self.holds_key(tick)
         self._way_back = self._inspection = None
         self.trouble = ""
         motion.settle(tick, self.speed if self.go else 0.0)
 
     def enter(self, mode: Mode, tick: int, motion: Motion) -> None:
-        """Begin TRACKING, or the way back: at rest where the operator has to start it."""
+        """Begin TRACKING or the way back; at rest if the operator has to start the motion."""
         if mode is Mode.TRACKING:
             begins = self.parks or self.settings.start == "automatic"
             self.go = self.go and begins and self.holds_key(tick)
@@ -240,9 +239,9 @@ class Operating:
         self._aim(tick, mode, motion)
 
     def way(self, name: str, tick: int, motion: Motion, there: PoseSample) -> GeodesicMove | None:
-        """Return the move from rest to a pose of the reference, once it has been judged.
+        """Checked move from rest to a pose of the reference.
 
-        None before that, and where it cannot be followed: then the platform stays on hold, see `trouble`.
+        None while the check runs, and if it fails: then the platform stays on hold, see `trouble`.
         """
         if self._inspection is None:
             move = at_setup_speed(self.settings, self.least_s, motion.sample(tick), there)

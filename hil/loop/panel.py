@@ -1,4 +1,4 @@
-"""The operator's signals: Ctrl-C, and a terminal that goes."""
+"""The operator's signals: Ctrl-C, and the loss of the terminal."""
 
 import signal
 import sys
@@ -11,7 +11,7 @@ from hil.signals import Operator
 
 @contextmanager
 def signals_to(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Route the signals that ask for an end to `handler`."""
+    """Route the signals that request an end to `handler`."""
     before = {s: signal.signal(s, handler) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
@@ -23,9 +23,9 @@ def signals_to(handler: Callable[[int, FrameType | None], None]) -> Iterator[Non
 class OperatorPanel:
     """The operator's signals, which wait for the next tick.
 
-    SIGINT, SIGTERM and SIGHUP ask for a controlled stop, a second one for an emergency stop. While the drives
-    hold a platform whose brakes are not proven shut, none of them drops it.
-    Mutable state: how many signals came and how many were handed out.
+    The first SIGINT, SIGTERM or SIGHUP requests a controlled stop, a second one an emergency stop. While the
+    drives hold a platform whose brakes are not proven shut, each requests a controlled stop only. Mutable
+    state: numbers of received and of delivered signals.
     """
 
     def __init__(self) -> None:
@@ -34,7 +34,7 @@ class OperatorPanel:
         self._running = False
 
     def take(self, *, held: bool = False) -> tuple[Operator, ...]:
-        """Return the commands that have come since the last call; held: only force holds the platform."""
+        """Commands since the last call; held: only force holds the platform."""
         commands: tuple[Operator, ...] = ()
         while self._answered < self.interrupts:  # counted, not listed: a signal may strike between any two
             self._answered += 1
@@ -42,16 +42,16 @@ class OperatorPanel:
         return commands
 
     def interrupt(self, signum: int, frame: FrameType | None) -> None:
-        """Handle a signal: before the loop there is nothing to stop but the start, and that once."""
+        """Count a signal; before the loop runs, raise KeyboardInterrupt unless one is being handled."""
         del signum, frame
         self.interrupts += 1
         if not self._running and not isinstance(sys.exc_info()[1], KeyboardInterrupt):
             raise KeyboardInterrupt
 
     def attached(self) -> AbstractContextManager[None]:
-        """Route the signals here. Until `running` they raise KeyboardInterrupt."""
+        """Route the signals to this panel. Until `running` they raise KeyboardInterrupt."""
         return signals_to(self.interrupt)
 
     def running(self) -> None:
-        """From now on signals wait for the next tick, and for ever once there is none."""
+        """From now on only count signals: they wait for the next tick, and are ignored after the last one."""
         self._running = True

@@ -1,6 +1,6 @@
-"""What a cycle is made of.
+"""The parts of a cycle.
 
-It only names the parts, `hil.app.compose` makes them.
+It only lists the parts; `hil.app.compose` builds them.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Parts:
-    """What a cycle is made of."""
+    """The parts of a cycle."""
 
     platform: Platform
     model: Model
-    """What legs bear and how they yield to forces, without friction."""
+    """Loads of the legs and their response to forces, without friction."""
     protocol: Family
     law: Law
     trajectory: Trajectory
@@ -46,22 +46,23 @@ class Parts:
     home_R: Array
     rate_Hz: float
     setup: DriveSetup
-    """What the protocol sets in the drives."""
+    """Settings that the protocol writes to the drives."""
     wrench: ExternalWrench
     operator: OperatorSettings
-    """What the operator has to do."""
+    """Required actions and set-up speeds of the operator."""
     admission: Admission
-    """Judges where a jog would come to rest, and the straight ways."""
+    """Checks the rest poses of jogs, and the straight moves."""
     steering: Steering | None = None
-    """What takes set-points, where the reference is live."""
+    """Takes set-points, where the reference is live."""
     last_pose: LastPose | None = None
-    """Where the legs were parked, for drives that forget their turns at power-off."""
+    """Parked leg lengths, for drives that forget their turns at power-off."""
     sensors: SensorProtocol | None = None
     fusion: FusedEstimator | None = None
-    """Gives the pose once the legs have; None: the legs alone do."""
+    """Fusion filter, which takes over once the legs have given a pose; None: the pose comes from the legs
+    alone."""
     buses: tuple[str, ...] = ()
-    """Channel and legs of each bus, where there are several."""
+    """Channel and legs of each bus, if there are several."""
     predictor: Predictor | None = None
-    """For a law that reads state and reference at the instant at which its force acts."""
+    """For a law that reads state and reference at the instant when its force acts."""
     learned: LearnedForces | None = None
-    """What earlier runs of this trajectory have taught."""
+    """Forces learned from earlier runs of this trajectory."""

@@ -1,23 +1,24 @@
-"""The probe: whether a leg whose reading stands still is held by friction, and the push that decides it.
+"""The probe: decides whether friction holds a leg whose reading stands still, if necessary by a push.
 
-A stage between the law and the limits. Safety names the legs that stand still while they or others stray,
-and counts a leg that does not move under its push; the limits hold for the sum of law and push.
+A stage between the law and the limits. Safety reports the legs that stand still while they or others stray
+from the reference, and counts a leg that does not move under its push. The limits apply to the sum of law and
+push.
 
-Where there is no friction a leg is pushed at once, gently, one way and then the other. Where there is, it
-holds a leg as long as the force F that acts stays within
+Without friction a leg is pushed at once, gently, one way and then the other. Friction holds a leg as long as
+the acting force F stays within
 
     onset(load - friction, -1) <= F <= onset(load + friction, 1)
     onset(X, s) = X / eta_d where X s > 0 (the motor drives the leg), else X eta_b,
 
-load: what inverse dynamics asks for along the reference, at the measured pose. Only friction that is
-configured or identified counts. Beyond that band a free leg would be on its way: where it would have moved
-visibly, the leg is pushed on that way by twice the friction and more: one that stands for another reason,
-or by up to three times the friction, moves then.
+load: force from inverse dynamics along the reference, at the measured pose. Only friction that is configured
+or identified counts. Beyond that band a free leg would move. As soon as it would have moved visibly, the leg
+is pushed that way by at least twice the friction. A leg that stands for another reason, or under up to three
+times that friction, then moves.
 
-The load may be another than the model's. In motion a frozen reading strays from its reference, and the law's
-force shows it. At rest it does not. There, where the force that acts on any leg is beyond its band, less what
-the acceleration of the legs takes, the band of a leg that stands says nothing: it is pushed, too. While such
-a load acts one push decides nothing, as the load may hold the leg against it: the other way follows.
+The load may differ from the model's. In motion a frozen reading strays from its reference, and the law's
+force shows it; at rest it does not. At rest, if the force on any leg, less the part that accelerates the
+legs, is beyond its band, the band of a standing leg shows nothing: it is pushed, too. While such a load acts,
+one push decides nothing, as the load may hold the leg against it: a push the other way follows.
 """
 
 from math import copysign
@@ -34,22 +35,21 @@ from hil.robot.dynamics_kernels import FULL, SIZE, inverse_dynamics_kernel
 from hil.safety.residuals import MOVED
 
 KNOWN = 0.02
-"""Share of its load by which the load of a leg may be wrong."""
+"""Relative uncertainty of the load of a leg."""
 KNOWN_INERTIA = 0.2
-"""Share by which the force of an acceleration may be wrong."""
+"""Relative uncertainty of the force of an acceleration."""
 LEAST_S, LONGEST_S = 0.01, 0.05
-"""For how long forces are compared with the load, at least and at most."""
+"""Shortest and longest time for which forces are compared with the load."""
 
 
 @helper
 def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_wrench: int) -> None:
-    """Decide which of the legs that stand still are to be pushed, or pushed on.
+    """Decide for each leg that stands still whether a push begins, continues or ends.
 
     limits, memory: records of `hil.safety.kernels`; window: the forces sent, (n, 6) N, see
-    `hil.safety.force_limits`; robot: address of the constants of the model of the load, see
-    `hil.robot.dynamics_kernels`;
-    senses_wrench: not 0 where a sensor gives the external wrench. That of an observer does not count: to it a
-    leg that stands under a force bears a load.
+    `hil.safety.force_limits`; robot: address of the constants of the load model, see
+    `hil.robot.dynamics_kernels`; senses_wrench: not 0 if a sensor gives the external wrench. An observer's
+    wrench does not count: to an observer, a leg that stands under a force seems loaded.
     """
     c, wrench = reals_at(robot, SIZE), np.zeros(6)
     if senses_wrench:
@@ -90,9 +90,10 @@ def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_
 
 @helper
 def weigh(tick: Any, limits: Any, memory: Any, c: Array, load: Array, acting: Array, wrench: Array) -> bool:
-    """Tell whether a load acts that the model does not know; correct the load for how the legs accelerate.
+    """True if a load acts that the model does not know; adds the force of the legs' acceleration to `load`.
 
-    Means since legs began to stray, N: what acted, less the load, less what changed the rates r of the legs,
+    Compares means since legs began to stray, N: the acting force, less the load, less the force that changed
+    the rates r of the legs,
 
         J^-T M J^-1 (r - r_then) / T,    r = dq - dq_d.
     """
@@ -126,7 +127,7 @@ def weigh(tick: Any, limits: Any, memory: Any, c: Array, load: Array, acting: Ar
 
 @helper
 def beyond(force: float, load: float, friction: float, driving: float, back_driving: float) -> float:
-    """Force, N, beyond what friction holds of a load, N; 0: friction may hold the leg."""
+    """Force, N, in excess of what friction can hold at a load, N; 0: friction may hold the leg."""
     high, low = load + friction, load - friction
     high = high / driving if high > 0.0 else high * back_driving
     low = low / driving if low < 0.0 else low * back_driving
@@ -135,7 +136,7 @@ def beyond(force: float, load: float, friction: float, driving: float, back_driv
 
 @helper
 def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
-    """Fill probe_force, (6,) N, > 0 extends, from the last tick's on; tell whether a push begins."""
+    """Fill probe_force, (6,) N, > 0 extends, from that of the last tick; return True if a push begins."""
     begins = False
     for i in range(LEGS):
         rise, ticks = limits.rise_ticks, limits.push_ticks
@@ -148,15 +149,15 @@ def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
 
 
 @helper
-def push_of(so_far: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
-    """Force that is added to a leg, N; 0 where it is not pushed.
+def push_of(pushed: int, ticks: int, force: float, sticks: bool, rise: int) -> float:
+    """Probe force of a leg, N; 0 for a leg that is not pushed.
 
-    `ticks` its first way, then the other: along straight lines, or, where it sticks, within `rise` ticks to
-    the whole force; 1: at once.
+    It pushes `ticks` ticks one way, then the other: along straight lines, or, with friction, by the full
+    force after a rise of `rise` ticks; 1: at once.
     """
-    if so_far == 0:
+    if pushed == 0:
         return 0.0
-    first, k = copysign(force, so_far), abs(so_far)
+    first, k = copysign(force, pushed), abs(pushed)
     if sticks and k > ticks:
         first, k = -first, k - ticks
     if sticks:

@@ -1,4 +1,4 @@
-"""The reference of a tick from a trajectory's sample, and how the force comes and goes around it."""
+"""The reference of a tick from a trajectory's sample, and the ramps of the force around it."""
 
 from typing import Any, NamedTuple
 
@@ -54,7 +54,7 @@ _fill = kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *par
 
 
 def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:
-    """Return by how much the lengths of the legs differ at most between two samples, m."""
+    """Largest difference of a leg's length between two samples, m."""
     one, other = new_record(), new_record()
     fill_reference(platform, a, one)
     fill_reference(platform, b, other)
@@ -63,16 +63,16 @@ def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:
 
 @helper
 def smoothstep(x: float) -> float:
-    """Return 10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
+    """10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
     x = min(max(x, 0.0), 1.0)
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
 @helper
 def holding_share(mode: int, elapsed_s: float, load_s: float) -> float:
-    """Return the share of the holding force in LOADING and UNLOADING, where both take `load_s` > 0 for it.
+    """Share of the holding force in LOADING and UNLOADING, whose ramps both take `load_s` > 0.
 
-    LOADING begins with a brake test, as long without any.
+    LOADING begins with a brake test of the same duration, without force.
     """
     if mode == _LOADING:
         return smoothstep((elapsed_s - load_s) / load_s)
@@ -80,9 +80,9 @@ def holding_share(mode: int, elapsed_s: float, load_s: float) -> float:
 
 
 def tau_at_rest(law: Law, platform: Platform, tick: Record, sample: PoseSample, *, on_it: bool) -> Array:
-    """Return what the law asks for at rest, without load, its reference being the sample; the law is reset.
+    """Force of the law at rest, without load, with the sample as reference; resets the law.
 
-    on_it: as if the platform were there, too; otherwise it is where it was measured in this tick.
+    on_it: as if the platform were there, too; otherwise at its pose measured in this tick.
     """
     at_rest = copy_of(tick)
     at_rest["wrench"] = 0.0
@@ -98,12 +98,12 @@ def tau_at_rest(law: Law, platform: Platform, tick: Record, sample: PoseSample, 
 
 
 class LearnedForces(NamedTuple):
-    """Leg forces over the time of one reference, and over the last of the way to its start."""
+    """Leg forces over the time of one reference, and over the last part of the way to its start."""
 
     tau: Array
     """(n, 6) N at start_s, start_s + step_s, ... Read-only."""
     start_s: float
-    """At most 0: time before the reference begins."""
+    """Time before the start of the reference, at most 0."""
     step_s: float
     fade_s: float
-    """In which they fade in and out."""
+    """Time in which they fade in and out."""

@@ -1,4 +1,4 @@
-"""Replay: the recorded inputs through the same Cycle, compared to the bit."""
+"""Replay: the recorded inputs run through the same Cycle, and the results are compared to the bit."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -17,19 +17,19 @@ from drivers.tick_columns import COMPUTED_COLUMNS, INPUT_ELEMENTS, LATER, RECORD
 from hil.loop import tick_row as part
 from hil.loop.cycle import Cycle
 from hil.loop.story.narrator import Narrator
-from hil.loop.story.told import Story
+from hil.loop.story.story import Story
 from hil.loop.tick_input import input_of
 from hil.loop.tick_row import CAPACITY, NOTHING, Given, TickRow, Ticks
 from hil.record.log import Tick
 from hil.signals import Operator, TickInput
 
 TOLERANCE = 1e-9
-"""Computed columns on another CPU agree to this; frames agree to the bit."""
+"""Largest relative difference of computed columns on another CPU; frames must agree to the bit."""
 
 
 @dataclass
 class Difference:
-    """One column, or the sent frames, of one tick that came out differently."""
+    """One difference in a tick: in a column, or in the sent frames."""
 
     tick: int
     column: str
@@ -49,32 +49,33 @@ class Difference:
 
 @dataclass
 class Comparison:
-    """What a replay found."""
+    """Result of a replay."""
 
     ticks: int = 0
     end: int = 0
-    """The tick behind the last one."""
+    """Number of the last tick plus one."""
     frames: int = 0
     different_ticks: int = 0
     wire_different_ticks: int = 0
     """Ticks whose sent frames differ."""
     first: list[Difference] = field(default_factory=list)
-    """All differences of the first tick that differs."""
+    """All differences in the first tick with any."""
     gaps: list[tuple[int, int]] = field(default_factory=list)
-    """(first missing tick, how many) where the recorder lost ticks: nothing after the first is comparable."""
+    """(first missing tick, number of missing ticks) where the recorder lost ticks; the comparison ends at the
+    first gap."""
     largest: float = 0.0
     """Largest |replayed - recorded| / max(1, |recorded|) over all columns; inf where an integer differs."""
     story: Story | None = None
-    """What the latched faults at the end of the log have to tell."""
+    """Story of the faults that are latched at the end of the log."""
 
     @property
     def exact(self) -> bool:
-        """Every sent frame and every computed column of every tick is identical."""
+        """True if every sent frame and every computed column of every tick is identical."""
         return self.ticks > 0 and not self.different_ticks and not self.gaps
 
     @property
     def equivalent(self) -> bool:
-        """Every sent frame is identical and every column within TOLERANCE: what another CPU may change."""
+        """True if every sent frame is identical and every column within TOLERANCE, as on another CPU."""
         return (
             self.ticks > 0 and not self.wire_different_ticks and self.largest <= TOLERANCE and not self.gaps
         )
@@ -85,7 +86,7 @@ _STATES = frozenset(map(int, BusState))
 
 
 def other_columns(columns: Sequence[Column]) -> str:
-    """Return how the columns of a log differ from RECORDED; empty where a replay can compare them."""
+    """Differences between a log's columns and RECORDED, as text; empty if a replay can compare them."""
     log, own = (
         {c.name: (c.kind, c.shape, c.elements, c.names) for c in table} for table in (columns, RECORDED)
     )
@@ -103,46 +104,46 @@ def other_columns(columns: Sequence[Column]) -> str:
 
 
 class Recorded(Protocol):
-    """Anything that gives recorded ticks in order; `hil.record.log.Log` above all."""
+    """Source of recorded ticks in order, for example `hil.record.log.Log`."""
 
     def ticks(self) -> Iterator[Tick]:
-        """Return the ticks."""
+        """The recorded ticks in order."""
 
 
 def recorded_input(entry: Tick) -> TickInput:
-    """Return what the cycle was given in a recorded tick. Raises LogError: one that no cycle writes."""
+    """Input of the cycle in a recorded tick. Raises LogError for a row that no cycle writes."""
     return input_of(entry.row, entry.received_items, entry.operator, entry.setpoints, entry.orders)
 
 
 class Block(NamedTuple):
-    """Recorded ticks, and what a cycle makes of their inputs; at most in the last one it decides."""
+    """Recorded ticks, and a cycle's results for the same inputs; only the last tick may have a decision."""
 
     entries: Sequence[Tick]
-    """What was recorded."""
+    """The recorded ticks."""
     recorded: Rows
-    """The rows of these."""
+    """Rows of the recorded ticks."""
     ticks: Ticks
-    """What the cycle hears, sends and records."""
+    """Memory of the cycle's ticks: frames received, frames sent, records."""
     span: slice
-    """Which of the ticks they are."""
+    """Place of the block within `ticks`."""
 
     @property
     def operator(self) -> tuple[Operator, ...]:
-        """What the operator said in the last tick."""
+        """Operator's commands in the last tick."""
         return tuple(map(Operator, self.entries[-1].operator))
 
     @property
     def rows(self) -> Rows:
-        """What the cycle records of them."""
+        """Rows that the cycle computes."""
         return self.ticks.recorded(self.span)[0]
 
     def sent(self, k: int) -> Rows:
-        """Return the frames that the cycle sends in tick k of the block, elements of FRAME."""
+        """Frames that the cycle sends in tick k of the block, elements of FRAME."""
         _, opened, command = self.ticks.spans(self.span.start + k)
         return self.ticks.frames[opened.start : command.stop]
 
     def differs(self) -> tuple[Flags, Flags]:
-        """Return in which ticks sent frames, whatever their times, and columns differ, (n,) each."""
+        """Flags (n,) of ticks whose sent frames differ, times aside; flags of those whose columns differ."""
         count, ends = len(self.entries), self.ticks.ends[self.span]
         words = self.ticks.records[self.span].view(np.int64)[:, :_ROW_WORDS]
         recorded = self.recorded.view(np.float64).reshape(count, _ROW_WORDS)
@@ -158,7 +159,7 @@ class Block(NamedTuple):
 
 @kernel(records(FRAME), MATRIX_OF_INTEGERS, records(FRAME), INTEGERS, OUT_FLAGS)
 def _compare_frames(own: Any, ends: Any, recorded: Any, bounds: Any, differs: Any) -> None:
-    """Tell for each tick whether its frames differ: own ones from `ends` (n, 3), recorded by `bounds`."""
+    """Flag the ticks whose frames differ: own frames at `ends` (n, 3), recorded ones at `bounds`."""
     for k in range(differs.shape[0]):
         first, count = ends[k, 0], ends[k, 2] - ends[k, 0]
         differs[k] = count != bounds[k + 1] - bounds[k]
@@ -170,15 +171,15 @@ def _compare_frames(own: Any, ends: Any, recorded: Any, bounds: Any, differs: An
 
 
 REPLAY = np.dtype([*part.ROW_OF_TICKS, *((name, "<i8") for name in ("entry", "rows", "items", "bounds"))])
-"""A row of ticks, and the recorded ones: the next of these; addresses of their rows, of the frames that they
-heard, and of where these begin and end, (n + 1,)."""
+"""The fields of a row of ticks, then of the recorded ticks: index of the next one; addresses of their rows,
+of their received frames, and of the bounds of these, (n + 1,)."""
 _ROW_BYTES, _ROW_WORDS = ROW.itemsize, ROW.itemsize // 8
 _LATER_WORDS = sum(c.size for c in LATER)
 
 
 @helper
 def _begins(s: Any) -> int:
-    """Let the controller hear what it heard in the recorded tick."""
+    """Observe a tick with the input and the frames of the recorded one."""
     bounds = integers_at(s.bounds + 8 * s.entry, 2)
     s.heard_at, s.heard = s.items + bounds[0] * part.BYTES, bounds[1] - bounds[0]
     if not part.has_room(s):
@@ -191,7 +192,7 @@ def _begins(s: Any) -> int:
 
 @kernel(record(REPLAY), unlocked=True)
 def again(s: Any) -> int:
-    """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
+    """Run until `count` ticks are done; return 0, or the status of the stage that stopped."""
     while s.done < s.count:
         status = 0
         if s.stage == part.START:
@@ -214,7 +215,7 @@ def again(s: Any) -> int:
 
 
 def _gathered(log: Recorded) -> Iterator[list[Tick]]:
-    """Yield the ticks of a log, some at a time; what cannot be read is raised behind the last that can."""
+    """Yield the ticks of a log in groups; a LogError is raised after the last readable tick."""
     gathered: list[Tick] = []
     try:
         for entry in log.ticks():
@@ -231,7 +232,7 @@ def _gathered(log: Recorded) -> Iterator[list[Tick]]:
 
 
 def _odd(entries: Sequence[Tick], recorded: Rows, last: int) -> list[int]:
-    """Return which ticks have words of the operator, follow a gap, or have a row that no cycle writes."""
+    """Indices of ticks with operator input, after a gap, or with a row that no cycle writes."""
     tick, skipped = recorded["tick"], recorded["skipped"]
     gap = tick - skipped - np.concatenate(([last], tick[:-1])) != 1
     flags = zip(recorded["recorder_alive"].tolist(), recorded["bus_state"].tolist(), strict=True)
@@ -243,10 +244,10 @@ def _odd(entries: Sequence[Tick], recorded: Rows, last: int) -> list[int]:
 def blocks(
     log: Recorded, cycle: Cycle, gaps: list[tuple[int, int]], progress: Callable[[int], None] | None = None
 ) -> Iterator[Block]:
-    """Give `cycle`, which was reset, the recorded inputs of a log; yield what it makes of them.
+    """Run `cycle`, after its reset, on the recorded inputs of a log; yield its results.
 
-    Ends at the first gap, which is added to `gaps`: the first missing tick, and how many. A cycle with
-    latched faults goes through one tick at a time. Raises LogError where the log cannot be read.
+    Ends at the first gap, which is appended to `gaps`: first missing tick and number. With latched faults a
+    cycle runs one tick at a time. Raises LogError where the log cannot be read.
     """
     row, last, done = TickRow(cycle, REPLAY, again), -1, 0
     for entries in _gathered(log):
@@ -281,7 +282,7 @@ def blocks(
 
 
 def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None = None) -> Comparison:
-    """Run `cycle` from its initial state over all ticks of a log and compare what it sends and computes.
+    """Run `cycle` from its initial state over all ticks of a log, and compare its frames and columns.
 
     Raises LogError where the log cannot be read.
     """
@@ -302,7 +303,7 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
 
 
 def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> None:
-    """Take in a tick that differs."""
+    """Add a tick that differs to the comparison."""
     row, entry = block.rows[k], block.entries[k]
     comparison.different_ticks += 1
     comparison.wire_different_ticks += wire
@@ -316,7 +317,7 @@ def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> Non
 
 
 def _compared(recorded: np.void) -> list[str]:
-    """Columns of a recorded row that a replay computes."""
+    """Recorded columns that a replay also computes."""
     lacking = {c.name for c in LATER if np.isnan(recorded[c.name]).all()}
     return [name for name in COMPUTED_COLUMNS if name not in lacking]
 

@@ -1,4 +1,4 @@
-"""What the six drives say of themselves in a tick, and how a run reports it in words.
+"""State reports of the six drives in a tick, and their wording in the messages of a run.
 
 `cycle` is a `hil.loop.cycle.Cycle`, which imports this module.
 """
@@ -18,15 +18,15 @@ _POWERED = (DriveState.READY, DriveState.RUN)
 
 
 def any_powered(tick: Record) -> bool:
-    """Tell whether a drive is powered."""
+    """True if a drive is powered."""
     return any(state in _POWERED for state in tick["drive_state"].tolist())
 
 
 def unconfirmed(tick: Record, latches: bool) -> tuple[int, ...]:
-    """Return the legs whose drive is not in FAULT or does not report the emergency stop as its reason.
+    """Legs whose drive has not confirmed the emergency stop: not in FAULT, or for another reason.
 
-    A fault code of the drives' own is taken for it: what it means only their maker knows. Of drives that do
-    not latch a stop, those that are still powered.
+    A fault code of the manufacturer counts as a confirmation, as its meaning is unknown here. If the drives
+    do not latch a stop: the legs whose drive is in RUN.
     """
     if not latches:
         return tuple(leg for leg, state in enumerate(tick["drive_state"].tolist()) if state == DriveState.RUN)
@@ -39,14 +39,14 @@ def unconfirmed(tick: Record, latches: bool) -> tuple[int, ...]:
 
 
 def confirmed(tick: Record, latches: bool) -> bool:
-    """Tell whether all drives are in FAULT and report the emergency stop as their reason; or are off."""
+    """True if all drives have confirmed the emergency stop, see `unconfirmed`."""
     return not unconfirmed(tick, latches)
 
 
 def ready(tick: Record, mode: Mode, set_up: Iterable[bool], *, located: bool) -> bool:
-    """Tell whether the drives are as an arming needs them: heard and the pose found, and all six set up.
+    """True if the drives are ready for arming: all report, the pose is found, and all six are set up.
 
-    Once they were, in IDLE, they stay so until one is to be set up again; one that was altered is a fault.
+    In IDLE only the set-up can end this. A drive with an altered set-up stays ready here, as it is a fault.
     """
     if mode is Mode.IDLE:
         return all(set_up) or bool(tick["altered"])
@@ -54,15 +54,15 @@ def ready(tick: Record, mode: Mode, set_up: Iterable[bool], *, located: bool) ->
 
 
 def measured_at_rest(tick: Record) -> bool:
-    """Tell whether all six legs are heard in this tick, believed and at rest."""
+    """True if all six legs report trusted readings in this tick and are at rest."""
     measured = max(tick["age"].tolist()) == 0 and not tick["legs_slipped"]
     return bool(measured and max(abs(tick["rate"]).tolist()) < REST_m_s)
 
 
 def because(fault: int, meaning: str = "") -> str:
-    """Return a drive's reason in brackets; its number where the drive says something of its own.
+    """A drive's fault reason in brackets; a number if it is a manufacturer's code.
 
-    meaning: what that number means, as the protocol says.
+    meaning: of that number, as the protocol gives it.
     """
     known = {int(f): f.name for f in DriveFault}
     own = f"{int(fault)}: {meaning}" if meaning else str(int(fault))
@@ -70,7 +70,7 @@ def because(fault: int, meaning: str = "") -> str:
 
 
 def moving_text(cycle: Any) -> str:
-    """Say which legs are not at rest."""
+    """List of the legs that are not at rest, as text."""
     rates, ages = cycle.tick["rate"].tolist(), cycle.tick["age"].tolist()
     legs = [
         f"leg {leg} at {rate:+.3f} m/s"
@@ -81,7 +81,7 @@ def moving_text(cycle: Any) -> str:
 
 
 def waiting_text(cycle: Any) -> str:
-    """Say what the drives still lack to be engaged."""
+    """Reasons why the drives are not ready, as text."""
     last = cycle.tick
     lacking = []
     protocol = cycle.parts.protocol
@@ -102,46 +102,46 @@ def waiting_text(cycle: Any) -> str:
     if not lacking:
         lacking.append(_unlocated(cycle))
     latched = (last["drive_state"] == DriveState.FAULT).any()
-    mend = "; find out why, then start with --reset to clear latched faults" if latched else ""
-    return f"the drives are not ready: {'; '.join(lacking)}{mend}"
+    advice = "; find out why, then start with --reset to clear latched faults" if latched else ""
+    return f"the drives are not ready: {'; '.join(lacking)}{advice}"
 
 
 def _unlocated(cycle: Any) -> str:
-    """Say why no pose has been found though all drives answer."""
+    """Reason why no pose has been found although all drives answer."""
     last, sight = cycle.tick, cycle.sight
     if sight.located:
-        return "nothing is lacking by now, but it was until after the end; give the run more time"
+        return "they became ready only after the end of the run; give the run more time"
     if sight.sought:
         lengths = ", ".join(f"{q:.4f}" for q in last["length"])
         return f"no pose near platform.home has the measured leg lengths {lengths} m"
     late = ", ".join(f"drive {leg}" for leg in last["age"].nonzero()[0].tolist())
     if not late and not sight.due:
-        return "the pose is being looked for"
+        return "the search for the pose is still running"
     return (
-        "not all six drives have answered within one tick, as the first pose needs it"
-        f"{f' (late in the last one: {late})' if late else ''}: look at the load of this machine and of the "
-        "bus, loop.feedback_window_us, or take a lower loop.rate_Hz"
+        "the first pose needs answers of all six drives within one tick"
+        f"{f' (late in the last tick: {late})' if late else ''}: check the load of this machine and of the "
+        "bus and loop.feedback_window_us, or lower loop.rate_Hz"
     )
 
 
 KEPT = "they keep the last torque; cut their power now"
 NO_WATCHDOG = f"have no watchdog that is set from here: {KEPT}"
-"""Of families whose `has_watchdog` is False."""
-_NOT_TOLD = "the drives could not be told to switch off, since the bus takes no frames: "
+"""For families whose `has_watchdog` is False."""
+_NOT_SENT = "the drives could not be told to switch off, since the bus takes no frames: "
 
 
-def not_told(parts: Parts, reaction: str = "") -> str:
-    """Return what becomes of drives whose bus takes no frames; `reaction` where it is known."""
+def off_not_sent(parts: Parts, reaction: str = "") -> str:
+    """Consequence for drives whose bus takes no frames, as text; `reaction`: of their watchdog, if known."""
     if not parts.protocol.traits.has_watchdog:
-        return f"{_NOT_TOLD}they {NO_WATCHDOG}"
-    return f"{_NOT_TOLD}the watchdog of each acts {_acts(parts.setup, reaction)}"
+        return f"{_NOT_SENT}they {NO_WATCHDOG}"
+    return f"{_NOT_SENT}the watchdog of each acts {_acts(parts.setup, reaction)}"
 
 
 def not_confirmed(parts: Parts, reaction: str) -> str:
-    """Return what becomes of a drive that may have heard nothing."""
+    """Consequence for a drive that may have received nothing, as text."""
     if not parts.protocol.traits.has_watchdog:
-        return f"those that hear nothing {NO_WATCHDOG}"
-    return f"the watchdog of one that hears nothing acts {_acts(parts.setup, reaction)}"
+        return f"drives that receive nothing {NO_WATCHDOG}"
+    return f"the watchdog of a drive that receives nothing acts {_acts(parts.setup, reaction)}"
 
 
 def _acts(setup: DriveSetup, reaction: str) -> str:

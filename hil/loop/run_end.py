@@ -1,6 +1,6 @@
-"""The course of a run: which operator commands are given by themselves, when the run ends, and why.
+"""The course of a run: its own operator commands, the end of the run, and the reason for it.
 
-One rule for the daemon and the lockstep. It reads no clock: its time is the tick.
+The same rules for the daemon and the lockstep. It reads no clock: its time is the tick.
 """
 
 from dataclasses import dataclass, field, replace
@@ -11,81 +11,81 @@ from drivers.signals import NEVER, DriveState, Fault, Mode, Stop
 from hil.loop.cycle import Cycle
 from hil.loop.report import moving_text, waiting_text
 from hil.loop.story.narrator import EventSink, Narrator, no_event
-from hil.loop.story.told import Story
+from hil.loop.story.story import Story
 from hil.signals import Operator
 
 NO_DRIVES_S = 2.0
-"""A run in which no drive has been heard for this long ends."""
+"""A run ends if no drive has reported for this long."""
 NOT_READY_S = 10.0
-"""A run whose drives do not all become ready within this ends: real drives may take a while to boot."""
+"""A run ends if not all drives are ready within this time; real drives may take a while to boot."""
 TAIL_S = 0.25
-"""Parked, or at rest after a fault, the drives are commanded off for this long before the run ends."""
+"""Time for which the drives are commanded off before the run ends, parked or at rest after a fault."""
 HELD_S = 1.0
-"""A simulation that holds the platform with force ends when it has stood still for so long."""
+"""A simulation that holds the platform by force ends when the platform has stood still for this long."""
 MOVING_S = 10.0
-"""A simulation whose platform does not come to rest after a fault, or that is held, and on its way to closed
-brakes and back, ends after this."""
+"""A simulation ends after this time if its platform does not come to rest after a fault, or is held without
+rest. Time with closed brakes in between counts."""
 _HELD = (
-    "not all brakes are proven shut. {}, and the run goes on until it is released: support the platform, "
-    "then give the command again with --release. Ctrl-C drops nothing"
+    "not all brakes are proven shut. {}, and the run continues until the platform is released: support it, "
+    "then repeat the command with --release. Ctrl-C does not release it"
 )
 _HOLDS = {
     True: "The drives hold the platform with force",
-    False: "Nothing but the brakes holds the platform, as these drives give no force on closed brakes",
+    False: "Only the brakes hold the platform, as these drives give no force on closed brakes",
 }
 """By whether the drives give force on closed brakes."""
-_MOVING = "the platform still moves, and the run goes on until it rests; Ctrl-C twice ends it"
+_MOVING = "the platform still moves, and the run continues until it rests; Ctrl-C twice ends it"
 NO_DRIVES = "no drives"
-LEFT_ALONE = "the commands are over, and the run would wait for the operator: it stops and parks"
+LEFT_ALONE = "no commands are left and the run would wait for the operator, so it stops and parks"
 _STOPS = {
     Stop.MISSED: "the loop missed limits.missed_stop_ticks periods in a row",
-    Stop.STRETCHED: "this machine was too busy for the virtual bench, whose time stood still, for 4 ms and "
-    "more at once, for more than limits.stretch_percent of the run: take load off it, lower loop.rate_Hz, or "
-    "use `hil sim`",
+    Stop.STRETCHED: "this machine was too busy for the virtual bench: its time was stopped, for 4 ms or more "
+    "at once, during more than limits.stretch_percent of the run; reduce the load of this machine, lower "
+    "loop.rate_Hz, or use `hil sim`",
     Stop.RECORDER: "the recorder was lost or lost ticks (recording.on_recorder_loss is `stop`)",
 }
 
 
 @dataclass(frozen=True)
 class Ending:
-    """Why and in which mode a run ended."""
+    """Reason and mode of a run's end."""
 
     mode: Mode
     faults: Fault
     reason: str
-    """What went wrong; empty for a run that ended as planned or on request."""
+    """The failure, as text; empty for a run that ended as planned or on request."""
     ticks: int
     fault_tick: int = -1
     requested: bool = False
-    """The operator, or the duration, asked for the stop."""
+    """True if the operator, or the duration, requested the stop."""
     raised: bool = False
-    """The loop itself failed."""
+    """True if the loop itself failed."""
     released: bool = False
-    """The operator has let go of a platform whose brakes were not proven shut."""
+    """True if the operator released a platform whose brakes were not proven shut."""
     unexpected: str = ""
     """Traceback of a defect of this program, for the log."""
     done: str = ""
-    """What was done about a failure of the loop itself."""
+    """Reaction to a failure of the loop itself."""
     story: Story | None = field(default=None, compare=False)
-    """What its latched faults have to tell."""
+    """Story of the latched faults."""
 
     @property
     def success(self) -> bool:
-        """Parked as planned or on request, without a fault."""
+        """True if the run parked as planned or on request, without a fault."""
         return self.mode is Mode.PARKED and not self.faults and not self.reason
 
     @property
     def trouble(self) -> str:
-        """What went wrong, when, and what was done about it; empty for a good ending."""
+        """The failure, its tick, and the reaction to it, as text; empty for a success."""
         text = self.reason
         if self.fault_tick >= 0:
             text = f"{text} at tick {self.fault_tick}"
-        told = "" if self.story is None else self.story.done_text
-        done = "; ".join(filter(None, (told, self.done)))
+        reaction = "" if self.story is None else self.story.done_text
+        done = "; ".join(filter(None, (reaction, self.done)))
         return f"{text}: {done}" if done else text
 
     def blamed(self, plant: str) -> Self:
-        """Return the same ending where the plant's own trouble, if any, comes before what was seen of it."""
+        """The same ending, with the plant's own trouble, if any, before the controller's reason."""
         if not plant:
             return self
         reason = f"{plant}; the controller: {self.reason}" if self.reason else plant
@@ -94,23 +94,24 @@ class Ending:
 
 
 _QUIET = frozenset(Mode) - {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT, Mode.HELD}
-"""Modes that no time ends here."""
+"""Modes in which no time limit ends the run."""
 
 
 class Course:
-    """Engages once the drives are ready, stops after `duration_s`, and ends the run.
+    """Engages when the drives are ready, stops after `duration_s`, and ends the run.
 
-    `armed`: engages by itself; otherwise the operator's ENGAGE does, and `duration_s` counts from there.
-    `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a platform
-    that is held with force is held until the operator releases it, and one that moves after a fault is stayed
-    with until it rests, or the operator asks for an emergency stop in FAULT. Otherwise both are simulated,
-    and end in time. `event` takes what each fault tells in its tick. `goes_on`: parked or after a fault a run
-    goes on until it is asked to end: by END, or when `duration_s` is over. A fault takes `armed` back.
-    Mutable state: which commands have been given, and whether consent in the last tick; when the run is to
-    stop, and was before the last consent; whether a stop was asked for, and whether `duration_s` was over
-    before the drives were ready; the first fault's tick and the last one's text; since when the platform has
-    been held, closed brakes between counted in; when a leg last moved; which way that is not followed was
-    told of, and whether that the operator is silent.
+    `armed`: engages by itself; otherwise on the operator's ENGAGE, from which `duration_s` then counts.
+    `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a held
+    platform stays held until the operator releases it. A platform that still moves after a fault keeps the
+    run going until it rests, or until the operator requests an emergency stop in FAULT. Without `stays`, as
+    in a simulation, both end in time. `event` receives each finding of a fault in its tick. `goes_on`: parked
+    or after a fault, a run continues until END, or until `duration_s` is over. A fault takes `armed` back.
+
+    Mutable state: the commands given, and consent in the last tick; the stop tick, now and before the last
+    consent; whether a stop was requested, and whether `duration_s` ended before the drives were ready; the
+    first fault's tick and the last one's text; since when the platform has been held, including closed brakes
+    in between; the last tick with a moving leg; the reported refusal of a move, and whether the operator's
+    absence was reported.
     """
 
     def __init__(
@@ -146,10 +147,10 @@ class Course:
         self._after_fault_since: int | None = None
         self._held_since: int | None = None
         self._quiet = False
-        """Nothing ends the run, and nothing is to be told, until the cycle has something to decide."""
+        """True while nothing ends the run or has to be reported, until the cycle has something to decide."""
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
-        """Return the commands of a tick that is about to begin: the run's own, then the operator's."""
+        """Commands of a tick that is about to begin: the run's own, then the operator's."""
         if self._quiet and not operator and tick < self._stop_tick:
             self._operator = operator
             return operator
@@ -185,13 +186,13 @@ class Course:
         return operator
 
     def quiet(self, tick: int) -> float:
-        """Return for how many ticks nothing ends the run unless the cycle decides, 1 at least."""
+        """Number of ticks, at least 1, in which nothing ends the run unless the cycle decides."""
         return max(1, self._stop_tick - tick) if self._quiet else 1
 
     def left_alone(self) -> tuple[Operator, ...]:
-        """Return what follows where the operator says nothing from now on: STOP if the run waits for more.
+        """Commands that follow if the operator gives no more: STOP if the run would wait for one.
 
-        One that stays does so no longer. Where `duration_s` ends the run, nothing follows.
+        Clears `goes_on`. If `duration_s` ends the run, no command follows.
         """
         if self._stop_tick < inf:
             return ()
@@ -208,7 +209,7 @@ class Course:
         return (Operator.STOP,) if waits else ()
 
     def ending(self, tick: int) -> Ending | None:
-        """Return how the run ends with the tick that has just been stepped; None if it goes on."""
+        """Ending of the run after the tick that was just stepped; None if the run continues."""
         cycle = self.cycle
         if self._quiet and not cycle.looked:
             return None
@@ -221,7 +222,7 @@ class Course:
         return replace(ending, story=self.story(), reason=ending.reason or self._narrator.short)
 
     def _tell(self) -> None:
-        """Let the log have why a way that the operator asked for is not followed."""
+        """Log the reason if a move that the operator requested is refused."""
         cycle = self.cycle
         trouble = cycle.operating.trouble
         if trouble != self._trouble:
@@ -230,22 +231,22 @@ class Course:
                 self._event(int(cycle.tick["t_ns"]), "warning", trouble)
 
     def failed(self, plant: str, tick: int) -> Ending:
-        """Return how a simulation ends in a tick that could not be stepped, since its plant had failed."""
+        """Ending of a simulation in a tick that could not be stepped, as its plant had failed."""
         cycle, before = self.cycle, self._narrator.short
         reason = f"{plant}; before that: {before}" if before else plant
         story = self._narrator.story(plant)
         return Ending(cycle.mode, cycle.faults, reason, tick, self._fault_tick, story=story)
 
     def story(self) -> Story | None:
-        """Return what the latched faults have to tell by now; None without any."""
+        """Story of the latched faults so far; None without any."""
         return self._narrator.story()
 
     def _ending(self, tick: int) -> Ending | None:
-        """Return how the run ends with a tick, without its story; None if it goes on.
+        """Ending of the run after a tick, without its story; None if it continues.
 
-        It ends parked, once the brakes are proven and all drives report OFF, or TAIL_S later; after a fault,
-        when the legs have been at rest for TAIL_S; where no drive was heard for NO_DRIVES_S; and from then on
-        where a drive has latched a fault, or at NOT_READY_S. See `stays` for what else ends, or does not.
+        A run ends when parked, as soon as the brakes are proven and all drives report OFF, or after TAIL_S;
+        after a fault, when the legs have been at rest for TAIL_S; when no drive has reported for NO_DRIVES_S;
+        after that time also when a drive has latched a fault, or at NOT_READY_S. For exceptions see `stays`.
         """
         cycle = self.cycle
         mode, since = cycle.mode, cycle.mode_tick
@@ -257,7 +258,7 @@ class Course:
                 return None
             case Mode.PARKED if tick - since >= self._tail or (cycle.proven and _all_off(cycle)):
                 why = cycle.stop_requested
-                reason = f"safety asked for a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
+                reason = f"safety requested a controlled stop: {_STOPS[why]}" if why in _STOPS else ""
                 if self._late:
                     reason = waiting_text(cycle)
                 return Ending(mode, cycle.faults, reason, tick, self._fault_tick, requested=self._requested)
@@ -276,7 +277,7 @@ class Course:
         return None
 
     def _after_fault(self, tick: int) -> Ending | None:
-        """Return how a run with a latched fault ends with this tick; None while it goes on."""
+        """Ending of a run with a latched fault after this tick; None while it continues."""
         cycle = self.cycle
         mode, since = cycle.mode, cycle.mode_tick
         if self._after_fault_since != since:
@@ -299,7 +300,7 @@ class Course:
         return Ending(mode, cycle.faults, text, tick, self._fault_tick, released=self._released)
 
     def _note_faults(self, tick: int) -> None:
-        """Keep what is to be said of the faults, as they strike."""
+        """Store tick and text of new faults."""
         faults = self.cycle.faults
         if faults == self._faults:
             return
@@ -309,12 +310,12 @@ class Course:
 
     @property
     def waits_for_consent(self) -> bool:
-        """Whether all is ready and only the operator's word is missing."""
+        """True if all drives are ready and only the operator's consent is missing."""
         return self.cycle.mode is Mode.IDLE and not self._engaged and not self._armed
 
     @property
     def stays_for(self) -> str:
-        """Why the run does not end although a fault has struck; empty where it ends soon."""
+        """Reason why the run continues after a fault; empty where it ends soon."""
         cycle = self.cycle
         if not self.stays:
             return ""

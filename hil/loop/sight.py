@@ -1,4 +1,4 @@
-"""Where the platform is seen: from lengths and sensors to the estimate of a tick."""
+"""State of the platform in a tick, estimated from leg lengths and sensors."""
 
 from math import inf
 
@@ -10,14 +10,14 @@ from hil.estimation.pose import Estimator
 from hil.loop.parts import Parts
 
 SEARCH_S = 0.02
-"""From one look for the first pose to the next."""
+"""Time between two searches for the first pose."""
 
 
 class Sight:
     """Fills the estimate of each tick.
 
-    Mutable state: what was heard of the sensors, the estimator's pose, whether it has been found, was looked
-    for and is to be, and the filter with whether that has begun.
+    Mutable state: the sensors' samples, the estimator's pose, whether it has been found, searched for, or is
+    due for a search, and the filter with whether it has begun.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -25,7 +25,7 @@ class Sight:
         self.period_s = 1.0 / parts.rate_Hz
         self.estimator = Estimator(parts.platform, parts.home_p, parts.home_R)
         self.sensors, self._samples = unheard(no_sensors() if parts.sensors is None else parts.sensors.tables)
-        """What has been heard of the sensors, a record of SENSORS."""
+        """Last samples of the sensors, a record of SENSORS."""
         self._search_interval = max(LEGS, round(SEARCH_S * parts.rate_Hz))
         self.reset()
 
@@ -36,25 +36,25 @@ class Sight:
         self.forget()
 
     def forget(self) -> None:
-        """Look for the pose again, from the last one."""
+        """Search for the pose again, from the last one."""
         self.located = self.sought = self.due = False
-        """The pose has been found; six lengths of one tick were looked at for it; a look is due."""
+        """The pose has been found; it was searched for with six lengths of one tick; a search is due."""
         self.fusing = False
-        """Whether the filter has begun."""
+        """True once the filter has begun."""
 
     @property
     def rotation(self) -> Array:
-        """(3, 3): how the platform is turned, as it was last seen."""
+        """(3, 3): last known rotation of the platform."""
         fusion = self.parts.fusion if self.fusing else None
         R: Array = (self.estimator if fusion is None else fusion).record["R"]
         return R
 
     def locate(self, tick: Record) -> None:
-        """Look for the first pose from home, and fill the estimate of a tick before which none was found.
+        """Search for the first pose from home, and fill the estimate of a tick before which none was found.
 
-        It takes all six lengths of one tick, and is looked for once in SEARCH_S at most.
-        Until all legs have been heard and it has been found, the pose is home's. After a RESET it is looked
-        for from the last one that all six lengths agreed on.
+        The search needs all six lengths of one tick, and runs at most once in SEARCH_S. Until the pose is
+        found, home's stands in its place. After a RESET the search starts from the last pose that all six
+        lengths agreed on.
         """
         estimator = self.estimator
         self.due = self.due or int(tick["tick"]) % self._search_interval == 0
@@ -68,7 +68,7 @@ class Sight:
         tick["fk_residual"] = tick["condition"] = inf
 
     def update(self, tick: Record) -> None:
-        """Fill the estimate of a tick: pose from lengths; a leg without fresh data is carried on."""
+        """Fill the estimate of a tick: pose from lengths; a leg without fresh data is extrapolated."""
         if tick["age"].any():
             tick["q"] += tick["dq"] * (tick["age"] * self.period_s)
         self.estimator.update(tick)

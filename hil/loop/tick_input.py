@@ -14,7 +14,7 @@ from drivers.tick_columns import INPUT_COLUMNS, INPUT_ELEMENTS
 from hil.signals import Operator, Order, SetPoint, TickInput
 
 _INPUT = struct.Struct(f"<{INPUT_ELEMENTS}q")
-"""The columns of TickInput stand first in the row, in the order of INPUT_COLUMNS."""
+"""The columns of TickInput are the first ones of the row, in the order of INPUT_COLUMNS."""
 _STATES = {int(state): state for state in BusState}
 
 
@@ -35,7 +35,7 @@ def input_of(
     setpoints: tuple[SetPoint, ...] = (),
     orders: tuple[Order, ...] = (),
 ) -> TickInput:
-    """Return the input of a tick from its row, and from what no column holds.
+    """Input of a tick from its row, and from the arguments that no column holds.
 
     Raises LogError for a row that no cycle writes.
     """
@@ -59,7 +59,7 @@ _ALL_ONES = 0xFFFFFFFF
 
 
 def _tables() -> Any:
-    """Return (8, 256): the register after a byte, with 0 to 7 zero bytes behind it."""
+    """(8, 256): the CRC register after a byte, followed by 0 to 7 zero bytes."""
     tables = np.zeros((8, 256), np.uint32)
     for byte in range(256):
         register = byte
@@ -77,7 +77,7 @@ _TABLES = _tables()
 
 @helper
 def eight(register: Any, word: Any) -> Any:
-    """Return the register after the eight bytes of a word."""
+    """The CRC register after the eight bytes of a word."""
     low = np.uint64(word) ^ np.uint64(register)
     after = np.uint32(0)
     for k in range(8):
@@ -87,10 +87,10 @@ def eight(register: Any, word: Any) -> Any:
 
 @helper
 def crc32(frames: Any) -> int:
-    """Return the CRC-32 (ISO 3309, as zlib's) of elements of FRAME, over what identifies each.
+    """CRC-32 (ISO 3309, as in zlib) of elements of FRAME, over these bytes of each.
 
     Little-endian: time (8 bytes), identifier (4), flags with the bus in the high byte (2), number of data
-    bytes (2), and these.
+    bytes (2), and the data.
     """
     register: Any = np.uint32(_ALL_ONES)
     for n in range(frames.shape[0]):

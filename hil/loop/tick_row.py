@@ -1,8 +1,8 @@
-"""A row of ticks: a kernel goes through them, and stops where the cycle has something to decide.
+"""A row of ticks: a kernel runs through them, and stops where the cycle has something to decide.
 
-The controller's part of a tick is compiled, for kernels of both ends. A tick goes through stages, from START
-to COMMAND. It stops where there is something for Python to do (`TickRow`), and is entered again at that stage
-or at the next.
+The controller's part of a tick is compiled, for kernels with and without a plant. A tick runs through stages,
+from START to COMMAND. It stops where Python has to act (`TickRow`), and continues at that stage or at the
+next.
 """
 
 from collections.abc import Callable
@@ -24,11 +24,11 @@ from hil.loop.tick_input import input_of, put_input
 from hil.signals import Operator, Order, SetPoint, TickInput
 
 START, OBSERVE, ACT, COMMAND = 0, 6, 7, 8
-"""Stages: the controller says what starts the tick; it decodes and estimates; its law acts; its command is
-sent. Those of a bus lie between the first two."""
+"""Stages: the controller gives the frames that start the tick; it decodes and estimates; its law acts; its
+command is sent. The stages of a bus lie between the first two."""
 NO_ROOM, ATTENDED = -1, -2
-"""Why OBSERVE stops, besides what `compiled_pass.observe` returns: there is no room for the frames; Python
-attends to the tick. ACT stops with what `compiled_pass.act` returns."""
+"""Further reasons for a stop in OBSERVE, besides the results of `compiled_pass.observe`: no room for the
+frames; Python takes part in the tick. ACT stops with a result of `compiled_pass.act`."""
 ROW_OF_TICKS = [
     (name, "<i8")
     for name in (
@@ -37,14 +37,13 @@ ROW_OF_TICKS = [
         *("stage", "attends", "heard_at", "heard", "sent"),
     )
 ]
-"""Fields of a kernel's record. Addresses: the record of CONTROL; how a tick starts, `ControllerEnd.opening`;
-the record that each tick begins as; scratch for the frames that start a tick, and how many they are.
+"""Fields of a kernel's record. Addresses: the record of CONTROL; `ControllerEnd.opening` and its context; the
+initial record of each tick; a buffer for the frames that start a tick, and their number.
 
-Of the row of ticks: records of TICK; that of the tick before; FRAME elements, of each tick those heard, those
-that started it and those of its command, their room and how many there are; where each of these three ends,
-(ticks, 3); up to which tick to go, and how many are done. The stage; whether Python attends to the tick; the
-frames that the controller hears in it; how many its command has.
-"""
+Of the row of ticks: records of TICK; the record of the last tick; FRAME elements, per tick those received,
+those that started it and those of its command, with capacity and number; the ends of these three, (ticks, 3);
+the tick count to reach, and the ticks done. Also: the stage; whether Python takes part in the tick; address
+and number of the received frames; number of frames of the command."""
 BYTES = FRAME.itemsize
 _WORDS, _TICK_BYTES = BYTES // 8, TICK.itemsize
 tick_at = record_at(record(TICK))
@@ -53,7 +52,7 @@ _control_at = record_at(record(CONTROL))
 
 @helper
 def start(s: Any, number: int) -> int:
-    """Let the controller say what starts a tick; return 0."""
+    """Get the frames that start a tick from the controller; return 0."""
     s.begins = call(s.opening, (s.opener, number, s.starts))
     return 0
 
@@ -67,7 +66,7 @@ def _keep(s: Any, source: int, count: int) -> None:
 
 @helper
 def begin_tick(s: Any) -> Any:
-    """Return the record of the tick, begun; 0 columns of it are the input's."""
+    """Initialized record of the present tick, before its input columns are filled."""
     place, words = s.ticks + s.done * _TICK_BYTES, _TICK_BYTES // 8
     integers_at(place, words)[:] = integers_at(s.begun, words)
     return tick_at(place)
@@ -75,13 +74,13 @@ def begin_tick(s: Any) -> Any:
 
 @helper
 def has_room(s: Any) -> bool:
-    """Tell whether the frames of a tick have room."""
+    """True if there is room for the frames of a tick."""
     return bool(s.used + s.heard + 2 * MOST_FRAMES <= s.room)
 
 
 @helper
 def observe(s: Any, tick: Any) -> int:
-    """Let the controller hear `heard` frames at `heard_at`; return 0, or why it stops."""
+    """Pass the received frames to the controller; return 0, or the reason for a stop."""
     ends = integers_at(s.ends + s.done * 24, 3)
     at = s.frames + s.used * BYTES
     _keep(s, s.heard_at, s.heard)
@@ -94,7 +93,7 @@ def observe(s: Any, tick: Any) -> int:
 
 @helper
 def act(s: Any) -> int:
-    """Let the controller's law act; return 0, or why it stops."""
+    """Run the controller's law; return 0, or the reason for a stop."""
     control, into = _control_at(s.control), frames_at(s.frames + s.used * BYTES, MOST_FRAMES)
     ended = int(compiled_pass.act(control, tick_at(s.ticks + s.done * _TICK_BYTES), into, ALL))
     s.sent = control.sent
@@ -103,7 +102,7 @@ def act(s: Any) -> int:
 
 @helper
 def end_tick(s: Any) -> None:
-    """End the tick: what it sent was sent at its instant."""
+    """End the tick; its sent frames get the time of its start."""
     ends = integers_at(s.ends + s.done * 24, 3)
     s.last = s.ticks + s.done * _TICK_BYTES
     t_ns = tick_at(s.last).t_ns
@@ -116,12 +115,12 @@ def end_tick(s: Any) -> None:
 
 
 CAPACITY = 64
-"""Ticks that have memory at once."""
+"""Number of ticks held in memory."""
 _FRAMES_A_TICK = 24
 
 
 class Given(NamedTuple):
-    """What the operator gives in a tick."""
+    """The operator's input in a tick."""
 
     operator: tuple[Operator, ...] = ()
     orders: tuple[Order, ...] = ()
@@ -132,10 +131,11 @@ NOTHING = Given()
 
 
 class Ticks:
-    """Memory for CAPACITY ticks, which the kernel fills one after the other; none is filled twice.
+    """Memory for CAPACITY ticks, which the kernel fills in order; no tick is filled twice.
 
-    Attributes: records (CAPACITY, words of TICK); frames, elements of FRAME: of each tick those heard, those
-    that started it and those of its command, sent at its instant; ends (CAPACITY, 3), where these end.
+    Attributes: records (CAPACITY, words of TICK); frames, elements of FRAME: of each tick the received ones,
+    those that started it and those of its command, sent at its instant; ends (CAPACITY, 3), the ends of
+    these.
     """
 
     def __init__(self) -> None:
@@ -144,15 +144,15 @@ class Ticks:
         self.frames: Rows = np.empty(CAPACITY * _FRAMES_A_TICK + 2 * MOST_FRAMES, FRAME)
 
     def record(self, k: int) -> Record:
-        """Return the record of a tick."""
+        """Record of a tick."""
         return np.ndarray((), TICK, self.records[k])
 
     def row(self, k: int) -> Record:
-        """Return the recorded columns of a tick."""
+        """Recorded columns of a tick."""
         return np.ndarray((), ROW, self.records[k])
 
     def recorded(self, ticks: slice) -> tuple[Rows, Rows, Ints]:
-        """Return of some ticks the rows, the frames, and how many there are up to the end of each."""
+        """Rows and frames of some ticks, and the number of frames up to the end of each tick."""
         records = self.records[ticks]
         rows = np.ndarray((len(records),), ROW, records, strides=(TICK.itemsize,))
         first = int(self.ends[ticks.start - 1, 2]) if ticks.start else 0
@@ -160,16 +160,16 @@ class Ticks:
         return rows, self.frames[first : int(ends[-1])], ends - first
 
     def spans(self, k: int) -> tuple[slice, slice, slice]:
-        """Return where in `frames` those heard, those that started a tick and those of its command are."""
+        """Slices of `frames` for a tick: received frames, frames that started it, frames of its command."""
         first = int(self.ends[k - 1, 2]) if k else 0
         heard, opened, ended = self.ends[k].tolist()
         return slice(first, heard), slice(heard, opened), slice(opened, ended)
 
 
 class TickRow:
-    """The ticks of a cycle that a kernel goes through, one after the other.
+    """The ticks of a cycle through which a kernel runs, in order.
 
-    Mutable state: the kernel's record, the ticks that it fills, what is given, and the cycle itself.
+    Mutable state: the kernel's record, the ticks that it fills, the operator's input, and the cycle itself.
     """
 
     def __init__(
@@ -179,9 +179,9 @@ class TickRow:
         kernel: Callable[[Record], int],
         attend: Callable[[int, int], None] | None = None,
     ) -> None:
-        """Take a kernel and the type of its record, which begins with ROW_OF_TICKS.
+        """kernel: works on a record of `dtype`, which begins with ROW_OF_TICKS.
 
-        attend: called with a stage that is not the controller's, and why it stopped.
+        attend: called for a stop in a stage that is not the controller's, with stage and reason.
         """
         self._cycle, self._kernel, self._attend = cycle, kernel, attend
         self.record = s = np.zeros((), dtype)
@@ -192,13 +192,13 @@ class TickRow:
         s["begun"], s["starts"] = data_at(self._begun), data_at(self._starts)
         self._given, self._decided = NOTHING, False
         self.new: slice[int, int, None] = slice(0, 0)
-        """Which of the ticks the last `go` has done."""
+        """The ticks that the last `go` has done."""
         self._turn_over()
 
     def go(self, count: int, given: Given = NOTHING) -> slice:
-        """Go through at most `count` ticks: to the end of `ticks`, or of one that decides.
+        """Run at most `count` ticks: to the end of `ticks`, or of a tick with a decision.
 
-        given: in the first one. Returns which ticks are done; where this raises, `new` has them.
+        given: the operator's input of the first tick. Returns the ticks done; after an exception, see `new`.
         """
         s, cycle = self.record, self._cycle
         if s["done"] == CAPACITY:
@@ -221,19 +221,19 @@ class TickRow:
         return self.new
 
     def _turn_over(self) -> None:
-        """Begin new memory for ticks: who has the old one keeps it."""
+        """Begin new memory for ticks; blocks that use the old memory keep it."""
         s, self.ticks, self.new = self.record, Ticks(), slice(0, 0)
         s["ticks"], s["ends"] = data_at(self.ticks.records), data_at(self.ticks.ends)
         s["done"] = s["used"] = 0
         self._hold(self.ticks.frames)
 
     def _hold(self, frames: Rows) -> None:
-        """Let the frames of the ticks be held in this memory."""
+        """Use this memory for the frames of the ticks."""
         self.ticks.frames = frames
         self.record["frames"], self.record["room"] = data_at(frames), len(frames)
 
     def _stop(self, stage: int, stopped: int) -> None:
-        """Do what a stage has stopped for."""
+        """Handle a stop in a stage."""
         if stage == OBSERVE and stopped == NO_ROOM:
             frames = self.ticks.frames
             self._hold(np.concatenate((frames, np.empty(self.record["heard"] + len(frames), FRAME))))
@@ -244,7 +244,7 @@ class TickRow:
             self._attend(stage, stopped)
 
     def _decide(self, stopped: int, *, observed: bool) -> None:
-        """Let the cycle decide in a tick; it is the last one of `go`."""
+        """Let the cycle decide in a tick, which becomes the last one of `go`."""
         s, ticks, cycle, given = self.record, self.ticks, self._cycle, self._given
         k, used = int(s["done"]), int(s["used"])
         tick = ticks.record(k)

@@ -1,6 +1,6 @@
-"""What another controller would have answered to recorded measurements: its cycle on the inputs of a log.
+"""Answers of another controller to recorded measurements: its cycle runs on the inputs of a log.
 
-The measurements did not follow its forces: past the first difference the loop is open.
+The measurements do not follow its forces: after the first difference the loop is open.
 """
 
 import json
@@ -20,37 +20,37 @@ from drivers.tick_columns import COLUMNS, COMPUTED_COLUMNS
 from hil.loop.cycle import Cycle
 from hil.loop.replay import Block, Recorded, blocks
 from hil.loop.story.narrator import Narrator
-from hil.loop.story.told import Story
+from hil.loop.story.story import Story
 from hil.record.divergence import Divergence
 from hil.record.selection import name_of
 
 BLOCK = 1024
-"""Ticks whose rows are compared at once."""
+"""Ticks whose rows are compared in one go."""
 
 
 class OtherFrames(NamedTuple):
-    """The first tick whose sent frames differ, and the first frame of it that does."""
+    """First tick whose sent frames differ, and the first different frame in it."""
 
     tick: int
     time_s: float
     """Since the first tick of the log."""
     recorded: Frame | None
-    """None: there was none in its place."""
+    """None: no frame in this place."""
     answered: Frame | None
     legs: tuple[int, ...]
-    """Whom it is for."""
+    """Legs that the frame addresses."""
 
 
 @dataclass
 class Forces:
-    """How far the force in each leg is from the one that was sent, N: answered less recorded."""
+    """Force differences per leg, N: answered minus recorded."""
 
     ticks: int = 0
-    """How many count: those before the latched faults differ."""
+    """Number of compared ticks: those before the latched faults differ."""
     largest: Array = field(default_factory=lambda: np.zeros(LEGS))
     """(6,) N, absolute."""
     at: list[int | None] = field(default_factory=lambda: [None] * LEGS)
-    """Tick of each, None without a difference."""
+    """Tick of each largest difference; None without a difference."""
     squares: Array = field(default_factory=lambda: np.zeros(LEGS))
     """(6,) N^2, summed over the ticks."""
 
@@ -61,7 +61,7 @@ class Forces:
         return found
 
     def take(self, ticks: Array, difference: Array) -> None:
-        """Take in n ticks and their differences (n, 6) N."""
+        """Add n ticks and their differences (n, 6) N."""
         if not len(ticks):
             return
         size = np.abs(difference)
@@ -74,11 +74,11 @@ class Forces:
 
 @dataclass
 class Answer:
-    """What was found. Mutable while the ticks come."""
+    """Result of a comparison. Mutable while the ticks come."""
 
     ticks: int = 0
     different_ticks: int = 0
-    """Ticks of which a computed column or a sent frame differs."""
+    """Ticks with a different computed column or sent frame."""
     wire_different_ticks: int = 0
     """Ticks whose sent frames differ."""
     first_frames: OtherFrames | None = None
@@ -87,33 +87,33 @@ class Answer:
     )
     forces: Forces = field(default_factory=Forces)
     parts_tick: int | None = None
-    """The first tick in which the latched faults differ: from there on one of the two has stopped."""
+    """First tick in which the latched faults differ: from there on one of the two has stopped."""
     recorded_faults: list[dict[str, Any]] = field(default_factory=list)
-    """tick, time_s since the first tick of the log, and fault: its name."""
+    """tick, time_s since the first tick of the log, and the fault's name."""
     answered_faults: list[dict[str, Any]] = field(default_factory=list)
-    """What each finding of the answer tells, as `hil.loop.story.told.Finding.fields`."""
+    """Fields of each finding in the answer, as `hil.loop.story.story.Finding.fields`."""
     warnings: dict[str, dict[str, int | None]] = field(default_factory=dict)
-    """By name, those that stood on either side: in how many ticks `recorded` and `answered`, and first_tick:
-    the first in which it stands in the answer and not in the log."""
+    """By name, for warnings on either side: numbers of ticks `recorded` and `answered`, and first_tick, the
+    first tick with the warning in the answer and not in the log."""
     gaps: list[tuple[int, int]] = field(default_factory=list)
-    """(first missing tick, how many): nothing after it is answered."""
+    """(first missing tick, number of missing ticks): the answer ends there."""
     damage: str = ""
-    """Why the log could not be read to its end; empty where it could."""
+    """Reason why the log could not be read to its end; else empty."""
     last_mode: str = ""
-    """In which the recorded controller is in the last tick."""
+    """Mode of the recorded controller in the last tick."""
     story: Story | None = None
-    """What the faults that are latched at the end have to tell."""
+    """Story of the faults that are latched at the end."""
 
     @property
     def whole(self) -> bool:
-        """Whether every tick of the log was answered."""
+        """True if every tick of the log was answered."""
         return self.ticks > 0 and not self.gaps and not self.damage
 
 
 class _Blocks:
     """Rows of both sides, compared many at a time.
 
-    Mutable state: what waits, the faults of the last row, when the log began.
+    Mutable state: rows not yet compared, the faults of the last row, the start time of the log.
     """
 
     def __init__(self, answer: Answer) -> None:
@@ -123,7 +123,7 @@ class _Blocks:
         self._origin_ns: int | None = None
 
     def add(self, block: Block, addressed: Callable[[Frame], tuple[int, ...]]) -> None:
-        """Take in the ticks of a block; addressed: tells the legs that a frame is for."""
+        """Add the ticks of a block; addressed: gives the legs that a frame addresses."""
         if self._origin_ns is None:
             self._origin_ns = int(block.recorded["t_ns"][0])
         wire = block.differs()[0]
@@ -137,7 +137,7 @@ class _Blocks:
             self.flush()
 
     def flush(self) -> None:
-        """Compare what waits."""
+        """Compare the rows added since the last call."""
         if not self._waiting:
             return
         recorded, answered, wire = map(np.concatenate, zip(*self._waiting, strict=True))
@@ -188,10 +188,10 @@ def what_if(
     observe: Callable[[Block], None] | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> Answer:
-    """Give `cycle` the recorded inputs of a log from its initial state on, and say what it answers.
+    """Run `cycle` from its initial state on the recorded inputs of a log, and compare its answers.
 
-    observe : called with some ticks and what is answered to them; progress : with the ticks done, every
-    thousand. Where the log is damaged on the way, the answer ends there and says so.
+    observe : called with blocks of ticks and answers; progress : called every thousand ticks with the number
+    of ticks done. If the log is damaged on the way, the answer ends there; `damage` has the reason.
     """
     cycle.reset()
     answer = Answer()
@@ -212,7 +212,7 @@ def what_if(
 
 
 def _find(answer: Answer, level: str, text: str) -> None:
-    """Keep a finding of the narrator: a line, and its fields as JSON below it."""
+    """Keep a finding of the narrator: a text line, with its fields as JSON below."""
     if level == "error":
         answer.answered_faults.append(json.loads(text.partition("\n")[2]))
 
@@ -220,7 +220,7 @@ def _find(answer: Answer, level: str, text: str) -> None:
 def _first_frames(
     block: Block, k: int, time_s: float, addressed: Callable[[Frame], tuple[int, ...]]
 ) -> OtherFrames:
-    """Return the first frame of tick k of a block that differs."""
+    """First frame of tick k of a block that differs."""
     there, here = block.entries[k].sent, sent_frames(block.sent(k))
     recorded, answered = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
     either = answered or recorded

@@ -1,6 +1,7 @@
-"""Six by six linear algebra by hand: LU with partial pivoting, and a bound on the condition number.
+"""6 x 6 linear algebra without LAPACK: LU with partial pivoting, and a bound on the condition number.
 
-LAPACK's answer depends on the kernel that OpenBLAS picks for the processor; this one's does not.
+The last bit of a LAPACK result depends on the kernel that OpenBLAS selects for the processor; this code's
+does not.
 """
 
 import numpy as np
@@ -11,9 +12,9 @@ from drivers.compiled.compiler import MATRIX, REAL, VECTOR, helper, kernel
 
 @helper
 def lu_factor(A: Array, LU: Array, order: Ints) -> bool:
-    """Factor P A = L U into ``LU`` (unit diagonal of L not stored), row ``order[i]`` of A first.
+    """Factor P A = L U into ``LU`` (unit diagonal of L not stored); row i of P A is row ``order[i]`` of A.
 
-    False where a pivot is zero or not finite; ``LU`` is then of no use.
+    False for a pivot that is zero or not finite; ``LU`` is then invalid.
     """
     for i in range(6):
         order[i] = i
@@ -44,7 +45,7 @@ def lu_factor(A: Array, LU: Array, order: Ints) -> bool:
 
 @helper
 def lu_solve(LU: Array, order: Ints, b: Array, x: Array) -> None:
-    """Solve A x = b into ``x`` (another array than b)."""
+    """Solve A x = b into ``x``, which must not be ``b``."""
     for i in range(6):
         total = b[order[i]]
         for j in range(i):
@@ -60,7 +61,7 @@ def lu_solve(LU: Array, order: Ints, b: Array, x: Array) -> None:
 
 @helper
 def lu_solve_transposed(LU: Array, order: Ints, b: Array, x: Array, work: Array) -> None:
-    """Solve A^T x = b into ``x``; ``work`` is scratch of six."""
+    """Solve A^T x = b into ``x``; ``work`` is scratch (6,)."""
     for i in range(6):
         total = b[i]
         for j in range(i):
@@ -78,7 +79,7 @@ def lu_solve_transposed(LU: Array, order: Ints, b: Array, x: Array, work: Array)
 
 @kernel(MATRIX, VECTOR)
 def solve(A: Array, b: Array) -> Array:
-    """Return the solution of A x = b, all nan where A is singular. A (6, 6), b (6,)."""
+    """Solution of A x = b, all nan where A is singular. A (6, 6), b (6,)."""
     LU = np.empty((6, 6))
     order = np.empty(6, np.int64)
     x = np.empty(6)
@@ -91,7 +92,7 @@ def solve(A: Array, b: Array) -> Array:
 
 @kernel(MATRIX, VECTOR)
 def solve_transposed(A: Array, b: Array) -> Array:
-    """Return the solution of A^T x = b, all nan where A is singular. A (6, 6), b (6,)."""
+    """Solution of A^T x = b, all nan where A is singular. A (6, 6), b (6,)."""
     LU = np.empty((6, 6))
     order = np.empty(6, np.int64)
     x = np.empty(6)
@@ -104,7 +105,7 @@ def solve_transposed(A: Array, b: Array) -> Array:
 
 @helper
 def square_scaled(A: Array, B: Array) -> float:
-    """Fill B = (A / trace A)^2, which neither overflows nor vanishes; return the trace. A is symmetric."""
+    """Fill B = (A / trace A)^2, which neither overflows nor underflows; returns the trace. A is symmetric."""
     trace = A[0, 0] + A[1, 1] + A[2, 2] + A[3, 3] + A[4, 4] + A[5, 5]
     k = 1.0 / trace
     k = k * k
@@ -120,10 +121,10 @@ def square_scaled(A: Array, B: Array) -> float:
 
 @helper
 def largest_eigenvalue_bound(A: Array, B: Array) -> float:
-    """Return trace(A^8)^(1/8) of a symmetric positive definite A (destroyed); ``B`` is scratch.
+    """trace(A^8)^(1/8) of a symmetric positive definite A, which is overwritten; ``B`` is scratch.
 
     With eigenvalues lambda_i >= 0 the trace of A^8 is the sum of lambda_i^8, between lambda_max^8 and
-    6 lambda_max^8: the bound is never below lambda_max and at most 6^(1/8) = 1.251 times it.
+    6 lambda_max^8. The bound is between lambda_max and 6^(1/8) = 1.251 times lambda_max.
     """
     t0 = square_scaled(A, B)
     t1 = square_scaled(B, A)
@@ -146,7 +147,7 @@ def fill_gram(A: Array, r: float, G: Array) -> None:
 
 @helper
 def condition_from_lu(J: Array, r: float, LU: Array, order: Ints, work: Array) -> float:
-    """Return the bound of ``condition_kernel`` from J and its LU factors; ``work`` is scratch (19, 6)."""
+    """Bound of ``condition_kernel`` from J and its LU factors; ``work`` is scratch (19, 6)."""
     A = work[0:6]
     B = work[6:12]
     K = work[12:18]
@@ -164,11 +165,11 @@ def condition_from_lu(J: Array, r: float, LU: Array, order: Ints, work: Array) -
 
 @kernel(MATRIX, REAL)
 def condition_kernel(J: Array, r: float) -> float:
-    """Return a bound on the 2-norm condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r).
+    """Upper bound on the 2-norm condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r).
 
-    Never below the condition number and at most 6^(1/8) = 1.251 times it (1.12 times close to a singular
-    pose); inf where J is singular.
-    J (6, 6), r the length in m that makes rotations comparable with displacements.
+    Between 1 and 6^(1/8) = 1.251 times the condition number (1.12 times close to a singular pose); inf where
+    J is singular.
+    J (6, 6), r the length in m that scales rotations to displacements.
     """
     work = np.empty((25, 6))
     LU = work[0:6]

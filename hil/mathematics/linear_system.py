@@ -12,7 +12,7 @@ from drivers.errors import ModelError
 
 
 class LinearSystem(NamedTuple):
-    """dx/dt = A x + B u, y = C x + D u; with a period x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]."""
+    """dx/dt = A x + B u, y = C x + D u; with a period: x[k+1] = A x[k] + B u[k], y[k] = C x[k] + D u[k]."""
 
     A: Array
     """(n, n)."""
@@ -23,7 +23,7 @@ class LinearSystem(NamedTuple):
     D: Array
     """(outputs, inputs)."""
     period_s: float | None = None
-    """None: continuous."""
+    """None: continuous time."""
 
     @property
     def order(self) -> int:
@@ -31,16 +31,16 @@ class LinearSystem(NamedTuple):
         return len(self.A)
 
     def poles(self) -> ComplexArray:
-        """Return the eigenvalues of A (n,), rad/s where continuous."""
+        """Eigenvalues of A (n,), rad/s in continuous time."""
         return np.asarray(np.linalg.eigvals(self.A), np.complex128)
 
     def is_stable(self) -> bool:
-        """Tell whether all poles decay."""
+        """Check that all poles are in the left half plane, or inside the unit circle for a sampled system."""
         poles = self.poles()
         return bool((poles.real < 0).all() if self.period_s is None else (np.abs(poles) < 1).all())
 
     def response(self, omega: Array) -> ComplexArray:
-        """Return the frequency response (len(omega), outputs, inputs) at omega, rad/s."""
+        """Frequency response (len(omega), outputs, inputs) at omega, rad/s."""
         omega = np.asarray(omega, float)
         z = 1j * omega if self.period_s is None else np.exp(1j * omega * self.period_s)
         resolvent = z[:, None, None] * np.eye(self.order) - self.A
@@ -48,24 +48,24 @@ class LinearSystem(NamedTuple):
         return np.asarray(gain + self.D, np.complex128)
 
     def after(self, first: LinearSystem) -> LinearSystem:
-        """Return the series: `first`, then this one."""
+        """Series connection: `first`, then this system."""
         _same_time(self, first)
         A = np.block([[first.A, np.zeros((first.order, self.order))], [self.B @ first.C, self.A]])
         B = np.vstack([first.B, self.B @ first.D])
         return LinearSystem(A, B, np.hstack([self.D @ first.C, self.C]), self.D @ first.D, self.period_s)
 
     def beside(self, other: LinearSystem) -> LinearSystem:
-        """Return both side by side: inputs and outputs of this one first."""
+        """Both systems in one, uncoupled; inputs and outputs of this one first."""
         _same_time(self, other)
         A, B, C, D = (_diagonal(mine, yours) for mine, yours in zip(self[:4], other[:4], strict=True))
         return LinearSystem(A, B, C, D, self.period_s)
 
     def closed_with(self, lower: LinearSystem) -> LinearSystem:
-        """Return the loop from the last outputs through `lower` to the last inputs (a lower LFT).
+        """Close the loop from the last outputs through `lower` to the last inputs (lower LFT).
 
-        Positive feedback: a controller that subtracts has the minus in it.
+        Feedback is positive: a controller with negative feedback contains the minus sign.
 
-        Raises ModelError where the loop is not well posed.
+        Raises ModelError if the loop is not well posed.
         """
         _same_time(self, lower)
         inputs, outputs = self.B.shape[1] - lower.C.shape[0], self.C.shape[0] - lower.B.shape[1]
@@ -84,9 +84,9 @@ class LinearSystem(NamedTuple):
         return LinearSystem(A, B, np.hstack([C1 + D12 @ u_x, D12 @ u_k]), D11 + D12 @ u_w, self.period_s)
 
     def sampled(self, period_s: float, method: str = "zoh") -> LinearSystem:
-        """Return the system sampled with ``zoh`` (a plant behind a hold) or ``bilinear`` (a controller)."""
+        """Discretise with ``zoh`` (a plant behind a zero-order hold) or ``bilinear`` (a controller)."""
         if self.period_s is not None:
-            raise ModelError("the system is sampled already")
+            raise ModelError("the system is already sampled")
         if method == "zoh":
             return LinearSystem(*held(self.A, self.B, period_s), self.C, self.D, period_s)
         half = 0.5 * period_s * self.A
@@ -96,7 +96,7 @@ class LinearSystem(NamedTuple):
 
 
 def held(A: Array, B: Array, time_s: float) -> tuple[Array, Array]:
-    """Return exp(A t) (n, n) and the integral of exp(A s) B over it (n, inputs): what held inputs do."""
+    """Zero-order hold over t: exp(A t) (n, n) and the integral of exp(A s) B over 0 .. t (n, inputs)."""
     n, inputs = B.shape
     block = np.zeros((n + inputs, n + inputs))
     block[:n, :n], block[:n, n:] = A, B
@@ -111,7 +111,7 @@ _PADE = (
 
 
 def exponential(A: Array) -> Array:
-    """Return exp(A) (n, n) by scaling, the Pade approximation of order 13, and squaring.
+    """exp(A) (n, n) by scaling, the Pade approximation of order 13, and squaring.
 
     N. J. Higham, SIAM J. Matrix Anal. Appl. 26 (2005), algorithm 2.3.
     """
@@ -132,14 +132,14 @@ def exponential(A: Array) -> Array:
 
 
 def static(gain: Array, period_s: float | None = None) -> LinearSystem:
-    """Return a gain as a system without states."""
+    """Constant gain as a system without states."""
     gain = np.atleast_2d(np.asarray(gain, float))
     outputs, inputs = gain.shape
     return LinearSystem(np.zeros((0, 0)), np.zeros((0, inputs)), np.zeros((outputs, 0)), gain, period_s)
 
 
 def lag(time_s: float) -> LinearSystem:
-    """Return 1 / (T s + 1); T = 0: a gain of 1."""
+    """First-order lag 1 / (T s + 1); T = 0: a gain of 1."""
     if time_s == 0.0:
         return static(np.eye(1))
     rate = np.array([[1.0 / time_s]])
@@ -152,4 +152,4 @@ def _diagonal(a: Array, b: Array) -> Array:
 
 def _same_time(one: LinearSystem, other: LinearSystem) -> None:
     if one.period_s != other.period_s:
-        raise ModelError(f"systems of different time: periods {one.period_s} and {other.period_s} s")
+        raise ModelError(f"systems with different periods: {one.period_s} and {other.period_s} s")

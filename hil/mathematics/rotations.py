@@ -1,7 +1,6 @@
-"""Rotations: Cayley step, rotation vectors and their motion.
+"""Rotations: Cayley step, rotation vectors and their derivatives.
 
-Sine and cosine are power series, because those of the C library differ in the last bit from one processor to
-the next.
+Sine and cosine are power series: the C library's last bit differs from processor to processor.
 """
 
 import numpy as np
@@ -11,11 +10,11 @@ from drivers.compiled.compiler import MATRIX, VECTOR, helper, kernel
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, scale
 
 _TERMS = 24
-"""Enough for |r| <= 2 pi at rounding."""
+"""Number of terms: rounding accuracy for |r| <= 2 pi."""
 
 
 def _reciprocal_factorials(first: int) -> tuple[float, ...]:
-    """Return (-1)^k / (2 k + first)! for k = 0, 1, ... ."""
+    """(-1)^k / (2 k + first)! for k = 0, 1, ... ."""
     values = []
     factorial = 1
     for n in range(2, first + 1):
@@ -30,12 +29,12 @@ _SINE = _reciprocal_factorials(1)
 _COSINE = _reciprocal_factorials(2)
 _REST = _reciprocal_factorials(3)
 _INVERSE = tuple(2 * (k + 1) * c for k, c in enumerate(_reciprocal_factorials(4)))
-"""(2 B - A) / x of ``rotation_vector_rate``."""
+"""Coefficients of (2 B - A) / x in ``rotation_vector_rate``."""
 
 
 @helper
 def _series(coefficients: tuple[float, ...], x: float) -> tuple[float, float]:
-    """Return the polynomial sum c_k x^k and its derivative (Horner)."""
+    """Polynomial sum c_k x^k and its derivative (Horner)."""
     value = 0.0
     slope = 0.0
     for k in range(_TERMS):
@@ -48,8 +47,8 @@ def _series(coefficients: tuple[float, ...], x: float) -> tuple[float, float]:
 def cayley_step(R: Array, w: Vector) -> None:
     """Replace R by C(w) R, C(w) = I + 2/(1 + a.a) ([a]x + [a]x^2), a = w/2.
 
-    C agrees with exp([w]x) up to w^2, which is what Newton's method asks for, and is orthogonal without
-    a sine (Cayley 1846).
+    C agrees with exp([w]x) up to w^2, sufficient for Newton's method, and is orthogonal without a sine
+    (Cayley 1846).
     """
     a = scale(0.5, w)
     k = 2.0 / (1.0 + dot(a, a))
@@ -78,7 +77,7 @@ def orthonormalise(R: Array) -> None:
 
 @helper
 def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector, Vector]:
-    """Fill R = exp([r]x), return omega and alpha (base frame) of a rotation vector r(t) and its derivatives.
+    """Fill R = exp([r]x) and return omega, alpha (base frame) of a rotation vector r(t) with its derivatives.
 
     With x = r.r: R = I + A [r]x + B [r]x^2, omega = dr + B r x dr + C r x (r x dr), where
     A = sin|r|/|r|, B = (1 - cos|r|)/|r|^2, C = (|r| - sin|r|)/|r|^3 as power series in x; alpha is the
@@ -111,7 +110,7 @@ def rotation_motion(rv: Vector, v: Vector, a: Vector, R: Array) -> tuple[Vector,
 
 @kernel(VECTOR, VECTOR, VECTOR)
 def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Array, Array]:
-    """Return R, omega and alpha as `rotation_motion`, as arrays."""
+    """R, omega and alpha of `rotation_motion`, as arrays."""
     R = np.empty((3, 3))
     omega, alpha = rotation_motion(at(r, 0), at(dr, 0), at(ddr, 0), R)
     return R, np.array(omega), np.array(alpha)
@@ -119,10 +118,10 @@ def rotation_motion_kernel(r: Array, dr: Array, ddr: Array) -> tuple[Array, Arra
 
 @kernel(VECTOR, VECTOR)
 def rotation_vector_rate(r: Array, omega: Array) -> Array:
-    """Return dr/dt (3,) rad/s of the rotation vector r of exp([r]x), which turns with omega (base frame).
+    """Rate dr/dt (3,) rad/s of the rotation vector r, for exp([r]x) with angular velocity omega (base frame).
 
     The inverse of omega(r, dr) of ``rotation_motion_kernel``: dr = omega - r x omega / 2 + D r x (r x omega),
-    D = (2 B - A) / (2 B x), its numerator as a power series in x, too (Bullo and Murray, 1995). |r| < 2 pi.
+    D = (2 B - A) / (2 B x), with the numerator as a power series in x (Bullo and Murray, 1995). |r| < 2 pi.
     """
     rv, w = at(r, 0), at(omega, 0)
     x = dot(rv, rv)
@@ -134,7 +133,10 @@ def rotation_vector_rate(r: Array, omega: Array) -> Array:
 
 @kernel(MATRIX)
 def rotation_vector_kernel(R: Array) -> Array:
-    """Return r with exp([r]x) = R, |r| <= pi, from the unit quaternion and a halved arc tangent. R (3, 3)."""
+    """Rotation vector r with exp([r]x) = R, |r| <= pi. R (3, 3).
+
+    Uses the unit quaternion and an arc tangent of an eighth of the half angle.
+    """
     # Largest of w, x, y, z first: no small divisor.
     trace = R[0, 0] + R[1, 1] + R[2, 2]
     if trace > 0.0:
@@ -171,7 +173,7 @@ def rotation_vector_kernel(R: Array) -> Array:
 
 @kernel(MATRIX, MATRIX)
 def relative_rotation(R0: Array, R1: Array) -> Array:
-    """Return the rotation vector (3,) rad, base frame, of the shortest turn from R0 to R1: log(R1 R0^T)."""
+    """Rotation vector (3,) rad, base frame, of the shortest turn from R0 to R1: log(R1 R0^T)."""
     product = np.empty((3, 3))
     for i in range(3):
         for j in range(3):
@@ -181,16 +183,16 @@ def relative_rotation(R0: Array, R1: Array) -> Array:
 
 @kernel(MATRIX, VECTOR)
 def turned(R: Array, x: Array) -> Array:
-    """Return [R x[:3]; R x[3:]], (6,): a twist or wrench of the platform frame in the base frame."""
+    """[R x[:3]; R x[3:]], (6,): a twist or wrench of the platform frame in the base frame."""
     return np.array(rotate(R, at(x, 0)) + rotate(R, at(x, 3)))
 
 
 def rotation_from_vector(r: Array) -> Array:
-    """Return R = exp([r]x), (3, 3). r (3,) rad, |r| <= 2 pi."""
+    """R = exp([r]x), (3, 3). r (3,) rad, |r| <= 2 pi."""
     zero = np.zeros(3)
     return rotation_motion_kernel(np.array(r, np.float64), zero, zero)[0]
 
 
 def rotation_vector(R: Array) -> Array:
-    """Return r (3,) rad with exp([r]x) = R and |r| <= pi. R (3, 3) a rotation."""
+    """Rotation vector r (3,) rad with exp([r]x) = R and |r| <= pi. R (3, 3) a rotation."""
     return rotation_vector_kernel(np.ascontiguousarray(R, np.float64))

@@ -1,8 +1,8 @@
-"""Sine and cosine from +, -, *, / alone.
+"""Sine and cosine from +, -, *, / only.
 
-No call into libm. The C library picks its sine by CPU at load time, and its variants differ in the last bit;
-a reference built on them would not replay bit for bit. Additions, products and quotients are rounded the same
-everywhere.
+No call into libm. The C library selects its sine by CPU at load time, and the last bit differs between the
+variants. A reference built on it would not replay bit for bit. Additions, products and quotients round alike
+on all machines.
 """
 
 import math
@@ -20,7 +20,7 @@ _TWO_OVER_PI = 2.0 / math.pi
 
 @helper
 def _sin_small(x: float) -> float:
-    """Taylor series to x^17 for |x| <= pi/4: the first term left out is below 1e-19."""
+    """Taylor series to x^17 for |x| <= pi/4; the first omitted term is below 1e-19."""
     z = x * x
     series = 1.0 / 355687428096000.0
     series = series * z - 1.0 / 1307674368000.0
@@ -50,7 +50,7 @@ def _cos_small(x: float) -> float:
 
 @helper
 def sincos(x: float) -> tuple[float, float]:
-    """Return sin(x) and cos(x), x in rad, |x| <= 1e6; error <= 1e-15.
+    """sin(x) and cos(x), x in rad, |x| <= 1e6; error <= 1e-15.
 
     x = n pi/2 + r with |r| <= pi/4 (Cody and Waite, 1980), then the Taylor series of r.
     """

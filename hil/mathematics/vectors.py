@@ -8,49 +8,49 @@ Vector = tuple[float, float, float]
 
 @helper
 def at(x: Array, k: int) -> Vector:
-    """Return (x[k], x[k+1], x[k+2])."""
+    """Vector (x[k], x[k+1], x[k+2])."""
     return x[k], x[k + 1], x[k + 2]
 
 
 @helper
 def row(A: Array, i: int) -> Vector:
-    """Return row i of an (n, 3) array."""
+    """Row i of an (n, 3) array."""
     return A[i, 0], A[i, 1], A[i, 2]
 
 
 @helper
 def add(u: Vector, v: Vector) -> Vector:
-    """Return u + v."""
+    """Sum u + v."""
     return u[0] + v[0], u[1] + v[1], u[2] + v[2]
 
 
 @helper
 def sub(u: Vector, v: Vector) -> Vector:
-    """Return u - v."""
+    """Difference u - v."""
     return u[0] - v[0], u[1] - v[1], u[2] - v[2]
 
 
 @helper
 def scale(k: float, u: Vector) -> Vector:
-    """Return k u."""
+    """Product k u."""
     return k * u[0], k * u[1], k * u[2]
 
 
 @helper
 def dot(u: Vector, v: Vector) -> float:
-    """Return u . v."""
+    """Scalar product u . v."""
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
 
 
 @helper
 def cross(u: Vector, v: Vector) -> Vector:
-    """Return u x v."""
+    """Vector product u x v."""
     return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
 
 
 @helper
 def rotate(R: Array, x: Vector) -> Vector:
-    """Return R x."""
+    """Product R x."""
     return (
         R[0, 0] * x[0] + R[0, 1] * x[1] + R[0, 2] * x[2],
         R[1, 0] * x[0] + R[1, 1] * x[1] + R[1, 2] * x[2],
@@ -60,7 +60,7 @@ def rotate(R: Array, x: Vector) -> Vector:
 
 @helper
 def rotate_back(R: Array, x: Vector) -> Vector:
-    """Return R^T x."""
+    """Product R^T x."""
     return (
         R[0, 0] * x[0] + R[1, 0] * x[1] + R[2, 0] * x[2],
         R[0, 1] * x[0] + R[1, 1] * x[1] + R[2, 1] * x[2],

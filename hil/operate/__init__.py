@@ -1,1 +1,1 @@
-"""The operator channel: its words, the socket at the loop's end, and the client at the other."""
+"""The operator channel: its commands, the socket at the loop's end, and the client at the other end."""

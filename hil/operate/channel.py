@@ -1,7 +1,8 @@
-"""The loop's end of the operator channel: clients of this user on a socket, read between two ticks.
+"""The loop's end of the operator channel: a socket for clients of this user, read between two ticks.
 
-The work in a tick is bounded: at most AT_MOST lines are read and answered, none is waited for, none raises.
-Clients take turns: one that floods delays no other's line, and one that does not read its answers is dropped.
+The work in a tick is bounded: it reads and answers at most AT_MOST lines, waits for none, and raises nothing.
+Clients take turns: a client that floods the channel delays no other client's line. A client that does not
+read its answers is dropped.
 """
 
 import select
@@ -12,21 +13,21 @@ from typing import Any, NamedTuple, Self
 
 from drivers.errors import RunError
 from hil.operate.client import REFUSED, TAKEN, socket_path
-from hil.operate.words import Said, parse, split
+from hil.operate.commands import ParsedLine, parse, split
 from hil.signals import Operator, Order, SetPoint
 
 AT_MOST = 8
 """Lines read in one tick."""
 MOST_CLIENTS = 128
-"""At once; the one that has said nothing for the longest makes room."""
+"""Clients at once; beyond that the one with the longest silence is dropped."""
 _READ = 4096
-"""Bytes of a line that are read; allowed are far fewer."""
-_STATUS = len(Said._fields)
-"""What a line is of: a field of `Said`, or this."""
+"""Bytes of a line that are read; valid lines are far shorter."""
+_STATUS = len(ParsedLine._fields)
+"""Kind of a line: the index of a field of `ParsedLine`, or this."""
 
 
 class Heard(NamedTuple):
-    """What the operator has said since the last tick, each kind in its order."""
+    """The operator's commands since the last tick, each kind in order."""
 
     operator: tuple[Operator, ...] = ()
     orders: tuple[Order, ...] = ()
@@ -37,23 +38,23 @@ SILENCE = Heard()
 
 
 class OperatorChannel:
-    """Where the operator's lines come in. The controller's role on the bus is held while it is open.
+    """Socket for the operator's lines. While it is open, this process has the controller's role on the bus.
 
-    Mutable state: the socket, the clients, which of them may have lines that are old, who waits for which
-    answer, and how many lines were no words.
+    Mutable state: the socket, the clients, which of them may have old lines, lines without an answer yet, and
+    the number of malformed lines.
     """
 
     def __init__(self, interface: str, channel: str) -> None:
-        """Listen. Raises RunError when the socket cannot be made."""
+        """Listen. Raises RunError when the socket cannot be created."""
         self.path = socket_path(interface, channel)
         self.malformed = 0
         self._clients: dict[int, socket.socket] = {}
-        """By file descriptor; who spoke last comes last."""
+        """By file descriptor, the latest sender last."""
         self._old: set[int] = set()
         self.old: frozenset[int] = frozenset()
-        """Places, in the commands heard last, of what may have waited since before the last `anew`."""
+        """Indices, in the last commands, of those that may have waited since before the last `mark_old`."""
         self._waiting: list[tuple[int, str, socket.socket]] = []
-        """What was said, the tag, and the client of each line that has no answer yet."""
+        """Kind, tag and client of each line without an answer yet."""
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_CLOEXEC)
         try:
             self.path.unlink(missing_ok=True)  # left by a controller that was killed: we hold its role now
@@ -69,14 +70,14 @@ class OperatorChannel:
 
     @property
     def waited_for(self) -> bool:
-        """Whether somebody waits for an answer."""
+        """True while a client waits for an answer."""
         return bool(self._waiting)
 
-    def take(self, at_most: int = AT_MOST, *, anew: bool = False) -> Heard:
-        """Return what has come since the last call; what is no word is answered at once.
+    def take(self, at_most: int = AT_MOST, *, mark_old: bool = False) -> Heard:
+        """Commands since the last call; a malformed line is answered at once.
 
-        anew: what waits now is old, also where it is read in a later tick. A client that has more waiting at
-        each tick until then says nothing new.
+        mark_old: lines that wait now are old, even if they are read in a later tick. A client that always has
+        another line waiting has only old lines until it pauses.
         """
         self._waiting.clear()
         self.old = frozenset()
@@ -84,7 +85,7 @@ class OperatorChannel:
         if not ready:
             self._old.clear()
             return SILENCE
-        self._old = ready if anew else self._old & ready
+        self._old = ready if mark_old else self._old & ready
         if self._socket.fileno() in ready:
             new, ready = self._welcome(at_most), self._polled()
             if self._socket.fileno() in self._old:
@@ -110,11 +111,11 @@ class OperatorChannel:
         return Heard(*map(tuple, heard))
 
     def _polled(self) -> set[int]:
-        """Who has something to read, the socket on which clients are let in among them."""
+        """File descriptors with data to read, including the listening socket's."""
         return {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
 
     def _lines(self, at_most: int, ready: set[int]) -> list[tuple[bytes, socket.socket, bool]]:
-        """Return lines with their clients and whether they may be old, one of each client in turn."""
+        """Lines with their clients and whether they may be old, one of each client in turn."""
         turns = deque(number for number in self._clients if number in ready)
         lines: list[tuple[bytes, socket.socket, bool]] = []
         for _ in range(2 * at_most):  # those who come and go are no lines, and bounded too
@@ -137,7 +138,7 @@ class OperatorChannel:
         return lines
 
     def _welcome(self, at_most: int) -> set[int]:
-        """Take the next clients in; return their numbers."""
+        """Accept the next clients; return their file descriptors."""
         found: set[int] = set()
         for _ in range(at_most):
             try:
@@ -153,7 +154,7 @@ class OperatorChannel:
         return found
 
     def _drop(self, client: socket.socket) -> None:
-        """Let a client go, if it is still there."""
+        """Close a client's connection, if it still exists."""
         if self._clients.pop(client.fileno(), None) is not None:
             self._old.discard(client.fileno())
             client.close()
@@ -165,9 +166,9 @@ class OperatorChannel:
         setpoints: Sequence[str],
         status: Callable[[], str],
     ) -> None:
-        """Tell the senders of the last lines why each was refused; empty where it was taken.
+        """Answer the last lines with the reasons for their refusal; an empty reason: accepted.
 
-        `status` gives the answer to who asked for it.
+        `status` gives the answer to a status line.
         """
         refusals = [iter(each) for each in (operator, orders, setpoints)]
         for kind, tag, client in self._waiting:

@@ -14,64 +14,63 @@ from drivers.errors import RunError
 
 TAKEN = "taken"
 REFUSED = "refused: "
-"""What the controller answers to a line; behind the latter stands the reason."""
+"""The controller's answers to a line; the second is followed by the reason."""
 ANSWER_S = 1.0
-"""How long an answer is waited for."""
+"""Time to wait for an answer."""
 _LONGEST = 4096
-"""Bytes of an answer, and of a line that is sent; the controller refuses far shorter ones as too long."""
+"""Bytes of an answer, and of a line to send; the controller already refuses far shorter lines as too long."""
 
 
 def socket_path(interface: str, channel: str) -> Path:
-    """Return where the controller on a bus listens to its operator."""
+    """Path of the operator socket of the controller on a bus."""
     return runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.operator.sock"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """What the controller said to one command; true where it was taken."""
+    """The controller's answer to one command; true if the command was accepted."""
 
     taken: bool
-    """Whether the command counts."""
+    """True if the command was accepted."""
     why: str = ""
-    """Why it was refused, and what is allowed; empty where it was taken."""
+    """Reason for a refusal, with the allowed values; empty for an accepted command."""
 
     def __bool__(self) -> bool:
-        """Whether it was taken."""
+        """True if the command was accepted."""
         return self.taken
 
 
 @dataclass(frozen=True)
 class Streamed:
-    """What became of a stream of set-points."""
+    """Result of a stream of set-points."""
 
     sent: int
-    """Set-points that were sent."""
+    """Number of set-points sent."""
     taken: int
-    """Of these, those that the controller followed."""
+    """Of these, the number that the controller accepted."""
     refused: int
-    """Of these, those that it refused; what is neither was not answered."""
+    """Of these, the number that it refused; the others got no answer."""
     why: str
-    """Why the last refused one was."""
+    """Reason for the last refusal."""
     seconds: float
-    """s from the first one to the last answer."""
+    """Time from the first set-point to the last answer."""
 
 
 class OperatorClient:
-    """Speaks to the controller that runs on a bus, as its operator.
+    """Operator's connection to the controller that runs on a bus.
 
     Each command waits for the controller's answer, which comes with the next tick, and returns it. Mutable
-    state: the socket, and how many lines were sent.
+    state: the socket, and the number of lines sent.
 
     Parameters
     ----------
     interface, channel
-        Those of section `bus` of the configuration that runs, as ``"localcan"``, ``"hil0"``.
+        As in section `bus` of the running configuration, for example ``"localcan"``, ``"hil0"``.
 
     Raises
     ------
     RunError
-        No controller listens there; from each command: none answered within 1 s.
-
+        No controller listens there; from each command: no answer within 1 s.
     """
 
     def __init__(self, interface: str, channel: str) -> None:
@@ -87,30 +86,30 @@ class OperatorClient:
             why = f"no controller runs on {self._where}: start `hil run` there first"
             if role_holder(interface, channel, "controller") is not None:
                 why = (
-                    f"{self._where} has a controller, but none that listens here: it runs as another user or "
+                    f"{self._where} has a controller that does not listen here: it runs as another user or "
                     "with another XDG_RUNTIME_DIR (sudo, a service, a session that has ended), is starting, "
-                    "or is no `hil run`; speak to it from where it was started"
+                    "or is not `hil run`; operate it from where it was started"
                 )
             raise RunError(why) from None
 
     def arm(self) -> Answer:
-        """Let the platform move: as Enter in the terminal of `hil run`, or its option --arm."""
+        """Allow the platform to move: like Enter in the terminal of `hil run`, or its option --arm."""
         return self.say("arm")
 
     def start(self) -> Answer:
-        """Go on along the path, or begin it."""
+        """Start or continue the motion along the path."""
         return self.say("start")
 
     def hold(self) -> Answer:
-        """Slow down along the path to rest and stay: brakes open, the law holds the platform."""
+        """Slow down along the path to rest and stay there: brakes open, the law holds the platform."""
         return self.say("hold")
 
     def stop(self) -> Answer:
-        """Stop along the path, shut the brakes, park: as Ctrl-C."""
+        """Stop along the path, shut the brakes, park: like Ctrl-C."""
         return self.say("stop")
 
     def park(self) -> Answer:
-        """Go back to the first pose of the reference at set-up speed, shut the brakes, park."""
+        """Return to the first pose of the reference at set-up speed, shut the brakes, park."""
         return self.say("park")
 
     def reset(self) -> Answer:
@@ -118,7 +117,7 @@ class OperatorClient:
         return self.say("reset")
 
     def estop(self) -> Answer:
-        """Switch the drives off at once; their brakes shut. No safety-rated emergency stop."""
+        """Switch the drives off at once; their brakes shut. This is not a safety-rated emergency stop."""
         return self.say("estop")
 
     def end(self) -> Answer:
@@ -126,31 +125,31 @@ class OperatorClient:
         return self.say("end")
 
     def speed(self, percent: float) -> Answer:
-        """Set the speed along the path in percent of the configured one, 0 .. 100; it changes smoothly."""
+        """Set the speed along the path, in percent of the configured one, 0 .. 100; it changes smoothly."""
         return self.say(f"speed {float(percent)!r}")
 
     def key(self) -> None:
-        """Say that the operator holds the key (operator.deadman_s). No answer is waited for.
+        """Report that the operator holds the key (operator.deadman_s), without waiting for an answer.
 
-        Raises RunError where the controller has gone.
+        Raises RunError if the controller has ended.
         """
         self._send("key")
         self._arrived()  # who does not read is dropped
 
     def jog_axis(self, axis: str, fraction: float) -> Answer:
-        """Move along x, y or z of the base frame, or turn about one (rx, ry, rz), from hold.
+        """Move along x, y or z of the base frame, or rotate about one of them (rx, ry, rz), from hold.
 
-        fraction: of the set-up speed, -1 .. 1. It lasts for 100 ms: say it again, at 50 Hz for instance, for
-        as long as it is to go on. The answer says why it does not.
+        fraction: of the set-up speed, -1 .. 1. It lasts for 100 ms: repeat it, for instance at 50 Hz, as long
+        as the motion should continue. A refusal gives the reason in the answer.
         """
         return self.say(f"jog {axis} {fraction!r}")
 
     def jog_leg(self, leg: int, fraction: float) -> Answer:
-        """Make leg 0 .. 5 longer or shorter, from hold; the other five keep their lengths. See `jog_axis`."""
+        """Extend or retract leg 0 .. 5, from hold; the other five keep their lengths. See `jog_axis`."""
         return self.say(f"jog leg{leg} {fraction!r}")
 
     def release(self) -> Answer:
-        """Let go of a platform that force holds because its brakes are not proven shut. Support it first."""
+        """Release a platform that force holds because its brakes are not proven shut. Support it first."""
         return self.say("release")
 
     def setpoint(
@@ -162,7 +161,7 @@ class OperatorClient:
     def stream(self, poses: Iterable[Iterable[float]], rate_Hz: float) -> Streamed:
         """Send set-points (x y z [rx ry rz], m and deg) at a fixed rate, without waiting for each answer.
 
-        rate_Hz: at most that of the loop, of which each tick follows the last set-point that has come.
+        rate_Hz: at most that of the loop, which in each tick follows the last set-point received.
         """
         sent, answers = 0, list[str]()
         begun = time.perf_counter()
@@ -182,27 +181,27 @@ class OperatorClient:
         return Streamed(sent, len(answers) - len(refused), len(refused), (refused or [""])[-1], seconds)
 
     def status(self) -> dict[str, Any]:
-        """Return what the controller says of itself.
+        """The controller's status.
 
-        Keys: `mode` and `faults` by name, `tick`, `speed_percent` asked for and `speed_now_percent`,
-        `position_m`, `rotation_vector_deg`, `leg_lengths_m` (None where they are not known), `path_s` and
-        `path_length_s` (None without an end), `held`, `key` (`not needed`, `held` or `missing`),
-        `waits_for` (a sentence, or empty), `refused_lines`.
+        Keys: `mode` and `faults` by name, `tick`, `speed_percent` as requested and `speed_now_percent`,
+        `position_m`, `rotation_vector_deg`, `leg_lengths_m` (None where unknown), `path_s` and
+        `path_length_s` (None without an end), `held`, `key` (`not needed`, `held` or `missing`), `waits_for`
+        (a sentence, or empty), `refused_lines`.
         """
         found: dict[str, Any] = json.loads(self._ask("status"))
         return found
 
     def say(self, line: str) -> Answer:
-        """Send a line of the channel, as `speed 40`, and return the answer."""
+        """Send a line of the channel, for example `speed 40`, and return the answer."""
         answer = self._ask(line)
         return Answer(answer == TAKEN, "" if answer == TAKEN else answer.removeprefix(REFUSED))
 
     def close(self) -> None:
-        """Give the socket back."""
+        """Close the socket."""
         self._socket.close()
 
     def _send(self, line: str) -> str:
-        """Send a line; return the tag of its answer."""
+        """Send a line; return the tag for its answer."""
         self._number += 1
         tag = f"#{self._number}"
         try:
@@ -223,7 +222,7 @@ class OperatorClient:
         raise RunError(f"the controller on {self._where} did not answer within {ANSWER_S:g} s: has it ended?")
 
     def _arrived(self) -> list[str]:
-        """Return the answers that have come, without their tags."""
+        """Answers received so far, without their tags."""
         answers = []
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):

@@ -1,17 +1,17 @@
-"""The verifier: given f and V, what V proves, and what is known of the equilibrium.
+"""The verifier: for f and V, the properties that V proves, and the stability of the equilibrium.
 
-Proofs are exact algebra and interval arithmetic; nothing is proven by samples, by floating point or by a
-solver's tolerance. In doubt a claim is undecided.
+Proofs use exact algebra and interval arithmetic. Samples, floating point and solver tolerances prove nothing.
+A claim without a proof or counterexample is undecided.
 
 ::
 
-    door               what is taken, and decimals     signs           definite, semidefinite, positive
-    system             the question in exact form      origin, tail    near the equilibrium and far away
+    expressions        input, and decimal numbers      signs           definite, semidefinite, positive
+    system             the problem in exact form       origin, tail    near the equilibrium and far away
     branch_and_bound   cells and seconds               quadratic       forms; Hessians on a box
     cancellation       dV/dt, exactly                  lasalle, level  where dV/dt = 0; sublevel sets
     interval           enclosures                      linearisation   eigenvalues, a V
-    counterexample     what refutes                    chetaev         instability
-    theorems, report   what follows from it
+    counterexample     points that refute a claim      chetaev         instability
+    theorems, report   conclusions
 """
 
 from hil.proof.branch_and_bound import Budget

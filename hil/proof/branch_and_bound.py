@@ -1,8 +1,8 @@
-"""Branch and bound: a property of every point of a region, shown cell by cell; and what an answer may cost.
+"""Branch and bound: prove a property on a region cell by cell, within a budget of cells and seconds.
 
-Only enclosures decide. Cells are halved until an enclosure decides them or the budget is spent: cells, the
-same on every machine, and seconds, for algebra, which has no cells, and some of it no end that anybody waits
-for. So the clock interrupts it, and what was shown before stays shown: a proof is never half used.
+Only enclosures decide. Cells are halved until an enclosure decides them or the budget ends. The number of
+cells gives equal results on every machine. Seconds limit algebra, which has no cells and may take very long.
+The clock interrupts algebra; earlier results stay valid, and no partial proof is used.
 """
 
 import math
@@ -19,21 +19,21 @@ Answer = TypeVar("Answer")
 
 
 class OutOfTime(BaseException):
-    """The seconds ended. No Exception: algebra that catches all of these must not catch this."""
+    """Raised at the time limit; a BaseException, so that no `except Exception` in algebra catches it."""
 
 
 class Budget:
-    """How many cells may be looked at, and for how many seconds; counts down.
+    """Remaining number of cells, and time limit in seconds.
 
-    Mutable: `left` goes down, `ended` says that more was asked for than there was.
-    `seconds` are those of each call of `verify`, on the wall; math.inf leaves the count of cells alone, so
-    that a proof found once is found on every machine.
+    Mutable: `left` counts down; `ended` is set when the budget was insufficient.
+    `seconds` is the wall time of each call of `verify`. With math.inf only the cells are limited, so every
+    machine finds the same proofs.
     """
 
     def __init__(self, boxes: int = 40_000, seconds: float = 15.0) -> None:
         if isinstance(boxes, bool) or not isinstance(boxes, int) or boxes < 0 or not seconds > 0:
             raise ModelError(
-                f"a budget of {boxes!r} boxes and {seconds!r} s: a whole number and a positive one are needed"
+                f"budget of {boxes!r} boxes and {seconds!r} s, allowed: a whole number >= 0 and seconds > 0"
             )
         self.seconds = seconds
         self.left = boxes
@@ -41,12 +41,12 @@ class Budget:
         self._began = self._end = math.inf
 
     def start(self) -> None:
-        """Begin to count the seconds."""
+        """Start the clock."""
         self._began = monotonic()
         self._end = self._began + self.seconds
 
     def take(self) -> bool:
-        """Take one cell; tell whether there was one."""
+        """Take one cell; False if none is left or the time is over."""
         if self.left <= 0 or monotonic() > self._end:
             self.ended = True
             return False
@@ -54,9 +54,9 @@ class Budget:
         return True
 
     def within(self, share: float, question: Callable[[], Answer], otherwise: Answer) -> Answer:
-        """Return what `question` returns, or `otherwise` if that share of all the seconds ends before.
+        """Run `question`; `otherwise` is the result if this share of `seconds` has passed since `start`.
 
-        A question does not ask another one this way.
+        Calls must not be nested.
         """
         left = share * self.seconds - (monotonic() - self._began) if math.isfinite(self.seconds) else math.inf
         try:
@@ -69,7 +69,7 @@ class Budget:
 
 @contextmanager
 def _interrupted(seconds: float) -> Iterator[None]:
-    """Raise OutOfTime in what is done here when the seconds end; outside the main thread only cells look."""
+    """Raise OutOfTime in the body at the time limit; only `take` checks it outside the main thread."""
     if seconds <= 0:
         raise OutOfTime
     armed = [True]
@@ -96,18 +96,18 @@ def _interrupted(seconds: float) -> Iterator[None]:
 
 
 SMALLEST = 2.0**-40
-"""Cells whose widest side is below are not halved: where an enclosure still says nothing, it never will."""
+"""Smallest width of a cell to be halved: an enclosure that is undecided there stays undecided."""
 
 
 def covered(
     cells: Iterable[Cell], holds: Callable[[Sequence[Ball]], bool], budget: Budget, limit: int = 10_000,
     fails: Callable[[Sequence[Ball]], bool] | None = None,
 ) -> bool:  # fmt: skip
-    """Tell whether `holds` is true of every cell, halving those of which it is not.
+    """Check that `holds` is true for every cell, and halve cells for which it is not.
 
     `holds` gets balls and must be true only if the property holds at each of their points. `fails` gets the
-    middle of an undecided cell and ends the attempt where the property is false there. `limit` is the most
-    that one attempt may take from the budget.
+    middle of an undecided cell and ends the attempt if the property is false there. `limit` is the largest
+    number of cells that one attempt takes from the budget.
     """
     stack = list(cells)
     while stack:
@@ -133,7 +133,7 @@ def positive(
     budget: Budget,
     limit: int = 10_000,
 ) -> bool:
-    """Tell whether at each point of the cells at least one of the functions is shown to be > 0."""
+    """Prove that at each point of the cells at least one of the functions is > 0."""
     return covered(
         cells,
         lambda x: any(g(x) > 0 for g in functions),
@@ -144,24 +144,24 @@ def positive(
 
 
 def middle(cell: Cell) -> list[float]:
-    """Return the middle of a cell."""
+    """Centre of a cell."""
     return [low + (high - low) / 2 for low, high in cell]
 
 
 def halves(cell: Cell, side: int) -> tuple[Cell, Cell]:
-    """Return the two halves of a cell across a side."""
+    """Both halves of a cell, divided along a side."""
     low, high = cell[side]
     m = low + (high - low) / 2
     return (*cell[:side], (low, m), *cell[side + 1 :]), (*cell[:side], (m, high), *cell[side + 1 :])
 
 
 def faces(sides: Cell, moving: Sequence[int]) -> list[Cell]:
-    """Return the faces of a cell: one of the sides `moving` at one of its ends."""
+    """Faces of a cell: one of the sides `moving` is fixed at one of its ends."""
     return [(*sides[:k], (end, end), *sides[k + 1 :]) for k in moving for end in sides[k]]
 
 
 def without(outer: Cell, inner: Cell) -> list[Cell]:
-    """Return cells that cover `outer` without the interior of `inner`; slabs, one pair for each side."""
+    """Cells that cover `outer` without the interior of `inner`: slabs, one pair for each side."""
     slabs: list[Cell] = []
     rest = list(outer)
     for k, ((low, high), (inner_low, inner_high)) in enumerate(zip(outer, inner, strict=True)):

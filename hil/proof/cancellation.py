@@ -1,7 +1,7 @@
-"""Exact algebra before any interval: what cancels in the derivative of V cancels here.
+"""Exact algebra before interval arithmetic: cancellation in the derivative of V.
 
 Every step is an identity of real functions wherever f and V are defined. Enclosures cannot show that
-b v - v b is zero; this can.
+b v - v b is zero; algebra can.
 """
 
 from collections.abc import Mapping, Sequence
@@ -12,7 +12,7 @@ from drivers.errors import ModelError
 
 
 def cancelled(expression: sp.Expr) -> sp.Expr:
-    """Return an equal expression in which common factors and opposite terms are gone."""
+    """Simplify: cancel common factors and opposite terms."""
     e = sp.expand(expression)
     try:
         e = sp.cancel(sp.together(e)) if not e.is_polynomial(*e.free_symbols) else e
@@ -24,7 +24,7 @@ def cancelled(expression: sp.Expr) -> sp.Expr:
 
 
 def _pythagoras(e: sp.Expr) -> sp.Expr:
-    """cos^2 = 1 - sin^2, wherever both stand."""
+    """Replace cos^2 by 1 - sin^2 where an argument has both functions."""
     both = {c.args[0] for c in e.atoms(sp.cos)} & {s.args[0] for s in e.atoms(sp.sin)}
     for u in both:
         s, c = sp.sin(u), sp.cos(u)
@@ -36,12 +36,12 @@ def _pythagoras(e: sp.Expr) -> sp.Expr:
 
 
 def continuous(expression: sp.Expr) -> sp.Expr:
-    """Return the expression without sign(): u sign(u) = |u|, u sign(u)^2 = u.
+    """Eliminate sign(): u sign(u) = |u|, u sign(u)^2 = u.
 
-    What differentiation makes of |u| stands away from u = 0. Where the result is continuous, it holds
-    there too, and what was differentiated is continuously differentiable.
+    The derivative of |u| is valid away from u = 0. If the result is continuous, it is also valid at u = 0,
+    and the function before differentiation is continuously differentiable.
 
-    Raises ModelError where a jump stays.
+    Raises ModelError if a discontinuity remains.
     """
     e = expression
     for _ in range(8):
@@ -68,16 +68,16 @@ def _without(sign: sp.Expr, expression: sp.Expr) -> sp.Expr:
         even += coefficient if power and power % 2 == 0 else 0
     quotients = [sp.cancel(sp.together(part) / u) for part in (odd, even)]
     if any(not sp.denom(sp.together(q)).free_symbols.isdisjoint(u.free_symbols) for q in quotients):
-        raise ModelError(f"{expression} jumps at {u} = 0, or is not shown not to")
+        raise ModelError(f"{expression} jumps at {u} = 0, or is not shown to be continuous there")
     return without + even + quotients[0] * sp.Abs(u)
 
 
 def lie_derivative(
     h: sp.Expr, field: Mapping[sp.Symbol, sp.Expr], states: Sequence[sp.Symbol] | None = None
 ) -> sp.Expr:
-    """Return dh/dt = grad h . f along the trajectories, cancelled (section 6.0.5).
+    """dh/dt = grad h . f along the trajectories, simplified (section 6.0.5).
 
-    Raises ModelError where h is not shown to be continuously differentiable.
+    Raises ModelError if h is not shown to be continuously differentiable.
     """
     states = tuple(field) if states is None else states
     gradient = {x: continuous(sp.diff(h, x)) for x in states}
@@ -85,7 +85,7 @@ def lie_derivative(
 
 
 def factors(expression: sp.Expr) -> list[tuple[sp.Expr, sp.Rational]]:
-    """Return the factors with their powers, denominators with negative ones."""
+    """Factors with their powers; denominators have negative powers."""
     try:
         e = sp.factor(sp.together(expression))
     except sp.PolynomialError:
@@ -94,9 +94,9 @@ def factors(expression: sp.Expr) -> list[tuple[sp.Expr, sp.Rational]]:
 
 
 def half_angles(expression: sp.Expr) -> list[sp.Expr]:
-    """Return the expression with cos u as 1 - 2 sin^2(u/2) and as 2 cos^2(u/2) - 1; none without cosines.
+    """Rewrite cos u as 1 - 2 sin^2(u/2) and as 2 cos^2(u/2) - 1; empty without cosines.
 
-    So 1 - cos u becomes a square, and 1 + cos u.
+    So 1 - cos u becomes a square, and 1 + cos u, too.
     """
     if not expression.has(sp.cos):
         return []

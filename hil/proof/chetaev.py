@@ -1,7 +1,7 @@
-"""Instability by Chetaev's theorem: W grows wherever W > 0, however near to the equilibrium.
+"""Instability by Chetaev's theorem: W grows wherever W > 0, arbitrarily near to the equilibrium.
 
-W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. Both are blown up like a
-lowest-order form (see origin); along each ray either W < 0 or dW/dt > 0 is shown, and W > 0 on one at least.
+W(0) = 0 and, in a cell about the origin, dW/dt > 0 at every point with W > 0. Both functions are blown up to
+a lowest-order form (see origin). On each ray W < 0 or dW/dt > 0 is shown, and W > 0 on at least one ray.
 """
 
 from collections.abc import Iterator
@@ -19,11 +19,11 @@ from hil.proof.signs import Signs, regular
 
 LIMIT = 400
 WEIGHTS = 3
-"""Rays x_i = t^w_i u_i with w_i up to this are tried."""
+"""Largest weight w_i of the rays x_i = t^w_i u_i."""
 
 
 def _rays(n: int) -> Iterator[tuple[float, ...]]:
-    """Points of a cube; of many states those with at most two that are not zero."""
+    """Points of a cube; for more than 4 states only points with at most two nonzero coordinates."""
     if n <= 4:
         yield from product((-1.0, -0.5, 0.0, 0.5, 1.0), repeat=n)
         return
@@ -36,7 +36,7 @@ def _rays(n: int) -> Iterator[tuple[float, ...]]:
 
 
 def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
-    """Return a W with which Chetaev's theorem proves instability: V, -V or a state; None if none does."""
+    """W for which Chetaev's theorem proves instability: V, -V or a state; None if there is none."""
     states = signs.system.states
     tried = [] if V is None else [V, -V]
     tried += [s * x for x in states for s in (1, -1)]
@@ -44,7 +44,7 @@ def function(V: sp.Expr | None, signs: Signs) -> sp.Expr | None:
 
 
 def grows(W: sp.Expr, signs: Signs) -> bool:
-    """Tell whether W is shown to fulfil Chetaev's theorem at the origin."""
+    """Check that W is shown to fulfil Chetaev's theorem at the origin."""
     states = signs.system.states
     if not set(states) & W.free_symbols or sp.expand(W.subs(dict.fromkeys(states, 0))) != 0:
         return False
@@ -74,7 +74,7 @@ def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -
         return False
     for radius in RADII:
         reach = ball(0.0, radius)
-        # t stays whole: the two remainders hold for different t' between 0 and t
+        # t is not divided: the two remainders hold for different t' between 0 and t
         there = [lambda x, g=g, t=reach: g([*x, t]) for g in (down[1], up[1])]
         if positive(there, cells, budget, LIMIT):
             return _somewhere(down[1], len(states), ranges, (0.0, radius), budget)
@@ -82,7 +82,7 @@ def _along(W: sp.Expr, W_dot: sp.Expr, weights: tuple[int, ...], signs: Signs) -
 
 
 def _somewhere(down: Enclosure, n: int, ranges: Cell, reach: tuple[float, float], budget: Budget) -> bool:
-    """Tell whether W > 0 all along one ray: so arbitrarily near to the origin, for all parameters."""
+    """Check that W > 0 along a whole ray: arbitrarily near to the origin, for all parameters."""
     for ends in _rays(n):
         ray: Cell = (*((e, e) for e in ends), *ranges, reach)
         if max(map(abs, ends)) == 1.0 and budget.take() and down.on(ray) < arb(0):

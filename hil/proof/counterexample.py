@@ -1,6 +1,6 @@
-"""Counterexamples: points where a claim is false, each checked by interval arithmetic or exactly.
+"""Counterexamples: points where a claim is false, verified by interval arithmetic or exactly.
 
-Where to look is a guess, what is found is a proof. That nothing is found proves nothing.
+The search is heuristic; each point found is proven. An unsuccessful search proves nothing.
 """
 
 import heapq
@@ -22,15 +22,15 @@ _LENGTHS = tuple(
 _ANGLES = (sp.pi / 2, sp.pi, 2 * sp.pi)
 _PARAMETERS = (sp.Integer(1), sp.Rational(1, 8), sp.Integer(8))
 _WINDOW = 4.0
-"""Where an unbounded domain is searched."""
+"""Half width of the search in an unbounded domain."""
 _SEARCH = 250
-"""Cells of the search."""
+"""Number of cells of the search."""
 
 
 def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
-    """Return a point beside the equilibrium with g > 0 (or = 0) whatever the rounded numbers were; or None.
+    """Point other than the equilibrium with g > 0 (or = 0) for all values of the rounded numbers, or None.
 
-    A quadratic form has one in its own direction, or none.
+    For a quadratic form its leading direction decides.
     """
     if unsupported(g):
         return None
@@ -50,7 +50,7 @@ def find(g: sp.Expr, signs: Signs, *, or_zero: bool = False) -> Point | None:
 
 
 def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
-    """Along the direction in which the quadratic form that g begins with is positive, or zero."""
+    """Points along the direction in which the quadratic part of g is positive, or zero."""
     states = signs.system.states
     for parameters in _parameters(signs):
         S = quadratic.form(_leading(g.subs(parameters), states), states)
@@ -67,7 +67,7 @@ def _downhill(g: sp.Expr, signs: Signs) -> Iterator[Point]:
 
 
 def _leading(g: sp.Expr, states: Sequence[sp.Symbol]) -> sp.Expr:
-    """Return g if it is a polynomial without all but its terms of order two, else g."""
+    """Quadratic part of a polynomial g without lower terms; g itself otherwise."""
     try:
         p = sp.Poly(g, *states)
     except sp.PolynomialError:
@@ -101,7 +101,7 @@ def _step(signs: Signs, x: sp.Symbol, k: int, far: int) -> sp.Expr:
 
 
 def _parameters(signs: Signs) -> list[Point]:
-    """Return values of the parameters: all of few, else three of each together."""
+    """Values of the parameters: all combinations for up to three, else the three joint ones."""
     rounded = signs.system.rounded.numbers
     choices = {
         p: ((low + high) / 2, low, high) for p, (low, high) in signs.system.ranges.items() if p not in rounded
@@ -111,7 +111,7 @@ def _parameters(signs: Signs) -> list[Point]:
 
 
 def _searched(h: Callable[[Sequence[Ball]], Ball], names: Sequence[sp.Symbol], signs: Signs) -> Point | None:
-    """Best first: the cell with the highest upper bound is halved next."""
+    """Best-first search: the cell with the highest upper bound is halved next."""
     if signs.system.positive:
         return None
     sides: Cell = tuple(

@@ -1,8 +1,9 @@
-"""Interval arithmetic: an expression becomes a function from balls to a ball that holds all its values.
+"""Interval arithmetic: an expression becomes a function from balls to a ball that encloses all its values.
 
-Python-flint's arb rounds outward, so what an enclosure excludes is excluded. Where an expression is not
-defined on a ball (a pole, the logarithm of zero) the enclosure is not finite, and no comparison with it is
-true. arb's own power gives no enclosure of a ball with negative numbers: it is made of those of its ends.
+Python-flint's arb rounds outward, so an enclosure contains every value. If an expression is undefined on a
+ball (a pole, the logarithm of zero), the enclosure is not finite, and every comparison with it is false.
+arb's own power gives no enclosure for a ball with negative numbers; here it is formed from the ends of the
+ball.
 """
 
 import math
@@ -18,9 +19,9 @@ from drivers.errors import ModelError
 Ball = Any
 """flint.arb."""
 Cell = tuple[tuple[float, float], ...]
-"""One pair (lower, upper) for each variable: floats are exact."""
+"""One pair (lower, upper) for each variable; the floats are exact."""
 Ranges = Mapping[sp.Symbol, tuple[float, float]]
-"""Parameters, and the ends of each."""
+"""Parameters with their bounds."""
 
 _UNARY: dict[Any, Callable[[Ball], Ball]] = {
     sp.Abs: lambda x: x.abs_lower().union(x.abs_upper()),
@@ -29,7 +30,7 @@ _UNARY: dict[Any, Callable[[Ball], Ball]] = {
         for f in (sp.sin, sp.cos, sp.tan, sp.exp, sp.log, sp.sinh, sp.cosh, sp.tanh, sp.atan)
     },
 }
-"""What may stand in f and V beside sums, products and powers."""
+"""Functions allowed in f and V, in addition to sums, products and powers."""
 FUNCTIONS = frozenset(_UNARY)
 ALLOWED = f"sums, products, rational powers, {', '.join(sorted(f.__name__ for f in FUNCTIONS))}"
 _NODES = (sp.Symbol, sp.Rational, sp.Add, sp.Mul)
@@ -45,14 +46,14 @@ class Enclosure:
         self._result = self._place(expression)
 
     def __call__(self, balls: Sequence[Ball]) -> Ball:
-        """Return a ball that holds every value on the balls of the variables."""
+        """Ball that encloses every value on the balls of the variables."""
         values = list(balls)
         for action, places in self._steps:
             values.append(action(*[values[p] for p in places]))
         return values[self._result]
 
     def on(self, cell: Cell) -> Ball:
-        """Return the enclosure on a cell."""
+        """Enclosure on a cell."""
         return self([ball(*side) for side in cell])
 
     def _place(self, e: sp.Expr) -> int:
@@ -65,21 +66,21 @@ class Enclosure:
 
 
 def ball(lower: float, upper: float) -> Ball:
-    """Return a ball that holds [lower, upper], all numbers where an end is infinite."""
+    """Ball that encloses [lower, upper]; all numbers for an infinite end."""
     if math.isinf(lower) or math.isinf(upper):
         return arb(0, math.inf)
     return arb(lower) if lower == upper else arb(lower).union(arb(upper))
 
 
 def number(value: sp.Expr) -> Ball:
-    """Return a ball that holds an exact number."""
+    """Ball that encloses an exact number."""
     if isinstance(value, sp.Rational):
         return arb(fmpq(int(value.p), int(value.q)))
     return Enclosure(sp.sympify(value), ())(())
 
 
 def outward(lower: sp.Expr, upper: sp.Expr) -> tuple[float, float]:
-    """Return floats that enclose [lower, upper]; an end that is a float stays what it is."""
+    """Floats that enclose [lower, upper]; an end that is a float stays unchanged."""
     return _outside(lower, -math.inf), _outside(upper, math.inf)
 
 
@@ -93,7 +94,7 @@ def _outside(end: sp.Expr, towards: float) -> float:
 
 
 def unsupported(e: sp.Expr) -> set[str]:
-    """Return the names of what in an expression has no enclosure."""
+    """Names of the functions and powers in an expression that have no enclosure."""
     wrong: set[str] = set()
     for node in sp.preorder_traversal(e):
         if isinstance(node, sp.Pow):
@@ -151,7 +152,7 @@ def _integer_power(x: Ball, n: int) -> Ball:
 
 
 def _root_power(low: Ball, high: Ball, p: sp.Rational) -> Ball:
-    """x^p is monotone for x >= 0; the balls of the ends are points."""
+    """x^p is monotone for x >= 0; low and high are points."""
     if not (low > 0 or (low.is_zero() and p > 0)):
         return arb.nan()
     return _point_root(low, p).union(_point_root(high, p))

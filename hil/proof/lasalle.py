@@ -1,9 +1,9 @@
-"""LaSalle: no trajectory but the equilibrium stays where dV/dt = 0 (section 6.0, LaSalle's theorem).
+"""LaSalle: no trajectory except the equilibrium stays where dV/dt = 0 (section 6.0, LaSalle's theorem).
 
-A trajectory that stays in a set {h = 0} has dh/dt = 0 as well, and so on; what is solved for a state is put
-into the rest. Of several branches a trajectory may change from one to another. But the times it spends on
-each are closed sets that cover an interval, so on one of them it stays for an interval (Baire); there it is
-shown to be at the equilibrium, and f being locally Lipschitz it never was elsewhere.
+A trajectory that stays in a set {h = 0} also has dh/dt = 0, and so on; an equation solved for a state is
+substituted into the others. A trajectory may change between branches. The times on each branch are closed
+sets that cover an interval, so it stays on one branch for an interval (Baire). There it is shown to be at the
+equilibrium; because f is locally Lipschitz, it was there at all times.
 """
 
 import sympy as sp
@@ -13,20 +13,20 @@ from hil.proof.cancellation import cancelled, factors, lie_derivative
 from hil.proof.signs import NOWHERE, Signs, Zeros
 
 DERIVATIVES = 8
-"""How many equations are followed on one branch."""
+"""Largest number of equations on one branch."""
 LONGEST = 400
-"""Operations in an equation beyond which it is not followed: derivatives grow."""
+"""Largest number of operations in an equation, because derivatives grow."""
 
 
 def leaves(zeros: Zeros, signs: Signs) -> bool:
-    """Tell whether every trajectory but the equilibrium is shown to leave the zeros of dV/dt."""
+    """Prove that every trajectory except the equilibrium leaves the zeros of dV/dt."""
     return all(_leaves_branch(list(branch), {}, [], signs, DERIVATIVES) for branch in zeros)
 
 
 def _leaves_branch(
     todo: list[sp.Expr], solved: dict[sp.Symbol, sp.Expr], kept: list[sp.Expr], signs: Signs, left: int
 ) -> bool:
-    """`solved`: states as functions of the others on the branch; `kept`: what vanishes and is not solved."""
+    """Judge a branch. `solved`: states as functions of the others; `kept`: zero, but not solved."""
     if _only_equilibrium(solved, kept, signs):
         return True
     if not todo or left == 0:
@@ -41,7 +41,7 @@ def _leaves_branch(
 
 
 def _ways(h: sp.Expr, signs: Signs) -> list[sp.Expr]:
-    """Return expressions on one of which being zero h = 0 depends; none: h is nowhere zero."""
+    """Expressions of which one is zero wherever h = 0; empty: h has no zero."""
     top = sp.fraction(sp.together(h))[0]
     ways = []
     for base, _ in factors(top):
@@ -86,7 +86,7 @@ def _follow(
 
 
 def _solvable(h: sp.Expr, signs: Signs) -> sp.Symbol | None:
-    """Return a state that h holds linearly, its coefficient a number or a product of parameters."""
+    """State in which h is linear, with a coefficient that is a number or a product of parameters; or None."""
     h = sp.expand(h)
     for x in signs.own(h):
         c = h.coeff(x, 1)

@@ -1,4 +1,4 @@
-"""The sublevel set of V inside the box: what starts in it stays in it.
+"""Invariant sublevel set of V inside the box: a trajectory that starts in it stays in it.
 
 If V >= c on the whole boundary and dV/dt <= 0 in the box, no trajectory that starts in the box with V < c
 reaches the boundary.
@@ -14,11 +14,11 @@ from hil.proof.interval import number
 from hil.proof.signs import Signs
 
 _HALVINGS = 8
-"""Of the interval in which the largest level is sought."""
+"""Halvings of the interval that contains the largest level."""
 
 
 def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
-    """Return a c with V >= c on the boundary of the domain: the largest that is shown, or None."""
+    """Largest c that is shown to satisfy V >= c on the boundary of the domain, or None."""
     system = signs.system
     if not system.bounded or system.ranges or not signs.enclosable(V):
         return None
@@ -43,7 +43,7 @@ def largest_level(V: sp.Expr, signs: Signs) -> sp.Expr | None:
 
 
 def _of_form(P: quadratic.Matrix, signs: Signs) -> sp.Expr | None:
-    """Return the least value of a quadratic form on the faces; ends that are no fractions from within."""
+    """Smallest value of a quadratic form on the faces; irrational ends are replaced by fractions inside."""
     inverse = fmpq_mat([[fmpq(c.numerator, c.denominator) for c in row] for row in P]).inv()
     widths = [sp.Rational(int(inverse[k, k].p), int(inverse[k, k].q)) for k in range(len(P))]
     levels = []
@@ -67,7 +67,7 @@ def _samples(signs: Signs, x: sp.Symbol, end: sp.Expr) -> list[dict[sp.Symbol, s
 
 
 def _holds(V: sp.Expr, c: sp.Expr, faces: list[tuple[sp.Symbol, sp.Expr]], signs: Signs) -> bool:
-    """Tell whether V >= c is shown on all faces."""
+    """Check that V >= c is shown on all faces."""
     for x, end in faces:
         g = sp.expand(V.subs(x, end) - c)
         constant = not signs.own(g) and (g.is_nonnegative or number(g) > 0)

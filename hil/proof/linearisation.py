@@ -1,13 +1,13 @@
-"""The linearisation at the equilibrium: where its eigenvalues are.
+"""Eigenvalues of the linearisation at the equilibrium.
 
-States that do not act on each other in a circle are taken apart first. A matrix of fractions is decided
-exactly: what is symmetric about the imaginary axis is divided out of its characteristic polynomial, Routh's
-table over the rationals decides the rest. Over ranges of parameters the theorem of Ostrowski and Schneider
-counts: where A^T P + P A < 0, A has as many eigenvalues to the right as P has negative ones. With parameters
-that may be any positive number polynomials of them decide. A root on the imaginary axis says nothing.
+The matrix is first divided into strongly connected blocks of states. A block of fractions is decided exactly:
+the part of its characteristic polynomial that is symmetric about the imaginary axis is divided out, and
+Routh's table over the rationals decides the rest. Over ranges of parameters the theorem of Ostrowski and
+Schneider applies: if A^T P + P A < 0, A has as many eigenvalues in the right half plane as P has negative
+ones. For parameters without a range polynomials in them decide. A root on the imaginary axis decides nothing.
 
-Of a system without a V it proposes x^T P x with A^T P + P A = -1: a guess like any other, to be proven for
-the whole f. Ranges of parameters are taken at their middle.
+For a system without a V the module proposes x^T P x with A^T P + P A = -1. It is a guess, to be proven for
+the full f. Ranges of parameters are represented by their middle.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CELLS = 300
 
 
 class Eigenvalues(Enum):
-    """Where the eigenvalues of the linearisation are shown to be."""
+    """Proven location of the eigenvalues of the linearisation."""
 
     LEFT = "every eigenvalue has a negative real part"
     RIGHT = "an eigenvalue has a positive real part"
@@ -41,7 +41,7 @@ class Eigenvalues(Enum):
 
 
 def of_rationals(A: sp.Matrix) -> Eigenvalues:
-    """Return where the eigenvalues of a rational matrix are; UNKNOWN: on the axis, none to the right."""
+    """Location of the eigenvalues of a rational matrix; UNKNOWN: some on the axis, none to the right."""
     p = fmpq_mat([[fmpq(int(a.p), int(a.q)) for a in A.row(i)] for i in range(A.rows)]).charpoly()
     mirrored = fmpq_poly([c if k % 2 == 0 else -c for k, c in enumerate(p.coeffs())])
     symmetric = p.gcd(mirrored)
@@ -54,7 +54,7 @@ def of_rationals(A: sp.Matrix) -> Eigenvalues:
 
 
 def _routh(rising: Sequence[fmpq]) -> bool:
-    """Tell whether all roots of a monic polynomial are left of the axis, by the first column of the table."""
+    """Prove that all roots of a monic polynomial are left of the axis, by Routh's first column."""
     upper, lower = rising[::-1][0::2], rising[::-1][1::2]
     while lower:
         if lower[0] <= 0:
@@ -65,7 +65,7 @@ def _routh(rising: Sequence[fmpq]) -> bool:
 
 
 def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
-    """Return where the eigenvalues of A are for all values of the parameters; UNKNOWN where that differs."""
+    """Location of the eigenvalues of A for all values of the parameters; UNKNOWN where it differs."""
     entries = quadratic.enclosures(A.tolist(), tuple(ranges))
     found: set[Eigenvalues] = set()
 
@@ -79,7 +79,7 @@ def over_ranges(A: sp.Matrix, ranges: Ranges, budget: Budget) -> Eigenvalues:
 
 
 def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
-    """Return where the eigenvalues of every matrix within A are; moved left, those on the axis are off it."""
+    """Location of the eigenvalues of every matrix within A; a shift to the left moves them off the axis."""
     middle = quadratic.middle_of(A)
     if middle is None:
         return Eigenvalues.UNKNOWN
@@ -96,7 +96,7 @@ def _of_balls(A: Sequence[Sequence[Ball]]) -> Eigenvalues:
 
 
 def lyapunov_matrix(A: np.ndarray) -> np.ndarray | None:
-    """Return the symmetric P with A^T P + P A = -1, in floating point: a guess, to be proven; or None."""
+    """Symmetric P with A^T P + P A = -1 in floating point, a guess to be proven; or None."""
     one = np.eye(len(A))
     try:
         P = np.linalg.solve(np.kron(A.T, one) + np.kron(one, A.T), -one.reshape(-1)).reshape(one.shape)
@@ -106,7 +106,7 @@ def lyapunov_matrix(A: np.ndarray) -> np.ndarray | None:
 
 
 def jacobian(system: System) -> sp.Matrix | None:
-    """Return A = df/dx at the equilibrium; None where f is not shown to be smooth there."""
+    """Matrix A = df/dx at the equilibrium; None if f is not shown to be smooth there."""
     origin = dict.fromkeys(system.states, sp.S.Zero)
     try:
         entries = [
@@ -119,7 +119,7 @@ def jacobian(system: System) -> sp.Matrix | None:
 
 
 def eigenvalues(signs: Signs) -> Eigenvalues:
-    """Return where the eigenvalues of the linearisation are; UNKNOWN where f is not shown to be smooth."""
+    """Location of the eigenvalues of the linearisation; UNKNOWN if f is not shown to be smooth."""
     A = jacobian(signs.system)
     if A is None or not regular(signs.system.f, signs):
         return Eigenvalues.UNKNOWN
@@ -141,10 +141,10 @@ def _block(A: sp.Matrix, signs: Signs) -> Eigenvalues:
 
 
 def _for_all(A: sp.Matrix, signs: Signs) -> Eigenvalues:
-    """Judge by the critical constraints.
+    """Location for all parameters, by the critical constraints.
 
-    An eigenvalue crosses the axis only where a_0 or the last but one of Hurwitz's determinants is zero. Where
-    neither ever is, one choice of the parameters stands for all.
+    An eigenvalue crosses the axis only where a_0 or the second largest Hurwitz determinant is zero. If
+    neither is ever zero, one choice of the parameters represents all.
     """
     n = A.rows
     a = [sp.together(c) for c in A.charpoly(sp.Dummy("eigenvalue")).all_coeffs()]
@@ -160,13 +160,13 @@ def _for_all(A: sp.Matrix, signs: Signs) -> Eigenvalues:
 
 
 EXACT = 4
-"""States up to which the equation is solved exactly; of more the solution is rounded, and shown again."""
+"""Largest number of states for an exact solution; above, the solution is rounded and verified."""
 SYMBOLIC = 3
-"""States up to which it is solved with parameters that may be any positive number."""
+"""Largest number of states for a solution with parameters without a range."""
 
 
 def lyapunov_function(system: System) -> sp.Expr | None:
-    """Return x^T P x for the linearisation A, or None if the equation has no such solution."""
+    """x^T P x for the linearisation A, or None if the equation has no such solution."""
     A = jacobian(system)
     if A is None:
         return None

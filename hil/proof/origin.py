@@ -1,10 +1,10 @@
-"""Positive near the origin: a lowest-order form, with a bound on all that follows it.
+"""Positive near the origin: a lowest-order form, with a bound on the remainder.
 
-An enclosure of g is never positive on a cell that holds g's zero. So the zero is blown up: x_i = t^w_i u_i
-with u on the faces of the unit cube. Where all coefficients of t^j, j < k, are exactly zero, Taylor's theorem
-has g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell by cell. c_k is the
-k-th derivative of all of g over k!, so that there is one t': powers of t at t itself beside a derivative of
-the rest at t' would hold for two different places, and no cell of t may be halved for both at once.
+An enclosure of g is never positive on a cell that contains g's zero. So the zero is blown up:
+x_i = t^w_i u_i with u on the faces of the unit cube. If all coefficients of t^j, j < k, are exactly zero,
+Taylor's theorem gives g(t^w u) = t^k c_k(u, t') with some t' between 0 and t, and c_k is shown positive cell
+by cell. c_k is the k-th derivative of the whole g over k!, so that there is one t'. Powers of t at t itself,
+next to a derivative at t', would belong to two different points, and cells of t could not be halved.
 """
 
 from collections.abc import Sequence
@@ -18,10 +18,10 @@ from hil.proof.interval import Cell, Enclosure, Ranges, unsupported
 
 HIGHEST_ORDER = 12
 LONGEST = 400
-"""Operations in a derivative beyond which the next one is not formed."""
+"""Largest number of operations in a derivative that is differentiated again."""
 RADII = tuple(2.0**-k for k in range(0, 17, 2))
 T = sp.Dummy("t", positive=True)
-"""Along a ray."""
+"""Parameter of a ray."""
 
 Weights = tuple[int, ...]
 
@@ -29,7 +29,7 @@ Weights = tuple[int, ...]
 class Ray:
     """g along x_i = t^w_i u_i, as a function of t: powers of t with coefficients in u, and a rest.
 
-    Mutable: remembers the derivatives that it has formed.
+    Mutable: caches its derivatives.
     """
 
     def __init__(self, g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights) -> None:
@@ -49,22 +49,22 @@ class Ray:
         self.smooth = not any(node.has(T) for node in self.rest.atoms(sp.Abs) | _rough(self.rest))
 
     def at_zero(self, j: int) -> sp.Expr:
-        """Return the coefficient of t^j at t = 0, a function of u."""
+        """Coefficient of t^j at t = 0, a function of u."""
         if self.rest == 0:
             return sp.expand(self.powers.get(j, sp.S.Zero))
         taylor = self._derivative(j).subs(T, 0) / sp.factorial(j)
         return sp.expand(self.powers.get(j, sp.S.Zero) + taylor)
 
     def order(self) -> int | None:
-        """Return the lowest order of a coefficient that is not zero; None if there is none so low."""
+        """Lowest order with a nonzero coefficient; None if it is above HIGHEST_ORDER, or g is not smooth."""
         if not self.smooth:
             return None
         return next((j for j in range(HIGHEST_ORDER + 1) if self.at_zero(j) != 0), None)
 
     def remainder(self, k: int) -> sp.Expr:
-        """Return c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero.
+        """c_k(u, t): g = t^k c_k at some t' of [0, t], if the lower coefficients are zero.
 
-        Where there are powers of t alone, at t itself.
+        If g has powers of t only, at t itself.
         """
         higher = [(j, c) for j, c in self.powers.items() if j >= k]
         if self.rest == 0:
@@ -73,7 +73,7 @@ class Ray:
         return powers + self._derivative(k) / sp.factorial(k)
 
     def _derivative(self, j: int) -> sp.Expr:
-        """Return the j-th derivative of the rest; nan, of which nothing is shown, if it is too long."""
+        """Differentiate the rest j times, and cache it; nan, which proves nothing, if it is too long."""
         while len(self._derivatives) <= j:
             last = self._derivatives[-1]
             self._derivatives.append(sp.nan if last.count_ops() > LONGEST else sp.diff(last, T))
@@ -82,12 +82,12 @@ class Ray:
 
 @cache
 def _units(n: int) -> tuple[sp.Symbol, ...]:
-    """Return the same n symbols for all rays."""
+    """Shared symbols u_0 .. u_n-1 of all rays."""
     return tuple(sp.Dummy(f"u{k}", real=True) for k in range(n))
 
 
 def _without_t(e: sp.Expr) -> sp.Expr:
-    """|t^j h(u)| = t^j |h(u)|, t being positive."""
+    """Apply |t^j h(u)| = t^j |h(u)| for t > 0."""
 
     def out(node: sp.Expr) -> sp.Expr:
         coefficient, power = sp.factor_terms(node.args[0]).as_independent(T, as_Add=False)
@@ -98,13 +98,13 @@ def _without_t(e: sp.Expr) -> sp.Expr:
 
 
 def _rough(e: sp.Expr) -> set[sp.Expr]:
-    """Return the roots that are not shown to be smooth at t = 0."""
+    """Roots that are not shown to be smooth at t = 0."""
     roots = {p for p in e.atoms(sp.Pow) if p.base.has(T) and not p.exp.is_Integer}
     return {p for p in roots if not p.base.subs(T, 0).is_positive}
 
 
 def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
-    """Return weights for which the pure powers of the lowest orders weigh the same; or None."""
+    """Weights that give the lowest pure powers of all states the same order; or None."""
     orders = []
     for x in states:
         alone = g.subs(dict.fromkeys([y for y in states if y != x], 0))
@@ -119,9 +119,9 @@ def weights_of(g: sp.Expr, states: Sequence[sp.Symbol]) -> Weights | None:
 def blown_up(
     g: sp.Expr, states: Sequence[sp.Symbol], weights: Weights, names: Sequence[sp.Symbol]
 ) -> tuple[Enclosure, Enclosure] | None:
-    """Return the lowest-order form of g, of u and the named, and what is divided by its power, of t as well.
+    """Lowest-order form of g in u and `names`, and g divided by its power, in t as well.
 
-    None where g is not shown to be smooth, or has no enclosure.
+    None if g is not shown to be smooth, or has no enclosure.
     """
     ray = Ray(g, states, weights)
     k = ray.order()
@@ -135,9 +135,9 @@ def definite_near(
     g: sp.Expr, states: Sequence[sp.Symbol], parameters: Ranges,
     budget: Budget, limit: int = 1500, side: int = 0,
 ) -> tuple[Cell, Weights] | None:  # fmt: skip
-    """Return a cell about the origin in which g > 0 but at the origin, or None.
+    """Cell about the origin in which g > 0 except at the origin, or None.
 
-    Parameters have ranges. `side` +1 or -1 asks for x > 0 or x < 0 only (of one state).
+    Parameters have ranges. `side` +1 or -1 restricts g to x > 0 or x < 0 (one state).
     """
     weights = weights_of(g, states)
     if weights is None:

@@ -1,8 +1,9 @@
-"""Quadratic forms x^T S x: over the rationals, exactly, by L D L^T; of balls; and Hessians on a box.
+"""Quadratic forms x^T S x: exact over the rationals by L D L^T, or with balls; and Hessians on a box.
 
-Nothing exact here has a tolerance, and twelve states are no more trouble than two. Cells cannot cover a box
-of twelve states. But by Taylor's theorem g(x) = x^T H(c x) x / 2 with some c of [0, 1] if g and its gradient
-are zero at the origin, so a Hessian H that is positive definite all over the box makes g so there.
+Exact forms need no tolerance, and twelve states are as easy as two. Cells cannot cover a box of twelve
+states. Instead Taylor's theorem gives g(x) = x^T H(c x) x / 2 with some c of [0, 1] if g and its gradient are
+zero at the origin. So g is positive definite on the box if its Hessian H is positive definite on the whole
+box.
 """
 
 from __future__ import annotations
@@ -22,17 +23,17 @@ Matrix = list[list[Fraction]]
 
 
 def fractions(S: sp.Matrix) -> Matrix:
-    """Return a matrix of exact numbers as fractions."""
+    """Matrix of exact numbers as fractions."""
     return [[Fraction(int(c.p), int(c.q)) for c in S.row(k)] for k in range(S.rows)]
 
 
 def rational(value: Fraction) -> sp.Rational:
-    """Return a fraction as an exact number of sympy."""
+    """Fraction as an exact number of SymPy."""
     return sp.Rational(value.numerator, value.denominator)
 
 
 def form(g: sp.Expr, states: Sequence[sp.Symbol]) -> Matrix | None:
-    """Return the symmetric S with g = x^T S x; None if g is no such form with rational coefficients."""
+    """Symmetric S with g = x^T S x; None if g is not such a form with rational coefficients."""
     S = coefficients(g, states)
     if S is None or any(not c.is_Rational for row in S for c in row):
         return None
@@ -40,7 +41,7 @@ def form(g: sp.Expr, states: Sequence[sp.Symbol]) -> Matrix | None:
 
 
 def coefficients(g: sp.Expr, states: Sequence[sp.Symbol]) -> list[list[sp.Expr]] | None:
-    """Return the symmetric S, whose entries may hold parameters, with g = x^T S x; else None."""
+    """Symmetric S with g = x^T S x, whose entries may contain parameters; None if g is not such a form."""
     place = {x: k for k, x in enumerate(states)}
     S: list[list[sp.Expr]] = [[sp.S.Zero] * len(states) for _ in states]
     for term in sp.Add.make_args(sp.expand(g)):
@@ -55,9 +56,9 @@ def coefficients(g: sp.Expr, states: Sequence[sp.Symbol]) -> list[list[sp.Expr]]
 
 
 def decompose(S: Matrix) -> tuple[list[Fraction], Matrix] | list[Fraction]:
-    """Return d and the rows l of L^T with x^T S x = sum d_i (l_i x)^2, all d_i > 0; or an x with x^T S x < 0.
+    """Weights d > 0 and rows l of L^T with x^T S x = sum d_i (l_i x)^2; or an x with x^T S x < 0.
 
-    Rows with d = 0 are left out: fewer rows than states means that S is semidefinite.
+    Rows with d = 0 are omitted: with fewer rows than states S is semidefinite.
     """
     n = len(S)
     rest = [row[:] for row in S]
@@ -90,20 +91,20 @@ def _unit(n: int, k: int) -> list[Fraction]:
 
 
 def _back(x: list[Fraction], lines: Matrix, order: list[int]) -> list[Fraction]:
-    """Return x with its eliminated states such that each line is zero: what was taken off vanishes there."""
+    """Set the eliminated states of x so that all lines are zero: x^T S x reduces to the remainder."""
     for line, k in zip(reversed(lines), reversed(order), strict=True):
         x[k] -= sum((a * b for a, b in zip(line, x, strict=True)), Fraction(0))
     return x
 
 
 def definite(S: Matrix) -> bool:
-    """Tell whether x^T S x > 0 for all x but zero."""
+    """Check that x^T S x > 0 for all x except zero."""
     parts = decompose(S)
     return isinstance(parts, tuple) and len(parts[0]) == len(S)
 
 
 def lines(S: Matrix, states: Sequence[sp.Symbol]) -> list[sp.Expr] | None:
-    """Return the linear forms that all vanish where x^T S x = 0; None of a form that may be negative."""
+    """Linear forms that all vanish where x^T S x = 0; None for a form that may be negative."""
     parts = decompose(S)
     if not isinstance(parts, tuple):
         return None
@@ -111,7 +112,7 @@ def lines(S: Matrix, states: Sequence[sp.Symbol]) -> list[sp.Expr] | None:
 
 
 def falls(S: Matrix) -> list[Fraction] | None:
-    """Return an x != 0 with x^T S x <= 0; None if there is none."""
+    """Vector x != 0 with x^T S x <= 0; None if there is none."""
     parts = decompose(S)
     if not isinstance(parts, tuple):
         return parts
@@ -131,13 +132,14 @@ def leading_minors(S: Sequence[Sequence[sp.Expr]]) -> Iterator[sp.Expr]:
 
 
 LONGEST = 2000
-"""Operations in a function beyond which its Hessian is not formed."""
+"""Largest number of operations in a function whose Hessian is formed."""
 
 
 def positive_definite(H: Sequence[Sequence[Ball]]) -> bool:
-    """Tell whether every symmetric matrix within H is positive definite.
+    """Prove that every symmetric matrix within H is positive definite.
 
-    T^T H T is, T diagonalising the middle of H, if its diagonal dominates; then H is.
+    T diagonalises the middle of H. If the diagonal of T^T H T dominates, T^T H T is positive definite, and so
+    is H.
     """
     middle = middle_of(H)
     if middle is None:
@@ -153,7 +155,7 @@ def positive_definite(H: Sequence[Sequence[Ball]]) -> bool:
 
 
 def middle_of(H: Sequence[Sequence[Ball]]) -> np.ndarray | None:
-    """Return the middles of balls, if all are finite."""
+    """Middles of balls; None if one is not finite."""
     middle = np.array([[float(b.mid()) if b.is_finite() else np.inf for b in row] for row in H])
     return middle if np.isfinite(middle).all() else None
 
@@ -161,13 +163,13 @@ def middle_of(H: Sequence[Sequence[Ball]]) -> np.ndarray | None:
 def enclosures(
     rows: Sequence[Sequence[sp.Expr]], names: Sequence[sp.Symbol]
 ) -> Callable[[Sequence[Ball]], list[list[Ball]]]:
-    """Return the enclosures of the entries of a matrix, as a function of the balls of the variables."""
+    """Enclosures of the entries of a matrix, as a function of the balls of the variables."""
     entries = [[Enclosure(c, names) for c in row] for row in rows]
     return lambda balls: [[e(balls) for e in row] for row in entries]
 
 
 def definite_form(S: Sequence[Sequence[sp.Expr]], ranges: Ranges, budget: Budget) -> bool:
-    """Tell whether x^T S x is positive definite for all values of the parameters in S."""
+    """Prove that x^T S x is positive definite for all values of the parameters in S."""
     entries = enclosures(S, tuple(ranges))
     return covered([tuple(ranges.values())], lambda p: positive_definite(entries(p)), budget, 500)
 
@@ -176,7 +178,7 @@ def convex_definite(
     g: sp.Expr, states: Sequence[sp.Symbol], sides: Cell,
     ranges: Ranges, budget: Budget,
 ) -> bool:  # fmt: skip
-    """Tell whether g, zero at the origin, is shown to be positive elsewhere in the box by its Hessian."""
+    """Prove by its Hessian that g, zero at the origin, is positive elsewhere in the box."""
     if g.count_ops() > LONGEST:
         return False
     gradient = [sp.diff(g, x) for x in states]

@@ -1,7 +1,7 @@
-"""The file of `hil prove`: states, their derivatives, the candidate V and the box for which V is claimed.
+"""Input file of `hil prove`: states, their derivatives, the candidate V and the box for which it is claimed.
 
 An expression is text in a small grammar: numbers, names, + - * / **, brackets and the functions of FUNCTIONS.
-It is taken apart as a tree; no Python of it runs, and numbers are bounded before sympy works them out.
+It is parsed to a syntax tree without executing Python. Numbers are bounded before SymPy evaluates them.
 """
 
 import ast
@@ -21,11 +21,11 @@ from hil.proof.report import Report
 from hil.proof.theorems import verify
 
 LONGEST = 4000
-"""Characters of an expression, and digits of a power of numbers."""
+"""Largest number of characters of an expression, and of digits of a power of numbers."""
 EXPONENT = 10_000
-"""Numerator and denominator of an exponent, and of a number in a function."""
+"""Largest numerator and denominator of an exponent, and of a number in a function."""
 LARGEST = 300
-"""Decimal exponent of a number."""
+"""Largest decimal exponent of a number."""
 FUNCTIONS: dict[str, Callable[[sp.Expr], sp.Expr]] = {
     **{function.__name__.lower(): function for function in interval.FUNCTIONS},
     "sqrt": sp.sqrt,
@@ -51,7 +51,7 @@ _ALLOWED = f"allowed: numbers, names, + - * / ** ( ), {', '.join(sorted(FUNCTION
 def expression(text: str | float) -> sp.Expr:
     """Parse an expression of the grammar above; a name is a symbol, `pi` and `e` are the constants.
 
-    Raises ValueError for all else.
+    Raises ValueError for any other text.
     """
     text = str(text)
     if len(text) > LONGEST:
@@ -86,7 +86,7 @@ def _built(node: ast.expr, text: str) -> sp.Expr:
 
 
 def _held(a: sp.Expr, b: sp.Expr) -> bool:
-    """Tell whether a power with a number as exponent can be worked out, finite and short enough."""
+    """Check that a power with a numeric exponent is finite and short enough."""
     if not b.is_Rational:
         return not a.is_number
     if a == 0:
@@ -120,7 +120,7 @@ Expression = Annotated[str | float, AfterValidator(_checked)]
 
 def _free(name: str) -> str:
     if name in CONSTANTS or name in FUNCTIONS or iskeyword(name):
-        raise ValueError(f"{name} has a meaning already, allowed: another name")
+        raise ValueError(f"{name} is a constant, a function or a keyword, allowed: another name")
     return name
 
 
@@ -131,26 +131,26 @@ Range = tuple[Expression, Expression]
 
 
 class Question(Section):
-    """A file of `hil prove`."""
+    """The input file of `hil prove`."""
 
     kind: Literal["proof"]
     states: Annotated[dict[Name, Expression], Field(min_length=1)]
     """State -> its time derivative."""
     V: Expression | None = None
-    """Lyapunov candidate; without it one is proposed from the linearisation."""
+    """Lyapunov candidate; if omitted, one is proposed from the linearisation."""
     at: dict[Name, Expression] = {}
-    """Equilibrium; a state that is missing is 0 there."""
+    """Equilibrium; omitted states are 0."""
     box: dict[Name, Range] = {}
     """Range of each state in which V is claimed; a state without a range is unbounded."""
     parameters: dict[Name, Range] = {}
-    """Ranges of parameters; a parameter that is missing is any positive number."""
+    """Ranges of parameters; an omitted parameter is any positive number."""
     boxes: Annotated[int, Field(gt=0)] = 40_000
-    """Cells that the search may look at."""
+    """Largest number of cells in the search."""
     seconds: Annotated[float, Field(gt=0)] = 15.0
-    """Longest search."""
+    """Time limit of the search, s."""
 
     def answer(self) -> Report:
-        """Ask the verifier. Raises ModelError, as `verify`."""
+        """Run the verifier. Raises the ModelError of `verify`."""
         return verify(
             {sp.Symbol(x): expression(rate) for x, rate in self.states.items()},
             None if self.V is None else expression(self.V),

@@ -1,6 +1,6 @@
-"""What was found: one finding on V, another on the equilibrium.
+"""Report of the verifier: one finding on V, another on the equilibrium.
 
-A V that proves nothing says nothing of the system, so the two never speak for each other.
+A V that proves nothing says nothing about the system, so the two findings are independent.
 """
 
 from dataclasses import dataclass
@@ -16,7 +16,7 @@ Box = dict[sp.Symbol, Interval]
 
 
 class Truth(Enum):
-    """What is known of a claim."""
+    """Status of a claim."""
 
     PROVEN = "proven"
     REFUTED = "refuted"
@@ -24,7 +24,7 @@ class Truth(Enum):
 
 
 class Certificate(Enum):
-    """What V is on the box named."""
+    """Status of V on the box."""
 
     VALID = "valid"
     NOT_POSITIVE_DEFINITE = "not positive definite"
@@ -34,15 +34,15 @@ class Certificate(Enum):
 
 
 class Decrease(Enum):
-    """How V falls along the trajectories, where that is shown."""
+    """Proven decrease of V along the trajectories."""
 
-    STRICT = "dV/dt < 0 but at the equilibrium"
+    STRICT = "dV/dt < 0 except at the equilibrium"
     WEAK = "dV/dt <= 0"
     CONSERVED = "dV/dt = 0"
 
 
 class Equilibrium(Enum):
-    """What is shown of the equilibrium."""
+    """Proven stability of the equilibrium."""
 
     STABLE = "stable"
     ASYMPTOTICALLY_STABLE = "asymptotically stable"
@@ -63,14 +63,14 @@ class CertificateFinding:
     at: Point | None = None
     """The counterexample: all states, and parameters."""
     value: sp.Expr | None = None
-    """V, or dV/dt, there."""
+    """V, or dV/dt, at the counterexample."""
     reason: str = ""
     V: sp.Expr | None = None
-    """What was proposed, where no V was given."""
+    """The proposed V, if none was given."""
 
     @property
     def truth(self) -> Truth:
-        """Tell what is known of the claim that V is valid."""
+        """Status of the claim that V is valid."""
         refuted = {Certificate.NOT_POSITIVE_DEFINITE, Certificate.GROWS}
         proven = self.status is Certificate.VALID
         return Truth.PROVEN if proven else Truth.REFUTED if self.status in refuted else Truth.UNDECIDED
@@ -82,30 +82,31 @@ class EquilibriumFinding:
 
     status: Equilibrium
     by: str
-    """The theorem, and what it took."""
+    """The theorem, and its premise."""
     asymptotic: Truth
-    """What is known of asymptotic stability: refuted of all that is unstable, or stable and no more."""
+    """Status of asymptotic stability; refuted if the equilibrium is unstable or only stable."""
     box: Box | None = None
-    """Where the certificate was shown that the finding rests on; None: everywhere, or none was needed."""
+    """Box of the certificate behind the finding; None: the whole space, or no certificate was needed."""
     level: sp.Expr | None = None
-    """The part of {V < level} within the box is not left, and if the equilibrium is asymptotically
-    stable, all of its trajectories tend to it."""
+    """The part of {V < level} within the box is invariant. If the equilibrium is asymptotically
+    stable, all trajectories in it tend to the equilibrium.
+    """
 
 
 @dataclass(frozen=True)
 class Report:
-    """Both findings, and what the linearisation says without any V."""
+    """Both findings, and the result of the linearisation, which needs no V."""
 
     certificate: CertificateFinding
     equilibrium: EquilibriumFinding
     linearisation: Eigenvalues
     parameters: Box
-    """For which all of this holds; (0, oo) means any positive number."""
+    """Parameters for which all of this holds; (0, oo) means any positive number."""
     boxes: int
-    """Cells of the budget that were looked at."""
+    """Number of cells used."""
 
     def figures(self) -> dict[str, Any]:
-        """Give the report as JSON takes it, expressions as text; `success`: V is valid."""
+        """Plain values for JSON, expressions as text; `success`: V is valid."""
         c, e = self.certificate, self.equilibrium
         return {
             "kind": "proof",
@@ -143,8 +144,8 @@ class Report:
             sides = ", ".join(f"{x} in [{low}, {high}]" for x, (low, high) in e.box.items())
             lines.append(f"  shown for {sides}")
         if e.level is not None:
-            tends = "" if e.asymptotic is not Truth.PROVEN else ", and all of it tends to the equilibrium"
-            lines.append(f"  of its box {{V < {e.level}}} is not left{tends}")
+            tends = "" if e.asymptotic is not Truth.PROVEN else ", its trajectories tend to the equilibrium"
+            lines.append(f"  {{V < {e.level}}} within this box is invariant{tends}")
         lines.append(f"linearisation: {self.linearisation.value}")
         if self.parameters:
             lines.append("for all " + ", ".join(_range(p, *side) for p, side in self.parameters.items()))

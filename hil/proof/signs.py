@@ -1,7 +1,7 @@
 """Signs of functions on a domain: definite, semidefinite with its zeros, positive.
 
-Exact structure first (squares, moduli, factors, a sum of what is not negative), then enclosures. True means
-proven. False means only that no proof was found.
+Exact structure first (squares, moduli, factors, sums of nonnegative terms), then enclosures. True means
+proven; False means that no proof was found.
 """
 
 import math
@@ -16,17 +16,18 @@ from hil.proof.interval import Cell, Enclosure, Ranges, outward, unsupported
 from hil.proof.system import System
 
 Zeros = tuple[tuple[sp.Expr, ...], ...]
-"""Where a function that is nowhere negative can be zero: on one of the branches, each of which is the set
-where all of its expressions are zero. No branch: nowhere. A branch without expressions: anywhere."""
+"""Possible zeros of a nonnegative function: on one of the branches. On a branch all of its expressions are
+zero. No branch: no zeros. A branch without expressions: zeros anywhere.
+"""
 NOWHERE: Zeros = ()
 _ODD = (sp.tanh, sp.atan, sp.sinh)
 """Functions with the sign and the zero of their argument."""
 BRANCHES = 12
-"""More branches than these are not followed."""
+"""Largest number of branches."""
 
 
 class Signs:
-    """Signs on the domain of a system. Mutable: spends `budget`, and remembers what it has shown."""
+    """Signs on the domain of a system. Mutable: uses up `budget`, and caches its results."""
 
     def __init__(self, system: System, budget: Budget) -> None:
         self.system = system
@@ -36,15 +37,15 @@ class Signs:
         self._zeros: dict[sp.Expr, Zeros | None] = {}
 
     def own(self, g: sp.Expr) -> tuple[sp.Symbol, ...]:
-        """Return the states that g depends on."""
+        """States that g depends on."""
         return tuple(x for x in self.system.states if x in g.free_symbols)
 
     def enclosable(self, g: sp.Expr) -> bool:
-        """Tell whether enclosures can be made: no parameter without a range."""
+        """Check that g has an enclosure and no parameter without a range."""
         return g.free_symbols.isdisjoint(self.system.positive) and not unsupported(g)
 
     def positive(self, g: sp.Expr) -> bool:
-        """Tell whether g > 0 on the whole domain, its equilibrium included."""
+        """Prove that g > 0 on the whole domain, including the equilibrium."""
         if g.is_positive or self._structure(g) == NOWHERE:
             return True
         if not self.enclosable(g):
@@ -55,7 +56,7 @@ class Signs:
         return self._covered(g, self.own(g), [cell], 3000)
 
     def sign(self, c: sp.Expr) -> int:
-        """Return 1 or -1 of what is positive or negative for all parameters, 0 where neither is shown."""
+        """Sign of c for all parameters: 1 or -1 if proven, else 0."""
         if c.is_Rational:
             return int(sp.sign(c))
         top, bottom = sp.fraction(sp.factor(c) if c.is_rational_function() else c)
@@ -66,7 +67,7 @@ class Signs:
         return result
 
     def _for_all_positive(self, c: sp.Expr) -> bool:
-        """Judge a function of parameters alone, some of them any positive number: by its coefficients."""
+        """Judge a function of parameters only, some of them without a range, by its coefficients."""
         free = tuple(p for p in self.system.positive if p in c.free_symbols)
         try:
             parts = [p for e in sp.fraction(sp.together(c)) for p in sp.Poly(e, *free).coeffs()]
@@ -75,9 +76,9 @@ class Signs:
         return all(self.positive(part) for part in parts)
 
     def definite(self, g: sp.Expr, *, open_ends: bool = False) -> bool:
-        """Tell whether g = 0 where all of the states that it depends on are zero, and g > 0 elsewhere.
+        """Prove that g = 0 where all states that it depends on are zero, and g > 0 elsewhere.
 
-        `open_ends` leaves out the ends of the domain of a single state.
+        `open_ends` excludes the ends of the domain of a single state.
         """
         key = sp.Tuple(g, sp.Integer(open_ends))
         if key not in self._definite:
@@ -85,7 +86,7 @@ class Signs:
         return self._definite[key]
 
     def nonnegative(self, g: sp.Expr) -> Zeros | None:
-        """Return where g can be zero if g >= 0 on the whole domain, else None."""
+        """Possible zeros of g if g >= 0 is proven on the whole domain, else None."""
         if g not in self._zeros:
             self._zeros[g] = None
             self._zeros[g] = self._nonnegative(g)
@@ -133,7 +134,7 @@ class Signs:
         return {p: self.sides[p] for p in self.system.ranges if p in g.free_symbols}
 
     def _outer(self, g: sp.Expr, states: tuple[sp.Symbol, ...], ranges: Ranges) -> Cell | None:
-        """Return the domain, or the part of it beyond which the tail bound holds."""
+        """Domain, cut where the tail bound begins; None without a tail bound."""
         far = tuple(x for x in states if not all(map(math.isfinite, self.sides[x])))
         sides = {x: self.sides[x] for x in states}
         if far:
@@ -147,7 +148,7 @@ class Signs:
         return tuple(sides[x] for x in states)
 
     def _open(self, g: sp.Expr, x: sp.Symbol, side: tuple[float, float]) -> tuple[float, float] | None:
-        """Leave out a stretch next to an end that is a zero of g, g being positive up to it."""
+        """Exclude a neighbourhood of an end that is a zero of g, if g is positive up to it."""
         trimmed = list(side)
         for k, end in enumerate(self.system.domain[x]):
             if end.is_infinite or sp.expand(g.subs(x, end)) != 0:
@@ -170,7 +171,7 @@ class Signs:
         return outer is not None and self._covered(g, states, [outer], 3000)
 
     def _covered(self, g: sp.Expr, states: tuple[sp.Symbol, ...], cells: list[Cell], limit: int) -> bool:
-        """Tell whether g > 0 on cells of its states, for all values of its parameters."""
+        """Prove that g > 0 on cells of its states, for all values of its parameters."""
         ranges = self._ranges(g)
         there = [(*cell, *ranges.values()) for cell in cells]
         return positive([Enclosure(g, (*states, *ranges))], there, self.budget, limit)
@@ -193,7 +194,7 @@ class Signs:
         return None
 
     def _structure(self, g: sp.Expr) -> Zeros | None:
-        """By form alone: even powers, moduli, positive factors, sums of such."""
+        """Zeros by structure only: even powers, moduli, positive factors, and their sums."""
         if g.is_number or g.is_positive:
             return NOWHERE if g.is_positive else ((),) if g.is_zero else None
         if isinstance(g, sp.Abs):
@@ -220,7 +221,7 @@ class Signs:
         return zeros if p.is_positive or zeros is None else NOWHERE
 
     def _by_factors(self, g: sp.Expr) -> Zeros | None:
-        """Judge the factors, those with states in common together: definite, positive or squares."""
+        """Judge the factors, grouped by common states: definite, positive or squares."""
         groups: list[tuple[set[sp.Symbol], sp.Expr]] = []
         number = sp.S.One
         for base, p in factors(g):
@@ -254,15 +255,15 @@ class Signs:
         return self._term_by_term(h)
 
     def _term_by_term(self, h: sp.Expr) -> Zeros | None:
-        """Judge a sum term by term, each of which must nowhere be negative."""
+        """Judge a sum term by term; every term must be nonnegative."""
         terms = sp.Add.make_args(sp.expand(h))
         return _meet(self._structure(t) or self._by_factors(t) for t in terms) if len(terms) > 1 else None
 
     def freed(self, g: sp.Expr) -> sp.Expr | None:
-        """Return a function without parameters that has the zeros of g >= 0; None if g may be < 0.
+        """Parameter-free function that has the zeros of g >= 0; None if g may be < 0.
 
-        g = sum of p_j T_j(x) with products p_j > 0 of parameters: where all T_j >= 0, it
-        is zero where their sum is, and grows without bound where their sum does.
+        g = sum of p_j T_j(x) with products p_j > 0 of parameters: if all T_j >= 0, g is zero where their sum
+        is zero, and unbounded where their sum is.
         """
         top, bottom = sp.fraction(sp.together(g))
         if bottom.free_symbols and self._structure(sp.factor(bottom)) != NOWHERE:
@@ -279,14 +280,14 @@ class Signs:
 
 
 def _root(e: sp.Expr) -> sp.Expr:
-    """Return the state whose zero is the zero of an expression: x of x^3 or |x|."""
+    """State whose zero is the zero of an expression: x of x^3 or |x|."""
     while isinstance(e, sp.Abs) or (isinstance(e, sp.Pow) and e.exp.is_positive):
         e = e.args[0]
     return e
 
 
 def _union(parts: Iterable[Zeros | None]) -> Zeros | None:
-    """Of a product: zero where a factor is."""
+    """Zeros of a product: a factor is zero."""
     result: Zeros = ()
     for p in parts:
         if p is None:
@@ -296,7 +297,7 @@ def _union(parts: Iterable[Zeros | None]) -> Zeros | None:
 
 
 def _meet(parts: Iterable[Zeros | None]) -> Zeros | None:
-    """Of a sum: zero where all terms are."""
+    """Zeros of a sum of nonnegative terms: all terms are zero."""
     result: Zeros = ((),)
     for p in parts:
         if p is None:
@@ -308,10 +309,10 @@ def _meet(parts: Iterable[Zeros | None]) -> Zeros | None:
 
 
 def regular(expressions: Mapping[sp.Symbol, sp.Expr], signs: Signs) -> bool:
-    """Tell whether the expressions are finite and locally Lipschitz on the whole domain.
+    """Prove that the expressions are finite and locally Lipschitz on the whole domain.
 
-    A base with a negative power, or with one that is no whole number and less than one, is nowhere zero;
-    likewise the argument of a logarithm and the cosine under a tangent.
+    Sufficient: no zero in a base with a negative power or a fractional power below one, in the argument of a
+    logarithm, or in the cosine under a tangent.
     """
     return all(
         signs.positive(h) or (either and signs.positive(-h)) for h, either in set(_critical(expressions))
@@ -319,7 +320,7 @@ def regular(expressions: Mapping[sp.Symbol, sp.Expr], signs: Signs) -> bool:
 
 
 def _critical(expressions: Mapping[sp.Symbol, sp.Expr]) -> Iterator[tuple[sp.Expr, bool]]:
-    """Return what must not be zero, and whether it may be negative."""
+    """Yield the expressions that must not be zero, each with True if it may be negative."""
     for e in expressions.values():
         for node in sp.preorder_traversal(e):
             if isinstance(node, sp.log):

@@ -1,7 +1,7 @@
-"""The question in exact form: dx/dt = f(x) about an equilibrium, V, where, and for which parameters.
+"""The problem in exact form: dx/dt = f(x) about an equilibrium, V, domain, and parameters.
 
-Nothing is decided here but what has no meaning. States become real symbols, parameters without a range
-positive ones, the equilibrium the origin (the change of variable of section 6.0.1, note 1).
+This module only rejects invalid input. States become real symbols, parameters without a range
+positive ones, and the equilibrium the origin (the change of variable of section 6.0.1, note 1).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import sympy as sp
 
 from drivers.errors import ModelError
 from hil.proof.cancellation import continuous
-from hil.proof.door import Rounded, around, exact, read
+from hil.proof.expressions import Rounded, around, exact, read
 from hil.proof.interval import ALLOWED, FUNCTIONS, number, unsupported
 
 Interval = tuple[sp.Expr, sp.Expr]
@@ -28,58 +28,58 @@ class System:
     states: tuple[sp.Symbol, ...]
     f: dict[sp.Symbol, sp.Expr]
     domain: dict[sp.Symbol, Interval]
-    """About the equilibrium; -oo and oo where the whole space is meant."""
+    """About the equilibrium; -oo and oo for the whole space."""
     ranges: dict[sp.Symbol, Interval]
-    """Parameters of which a range was named, and decimal numbers that may have been rounded."""
+    """Parameters with a given range, and decimal numbers that may have been rounded."""
     positive: tuple[sp.Symbol, ...]
-    """Parameters of which all positive values are meant."""
+    """Parameters that stand for all positive values."""
     equilibrium: Point
     """In the user's coordinates."""
     renamed: dict[sp.Symbol, sp.Expr]
-    """The user's symbols in these."""
+    """User's symbol -> expression in the symbols of this system."""
     own: dict[sp.Symbol, sp.Symbol]
-    """These symbols in the user's."""
+    """Symbol of this system -> user's symbol."""
     rounded: Rounded = field(default_factory=Rounded)
     """Decimal numbers of too many digits."""
 
     @property
     def bounded(self) -> bool:
-        """Tell whether every side of the domain has an end."""
+        """True if every side of the domain is finite."""
         return not any(end in {sp.oo, -sp.oo} for side in self.domain.values() for end in side)
 
     @property
     def parameters(self) -> dict[sp.Symbol, Interval]:
-        """What the parameters may be, in the user's symbols; (0, oo) of those without a range."""
+        """Ranges of the parameters, in the user's symbols; (0, oo) without a range."""
         sides = dict.fromkeys(self.positive, (sp.S.Zero, sp.oo)) | self.ranges
         return {self.own[p]: side for p, side in sides.items() if p not in self.rounded.numbers}
 
     def read(self, expression: Any) -> sp.Expr:
-        """Return an expression of the user in these symbols.
+        """Convert a user's expression to the symbols of this system.
 
-        Raises ModelError where it holds something that has no enclosure, or an unknown symbol.
+        Raises ModelError for a part without an enclosure, or an unknown symbol.
         """
         e = self.rounded.apart(read(expression, "V"))
         wrong = sorted(str(s) for s in e.free_symbols - set(self.renamed) - set(self.rounded.numbers))
         if wrong:
             raise ModelError(
-                f"{expression} speaks of {', '.join(wrong)}, which is neither state nor parameter"
+                f"{expression} contains {', '.join(wrong)}, which is neither a state nor a parameter"
             )
         return e.xreplace(self.renamed)
 
     def in_own_symbols(self, point: Point) -> Point:
-        """Return a point in the user's symbols and coordinates."""
+        """Point in the user's symbols and coordinates."""
         moved = {x: point[x] + self.equilibrium[self.own[x]] for x in self.states}
         return {self.own[s]: value for s, value in (point | moved).items() if s in self.own}
 
     def shown(self, expression: sp.Expr) -> sp.Expr:
-        """Return an expression in the user's symbols and coordinates."""
+        """Expression in the user's symbols and coordinates."""
         if not any(self.equilibrium.values()):
             return expression.xreplace(self.own | self.rounded.shown)
         there = {x: self.own[x] - self.equilibrium[self.own[x]] for x in self.states}
         return expression.subs(there, simultaneous=True).xreplace(self.own | self.rounded.shown)
 
     def scaled(self, share: float) -> System:
-        """Return the same system on a share of its domain; of a side without an end, on that share of 1."""
+        """System on a share of this domain; an infinite side becomes this share of 1."""
         s = sp.Rational(share)
         sides = {
             x: (-s if low == -sp.oo else low * s, s if high == sp.oo else high * s)
@@ -92,24 +92,24 @@ def make_system(
     f: Mapping[sp.Symbol, Any], V: Any, at: Mapping[sp.Symbol, Any] | None,
     box: Mapping[sp.Symbol, tuple[Any, Any]] | None, parameters: Mapping[sp.Symbol, tuple[Any, Any]] | None,
 ) -> System:  # fmt: skip
-    """Return the system in exact form.
+    """Build the system in exact form.
 
-    Raises ModelError where `at` is no equilibrium or not inside the box, or where f jumps or holds what
-    cannot be enclosed; where an option names what f does not know, or a symbol carries an assumption that
-    the claim does not.
+    Raises ModelError if `at` is no equilibrium or outside the box; if f is discontinuous or has a part
+    without an enclosure; if an option contains an unknown symbol; or if a symbol has a stronger assumption
+    than the claim.
     """
     for option in (f, at or {}, box or {}, parameters or {}):
         if not isinstance(option, Mapping):
-            raise ModelError(f"{option!r} maps no symbols to what is meant of them")
+            raise ModelError(f"{option!r} is not a mapping from symbols to values")
     if not f:
-        raise ModelError("f has no state: it maps each state to its time derivative")
+        raise ModelError("f has no state: it must map each state to its time derivative")
     at, box, parameters = dict(at or {}), dict(box or {}), dict(parameters or {})
-    states_named = f"which is no state: the states are {', '.join(map(str, f))}"
+    states_named = f"which is not a state: the states are {', '.join(map(str, f))}"
     _refuse(  # a name that is not understood would change the question unseen
-        ([x for x in (*f, *parameters) if type(x) not in (sp.Symbol, sp.Dummy)], "{} is no symbol of sympy"),
-        (at.keys() - f.keys(), f"`at` names {{}}, {states_named}"),
-        (box.keys() - f.keys(), f"`box` names {{}}, {states_named}"),
-        (parameters.keys() & f.keys(), "`parameters` names {}, which is a state: its range goes into `box`"),
+        ([x for x in (*f, *parameters) if type(x) not in (sp.Symbol, sp.Dummy)], "{} is not a SymPy symbol"),
+        (at.keys() - f.keys(), f"`at` contains {{}}, {states_named}"),
+        (box.keys() - f.keys(), f"`box` contains {{}}, {states_named}"),
+        (parameters.keys() & f.keys(), "`parameters` contains {}, which is a state: give its range in `box`"),
     )
     ranges = {p: _interval(p, side) for p, side in parameters.items()}
     rounded = Rounded()
@@ -122,15 +122,18 @@ def make_system(
     _refuse(
         (
             [p for p, (low, high) in ranges.items() if low.is_infinite or high.is_infinite],
-            "the range of {} has no end: leave it out to mean all positive numbers",
+            "the range of {} has no end: omit it to mean all positive numbers",
         ),
-        ([s for s in free if str(s) == "t"], "f and V depend on {}, time: a constant needs its `parameters`"),
-        (set(ranges) - everything, "`parameters` names {}, of which neither f nor V speaks"),
+        (
+            [s for s in free if str(s) == "t"],
+            "f or V depends on {}, the time: a constant needs a range in `parameters`",
+        ),
+        (set(ranges) - everything, "`parameters` contains {}, which neither f nor V contains"),
         (
             [s for s in (*f, *ranges, *free) if not _assumed(s, "positive" if s in positive else "real")],
-            "{} has an assumption that not every number meant here meets: declare it without",
+            "{} has a SymPy assumption stronger than the claim: declare the symbol without it",
         ),
-        ({n for n in named if named.count(n) > 1}, "two symbols have the name {}: give each its own"),
+        ({n for n in named if named.count(n) > 1}, "two symbols have the name {}: use different names"),
     )
     renamed: dict[sp.Symbol, sp.Expr] = {x: sp.Symbol(str(x), real=True) for x in f}
     renamed |= {p: sp.Symbol(str(p), **_sign(side)) for p, side in ranges.items()}
@@ -139,7 +142,7 @@ def make_system(
     states = tuple(renamed[x] for x in f)
     centre = {x: exact(read(at.get(x, 0), f"`at` of {x}")) for x in f}
     for x, value in centre.items():
-        _refuse((value.free_symbols - {*free, *ranges}, f"`at` puts {x} at {value}: {{}} is no parameter"))
+        _refuse((value.free_symbols - {*free, *ranges}, f"`at` sets {x} = {value}: {{}} is not a parameter"))
     equilibrium = {x: value.xreplace(renamed) for x, value in centre.items()}
     shifted = renamed | {x: renamed[x] + equilibrium[x] for x in f}
     rates = {renamed[x]: _field(x, e, shifted) for x, e in f.items()}
@@ -147,7 +150,7 @@ def make_system(
     for x, e in rates.items():
         if (value := sp.simplify(e.xreplace(dict.fromkeys(states, sp.S.Zero)))) != 0:
             raise ModelError(
-                f"{where} is not shown to be an equilibrium: d{x}/dt = {value}; name in `at` where f is 0"
+                f"{where} is not shown to be an equilibrium: d{x}/dt = {value}; give a zero of f in `at`"
             )
     domain = {renamed[x]: _about(x, box.get(x), equilibrium[x]) for x in f}
     ranged = {renamed[p]: side for p, side in ranges.items()}
@@ -157,26 +160,26 @@ def make_system(
 
 
 def _refuse(*checks: tuple[Iterable[Any], str]) -> None:
-    """Raise ModelError with the first message whose names are not empty."""
+    """Raise ModelError with the first message that has at least one name."""
     for wrong, message in checks:
         if names := sorted(map(str, wrong)):
             raise ModelError(message.replace("{}", ", ".join(names), 1))
 
 
 def _assumed(s: sp.Symbol, meant: str) -> bool:
-    """Tell whether sympy knows no more of a symbol than what is meant of it."""
+    """Check that SymPy assumes no more about a symbol than `meant`."""
     return bool(s.assumptions0.items() <= sp.Symbol("s", **{meant: True}).assumptions0.items())
 
 
 def _sign(side: Interval) -> dict[str, bool]:
-    """Return what sympy may know of a parameter with a range."""
+    """SymPy assumption for a parameter with a range."""
     low, high = side
     return {"positive": True} if low > 0 else {"negative": True} if high < 0 else {"real": True}
 
 
 def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp.Expr:
-    """Return dx/dt about the equilibrium, continuous and of what can be enclosed."""
-    enclosed = f"d{x}/dt holds {{}}: only {ALLOWED} can be enclosed"
+    """dx/dt about the equilibrium; ModelError if it is not continuous or has no enclosure."""
+    enclosed = f"d{x}/dt contains {{}}, allowed: {ALLOWED}"
     _refuse(({a for a in e.atoms(sp.Function) if a.func not in FUNCTIONS | {sp.sign}}, enclosed))
     try:
         smooth = continuous(sp.expand(e.xreplace(shifted)) if e.has(sp.sign) else e.xreplace(shifted))
@@ -188,11 +191,11 @@ def _field(x: sp.Symbol, e: sp.Expr, shifted: Mapping[sp.Symbol, sp.Expr]) -> sp
 
 def _interval(x: sp.Symbol, side: tuple[Any, Any]) -> Interval:
     if not isinstance(side, tuple | list) or len(side) != 2:
-        raise ModelError(f"the range of {x} is {side!r}: two numbers, the lower first")
+        raise ModelError(f"the range of {x} is {side!r}: give two numbers, the lower first")
     low, high = (exact(read(end, f"an end of the range of {x}", infinite=True)) for end in side)
     ordered = all(end.is_number and end.is_extended_real for end in (low, high))
     if not ordered or not (low < high):
-        raise ModelError(f"the range of {x} is [{low}, {high}]: two numbers, the lower first")
+        raise ModelError(f"the range of {x} is [{low}, {high}]: give two numbers, the lower first")
     return low, high
 
 
@@ -202,13 +205,13 @@ def _about(x: sp.Symbol, side: tuple[Any, Any] | None, centre: sp.Expr) -> Inter
     low, high = _interval(x, side)
     if centre.free_symbols:
         raise ModelError(
-            f"the equilibrium {x} = {centre} depends on a parameter: where a range of {x} is given, it must "
+            f"the equilibrium {x} = {centre} depends on a parameter: with a range of {x} in `box`, it must "
             "be a number"
         )
     around = tuple(end if end.is_infinite else sp.expand(end - centre) for end in (low, high))
     inside = all(e.is_infinite or (number(e) < 0 if k == 0 else number(e) > 0) for k, e in enumerate(around))
     if not inside:
         raise ModelError(
-            f"the equilibrium {x} = {centre} is not inside its box [{low}, {high}]: name a wider one"
+            f"the equilibrium {x} = {centre} is not inside its box [{low}, {high}]: give a wider one"
         )
     return around

@@ -1,8 +1,8 @@
 """Positive far away: x_i = u_i / s^w_i with u on the faces of the unit cube and 0 <= s <= 1/R.
 
-"global" speaks of an unbounded set, and no number of cells covers it. What is a polynomial in the unbounded
-states, with sines and the like taken as unknown numbers of [-1, 1], becomes s^-D times a function that is
-defined at s = 0 as well; if that function is positive on all (u, s), so is g, and it grows like R^D.
+A global claim concerns an unbounded set, which no number of cells covers. A polynomial in the unbounded
+states, with sines and similar functions as unknown numbers of [-1, 1], becomes s^-D times a function that is
+also defined at s = 0. If that function is positive on all (u, s), so is g, and it grows like R^D.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,14 +16,14 @@ from hil.proof.interval import Cell, Enclosure
 RADII = tuple(2.0**k for k in range(0, 13, 2))
 HIGHEST_ORDER = 24
 _BOUNDED = (sp.sin, sp.cos, sp.tanh)
-"""Functions whose values are within [-1, 1]."""
+"""Functions with values within [-1, 1]."""
 
 
 def definite_far(
     g: sp.Expr, states: Sequence[sp.Symbol], others: Mapping[sp.Symbol, tuple[float, float]], budget: Budget,
     limit: int = 1500,
 ) -> tuple[float, ...] | None:  # fmt: skip
-    """Return r_i such that g > 0 wherever some |x_i| >= r_i, and g grows without bound there; or None.
+    """Radii r_i such that g > 0 if some |x_i| >= r_i, and g is radially unbounded; or None.
 
     `others` are bounded variables of g with their ranges. Each power of the radius is at least one.
     """

@@ -1,6 +1,6 @@
 """The theorems of section 6.0, each with its conditions.
 
-Here no sign is decided (see signs); a finding names the theorem that it rests on.
+This module decides no sign (see signs); a finding states its theorem.
 """
 
 from collections.abc import Iterator, Mapping
@@ -29,10 +29,10 @@ from hil.proof.signs import Signs, Zeros, regular
 from hil.proof.system import Point, System, make_system
 
 SHRINKS = 6
-"""How often the box is halved in search of one on which V is valid: stability is a local property."""
+"""Number of halvings of the box in search of one on which V is valid: stability is a local property."""
 ROUNDED = (
-    "decimal numbers of so many digits are rounded, as quotients are: they need not cancel and stand for all "
-    "that they may have been; write exact ones as sympy.Rational"
+    "decimal numbers with so many digits count as rounded: they represent every number within their rounding "
+    "and may not cancel; write exact numbers as sympy.Rational"
 )
 _NO_V = CertificateFinding(Certificate.NONE)
 _NOTHING = EquilibriumFinding(Equilibrium.NO_CONCLUSION, "", Truth.UNDECIDED)
@@ -50,19 +50,18 @@ def verify(
     parameters: Mapping[sp.Symbol, tuple[Any, Any]] | None = None,
     budget: Budget | None = None,
 ) -> Report:
-    """Return what V proves about dx/dt = f(x), and what is known of its equilibrium.
+    """Prove or refute that V is a Lyapunov function of dx/dt = f(x), and judge the equilibrium.
 
-    `f` maps each state to its time derivative, `V` is the Lyapunov candidate, both in sympy; without it one
-    is proposed from the linearisation. `at` is the equilibrium, the origin where it
-    names nothing. `box` says where V is claimed, a state that it does not name is unbounded; without a
-    box V is claimed on the whole space, and the finding may be global. Symbols that are not states are
-    parameters: any positive number, or one of the range that `parameters` gives. `budget` is how many
-    cells may be looked at, and for how many seconds.
+    `f` maps each state to its time derivative, `V` is the Lyapunov candidate, both in SymPy; if omitted, one
+    is proposed from the linearisation. `at` is the equilibrium; omitted states are 0. V is claimed on `box`,
+    in which omitted states are unbounded. Without a box V is claimed on the whole space, and the finding may
+    be global. All other symbols are parameters: any positive number, or a number in a range of `parameters`.
+    `budget` limits cells and seconds.
 
     Sources: section 6.0 of the chapter; Khalil, Nonlinear Systems, theorems 4.1 to 4.4 and 4.7.
 
-    Raises ModelError where the question has no meaning: no equilibrium, f jumps, an unknown function or
-    name, a bad box, a symbol that was declared to be less than what is claimed.
+    Raises ModelError for invalid input: no equilibrium, a discontinuous f, an unknown function or symbol, an
+    invalid box, or a symbol declared with a stronger assumption than the claim.
     """
     budget = Budget() if budget is None else budget
     start = budget.left
@@ -70,7 +69,7 @@ def verify(
     read = budget.within(0.25, lambda: _read(f, V, at, box, parameters), None)
     if read is None:
         status = Certificate.NONE if V is None else Certificate.UNDECIDED
-        late = CertificateFinding(status, reason="the time ended while the question was read")
+        late = CertificateFinding(status, reason="the time limit passed while the input was read")
         return Report(late, _NOTHING, Eigenvalues.UNKNOWN, {}, 0)
     system, claim = read
     signs, near = Signs(system, budget), Signs(system.scaled(2.0**-SHRINKS), budget)
@@ -78,7 +77,7 @@ def verify(
     if claim is None and spectrum is Eigenvalues.LEFT:
         certificate, equilibrium = _proposed(signs)
         return Report(certificate, equilibrium, spectrum, system.parameters, start - budget.left)
-    late = CertificateFinding(Certificate.UNDECIDED, reason="the time ended before a proof was found")
+    late = CertificateFinding(Certificate.UNDECIDED, reason="the time limit passed before a proof was found")
     otherwise: _Shown = (None, late)
     proof, certificate = budget.within(0.65, lambda: _certificate(claim, signs), otherwise)
     if certificate.status is Certificate.UNDECIDED and system.rounded.numbers:
@@ -120,7 +119,7 @@ def _certificate(V: sp.Expr | None, signs: Signs) -> _Shown:
         return None, CertificateFinding(status, shown, None, system.in_own_symbols(point), value, reason)
 
     if wrong := unsupported(V):
-        return undecided(f"V holds {', '.join(sorted(wrong))}, of which no enclosure is known")
+        return undecided(f"V contains {', '.join(sorted(wrong))}, which has no known enclosure")
     origin = dict.fromkeys(system.states, sp.S.Zero)
     at_origin = sp.simplify(V.xreplace(origin))
     if at_origin != 0:
@@ -160,7 +159,7 @@ def _why(signs: Signs, what: str) -> str:
 def _equilibrium(
     V: sp.Expr | None, signs: Signs, near: Signs, proof: _Proof | None, spectrum: Eigenvalues
 ) -> EquilibriumFinding:
-    """Return the strongest of what is shown; of stability by V, of instability by eigenvalue or Chetaev."""
+    """Strongest proven finding; stability by V, instability by an eigenvalue or Chetaev."""
     budget = signs.budget
     by = "by an eigenvalue with positive real part" if spectrum is Eigenvalues.RIGHT else None
     if by is None and proof is None:
@@ -184,12 +183,12 @@ def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
     if regular(near.system.f, near) and (W := chetaev.function(V, near)) is not None:
         return f"by Chetaev's theorem with {near.system.shown(W)}"
     if V is not None and _stable_in_reversed_time(V, near):
-        return "by LaSalle's theorem in reversed time: what tends to the equilibrium there leaves it"
+        return "by LaSalle's theorem in reversed time: the trajectories then tend to the equilibrium"
     return None
 
 
 def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
-    """Return what a V of the linearisation proves, on the domain or, if not there, on a smaller box."""
+    """Try a V of the linearisation on the domain and then on smaller boxes."""
     V = signs.budget.within(0.6, lambda: lyapunov_function(signs.system), None)
     if V is None:
         return _NO_V, _INDIRECT
@@ -200,7 +199,7 @@ def _proposed(signs: Signs) -> tuple[CertificateFinding, EquilibriumFinding]:
 
 
 def _proven(V: sp.Expr, signs: Signs, share: float) -> tuple[CertificateFinding, EquilibriumFinding] | None:
-    """Return what a proposed V proves on the domain of `signs`; None if dV/dt < 0 is not shown there."""
+    """Try a proposed V on the domain of `signs`; None if dV/dt < 0 is not shown there."""
     none: _Shown = (None, _NO_V)
     proof, certificate = signs.budget.within(share, lambda: _certificate(V, signs), none)
     if proof is None or proof.decrease is not Decrease.STRICT:
@@ -223,12 +222,12 @@ def _stability(proof: _Proof) -> EquilibriumFinding:
     box = _named_box(system)
     level = largest_level(proof.V, signs)
     if proof.decrease is Decrease.CONSERVED:
-        by = "by Lyapunov's theorem; V stays what it is, so nothing else tends to the equilibrium"
+        by = "by Lyapunov's theorem; V is conserved, so no other trajectory tends to the equilibrium"
         return EquilibriumFinding(Equilibrium.STABLE, by, Truth.REFUTED, box, level)
     theorem = "Lyapunov's" if proof.decrease is Decrease.STRICT else "LaSalle's"
     if proof.decrease is Decrease.STRICT or lasalle.leaves(proof.zeros, signs):
         if _whole_space(system) and _grows_without_bound(proof.V, signs):
-            by = f"by {theorem} theorem, V being radially unbounded"
+            by = f"by {theorem} theorem with a radially unbounded V"
             return EquilibriumFinding(Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE, by, Truth.PROVEN)
         kind = Equilibrium.ASYMPTOTICALLY_STABLE
         return EquilibriumFinding(kind, f"by {theorem} theorem", Truth.PROVEN, box, level)
@@ -249,13 +248,11 @@ def _on_smaller_boxes(V: sp.Expr, signs: Signs, best: EquilibriumFinding | None)
 
 
 def _shrunk(signs: Signs) -> Iterator[Signs]:
-    """Yield the signs on smaller and smaller domains."""
     for k in range(int(signs.system.bounded), SHRINKS + 1):
         yield Signs(signs.system.scaled(2.0**-k), signs.budget)
 
 
 def _named_box(system: System) -> dict[sp.Symbol, tuple[sp.Expr, sp.Expr]] | None:
-    """Return the domain in the user's coordinates; None of the whole space."""
     if _whole_space(system):
         return None
     own, centre = system.own, system.equilibrium
@@ -280,7 +277,7 @@ def _grows_without_bound(V: sp.Expr, signs: Signs) -> bool:
 
 
 def _rests_nearby(signs: Signs) -> bool:
-    """Tell whether a line through the equilibrium consists of equilibria: then nothing on it tends there."""
+    """Check for a line of equilibria through the equilibrium, which excludes asymptotic stability."""
     system = signs.system
     s = sp.Dummy("s", real=True)
     A = jacobian(system)

@@ -1,4 +1,4 @@
-"""The recorder as a child process: start it, set it up, hear its answer, reap it."""
+"""Recorder as a child process: start it, send its set-up, receive its answers, reap it."""
 
 import contextlib
 import ctypes
@@ -16,7 +16,7 @@ from hil.record.ring import Ring
 
 def spawn(ring: Ring) -> subprocess.Popen[bytes]:
     """Start the recorder with the ring and two pipes."""
-    # a Ctrl-C while the recorder starts must not end it: it inherits the mask and opens it when it is ready
+    # Ctrl-C must not end the recorder while it starts: it inherits the mask and clears it when it is ready
     held = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, held)
     try:
@@ -34,14 +34,14 @@ def spawn(ring: Ring) -> subprocess.Popen[bytes]:
 
 
 def send(process: subprocess.Popen[bytes], message: Mapping[str, Any]) -> None:
-    """Send the recorder what it reads next: its set-up, then its summary. Raises OSError where it is gone."""
+    """Send the recorder its next message: the set-up, then the summary. Raises OSError if it has ended."""
     assert process.stdin is not None
     process.stdin.write(pickle.dumps(message))
     process.stdin.flush()
 
 
 def loaded(name: str, code: bytes) -> Callable[..., int]:
-    """Return a `pointed` function of C-contiguous arrays from its machine code, without Numba (0.2 s)."""
+    """Load a `pointed` function of C-contiguous arrays from its machine code, without Numba (0.2 s)."""
     from llvmlite import binding  # noqa: PLC0415 - 20 ms
 
     binding.initialize_native_target()
@@ -59,7 +59,7 @@ def loaded(name: str, code: bytes) -> Callable[..., int]:
 
 
 def answer(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, Any]:
-    """Return the recorder's next answer, or {} when it is gone; an error when it does not answer in time."""
+    """Next answer of the recorder; {} if it has ended, an `error` entry after a timeout."""
     assert process.stdout is not None
     if not select.select([process.stdout], [], [], timeout_s)[0]:
         return {"error": f"the recorder did not answer within {timeout_s:g} s"}
@@ -67,7 +67,7 @@ def answer(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, Any]
 
 
 def receive(pipe: IO[bytes]) -> dict[str, Any] | None:
-    """Return what the other end sends next; None where it has ended."""
+    """Next message from the other end of a pipe; None after its end."""
     try:
         message: dict[str, Any] = pickle.load(pipe)  # noqa: S301 - of our own process
     except (EOFError, pickle.UnpicklingError):
@@ -76,7 +76,7 @@ def receive(pipe: IO[bytes]) -> dict[str, Any] | None:
 
 
 def finish(process: subprocess.Popen[bytes]) -> None:
-    """Close the pipes and reap."""
+    """Close the pipes and wait until the process has ended."""
     for pipe in (process.stdin, process.stdout):
         if pipe is not None:
             with contextlib.suppress(OSError):

@@ -1,6 +1,6 @@
-"""Rows of a log as a pandas DataFrame: a column for each component, with its unit, numbers by name.
+"""Rows of a log as a pandas DataFrame: one column per component, with units and names of numbers.
 
-A tick has the row of the plant's log that belongs to the SYNC that started it.
+Each tick gets the row of the plant's log that belongs to the SYNC of that tick.
 
 The only importer of pandas, which is an extra.
 """
@@ -24,13 +24,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 PLANT = "plant"
-"""What the names of the plant's columns begin with."""
+"""First part of the names of the plant's columns."""
 SYNC = ("t_ns", "syncs")
-"""Columns of the plant that tell its SYNCs."""
+"""Columns of the plant that count and time its SYNCs."""
 SENT = ("t_ns", "lateness_ns")
-"""Columns of the controller that tell when it sent them."""
+"""Columns of the controller that give the time of its SYNC."""
 CLOCK_NS = 10_000_000_000
-"""The clocks of two logs of one run started at UTC instants that differ by less."""
+"""Largest difference between the UTC epochs of two logs of one run, ns."""
 
 
 def data_frame(
@@ -42,9 +42,9 @@ def data_frame(
     *,
     numbers: bool,
 ) -> pd.DataFrame:
-    """Return columns of a log, and of its plant's, as `hil.record.log.Log.frame` describes it.
+    """Columns of a log and of its plant's log, as `hil.record.log.Log.frame` describes them.
 
-    Raises LogError: no such column, pandas is not installed, or the plant's log is missing or of another run.
+    Raises LogError: unknown column, pandas is not installed, or the plant's log is missing or of another run.
     """
     try:
         import pandas as pd  # noqa: PLC0415 - an extra
@@ -79,10 +79,10 @@ def data_frame(
 
 
 def _categories(column: Column, values: Ints) -> tuple[Ints, list[str]]:
-    """Return the place of each number (n,) among the names of a column, and these names.
+    """Category codes (n,) of the numbers of a column, and the category names.
 
-    Names of an enumeration stand in their order; a number without a name stands as itself. Missing values,
-    nan, have the place -1.
+    Names of an enumeration keep their order; a number without a name is its own category. Missing values,
+    nan, have the code -1.
     """
     there = np.isfinite(values)
     found, places = np.unique(values[there].astype(np.int64), return_inverse=True)
@@ -94,14 +94,14 @@ def _categories(column: Column, values: Ints) -> tuple[Ints, list[str]]:
 
 
 def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float) -> Ints:
-    """Return the place of each tick's row in the plant's log, -1 where it has none: (n,).
+    """Index (n,) of the plant row of each tick; -1 for a tick without one.
 
-    A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The row of that SYNC is the nearest one
-    in which `syncs` rises, half a period away at most and no other tick's: the plant steps on a grid of its
-    own. A plant that counts no SYNC is read at its nearest row.
+    A tick sends its SYNC when it wakes up, at `t_ns` + `lateness_ns`. The plant steps on its own time grid,
+    so the row is the nearest one in which `syncs` rises, at most half a period away. No two ticks share a
+    row. A plant that counts no SYNC is read at its nearest row.
 
-    ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in their order;
-    period_ns : of the loop.
+    ticks : (n,) rows with the columns SENT; plant : (m,) rows with the columns SYNC, both in time order;
+    period_ns : period of the loop.
     """
     none = np.full(len(ticks), -1, np.int64)
     rises = np.flatnonzero(np.diff(plant["syncs"], prepend=0) > 0)
@@ -117,7 +117,7 @@ def plant_rows_of(ticks: Rows, plant: Rows, period_ns: float) -> Ints:
 
 
 def _nearest(there: Ints, wanted: Ints) -> Ints:
-    """Return the indices (n,) into the ascending `there` (m,) of the elements nearest to `wanted` (n,)."""
+    """Indices (n,) of the elements of ascending `there` (m,) that are nearest to `wanted` (n,)."""
     right = np.minimum(np.searchsorted(there, wanted), len(there) - 1)
     left = (right - 1).clip(0)
     nearest: Ints = np.where(wanted - there[left] < there[right] - wanted, left, right)
@@ -125,25 +125,25 @@ def _nearest(there: Ints, wanted: Ints) -> Ints:
 
 
 def require_one_run(log: LogFile, plant: LogFile, places: Ints) -> None:
-    """Refuse two logs whose clocks, ticks or configurations do not fit each other.
+    """Check that clocks, ticks and configurations of two logs belong to one run.
 
-    In real time the plant may have a file of its own; in lockstep all clocks begin at one instant, both ends
-    have one configuration, and one identity of the run.
+    In real time the plant may have its own configuration file. In lockstep all clocks start at one instant,
+    and both ends share one configuration and one run identity.
 
-    Raises LogError: they are not of one run.
+    Raises LogError: the logs belong to different runs.
     """
     texts = [each.attachments.get(CONFIGURATION) for each in (log, plant)]
     runs = [each.metadata[IDENTITY].get(RUN) for each in (log, plant)]
     why = ""
     if None not in runs and runs[0] != runs[1]:
-        why = "set-points, commands or faults were others"
+        why = "set-points, commands or faults differ"
     if log.lockstep != plant.lockstep or (log.lockstep and None not in texts and texts[0] != texts[1]):
-        why = "its configuration is another one"
+        why = "its configuration differs"
     if abs(log.epoch_ns - plant.epoch_ns) > CLOCK_NS or (len(places) and not (places >= 0).any()):
-        why = f"no tick of {log.path} is in it"
+        why = f"it has no tick of {log.path}"
     if why:
         raise LogError(
-            f"{log.path}: the plant's log {plant.path} is of another run: {why}; name the right one with "
+            f"{log.path}: the plant's log {plant.path} belongs to another run: {why}; give the right one as "
             "Log(path, plant=FILE)"
         )
 
@@ -151,9 +151,9 @@ def require_one_run(log: LogFile, plant: LogFile, places: Ints) -> None:
 def _of_plant(
     log: LogFile, plant: LogFile, rows: Rows, names: Sequence[str], *, whole: bool
 ) -> tuple[list[Component], dict[str, Any]]:
-    """Return the plant's components that are named ("": all), and their values at the ticks of `rows`.
+    """Components of the plant by name ("": all), and their values at the ticks of `rows`.
 
-    whole: the rows are all of the log, of which the plant has to have heard one.
+    whole: `rows` is the complete log, so that at least one tick must have a plant row.
     """
     chosen = components(plant.columns, [] if "" in names else names, str(plant.path))
     truth = plant.rows(*({part.column.name for part in chosen} | set(SYNC)))

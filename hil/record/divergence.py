@@ -1,6 +1,6 @@
-"""Where rows of two logs part, for what-ifs and `--against`: by column the first tick and largest difference.
+"""First tick and largest difference of each column between two logs, for what-ifs and `--against`.
 
-Pure, block by block. A replay compares in `hil.loop.replay`.
+Pure, block by block. `hil.loop.replay` compares a replay with its log.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,10 +15,10 @@ from hil.record.selection import name_of
 
 
 class Tolerance(NamedTuple):
-    """How far two values may be apart: |a - b| <= absolute + relative * max(1, |b|)."""
+    """Allowed difference of two values: |a - b| <= absolute + relative * max(1, |b|)."""
 
     absolute: float = 0.0
-    """In the unit of the column; inf: the column is not judged."""
+    """In the unit of the column; inf: the column never diverges."""
     relative: float = 0.0
 
 
@@ -26,46 +26,46 @@ EXACT = Tolerance()
 
 
 class Place(NamedTuple):
-    """One element of a column in one tick, with its value on either side."""
+    """One element of a column at one tick, with its value in both logs."""
 
     tick: int
     time_s: float
-    """As who compares counts it."""
+    """Time of the tick as given by the caller, s."""
     label: str
-    """`tau.leg_3`."""
+    """For example `tau.leg_3`."""
     unit: str
     one: int | float
     other: int | float
 
     def values(self, column: Column) -> tuple[str, str]:
-        """Return both values in words: by name where the column has names."""
+        """Both values as text, by name where the column has names."""
         return name_of(column, self.one), name_of(column, self.other)
 
 
 @dataclass
 class ColumnDivergence:
-    """What was found of one column. Mutable state: all below the tolerance."""
+    """Differences of one column. Mutable state: all fields below the tolerance."""
 
     column: Column
     tolerance: Tolerance = EXACT
     ticks: int = 0
-    """Ticks in which an element is beyond the tolerance."""
+    """Ticks with an element beyond the tolerance."""
     first: Place | None = None
-    """The first of them, and its worst element."""
+    """First of these ticks, at its worst element."""
     largest: float = 0.0
-    """|one - other|, in the unit of the column; inf where one is not a number."""
+    """Largest |one - other|, in the unit of the column; inf where one value is not a number."""
     at: Place | None = None
-    """Where that is."""
+    """Place of the largest difference."""
 
     @property
     def diverges(self) -> bool:
-        """Whether it is beyond its tolerance somewhere."""
+        """True if at least one tick is beyond the tolerance."""
         return self.ticks > 0
 
     def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
-        """Compare n rows with n rows and return which differ too much; time_s is (n,).
+        """Compare n rows with n rows: flags (n,) of the rows beyond the tolerance; time_s is (n,).
 
-        Both have this column, the first has `tick`.
+        Both arrays have this column; `one` also has `tick`.
         """
         column = self.column
         size = max(column.size, 1)
@@ -95,10 +95,10 @@ class ColumnDivergence:
 
 
 class Divergence:
-    """What was found of all columns. Mutable state: that of each column.
+    """Differences of all columns. Mutable state: the result of each column.
 
-    tolerances : by column; those that are not named are exact. relative : of every other column of floats;
-    inf: no other column is judged.
+    tolerances : by column name; other columns are exact. relative : tolerance of every other column of
+    floats; inf: no other column can diverge.
     """
 
     def __init__(
@@ -108,7 +108,7 @@ class Divergence:
         self.columns = [ColumnDivergence(c, _tolerance(c, given, relative)) for c in columns]
 
     def take(self, one: Rows, other: Rows, time_s: Array) -> Flags:
-        """Compare n rows with n rows, tick for tick, and return which differ too much; time_s is (n,)."""
+        """Compare n rows with n rows, tick by tick: flags (n,) of rows beyond a tolerance; time_s is (n,)."""
         found: Flags = np.zeros(len(one), bool)
         for each in self.columns:
             found |= each.take(one, other, time_s)
@@ -116,24 +116,24 @@ class Divergence:
 
     @property
     def diverging(self) -> list[ColumnDivergence]:
-        """Columns that diverge, the earliest first; of one tick in the order of the row."""
+        """Columns that diverge, earliest first; within one tick in the order of the row."""
         found = [each for each in self.columns if each.diverges]
         return sorted(found, key=lambda each: each.first.tick if each.first else 0)
 
     @property
     def different(self) -> list[ColumnDivergence]:
-        """Columns with any difference, within their tolerance or not, in the order of the row."""
+        """Columns with any difference, within tolerance or not, in the order of the row."""
         return [each for each in self.columns if each.largest > 0.0]
 
     @property
     def first(self) -> list[ColumnDivergence]:
-        """Columns that diverge in the first tick in which any does."""
+        """Columns that diverge at the earliest diverging tick."""
         ticks = [each.first.tick for each in self.diverging if each.first]
         return [each for each in self.diverging if each.first and each.first.tick == ticks[0]]
 
 
 def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> Tolerance:
-    """Return the tolerance of a column: its own, or a relative one, which whole numbers do not have."""
+    """Tolerance of a column: its own, else the relative one for floats and none for integers."""
     if column.name in given:
         return Tolerance(given[column.name])
     if relative == np.inf:
@@ -142,13 +142,13 @@ def _tolerance(column: Column, given: Mapping[str, float], relative: float) -> T
 
 
 def _difference(a: Array, b: Array) -> Array:
-    """Return |a - b| of (n, m) values: 0 where both are the same or not a number, inf where one is not."""
+    """|a - b| of (n, m) values: 0 where both are equal or both nan, inf where only one is nan."""
     with np.errstate(invalid="ignore", over="ignore"):
         difference = np.abs(a.astype(np.float64) - b.astype(np.float64))
     if a.dtype.kind == "f":
         same = (a == b) | (np.isnan(a) & np.isnan(b))
     else:
         same = a == b
-        difference = np.maximum(difference, 1.0)  # of large whole numbers that one float64 stands for
+        difference = np.maximum(difference, 1.0)  # large integers may share one float64
     found: Array = np.where(same, 0.0, np.nan_to_num(difference, nan=np.inf, posinf=np.inf))
     return found

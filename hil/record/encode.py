@@ -1,4 +1,4 @@
-"""From a batch of ticks in the ring to MCAP messages as bytes."""
+"""Encodes a batch of ticks from the ring as the bytes of MCAP messages."""
 
 import struct
 from collections.abc import Callable, Iterator, Sequence
@@ -33,31 +33,31 @@ from hil.record.schema import (
 )
 
 TICK, CAN, COMMANDS, EVENTS, TF, SCENE = 1, 2, 3, 4, 5, 6
-"""Channel ids."""
+"""Channel identifiers."""
 _MESSAGE = struct.Struct("<BQHIQQ")
-"""Opcode, bytes that follow, channel, sequence, log and publish time, ns; then the message."""
+"""Opcode, bytes that follow, channel, sequence, log and publish time in ns; the message follows."""
 
 
 class Messages(NamedTuple):
-    """Complete MCAP Message records in file order, and what the index needs of them."""
+    """Complete MCAP Message records in file order, with the values for the message index."""
 
     data: Bytes
-    """The records, one behind the other."""
+    """The records, back to back."""
     start: Ints
-    """(n + 1,) where each begins in `data`, and where the last one ends."""
+    """(n + 1,) start of each record in `data`, and the end of the last one."""
     channel: Ints
     log_time: Ints
     tick: Ints
-    """Position of the tick in the batch: chunks are cut between ticks."""
+    """Position of each record's tick in the batch; chunks are cut between ticks."""
 
     def records(self) -> Iterator[memoryview]:
-        """Yield the records one by one."""
+        """The records one by one."""
         data = self.data.data
         return (data[first:last] for first, last in pairwise(self.start.tolist()))
 
 
 class _Rare(NamedTuple):
-    """A message that is made one by one, and the item in front of which it stands."""
+    """A message that is encoded on its own, and the item that it precedes."""
 
     row: int
     item: int
@@ -67,7 +67,7 @@ class _Rare(NamedTuple):
 
 
 def channels_of(table: Table, can_channels: Sequence[str]) -> dict[int, tuple[str, Schema, dict[str, str]]]:
-    """Return topic, schema and metadata of each channel of a log."""
+    """Topic, schema and metadata of each channel of a log, by channel identifier."""
     return {
         TICK: (table.topic, row_schema(table), {}),
         CAN: (CAN_TOPIC, frame_schema(), {"channel": ", ".join(can_channels)}),
@@ -79,7 +79,7 @@ def channels_of(table: Table, can_channels: Sequence[str]) -> dict[int, tuple[st
 
 
 class Encoder:
-    """Turns batches into messages. State: the tick that comes next, for events between ticks."""
+    """Turns batches into messages. State: number of the next tick, for events between ticks."""
 
     def __init__(
         self,
@@ -90,9 +90,9 @@ class Encoder:
         scene: Scene | None,
         packer: tuple[str, bytes] | None = None,
     ) -> None:
-        """Take the columns, UTC of t_ns = 0, the names of the buses, what is drawn.
+        """Prepare the templates from columns, UTC of t_ns = 0, bus names and scene.
 
-        `packer` is the machine code of `hil.record.packer.pack`, which is imported without it.
+        `packer` is the machine code of `hil.record.packer.pack`; without it that module is imported.
         """
         codec = RowCodec(table.columns, TICK)
         template, places = self._row = codec.layout.template, codec.places
@@ -117,7 +117,7 @@ class Encoder:
         return pack
 
     def encode(self, batch: Batch) -> Messages:
-        """Return the messages of a batch: per tick the row, its items in order, its views."""
+        """Messages of a batch: for each tick its row, its items in order, its views."""
         rows, items, of_row = batch
         count, total = len(rows), len(items)
         ticks = np.append(rows["tick"], rows["tick"][-1] + 1 if count else self._next_tick)
@@ -137,7 +137,7 @@ class Encoder:
         return Messages(out[: start[-1]], start, channel[:-1], log_time[:-1], row[:-1])
 
     def _rare(self, batch: Batch, ticks: Sequence[int], times: Sequence[int]) -> list[_Rare]:
-        """Return what is not a row or a frame, in the order of the file."""
+        """Messages other than rows and frames, in file order."""
         rows, items, of_row = batch
         found = []
         for i in np.flatnonzero(items["kind"] > SENT).tolist():
@@ -183,7 +183,7 @@ class Encoder:
 
 
 def event_text(items: Rows, i: int) -> str:
-    """Return the text of the event whose last piece is item i."""
+    """Text of the event whose last piece is item i."""
     first = i
     while first > 0 and items[first - 1]["kind"] == EVENT and items[first - 1]["id"] > 0:
         first -= 1

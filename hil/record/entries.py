@@ -1,4 +1,4 @@
-"""What a log holds beside its rows: ticks, frames, events; and how ticks are put together."""
+"""Ticks, frames and events of a log, and the assembly of ticks from rows and frames."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from hil.signals import NUMBERS, ORDERS, Operator, Order, SetPoint
 
 
 class Tick:
-    """One recorded tick, made of frames as tuples or as elements of FRAME."""
+    """One recorded tick, built from frames as tuples or as elements of FRAME."""
 
     row: np.void
     """One element of `hil.record.log.Log.dtype`."""
     received_items: Rows
-    """The frames received as elements of FRAME."""
+    """Received frames as elements of FRAME."""
     sent_items: Rows
-    """The frames sent, the same."""
+    """Sent frames as elements of FRAME."""
     operator: tuple[int, ...]
-    """Commands of the operator, numbers of `hil.signals.Operator`."""
+    """Operator commands, as numbers of `hil.signals.Operator`."""
     setpoints: tuple[SetPoint, ...]
-    """For a live reference, in the order received."""
+    """Set-points for a live reference, in the order received."""
     orders: tuple[Order, ...]
-    """For the motion, in the order received."""
+    """Motion commands, in the order received."""
 
     def __init__(
         self,
@@ -47,12 +47,12 @@ class Tick:
 
     @cached_property
     def received(self) -> tuple[Received, ...]:
-        """In the order consumed."""
+        """Received frames in the order consumed."""
         return received_frames(self.received_items)
 
     @cached_property
     def sent(self) -> tuple[Frame, ...]:
-        """In the order sent, SYNC first."""
+        """Sent frames in the order sent, SYNC first."""
         return sent_frames(self.sent_items)
 
     def _replace(self, **changes: Any) -> Tick:
@@ -62,11 +62,11 @@ class Tick:
 
 
 class Command(NamedTuple):
-    """One recorded command of the operator."""
+    """One recorded operator command."""
 
     tick: int
     place: int
-    """In the tick."""
+    """Position within the tick."""
     operator: Operator
     numbers: tuple[float, ...]
 
@@ -75,52 +75,52 @@ class Event(NamedTuple):
     """One recorded event."""
 
     t_ns: int
-    """On the run's clock."""
+    """Time on the run's clock."""
     level: str
     """`debug`, `info`, `warning` or `error`."""
     text: str
-    """What happened."""
+    """Message of the event."""
 
 
 class LoggedFrame(NamedTuple):
     """One CAN frame of a log."""
 
     t_ns: int
-    """The end of a received frame on the wire, the tick of a sent one; on the run's clock."""
+    """End of a received frame on the wire, or tick of a sent frame; on the run's clock."""
     tick: int
-    """Tick that consumed or sent it."""
+    """Tick that consumed or sent the frame."""
     sent: bool
-    """Whether the writer of the log sent it."""
+    """True for a frame that the writer of the log sent."""
     bus: int
     """Index of the bus, from 0."""
     id: int
     """Identifier, without flags."""
     data: bytes
-    """What it carries."""
+    """Payload."""
     flags: int
     """Sum of EXTENDED 1, FD 2, BRS 4, ESI 8, REMOTE 16, ERROR 32."""
 
 
 def logged(items: Rows) -> Iterator[LoggedFrame]:
-    """Yield the frames of `items` of `hil.record.unpack.ITEM` one by one."""
+    """Frames of `items` (`hil.record.unpack.ITEM`) one by one."""
     frames = unpack_frames(items["frame"].tobytes())
     for (t_ns, can_id, kind, length, flags, data), tick in zip(frames, items["tick"].tolist(), strict=True):
         yield LoggedFrame(t_ns, tick, kind == SENT, flags // BUS, can_id, data[:length], flags % BUS)
 
 
 def assemble(rows: Rows, items: Rows, commands: Iterable[Command]) -> Iterator[Tick]:
-    """Yield the ticks of `rows`, with their items and commands."""
+    """Ticks of `rows`, each with its frames and commands."""
     key = items["tick"] * 2 + (items["frame"]["kind"] == SENT)
     order = np.lexsort((items["index"], key))
     key, frames = key[order], as_bytes(items["frame"])[order].view(FRAME)
     frames.flags.writeable = False
     wanted = rows["tick"] * 2
     first, middle, last = (np.searchsorted(key, wanted + k).tolist() for k in range(3))
-    said: dict[int, list[Command]] = {}
+    by_tick: dict[int, list[Command]] = {}
     for command in sorted(commands):
-        said.setdefault(command.tick, []).append(command)
+        by_tick.setdefault(command.tick, []).append(command)
     for row, tick, a, b, c in zip(rows, rows["tick"].tolist(), first, middle, last, strict=True):
-        given = said.get(tick, ())
+        given = by_tick.get(tick, ())
         yield Tick(
             row,
             frames[a:b],

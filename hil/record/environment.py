@@ -1,4 +1,4 @@
-"""What a log says about the machine and the software that wrote it."""
+"""Description of the machine and the software that wrote a log."""
 
 import os
 import platform
@@ -49,7 +49,7 @@ def environment() -> dict[str, str]:
 
 
 def scheduling() -> dict[str, str]:
-    """Scheduler and processors of this process: those of a loop only while it runs."""
+    """Scheduler and processors of this process; those of the loop only while it runs."""
     policy = os.sched_getscheduler(0)
     name = _POLICIES.get(policy & ~os.SCHED_RESET_ON_FORK, policy)
     processors = ",".join(map(str, sorted(os.sched_getaffinity(0))))
@@ -68,7 +68,7 @@ def _version(name: str) -> str:
 
 @cache
 def _git() -> str:
-    """Commit (and -dirty) where the sources lie in a repository of their own."""
+    """Commit (and -dirty) if the sources lie in their own repository."""
     root = Path(__file__).resolve().parents[2]
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=40"]
     if not (root / ".git").exists():

@@ -1,4 +1,4 @@
-"""What a run was like: figures and a picture from its recorded rows."""
+"""Summary figures and a picture of a run, from its recorded rows."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,9 +16,9 @@ from hil.signals import explain
 
 
 def figures(rows: Rows) -> dict[str, Any]:
-    """Return the figures of a run: errors in mm over TRACKING, forces in N, wake-up in us, tick counts.
+    """Figures of a run: tracking errors in mm, forces in N, wake-up lateness in us, tick counts.
 
-    `rows` has dtype ROW, one element per tick.
+    The errors cover TRACKING only. `rows` has dtype ROW, one element per tick.
     """
     tracking = rows["mode"] == Mode.TRACKING
     held = rows["mode"] == Mode.HELD
@@ -58,9 +58,9 @@ def figures(rows: Rows) -> dict[str, Any]:
 
 
 def bus_troubles(rows: Rows) -> dict[str, int]:
-    """Return what went wrong on the bus: frames, losses, and how often its controller got into each state.
+    """Bus problems: frames, losses, and how often the CAN controller entered each error state.
 
-    A state counts where the tick before had a better one, so bus-off at once is no warning before.
+    A state counts if the previous tick had a better one. A jump to bus-off does not count as a warning too.
     """
     state = rows["bus_state"]
     before = np.concatenate([[BusState.UNKNOWN], state])[:-1]
@@ -77,28 +77,28 @@ def bus_troubles(rows: Rows) -> dict[str, int]:
 
 
 def limited_ticks(rows: Rows) -> dict[str, int]:
-    """Return at how many ticks each limit of the force acted."""
+    """Number of ticks at which each force limit acted."""
     limits = (Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW)
     return {str(w.name): int(np.count_nonzero(rows["warnings"] & w)) for w in limits}
 
 
 def pushes(rows: Rows) -> dict[str, Any] | None:
-    """How often legs were pushed to see whether they move, and the largest such force.
+    """Number of probe pushes, in total and by leg, and the largest probe force.
 
-    None where no leg was, or the log is older than the column.
+    None if no leg was probed, or if the log is older than the column.
     """
     force = np.nan_to_num(np.abs(rows["probe_force"]))
     if not force.any():
         return None
     pushed = np.concatenate([np.zeros((2, LEGS), np.bool_), force > 0.0])
-    began = pushed[2:] & ~pushed[1:-1] & ~pushed[:-2]  # a push that turns round may be 0 for a tick
+    began = pushed[2:] & ~pushed[1:-1] & ~pushed[:-2]  # a push that changes direction may be 0 for a tick
     return {"count": int(began.sum()), "largest_N": float(force.max()), "legs": began.sum(axis=0).tolist()}
 
 
 def certificate(rows: Rows) -> dict[str, Any]:
-    """Return what the watch of the certificate found: V and its bound where V comes nearest to it, alarms.
+    """Certificate figures: largest V, its bound there, largest share of the bound, alarms.
 
-    The share is that of sqrt(V) of the worst axis, so it may be nearer to 100 % than the sum over all axes.
+    The share is that of sqrt(V) on the worst axis, so it may be closer to 100 % than the sum over all axes.
     """
     V, bound, share = (rows[name] for name in ("lyapunov", "lyapunov_bound", "lyapunov_share"))
     alarm = (rows["warnings"] & Warn.CERTIFICATE) > 0
@@ -114,16 +114,16 @@ def certificate(rows: Rows) -> dict[str, Any]:
 
 
 def pose_errors(rows: Rows | Mapping[str, Array]) -> tuple[Array, Array]:
-    """Return the errors of position (n, 3) in mm and of rotation, a rotation vector (n, 3) in deg."""
+    """Position errors (n, 3) in mm and rotation errors, rotation vectors (n, 3) in deg."""
     return 1e3 * (rows["p_d"] - rows["p"]), np.rad2deg(rotation_errors(rows["R_d"], rows["R"]))
 
 
 FOLLOWED = ("q_d", "q", "p_d", "p", "R_d", "R", "tau", "dq")
-"""Columns of `errors`."""
+"""Columns that `errors` needs."""
 
 
 def errors(rows: Rows | Mapping[str, Array]) -> dict[str, float]:
-    """Return the figures of rows that follow a reference: leg error, distance, angle; empty without rows."""
+    """Tracking errors, peak force and peak leg rate of rows that follow a reference; empty without rows."""
     if not len(rows["q"]):
         return {}
     e_mm = (rows["q_d"] - rows["q"]) * 1e3

@@ -1,7 +1,7 @@
-"""The wire layout of the log's own messages: protobuf in which every field has a fixed size.
+"""Wire layout of the log's own messages: protobuf with a fixed size for every field.
 
-Fields are fixed64, fixed32, double, one-byte varints, or varints padded to five bytes: a message is a
-template in which `hil.record.packer` fills the places of a table, and `hil.record.unpack` reads them.
+Fields are fixed64, fixed32, double, one-byte varints, or varints padded to five bytes. A message is therefore
+a template: `hil.record.packer` fills the places of a table, `hil.record.unpack` reads them.
 """
 
 from collections.abc import Sequence
@@ -13,28 +13,28 @@ from drivers.arrays import Bytes, Ints
 from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE
 
 RECORD_HEADER = 31
-"""Bytes of an MCAP Message record in front of its data."""
+"""Bytes of an MCAP Message record before its data."""
 MAX_DATA = 64
 VARINT, FIXED64, LENGTH, FIXED32 = 0, 1, 2, 5
-"""Wire types."""
+"""Protobuf wire types."""
 _WIRE_TYPES = {1: VARINT, 4: FIXED32, 8: FIXED64}
-"""Of a field whose value takes so many bytes."""
+"""Wire type by the size of the value in bytes."""
 FRAME_FLAGS = {
     "is_rtr": REMOTE, "is_extended": EXTENDED, "is_error": ERROR, "fdf": FD, "brs": BRS, "esi": ESI,
 }  # fmt: skip
 """Field of hil.Frame -> flag of `Frame`."""
 _PLACES = ("seconds", "nanos", "id", "dlc", "direction", "tick", "index", "bus", *FRAME_FLAGS)
 SECONDS, NANOS, ID, DLC, DIRECTION, TICK, INDEX, BUS, FLAGS = range(3, 12)
-"""Columns of a `frame_table`; behind FLAGS one for each of FRAME_FLAGS."""
+"""Columns of a `frame_table`; from FLAGS on, one for each of FRAME_FLAGS."""
 
 
 class Layout(NamedTuple):
-    """Constant wire layout of records: one, or several behind each other."""
+    """Constant wire layout of one record, or of several back to back."""
 
     template: Bytes
-    """(size,) all constant bytes in place, the header of the MCAP Message record in front."""
+    """(size,) all constant bytes in place, the header of the MCAP Message record first."""
     mask: Bytes
-    """(size,) 0xFF for each byte of the message that is the same in every record, else 0."""
+    """(size,) 0xFF for each message byte that is equal in every record, else 0."""
 
 
 class Builder:
@@ -51,26 +51,26 @@ class Builder:
         self._mask += b"\xff" * len(data)
 
     def room(self, size: int) -> int:
-        """Add room for a value; return where in the record it begins."""
+        """Add room for a value and give its offset in the record."""
         place = len(self._template)
         self._template += bytes(size)
         self._mask += bytes(size)
         return place
 
     def field(self, number: int, size: int) -> int:
-        """Add a field of 1, 4 or 8 bytes; return where its value begins."""
+        """Add a field of 1, 4 or 8 bytes and give the offset of its value."""
         self.constant(varint(number << 3 | _WIRE_TYPES[size]))
         return self.room(size)
 
     def packed(self, number: int, size: int, count: int) -> list[int]:
-        """Add a packed list of `count` values; return where each begins."""
+        """Add a packed list of `count` values and give their offsets."""
         self.constant(varint(number << 3 | LENGTH) + varint(count * size))
         return [self.room(size) for _ in range(count)]
 
     def message(self, number: int, size: int, count: int) -> list[int]:
-        """Add a message of `count` fields, numbered from 1; return where the value of each begins.
+        """Add a message of `count` fields, numbered from 1, and give the offsets of their values.
 
-        All its tags have one size: beyond 15 fields they are varints padded to two bytes.
+        All its tags have one size: with more than 15 fields they are varints padded to two bytes.
         """
         width = 1 if count <= 15 else 2
         self.constant(varint(number << 3 | LENGTH) + varint(count * (width + size)))
@@ -82,7 +82,7 @@ class Builder:
         return places
 
     def layout(self) -> Layout:
-        """Return the layout of what was added."""
+        """Layout of everything added so far."""
         self._template[1:9] = (len(self._template) - 9).to_bytes(8, "little")
         return Layout(
             np.frombuffer(bytes(self._template), np.uint8), np.frombuffer(bytes(self._mask), np.uint8)
@@ -90,7 +90,7 @@ class Builder:
 
 
 def varint(value: int) -> bytes:
-    """Return a varint in its shortest form."""
+    """Shortest varint of a number."""
     out = bytearray()
     while value > 0x7F:
         out.append(value & 0x7F | 0x80)
@@ -100,7 +100,7 @@ def varint(value: int) -> bytes:
 
 
 def _frame_layout(bus: bytes, channel: int) -> tuple[Layout, int, list[int]]:
-    """Return the layout of hil.Frame without data on a bus, where data go, and the other columns."""
+    """Layout of a hil.Frame without data on a bus, the offset of the data, and the other columns."""
     frame, places = Builder(channel), {}
     frame.constant(b"\x0a\x0e\x0a\x0c\x08")
     places["seconds"] = frame.room(5)
@@ -110,7 +110,7 @@ def _frame_layout(bus: bytes, channel: int) -> tuple[Layout, int, list[int]]:
     for name, number in {"is_rtr": 3, "is_extended": 4, "is_error": 5, "dlc": 6}.items():
         places[name] = frame.field(number, 1)
     frame.constant(varint(7 << 3 | LENGTH))
-    data = frame.room(1) + 1  # behind their number
+    data = frame.room(1) + 1  # after the byte of their length
     frame.constant(varint(8 << 3 | LENGTH) + varint(len(bus)) + bus)
     for name, number in {"direction": 9, "fdf": 10, "brs": 11, "esi": 12}.items():
         places[name] = frame.field(number, 1)
@@ -119,9 +119,9 @@ def _frame_layout(bus: bytes, channel: int) -> tuple[Layout, int, list[int]]:
 
 
 def frame_table(buses: Sequence[bytes], channel: int = 0) -> tuple[Layout, Ints]:
-    """Return the layouts of frames without data, one bus after the other, and their places (buses, 17).
+    """Layouts of frames without data, one per bus, and their table (buses, 17).
 
-    Of each bus: where its template begins, its size, where data go, and the places of its fields.
+    Columns of the table: start of the template, its size, offset of the data, offsets of the fields.
     """
     layouts, data, places = zip(*(_frame_layout(bus, channel) for bus in buses), strict=True)
     sizes = [len(each.template) for each in layouts]

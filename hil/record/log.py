@@ -1,4 +1,4 @@
-"""A recorded run: its ticks in their order, its columns, frames and events."""
+"""Log of a run: ticks in order, columns, frames, events."""
 
 from __future__ import annotations
 
@@ -24,42 +24,42 @@ if TYPE_CHECKING:
 __all__ = ["Event", "Log", "LogStatistics", "LoggedFrame", "Tick"]
 
 _SETTLED_NS = 1_000_000_000
-"""A frame is handed out when one so much later has been read."""
+"""A frame is yielded once a frame this much later was read."""
 
 PLANT_TOPIC = "/plant"
 """Topic of a plant's rows."""
 
 
 def plant_log_beside(path: Path) -> Path:
-    """Return where the plant's log of a run is that records to `path`, whatever that ends with."""
+    """Path of the plant's log that belongs to the run log `path`."""
     return path.with_name(f"{path.stem}-plant{path.suffix}")
 
 
 class LogStatistics(NamedTuple):
-    """What is in a log."""
+    """Size of a log and the end of its run."""
 
     ticks: int
-    """Rows; of a plant's log, those of the plant."""
+    """Number of rows: ticks of the controller, or steps of the plant in its log."""
     frames: int
-    """CAN frames received and sent."""
+    """CAN frames, received and sent."""
     duration_s: float
-    """From the first message to the last, s."""
+    """Time from the first message to the last, s."""
     dropped: int
-    """Ticks that the recorder had to drop."""
+    """Ticks dropped by the recorder."""
     closed: str
     """`clean`, `producer died`, `salvaged`, `cut`, or `unknown`."""
 
 
 class Log(LogFile):
-    """A run's log: ``Log("run.mcap").frame()``.
+    """Log of a run: ``Log("run.mcap").frame()``.
 
-    A log that is cut is read as far as it goes, and `cut` says so. Nothing but metadata and attachments stays
-    in memory; each call reads the file again.
+    A cut log is read as far as it goes; `cut` is the reason. Only metadata and attachments stay in memory;
+    each call reads the file again.
 
-    path: the MCAP file of `hil run`, `hil sim` or `hil plant`.
-    plant: the plant's log of the same run; without, the one that `hil run --plant` writes beside it.
+    path: MCAP file of `hil run`, `hil sim` or `hil plant`.
+    plant: the plant's log of the same run; by default the file that `hil run --plant` writes next to it.
 
-    Raises LogError: no such file, no MCAP, damaged, not written by this product, or cut within its first
+    Raises LogError: no such file, not MCAP, damaged, not written by this product, or cut within its first
     bytes.
     """
 
@@ -72,9 +72,9 @@ class Log(LogFile):
 
     @classmethod
     def open(cls, path: str | os.PathLike[str]) -> Log:
-        """Open a log that has to be whole: all of it is read once, and its checksums compared.
+        """Open a complete log: reads all of it once and compares its checksums.
 
-        Raises LogError: as the class; and where it is cut, or its checksum differs.
+        Raises LogError: as the class; also for a cut log, or if a checksum differs.
         """
         log = cls(path)
         if log.cut:
@@ -84,9 +84,9 @@ class Log(LogFile):
 
     @property
     def plant(self) -> Log:
-        """The plant's log of the same run.
+        """Log of the plant in the same run.
 
-        Raises LogError: there is none, it cannot be read, or it is none of a plant.
+        Raises LogError: the file is missing, unreadable, or not a plant's log.
         """
         if not self._plant_path.exists():
             raise LogError(
@@ -100,7 +100,7 @@ class Log(LogFile):
 
     @cached_property
     def summary(self) -> LogStatistics:
-        """Counts of the whole log; all of it is read once for them, and every checksum compared.
+        """Counts over the whole log; reads all of it once and compares every checksum.
 
         Raises LogError: the file is damaged.
         """
@@ -119,9 +119,9 @@ class Log(LogFile):
         )
 
     def figures(self) -> dict[str, Any]:
-        """Return the run's figures as its summary has them: errors, forces, wake-ups, faults.
+        """Figures of the run as in its summary: errors, forces, wake-up times, faults.
 
-        Raises LogError: the log is a plant's, or its columns are those of another version.
+        Raises LogError: a plant's log, or columns of another version.
         """
         there = {c.name: (c.kind, c.shape) for c in self.columns}
         other = [c.name for c in RECORDED if there.get(c.name) != (c.kind, c.shape)]
@@ -134,20 +134,20 @@ class Log(LogFile):
     def frame(
         self, *names: str, start_s: float | None = None, stop_s: float | None = None, numbers: bool = False
     ) -> pd.DataFrame:
-        """Return columns as a pandas DataFrame, one row a tick, one column a component.
+        """Columns as a pandas DataFrame: one row per tick, one column per component.
 
-        names: columns (`tau`) or components (`tau.leg_3`, `p.z`); all of the log where none is given. Those
-        of the plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: what was true at the
-        tick's SYNC, to half an internal step of the plant (`plant.t_ns` is the instant), nan where the plant
-        has no row of that SYNC.
+        names: columns (`tau`) or components (`tau.leg_3`, `p.z`); by default all of this log. Columns of the
+        plant's log (`plant.p`, or `plant` for all) are aligned to the ticks: the state at the SYNC of the
+        tick, within half an internal step of the plant (`plant.t_ns` is the exact time); nan where the plant
+        has no row for that SYNC.
         start_s, stop_s: first and last time, s from the first row.
-        numbers: leave the numbers of enumerations and flags; else they are categories by name, flags joined
-        by `|`.
+        numbers: keep the numbers of enumerations and flags; by default they are categories by name, flags
+        joined by `|`.
 
-        The index of the result, `t_s`, is the time from the first row in s. `attrs` has `units` and
-        `meanings` by column, `epoch_ns`, the UTC of `t_ns` = 0, and `log`, the file.
+        The index `t_s` is the time from the first row, s. `attrs` holds `units` and `meanings` by column,
+        `epoch_ns` (UTC of `t_ns` = 0) and `log` (the file).
 
-        Raises LogError: no such column, pandas is not installed, or the plant's log is missing or of another
+        Raises LogError: unknown column, pandas is not installed, or the plant's log is missing or of another
         run.
         """
         from hil.record.data_frame import data_frame  # noqa: PLC0415 - pandas: an extra
@@ -155,14 +155,14 @@ class Log(LogFile):
         return data_frame(self, lambda: self.plant, names, start_s, stop_s, numbers=numbers)
 
     def events(self) -> list[Event]:
-        """Return all events, in the order of the file."""
+        """All events, in the order of the file."""
         return [event for (events,) in self._decoded(self._events_in) for event in events]
 
     def can_frames(self) -> Iterator[LoggedFrame]:
-        """Yield the CAN frames in the order of their times, reading as it goes.
+        """CAN frames in order of time, read block by block.
 
-        Frames of one time stand in the order of the log. One that was consumed more than a second after it
-        was received may come after later ones.
+        Frames with equal times keep the order of the log. A frame that the controller read more than a second
+        after its reception may follow later frames.
 
         Raises LogError: the file is damaged.
         """
@@ -179,7 +179,7 @@ class Log(LogFile):
         yield from logged(pending)
 
     def ticks(self) -> Iterator[Tick]:
-        """Yield the ticks in their order, reading as it goes.
+        """Ticks in order, read block by block.
 
         Raises LogError: the file is damaged.
         """

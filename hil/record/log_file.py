@@ -1,4 +1,4 @@
-"""The container of a log: what stands beside its messages, and its messages decoded, chunk by chunk."""
+"""File of a log: its metadata and attachments, and its messages, decoded chunk by chunk."""
 
 from __future__ import annotations
 
@@ -43,40 +43,42 @@ _FOOTER = 9 + 20 + len(MAGIC)
 _CLASSES = {OPERATOR_TOPIC: message_class(operator_schema()), EVENTS_TOPIC: LogMessage}
 _OPERATORS = frozenset(map(int, Operator))
 _SEQUENCE = 0xFFFFFFFF
-"""A message has this part of its tick in its head."""
+"""Low 32 bits of a tick: the sequence number of its messages."""
 _OTHER_LAYOUT = "its layout is not that of the recorder"
-MEND, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, and no more can be had of it"
-"""What to do about a damaged log."""
+ADVICE, SALVAGED = "run `hil replay --salvage` on it", "it was salvaged before, and no more can be had of it"
+"""Advice for a damaged log."""
 
 
 class LogFile:
-    """A log's file. State: metadata, attachments, channels met so far.
+    """File of a log. State: metadata, attachments, and the channels seen so far.
 
-    Raises LogError: no such file, no MCAP, damaged, not written by this product, or cut within its first
+    Raises LogError: no such file, not MCAP, damaged, not written by this product, or cut within its first
     bytes.
     """
 
     path: Path
     metadata: dict[str, dict[str, str]]
-    """Records by name, `hil` (the run), `environment` (the machine) and `summary` (its end) among them."""
+    """Metadata records by name, among them `hil` (run), `environment` (machine) and `summary` (end of the
+    run).
+    """
     attachments: dict[str, bytes]
-    """Files by name, those of the configuration, the protocol's database and what else replay needs."""
+    """Attached files by name: configuration, protocol database, and every other input of a replay."""
     cut: str
-    """Why the file ends too early; empty for a whole one."""
+    """Reason why the file is incomplete; empty for a complete file."""
     columns: tuple[Column, ...]
-    """Of the rows."""
+    """Columns of the rows."""
     dtype: np.dtype[np.void]
-    """Type of the rows."""
+    """NumPy type of a row."""
     topic: str
     """Topic of the rows, `/tick` or `/plant`."""
     can_channel: str
-    """Name of the bus; of several, of the first."""
+    """Name of the first bus."""
     can_channels: tuple[str, ...]
     """Name of each bus."""
     epoch_ns: int
     """UTC of t_ns = 0."""
     lockstep: bool
-    """Whether its time is simulated; it counts from 2000-01-01 then."""
+    """True for simulated time, which starts at 2000-01-01."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
@@ -97,7 +99,7 @@ class LogFile:
             row, frames = RowCodec(run.columns), frame_table([name.encode() for name in run.can_channels])
         except REFUSED as error:
             raise LogError(
-                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self._mend}"
+                f"{path}: metadata record {IDENTITY!r} cannot be read: {why(error)}; {self._advice}"
             ) from None
         self.topic, self.epoch_ns, self.lockstep = run.topic, run.epoch_ns, run.lockstep
         self.columns, self.can_channels = completed(run.columns), run.can_channels
@@ -106,15 +108,15 @@ class LogFile:
         self._tick = row.read[row.dtype.fields["tick"][1] // 8]  # type: ignore[index]
 
     @property
-    def _mend(self) -> str:
-        """What may be done about damage: salvage, once."""
-        return SALVAGED if SALVAGE in self.metadata else MEND
+    def _advice(self) -> str:
+        """Advice for damage: salvage the log, once."""
+        return SALVAGED if SALVAGE in self.metadata else ADVICE
 
     @property
     def configuration(self) -> str:
-        """Text of the configuration of the run.
+        """Text of the run's configuration.
 
-        Raises LogError: the log has none, or one that is no text.
+        Raises LogError: the attachment is missing or not text.
         """
         if CONFIGURATION not in self.attachments:
             raise LogError(
@@ -123,10 +125,10 @@ class LogFile:
         try:
             return self.attachments[CONFIGURATION].decode()
         except UnicodeDecodeError as error:
-            raise LogError(f"{self.path}: attachment {CONFIGURATION} is no text: {error}") from error
+            raise LogError(f"{self.path}: attachment {CONFIGURATION} is not text: {error}") from error
 
     def _check_file(self) -> tuple[str, int]:
-        """Return why the file is cut, or nothing, and its bytes; refuse what is no log at all."""
+        """Reason why the file is cut (empty if complete), and its size, bytes; raises for a foreign file."""
         with self._reading(), open_regular(self.path) as file:
             head, size = file.read(len(MAGIC)), file.seek(0, os.SEEK_END)
             file.seek(max(size - len(MAGIC), 0))
@@ -142,19 +144,19 @@ class LogFile:
 
     @contextmanager
     def _reading(self) -> Iterator[None]:
-        """Name the file in what goes wrong while it is read, and what may be done about damage."""
+        """Add the file name, and the advice for damage, to errors of a read."""
         try:
             yield
         except LogError as error:
-            mend = f"; {self._mend}" if isinstance(error, DamageError) else ""
-            raise LogError(f"{self.path}: {error}{mend}") from None
+            advice = f"; {self._advice}" if isinstance(error, DamageError) else ""
+            raise LogError(f"{self.path}: {error}{advice}") from None
         except FileNotFoundError:
             raise LogError(f"{self.path}: no such file") from None
         except OSError as error:
             raise LogError(f"{self.path}: cannot be read: {error.strerror}") from error
 
     def _learn(self, record: Record) -> None:
-        """Keep what is whole and not a message; of two of one name the first, which is the recorder's."""
+        """Store a complete metadata, attachment or channel record; the first of two with one name wins."""
         found: Any = record.parse() if record.complete else None
         match type(found).__name__:
             case "Metadata":
@@ -165,9 +167,9 @@ class LogFile:
                 self._topics[found.id] = found.topic
 
     def _decoded(self, *decode: Callable[[bytes, MessageTable], Any]) -> Iterator[list[Any]]:
-        """Yield what functions make of the messages of each chunk; of one that is cut, of its whole ticks.
+        """Yield the results of decoders for each chunk; for a cut chunk, only of its complete ticks.
 
-        Raises LogError where the file is damaged, or its messages are not in the order of a recorder.
+        Raises LogError: damaged file, or messages out of the recorder's order.
         """
         with self._reading():
             allowance, last = Allowance(self._size), -1
@@ -185,13 +187,13 @@ class LogFile:
                 yield [each(data, table) for each in decode]
 
     def _messages_of(self, table: MessageTable, topic: str) -> NDArray[np.intp]:
-        """Return which messages of a table are of a topic."""
+        """Indices of a topic's messages in a table."""
         wanted = np.zeros(1 << 16, np.bool_)
         wanted[[number for number, each in self._topics.items() if each == topic]] = True
         return np.flatnonzero(wanted[table.channel])
 
     def counted(self) -> int | None:
-        """Rows that the index at the end of the file counts; None where it has no statistics.
+        """Number of rows according to the index at the end of the file; None without statistics.
 
         Raises LogError: the index is damaged.
         """
@@ -209,12 +211,13 @@ class LogFile:
         return None
 
     def _require_order(self, data: bytes, table: MessageTable, last: int) -> int:
-        """Return the tick of the last row of a buffer; `last` is that of the one before.
+        """Check the order of a chunk's messages; the result is the tick of its last row.
 
-        A recorder writes a tick as its row and behind it its frames and commands.
+        A recorder writes the row of a tick first, then its frames and commands.
 
-        Raises LogError: rows are not in the order of their ticks, or something stands elsewhere than behind
-        its row.
+        last: tick of the previous chunk's last row.
+
+        Raises LogError: ticks do not increase, or a frame or command does not follow its row.
         """
         rows = self._messages_of(table, self.topic)
         if (table.length[rows] != len(self._row[0].template)).any():
@@ -233,7 +236,7 @@ class LogFile:
         return int(ticks[-1])
 
     def _messages(self, data: bytes, table: MessageTable, topic: str) -> Iterator[Any]:
-        """Yield the commands or events in a buffer."""
+        """Yield the decoded commands or events of a chunk."""
         for i in self._messages_of(table, topic).tolist():
             start, stop = int(table.offset[i]) + RECORD_HEADER, int(table.offset[i] + table.length[i])
             try:
@@ -242,7 +245,7 @@ class LogFile:
                 raise _other(topic, why(error)) from None
 
     def _events_in(self, data: bytes, table: MessageTable) -> list[Event]:
-        """Return the events in a buffer."""
+        """Events in a chunk."""
         found = []
         for message in self._messages(data, table, EVENTS_TOPIC):
             t_ns = message.timestamp.seconds * 1_000_000_000 + message.timestamp.nanos - self.epoch_ns
@@ -250,7 +253,7 @@ class LogFile:
         return found
 
     def _commands_in(self, data: bytes, table: MessageTable) -> list[Command]:
-        """Return the operator's commands in a buffer."""
+        """Operator commands in a chunk."""
         found = []
         for message in self._messages(data, table, OPERATOR_TOPIC):
             if message.command not in _OPERATORS:
@@ -265,7 +268,7 @@ class LogFile:
         return found
 
     def _rows_in(self, data: bytes, table: MessageTable) -> Rows:
-        """Return the rows in a buffer, in its order."""
+        """Rows of a chunk, in its order."""
         mine = self._messages_of(table, self.topic)
         matrix = np.full((len(mine), self.dtype.itemsize // 8), np.nan).view(np.int64)
         if not unpack_rows(data, table.offset[mine], *self._row, matrix):
@@ -273,7 +276,7 @@ class LogFile:
         return matrix.view(self.dtype)[:, 0]
 
     def _frames_in(self, data: bytes, table: MessageTable) -> Rows:
-        """Return the frames in a buffer as elements of ITEM, in its order."""
+        """CAN frames of a chunk, in its order, as ITEM elements."""
         mine = self._messages_of(table, CAN_TOPIC)
         items = np.zeros(len(mine), ITEM)
         good = unpack_frames(data, table.offset[mine], table.length[mine], *self._frame, items)
@@ -283,16 +286,16 @@ class LogFile:
 
     @cached_property
     def origin_ns(self) -> int:
-        """Where the time `t_s` of a frame begins, the `t_ns` of the first row; 0 without a row."""
+        """`t_ns` of the first row: the origin of a frame's `t_s`; 0 without rows."""
         return next((int(block["t_ns"][0]) for block in self.blocks("t_ns")), 0)
 
     def rows(self, *names: str, start_s: float | None = None, stop_s: float | None = None) -> Rows:
-        """Return rows in tick order: a structured array (n,), ``rows["tau"]`` is (n, 6).
+        """Rows in tick order: a structured array (n,); ``rows["tau"]`` is (n, 6).
 
-        names: columns to read; all where none is given.
+        names: columns; by default all.
         start_s, stop_s: first and last time, s from the first row.
 
-        Raises LogError: no such column, or the file is damaged.
+        Raises LogError: unknown column, or damaged file.
         """
         found = np.zeros(0, self._chosen(names))
         return together((found, *self.blocks(*names, start_s=start_s, stop_s=stop_s)))
@@ -300,7 +303,7 @@ class LogFile:
     def blocks(
         self, *names: str, start_s: float | None = None, stop_s: float | None = None
     ) -> Iterator[Rows]:
-        """Yield what `rows` returns in pieces, reading as it goes: for logs that do not fit into memory.
+        """Yield the rows of `rows` block by block: for logs larger than memory.
 
         Raises LogError: as `rows`.
         """
@@ -317,7 +320,7 @@ class LogFile:
                 yield chosen if chosen.dtype == dtype else chosen[list(dtype.names or ())].astype(dtype)
 
     def _chosen(self, names: Sequence[str]) -> np.dtype[np.void]:
-        """Return the type of rows of the columns named, of all without a name. Raises LogError."""
+        """NumPy type of rows with the given columns, by default all. Raises LogError: unknown column."""
         there = {c.name: c for c in self.columns}
         unknown = [name for name in names if name not in there]
         if unknown:

@@ -1,8 +1,8 @@
-"""Writes an MCAP file chunk by chunk, from messages that are already bytes.
+"""Writes an MCAP file chunk by chunk from encoded messages.
 
-The `mcap` library's own writer takes one Python call per message and per index entry (about 5 µs each); here
-a chunk is one buffer and its message index one array. Records other than Message and MessageIndex are written
-by `mcap.records`.
+The writer of the `mcap` library makes one Python call per message and per index entry (about 5 µs each). Here
+a chunk is one buffer, and its message index is one array. `mcap.records` writes all records other than
+Message and MessageIndex.
 """
 
 import contextlib
@@ -36,13 +36,13 @@ _SUMMARY = (
 )
 """Kinds of records in the summary, in their order."""
 _MOST_TAKEN_BACK = 256
-"""Chunks that may make room for the end of the file on a full disk."""
+"""Most chunks that are removed to make room for the end of the file on a full disk."""
 _Place = tuple[int, int, tuple[int, int] | None, dict[int, int], dict[type, int]]
-"""Where the file can be taken back to: position, CRC, span, messages by channel, records by kind."""
+"""State that the file can return to: position, CRC, span, messages by channel, records by kind."""
 
 
 def record_bytes(record: mcap.McapRecord) -> bytes:
-    """Return one record as it stands in the file."""
+    """Bytes of one record in the file."""
     builder = RecordBuilder()
     record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
@@ -50,7 +50,7 @@ def record_bytes(record: mcap.McapRecord) -> bytes:
 
 
 def being_written(path: Path) -> bool:
-    """Tell whether a process is writing a file right now; one that cannot be opened or locked is not."""
+    """True while a process writes a file; False for a file that cannot be opened or locked."""
     try:
         with open_regular(path) as file:
             fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -62,11 +62,11 @@ def being_written(path: Path) -> bool:
 
 
 class McapFile:
-    """An MCAP file being written. State: what the summary at its end will say.
+    """An MCAP file being written. State: the content of the summary at its end.
 
-    It is locked for as long as it is written: `being_written` tells it from one that was cut.
+    The file is locked while it is written, so `being_written` can tell it from a truncated file.
 
-    Raises FileExistsError when the file exists: nothing is ever overwritten.
+    Raises FileExistsError if the file exists: no file is ever overwritten.
     """
 
     def __init__(self, path: Path, library: str) -> None:
@@ -81,7 +81,7 @@ class McapFile:
         self._span: tuple[int, int] | None = None
         self._compressor = zstandard.ZstdCompressor(level=1)
         self._places: deque[_Place] = deque(maxlen=_MOST_TAKEN_BACK)
-        """Before each of the last chunks."""
+        """State before each of the last chunks."""
         try:
             self._write(MAGIC + record_bytes(mcap.Header("", library)))
         except OSError:
@@ -93,7 +93,7 @@ class McapFile:
         self._write(self._summarise(record))
 
     def add_metadata(self, name: str, data: Mapping[str, object]) -> None:
-        """Write a metadata record, its values as text."""
+        """Write a metadata record with its values as text."""
         texts = {key: str(value) for key, value in data.items()}
         record = record_bytes(mcap.Metadata(name=name, metadata=texts))
         self._summarise(mcap.MetadataIndex(self.position, len(record), name))
@@ -154,7 +154,7 @@ class McapFile:
         self._write(b"".join(parts))
 
     def sync(self) -> None:
-        """Have the operating system put what was written onto the disk."""
+        """Flush the written data to the disk."""
         os.fdatasync(self._fd)
 
     @property
@@ -163,11 +163,11 @@ class McapFile:
         return sum(self._counts.values())
 
     def messages_of(self, channel: int) -> int:
-        """Return the messages of a channel written so far."""
+        """Messages of a channel written so far."""
         return self._counts.get(channel, 0)
 
     def finish(self) -> None:
-        """Write summary and footer, put all onto the disk and close."""
+        """Write summary and footer, flush everything to the disk and close."""
         self._write(record_bytes(mcap.DataEnd(self._crc)))
         self._summarise(self._statistics())
         summary_start, crc, groups = self.position, 0, b""
@@ -185,10 +185,10 @@ class McapFile:
         self.close()
 
     def finish_within(self, name: str, metadata: Callable[[], Mapping[str, object]]) -> None:
-        """Finish where the disk is full: the last chunks, one at least, make room for the end.
+        """Finish on a full disk: remove at least one of the last chunks to make room for the end.
 
-        `metadata` of the end is made again as chunks go. Without a chunk nothing is done. Raises OSError
-        where their room is not enough.
+        `metadata` is called again after each removed chunk. Without any chunk nothing is done. Raises OSError
+        if the removed chunks do not make enough room.
         """
         while self._places:
             self._take_back(*self._places.pop())
@@ -242,7 +242,7 @@ class McapFile:
         )
 
     def _summarise(self, record: mcap.McapRecord) -> bytes:
-        """Put a record into the summary; return it as it stands in the file."""
+        """Add a record to the summary and give its bytes."""
         data = record_bytes(record)
         self._summary[type(record)].append(data)
         return data

@@ -1,8 +1,8 @@
-"""MCAP records by the `mcap` library's classes, each over its own bytes, whoever wrote the file.
+"""MCAP records of an untrusted file, parsed with the record classes of the `mcap` library.
 
-The library's readers trust the sizes that a file states, need its index, and make an object of each message.
-Here nothing larger than allowed is read or unpacked, a file that is cut is read as far as it goes, and the
-messages of a chunk are places in one buffer.
+The library's own readers trust the sizes in a file, need its index, and build an object for each message.
+This module limits what is read and unpacked, reads a cut file as far as it goes, and keeps the messages of a
+chunk as offsets into one buffer.
 """
 
 import os
@@ -38,63 +38,64 @@ _KINDS: dict[int, Any] = {
     Opcode.STATISTICS: Statistics,
 }
 _BROKEN = (McapError, UnicodeDecodeError, OverflowError, struct.error)
-"""What the library raises of a field that reaches past the end of its record, or is no text."""
+"""Errors of the library for a field that exceeds its record, or is not text."""
 OPCODES = frozenset(int(code) for code in Opcode)
 NOTHING = 0
-"""Opcode of what is not a record."""
+"""Opcode for bytes that are not a record."""
 MAX_CHUNK = 1 << 24
-"""Bytes of a chunk, packed or unpacked."""
+"""Largest chunk, bytes, compressed or not."""
 MAX_RECORD = 1 << 26
-"""Bytes of any other record."""
+"""Largest other record, bytes."""
 FREE_BYTES, MAX_RATIO = 1 << 28, 40
-"""A log may unpack to so many bytes, and so many more for each byte of its file: 2 to 6 are usual."""
+"""Largest unpacked log: a fixed allowance, bytes, and this much more per byte of the file
+(2 to 6 are usual)."""
 MESSAGE_BYTES = 256
-"""What a message counts beyond its own bytes."""
+"""Allowance spent per message in addition to its bytes."""
 
 
 class DamageError(LogError):
-    """Bytes of a log are not as they were written."""
+    """Damaged bytes in a log."""
 
 
 class Record(NamedTuple):
-    """One record, as far as it was read."""
+    """One record; `content` may be incomplete."""
 
     opcode: int
     offset: int
-    """Where in the file it begins; of one in a chunk, where the chunk does."""
+    """Position in the file; for a record in a chunk, the position of the chunk."""
     length: int
-    """Bytes that its content has by its head."""
+    """Length of the content according to the record's header, bytes."""
     content: bytes
 
     @property
     def complete(self) -> bool:
-        """Whether all of it is there."""
+        """True if the whole content was read."""
         return self.opcode != NOTHING and len(self.content) == self.length
 
     @property
     def end(self) -> int:
-        """Where it ends by its head."""
+        """Position of the record's end according to its header."""
         return self.offset + HEAD.size + self.length
 
     @property
     def whole(self) -> bytes:
-        """What is there of it, as it stands in the file."""
+        """Header and the content that was read."""
         return HEAD.pack(self.opcode, self.length) + self.content
 
     def damaged(self, what: str) -> DamageError:
-        """Return the error for a damaged record."""
+        """Build the error for this record."""
         return DamageError(f"damaged at byte {self.offset}: {what}")
 
     def parse(self) -> Any:
-        """Return the record as an object of mcap.records, None for kinds that are not needed.
+        """Parse the record into an object of mcap.records; None for kinds that are not needed.
 
-        Raises LogError: a field reaches past the end or is no text, or the checksum of an attachment differs.
+        Raises LogError: a field exceeds the record or is not text, or the checksum of an attachment differs.
         """
         kind, stream = _KINDS.get(self.opcode), ReadDataStream(BytesIO(self.content))
         try:
             found = kind and kind.read(stream)
         except _BROKEN:
-            what = f"a record of kind {self.opcode} with a field that ends behind it or is no text"
+            what = f"a record of kind {self.opcode} with a field that ends behind it or is not text"
             raise self.damaged(what) from None
         if isinstance(found, Attachment):
             end = stream.count - 4
@@ -105,41 +106,41 @@ class Record(NamedTuple):
 
 
 class MessageTable(NamedTuple):
-    """Where the messages of a buffer are, each (n,)."""
+    """Messages of a chunk; each array is (n,)."""
 
     channel: Ints
     sequence: Ints
-    """The lower 32 bits of the tick."""
+    """Low 32 bits of the tick."""
     log_time: Ints
     offset: Ints
     length: Ints
-    """Of the whole record; the data begin 31 bytes after `offset`."""
+    """Length of the whole record, bytes; its data begin 31 bytes after `offset`."""
 
     def before(self, begun: NDArray[np.intp]) -> "MessageTable":
-        """Return the messages of whole ticks of a chunk that is cut: the last one begun may lack frames.
+        """Messages of the complete ticks of a cut chunk; the last tick is dropped, as it may lack frames.
 
-        begun : the places of the rows, with each of which a tick begins
+        begun: indices of the rows; each row starts a tick.
         """
         return MessageTable(*(column[: begun[-1] if len(begun) else 0] for column in self))
 
 
 class Allowance:
-    """How much a log may still unpack to: a small file could fill memory and time. State: what is left."""
+    """Unpacked bytes that a log may still take, as a small file could fill the memory. State: bytes left."""
 
     def __init__(self, file_bytes: int) -> None:
         self._most = self._left = FREE_BYTES + MAX_RATIO * file_bytes
 
     def spend(self, size: int) -> None:
-        """Take bytes before they are unpacked. Raises LogError where there are not so many left."""
+        """Deduct bytes before they are unpacked. Raises LogError: fewer are left."""
         self._left -= size
         if self._left < 0:
             raise LogError(f"it unpacks to more than {self._most} bytes, which no log of its size does")
 
 
 def record_at(file: BinaryIO, at: int, skip: frozenset[int] = frozenset()) -> Record:
-    """Return the record at a place of a file, no more of it than is allowed; of the kinds in `skip` nothing.
+    """Record at a position of a file, read up to the allowed size; without content for the kinds in `skip`.
 
-    What is no record has the opcode NOTHING.
+    Bytes that are not a record have the opcode NOTHING.
     """
     file.seek(at)
     head = file.read(HEAD.size)
@@ -151,13 +152,12 @@ def record_at(file: BinaryIO, at: int, skip: frozenset[int] = frozenset()) -> Re
 
 
 def records(path: Path, skip: frozenset[int] = frozenset(), *, cut: bool = False) -> Iterator[Record]:
-    """Yield the records of the data section; of a file that is cut, what is there of its last record, too.
+    """Yield the records of the data section; for a cut file also its incomplete last record.
 
-    Records of the kinds in `skip` are passed over, and so are attachments that are larger than any of ours.
+    Records of the kinds in `skip`, and attachments larger than any of ours, are passed over.
 
-    Raises LogError: a file that is not cut stops making sense, or has a record larger than allowed; or the
-    checksum of the data section differs, which is looked at where nothing was passed over; OSError: the file
-    cannot be read.
+    Raises LogError: invalid or too large record in a file that is not cut; or the checksum of the data
+    section differs (compared only if nothing was passed over); OSError: unreadable file.
     """
     with open_regular(path) as file:
         at, size = len(MAGIC), file.seek(0, os.SEEK_END)
@@ -185,7 +185,7 @@ def records(path: Path, skip: frozenset[int] = frozenset(), *, cut: bool = False
 
 
 def _unpacked(record: Record, allowance: Allowance) -> bytes:
-    """Return what is in a chunk; of one that is cut, what is there of it."""
+    """Unpack a chunk; an incomplete chunk as far as it goes."""
     chunk = record.parse()
     size, data = chunk.uncompressed_size, bytes(chunk.data)
     if size > MAX_CHUNK:
@@ -206,11 +206,11 @@ def _unpacked(record: Record, allowance: Allowance) -> bytes:
 
 
 def messages_in(record: Record, allowance: Allowance) -> tuple[bytes, MessageTable, list[Channel]]:
-    """Return the bytes in a chunk, its messages, and the channels that stand between them.
+    """Bytes of a chunk, its messages, and the channels defined in it.
 
-    Of a chunk that is cut, those that are whole; none where it is damaged, too.
+    For an incomplete chunk: its complete messages, or none if it is damaged as well.
 
-    Raises LogError: the chunk is damaged, or larger than the allowance.
+    Raises LogError: damaged chunk, or more bytes than the allowance.
     """
     try:
         data = _unpacked(record, allowance)
@@ -222,7 +222,7 @@ def messages_in(record: Record, allowance: Allowance) -> tuple[bytes, MessageTab
 
 
 def _split(record: Record, data: bytes, allowance: Allowance) -> tuple[MessageTable, list[Channel]]:
-    """Find the whole records in a chunk's buffer."""
+    """Find the complete records in the buffer of a chunk."""
     starts, end = scan(data)
     if end < len(data) and record.complete:
         raise record.damaged(f"the last {len(data) - end} bytes of a chunk are no record")

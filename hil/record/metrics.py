@@ -1,4 +1,4 @@
-"""What a run's samples amount to, as plain numbers."""
+"""Metrics of the samples of a run, as plain numbers."""
 
 from collections.abc import Iterable
 from typing import NamedTuple
@@ -13,13 +13,13 @@ from hil.trajectory.path import PoseSample
 
 
 def peak(x: Array) -> Array:
-    """Return the largest |x| of each column of x (n, m): (m,), unit of x; 0 without a row."""
+    """Largest |x| of each column of x (n, m): (m,), unit of x; 0 without rows."""
     largest: Array = np.abs(x).max(axis=0, initial=0.0)
     return largest
 
 
 def rms(x: Array) -> Array:
-    """Return sqrt(mean x^2) of each column of x (n, m): (m,), unit of x; nan without a row."""
+    """Root mean square of each column of x (n, m): (m,), unit of x; nan without rows."""
     if not len(x):
         return np.full(x.shape[1:], np.nan)
     root: Array = np.sqrt((x**2).mean(axis=0))
@@ -27,9 +27,9 @@ def rms(x: Array) -> Array:
 
 
 def rotation_errors(R_d: Array, R: Array) -> Array:
-    """Return the rotation vector of R_d R^T, row by row: what turns the pose onto the reference.
+    """Rotation vectors of R_d R^T, row by row: the rotation from the pose to the reference.
 
-    R_d, R : (n, 3, 3) or (n, 9), x_base = p + R x_platform. Returns (n, 3) rad, base frame.
+    R_d, R : (n, 3, 3) or (n, 9), x_base = p + R x_platform. Result: (n, 3) rad, base frame.
     """
     demanded, measured = (np.ascontiguousarray(x, np.float64).reshape(-1, 3, 3) for x in (R_d, R))
     rows = [relative_rotation(m, d) for m, d in zip(measured, demanded, strict=True)]
@@ -37,25 +37,25 @@ def rotation_errors(R_d: Array, R: Array) -> Array:
 
 
 class StepResponse(NamedTuple):
-    """How a signal answers a step of its set-point."""
+    """Response of a signal to a step of its set-point."""
 
     initial: float
-    """Before the step."""
+    """Value before the step."""
     final: float
     """Mean of the last tenth of the record."""
     rise_s: float
-    """From 10 to 90 % of the way from `initial` to `final`; nan where it does not get there."""
+    """Time from 10 to 90 % of the way from `initial` to `final`; nan if these are not reached."""
     overshoot: float
-    """How far it goes beyond `final`, as a share of the way; 0 if it does not."""
+    """Largest excess beyond `final`, as a share of the way; 0 without overshoot."""
     settled: bool
-    """Whether the last tenth stays within 2 % of the way of `final`; else the figures are of a transient."""
+    """True if the last tenth stays within 2 % of the way of `final`; else the figures are of a transient."""
 
 
 def step_response(t: Array, y: Array, initial: float) -> StepResponse:
-    """Return rise time and overshoot of y (n,) at the instants t (n,) s after a step, at `initial` before it.
+    """Rise time and overshoot of y (n,) at times t (n,) s after a step; y is `initial` before it.
 
-    The way is from where the signal was to where it came to rest, not to the set-point: a law with a
-    steady-state error has a rise time, too. Crossings are interpolated between samples.
+    The way runs from the initial value to the final value, not to the set-point. So a law with a steady-state
+    error has a rise time, too. Crossings are interpolated between samples.
     """
     tail = y[-max(1, len(y) // 10) :]
     final = float(tail.mean())
@@ -69,15 +69,15 @@ def step_response(t: Array, y: Array, initial: float) -> StepResponse:
 
 
 def bandwidth_Hz(t: Array, y: Array, initial: float) -> float:
-    """Return the frequency at which the closed loop passes 1 / sqrt(2) of its low-frequency gain, in Hz.
+    """Closed-loop bandwidth, Hz: the gain falls to 1 / sqrt(2) of its low-frequency value.
 
-    t (n,) s, at equal distances after a step of the set-point at t = 0; y (n,) the answer, `initial` before.
-    The frequency response is the Fourier transform of the increments, G(f) = sum (y_k - y_{k-1})
-    exp(-2 pi i f t_k). The bandwidth is the first frequency where |G(f)| < |G(0)| / sqrt(2).
+    t (n,) s, equally spaced after a step of the set-point at t = 0; y (n,) response, `initial` before the
+    step. The frequency response is the Fourier transform of the increments, G(f) = sum (y_k - y_{k-1}) exp(-2
+    pi i f t_k). The bandwidth is the first frequency where |G(f)| < |G(0)| / sqrt(2).
 
-    It is the bandwidth of the *feedback* for a set-point that jumps; of a nonlinear law for a step of this
-    size. nan where the record shows no such frequency below that of its samples / 2, and inaccurate where the
-    answer has not come to rest within it.
+    It is the bandwidth of the *feedback* for a step of the set-point; for a nonlinear law, of a step of this
+    size. nan without such a frequency below half the sampling rate. Inaccurate if the response has not
+    settled within the record.
     """
     increments = np.diff(y, prepend=initial)
     gain = abs(float(increments.sum()))
@@ -112,20 +112,20 @@ def _first_above(t: Array, share: Array, level: float) -> float:
 
 
 class Share(NamedTuple):
-    """What one term of the equation of motion takes of the leg forces along a path."""
+    """Part of one term of the equation of motion in the leg forces along a path."""
 
     share: float
-    """Largest leg force of the term over the largest leg force, both of one instant; the worst instant."""
+    """Largest leg force of the term over the largest leg force at the same instant; the worst instant."""
     force_N: float
-    """Largest leg force of the term along the whole path."""
+    """Largest leg force of the term along the whole path, N."""
 
 
 def force_shares(model: Model, samples: Iterable[PoseSample]) -> dict[str, Share]:
-    """Return what H, (dJ/dt) twist and G take of the leg forces that a motion needs.
+    """Shares of H, (dJ/dt) twist and G in the leg forces that a motion needs.
 
-    With ddq = J dtwist + (dJ/dt) twist the forces are J^-T (M J^-1 (ddq - (dJ/dt) twist) + H + G): the terms
-    `H` J^-T H, `J_dot` J^-T M J^-1 (dJ/dt) twist, `G` J^-T G. Printed laws leave the first two out; whether
-    they may depends on robot and path. Samples where all leg forces vanish do not count.
+    With ddq = J dtwist + (dJ/dt) twist the forces are J^-T (M J^-1 (ddq - (dJ/dt) twist) + H + G). The terms:
+    `H` J^-T H, `J_dot` J^-T M J^-1 (dJ/dt) twist, `G` J^-T G. Printed laws omit the first two; whether that
+    is acceptable depends on robot and path. Samples without leg forces do not count.
 
     Raises KinematicsError where J is singular.
     """

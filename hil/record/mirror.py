@@ -1,7 +1,7 @@
-"""The newest tick of a run in a file of memory, for any process of this user that wants to look.
+"""Newest tick of a run in a memory file, readable by any process of this user.
 
-The recorder writes; others copy from it and cannot hold it up. The file lies in the runtime folder: a
-description, and behind it one piece, which the next one overwrites; its CRC shows whether it is whole.
+The recorder writes; readers copy and cannot delay it. The file lies in the runtime folder. It holds a
+description, then one piece that the next piece overwrites; a CRC shows whether the piece is whole.
 """
 
 import contextlib
@@ -23,66 +23,66 @@ from hil.record.environment import product_version
 from hil.record.row import Table, columns_of
 
 _ABOUT = struct.Struct("<Q")
-"""Bytes of the description, which follows."""
+"""Size in bytes of the description that follows."""
 _PIECE = struct.Struct("<QQQQ")
-"""Number, whether nothing follows, bytes of the content, which stands behind, and its CRC."""
+"""Number, end flag, bytes of the content that follows, and CRC."""
 _LARGEST = 1 << 18
-"""Bytes of a piece, for which there is room."""
+"""Bytes reserved for a piece."""
 
 _FIGURES = "seen_ns ticks stale skipped late_ns compute_ns dropped waiting capacity log_bytes"
 FIGURES = np.dtype([(name, "<i8") for name in _FIGURES.split()])
-"""Of the recorder: when the newest tick was first seen (CLOCK_MONOTONIC, ns); ticks, stale ticks and skipped
-periods so far; largest lateness and step time of the last one to two seconds; ticks lost, ticks that wait in
-the ring, its room; bytes in the log."""
+"""Figures of the recorder: time at which the newest tick was first seen (CLOCK_MONOTONIC, ns); ticks, stale
+ticks and skipped periods so far; largest lateness and step time of the last one to two seconds; ticks
+lost; ticks that wait in the ring, and its capacity; bytes in the log."""
 
 
 def mirror_path(interface: str, channel: str) -> Path:
-    """Return where the controller's recorder on a bus shows its newest tick."""
+    """File in which the controller's recorder on a bus shows its newest tick."""
     return runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.mirror"
 
 
 class Piece(NamedTuple):
-    """What was newest at one instant."""
+    """Newest row, figures and events at one instant."""
 
     number: int
-    """Counts what has been written."""
+    """Number of pieces written so far."""
     ended: bool
-    """Whether nothing follows."""
+    """True if no piece follows."""
     row: np.void
-    """Of the table's dtype."""
+    """One element of the table's dtype."""
     figures: np.void
-    """Of FIGURES."""
+    """One element of FIGURES."""
     events: list[dict[str, Any]]
-    """The last ones: number, t_ns, level, text."""
+    """Last events: number, t_ns, level, text."""
 
 
 class Mirror:
-    """The writer's end. Mutable state: the file, how many pieces were written, and the last one.
+    """Writer's end of the mirror. Mutable state: the file, the number of pieces, the last piece.
 
-    Raises OSError where the file cannot be made.
+    Raises OSError if the file cannot be created.
     """
 
     def __init__(self, path: Path, about: Mapping[str, object]) -> None:
-        """Make the file; `about` describes the run, with `version` of hil and `columns` as JSON."""
+        """Create the file; `about` describes the run, with `version` of hil and `columns` as JSON."""
         text = json.dumps(about).encode()
         self._path, self._at = path, _ABOUT.size + len(text)
         self._number, self._content = 0, b""
         new = path.with_name(f"{path.name}.{os.getpid()}")
         self._fd = os.open(new, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o600)
         os.pwrite(self._fd, _ABOUT.pack(len(text)) + text, 0)
-        os.posix_fallocate(self._fd, self._at, _LARGEST)  # a full memory is refused here and not later
-        new.replace(path)  # readers of an earlier run keep theirs
+        os.posix_fallocate(self._fd, self._at, _LARGEST)  # a full memory fails here, not later
+        new.replace(path)  # readers of an earlier run keep its file
 
     def write(self, row: np.void | Rows, figures: Rows, events: bytes = b"[]") -> None:
-        """Show a row of the table, figures () of FIGURES and events, a JSON list."""
+        """Write a row of the table, figures () of FIGURES and events as a JSON list."""
         self._number, self._content = self._number + 1, row.tobytes() + figures.tobytes() + events
         self._put(ended=False)
 
     def close(self) -> None:
-        """Mark the last piece as such and remove the file; who has opened it keeps what was shown last."""
+        """Mark the last piece as final and remove the file; open readers keep the last piece."""
         self._put(ended=True)
         with contextlib.suppress(OSError):
-            if self._path.stat().st_ino == os.fstat(self._fd).st_ino:  # not that of a run that has followed
+            if self._path.stat().st_ino == os.fstat(self._fd).st_ino:  # not the file of a later run
                 self._path.unlink()
         os.close(self._fd)
 
@@ -93,14 +93,14 @@ class Mirror:
 
 
 def _crc(number: int, ended: int, content: bytes) -> int:
-    """Return the checksum of a piece: of its head, too, which may be new where the rest is old."""
+    """Checksum of a piece and its head: the head may be new while the rest is old."""
     return zlib.crc32(content, (2 * number + ended) & 0xFFFFFFFF)
 
 
 class MirrorReader:
-    """The reader's end, read-only. State: the mapping.
+    """Read-only reader's end of the mirror. State: the mapping.
 
-    Raises FileNotFoundError where nothing runs, LogError where another version of this program does.
+    Raises FileNotFoundError if nothing runs, LogError if another version of this program runs.
     """
 
     def __init__(self, path: Path) -> None:
@@ -115,17 +115,19 @@ class MirrorReader:
         except (struct.error, ValueError, KeyError, TypeError):
             known = False
         if not known:
-            raise LogError(f"{path} is of another version of hil: use the version that runs there")
+            raise LogError(
+                f"{path} was written by another version of hil: use the version of the running controller"
+            )
         self.dtype = Table("", columns_of(self.about["columns"])).dtype
 
     @property
     def newest(self) -> int:
-        """Number of the newest piece; 0 while there is none."""
+        """Number of the newest piece; 0 before the first."""
         number, *_ = _PIECE.unpack_from(self._map, self._at)
         return int(number)
 
     def read(self) -> Piece | None:
-        """Return the newest piece; None while there is none, or where it is being written just now."""
+        """Newest piece; None before the first, or while one is being written."""
         number, ended, size, crc = _PIECE.unpack_from(self._map, self._at)
         start = self._at + _PIECE.size
         content = self._map[start : start + size]

@@ -1,4 +1,4 @@
-"""Packs ticks into the bytes of their MCAP Message records: one kernel for whatever columns a table has.
+"""Packs ticks into the bytes of their MCAP Message records: one kernel for any table of columns.
 
 The recorder runs its machine code and imports neither this file nor Numba.
 """
@@ -33,7 +33,7 @@ _S = 1_000_000_000
 
 @helper
 def _put(out: Bytes, at: int, value: int, size: int) -> None:
-    """Store so many bytes of a number: where `size` is a constant, the compiler makes one store of them."""
+    """Store the low `size` bytes of a number; for a constant `size` the compiler emits one store."""
     for k in range(size):
         out[at + k] = value >> 8 * k & 0xFF
 
@@ -53,7 +53,7 @@ def _put_bytes(out: Bytes, at: int, data: Bytes, first: int, size: int) -> None:
 
 @helper
 def _put_header(out: Bytes, at: int, tick: int, log_time: int, publish_time: int) -> None:
-    """Fill the header of a record; its opcode, length and channel are in the template."""
+    """Fill the header of a record; the template has its opcode, length and channel."""
     _put(out, at + 11, tick, 4)
     _put(out, at + 15, log_time, 8)
     _put(out, at + 23, publish_time, 8)
@@ -76,9 +76,9 @@ def _put_row(out: Bytes, at: int, rows: Ints, first: int, places: Ints, placed: 
 def _put_frame(
     out: Bytes, at: int, items: Ints, item: int, template: Bytes, table: Ints, row: int, log_time: int
 ) -> int:
-    """Write the record of a frame but for its header, tick and index; return how many bytes its data are.
+    """Write a frame's record without header, tick and index; the result is the length of its data.
 
-    `row` is where the row of its bus begins in the table.
+    `row`: start of the row of its bus in the table.
     """
     start, size, data = table[row], table[row + 1], table[row + 2]
     words = items[_WORDS * item + 1]
@@ -92,7 +92,7 @@ def _put_frame(
     _put_varint5(out, at + table[row + SECONDS], log_time // _S)
     _put_varint5(out, at + table[row + NANOS], log_time % _S)
     _put(out, at + table[row + ID], words, 4)
-    code = 0  # of ISO 11898-1
+    code = 0  # DLC of ISO 11898-1
     while FD_LENGTHS[code] < length:
         code += 1
     out[at + table[row + DLC]] = code
@@ -126,18 +126,18 @@ def pack(
     out: Bytes,
     index: Ints,
 ) -> int:
-    """Write the records of a batch in the order of the file: of each tick its row, its items, its views.
+    """Write the records of a batch in file order: of each tick its row, its items, its views.
 
-    sizes : rows, items and rare messages; words of a row, places in its record and bytes of it; buses; UTC of
-    t_ns = 0, ns. The first becomes the number of messages.
-    when : (rows + 1,) ticks, of the row to come, too; (rows + 1,) their UTC, ns; (items,) each item's row.
+    sizes : number of rows, items and rare messages; words of a row, places in its record, bytes of its
+    record; number of buses; UTC of t_ns = 0, ns. Element 0 is overwritten by the number of messages.
+    when : (rows + 1,) ticks, the next row included; (rows + 1,) their UTC, ns; (items,) row of each item.
     rows, items : as in the ring, in words of eight bytes.
-    row_template, row_table : the record of a row and `hil.record.row.RowCodec.places`.
+    row_template, row_table : record of a row and `hil.record.row.RowCodec.places`.
     frame_template, frame_table : of `hil.record.layout.frame_table`.
-    rare, rare_table : complete records one behind the other; (5,) of each: its row, the item in front of
-    which it stands, its bytes, channel, log time. Items that are no frames have no other record.
-    out : the records; there is room for eight bytes more. index : (messages + 1, 4), start in `out`, channel,
-    log time, row; of the last one the start alone.
+    rare, rare_table : complete records back to back; for each (5,) its row, the item that it precedes, its
+    bytes, channel, log time. Items other than frames have no other record.
+    out : the records, with eight spare bytes. index : (messages + 1, 4), start in `out`, channel, log time,
+    row; the last one has the start alone.
     """
     count, total, rares, words = sizes[0], sizes[1], sizes[2], sizes[3]
     placed, row_size, buses, epoch = sizes[4], sizes[5], sizes[6], sizes[7]

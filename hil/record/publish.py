@@ -1,7 +1,7 @@
-"""What the recorder shows of a run: a status line, a mirror of the newest row, its messages on a websocket.
+"""Live outputs of the recorder: a status line, a mirror of the newest row, messages on a websocket.
 
-It looks at the ring and copies; the ring is drained as it would be without it. The SDK of Foxglove sends in
-threads of its own; a client that reads too slowly loses the oldest messages.
+They copy from the ring and do not change how it is drained. The Foxglove SDK sends in its own threads; a
+client that reads too slowly loses the oldest messages.
 """
 
 import json
@@ -24,20 +24,20 @@ from hil.record.ring import DROPPED, EVENT, READ, Batch, Ring
 from hil.record.schema import LEVEL_NAMES, LIBRARY, Schema
 
 TERMINAL_S = 0.2
-"""Time between two lines on a terminal, which overwrite one another."""
+"""Time between two lines on a terminal, where each overwrites the one before."""
 PLAIN_S = 5.0
-"""Time between two lines elsewhere."""
+"""Time between two lines of any other output."""
 LAST_EVENTS = 40
 LONGEST_EVENT = 600
-"""Characters that are shown of one; all are in the log."""
+"""Most characters shown of one event; the log has all of them."""
 _WINDOW_NS = 1_000_000_000
 _PEAKS = {"late_ns": "lateness_ns", "compute_ns": "compute_ns"}
 
 
 class Publisher:
-    """Fills a mirror from the ring of a run, whose rows have dtype ROW.
+    """Fills a mirror from the ring of a run with rows of dtype ROW.
 
-    Mutable state: which rows were counted, the counts, the last events.
+    Mutable state: the number of rows counted, the figures, the last events.
     """
 
     def __init__(self, ring: Ring, mirror: Mirror) -> None:
@@ -47,12 +47,12 @@ class Publisher:
         self._figures["capacity"] = ring.capacity
         self._events: deque[dict[str, Any]] = deque(maxlen=LAST_EVENTS)
         self._text = b"[]"
-        self._heard = 0
+        self._event_count = 0
         self._window_ns = 0
         self._before, self._present = dict.fromkeys(_PEAKS, 0), dict.fromkeys(_PEAKS, 0)
 
     def publish(self, log_bytes: int) -> None:
-        """Show the newest row that the producer has published; log_bytes: the size of the log so far."""
+        """Show the newest published row; log_bytes: size of the log so far."""
         rows = self._ring.since(self._counted)
         if len(rows):
             self._count(rows)
@@ -64,16 +64,16 @@ class Publisher:
         self._mirror.write(self._ring.rows[(self._counted - 1) % self._ring.capacity], figures, self._text)
 
     def drained(self, batch: Batch) -> None:
-        """Take a batch into account before its room is given back."""
+        """Count a batch before the ring releases its room."""
         first = self._ring.counters[READ]
         self._count(batch.rows[max(0, self._counted - first) :])
         found = np.flatnonzero((batch.items["kind"] == EVENT) & (batch.items["id"] == 0)).tolist()
         for i in found:
             t_ns, level, text = batch.items[i]["t_ns"], batch.items[i]["flags"], event_text(batch.items, i)
-            self._heard += 1
+            self._event_count += 1
             self._events.append(
                 {
-                    "number": self._heard,
+                    "number": self._event_count,
                     "t_ns": int(t_ns),
                     "level": LEVEL_NAMES[int(level)],
                     "text": text if len(text) <= LONGEST_EVENT else f"{text[:LONGEST_EVENT]} …",
@@ -83,7 +83,7 @@ class Publisher:
             self._text = json.dumps(list(self._events)).encode()
 
     def close(self) -> None:
-        """Show the last events, and that nothing follows."""
+        """Show the last events and mark the end."""
         self.publish(int(self._figures["log_bytes"]))
         self._mirror.close()
 
@@ -106,11 +106,11 @@ class Publisher:
 class LiveView:
     """Rewrites one line on a terminal, or adds one every few seconds elsewhere.
 
-    Mutable state: when the next line is due, and what has happened since the last one.
+    Mutable state: the time of the next line, the counts so far, the lateness since the last line.
     """
 
     def __init__(self, out: TextIO, reference_s: float | None) -> None:
-        """Write to `out`; `reference_s` is the length of the reference, None if it has no end."""
+        """Write to `out`; `reference_s` is the length of the reference, None without an end."""
         self._out = out
         self._reference_s = reference_s
         self._terminal = out.isatty()
@@ -119,7 +119,7 @@ class LiveView:
         self._late_us = 0.0
 
     def show(self, rows: Rows) -> None:
-        """Take a batch of rows of dtype ROW into account, and draw if it is time."""
+        """Count a batch of rows of dtype ROW, and draw the line when it is due."""
         if not len(rows):
             return
         self._stale += int(np.count_nonzero(rows["warnings"] & Warn.STALE))
@@ -133,7 +133,7 @@ class LiveView:
         self._late_us = 0.0
 
     def line(self, row: Any) -> str:
-        """Return the status as of one row."""
+        """Status line for one row."""
         mode = Mode(int(row["mode"]))
         parts = [f"{mode.name.lower():9s}"]
         if mode is Mode.TRACKING:
@@ -150,7 +150,7 @@ class LiveView:
         return "  ".join(parts)
 
     def end(self) -> None:
-        """Leave the line."""
+        """Clear the line on a terminal."""
         if self._terminal:
             self._draw("")
 
@@ -163,15 +163,15 @@ class LiveView:
 
 
 BACKLOG = 8192
-"""Messages that wait for one client, at most; a batch of 0.1 s at 1 kHz has some 1,600."""
+"""Most messages that wait for one client; a batch of 0.1 s at 1 kHz has about 1,600."""
 GOODBYE_S = 1.0
-"""Time that the clients have at the end of a run."""
+"""Time limit for the clients to read the rest at the end of a run."""
 
 
 class LiveSocket:
-    """A server on which clients subscribe to the channels of a log. State: the server; None once it failed.
+    """Websocket server with the channels of a log. State: the server; None after an error or the end.
 
-    Raises LogError: foxglove-sdk is not installed, or nothing can listen at host and port.
+    Raises LogError: foxglove-sdk is not installed, or the server cannot listen at host and port.
     """
 
     def __init__(
@@ -184,15 +184,15 @@ class LiveSocket:
                 f"recording.websocket: needs foxglove-sdk, which is not installed ({error}): "
                 'pip install "hexapod-hil[viewers]", or leave recording.websocket out'
             ) from error
-        foxglove.set_log_level("CRITICAL")  # what a client does wrong is no news to the operator
-        self._context = foxglove.Context()  # the server holds it weakly
+        foxglove.set_log_level("CRITICAL")  # mistakes of clients do not concern the operator
+        self._context = foxglove.Context()  # the server has only a weak reference to it
         try:
             self._server: Any = foxglove.start_server(
                 name=LIBRARY, host=host, port=port, context=self._context, message_backlog_size=BACKLOG
             )
         except RuntimeError as error:
             raise LogError(
-                f"recording.websocket: {host}:{port}: {error}: name another port, or end who listens there"
+                f"recording.websocket: {host}:{port}: {error}: set another port, or free this one"
             ) from error
         self._channels = {
             number: foxglove.Channel(
@@ -206,23 +206,23 @@ class LiveSocket:
         }
 
     def publish(self, messages: Messages) -> None:
-        """Hand a batch to the clients of its channels. Never raises, never waits for a client."""
+        """Send a batch to the subscribers of its channels. Never raises, never waits for a client."""
         if self._server is None:
             return
-        heard = {number: channel for number, channel in self._channels.items() if channel.has_sinks()}
-        if not heard:
+        subscribed = {number: channel for number, channel in self._channels.items() if channel.has_sinks()}
+        if not subscribed:
             return
         try:
             for number, log_time, record in zip(
                 messages.channel.tolist(), messages.log_time.tolist(), messages.records(), strict=True
             ):
-                if number in heard:
-                    heard[number].log(bytes(record[RECORD_HEADER:]), log_time=log_time)
-        except RuntimeError:  # the log goes on without its viewers
+                if number in subscribed:
+                    subscribed[number].log(bytes(record[RECORD_HEADER:]), log_time=log_time)
+        except RuntimeError:  # the log continues without viewers
             self.close()
 
     def close(self) -> bool:
-        """Send what still waits and say goodbye; return whether all clients took it within GOODBYE_S."""
+        """Send the waiting messages and close; False if a client did not take them within GOODBYE_S."""
         if self._server is None:
             return True
         goodbye = threading.Thread(target=self._server.stop, daemon=True)

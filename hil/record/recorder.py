@@ -1,7 +1,7 @@
-"""The recorder process: drains the ring and writes the log until its producer closes or dies.
+"""Recorder process: drains the ring and writes the log until its producer closes or dies.
 
-Signals do not end it. Started as `python -m hil.record RING_FD PRODUCER_PID`; the set-up, then the summary
-come on standard input, answers go to standard output, as `hil.record.child` sends and receives them.
+Signals do not end it. Command: `python -m hil.record RING_FD PRODUCER_PID`. It reads the set-up, then the
+summary, from standard input and answers on standard output (`hil.record.child` is the other end).
 """
 
 from __future__ import annotations
@@ -35,22 +35,22 @@ from hil.record.row import Run, Table
 from hil.record.schema import CLEAN, DISK_FULL, ENVIRONMENT, IDENTITY, LIBRARY, PRODUCER_DIED, SUMMARY
 
 FLUSH_S = 0.1
-"""Between two chunks in real time; half of what may be lost when all is killed at once."""
+"""Time between two chunks in real time; half of the data that a sudden end of all processes can lose."""
 _POLL_S = 0.02
-"""Between two looks for the newest row in real time."""
+"""Polling period for the newest row in real time."""
 _LOCKSTEP_POLL_S = 0.004
 _SYNC_S = 1.0
 _MOST_TICKS = 2048
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
-"""No space on the disk, none of this user's share, or of what a process may write (`ulimit -f`)."""
+"""Disk full, quota exceeded, or file size limit of the process (`ulimit -f`) reached."""
 _MEDIA = {".yaml": "application/yaml", ".json": "application/json", ".dbc": "text/plain", ".csv": "text/csv"}
 
 
 class Recorder:
-    """One log being written. State: the ring's read side, the file, what was counted."""
+    """One log being written. State: the ring's read side, the file, the live outputs."""
 
     def __init__(self, ring: Ring, run: Run, setup: Mapping[str, Any]) -> None:
-        """Open the log; setup: as `hil.record.recording.Recording.start` makes it."""
+        """Open the log; `setup` comes from `hil.record.recording.Recording.start`."""
         self._ring = ring
         self._lockstep = run.lockstep
         self._encoder = Encoder(
@@ -60,7 +60,7 @@ class Recorder:
             scene=setup["scene"],
             packer=setup.get("packer"),
         )
-        # fixed batches make the whole data section, not only its messages, the same for the same run
+        # fixed batches make the whole data section reproducible, not only its messages
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
         live: Live = setup["live"]
@@ -72,9 +72,9 @@ class Recorder:
         try:
             self._open(setup)
         except (OSError, ValueError):
-            self.file.discard()  # no tick is in it
+            self.file.discard()  # it has no tick
             raise
-        self._publisher = _publisher(ring, setup["mirror"])  # last: a run that never was is not shown
+        self._publisher = _publisher(ring, setup["mirror"])  # last: only a run that has started is shown
 
     def _open(self, setup: Mapping[str, Any]) -> None:
         self.file.add_metadata(IDENTITY, setup["identity"])
@@ -88,7 +88,7 @@ class Recorder:
         self.file.sync()
 
     def run(self, control: _Control) -> None:
-        """Drain until the producer closes or dies, and show no more, also where something fails."""
+        """Drain until the producer closes or dies; end the live outputs in any case."""
         try:
             self._drain_while(control)
         finally:
@@ -117,23 +117,23 @@ class Recorder:
             pass
 
     def close(self, summary: Mapping[str, str] | None) -> dict[str, object]:
-        """Write the summary, close the file; `summary` is None when the producer died."""
+        """Write the summary, close the file and give the final reply; `summary` None: the producer died."""
         counts = self._counts(CLEAN if summary is not None else PRODUCER_DIED)
         self.file.add_metadata(SUMMARY, {**(summary or {}), **counts})
         self.file.finish()
-        return self._told(counts)
+        return self._final_reply(counts)
 
     def close_full(self, error: OSError) -> dict[str, object]:
-        """Close the file where it cannot grow any more, with what fits; return what the producer is told."""
+        """Close the log on a full disk with the content that fits, and give the final reply."""
         self.file.finish_within(SUMMARY, lambda: self._counts(DISK_FULL))
         return {
-            **self._told(self._counts(DISK_FULL)),
+            **self._final_reply(self._counts(DISK_FULL)),
             "error": f"{DISK_FULL}: {error.strerror}; the log is closed and holds the first "
             f"{self.file.messages_of(TICK)} ticks, {self.file.position} bytes: {self.file.path}",
         }
 
-    def _told(self, counts: Mapping[str, object]) -> dict[str, object]:
-        """Return what the producer is told of a log that is closed."""
+    def _final_reply(self, counts: Mapping[str, object]) -> dict[str, object]:
+        """Final reply to the producer about a closed log."""
         times = os.times()
         return {**counts, "size_bytes": self.file.position, "recorder_cpu_s": times.user + times.system}
 
@@ -146,7 +146,7 @@ class Recorder:
         }
 
     def _drain(self, limit: int) -> bool:
-        """Write up to `limit` ticks; return whether there was anything."""
+        """Write up to `limit` ticks; False if the ring was empty."""
         batch = self._ring.take(limit)
         if not len(batch.rows) and not len(batch.items):
             return False
@@ -179,7 +179,7 @@ class Recorder:
 
 
 def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> Publisher | None:
-    """Return what shows the run to watchers. A run that cannot be shown is recorded all the same."""
+    """Publisher of a run for watchers; None without a mirror, or if the mirror cannot be created."""
     if mirror is None:
         return None
     try:
@@ -190,7 +190,7 @@ def _publisher(ring: Ring, mirror: tuple[Path, Mapping[str, object]] | None) -> 
 
 
 class _Control:
-    """The producer's end: its last words on a pipe, and whether it lives. State: these words."""
+    """Watch on the producer: its summary on a pipe, and its life. State: the summary."""
 
     def __init__(self, pipe: IO[bytes], producer: int) -> None:
         self._pipe = pipe
@@ -198,14 +198,14 @@ class _Control:
         self._poll = select.poll()
         self._poll.register(pipe, select.POLLIN)
         self._pidfd = -1
-        # the pipe alone could be held open by a child of the producer that outlives it
+        # a child that outlives the producer could hold the pipe open
         with contextlib.suppress(OSError):
             self._pidfd = os.pidfd_open(producer)
             self._poll.register(self._pidfd, select.POLLIN)
         self._orphan = os.getppid() != producer
 
     def ended(self, timeout_s: float) -> bool:
-        """Wait up to `timeout_s`; return whether the producer has closed or died."""
+        """Wait up to `timeout_s`; True if the producer has closed or died."""
         ready = {fd for fd, _ in self._poll.poll(timeout_s * 1000.0)}
         if self._pipe.fileno() in ready:
             self.summary = receive(self._pipe)
@@ -220,7 +220,7 @@ def answer(message: Mapping[str, object]) -> None:
 
 
 def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
-    """Record until the producer closes or dies, or the disk is full; return what became of the log."""
+    """Record until the producer closes or dies, or the disk is full; the result is the final reply."""
     try:
         recorder.run(control)
         return recorder.close(control.summary)
@@ -231,7 +231,7 @@ def _recorded(recorder: Recorder, control: _Control) -> dict[str, object]:
 
 
 def main(arguments: list[str]) -> int:
-    """Run the recorder; return the exit code."""
+    """Run the recorder; the result is the exit code."""
     for name in ("SIGINT", "SIGTERM", "SIGHUP"):
         signal.signal(getattr(signal, name), signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
@@ -250,7 +250,7 @@ def main(arguments: list[str]) -> int:
         answer({"ready": True})
         answer(_recorded(recorder, control))
         if recorder.socket is not None and not recorder.socket.close():
-            os._exit(0)  # the log is closed; a client that does not read would hold the process
+            os._exit(0)  # the log is closed; a client that does not read would block the exit
     except FileExistsError as error:
         trouble = f"{error.filename} exists and is never overwritten: choose another name for the log"
     except OSError as error:

@@ -1,7 +1,7 @@
-"""The producer's end of a recording: what the loop calls, once per tick.
+"""Producer's end of a recording, called by the loop once per tick.
 
-`tick` writes to shared memory and does nothing else: no file, no lock, no system call. In real time it never
-waits: when the ring is full the tick is dropped and counted. In lockstep it waits for room.
+`tick` only writes to shared memory: no file, no lock, no system call. In real time it never waits: if the
+ring is full, the tick is dropped and counted. In lockstep it waits for room.
 """
 
 import contextlib
@@ -40,7 +40,7 @@ from hil.record.schema import CONFIGURATION, LEVELS
 from hil.signals import Operator, Order, SetPoint
 
 LOCKSTEP_EPOCH_NS = 946_684_800_000_000_000
-"""2000-01-01T00:00:00Z: the UTC of t_ns = 0 in lockstep."""
+"""2000-01-01T00:00:00Z, the UTC of t_ns = 0 in lockstep."""
 _SETPOINT = int(Operator.SETPOINT)
 _START_S = 20.0
 _PIECE = MAX_DATA
@@ -49,11 +49,11 @@ VIEW_EVERY = 33
 
 
 class RecorderEndedError(LogError):
-    """The recorder has ended while a simulation goes on: its disk is full, or it was killed."""
+    """The recorder ended during a simulation: its disk is full, or it was killed."""
 
 
 class Scene(NamedTuple):
-    """What the 3D view of the log shows."""
+    """Geometry for the 3D view of the log."""
 
     base_joints: Sequence[Sequence[float]]
     """(6, 3) m, base frame."""
@@ -63,42 +63,42 @@ class Scene(NamedTuple):
 
 
 class Live(NamedTuple):
-    """What is shown of a run while it is recorded."""
+    """Live outputs of a run while it is recorded."""
 
     status: bool = False
-    """A status line on standard error; rows of TICKS only."""
+    """Status line on standard error; for rows of TICKS only."""
     reference_s: float | None = None
-    """Length of the reference, whose progress the line shows."""
+    """Length of the reference, for the progress in the status line."""
     websocket: tuple[str, int] | None = None
-    """Host and port where viewers subscribe; in real time only."""
+    """Host and port for viewers; in real time only."""
 
 
 class LogSummary(NamedTuple):
-    """What became of the log."""
+    """State of the log after the run."""
 
     path: Path
     ticks: int
     """Ticks in the log."""
     messages: int
     dropped: int
-    """Ticks that found the ring full."""
+    """Ticks dropped because the ring was full."""
     lost: int
-    """Ticks that went into the ring and not into the log."""
+    """Ticks that entered the ring but not the log."""
     size_bytes: int
     recorder_cpu_s: float
-    """Processor time of the recorder, its start included."""
+    """Processor time of the recorder, including its start."""
     complete: bool
-    """The log was closed and holds every tick."""
+    """True if the log was closed and holds every tick."""
     error: str
-    """Why not, or empty."""
+    """Error of the recorder, or empty."""
     gave_up: bool
-    """The recorder itself could not write any more: the disk is full, or fails."""
+    """True if the recorder itself could not write any more: the disk is full, or fails."""
 
 
 class Recording:
     """A log being written by a recorder process.
 
-    State: counters of the ring's write side, the recorder's last words.
+    State: counters of the ring's write side, the final reply of the recorder.
     """
 
     def __init__(self, ring: Ring, process: subprocess.Popen[bytes], path: Path, *, lockstep: bool) -> None:
@@ -109,9 +109,9 @@ class Recording:
         self._counters = ring.counters
         self._items = 0
         self.ticks = 0
-        """Ticks that went into the ring."""
+        """Ticks that entered the ring."""
         self.dropped = 0
-        """Ticks that found the ring full."""
+        """Ticks dropped because the ring was full."""
         self._summary: LogSummary | None = None
         self._reply: Mapping[str, Any] | None = None
 
@@ -134,15 +134,17 @@ class Recording:
     ) -> Self:
         """Start a recorder process and open the log `path`, which is never overwritten.
 
-        Call it before the process is pinned or made real-time: the recorder inherits the affinity. The text
-        of the configuration and further (name, content) are attached; `metadata` goes into the metadata
-        record `hil`, as JSON where it is not text. `can_channel` names the bus in the frames, or several in
-        their order. In `lockstep` time is simulated: wait where the ring of `ring_ticks` is full, a fixed
-        epoch, reproducible messages; else `clock` is that of the times. `mirror`: where the newest row of
-        TICKS is shown, and what of the run is said there.
+        Call it before the process is pinned or made real-time: the recorder inherits the affinity.
 
-        Raises LogError where the log exists, cannot be written, or the recorder does not start; ValueError
-        where the table cannot be recorded.
+        configuration, attachments : text of the configuration and further (name, content), all attached.
+        metadata : content of the metadata record `hil`, as JSON where it is not text.
+        can_channel : name of the bus in the frames, or names of several in their order.
+        lockstep : simulated time: `tick` waits while the ring of `ring_ticks` is full; fixed epoch,
+        reproducible messages. Else `clock` gives the times.
+        mirror : file for the newest row of TICKS, and the description of the run in it.
+
+        Raises LogError: the log exists, cannot be written, or the recorder does not start. Raises ValueError:
+        the table cannot be recorded.
         """
         table.check()
         file = Path(path).absolute()
@@ -173,12 +175,12 @@ class Recording:
 
     @property
     def alive(self) -> bool:
-        """Whether the recorder process is still there."""
+        """True while the recorder process runs."""
         return self._process.poll() is None
 
     @property
     def trouble(self) -> str:
-        """Why the recorder has ended before it was asked to; empty while it lives."""
+        """Reason why the recorder ended early; empty while it runs and after `close`."""
         return "" if self.alive or self._summary is not None else self._error(self._last_words(0.0))
 
     def tick(
@@ -190,10 +192,10 @@ class Recording:
         setpoints: Sequence[SetPoint] = (),
         orders: Sequence[Order] = (),
     ) -> None:
-        """Record one tick: its row, frames consumed and sent in their order, commands, set-points, orders.
+        """Record one tick: row, frames consumed and sent in order, commands, set-points, motion commands.
 
-        Raises, in lockstep, LogError where one tick has more frames than the ring, RecorderEndedError where
-        the recorder has ended.
+        In lockstep, raises LogError if one tick has more frames than the ring, RecorderEndedError if the
+        recorder has ended.
         """
         outgoing = sent_at(int(row["t_ns"]), sent_array(sent))
         self.tick_of_items(row, received_array(received), outgoing, operator, setpoints, orders)
@@ -207,7 +209,7 @@ class Recording:
         setpoints: Sequence[SetPoint] = (),
         orders: Sequence[Order] = (),
     ) -> None:
-        """Record one tick as `tick` does, its frames as elements of FRAME: kind, time and bus are theirs."""
+        """Record one tick like `tick`, with frames as elements of FRAME that carry kind, time and bus."""
         data = received.tobytes() + sent.tobytes()
         if operator or setpoints or orders:
             now = int(row["t_ns"])
@@ -226,7 +228,7 @@ class Recording:
         self._publish(1, count)
 
     def ticks_of_items(self, rows: Rows, items: Rows, ends: Ints) -> None:
-        """Record ticks without commands as `tick_of_items` does; ends: how many items there are by each."""
+        """Record ticks without commands; ends: number of items up to the end of each tick."""
         ring, count = self._ring, len(rows)
         if count > 1 and (2 * count > ring.capacity or 2 * len(items) > ring.item_capacity):
             half = count // 2
@@ -241,7 +243,7 @@ class Recording:
             self._drop(count)
 
     def _publish(self, ticks: int, items: int) -> None:
-        """Let the recorder see ticks that were put into the ring, and their items."""
+        """Make ticks in the ring and their items visible to the recorder."""
         self._items += items
         fence()
         self.ticks += ticks
@@ -252,8 +254,8 @@ class Recording:
         self._counters[DROPPED] = self.dropped
 
     def event(self, t_ns: int, level: str, text: str) -> None:
-        """Record a text of `level` debug, info, warning or error; it stands before the next tick."""
-        data = text.encode(errors="replace")  # it may name a file whose name is no UTF-8
+        """Record a text of `level` debug, info, warning or error; it precedes the next tick."""
+        data = text.encode(errors="replace")  # it may contain a file name that is not UTF-8
         pieces = [data[i : i + _PIECE] for i in range(0, len(data), _PIECE)] or [b""]
         if not self._has_room(len(pieces)):
             return
@@ -264,9 +266,9 @@ class Recording:
         self._counters[EVENTS] = self._items
 
     def close(self, summary: Mapping[str, object] | None = None, *, timeout_s: float = 60.0) -> LogSummary:
-        """Have the ring drained and the log closed; `summary` goes into its metadata.
+        """Drain the ring and close the log; `summary` goes into its metadata.
 
-        A recorder that died raises nothing here: the result says so.
+        A dead recorder raises no error here: the result reports it.
         """
         if self._summary is None:
             with contextlib.suppress(OSError):
@@ -294,7 +296,7 @@ class Recording:
         )
 
     def _last_words(self, timeout_s: float) -> Mapping[str, Any]:
-        """Return what the recorder says at its end, read once."""
+        """Final reply of the recorder, read once."""
         if self._reply is None:
             self._reply = answer(self._process, timeout_s)
         return self._reply
@@ -304,7 +306,7 @@ class Recording:
         return str(reply.get("error", "" if "ticks" in reply else died))
 
     def _has_room(self, count: int, rows: int = 1) -> bool:
-        """Return whether rows and `count` items fit; in lockstep wait until they do."""
+        """True if rows and `count` items fit; in lockstep, wait until they do."""
         ring, counters = self._ring, self._counters
         while (
             self.ticks + rows - counters[READ] > ring.capacity
@@ -315,7 +317,7 @@ class Recording:
             if not self.alive:
                 raise RecorderEndedError(f"{self.path}: {self.trouble}")
             if count > ring.item_capacity:
-                raise LogError(f"one tick with {count} frames: the ring holds {ring.item_capacity}")
+                raise LogError(f"one tick has {count} frames, but the ring holds {ring.item_capacity}")
             time.sleep(0.0002)
         return True
 
@@ -327,7 +329,7 @@ class Recording:
 
 
 def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
-    """Return the recorder process with its log open. Raises LogError."""
+    """Recorder process with its log open. Raises LogError."""
     process = spawn(ring)
     try:
         from hil.record.packer import pack  # noqa: PLC0415 - Numba; the process starts meanwhile
@@ -336,7 +338,7 @@ def _start(ring: Ring, setup: Mapping[str, Any]) -> subprocess.Popen[bytes]:
         reply = answer(process, _START_S)
     except OSError:
         reply = answer(process, 1.0)
-    except BaseException:  # an interrupt: it closes its file and leaves
+    except BaseException:  # an interrupt: the recorder closes its file and ends
         finish(process)
         raise
     if "ready" not in reply:

@@ -1,8 +1,8 @@
-"""One-producer one-consumer ring in shared memory: rows of ticks, and what belongs to them.
+"""One-producer one-consumer ring in shared memory: rows of ticks and their items.
 
-Two rings side by side: `rows`, one element per tick, and `items`, one per frame, operator command or piece of
-an event's text; `ends` has where a tick's items end. Each side stores its own counters alone, as aligned
-eight-byte words, after the data they speak of: a tick that its producer did not finish is not seen.
+Two rings side by side: `rows` has one element per tick; `items` has one per frame, operator command or piece
+of an event's text. `ends` has the end of each tick's items. Each side stores only its own counters, as
+aligned eight-byte words, after the data that they count. So the consumer never sees an unfinished tick.
 """
 
 from __future__ import annotations
@@ -21,26 +21,27 @@ from drivers.arrays import Ints, Rows
 from drivers.frame_array import FRAME
 
 RECEIVED, SENT, OPERATOR, EVENT = range(4)
-"""Kinds of item: a frame, a command of the operator or a piece of an event, each in the form of a frame.
+"""Kinds of item: a frame, an operator command or a piece of an event, each in the form of a frame.
 
-Operator: id is the command, data its numbers (`pack_numbers`). Event: id is how many pieces
-follow, flags the level."""
+Operator: id is the command, data its numbers (`pack_numbers`). Event: id is the number of pieces that follow,
+flags the level."""
 
 
 def pack_numbers(numbers: Sequence[float]) -> bytes:
-    """Return the numbers of a command as data of an item: float64, at most eight."""
+    """Numbers of a command as the data of an item: float64, at most eight."""
     return struct.pack(f"<{len(numbers)}d", *numbers)
 
 
 def unpack_numbers(data: bytes) -> tuple[float, ...]:
-    """Return the numbers of a command."""
+    """Numbers of a command from the data of an item."""
     return struct.unpack(f"<{len(data) // 8}d", data)
 
 
 ITEMS_PER_TICK = 16
 _HEADER = 4096
 WRITTEN, EVENTS, DROPPED, READ, READ_ITEMS = 0, 1, 2, 16, 17
-"""Counters: rows published, items published by events, ticks dropped (producer); rows and items read."""
+"""Counters of the producer: rows published, items published by events, ticks dropped; of the consumer: rows
+and items read."""
 
 Scalar = TypeVar("Scalar", bound=np.generic)
 _lock = Lock()
@@ -55,16 +56,16 @@ def fence() -> None:
 
 
 class Batch(NamedTuple):
-    """A run of ticks, possibly with events that follow the last of them."""
+    """Consecutive ticks, possibly with events after the last one."""
 
     rows: Rows
     items: Rows
     tick: Ints
-    """For each item the position of its row in `rows`; len(rows) for events after the last row."""
+    """For each item, the index of its row in `rows`; len(rows) for events after the last row."""
 
 
 class Ring:
-    """The mapping; `create` makes one, `Ring(fd, ...)` attaches to an inherited one."""
+    """Shared mapping; `create` makes a new one, `Ring(fd, ...)` attaches to an inherited one."""
 
     def __init__(self, fd: int, dtype: np.dtype[np.void], capacity: int) -> None:
         self.fd = fd
@@ -76,7 +77,7 @@ class Ring:
         size = items + FRAME.itemsize * self.item_capacity
         if os.fstat(fd).st_size < size:
             os.ftruncate(fd, size)
-        # all pages mapped now: a first touch in the loop would cost a fault each
+        # map all pages now: else each first access in the loop costs a page fault
         self._map = mmap.mmap(fd, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
         self._view = memoryview(self._map)
         self.counters = self._view[:_HEADER].cast("q")
@@ -89,7 +90,7 @@ class Ring:
 
     @classmethod
     def create(cls, dtype: np.dtype[np.void], capacity: int) -> Ring:
-        """Return a new ring over an anonymous file."""
+        """Create a ring over an anonymous file."""
         return cls(os.memfd_create("hil-ring"), dtype, capacity)
 
     def close_fd(self) -> None:
@@ -99,19 +100,19 @@ class Ring:
         self.fd = -1
 
     def put(self, number: int, data: bytes) -> None:
-        """Copy bytes of items to their places from `number` on; there is room for them."""
+        """Copy the bytes of items to their places from `number` on; the caller has checked the room."""
         _put(self.item_bytes, number % self.item_capacity * FRAME.itemsize, data)
 
     def put_rows(self, number: int, rows: Rows, ends: Ints) -> None:
-        """Copy rows, and where the items of each end, to their places from `number` on."""
+        """Copy rows, and the end of the items of each, to their places from `number` on."""
         place = number % self.capacity
         if rows.dtype is not self.rows.dtype:
             rows = rows.astype(self.rows.dtype)
-        _put(self._row_bytes, place * rows.dtype.itemsize, rows.tobytes())  # far faster than by fields
+        _put(self._row_bytes, place * rows.dtype.itemsize, rows.tobytes())  # far faster than field by field
         _put(self._ends_array, place, ends)
 
     def ready(self, limit: int) -> bool:
-        """Return whether `limit` rows wait, or a quarter of the room for items is taken."""
+        """True if `limit` rows wait, or if items take a quarter of their room."""
         events = self.counters[EVENTS]
         written, read = self.counters[WRITTEN], self.counters[READ]
         end = self.ends[(written - 1) % self.capacity]
@@ -120,10 +121,10 @@ class Ring:
         )
 
     def take(self, limit: int) -> Batch:
-        """Return up to `limit` published rows with their items; `release` gives their room back.
+        """Up to `limit` published rows with their items; `release` gives their room back.
 
-        Fewer rows when their items take a quarter of the room: where a batch ends depends on what is in the
-        ring, not on when it is read. The arrays may be views of the ring: they are valid until `release`.
+        Fewer rows if their items take a quarter of the room: the end of a batch depends on the content of the
+        ring, not on the time of the read. The arrays may be views of the ring, valid until `release`.
         """
         events = self.counters[EVENTS]  # first: every row that precedes these events is then visible
         fence()
@@ -145,13 +146,13 @@ class Ring:
         return Batch(rows, _span(self._items, first, end), tick)
 
     def since(self, row: int) -> Rows:
-        """Return the published rows from number `row` on, none of them released, as views of the ring."""
+        """Published rows from number `row` on, none of them released; the array may be a view of the ring."""
         written = self.counters[WRITTEN]
         fence()
         return _span(self.rows, row, written)
 
     def release(self, batch: Batch) -> None:
-        """Give the room of the batch taken last back to the producer."""
+        """Give the room of the last batch back to the producer."""
         fence()
         self.counters[READ_ITEMS] += len(batch.items)
         self.counters[READ] += len(batch.rows)
@@ -168,7 +169,7 @@ def _put(ring: Any, first: int, values: Any) -> None:
 
 
 def _span(ring: NDArray[Scalar], start: int, stop: int) -> NDArray[Scalar]:
-    """Return elements start..stop of the endless sequence that the ring holds the end of."""
+    """Elements start..stop of an endless sequence, of which the ring holds the end."""
     first, last = start % len(ring), stop % len(ring)
     if start == stop:
         return ring[:0]

@@ -1,8 +1,8 @@
-"""The row of a log, made from its table of columns: NumPy type, wire layout, protobuf schema, description.
+"""Row of a log, built from its table of columns: NumPy type, wire layout, protobuf schema, description.
 
-A viewer finds names: elements are the fields of a message, an enumeration is an enum, flags are a message of
-bools. The number, which may have no name, stands in front of them in the field `<column>_number`; nothing but
-that is read back.
+Viewers get names: elements become fields of a message, an enumeration becomes an enum, flags become a message
+of bools. The number, which may have no name, precedes them in the field `<column>_number`. Of these, only the
+number is read back.
 """
 
 import json
@@ -22,35 +22,35 @@ from hil.record.schema import PACKAGE, Schema, Type, add_field, comment, new_fil
 
 NUMBER = "_number"
 UNNAMED = 127
-"""What an enum shows of a number from here on, or below 0."""
+"""Enum value for numbers from here on, or below 0."""
 WHOLE, NAMED = -1, -2
-"""What of a number goes into a field: all eight bytes, or what its enum shows."""
+"""Content of a field: all eight bytes of a number, or its enum value."""
 MOST_ROW_BYTES = 1 << 16
-"""Of a log; ours take a twentieth."""
+"""Largest row of a log; our own rows take a twentieth."""
 _LONGEST_TEXT, _MOST_AXES = 500, 4
 _MOST_BUSES, _LONGEST_BUS = 16, 4096
-"""Most buses in a log, and most characters in a bus name: a layout of frames is made for each name."""
+"""Most buses in a log, and most characters in a bus name; each name needs its own frame layout."""
 _TABLES = 16
-"""So many are kept as they were read: a process may read thousands of logs, and most describe the same."""
+"""Number of cached tables: a process may read thousands of logs, most with the same table."""
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,99}")
-"""Of values: what enumerations of Python take; `mro` is refused by them."""
+"""Allowed names of enumeration values; Python itself refuses `mro`."""
 _MOST_ELEMENTS = 63
-"""Bits of a number; their tags take two bytes at most."""
+"""Most elements: the bits of a number; their tags take at most two bytes."""
 
 
 class Table(NamedTuple):
-    """Rows of one kind."""
+    """Topic and columns of one kind of row."""
 
     topic: str
     columns: tuple[Column, ...]
 
     @property
     def dtype(self) -> np.dtype[np.void]:
-        """Type of a row, one object for one table: a row of it goes into the ring in one copy."""
+        """Type of a row: one object per table, so that a row enters the ring in one copy."""
         return _dtype(self.columns)
 
     def check(self) -> None:
-        """Refuse a table that has not the constant layout, or whose enumerations protobuf cannot name.
+        """Check that the table has a constant layout and that protobuf can name its enumerations.
 
         Raises ValueError: no scalar integer `tick` or `t_ns`; a column that is too large, or whose names do
         not fit.
@@ -88,13 +88,13 @@ TICKS = Table("/tick", RECORDED)
 
 
 def completed(columns: tuple[Column, ...]) -> tuple[Column, ...]:
-    """Columns of a log, and those of LATER behind them where it is one of ticks that lacks them."""
+    """Columns of a log, extended by LATER if it is a log of ticks without them."""
     older = [c.name for c in RECORDED[: -len(LATER)]]
     return (*columns, *LATER) if [c.name for c in columns] == older else columns
 
 
 def describe(columns: Sequence[Column]) -> str:
-    """Return a table of columns as JSON, which `columns_of` reads."""
+    """Table of columns as JSON, which `columns_of` reads."""
     return json.dumps(
         [
             {
@@ -114,10 +114,10 @@ def describe(columns: Sequence[Column]) -> str:
 
 @lru_cache(_TABLES)
 def columns_of(description: str) -> tuple[Column, ...]:
-    """Return the table of columns that `describe` described; all are of part `output`.
+    """Table of columns from the JSON of `describe`; all columns have part `output`.
 
-    Raises AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError: the text is no such
-    table, or asks for larger rows than are recorded.
+    Raises AttributeError, KeyError, OverflowError, RecursionError, TypeError, ValueError: the text is not a
+    table of columns, or its rows are larger than any recorded row.
     """
     columns = []
     for entry in json.loads(description):
@@ -135,19 +135,19 @@ def columns_of(description: str) -> tuple[Column, ...]:
 
 
 REFUSED = (AttributeError, DecodeError, KeyError, OverflowError, RecursionError, TypeError, ValueError)
-"""What protobuf, NumPy and Python raise of tables and messages of unknown making."""
+"""Exceptions of protobuf, NumPy and Python for tables and messages from untrusted input."""
 OLD = "a log of version 0.1.0: read and replay it with that version"
 
 
 def why(error: Exception) -> str:
-    """Say in words what was met in data of unknown making; REFUSED are what it raises."""
+    """Reason, in words, for an exception of REFUSED from untrusted input."""
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}" if error.args else "something is missing"
     return str(error) or type(error).__name__
 
 
 class Run(NamedTuple):
-    """What a log says of its rows and frames, in the metadata record `hil`."""
+    """Description of a log's rows and frames, from the metadata record `hil`."""
 
     topic: str
     columns: tuple[Column, ...]
@@ -159,7 +159,7 @@ class Run(NamedTuple):
 
     @classmethod
     def of(cls, identity: Mapping[str, str]) -> Self:
-        """Return what is said; refuse what no recorder writes. Raises as `columns_of`."""
+        """Parse the metadata record; refuse values that no recorder writes. Raises as `columns_of`."""
         names = json.loads(identity["can_channels"]) if "can_channels" in identity else []
         buses = tuple(map(str, names)) or (identity["can_channel"],)
         epoch_ns = int(identity["epoch_ns"])
@@ -182,18 +182,18 @@ def _text(value: Any) -> str:
 
 def _number(value: Any) -> int:
     if type(value) is not int or not 0 <= value < 1 << 63:
-        raise ValueError(f"{value!r:.60}: allowed: a whole number from 0 on, of 63 bits")
+        raise ValueError(f"{value!r:.60}: allowed: a whole number from 0 on, at most 63 bits")
     return value
 
 
 def _name(value: Any) -> str:
     if not _NAME.fullmatch(value):
-        raise ValueError(f"{value!r:.60}: allowed: a plain name")
+        raise ValueError(f"{value!r:.60}: allowed: a name of letters, digits and _")
     return str(value)
 
 
 def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
-    """Yield the fields of the message in their order: name, column, and whether it is its names."""
+    """Fields of the message in order: name, column, and True for the field of names."""
     for c in columns:
         named = bool(c.names)
         yield (c.name + NUMBER if named else c.name), c, False
@@ -202,7 +202,7 @@ def _fields(columns: Sequence[Column]) -> Iterator[tuple[str, Column, bool]]:
 
 
 class RowCodec:
-    """The layout of rows as messages on a channel: where each number goes, and where it is read back."""
+    """Layout of rows as messages on a channel: where each number is written and read."""
 
     def __init__(self, columns: Sequence[Column], channel: int = 0) -> None:
         self.dtype = Table("", tuple(columns)).dtype
@@ -222,18 +222,18 @@ class RowCodec:
                 places.append((word if flags else word + k, place, what))
         self.layout = builder.layout()
         self.places = np.array(places, np.int64)
-        """(n, 3) where the words of a row go: word, byte of the record, WHOLE, NAMED or a flag."""
+        """(n, 3) places of the words of a row: word, byte of the record, WHOLE, NAMED or a flag."""
 
     @property
     def read(self) -> Ints:
-        """Where a record has the words of a row, in the order of the row: (n,)."""
+        """Offsets (n,) in a record of the words of a row, in the order of the row."""
         _, places, what = self.places.T
         found: Ints = places[what == WHOLE]
         return found
 
 
 def row_schema(table: Table) -> Schema:
-    """Return the protobuf type of a row; meaning and unit of a column stand in its field's comment."""
+    """Protobuf type of a row; the comment of a field has the column's meaning and unit."""
     full_name = f"{PACKAGE}.{table.topic.strip('/').title()}"
     file = new_file(full_name)
     message = file.message_type[0]

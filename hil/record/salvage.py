@@ -1,8 +1,8 @@
-"""Makes a valid log of one that was cut or damaged: power loss, full disk, recorder killed, bits turned over.
+"""Makes a valid log from a truncated or damaged one: power loss, full disk, killed recorder, bit errors.
 
-The original is read, never touched; the result is a new file. It has the messages of each chunk whose
-checksum holds, and the whole ticks of one that is cut; schemas and channels are those of our own code. Behind
-a damaged length the next chunk is looked for, or the description of the run.
+The original is only read; the result is a new file. It has the messages of each chunk with a valid checksum,
+and the complete ticks of a truncated chunk; schemas and channels come from our own code. After a damaged
+length the search continues at the next chunk, or at the description of the run.
 """
 
 import contextlib
@@ -29,12 +29,12 @@ from hil.record.schema import CLEAN, IDENTITY, LIBRARY, SALVAGE, SUMMARY
 _BEGIN = re.compile(
     rb"(?=\x06[\s\S]{36}(?:\x04\0\0\0zstd|\x03\0\0\0lz4)|\x0c[\s\S]{8}\x03\0\0\0" + IDENTITY.encode() + b")"
 )
-"""A chunk, or the metadata record of the run."""
+"""Start of a chunk, or of the metadata record of the run."""
 _BEGIN_BYTES = 45
 _EXISTS = "exists and is never overwritten: choose another name"
 _WINDOW = 1 << 20
 _REMARKS = 20
-"""Written into the log and reported; of more damage the number is."""
+"""Most remarks that are written into the log and reported; further damage is only counted."""
 
 
 class Lost(NamedTuple):
@@ -45,12 +45,12 @@ class Lost(NamedTuple):
 
 
 def surviving(path: Path) -> Iterator[Record | Lost]:
-    """Yield the records of the data section in their order, and what lies between them.
+    """Records of the data section in order, and the lost bytes between them.
 
-    A record counts where what follows it may be one, where it is whole by itself, or where nothing better
-    follows. One whose end is cut off comes last and is not complete.
+    A record counts if the record after it may be valid, if it is whole by itself, or if nothing better
+    follows. A truncated record comes last and is not complete.
 
-    Raises LogError: there is more to unpack than allowed; OSError.
+    Raises LogError: more bytes to unpack than allowed; OSError.
     """
     with open_regular(path) as file:
         at, size = len(MAGIC), file.seek(0, os.SEEK_END)
@@ -72,7 +72,7 @@ def surviving(path: Path) -> Iterator[Record | Lost]:
 
 
 def _is_whole(record: Record, allowance: Allowance) -> bool:
-    """Return whether a complete record has no byte too many or too few, and its checksum holds."""
+    """True if a complete record has no missing or extra byte, and its checksum holds."""
     allowance.spend(len(record.content))
     with contextlib.suppress(LogError):
         found = record.parse()
@@ -83,7 +83,7 @@ def _is_whole(record: Record, allowance: Allowance) -> bool:
 
 
 def _next(file: BinaryIO, start: int, size: int, allowance: Allowance) -> int | None:
-    """Return the next place at which a whole chunk or the run's description begins."""
+    """Offset of the next whole chunk or description of the run; None without one."""
     for at in range(start, size, _WINDOW):
         file.seek(at)
         for found in _BEGIN.finditer(file.read(_WINDOW + _BEGIN_BYTES)):
@@ -95,21 +95,21 @@ def _next(file: BinaryIO, start: int, size: int, allowance: Allowance) -> int | 
 
 @dataclass
 class SalvageReport:
-    """What was recovered and what was lost. Mutable while the salvage is at work."""
+    """Recovered and lost parts of a log. Mutable during the salvage."""
 
     out: Path
     ticks: int = 0
     bytes_lost: int = 0
-    """Bytes of the original that gave nothing."""
+    """Bytes of the original that could not be recovered."""
     ticks_lost: int = 0
-    """Ticks of damaged chunks, as far as the index behind them counts them."""
+    """Ticks of damaged chunks, as far as the message index after each counts them."""
     remarks: tuple[str, ...] = ()
 
 
 def _described(path: Path) -> tuple[dict[str, str], dict[int, str]]:
-    """Return what a log says of its run, and the topics of the channels in front of its messages by number.
+    """Description of a log's run, and topic by number of each channel before its messages.
 
-    Raises LogError where nothing says that it is a log of this product; OSError.
+    Raises LogError if nothing shows that it is a log of this product; OSError.
     """
     identity: dict[str, str] = {}
     topics: dict[int, str] = {}
@@ -127,28 +127,30 @@ def _described(path: Path) -> tuple[dict[str, str], dict[int, str]]:
     if "dtype" in identity:
         raise LogError(f"{path}: {OLD}")
     if "columns" not in identity:
-        raise LogError(f"{path}: no log of this product, or cut within its first bytes: nothing to salvage")
+        raise LogError(
+            f"{path}: not a log of this product, or cut within its first bytes: nothing to salvage"
+        )
     return identity, topics
 
 
 class _Salvage:
-    """One salvage at work. State: the new file, and what was found so far.
+    """One salvage in progress. State: the new file, and the findings so far.
 
     Raises OSError.
     """
 
     def __init__(self, source: Path, size: int, file: McapFile, out: Path, rows: Collection[int]) -> None:
-        """source: a log of `size` bytes; out: the name of the new file; rows: channels of rows."""
+        """source: a log of `size` bytes; out: name of the new file; rows: channels of rows."""
         self.source, self.size, self.file, self.report = source, size, file, SalvageReport(out)
         self.remarks: list[str] = []
         self._allowance, self._rows = Allowance(size), list(rows)
         self._end: dict[str, str] | None = None
-        """What the run has said of its end."""
+        """Summary of the run in the original."""
         self._damaged = False
-        """Whether the index that comes next is of a chunk that is left out."""
+        """True if the next message index belongs to a chunk that is left out."""
 
     def work(self) -> None:
-        """Take over what survives of the original."""
+        """Copy the readable records of the original."""
         for record in surviving(self.source):
             if isinstance(record, Lost):
                 start, stop = record
@@ -160,11 +162,11 @@ class _Salvage:
                 self._damaged = record.opcode == Opcode.CHUNK
                 self._lose(len(record.whole), f"left out: {error}")
         if not self.remarks:
-            try:  # metadata have no checksum of their own
+            try:  # metadata records have no checksum
                 for _ in records(self.source, cut=True):
                     pass
             except LogError as error:
-                self.remarks.append(f"{error}: what was taken over may hold the damage")
+                self.remarks.append(f"{error}: the copied content may be damaged")
 
     def _lose(self, size: int, remark: str) -> None:
         self.report.bytes_lost += size
@@ -189,7 +191,7 @@ class _Salvage:
             self.file.add_metadata(found.name, found.metadata)
 
     def _chunk(self, record: Record) -> None:
-        """Take over a chunk; of one that is cut, the whole ticks, which are what replay needs."""
+        """Copy a chunk; of a truncated one only the complete ticks, which replay needs."""
         data, table, _ = messages_in(record, self._allowance)
         begun = np.flatnonzero(np.isin(table.channel, self._rows))
         if not record.complete:
@@ -205,13 +207,13 @@ class _Salvage:
             self._lose(len(record.whole), f"{where}: {count} messages of it recovered")
 
     def close(self) -> None:
-        """Write what was lost and how the run ended, and close the file."""
+        """Write the losses and the end of the run, and close the file."""
         report, end, remarks = self.report, self._end or {}, self.remarks[:_REMARKS]
         if len(self.remarks) > _REMARKS:
-            remarks.append(f"and {len(self.remarks) - _REMARKS} places more")
-        told = end.get("ticks", "")
-        if not remarks and told.isdecimal() and told != str(report.ticks):
-            remarks.append(f"its end counts {told:.20} ticks, {report.ticks} are there")
+            remarks.append(f"and {len(self.remarks) - _REMARKS} more places")
+        counted = end.get("ticks", "")
+        if not remarks and counted.isdecimal() and counted != str(report.ticks):
+            remarks.append(f"its summary counts {counted:.20} ticks, but {report.ticks} are present")
         report.remarks = tuple(remarks)
         self.file.add_metadata(
             SALVAGE,
@@ -232,10 +234,10 @@ class _Salvage:
 
 
 def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> SalvageReport:
-    """Write to `out` a valid log with all that is readable in `path`.
+    """Write to `out` a valid log with all readable content of `path`.
 
-    Raises LogError: `path` is missing or no log of ours, cut before its first record, or its table of columns
-    is damaged; or `out` exists, or cannot be written.
+    Raises LogError: `path` is missing, not a log of this product, cut before its first record, or its table
+    of columns is damaged; or `out` exists, or cannot be written.
     """
     source, target = Path(path), Path(out)
     try:
@@ -249,7 +251,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
         raise LogError(f"{source}: cannot be read: {error.strerror}") from error
     except REFUSED as error:
         raise LogError(
-            f"{source}: what it says of its run is damaged: nothing to salvage: {why(error)}"
+            f"{source}: the description of its run is damaged: nothing to salvage: {why(error)}"
         ) from None
     if os.path.lexists(target):
         raise LogError(f"{target}: {_EXISTS}")
@@ -284,7 +286,7 @@ def salvage(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> Salvag
 
 
 def _give_name(temporary: Path, target: Path) -> None:
-    """Give a whole file its name. Raises FileExistsError: something has got it meanwhile."""
+    """Give a complete file its name. Raises FileExistsError if the name was taken meanwhile."""
     try:
         os.link(temporary, target)
     except FileExistsError:

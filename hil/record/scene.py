@@ -1,6 +1,6 @@
-"""The moving platform for 3D views: foxglove.FrameTransform and foxglove.SceneUpdate from rows.
+"""Moving platform for 3D views: foxglove.FrameTransform and foxglove.SceneUpdate from rows.
 
-Pictures only, at a low rate; nothing here is read back.
+For display only, at a low rate; nothing reads it back.
 """
 
 from math import isfinite, sqrt
@@ -29,14 +29,14 @@ _ORANGE = Color(r=0.93, g=0.55, b=0.14, a=1.0)
 
 
 _PLANES = ((0, 1), (1, 2), (2, 0))
-"""Of the axes of a frame, each from one towards the next."""
+"""Pairs of axes of a frame, each from one towards the next."""
 
 
 def around(joints: Array) -> NDArray[np.intp]:
-    """Return the order (n,) of joints (n, 3) m by their angle about their centre, whatever plane they lie in.
+    """Order (n,) of joints (n, 3) m by angle about their centre, for a ring in any plane.
 
-    As seen along the axis of the frame along which they cover the largest area; from x towards y of a ring
-    that is level.
+    The view is along the frame axis along which the ring covers the largest area. For a level ring the angle
+    runs from x towards y.
     """
     x = joints - joints.mean(axis=0)
     moments = (x[:, :, None] * x[:, None, :]).sum(axis=0)
@@ -46,7 +46,7 @@ def around(joints: Array) -> NDArray[np.intp]:
 
 
 def quaternion(R: Array) -> tuple[float, float, float, float]:
-    """Return (x, y, z, w), w >= 0, of a rotation matrix (3, 3), by its largest component."""
+    """Quaternion (x, y, z, w), w >= 0, of a rotation matrix (3, 3), by its largest component."""
     m = R.tolist()
     trace = m[0][0] + m[1][1] + m[2][2]
     squares = (m[0][0], m[1][1], m[2][2], trace)
@@ -63,7 +63,7 @@ def quaternion(R: Array) -> tuple[float, float, float, float]:
 
 
 def transforms(row: Rows, stamp: Timestamp) -> list[bytes]:
-    """Return the serialised FrameTransforms of one row: platform, and reference where there is one."""
+    """Serialised FrameTransforms of one row: the platform, and the reference if there is one."""
     messages = []
     for name, p_column, R_column in _POSES:
         pose = _pose(row, p_column, R_column)
@@ -93,12 +93,12 @@ class SceneDrawer:
         self._thickness = 0.02 * float(np.linalg.norm(self._a, axis=1).max())
 
     def update(self, row: Rows, stamp: Timestamp) -> bytes | None:
-        """Return a serialised SceneUpdate, or None while there is no pose."""
+        """Serialised SceneUpdate of a row; None without a pose."""
         pose = _pose(row, "p", "R")
         if pose is None:
             return None
         p, R = pose
-        with np.errstate(all="ignore"):  # a pose that makes no sense makes a picture that makes none
+        with np.errstate(all="ignore"):  # a meaningless pose may overflow
             tops = p + self._b @ R.T
         legs = np.stack((self._a, tops), axis=1).reshape(-1, 3)
         entities = [
@@ -115,7 +115,7 @@ class SceneDrawer:
 
 
 def _pose(row: Rows, p_column: str, R_column: str) -> tuple[Array, Array] | None:
-    """Return p (3,), R (3, 3) of a row, or None where there is no pose in it."""
+    """Position p (3,) and rotation matrix R (3, 3) of a row; None without a pose."""
     names = row.dtype.names or ()
     if p_column not in names or R_column not in names:
         return None

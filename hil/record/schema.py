@@ -1,4 +1,4 @@
-"""The log's messages in protobuf: frames, operator commands, and what any schema is made of."""
+"""Protobuf messages of the log: frames, operator commands, and the building blocks of any schema."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -11,9 +11,9 @@ LIBRARY = "hexapod-hil"
 IDENTITY, ENVIRONMENT, SUMMARY, SALVAGE = "hil", "environment", "summary", "salvage"
 """Names of the metadata records."""
 RUN = "run"
-"""Key in IDENTITY: what both logs of one simulation carry, and no other's does."""
+"""Key in IDENTITY: an identifier that only the two logs of one simulation share."""
 CLEAN, PRODUCER_DIED, DISK_FULL = "clean", "producer died", "disk_full"
-"""How a log was closed: key `closed` in SUMMARY."""
+"""Values of the key `closed` in SUMMARY: how a log was closed."""
 CONFIGURATION = "config.yaml"
 """Name of the attachment that holds the configuration."""
 
@@ -25,20 +25,20 @@ PACKAGE = "hil"
 FRAME = "hil.Frame"
 OPERATOR = "hil.OperatorCommand"
 RX, TX = 1, 2
-"""hil.Frame.direction."""
+"""Values of hil.Frame.direction."""
 
 Type = descriptor_pb2.FieldDescriptorProto
 
 
 class Schema(NamedTuple):
-    """A protobuf message type: its full name and a serialised FileDescriptorSet with all it needs."""
+    """Protobuf message type: its full name and a serialised FileDescriptorSet with all dependencies."""
 
     name: str
     descriptors: bytes
 
 
 def frame_schema() -> Schema:
-    """Return hil.Frame, its fields named as in can_msgs/Frame, and what CAN FD and replay need."""
+    """Schema of hil.Frame: fields named as in can_msgs/Frame, and fields for CAN FD and replay."""
     file = new_file(FRAME)
     header = file.message_type.add(name="Header")
     add_field(header, "stamp", 1, Type.TYPE_MESSAGE, type_name=".google.protobuf.Timestamp")
@@ -77,7 +77,7 @@ def frame_schema() -> Schema:
 
 
 def operator_schema() -> Schema:
-    """Return hil.OperatorCommand."""
+    """Schema of hil.OperatorCommand."""
     file = new_file(OPERATOR)
     file.dependency.append(timestamp_pb2.DESCRIPTOR.name)
     kinds = file.enum_type.add(name="Operator")
@@ -95,7 +95,7 @@ def operator_schema() -> Schema:
 
 
 def message_class(schema: Schema) -> Any:
-    """Return the message class of a schema, from its own descriptors."""
+    """Message class of a schema, built from its own descriptors."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(schema.descriptors).file:
         pool.Add(file)
@@ -103,7 +103,7 @@ def message_class(schema: Schema) -> Any:
 
 
 def new_file(name: str) -> descriptor_pb2.FileDescriptorProto:
-    """Return a file with one empty message of this full name."""
+    """File descriptor with one empty message of this full name."""
     package, _, message = name.rpartition(".")
     file = descriptor_pb2.FileDescriptorProto(
         name=f"{package}/{message}.proto", package=package, syntax="proto3"
@@ -136,7 +136,7 @@ def comment(file: descriptor_pb2.FileDescriptorProto, index: int, text: str) -> 
 
 
 def files(file: Any) -> list[descriptor_pb2.FileDescriptorProto]:
-    """Return a file of messages behind all that it needs, each of them once."""
+    """File descriptors of a file and of its dependencies, each once, dependencies first."""
     found: list[descriptor_pb2.FileDescriptorProto] = []
     for needed in file.dependencies:
         found += [each for each in files(needed) if each not in found]
@@ -146,5 +146,5 @@ def files(file: Any) -> list[descriptor_pb2.FileDescriptorProto]:
 
 
 def schema_of(name: str, files: Sequence[descriptor_pb2.FileDescriptorProto]) -> Schema:
-    """Return the schema of the message `name`, which the last of the files has."""
+    """Schema of the message `name`, which the last of the files defines."""
     return Schema(name, descriptor_pb2.FileDescriptorSet(file=files).SerializeToString(deterministic=True))

@@ -1,4 +1,4 @@
-"""Components of columns, rows behind each other, and what the numbers in them are called."""
+"""Components of columns, concatenation of rows, and names of enumeration values."""
 
 from __future__ import annotations
 
@@ -15,35 +15,35 @@ from drivers.tick_columns import Column
 
 
 class Component(NamedTuple):
-    """One element of a log column, which a table shows as a column."""
+    """One element of a log column: a column of its own in a table."""
 
     label: str
-    """`tau.leg_3`."""
+    """Label, such as `tau.leg_3`."""
     unit: str
     column: Column
     element: int
-    """Its place in the column, row by row."""
+    """Index in the column, in row-major order."""
 
     def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[np.float64 | np.int64]]:
-        """Return its values (n,) in rows; those of the other elements are not kept with them."""
+        """Values (n,) in rows, as a copy."""
         values = rows[self.column.name].reshape(len(rows), self.column.size)
         return np.ascontiguousarray(values[:, self.element])
 
 
 def as_bytes(rows: Rows) -> Rows:
-    """Return the same rows without their columns: NumPy copies with columns one by one."""
+    """View rows as plain bytes, which NumPy copies faster than rows with columns."""
     return rows.view(f"V{rows.dtype.itemsize}")
 
 
 def together(parts: Sequence[Rows]) -> Rows:
-    """Return parts of one type, at least one, behind each other."""
+    """Concatenate parts (one or more) of one type."""
     return np.concatenate(list(map(as_bytes, parts))).view(parts[0].dtype)
 
 
 def components(columns: Sequence[Column], names: Sequence[str], log: str) -> list[Component]:
-    """Return the components of columns that are named, whole columns among them; all without a name.
+    """Components of the named columns or components; all without a name.
 
-    Raises LogError: no such column or component; `log` is named in the message.
+    log: file name for the message. Raises LogError: unknown column or component.
     """
     every = {
         c.name: [
@@ -63,9 +63,9 @@ def components(columns: Sequence[Column], names: Sequence[str], log: str) -> lis
 
 
 def name_of(column: Column, value: float) -> str:
-    """Text of a value of a column, by its name where the column has names.
+    """Value of a column as text, by its name if the column has names.
 
-    Flags are joined by `|`, with `NONE` where none is set; what has no name stands as a number.
+    Flags are joined by `|`, NONE without any; a value without a name stays a number.
     """
     if not column.names:
         return repr(value)
@@ -78,7 +78,7 @@ def name_of(column: Column, value: float) -> str:
 
 
 def no_column(name: str, known: Sequence[str]) -> str:
-    """Say that there is no such column, and which ones were perhaps meant."""
+    """Message about an unknown column, with similar names."""
     near = get_close_matches(name, known, n=3)
     return f"no column {name!r}; " + (
         f"did you mean {', '.join(near)}?" if near else f"there are {', '.join(known[:8])} ..."

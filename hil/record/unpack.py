@@ -1,6 +1,6 @@
-"""From the bytes of a chunk to arrays: where its records are, and what rows and frames of our own hold.
+"""Decode the buffer of a chunk into arrays: record offsets, rows, frames.
 
-Pure functions. A record that is given by its start and size lies within the buffer, whatever it says.
+Pure functions. Offsets and sizes of records must lie within the buffer.
 """
 
 import struct
@@ -13,16 +13,16 @@ from hil.record.layout import FRAME_FLAGS, MAX_DATA, Layout
 from hil.record.schema import RX, TX
 
 ITEM = np.dtype([("frame", FRAME), ("tick", "<i8"), ("index", "<i8")])
-"""A frame as the recorder has it, and its place: its tick, and its number in it."""
+"""CAN frame with its tick and its index within the tick."""
 SHORTEST = 23
-"""Bytes of the shortest record that a chunk may hold, an empty schema."""
+"""Length of the shortest record in a chunk, an empty schema, bytes."""
 _LENGTH = struct.Struct("<Q")
 _SEVEN_BITS = 1 << 7 * np.arange(5)
 _FLAG_BITS = np.array(list(FRAME_FLAGS.values()))
 
 
 def scan(data: bytes) -> tuple[Ints, int]:
-    """Return where the whole records of a buffer begin, and where the last of them ends."""
+    """Offsets of the complete records in a buffer, and the end of the last one."""
     starts: list[int] = []
     at, size = 0, len(data)
     while at + SHORTEST <= size:
@@ -35,14 +35,14 @@ def scan(data: bytes) -> tuple[Ints, int]:
 
 
 def words_of(data: bytes) -> Ints:
-    """Return the eight bytes from each position of a buffer on, as integers (n - 7,): views of it."""
+    """View of a buffer as the 8-byte integer at each offset (n - 7,)."""
     return np.ndarray((max(len(data) - 7, 0),), "<i8", data, strides=(1,))
 
 
 def unpack_rows(data: bytes, starts: Ints, layout: Layout, places: Ints, rows: Ints) -> bool:
-    """Fill rows (n, m or more) from records that start at `starts` (n,); return whether all have the layout.
+    """Fill rows (n, m or more) from the records at `starts` (n,); True if all have the layout.
 
-    places : (m,) where a record has the words of a row.
+    places: (m,) offsets of a row's words in its record.
     """
     records = _stacked(data, starts, len(layout.template))
     if ((records ^ layout.template) & layout.mask).any():
@@ -56,9 +56,9 @@ def unpack_rows(data: bytes, starts: Ints, layout: Layout, places: Ints, rows: I
 def unpack_frames(
     data: bytes, starts: Ints, sizes: Ints, epoch_ns: int, layout: Layout, table: Ints, items: Rows
 ) -> bool:
-    """Fill items (n,) of ITEM, which are 0, from records that start at `starts`, of `sizes` bytes, (n,).
+    """Fill zeroed items (n,) of ITEM from the records at `starts` with `sizes` bytes, (n,).
 
-    Returns whether each has the layout of a bus. layout, table : of `hil.record.layout.frame_table`.
+    The result is True if each has the layout of a bus. layout, table: of `hil.record.layout.frame_table`.
     """
     left = np.ones(len(starts), np.bool_)
     for first, size, at, *places in table.tolist():
@@ -78,13 +78,13 @@ def unpack_frames(
 
 
 def _stacked(data: bytes, starts: Ints, size: int) -> Bytes:
-    """Return records of one size (n, size)."""
+    """Copy records of one size into an array (n, size)."""
     packed = b"".join([data[start : start + size] for start in starts.tolist()])
     return np.frombuffer(packed, np.uint8).reshape(len(starts), size)
 
 
 def _frames(records: Bytes, places: list[int], epoch_ns: int) -> Rows:
-    """Return what records of frames hold beside their data; places : as in a row of a `frame_table`."""
+    """Frames of records without their data; places: a row of `frame_table`."""
     seconds, nanos, can_id, _, direction, tick, index, bus, *flags = places
 
     def number(place: int, kind: str) -> Ints:

@@ -1,1 +1,1 @@
-"""The robot: geometry, inertia, kinematics, dynamics, and the way of its leg forces."""
+"""The robot: geometry, inertia, kinematics, dynamics, and the delay and lag of its leg forces."""

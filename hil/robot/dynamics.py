@@ -1,7 +1,7 @@
 """The controller's model of the robot: M dtwist + H + G = J^T (tau - friction) + wrench, and simplifications.
 
-Packs constants and checks arguments; the equations are in ``hil.robot.dynamics_kernels``, and the loop calls
-those.
+This module packs constants and checks arguments. The equations are in ``hil.robot.dynamics_kernels``; the
+control loop calls the kernels directly.
 """
 
 from typing import Literal, get_args
@@ -21,7 +21,7 @@ Variant = Literal["full", "no_H", "printed", "constant", "constant_MG", "massles
 LegSpin = Literal["none", "universal"]
 
 SLIDING_SPEED = 1e-3
-"""m/s; default: well above the noise of a leg rate at rest, well below the rates of a motion."""
+"""m/s, default: well above the noise of a leg rate at rest, well below the rates of a motion."""
 
 CODES: dict[str, int] = {
     "full": kernels.FULL,
@@ -34,37 +34,37 @@ CODES: dict[str, int] = {
 
 
 class Model:
-    """Rigid-body model of the platform and its legs, with what the drives add along each leg.
+    """Rigid-body model of the platform and its legs, with reflected mass and friction of the drives.
 
-    ========== ==============================================================================================
-    full          M dtwist + H + G, legs and all
+    ============= ============================================================================================
+    full          M dtwist + H + G, legs included
     no_H          without the centripetal and gyroscopic forces H
     printed       without H and, in the joint-space law, without (dJ/dt) twist: the equation as often printed
     constant      M, G and J frozen at ``frozen_at``, no H, no (dJ/dt) twist (Lee et al., 2003): small motion
     constant_MG   M and G frozen, no H, no (dJ/dt) twist; J current
-    massless_legs full, with legs that weigh nothing
-    ========== ==============================================================================================
+    massless_legs full, with massless legs
+    ============= ============================================================================================
 
-    The drives' part is in every variant: the reflected mass m_r belongs to M (J^T diag(m_r) J, frozen
-    with it) and to H (J^T diag(m_r) (dJ/dt) twist, left out with it), so that along the legs it takes
-    m_r ddq (Siciliano, Sciavicco, Villani and Oriolo, Robotics, 2009, ch. 7: motor inertia times gear ratio
-    squared). Friction is a leg force of its own, ``friction``, at the leg rates dq = J twist, J current.
+    Every variant contains the drives. The reflected mass m_r adds J^T diag(m_r) J to M (frozen with M) and
+    J^T diag(m_r) (dJ/dt) twist to H (omitted with H). Along the legs it needs the force m_r ddq (Siciliano,
+    Sciavicco, Villani and Oriolo, Robotics, 2009, ch. 7: motor inertia times gear ratio squared). Friction is
+    a separate leg force, ``friction``, at the leg rates dq = J twist with the current J.
 
     Parameters
     ----------
     platform : Platform
     variant : one of the above
-    leg_spin : ``none``: a leg never turns about its own axis; ``universal``: it turns as its universal
-        joint makes it, about ``platform.universal_joint_base_axes``.
+    leg_spin : ``none``: a leg never turns about its own axis; ``universal``: its universal joint imposes
+        the turn, with hinges ``platform.universal_joint_base_axes``.
     frozen_at : (p, R), the pose of the constant variants.
-    inertia_scale : all masses (reflected ones, too), all inertias and the platform's centre of mass times
-        this. The centres of mass along the legs stay exact, as do joints, lengths, J, its rate, gravity
-        and friction.
+    inertia_scale : factor on all masses (reflected ones included), all inertias and the platform's centre of
+        mass. The centres of mass along the legs stay exact, as do joints, lengths, J, its rate, gravity and
+        friction.
     reflected_mass : (6,) kg or one for all legs. Inertia of motor and screw as a mass along the leg:
         rotary inertia times (2 pi / lead)^2. It has no weight.
     viscous : (6,) N s/m or one for all legs.
     coulomb : (6,) N or one for all legs.
-    sliding_speed : m/s, the leg rate from which Coulomb friction counts in full; below, it grows linearly
+    sliding_speed : m/s, leg rate above which Coulomb friction acts in full. Below, it grows linearly
         from 0 at rest. 0: coulomb sgn(dq), sgn(0) = 0.
 
     Attributes
@@ -72,15 +72,16 @@ class Model:
     constants : (173,) read-only, and ``code``: int
         The first two arguments of the kernels.
 
-    Raises ModelError: where the variant does not exist or lacks its pose, the platform lacks hinge axes, or a
-    parameter is not finite or negative.
+    Raises ModelError for an unknown variant, a constant variant without pose, missing hinge axes, or a
+    parameter that is negative or not finite.
 
     Notes
     -----
-    What the methods take, all in the base frame: p (3,) m, platform origin; R (3, 3), x_base = p + R
+    Arguments of the methods, all in the base frame: p (3,) m, platform origin; R (3, 3), x_base = p + R
     x_platform; twist (6,) m/s and rad/s, [v of the platform origin; omega], and its derivative dtwist; tau
     (6,) N, leg forces, > 0 extends; wrench (6,) N and N m, force and moment ON the platform at its origin, by
-    default none. Each raises KinematicsError where an argument is not finite or R is no rotation.
+    default zero. All methods raise KinematicsError for an argument that is not finite or an R that is not a
+    rotation.
     """
 
     def __init__(
@@ -141,7 +142,7 @@ class Model:
     ) -> Array:
         """Leg forces (6,) N for a motion: tau = J^-T (M dtwist + H + G - wrench) + friction(J twist).
 
-        Raises KinematicsError also where J is singular.
+        Also raises KinematicsError at a singular J.
         """
         p, R, twist = self._state(p, R, twist)
         dtwist = check_vector("dtwist", dtwist, 6)
@@ -152,10 +153,9 @@ class Model:
     def forward_dynamics(
         self, p: ArrayLike, R: ArrayLike, twist: ArrayLike, tau: ArrayLike, wrench: ArrayLike | None = None
     ) -> Array:
-        """Acceleration for leg forces: dtwist = M^-1 (J^T (tau - friction(J twist)) + wrench - H - G).
+        """Acceleration under leg forces: dtwist = M^-1 (J^T (tau - friction(J twist)) + wrench - H - G).
 
-        At rest with Coulomb friction there is no stiction: sgn(0) = 0, the legs slide. Returns (6,) m/s^2 and
-        rad/s^2.
+        Coulomb friction has no stiction: at rest sgn(0) = 0, and the legs slide. (6,) m/s^2 and rad/s^2.
         """
         p, R, twist = self._state(p, R, twist)
         tau = check_vector("tau", tau, 6)
@@ -165,31 +165,31 @@ class Model:
     def mass_matrix(self, p: ArrayLike, R: ArrayLike) -> Array:
         """Mass matrix M (6, 6) of platform, legs and drives in twist coordinates: kg, kg m, kg m^2.
 
-        M = platform + sum J_i^T M_i J_i (Taghirad, 2013, 5.3) + J^T diag(reflected_mass) J. Current at p, R
-        for every variant.
+        M = platform + sum J_i^T M_i J_i (Taghirad, 2013, 5.3) + J^T diag(reflected_mass) J. Evaluated at p, R
+        in every variant.
         """
         p, R = check_vector("p", p, 3), check_rotation(R)
         return _finite("M", kernels.mass_matrix_kernel(self.constants, p, R), p, R)
 
     def coriolis(self, p: ArrayLike, R: ArrayLike, twist: ArrayLike) -> Array:
-        """Centripetal and gyroscopic forces H (6,): N, N m. Current at p, R, twist for every variant.
+        """Centripetal and gyroscopic forces H (6,): N, N m. Evaluated at p, R, twist in every variant.
 
-        With J^T diag(reflected_mass) (dJ/dt) twist; without friction.
+        Includes J^T diag(reflected_mass) (dJ/dt) twist; excludes friction.
         """
         p, R, twist = self._state(p, R, twist)
         return _finite("H", kernels.coriolis_kernel(self.constants, p, R, twist), p, R)
 
     def gravity(self, p: ArrayLike, R: ArrayLike) -> Array:
-        """Return the forces G (6,) that hold platform and legs up: N, N m. Current for every variant."""
+        """Gravity forces G (6,) that carry platform and legs: N, N m. Evaluated at p, R in every variant."""
         p, R = check_vector("p", p, 3), check_rotation(R)
         return _finite("G", kernels.gravity_kernel(self.constants, p, R), p, R)
 
     def friction(self, dq: ArrayLike) -> Array:
-        """Return what the drives lose to friction at leg rates dq (6,) m/s: (6,) N, with the signs of dq.
+        """Drive friction (6,) N at leg rates dq (6,) m/s, with the signs of dq.
 
         viscous dq + coulomb sat(dq / sliding_speed); Siciliano et al., Robotics, 2009, ch. 7: F_v dq + F_s
         sgn(dq), here with a slope for the jump at rest. sat(x) is x clamped to -1 .. 1; with
-        ``sliding_speed`` 0 it is sgn, sgn(0) = 0. The legs get tau - friction.
+        ``sliding_speed`` 0 it is sgn, sgn(0) = 0. The force on a leg is tau - friction.
         """
         return kernels.friction_kernel(self.constants, check_vector("dq", dq, 6))
 
@@ -211,8 +211,8 @@ class Model:
         bound = condition_kernel(J, self.platform.radius)
         if not bound < SINGULAR:
             raise KinematicsError(
-                f"singular pose p = {p.tolist()} m, R = {R.tolist()}: condition of J {bound:.3g}, "
-                "no leg forces carry every load",
+                f"singular pose p = {p.tolist()} m, R = {R.tolist()}: condition number of J {bound:.3g} "
+                f"(limit {SINGULAR:.0e}), leg forces cannot carry every load",
                 p=p,
                 R=R,
                 condition=bound,
@@ -222,7 +222,7 @@ class Model:
 def pack_constants(
     platform: Platform, inertia_scale: float = 1.0, *, spin: bool = False, massless_legs: bool = False
 ) -> Array:
-    """Return the (173,) constants of the kernels; the frozen part and that of the drives are zero."""
+    """Constants (173,) of the kernels; the frozen entries and those of the drives are zero."""
     k = inertia_scale
     c = np.zeros(kernels.SIZE)
     m = k * platform.platform.mass

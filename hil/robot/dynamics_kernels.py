@@ -1,8 +1,8 @@
 """Dynamics of platform and six two-part legs: M dtwist + H + G = J^T (tau - friction) + wrench.
 
-Forces are those needed at a leg's platform joint, velocity u and acceleration du there (H. D. Taghirad,
-Parallel Robots, 2013, 5.3, with l - c2 where the rod's centre of mass is meant; spin of a leg on a universal
-joint from the constraint that its two hinges leave). ``c`` is the vector of constants that
+The force of a leg is taken at its platform joint, which has velocity u and acceleration du (H. D. Taghirad,
+Parallel Robots, 2013, 5.3, with l - c2 as the distance of the rod's centre of mass from the base joint). The
+two hinges of a universal joint determine the spin of its leg. ``c`` is the vector of constants that
 ``hil.robot.dynamics`` packs.
 """
 
@@ -16,7 +16,7 @@ from hil.robot.kinematics_kernels import jacobian_rate_twist, leg, leg_motion
 
 FULL, NO_H, PRINTED, CONSTANT, CONSTANT_MG = range(5)
 
-# Where things are in c.
+# Indices in c.
 BASE = 0  # (6, 3) base joints
 PLATFORM = 18  # (6, 3) platform joints
 AXES = 36  # (6, 3) unit base-side hinges of the universal joints
@@ -42,14 +42,14 @@ SIZE = 173
 
 @helper
 def inertia_about_base(c: Array, l: float) -> float:
-    """Return I(l) = I1 + I2 + m1 c1^2 + m2 (l - c2)^2, of a leg about its base joint, across its axis."""
+    """Inertia of a leg about its base joint, across its axis: I(l) = I1 + I2 + m1 c1^2 + m2 (l - c2)^2."""
     m1, c1, m2, c2 = c[CYLINDER_MASS], c[CYLINDER_COM], c[ROD_MASS], c[ROD_COM]
     return float(c[TRANSVERSE] + m1 * c1 * c1 + m2 * (l - c2) * (l - c2))
 
 
 @helper
 def spin_gradient(k: Vector, l: float, s: Vector) -> Vector:
-    """Return h with spin = h.u: the leg's rate about its own axis on a universal joint with base hinge k.
+    """Gradient h of a leg's spin, spin = h.u: its rate about its own axis, with base hinge k.
 
     The second hinge is along k x s; omega has no component along k x (k x s), so with x = k.s
     spin = x / (1 - x^2) (k x s).ds/dt.
@@ -60,9 +60,9 @@ def spin_gradient(k: Vector, l: float, s: Vector) -> Vector:
 
 @helper
 def leg_mass(c: Array, i: int, l: float, s: Vector) -> tuple[Vector, Vector, Vector]:
-    """Return the rows of the leg's mass, M_i = (m2 + m_r) s s^T + I(l)/l^2 (1 - s s^T) + I_axial h h^T.
+    """Rows of the leg's mass matrix, M_i = (m2 + m_r) s s^T + I(l)/l^2 (1 - s s^T) + I_axial h h^T.
 
-    m_r is the reflected mass: it follows the leg's length alone.
+    The reflected mass m_r acts along the leg only.
     """
     across = inertia_about_base(c, l) / (l * l)
     along = c[ROD_MASS] + c[REFLECTED + i] - across
@@ -79,7 +79,7 @@ def leg_mass(c: Array, i: int, l: float, s: Vector) -> tuple[Vector, Vector, Vec
 
 @helper
 def leg_bias(c: Array, i: int, l: float, s: Vector, dl: float, ds: Vector) -> Vector:
-    """Return h_i, the force at the platform joint that the leg's motion needs when du = 0.
+    """Velocity-dependent force h_i of a leg at the platform joint: its force at du = 0.
 
     h_i = (m2 c2 + m_r l) |ds|^2 s + 2 (dl / l) (m2 (l - c2) - I(l)/l) ds, and the spin's gyroscopic and
     constraint part. The reflected mass m_r needs m_r ddl along s, and ddl = s.du + l |ds|^2.
@@ -101,7 +101,7 @@ def leg_bias(c: Array, i: int, l: float, s: Vector, dl: float, ds: Vector) -> Ve
 
 @helper
 def leg_weight(c: Array, g: Vector, l: float, s: Vector) -> Vector:
-    """Return g_i = -m2 s s.g - (m1 c1 + m2 (l - c2))/l (g - s s.g), the force that holds the leg up."""
+    """Force that carries a leg's weight: g_i = -m2 s s.g - (m1 c1 + m2 (l - c2))/l (g - s s.g)."""
     along = dot(s, g)
     across = (c[CYLINDER_MASS] * c[CYLINDER_COM] + c[ROD_MASS] * (l - c[ROD_COM])) / l
     return sub(scale(-c[ROD_MASS] * along, s), scale(across, sub(g, scale(along, s))))
@@ -109,7 +109,7 @@ def leg_weight(c: Array, g: Vector, l: float, s: Vector) -> Vector:
 
 @helper
 def inertia_times(c: Array, x: Vector) -> Vector:
-    """Return I x, I about the platform origin, all in platform axes."""
+    """I x, with the platform's inertia I about its origin, in platform axes."""
     return dot(at(c, INERTIA), x), dot(at(c, INERTIA + 3), x), dot(at(c, INERTIA + 6), x)
 
 
@@ -153,7 +153,7 @@ def fill_mass_matrix(c: Array, p: Array, R: Array, M: Array) -> None:
 
 @helper
 def platform_force(c: Array, R: Array, g: Vector, w: Vector, dv: Vector, dw: Vector) -> tuple[Vector, Vector]:
-    """Return the force and the moment about its origin that move the platform (Newton, Euler).
+    """Force and moment about the platform origin that accelerate the platform (Newton, Euler).
 
     F = m (dv + dw x x + w x (w x x) - g), N = I dw + w x I w + m x x (dv - g), x = R com.
     """
@@ -169,7 +169,7 @@ def platform_force(c: Array, R: Array, g: Vector, w: Vector, dv: Vector, dw: Vec
 def newton_euler(c: Array, p: Array, R: Array, g: Vector, twist: Array, dtwist: Array, f: Array) -> None:
     """Fill f (6,) = M dtwist + H + G: platform, and sum J_i^T (M_i du_i + h_i + g_i) over the legs.
 
-    twist = 0 leaves H out, g = 0 leaves G out.
+    twist = 0 omits H, g = 0 omits G.
     """
     v, w = at(twist, 0), at(twist, 3)
     dv, dw = at(dtwist, 0), at(dtwist, 3)
@@ -191,7 +191,7 @@ def newton_euler(c: Array, p: Array, R: Array, g: Vector, twist: Array, dtwist: 
 
 @helper
 def model_force(c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, f: Array) -> None:
-    """Fill f (6,) = M dtwist + H + G as the variant has it."""
+    """Fill f (6,) = M dtwist + H + G of the model variant."""
     if code in (CONSTANT, CONSTANT_MG):
         for i in range(6):
             total = c[FROZEN_G + i]
@@ -206,7 +206,7 @@ def model_force(c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: A
 
 @helper
 def fill_jacobian(c: Array, code: int, p: Array, R: Array, J: Array) -> None:
-    """Fill J (6, 6) at the pose, or with that of the frozen pose."""
+    """Fill J (6, 6) at the pose; variant ``constant``: at the frozen pose."""
     for i in range(6):
         if code == CONSTANT:
             for j in range(6):
@@ -222,9 +222,9 @@ def fill_jacobian(c: Array, code: int, p: Array, R: Array, J: Array) -> None:
 
 @helper
 def leg_friction(c: Array, i: int, dq: float) -> float:
-    """Return viscous dq + coulomb sat(dq / v_s), the force that leg i's drive loses; > 0 while extending.
+    """Friction of leg i, N: viscous dq + coulomb sat(dq / v_s); > 0 while the leg extends.
 
-    sat is 1 from v_s on, linear below; with v_s = 0 it is sgn, sgn(0) = 0.
+    sat is 1 above v_s and linear below; with v_s = 0 it is sgn, sgn(0) = 0.
     """
     v_s = c[SLIDING_SPEED]
     if dq > v_s:
@@ -240,7 +240,7 @@ def leg_friction(c: Array, i: int, dq: float) -> float:
 
 @helper
 def add_friction(c: Array, p: Array, R: Array, twist: Array, sign: float, tau: Array) -> None:
-    """Add sign * friction to tau (6,), at the rates dq = J twist of the pose (J never frozen)."""
+    """Add sign * friction to tau (6,), at the leg rates dq = J twist; J is current, never frozen."""
     for i in range(6):
         if c[VISCOUS + i] != 0.0 or c[COULOMB + i] != 0.0:
             r = rotate(R, at(c, PLATFORM + 3 * i))
@@ -251,7 +251,7 @@ def add_friction(c: Array, p: Array, R: Array, twist: Array, sign: float, tau: A
 
 @kernel(VECTOR, VECTOR)
 def friction_kernel(c: Array, dq: Array) -> Array:
-    """Return the friction forces (6,) N at the leg rates dq (6,) m/s."""
+    """Friction forces (6,) N at the leg rates dq (6,) m/s."""
     force = np.empty(6)
     for i in range(6):
         force[i] = leg_friction(c, i, dq[i])
@@ -260,7 +260,7 @@ def friction_kernel(c: Array, dq: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX)
 def mass_matrix_kernel(c: Array, p: Array, R: Array) -> Array:
-    """Return M (6, 6) at the pose."""
+    """Mass matrix M (6, 6) at the pose."""
     M = np.empty((6, 6))
     fill_mass_matrix(c, p, R, M)
     return M
@@ -268,7 +268,7 @@ def mass_matrix_kernel(c: Array, p: Array, R: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX, VECTOR)
 def coriolis_kernel(c: Array, p: Array, R: Array, twist: Array) -> Array:
-    """Return H (6,)."""
+    """Centripetal and gyroscopic forces H (6,)."""
     f = np.empty(6)
     newton_euler(c, p, R, (0.0, 0.0, 0.0), twist, np.zeros(6), f)
     return f
@@ -276,7 +276,7 @@ def coriolis_kernel(c: Array, p: Array, R: Array, twist: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX)
 def gravity_kernel(c: Array, p: Array, R: Array) -> Array:
-    """Return G (6,)."""
+    """Gravity forces G (6,)."""
     f, rest = np.empty(6), np.zeros(6)
     newton_euler(c, p, R, at(c, GRAVITY), rest, rest, f)
     return f
@@ -284,7 +284,7 @@ def gravity_kernel(c: Array, p: Array, R: Array) -> Array:
 
 @kernel(VECTOR, VECTOR, MATRIX)
 def potential_energy_kernel(c: Array, p: Array, R: Array) -> float:
-    """Return -sum m g.x over platform, cylinders and rods, x in the base frame."""
+    """Potential energy, J: -sum m g.x over platform, cylinders and rods, x in the base frame."""
     g = at(c, GRAVITY)
     energy = -c[MASS] * dot(g, add(at(p, 0), rotate(R, at(c, COM))))
     for i in range(6):
@@ -300,7 +300,7 @@ def potential_energy_kernel(c: Array, p: Array, R: Array) -> float:
 def inverse_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, dtwist: Array, wrench: Array
 ) -> Array:
-    """Return tau = J^-T (M dtwist + H + G - wrench) + friction, (6,) N, > 0 extends; nan: J is singular."""
+    """Leg forces tau = J^-T (M dtwist + H + G - wrench) + friction, (6,) N; nan where J is singular."""
     work = np.empty((14, 6))
     f = work[12]
     model_force(c, code, p, R, twist, dtwist, f)
@@ -321,10 +321,10 @@ def inverse_dynamics_kernel(
 def joint_idc_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, J: Array, ddq_star: Array, wrench: Array
 ) -> Array:
-    """Return tau = J^-T [M J^-1 (ddq* - (dJ/dt) twist) + H + G - wrench] + friction, (6,) N.
+    """Leg forces tau = J^-T [M J^-1 (ddq* - (dJ/dt) twist) + H + G - wrench] + friction, (6,) N.
 
-    nan where J is singular. J belongs to p, R; only ``full`` and ``no_H`` have (dJ/dt) twist, and
-    ``constant`` has its own J.
+    nan where J is singular. J is the Jacobian at p, R; variant ``constant`` uses its frozen J instead. Only
+    ``full`` and ``no_H`` contain (dJ/dt) twist.
     """
     work = np.empty((15, 6))
     LU = work[0:6]
@@ -359,7 +359,7 @@ def joint_idc_kernel(
 
 @helper
 def model_inertia(c: Array, code: int, p: Array, R: Array, M: Array) -> None:
-    """Fill M (6, 6), kg, kg m and kg m^2, base frame, with the mass matrix that the variant believes in."""
+    """Fill M (6, 6), kg, kg m and kg m^2, base frame, with the mass matrix of the model variant."""
     if code in (CONSTANT, CONSTANT_MG):
         for i in range(6):
             for j in range(6):
@@ -372,7 +372,7 @@ def model_inertia(c: Array, code: int, p: Array, R: Array, M: Array) -> None:
 def forward_dynamics_kernel(
     c: Array, code: int, p: Array, R: Array, twist: Array, tau: Array, wrench: Array
 ) -> Array:
-    """Return dtwist = M^-1 (J^T (tau - friction) + wrench - H - G), (6,); nan where M is singular."""
+    """Acceleration dtwist = M^-1 (J^T (tau - friction) + wrench - H - G), (6,); nan where M is singular."""
     drive = tau.copy()
     add_friction(c, p, R, twist, -1.0, drive)
     f, dtwist = np.empty(6), np.zeros(6)
@@ -391,6 +391,3 @@ def forward_dynamics_kernel(
     else:
         dtwist[:] = np.nan
     return dtwist
-
-
-"""The kernels, for the laws and stages that call them."""

@@ -1,4 +1,4 @@
-"""From the commanded forces to those in the legs: a pure delay, a hold over one period, a first-order lag."""
+"""From commanded to actual leg forces: a pure delay, a hold over one period, a first-order lag."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,7 +10,7 @@ from drivers.compiled.compiler import INTEGER, OUT_VECTOR, VECTOR, helper, kerne
 from drivers.compiled.pointed import data_at, reals_at, record_at
 
 SEGMENT = np.dtype([("sent", "<i8"), ("duration_s", "<f8"), ("mean", "<f8"), ("end", "<f8")])
-"""A `Segment`."""
+"""A `Segment` as compiled code reads it."""
 FORCE_PATH = np.dtype(
     [
         ("period_s", "<f8"),
@@ -21,15 +21,16 @@ FORCE_PATH = np.dtype(
         ("force", "<f8", 6),
     ]
 )
-"""Where the segments of one period are, and how many; where the commands are that still act, (slots, 6) N,
-the last one sent first; and the force (6,) N at the last instant of measurement."""
+"""Address and number of the segments of one period; address of the commands that still act, (slots, 6) N,
+newest first; force (6,) N at the last instant of measurement.
+"""
 path_at = record_at(record(FORCE_PATH))
 segment_at = record_at(record(SEGMENT))
 _SEGMENT_BYTES = SEGMENT.itemsize
 
 
 def decay(x: float) -> float:
-    """Return exp(-x), x >= 0, by halving and squaring: the C library's differs from machine to machine."""
+    """exp(-x), x >= 0, by halving and squaring: the C library rounds differently from machine to machine."""
     halvings = 0
     while x > 0.0625:
         x *= 0.5
@@ -46,25 +47,25 @@ def decay(x: float) -> float:
 
 
 class Segment(NamedTuple):
-    """A time over which one command drives the force stage."""
+    """A time interval in which one command drives the force stage."""
 
     sent: int
-    """The command, counted back from the last one sent: 0."""
+    """Index of the command; 0 is the newest."""
     duration_s: float
     mean: float
-    """Share of the gap between force and command that is left on average over the segment."""
+    """Mean remaining share of the gap between force and command over the segment."""
     end: float
-    """The share left at its end."""
+    """Remaining share at the end of the segment."""
 
 
 def as_records(segments: Sequence[Segment]) -> Rows:
-    """Return segments as compiled code reads them."""
+    """Segments as an array for compiled code."""
     return np.array(list(segments), SEGMENT)
 
 
 @helper
 def follow(path: Any, address: int, force: Array, mean: Array) -> float:
-    """Take `force` (6,) N over the segment at an address, fill its `mean` (6,) N; return the duration, s."""
+    """Advance `force` (6,) N over a segment, fill its `mean` (6,) N, and return the duration, s."""
     segment = segment_at(address)
     command = reals_at(path.sent + 48 * segment.sent, 6)
     for i in range(6):
@@ -76,7 +77,7 @@ def follow(path: Any, address: int, force: Array, mean: Array) -> float:
 
 @helper
 def send(path: Any, command: Array) -> None:
-    """Put a command (6,) N before those that still act."""
+    """Insert a command (6,) N as the newest one."""
     sent = reals_at(path.sent, 6 * path.slots)
     for k in range(6 * (path.slots - 1)):
         place = 6 * path.slots - 1 - k
@@ -87,7 +88,7 @@ def send(path: Any, command: Array) -> None:
 
 @helper
 def advance(path: Any, periods: int, tau: Array) -> None:
-    """Go on by periods and fill the mean force `tau` (6,) N, as `ForcePath.advance`."""
+    """Advance by `periods` and fill the mean force `tau` (6,) N: `ForcePath.advance`, compiled."""
     mean = np.empty(6)
     tau[:] = 0.0
     for k in range(periods):
@@ -106,13 +107,13 @@ _advance = kernel(record(FORCE_PATH), INTEGER, OUT_VECTOR)(advance)
 
 
 class ForcePath:
-    """The forces in the six legs, as far as the commands determine them.
+    """Predicted forces in the six legs under the commands sent.
 
-    A command that is computed from the measurement of an instant t drives the force stage from
-    t + transport on, until the next one takes over: with lag T, T df/dt = command - f.
+    A command computed from the measurement at t drives the force stage from t + transport on, until the
+    next command replaces it. With lag T, the force f obeys T df/dt = command - f.
 
     Mutable state: the force at the last instant of measurement and the commands that still act, in `record`
-    and what it points to. `reset` clears both; `send` and `advance` go on.
+    and the arrays that it points to. `reset` clears both; `send` and `advance` change them.
     """
 
     def __init__(self, period_s: float, transport_s: float, lag_s: float) -> None:
@@ -134,19 +135,19 @@ class ForcePath:
 
     @property
     def force(self) -> Array:
-        """(6,) N at the last instant of measurement."""
+        """Force (6,) N at the last instant of measurement."""
         return self.record["force"].copy()
 
     def reset(self) -> None:
-        """No force, and none under way."""
+        """Set the force and all commands to zero."""
         self.record["force"] = 0.0
         self._sent[:] = 0.0
 
     def segments(self, duration_s: float, *, newest: int = 0) -> tuple[Segment, ...]:
-        """Cut `duration_s` from an instant of measurement on by the commands that act.
+        """Divide `duration_s` after an instant of measurement into segments of one command each.
 
-        newest: how many commands have been sent since that instant. What is not sent yet is taken to be as
-        the last one.
+        newest: number of commands sent since that instant. Where the next command is not sent yet, the newest
+        one is assumed to continue.
         """
         found = []
         begin, end = 0.0, self.transport_s - self._whole * self.period_s
@@ -167,13 +168,13 @@ class ForcePath:
         return Segment(sent, duration_s, (1.0 - left) / x, left)
 
     def send(self, command: Array) -> None:
-        """Take note of the command (6,) N that answers the last measurement."""
+        """Store the command (6,) N computed from the last measurement."""
         _send(self.record, np.ascontiguousarray(command, np.float64))
 
     def advance(self, periods: int = 1) -> Array:
-        """Go on to the next measurement, `periods` later; return the mean force (6,) N until then.
+        """Advance to the next measurement, `periods` later, and return the mean force (6,) N until then.
 
-        Where periods were skipped, the drives went on with what they had.
+        If periods were skipped, the drives continued with the newest command.
         """
         mean = np.empty(6)
         _advance(self.record, periods, mean)

@@ -1,6 +1,6 @@
-"""The robot as numbers: joint positions, masses, inertias, gravity. Checked once, read-only ever after.
+"""The robot as numbers: joint positions, masses, inertias, gravity; checked once, then read-only.
 
-No mathematics but the checks.
+This module contains no mathematics except the checks.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ TOLERANCE = 1e-9
 
 
 class GeometryError(ModelError):
-    """A platform that cannot exist or can never be controlled.
+    """A platform that is not physical, or that no leg forces can control.
 
     Attributes
     ----------
     where : str
-        The key at fault, as in ``platform.inertia``.
+        The invalid key, for example ``platform.inertia``.
     value : object
-        What was given there, or the offending quantity.
+        The value given, or the quantity that violates the limit.
     """
 
     def __init__(self, where: str, value: object, allowed: str) -> None:
@@ -38,7 +38,7 @@ class GeometryError(ModelError):
 
 @dataclass(frozen=True)
 class Body:
-    """The moving platform: mass (kg), com (3,) m and inertia (3, 3) kg m^2 about it, in platform axes."""
+    """The moving platform: mass (kg), com (3,) m and inertia (3, 3) kg m^2 about com, in platform axes."""
 
     mass: float
     com: Array
@@ -47,9 +47,9 @@ class Body:
 
 @dataclass(frozen=True)
 class LegBody:
-    """Half a leg: mass (kg), com (m along the leg), inertias about it (kg m^2).
+    """Half a leg: mass (kg), com (m along the leg), inertias about com (kg m^2).
 
-    A cylinder's ``com`` counts from the base joint, a rod's from the platform joint.
+    ``com`` is measured from the base joint for a cylinder, from the platform joint for a rod.
     """
 
     mass: float
@@ -74,9 +74,9 @@ class Platform:
     gravity : (3,) m/s^2
         Base frame.
     universal_joint_base_axes : (6, 3) or None
-        Unit directions, base frame, of the hinge between base and leg i; needed where legs spin.
+        Unit directions, base frame, of the hinge between base and leg i; required where legs spin.
 
-    Raises GeometryError: where a value is missing, not finite, of the wrong shape or not physical.
+    Raises GeometryError for a value that is missing, not finite, of the wrong shape or not physical.
     """
 
     base_joints: Array
@@ -88,7 +88,7 @@ class Platform:
     universal_joint_base_axes: Array | None = None
 
     def __post_init__(self) -> None:
-        """Check everything and make the arrays private and read-only."""
+        """Check all values and store read-only copies of the arrays."""
         keep = object.__setattr__
         keep(self, "base_joints", _array("base_joints", self.base_joints, (6, 3)))
         keep(self, "platform_joints", _array("platform_joints", self.platform_joints, (6, 3)))
@@ -103,19 +103,19 @@ class Platform:
 
     @property
     def radius(self) -> float:
-        """Mean distance of the platform joints from the platform origin, m: makes rotations comparable."""
+        """Mean distance of the platform joints from the platform origin, m; scales rotations."""
         return float(np.mean(np.sqrt((self.platform_joints**2).sum(axis=1))))
 
     @classmethod
     def from_dict(cls, d: Mapping[str, Any]) -> Platform:
-        """Make a platform from plain numbers.
+        """Create a platform from plain numbers.
 
         Keys: ``base_joints``, ``platform_joints``, ``platform {mass, com, inertia}``, ``cylinder`` and
         ``rod {mass, com, inertia_axial, inertia_transverse}``, ``gravity``, optionally
-        ``universal_joint_base_axes``. ``inertia_axial`` may be None, which counts as 0. Further keys at the
-        top (a name, a source) are left alone.
+        ``universal_joint_base_axes``. ``inertia_axial`` may be None, which counts as 0. Other keys at the
+        top level (a name, a source) are ignored.
 
-        Raises GeometryError: where a key is missing or its value cannot be used.
+        Raises GeometryError for a missing key or an invalid value.
         """
         return cls(
             base_joints=_get(d, "base_joints"),
@@ -128,7 +128,7 @@ class Platform:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain lists and floats that ``from_dict`` takes."""
+        """Plain lists and floats, the input of ``from_dict``."""
         axes = self.universal_joint_base_axes
         return {
             "base_joints": self.base_joints.tolist(),
@@ -199,7 +199,7 @@ def _body(body: Body) -> Body:
         raise GeometryError(
             "platform.inertia",
             f"principal moments {small:.9g}, {middle:.9g}, {large:.9g} kg m^2",
-            "the largest at most the sum of the others (about the centre of mass no body has more)",
+            "a largest one of at most the sum of the other two (true of every rigid body)",
         )
     return Body(
         _number("platform.mass", body.mass, positive=True), _array("platform.com", body.com, (3,)), inertia
@@ -217,7 +217,7 @@ def _leg_body(name: str, body: LegBody) -> LegBody:
 
 
 def unit_rows(where: str, value: ArrayLike) -> Array:
-    """Return six directions of any length as unit vectors (6, 3); GeometryError at `where` for others."""
+    """Six directions of any length as unit vectors (6, 3). GeometryError at `where` for a length of zero."""
     axes = _array(where, value, (6, 3))
     length = np.sqrt((axes**2).sum(axis=1, keepdims=True))
     if not (length > TOLERANCE).all():
@@ -239,5 +239,5 @@ def _check_legs(a: Array, b: Array) -> None:
         spread = np.linalg.svd(joints - joints.mean(axis=0), compute_uv=False)
         if spread[1] < TOLERANCE:
             raise GeometryError(
-                name, "six joints on one line", "joints that span a plane: J is singular everywhere"
+                name, "six joints on one line", "joints that span a plane, else J is singular everywhere"
             )

@@ -1,8 +1,8 @@
-"""Mass, centre of mass and inertia of rigid bodies: moved, turned, shaped, put together.
+"""Mass, centre of mass and inertia of rigid bodies: parallel axes, rotation, simple shapes, combination.
 
-Sums are written out, as in hil.mathematics.linear_algebra: BLAS differs in the last bit from one processor to
-the next. An inertia tensor is always the matrix of the equations of motion, I = integral of (r.r 1 - r r^T)
-dm: products of inertia stand in it with the minus sign.
+Sums are written out, as in hil.mathematics.linear_algebra: the last bit of BLAS results depends on the
+processor. An inertia tensor is always the matrix of the equations of motion, I = integral of (r.r 1 - r r^T)
+dm, whose products of inertia have the minus sign.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from hil.robot.geometry import TOLERANCE, Body, GeometryError
 
 
 def product(A: Array, B: Array) -> Array:
-    """Return A B for 3x3 matrices, term by term in a fixed order."""
+    """Multiply 3x3 matrices A B term by term in a fixed order."""
     return A[:, 0:1] * B[0:1] + A[:, 1:2] * B[1:2] + A[:, 2:3] * B[2:3]
 
 
@@ -34,7 +34,7 @@ def steiner(mass: float, d: ArrayLike) -> Array:
     """Parallel-axis term m (d.d 1 - d d^T), (3, 3) kg m^2 (Steiner 1840).
 
     Inertia about a point at the distance d (3,) m from the centre of mass is the inertia about the centre of
-    mass plus this; never less.
+    mass plus this term.
     """
     x, y, z = (float(v) for v in np.asarray(d, np.float64))
     return mass * np.array(
@@ -43,7 +43,7 @@ def steiner(mass: float, d: ArrayLike) -> Array:
 
 
 def with_positive_products(inertia: ArrayLike) -> Array:
-    """Return the tensor of a table that lists the products of inertia as +integral of x y dm, (3, 3)."""
+    """Inertia tensor (3, 3) from a table that lists the products of inertia as +integral of x y dm."""
     table = np.asarray(inertia, np.float64)
     return np.where(np.eye(3, dtype=bool), table, -table)
 
@@ -70,7 +70,7 @@ def sphere(mass: float, radius: float) -> Array:
 
 
 def combine(bodies: Sequence[Body]) -> Body:
-    """Put bodies, all in the same frame, together into one rigid body.
+    """Combine bodies, all in the same frame, into one rigid body.
 
     m = sum m_k, com = sum m_k c_k / m, I = sum [I_k + m_k (d_k.d_k 1 - d_k d_k^T)], d_k = c_k - com.
     """
@@ -83,13 +83,13 @@ def combine(bodies: Sequence[Body]) -> Body:
 
 
 def principal_moments(inertia: ArrayLike) -> tuple[float, float, float]:
-    """Return the three principal moments, kg m^2, ascending. For messages and reports."""
+    """Principal moments, kg m^2, ascending; for messages and reports."""
     low, middle, high = np.linalg.eigvalsh(np.asarray(inertia, np.float64))
     return float(low), float(middle), float(high)
 
 
 def physical(inertia: ArrayLike) -> bool:
-    """Whether a body can have this tensor about its centre of mass: 0 <= I_1, I_3 <= I_1 + I_2.
+    """Check that a body can have this tensor about its centre of mass: 0 <= I_1, I_3 <= I_1 + I_2.
 
     A point (three zeros) and a thin rod (one zero) count as bodies; relative tolerance 1e-9.
     """
@@ -100,14 +100,14 @@ def physical(inertia: ArrayLike) -> bool:
 def about_centre_of_mass(
     where: str, mass: float, com: ArrayLike, inertia: ArrayLike, point: ArrayLike | None = None
 ) -> Array:
-    """Inertia about the centre of mass, checked, from one about `point`: I - m (d.d 1 - d d^T).
+    """Inertia about the centre of mass, checked, from the inertia about `point`: I - m (d.d 1 - d d^T).
 
-    where: name of the tensor in messages; mass in kg; com, point: (3,) m in the axes of the tensor, which is
-    about the centre of mass already where there is no point.
+    where: name of the tensor in messages; mass in kg; com, point: (3,) m in the axes of the tensor. Without
+    `point` the tensor is already about the centre of mass.
     inertia : (3, 3) kg m^2
 
-    Raises GeometryError: the tensor is not symmetric, or no body has it. The message says what it is after
-    the move, and whether the other sign of the products would mend it.
+    Raises GeometryError if the tensor is not symmetric or not physical. The message states the principal
+    moments about the centre of mass, and whether products of the other sign would be physical.
     """
     I = np.asarray(inertia, np.float64)
     if float(np.abs(I - I.T).max()) > TOLERANCE * float(np.abs(I).max()):
@@ -119,12 +119,12 @@ def about_centre_of_mass(
     low, middle, high = principal_moments(moved)
     given = f"principal moments {low:.9g}, {middle:.9g}, {high:.9g} kg m^2"
     if point is not None:
-        given += f" once moved from {np.asarray(point).tolist()} to the centre of mass"
-    allowed = "the largest at most the sum of the others (about the centre of mass no body has more)"
+        given += f" after the move from {np.asarray(point).tolist()} to the centre of mass"
+    allowed = "a largest one of at most the sum of the other two (true of every rigid body)"
     if low < 0:
-        allowed = "three that are not negative" + (
-            "; is the tensor perhaps about the centre of mass already?" if point is not None else ""
+        allowed = "three values >= 0" + (
+            "; check whether the tensor is about the centre of mass already" if point is not None else ""
         )
     if physical(with_positive_products(I) - move):
-        allowed += "; with the other sign of the products of inertia (key products) it would be"
+        allowed += "; the tensor is valid with the other sign of the products of inertia (key products)"
     raise GeometryError(where, given, allowed)

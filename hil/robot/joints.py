@@ -1,4 +1,4 @@
-"""Joint centres: on a circle, from a radius and angles."""
+"""Joint centres on a circle, from a radius and angles."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,6 @@ PairsBegin = Literal["first_leg", "second_leg"]
 
 
 def _about_z(angle_deg: float) -> tuple[float, float]:
-    """Return cosine and sine."""
     R = rotation_from_vector(np.array([0.0, 0.0, math.radians(math.remainder(angle_deg, 360.0))]))
     return float(R[0, 0]), float(R[1, 0])
 
@@ -24,7 +23,7 @@ def on_circle(radius: float, angles_deg: Sequence[float], z: float = 0.0) -> Arr
 
 
 def chord(radius: float, half_angle_deg: float) -> float:
-    """Distance in m between two joints on a circle that stand at +-half_angle_deg: 2 r sin."""
+    """Distance in m between two joints on a circle at the angles +-half_angle_deg: 2 r sin."""
     return 2 * radius * _about_z(half_angle_deg)[1]
 
 
@@ -37,13 +36,13 @@ def in_pairs(
 ) -> Array:
     """Joint centres of pairs on a circle, (2 n, 3) m in leg order.
 
-    The joints of a pair lie at exp(centre [z]x) (sqrt(r^2 - d^2/4), -+d/2, z), d the spacing, the one at the
-    smaller angle first.
+    The joints of a pair lie at exp(centre [z]x) (sqrt(r^2 - d^2/4), -+d/2, z), d the spacing. The joint at
+    the smaller angle comes first.
 
     radius, spacing, z: m; spacing is the distance between the two joints of a pair, 0 where they coincide.
     centres_deg: (n,) direction of each pair, from x towards y.
-    begin: `first_leg`: the pairs are legs 0 and 1, 2 and 3, 4 and 5 of the list. `second_leg`: they are
-    1 and 2, 3 and 4, 5 and 0, as on the platform of a robot whose base pairs begin with the first leg.
+    begin: `first_leg`: the pairs are legs 0 and 1, 2 and 3, 4 and 5. `second_leg`: the pairs are legs
+    1 and 2, 3 and 4, 5 and 0, as on the platform of a robot whose base pairs begin with leg 0.
     """
     half = spacing / 2
     depth = math.sqrt(radius**2 - half**2)

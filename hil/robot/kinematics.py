@@ -1,8 +1,9 @@
-"""Leg lengths from a pose, rates through the Jacobian, and the pose from six lengths.
+"""Leg lengths from a pose, leg rates through the Jacobian, and the pose from six leg lengths.
 
-Checked faces of ``hil.robot.kinematics_kernels``; the loop calls the kernels. Arguments, in the base frame:
-p (3,) m, platform origin; R (3, 3), x_base = p + R x_platform; twist (6,) m/s and rad/s, [v of the platform
-origin; omega]; q (6,) m, leg lengths. KinematicsError where one is not finite or R is no rotation.
+Checked versions of ``hil.robot.kinematics_kernels``; the control loop calls the kernels. Arguments, in the
+base frame: p (3,) m, platform origin; R (3, 3), x_base = p + R x_platform; twist (6,) m/s and rad/s, [v of
+the platform origin; omega]; q (6,) m, leg lengths. All functions raise KinematicsError for an argument that
+is not finite or an R that is not a rotation.
 """
 
 from typing import NamedTuple
@@ -23,12 +24,12 @@ SINGULAR = 1e12
 
 
 class KinematicsError(ModelError):
-    """A pose or lengths that have no meaning, or a pose that cannot be found or used.
+    """Invalid pose or leg lengths, or a pose that is singular or cannot be found.
 
     Attributes
     ----------
     values : dict
-        The quantities that the message speaks of (``p``, ``R``, ``q``, ``residual``, ``condition`` ...).
+        The quantities in the message (``p``, ``R``, ``q``, ``residual``, ``condition`` ...).
     """
 
     def __init__(self, message: str, **values: object) -> None:
@@ -46,7 +47,7 @@ class Pose(NamedTuple):
     iterations: int
     """Newton steps taken."""
     residual: float
-    """m, largest difference between a given length and that of the pose."""
+    """m, largest difference between a given leg length and the leg length at the pose."""
 
 
 def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: str) -> Array:
@@ -60,7 +61,7 @@ def _shaped(name: str, value: ArrayLike, shape: tuple[int, ...], allowed: str) -
 
 
 def check_vector(name: str, value: ArrayLike, size: int) -> Array:
-    """Return ``value`` as a contiguous float64 vector; KinematicsError if not finite or not of that size."""
+    """Contiguous float64 vector of ``value``; KinematicsError for a wrong size or a number not finite."""
     x = _shaped(name, value, (size,), f"are {size} numbers")
     if not np.isfinite(x).all():
         raise KinematicsError(f"{name}: got {x.tolist()}, allowed are finite numbers", **{name: x})
@@ -68,13 +69,13 @@ def check_vector(name: str, value: ArrayLike, size: int) -> Array:
 
 
 def check_rotation(R: ArrayLike) -> Array:
-    """Return ``R`` as a contiguous float64 (3, 3); KinematicsError if it is no rotation."""
+    """Contiguous float64 (3, 3) of ``R``; KinematicsError if it is not a rotation."""
     x = _shaped("R", R, (3, 3), "is a 3x3 rotation matrix")
     error = float(np.abs(x.T @ x - np.eye(3)).max())
     determinant = float(np.dot(x[0], np.cross(x[1], x[2])))
     if not error <= ROTATION_TOLERANCE or determinant < 0:
         raise KinematicsError(
-            f"R is no rotation: largest entry of R^T R - 1 is {error:.3g} "
+            f"R is not a rotation: largest entry of R^T R - 1 is {error:.3g} "
             f"(allowed {ROTATION_TOLERANCE:.0e}), determinant {determinant:.6g} (allowed 1). "
             f"R = {x.tolist()}",
             R=x,
@@ -85,7 +86,7 @@ def check_rotation(R: ArrayLike) -> Array:
 
 
 def leg_lengths(platform: Platform, p: ArrayLike, R: ArrayLike) -> Array:
-    """Inverse kinematics: leg lengths of a pose.
+    """Inverse kinematics: leg lengths at a pose.
 
     q_i = |p + R b_i - a_i|, (6,) m (Merlet, Parallel Robots, 2006, 2.4).
     """
@@ -98,7 +99,7 @@ def jacobian(platform: Platform, p: ArrayLike, R: ArrayLike) -> Array:
     """Jacobian J of the leg lengths, dq = J twist.
 
     Row i is [s_i, (R b_i) x s_i], s_i the unit vector from base to platform joint (Merlet, 2006, 5.3).
-    (6, 6); columns 0-2 have no unit, columns 3-5 are in m. Raises KinematicsError also where a leg has length
+    (6, 6); columns 0-2 have no unit, columns 3-5 are in m. Also raises KinematicsError for a leg of length
     zero.
     """
     J = kernels.jacobian_kernel(
@@ -111,7 +112,7 @@ def jacobian_rate(platform: Platform, p: ArrayLike, R: ArrayLike, twist: ArrayLi
     """Time derivative of J along a motion, ddq = J dtwist + jacobian_rate twist.
 
     Row i is [ds_i, (omega x r_i) x s_i + r_i x ds_i], r_i = R b_i, ds_i = (u_i - s_i s_i.u_i) / q_i,
-    u_i = v + omega x r_i. (6, 6); columns 0-2 in 1/s, columns 3-5 in m/s. Raises as ``jacobian``.
+    u_i = v + omega x r_i. (6, 6); columns 0-2 in 1/s, columns 3-5 in m/s. Raises the errors of ``jacobian``.
     """
     Jdot = kernels.jacobian_rate_kernel(
         platform.base_joints,
@@ -132,10 +133,10 @@ def _finite(J: Array, p: ArrayLike, R: ArrayLike) -> Array:
 
 
 def condition(platform: Platform, p: ArrayLike, R: ArrayLike) -> float:
-    """How far from singular a pose is: a bound on the condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r).
+    """Upper bound on the condition number of J diag(1, 1, 1, 1/r, 1/r, 1/r): distance from a singular pose.
 
-    r is ``platform.radius``. Never below the 2-norm condition number, at most 6^(1/8) = 1.251 times it;
-    inf where J is singular. Raises as ``jacobian``.
+    r is ``platform.radius``. The bound is between 1 and 6^(1/8) = 1.251 times the 2-norm condition number;
+    inf where J is singular. Raises the errors of ``jacobian``.
     """
     return condition_kernel(jacobian(platform, p, R), platform.radius)
 
@@ -149,21 +150,21 @@ def forward_kinematics(
     tolerance: float = 1e-12,
     max_iterations: int = 50,
 ) -> Pose:
-    """Forward kinematics: the pose with these leg lengths near a first guess.
+    """Forward kinematics: the pose with these leg lengths near an initial guess.
 
-    Newton's method on SE(3): J step = q - lengths, p += step_v, R = C(step_omega) R with the Cayley map C,
-    which needs no Euler angles and converges quadratically everywhere but at singular poses. Up to 40 poses
-    share six lengths (Dietmaier, 1998): which one is found is decided by p0, R0. From far away use
+    Newton's method on SE(3): J step = q - lengths, p += step_v, R = C(step_omega) R with the Cayley map C.
+    It needs no Euler angles and converges quadratically except at singular poses. Up to 40 poses share six
+    leg lengths (Dietmaier, 1998); p0, R0 decide which one is found. From a distant guess use
     ``continue_kinematics``.
 
     Parameters
     ----------
-    p0, R0 : first guess of p and R.
-    tolerance : m, largest residual that ends the iteration.
-    max_iterations : Newton steps before giving up.
+    p0, R0 : initial guess of p and R.
+    tolerance : m, residual that ends the iteration.
+    max_iterations : largest number of Newton steps.
 
-    Raises KinematicsError: also where the lengths cannot be reached or are not positive, the iteration meets
-    a singular pose or does not converge.
+    Also raises KinematicsError for lengths that are unreachable or not positive, at a singular pose, and
+    without convergence.
     """
     a, b, q = platform.base_joints, platform.platform_joints, _check_lengths(q)
     p, R, J, iterations, residual, _ = kernels.forward_kinematics_kernel(
@@ -190,9 +191,9 @@ def continue_kinematics(
 ) -> Pose:
     """Forward kinematics from a cold start: follow the pose while the lengths move from those of p0, R0 to q.
 
-    The lengths move on a straight line, in steps as long as Newton's method stays certain of its branch (see
-    ``hil.estimation.pose``). The result is the assembly that the machine reaches from p0, R0 on that path.
-    ``iterations`` counts the steps tried. Raises as ``forward_kinematics``.
+    The lengths move on a straight line. The steps are as long as Newton's method provably stays on one
+    branch (see ``hil.estimation.pose``). The result is the assembly that the machine reaches from p0, R0 on
+    this path. ``iterations`` counts all steps tried. Raises the errors of ``forward_kinematics``.
     """
     q = _check_lengths(q)
     p, R, steps, residual = kernels.continuation_kernel(
@@ -207,7 +208,7 @@ def continue_kinematics(
     if not residual <= tolerance:
         raise KinematicsError(
             f"the leg lengths {q.tolist()} m cannot be reached from p0 = {np.asarray(p0).tolist()} m on a "
-            f"straight path of the lengths: stopped at p = {p.tolist()} m after {steps} steps",
+            f"straight line of the lengths: stopped at p = {p.tolist()} m after {steps} steps",
             q=q,
             p=p,
             R=R,
@@ -217,7 +218,7 @@ def continue_kinematics(
 
 
 MAX_SUBSTEPS = 400
-"""Of a continuation, failed ones included."""
+"""Largest number of steps of a continuation, failed ones included."""
 
 
 def _check_lengths(q: ArrayLike) -> Array:

@@ -14,12 +14,12 @@ from hil.mathematics.rotations import cayley_step, orthonormalise
 from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
 
 FLOOR = 1e-8
-"""m: Newton steps shorter than this say nothing about an assembly."""
+"""m: shorter Newton steps are not used to judge the assembly."""
 
 
 @helper
 def leg(a: Vector, r: Vector, p: Vector) -> tuple[float, Vector]:
-    """Return length l and unit vector s of the leg from a to p + r, r = R b."""
+    """Length l and unit vector s of the leg from a to p + r, r = R b."""
     d = sub(add(p, r), a)
     l = np.sqrt(dot(d, d))
     return l, scale(1.0 / l, d)
@@ -40,7 +40,7 @@ def lengths_and_jacobian(a: Array, b: Array, p: Array, R: Array, l: Array, J: Ar
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX)
 def leg_lengths_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
-    """Return l_i = |p + R b_i - a_i|, (6,) m."""
+    """Leg lengths l_i = |p + R b_i - a_i|, (6,) m."""
     l = np.empty(6)
     for i in range(6):
         l[i], _ = leg(row(a, i), rotate(R, row(b, i)), at(p, 0))
@@ -49,7 +49,7 @@ def leg_lengths_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX)
 def jacobian_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
-    """Return J (6, 6), dq = J twist."""
+    """Jacobian J (6, 6), dq = J twist."""
     l = np.empty(6)
     J = np.empty((6, 6))
     lengths_and_jacobian(a, b, p, R, l, J)
@@ -58,7 +58,7 @@ def jacobian_kernel(a: Array, b: Array, p: Array, R: Array) -> Array:
 
 @helper
 def leg_motion(l: float, s: Vector, r: Vector, v: Vector, w: Vector) -> tuple[Vector, float, Vector]:
-    """Return the platform joint's velocity u = v + w x r, the leg's rate s.u and ds/dt = (u - s s.u)/l."""
+    """Platform joint's velocity u = v + w x r, the leg's rate s.u and ds/dt = (u - s s.u)/l."""
     u = add(v, cross(w, r))
     dl = dot(s, u)
     return u, dl, scale(1.0 / l, sub(u, scale(dl, s)))
@@ -66,7 +66,7 @@ def leg_motion(l: float, s: Vector, r: Vector, v: Vector, w: Vector) -> tuple[Ve
 
 @kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR)
 def jacobian_rate_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array) -> Array:
-    """Return dJ/dt (6, 6): row i is [ds, (w x r) x s + r x ds], r = R b_i."""
+    """dJ/dt (6, 6): row i is [ds, (w x r) x s + r x ds], r = R b_i."""
     Jdot = np.empty((6, 6))
     v = at(twist, 0)
     w = at(twist, 3)
@@ -83,7 +83,7 @@ def jacobian_rate_kernel(a: Array, b: Array, p: Array, R: Array, twist: Array) -
 
 @helper
 def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w: Vector) -> float:
-    """Return row i of (dJ/dt) twist = ds.u + s.(w x (w x r)) without forming dJ/dt."""
+    """Row i of (dJ/dt) twist = ds.u + s.(w x (w x r)), computed without dJ/dt."""
     r = rotate(R, b)
     l, s = leg(a, r, p)
     u, _, ds = leg_motion(l, s, r, v, w)
@@ -92,7 +92,7 @@ def jacobian_rate_twist(a: Vector, b: Vector, p: Vector, R: Array, v: Vector, w:
 
 @helper
 def joint_displacement(b: Array, R: Array, step: Array) -> float:
-    """Return the largest displacement (m) of a platform joint under the small motion ``step`` (6,)."""
+    """Largest displacement (m) of a platform joint under the small motion ``step`` (6,)."""
     largest = 0.0
     for i in range(6):
         d = add(at(step, 0), cross(at(step, 3), rotate(R, row(b, i))))
@@ -115,7 +115,7 @@ def newton(
     order: Ints,
     work: Array,
 ) -> tuple[int, float, float]:
-    """Improve p, R in place until the lengths are q; fill J there; return iterations, residual, hop.
+    """Iterate p, R in place until the leg lengths are q, fill J, and return iterations, residual, hop.
 
     Newton on SE(3): J step = q - l(p, R), p += step_v, R = C(step_w) R with the Cayley map C. ``order`` (6,)
     and ``work`` (9, 6) are scratch.
@@ -154,10 +154,10 @@ def newton(
 def forward_kinematics_kernel(
     a: Array, b: Array, q: Array, p0: Array, R0: Array, tolerance: float, max_iterations: int
 ) -> tuple[Array, Array, Array, int, float, float]:
-    """Return p, R, J, iterations, residual, hop for the lengths q (6,), started at p0, R0. Never raises.
+    """p, R, J, iterations, residual, hop for the leg lengths q (6,), started at p0, R0. Never raises.
 
-    ``residual`` is the largest |q_i - l_i| in m, at most ``tolerance``; inf where Newton's method did not
-    converge, and p, R are then its last iterate. ``hop`` >= 1: see ``hil.estimation.pose``.
+    ``residual`` is the largest |q_i - l_i| in m, at most ``tolerance``. Without convergence it is inf, and
+    p, R are the last iterate. ``hop``: see ``hil.estimation.pose``.
     """
     p = p0.copy()
     R = R0.copy()
@@ -172,10 +172,10 @@ def forward_kinematics_kernel(
 def continuation_kernel(
     a: Array, b: Array, q: Array, p0: Array, R0: Array, tolerance: float, max_substeps: int
 ) -> tuple[Array, Array, int, float]:
-    """Return p, R, substeps, residual for lengths q on the branch that starts at p0, R0. Never raises.
+    """p, R, substeps, residual for leg lengths q on the branch that starts at p0, R0. Never raises.
 
-    The lengths move on a straight line from those of p0, R0 to q; each substep must converge with hop < 1,
-    or is halved. residual is inf where that does not reach q within ``max_substeps`` tries.
+    The lengths move on a straight line from those of p0, R0 to q. A substep that does not converge with
+    hop < 1 is halved. residual is inf if q is not reached within ``max_substeps`` tries.
     """
     p = p0.copy()
     R = R0.copy()

@@ -1,6 +1,6 @@
-"""Safety: what faults, what warns, and how far a force may go. One file for each kind of evidence.
+"""Safety: faults, warnings, and force limits. One file for each kind of evidence.
 
-Every rule is a pure function of numbers and small arrays; only `Safety` remembers.
+Every rule is a pure function of numbers and small arrays; only `Safety` has state.
 
 =========== ======================================================= ==========================
 family      rules                                                   acts as
@@ -12,8 +12,8 @@ residuals   a leg's length against its rate, its rate against       ENCODER
             leg must move
 legs        stale leg; drive in fault, rebooted, or out of RUN      STALE, DRIVE
 bus         bus off; sends failing tick after tick                  BUS
-frames      another controller, a doubled node, another set-up,     SECOND_CONTROLLER, SET_UP, ESTOP,
-            a share of refused frames, an E-stop of another node    DUPLICATE_NODE, REFUSED_FRAMES
+frames      another controller, two nodes with one number, another  SECOND_CONTROLLER, SET_UP, ESTOP,
+            set-up, refused frames, another node's emergency stop   DUPLICATE_NODE, REFUSED_FRAMES
 kinematics  residual, assembly hop, condition of J                  KINEMATICS, ASSEMBLY, CONDITION
 stroke      hard ends, square-root speed cap, speed                 STROKE, SPEED
 following   leg error against a limit that grows with speed         FOLLOWING

@@ -1,4 +1,4 @@
-"""Rule on the certificate: V of the error dynamics grows no faster than a stated disturbance lets it.
+"""Rule on the certificate: V of the error dynamics grows no faster than a stated disturbance allows.
 
 Derived in docs/theory/monitor.md.
 
@@ -8,8 +8,8 @@ Derived in docs/theory/monitor.md.
     bound(k + 1) = min(level(k) + g D T, sqrt(a level(k)^2 + (1 - a) D^2)),  a = exp(-2 alpha T)
     level(k) = min(bound(k), W(k) + noise)
 
-for each axis: `bound` is the smallest of what all ticks since the start of the watch allow. The axis breaks
-its certificate where W - noise > bound.
+for each axis: `bound` is the smallest bound that follows from any tick since the start of the watch. The axis
+violates its certificate where W - noise > bound.
 """
 
 from math import nan, sqrt
@@ -24,24 +24,26 @@ from drivers.compiled.compiler import helper
     K_P, K_D, P_11, P_12, P_22, DISTURBANCE, NOISE, RISE, DECAY, SLOPE, STEEPNESS, SCALARS, CONSTANTS,
 ) = range(13)  # fmt: skip
 """Rows of the constants of a watch (CONSTANTS, 6), see `hil.design.stability.monitor`: the certificate; the
-disturbance in m/s^2 or rad/s^2, with what looking ahead makes of it; the noise of W; g T and exp(-2 alpha T);
+disturbance in m/s^2 or rad/s^2, enlarged for a law that predicts; the noise of W; g T and exp(-2 alpha T);
 slope and steepness of a boundary layer."""
 POSE, SHARED, LAYER, ACTION, CONFIRM, PERIOD = range(6)
-"""SCALARS: axes of the pose; layer of all legs at once; its thickness; what to do; ticks; s."""
+"""SCALARS: axes of the pose; one layer for all legs; thickness of the layer; action; ticks to confirm;
+period, s."""
 LEVEL, COUNT, PAST, REFERENCE, ASKED = 0, 1, 2, 3, 6
-"""Rows of the memory: level and ticks of breach of each axis; PAST; q_d, dq_d, ddq_d of the last tick; from
-ASKED on the accelerations that the law asked for, the newest first."""
+"""Rows of the memory: level and ticks of violation of each axis; PAST; q_d, dq_d, ddq_d of the last tick;
+from ASKED on the accelerations that the law asked for, newest first."""
 LAST_V, UNREST = range(2)
-"""PAST: V of the last tick, nan without one; ticks until the forces are the law's, the lengths measured."""
+"""PAST: V of the last tick, nan without one; ticks until the forces are the law's and the lengths are
+measured."""
 
 
 class Watch(NamedTuple):
-    """What is watched, as `hil.design.stability.monitor` makes it."""
+    """Constants of a watch, from `hil.design.stability.monitor`."""
 
     constants: Array
-    """(CONSTANTS, 6); (0, 6): nothing."""
+    """(CONSTANTS, 6); (0, 6): no watch."""
     ticks: int
-    """So many of the last efforts may act at once."""
+    """Number of last efforts that may act at once."""
 
 
 NO_WATCH = Watch(np.zeros((0, 6)), 0)
@@ -49,14 +51,14 @@ NO_WATCH = Watch(np.zeros((0, 6)), 0)
 
 @helper
 def grown(level: float, disturbance: float, rise: float, decay: float) -> float:
-    """Return the largest W one period after W <= level, under a disturbance."""
+    """Largest W one period after W <= level, under a disturbance."""
     settled = decay * level * level + (1.0 - decay) * disturbance * disturbance
     return min(level + rise * disturbance, sqrt(settled))
 
 
 @helper
 def lyapunov(constants: Array, i: int, e: float, de: float) -> float:
-    """Return V of axis i."""
+    """V of axis i."""
     mixed = 2.0 * constants[P_12, i] * e * de
     value: float = constants[P_11, i] * e * e + mixed + constants[P_22, i] * de * de
     return max(value, 0.0)
@@ -64,10 +66,10 @@ def lyapunov(constants: Array, i: int, e: float, de: float) -> float:
 
 @helper
 def asked_for(constants: Array, e: Array, de: Array, feed: Array, linear: Array, asked: Array) -> None:
-    """Fill the axes' accelerations: by the certified gains, and by the law, which saturates beyond its layer.
+    """Fill accelerations of the axes: by the certified gains, and by the law, which saturates.
 
-    linear = feed + K_P e + K_D de; sigma = de + slope e. Where |sigma| (of all legs where they share a layer)
-    is beyond the layer, the law asks for steepness (|sigma| - layer) less along sigma.
+    linear = feed + K_P e + K_D de; sigma = de + slope e. Where |sigma| (over all legs if they share a layer)
+    exceeds the layer, the law asks for steepness (|sigma| - layer) less along sigma.
     """
     layer = constants[SCALARS, LAYER]
     square = 0.0
@@ -84,9 +86,10 @@ def asked_for(constants: Array, e: Array, de: Array, feed: Array, linear: Array,
 
 @helper
 def jumped(constants: Array, memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> bool:
-    """Tell whether the reference moved otherwise since the last tick than by its own rates.
+    """True if the change of the reference since the last tick does not follow from its own rates.
 
-    By more than the disturbance moves a leg within a period; a jump of its acceleration alone may do so.
+    Tolerance: the motion of a leg under the disturbance within a period; a jump of the acceleration alone may
+    stay within it.
     """
     T = constants[SCALARS, PERIOD]
     for i in range(6):
@@ -100,7 +103,7 @@ def jumped(constants: Array, memory: Array, q_d: Array, dq_d: Array, ddq_d: Arra
 
 @helper
 def spread(memory: Array, i: int, linear: float) -> float:
-    """Return how far `linear` is from what the law asked axis i for in the ticks whose forces act now."""
+    """Largest difference between `linear` and the law's requests for axis i whose forces act now."""
     widest = 0.0
     for k in range(ASKED, memory.shape[0]):
         widest = max(widest, abs(linear - memory[k, i]))
@@ -109,7 +112,7 @@ def spread(memory: Array, i: int, linear: float) -> float:
 
 @helper
 def remember_reference(memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-    """Keep the reference of this tick."""
+    """Store the reference of this tick."""
     memory[REFERENCE] = q_d
     memory[REFERENCE + 1] = dq_d
     memory[REFERENCE + 2] = ddq_d
@@ -117,7 +120,7 @@ def remember_reference(memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> 
 
 @helper
 def remember_asked(memory: Array, asked: Array, fresh: bool) -> None:
-    """Keep what the law asks for; `fresh`: as if it had always asked for it."""
+    """Store the law's request; `fresh`: as if it had always been the same."""
     for k in range(memory.shape[0] - 1, ASKED, -1):
         memory[k] = asked if fresh else memory[k - 1]
     memory[ASKED] = asked
@@ -125,7 +128,7 @@ def remember_asked(memory: Array, asked: Array, fresh: bool) -> None:
 
 @helper
 def forget(memory: Array) -> None:
-    """Forget what was: nothing is watched."""
+    """Clear the memory: no watch is running."""
     memory[COUNT] = 0.0
     memory[PAST, LAST_V] = nan
     memory[PAST, UNREST] = 0.0
@@ -133,13 +136,13 @@ def forget(memory: Array) -> None:
 
 @helper
 def settle(memory: Array, limited: bool) -> None:
-    """Take note of whether a limit acted on the forces: until they are forgotten they are not the law's."""
+    """Note whether a limit acted on the forces: they are not the law's until they have left the memory."""
     memory[PAST, UNREST] = memory.shape[0] - ASKED if limited else max(memory[PAST, UNREST] - 1.0, 0.0)
 
 
 @helper
 def unsettle(memory: Array) -> None:
-    """Take note that an error was an estimate: the next one is not compared to it."""
+    """Note that the error came from an estimate: the next error is not compared with it."""
     memory[PAST, UNREST] = max(memory[PAST, UNREST], 2.0)  # one of which `settle` takes off in this tick
 
 
@@ -148,13 +151,13 @@ def watch(
     constants: Array, memory: Array, e: Array, de: Array, rate: Array, feed: Array,
     whole: bool, late_s: float, periods: float, tick: Any,
 ) -> bool:  # fmt: skip
-    """Fill V, its rate, the largest V that is allowed and the largest W / (bound + noise) of a tick.
+    """Fill V, its rate, the allowed V and the largest W / (bound + noise) of a tick.
 
-    Return whether an axis has broken its certificate for the configured number of ticks.
+    Return True if an axis has violated its certificate for the configured number of ticks.
 
-    e, de, and rate and acceleration of the reference as of `hil.safety.error_axes`. whole: since the last
-    tick nothing happened that the certificate knows nothing of; where it is false the watch starts anew.
-    late_s: how late the encoders were read; periods: since the last tick.
+    e, de, and rate and acceleration of the reference as in `hil.safety.error_axes`. whole: nothing outside
+    the certificate's model has happened since the last tick; otherwise the watch restarts. late_s: delay of
+    the encoder readings; periods: since the last tick.
     """
     fresh = bool(np.isnan(memory[PAST, LAST_V]))
     begins = fresh or not whole

@@ -1,4 +1,4 @@
-"""The rules on encoders of one tick: which leg is doubted, and which is suspected: see `hil.loop.probe`."""
+"""The encoder rules of one tick: which legs are in doubt, and which are suspected: see `hil.loop.probe`."""
 
 from math import inf, isnan
 from typing import Any
@@ -11,13 +11,13 @@ from drivers.signals import Doubt, Fault, Mode
 from hil.safety import residuals
 
 LONGEST_GAP = 8
-"""Ticks without a leg after which its last reading says nothing of the next."""
+"""Longest gap, in ticks, over which a leg's last reading is compared with the next."""
 STRAYS = 1.0
-"""Share of a period by which a latch is off where an answer may be that to the SYNC or poll before."""
+"""Share of a period by which a latch may be off if the answer may belong to the SYNC or poll before."""
 LEAST_m_s = 1e-9
-"""A rate that leaps by less does not."""
+"""Smallest leap of a rate that counts."""
 RATE_MOVES = 3.0
-"""So many times its noise make a rate that is not zero."""
+"""A rate above this multiple of its noise is not zero."""
 COMPARED = np.dtype(
     [
         ("elapsed", "<f8"),  # s, between two latches
@@ -37,14 +37,14 @@ COMPARED = np.dtype(
         ("deviation", "<f8"),  # m, length less reference
     ]
 )
-"""What a tick compares of each leg."""
+"""Quantities that a tick compares for each leg."""
 
 
 @helper
 def doubt_leg(tick: Any, limits: Any, memory: Any, leg: int, why: int, value: float, limit: float) -> None:
-    """Remember a doubtful leg, and for the first one why.
+    """Mark a leg as doubtful; store the reason of the first one.
 
-    A length that jumped is no motion: where the leg has to stand, it stands there from now on.
+    A length that jumped is not a motion: a leg that must stand still now has to stand at the new length.
     """
     if limits.watched_legs >> leg & 1 == 0:
         return
@@ -56,7 +56,7 @@ def doubt_leg(tick: Any, limits: Any, memory: Any, leg: int, why: int, value: fl
 
 @helper
 def forget_doubt(memory: Any) -> None:
-    """Let no leg be doubted, nor for what was found before."""
+    """Clear all doubts and the sums behind them."""
     memory.doubt = memory.doubted = 0
     memory.doubt_value = memory.doubt_limit = 0.0
     memory.gaps[:] = 0.0
@@ -66,7 +66,7 @@ def forget_doubt(memory: Any) -> None:
 
 @helper
 def swings(tick: Any, limits: Any, memory: Any, window: Array, swing: Array) -> None:
-    """Fill swing (6,) N: largest less smallest of the forces that act between the readings to be compared.
+    """Fill swing (6,) N: range of each leg's forces that act between the readings to be compared.
 
     window: its first rows are the ring of the forces sent, (n, 6) N.
     """
@@ -85,17 +85,17 @@ def swings(tick: Any, limits: Any, memory: Any, window: Array, swing: Array) -> 
 
 @helper
 def latched(tick: Any, leg: int) -> int:
-    """Return when the encoder of a leg was latched for a tick, ns: when its SYNC or poll had gone out."""
+    """Instant at which the encoder of a leg was latched, ns: when its SYNC or poll had been sent."""
     return int(tick.t_ns + tick.lateness_ns + tick.latch_ns[leg])
 
 
 @helper
 def compare(tick: Any, limits: Any, memory: Any, x: Any) -> float:
-    """Fill time, gap, mean rate and bound of every leg heard now and lately; nan gap: it was not.
+    """Fill time, gap, mean rate and bound of every leg with a reading now and lately; else the gap is nan.
 
-    The bounds allow for what a delay that is not shared may make of each gap: a whole period where no leg
-    contradicts it, as a leg that is heard in its tick was latched in it.
-    Returns how much later than the clock says the latch was, over the legs heard the last time any was.
+    The bounds include the effect of a delay of one leg alone: a whole period if no other leg contradicts it,
+    since a leg that answers in a tick was latched in that tick. Returns the delay of the latch beyond the
+    clock's time, s, agreed on by the legs that reported in the last tick with any report.
     """
     for i in range(6):
         x["gap"][i] = x["say"][i] = np.nan
@@ -144,7 +144,7 @@ def compare(tick: Any, limits: Any, memory: Any, x: Any) -> float:
 
 @helper
 def fill_leaps(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Fill how far each rate leaps, and as a share of what forces explain; nan and 0: not known."""
+    """Fill the leap of each rate, and its share of what forces explain; nan and 0 where unknown."""
     x["leap"][:] = np.nan
     for i in range(6):
         if not isnan(x["gap"][i]) and memory.spacing_s[i] > 0.0 and x["stray"][i] == 0.0:
@@ -161,7 +161,7 @@ def fill_leaps(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def judge_lengths(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Doubt legs whose length and rate contradict each other: at once, or within a while."""
+    """Doubt legs whose length and rate contradict each other, at once or over a while."""
     closed = tick.mode in (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
     for i in range(6):
         gap, T = x["gap"][i], x["elapsed"][i]
@@ -188,7 +188,7 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def judge_rates(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Doubt the one leg whose rate leaps; not where a late latch makes a difference of lengths leap."""
+    """Doubt the only leg whose rate leaps, unless a late latch explains the leap of a difference."""
     leg = residuals.sole(x["excess"])
     if leg < 0:
         return
@@ -201,7 +201,7 @@ def judge_rates(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def let_settle(memory: Any, deviation: Array, period_s: float) -> None:
-    """Let no leg be suspected for what another one does that was pushed a moment ago."""
+    """Suspect no leg because of another leg's motion that follows a recent push."""
     for i in range(6):
         if memory.push[i] != 0:
             memory.unsettled_s[i] = residuals.SETTLES_S
@@ -214,7 +214,7 @@ def let_settle(memory: Any, deviation: Array, period_s: float) -> None:
 
 @helper
 def judge_stillness(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Suspect legs whose reading stands still while they or others stray; doubt those that no probe moves."""
+    """Suspect legs that stand still while a leg strays; doubt those that do not move under a push."""
     deviation = x["deviation"]
     for i in range(6):
         deviation[i] = tick.length[i] - tick.q_d[i]
@@ -243,7 +243,7 @@ def judge_stillness(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Any) -> None:
-    """Keep what the next tick is compared with, and in which one each leg, or any, was last missed."""
+    """Store the readings for the next comparison, and when each leg, or any, was last missed."""
     memory.delay_s += delay
     for i in range(6):
         if tick.age[i] != 0:
@@ -269,7 +269,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
     """Fill the doubted legs; return fault bits.
 
     window: see `hil.safety.force_limits`, its newest row `memory.newest`. is_open: all drives are in RUN and
-    the law moves the platform; rates and standstill count once the brakes have had their time to open.
+    the law moves the platform. Rates and standstill are judged once the brakes have had time to open.
     """
     tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, Doubt.NONE.value, 0.0, 0.0
     tick.encoder_share[:] = np.nan
@@ -300,7 +300,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
 
 @helper
 def probed(tick: Any, memory: Any) -> bool:
-    """Tell whether a leg is being probed."""
+    """True while a leg is being probed."""
     for i in range(6):  # noqa: SIM110 - compiled
         if memory.push[i] != 0 or tick.probe_force[i] != 0.0:
             return True

@@ -1,4 +1,4 @@
-"""What the rules on encoders compare with, and what they remember."""
+"""Limits and memory of the encoder rules."""
 
 from math import inf
 from typing import NamedTuple, get_type_hints
@@ -10,54 +10,56 @@ from drivers.signals import LEGS
 
 ONE6 = np.ones(LEGS)
 UNSHARED = 0.3
-"""`unshared` where each reading answers a SYNC or poll: frames in the way."""
+"""`unshared` where each reading answers a SYNC or poll: other frames may delay it."""
 UNASKED = 0.6
-"""The same where it may have come by a timer: sampled before the poll, it waited for the bus as long."""
+"""`unshared` where a timer may have sent the reading: sampled before the poll, it may also have waited for
+the bus."""
 
 
 class EncoderLimits(NamedTuple):
-    """Stated figures of encoders, model and loads, from which the limits follow."""
+    """Stated figures of encoders, model and loads, from which the limits are computed."""
 
     watched_legs: int
-    """Bit i: leg i; 0 watches none."""
+    """Bit i: leg i; 0: no leg."""
     length_noise_m: float
     rate_noise_m_s: float
     rate_skew_s: float
-    """So far beside the length a rate may be latched."""
+    """Largest time between the latching of a rate and of its length."""
     rate_error: float
-    """Share of a rate that may be wrong."""
+    """Relative error of a rate."""
     disturbance_m_s2: float
-    """Acceleration of a leg that the model does not know of, friction included."""
+    """Acceleration of a leg that the model does not contain, friction included."""
     mobility: Array
-    """(6, 6) 1/kg: no force on a leg accelerates another by more, |J M^-1 J^T| with a margin."""
+    """(6, 6) 1/kg: largest acceleration of each leg per force on each leg, |J M^-1 J^T| with a margin."""
     acting_ticks: int
-    """After so many ticks a force has come to act in full."""
+    """Ticks until a force acts in full."""
     push_N: Array
-    """(6,) N, under which a free leg has moved visibly within `push_ticks`."""
+    """(6,) N, force that moves a free leg visibly within `push_ticks`."""
     push_ticks: int
     sticks: int
     """1: friction may hold a leg still, see `hil.safety.residuals`."""
     rise_ticks: int
     """A push of a leg that sticks rises to `push_N` within this number of ticks; 1: at once."""
     open_ticks: int
-    """The brakes get so many ticks to open."""
+    """Time that the brakes get to open."""
     period_s: float
     unnamed: int = 0
-    """1: no feedback says which SYNC or poll it answers, see `hil.safety.encoder_kernels.compare`."""
+    """1: feedback does not identify its SYNC or poll, see `hil.safety.encoder_kernels.compare`."""
     differences: int = 0
-    """1: rates are made of the last three lengths, see `hil.safety.residuals`."""
+    """1: rates are computed from the last three lengths, see `hil.safety.residuals`."""
     apart: int = 0
-    """1: each drive latches by itself: that a leg was missed says nothing of the others."""
+    """1: each drive latches by itself: a missed leg shows nothing about the others."""
     unshared: float = UNSHARED
-    """Share of a period by which a latch may be late although a leg contradicts it."""
+    """Share of a period by which a latch may be late even if another leg contradicts it."""
     friction_N: float = 0.0
-    """Dry friction that is configured or identified, of each leg; see `hil.loop.probe`."""
+    """Dry friction of each leg, configured or identified; see `hil.loop.probe`."""
     driving: Array = ONE6
-    """(6,), what is left of a force where the motor drives the leg."""
+    """(6,), efficiency where the motor drives the leg."""
     back_driving: Array = ONE6
-    """(6,), the same where the leg drives the motor."""
+    """(6,), efficiency where the leg drives the motor."""
     mobility_low: Array = ZERO6
-    """(6,) 1/kg, of each leg under a force of its own, the least; what moves along the leg included."""
+    """(6,) 1/kg, smallest acceleration of each leg per force on itself, including the mass that moves along
+    the leg."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
@@ -101,4 +103,4 @@ ENCODER_MEMORY = [
     ("rate_then", "<f8", (LEGS,)),  # m/s, rates less those of the reference, before
     ("unsettled_s", "<f8", (LEGS,)),  # until a leg that was pushed follows its reference again
 ]
-"""Fields of what the rules remember of encoders."""
+"""Fields of the encoder rules' memory."""

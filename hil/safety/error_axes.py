@@ -12,11 +12,11 @@ from hil.mathematics.vectors import at, rotate, rotate_back, sub
 
 @helper
 def error_axes(pose: bool, tick: Any, e: Array, de: Array, rate: Array, feed: Array) -> None:
-    """Fill e, de, and rate and acceleration of the reference, each (6,), of the axes.
+    """Fill e, de, and rate and acceleration of the reference, each (6,), for the axes.
 
-    Legs: e = q_d - q. Pose: e = [p_d - p; r], r = log(R_d R^T), base frame, and dr its exact derivative as in
-    `hil.control.pose_inverse_dynamics`; the reference's are twist_d and dtwist_d, which for the rotation
-    differ from the derivatives of r in the second order of r.
+    Legs: e = q_d - q. Pose: e = [p_d - p; r], r = log(R_d R^T), base frame, and dr is its exact derivative as
+    in `hil.control.pose_inverse_dynamics`. Those of the reference are twist_d and dtwist_d; for the rotation
+    they differ from the derivatives of r in the second order of r.
     """
     if not pose:
         for i in range(6):

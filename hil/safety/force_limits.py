@@ -1,6 +1,6 @@
-"""Parts of the force limits, which `kernels.limit_effort` applies: size, change per tick and within 250 ms.
+"""The force limits that `kernels.limit_effort` applies: size, change per tick and within 250 ms.
 
-All three allow the last force sent, so that any order of them leaves something to send.
+All three admit the last force sent, so they leave a force to send in any order.
 """
 
 from drivers.arrays import Array
@@ -9,7 +9,7 @@ from drivers.compiled.compiler import helper
 
 @helper
 def clamp(tau: Array, i: int, low: float, high: float) -> bool:
-    """Bring tau[i] between low and high, in place; tell whether that changed it."""
+    """Clamp tau[i] to low .. high, in place; return True if that changed it."""
     if tau[i] > high:
         tau[i] = high
         return True
@@ -20,12 +20,13 @@ def clamp(tau: Array, i: int, low: float, high: float) -> bool:
 
 
 BLOCK = 16
-"""Rows of the window whose extremes are kept together: a new force then costs 16 rows and not the window."""
+"""Rows per block of the window, for which extremes are stored: a new force costs 16 rows, not the whole
+window."""
 
 
 @helper
 def widen(rows: Array, low: Array, high: Array) -> None:
-    """Let low and high (6,) take in all rows (n, 6)."""
+    """Extend low and high (6,) to include all rows (n, 6)."""
     for k in range(rows.shape[0]):
         for i in range(6):
             low[i] = min(low[i], rows[k, i])
@@ -34,7 +35,7 @@ def widen(rows: Array, low: Array, high: Array) -> None:
 
 @helper
 def remember(tau: Array, row: int, window: Array, rows: int) -> None:
-    """Put tau (6,) N into a row of the window and update the extremes of its block.
+    """Store tau (6,) N in a row of the window, and update the extremes of its block.
 
     window: the forces sent, (rows, 6) N, then the smallest and then the largest of each block of BLOCK rows.
     """
@@ -48,7 +49,7 @@ def remember(tau: Array, row: int, window: Array, rows: int) -> None:
 
 @helper
 def window_extremes(window: Array, rows: int) -> tuple[Array, Array]:
-    """Smallest and largest force (6,) N of each leg in the window, from those of its blocks."""
+    """Smallest and largest force (6,) N of each leg in the window, from its blocks."""
     low, high = window[rows].copy(), window[rows].copy()
     widen(window[rows:], low, high)
     return low, high

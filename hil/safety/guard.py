@@ -29,36 +29,35 @@ from hil.safety.kernels import LIMITS, MEMORY, judge, limit
 WINDOW_S = 0.25
 """Length of the force window."""
 SETTLE_S = 0.2
-"""Legs at rest for so long after a fault have to stand still from then on."""
+"""After a fault, legs that have been at rest for this long must stand still."""
 
 
 class Verdict(NamedTuple):
-    """What safety makes of a tick, beside its tau."""
+    """Safety's verdict on a tick, besides its tau."""
 
     warnings: Warn
     faults: Fault
     stop: Stop
-    """A controlled stop is asked for."""
+    """Reason for a controlled stop, if any."""
 
     @classmethod
     def of(cls, faults: int, warnings: int, stop: int) -> Self:
-        """Return the verdict that `hil.safety.kernels.judge` has made."""
+        """Verdict from the numbers that `hil.safety.kernels.judge` returns."""
         return cls(Warn(warnings), Fault(faults), Stop(stop))
 
 
 class Safety:
     """The rules of `hil.safety` with the limits of one robot.
 
-    Faults and stops are asked for only while the drives are powered (LOADING to UNLOADING, HELD), but for
-    legs that move on closed brakes, and for another controller on the bus, which faults before; warnings
-    always. In the other modes the drives are off: no force, and the force limits start anew from zero.
+    Faults and stops occur only while the drives are powered (LOADING to UNLOADING, HELD). Two faults also
+    occur before: a leg that moves on closed brakes, and another controller on the bus. Warnings occur in all
+    modes. In the other modes the drives are off: no force, and the force limits restart from zero.
 
-    Mutable state: the forces sent within the last 250 ms, the last of them being the last tau; which of the
-    last 32 ticks were late; periods missed in a row; in which of the last 32 ticks the bus refused frames and
-    in which frames of the drives were refused; the recorder's losses so far; whether all drives have been in
-    RUN since the brakes opened; where the legs have to stand; the last readings of the encoders, which of
-    them are doubted and which legs are pushed; what the watch of the certificate remembers. `reset` forgets
-    all of it.
+    Mutable state: the forces sent within the last 250 ms, ending with the last tau; the late ticks among the
+    last 32; periods missed in a row; of the last 32 ticks, those in which the bus refused frames, and those
+    with refused frames of the drives; the recorder's losses so far; whether all drives have been in RUN since
+    the brakes opened; where the legs have to stand; the last encoder readings, doubted legs and pushed legs;
+    the memory of the certificate. `reset` clears all of it.
     """
 
     def __init__(
@@ -72,7 +71,7 @@ class Safety:
         watch: Watch = NO_WATCH,
         encoders: EncoderLimits = NONE,
     ) -> None:
-        """Take the hard ends of the legs (m), the loop's rate and the drives' rated force (N)."""
+        """length_min, length_max: hard ends of the legs (m); drive_force_limit: drives' rated force (N)."""
         rows = len(watch.constants)
         self._watched = np.zeros((rows + (ASKED + watch.ticks if rows else 0), LEGS))
         self._watched[:rows] = watch.constants
@@ -95,32 +94,32 @@ class Safety:
         for name, value in encoders._asdict().items():
             self.limits[name] = value
         self.memory: Record = np.zeros((), MEMORY)
-        """What the rules remember, a record of `hil.safety.kernels.MEMORY`: for reading alone."""
+        """Memory of the rules, a record of `hil.safety.kernels.MEMORY`: read only."""
         self._window = np.zeros((ticks + 2 * math.ceil(ticks / BLOCK), LEGS))
         self.reset()
 
     @property
     def stops_unrecorded(self) -> bool:
-        """Whether a lost recorder ends the run."""
+        """True if a lost recorder ends the run."""
         return bool(self.limits["stop_on_recorder_loss"])
 
     def reset(self) -> None:
-        """Back to the state before the first tick: no force, no late tick, no failure."""
+        """Reset to the state before the first tick: no force, no late tick, no failure."""
         for array in (self.memory, self._window, self._watch_memory):
             array.fill(0)
         self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
         self.memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
     def resume(self, tau: Array) -> None:
-        """Let the force (6,) N come back at once: changes are limited as if it had been on all the time.
+        """Let the force (6,) N return at once: its changes are limited as if it had never been off.
 
-        A larger one than `limits.force_N` comes back as that.
+        Clamped to `limits.force_N`.
         """
         most = float(self.limits["force_N"])
         self._window[:] = np.clip(tau, -most, most)
 
     def places(self) -> dict[str, int]:
-        """Return addresses of the records and matrices, and how many rows these have."""
+        """Addresses of the records and matrices, and the matrices' numbers of rows."""
         return {
             "limits": data_at(self.limits),
             "memory": data_at(self.memory),
@@ -132,26 +131,26 @@ class Safety:
 
     @property
     def watches_pose(self) -> bool:
-        """Whether the axes of the certificate are those of the pose; else they are the legs."""
+        """True if the certificate's axes are those of the pose; otherwise they are the legs."""
         return bool(self._watched.size) and bool(self._watched[SCALARS, POSE])
 
     def broken_axes(self) -> tuple[int, ...]:
-        """Return the axes that break the certificate for as long as is asked."""
+        """Axes that have violated the certificate for the configured number of ticks."""
         if not self._watched.size:
             return ()
         counts, confirm = self._watch_memory[COUNT].tolist(), float(self._watched[SCALARS, CONFIRM])
         return tuple(axis for axis, count in enumerate(counts) if count >= confirm)
 
     def moved_m(self, tick: Record) -> Array:
-        """Return how far each leg is from where it had to stand the last time, (6,) m."""
+        """Distance of each leg from where it last had to stand, (6,) m."""
         moved: Array = np.abs(tick["length"] - self.memory["still"])
         return moved
 
     def judge(self, tick: Record, probe: Callable[[], object] | None = None) -> Verdict:
-        """Fill the verdict columns of a tick, once; return what warns, faults or asks for a stop.
+        """Fill the verdict columns of a tick, once; return its warnings, faults and stop request.
 
-        probe: fills probe_force as the rules have made it of this tick, before the limits hold. Mutates the
-        state named in the class.
+        probe: fills probe_force by the rules' result for this tick, before the limits apply. Mutates the
+        state listed in the class.
         """
         given = (tick, self.limits, self.memory, self._window, self._watched)
         faults, warnings, stop = judge(*given)

@@ -1,4 +1,4 @@
-"""The rules of one tick fused into one kernel: what faults, and how far the forces may go."""
+"""All rules of one tick in one kernel: faults, warnings, and force limits."""
 
 from math import nan
 from typing import Any
@@ -44,7 +44,7 @@ LIMITS = np.dtype(
         *ENCODER_LIMITS,
     ]
 )  # fmt: skip
-"""Section `limits`, and what else the rules compare with."""
+"""Section `limits`, and the other limits of the rules."""
 MEMORY = np.dtype(
     [
         ("late", "<i8"),  # the last ticks as bits, see `hil.safety.signals`
@@ -61,7 +61,7 @@ MEMORY = np.dtype(
         *ENCODER_MEMORY,
     ]
 )
-"""What the rules remember."""
+"""Memory of the rules."""
 TICK_SEEN = record(
     TICK, "mode", *part("input", "measurement", "estimate", "fusion", "reference", "effort", "verdict")
 )
@@ -69,7 +69,7 @@ TICK_SEEN = record(
 
 @helper
 def _finite(tick: Any) -> bool:
-    """Tell whether measurement, state and reference are all finite."""
+    """True if measurement, state and reference are all finite."""
     measured = all_finite(tick.length) and all_finite(tick.rate) and all_finite(tick.drive_force)
     state = all_finite(tick.q) and all_finite(tick.dq) and all_finite(tick.p) and all_finite(tick.R)
     state = state and all_finite(tick.twist) and all_finite(tick.J)
@@ -79,16 +79,16 @@ def _finite(tick: Any) -> bool:
 
 @helper
 def powered(mode: int) -> bool:
-    """Tell whether the drives are powered: from LOADING to UNLOADING, and in HELD."""
+    """True if the drives are powered: from LOADING to UNLOADING, and in HELD."""
     return Mode.LOADING <= mode <= Mode.UNLOADING or mode == Mode.HELD
 
 
 @helper
 def judge_standstill(tick: Any, limits: Any, memory: Any) -> int:
-    """Fill the legs that moved where they have to stand; return fault bits.
+    """Fill the legs that moved where they must stand still; return fault bits.
 
-    They stand from the moment at which the brakes are closed to that at which they open, and after a fault
-    from the moment at which they have been at rest for a while.
+    They must stand still while the brakes are closed. After a fault they must as soon as they have been at
+    rest for a while.
     """
     mode = tick.mode
     closed = mode in (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
@@ -104,9 +104,9 @@ def judge_standstill(tick: Any, limits: Any, memory: Any) -> int:
 
 @helper
 def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
-    """Return fault bits and warning bits of legs, drives, estimate and reference.
+    """Fault bits and warning bits for legs, drives, estimate and reference.
 
-    The reference is followed from RELEASING to PARKING. Faults only while the drives are powered.
+    The tracking error is checked from RELEASING to PARKING. Faults only while the drives are powered.
     """
     faults = warnings = 0
     mode = tick.mode
@@ -155,10 +155,10 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
 
 @helper
 def judge_frames(tick: Any, memory: Any) -> int:
-    """Return fault bits of what was heard on the bus.
+    """Fault bits for the frames received on the bus.
 
-    Another controller and an emergency stop of another node fault in every mode; what the drives say of
-    themselves counts once they have been set up, as long as they are needed.
+    Another controller, and an emergency stop of another node, are faults in every mode. The drives' own
+    frames count after their set-up, as long as the drives are in use.
     """
     memory.untrusted = noted(memory.untrusted, tick.rejected > tick.sensors_rejected)
     faults = 0
@@ -179,11 +179,11 @@ def judge_frames(tick: Any, memory: Any) -> int:
 
 @helper
 def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[int, int]:
-    """Fill tau with what the limits leave of tau_asked and probe_force; return fault bits and warning bits.
+    """Fill tau with the limited sum of tau_asked and probe_force; return fault bits and warning bits.
 
-    window: see `hil.safety.force_limits`, a ring of the forces sent, its newest row `memory.newest`; the
-    forces held during skipped periods and the new ones are written into it. Asked for anything that is not
-    finite, the answer is LAW and no force.
+    window: see `hil.safety.force_limits`, a ring of the forces sent, its newest row `memory.newest`; receives
+    the forces held during skipped periods, and the new ones. If a force asked for is not finite, all become
+    0, with fault LAW.
     """
     faults = warnings = 0
     tau = tick.tau
@@ -216,8 +216,8 @@ def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[in
 def judge_certificate(tick: Any, running: int, late: bool, watched: Array) -> tuple[int, int]:
     """Fill the Lyapunov columns, see `hil.safety.certificate`; return fault bits and warning bits.
 
-    running: not 0 while the brakes are open and the law moves the platform. The watch restarts after a
-    late, skipped or stale tick, one with an unseen leg, a jump of the reference, and a limit that acted.
+    running: not 0 while the brakes are open and the law moves the platform. The watch restarts after a late,
+    skipped or stale tick, after a tick with an unseen leg, a jump of the reference, or an active limit.
     """
     if not watched.size:
         return 0, 0
@@ -245,10 +245,10 @@ def judge_certificate(tick: Any, running: int, late: bool, watched: Array) -> tu
 
 @helper
 def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
-    """Take note of this tick's time, bus and recorder; return warning bits.
+    """Store this tick's timing and the state of bus and recorder; return warning bits.
 
-    A skipped period counts as a late tick. Only a tick with nothing skipped before it ends a run of missed
-    periods, so a loop that runs only every third tick is still stopped.
+    A skipped period counts as a late tick. Only a tick without a skipped period before it resets the count of
+    missed periods, so a loop that runs only every third tick is still stopped.
     """
     warnings = 0
     for _ in range(min(tick.skipped, HISTORY)):
@@ -273,11 +273,11 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
 
 @kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)
 def judge(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) -> tuple[int, int, int]:
-    """Fill the verdict's columns but tau: see `limit`, which comes next.
+    """Fill the verdict's columns except tau: for that see `limit`, which comes next.
 
-    Returns fault bits, warning bits and why to stop. Takes the tick whole but for what is sent: the rules
-    look at all of it. Changes memory and what is watched; see `Safety`. A tick is late that woke up by more
-    than a fifth of a period too late, or whose buses had their SYNC too far apart.
+    Returns fault bits, warning bits and the reason to stop. The rules read the whole tick except the sent
+    columns. Changes memory and watched; see `Safety`. A tick is late if it woke up more than a fifth of a
+    period too late, or if the SYNCs of the buses were too far apart.
     """
     late = 5 * tick.lateness_ns > limits.period_ns or tick.sync_skew_ns > limits.sync_skew_ns
     losing = tick.recorder_alive == 0 or tick.recorder_dropped > memory.dropped
@@ -307,7 +307,7 @@ def judge(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) ->
 
 @kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)
 def limit(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) -> tuple[int, int]:
-    """Fill tau, no force where the drives are off; return fault bits and warning bits.
+    """Fill tau, with no force where the drives are off; return fault bits and warning bits.
 
     Changes the force window, and lets the certificate settle where a force is not the law's.
     """

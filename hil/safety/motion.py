@@ -1,6 +1,6 @@
-"""Rules on the motion: ends of the stroke, speed, tracking, the estimate, and legs that have to stand still.
+"""Rules on the motion: ends of the stroke, speed, tracking error, estimate, and standstill.
 
-A leg that is not heard in a tick is not judged in it; that it is heard is for the rule on stale legs.
+A leg without a reading in a tick is not judged in it; the rule on stale legs covers missing readings.
 """
 
 import math
@@ -10,7 +10,7 @@ from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import helper
 
 CREEP = 1e-3
-"""m/s towards an end that is always allowed: encoder noise at rest beyond a soft end is no motion."""
+"""Speed towards an end, m/s, that is always allowed: encoder noise beyond a soft end is not motion."""
 
 
 @helper
@@ -21,7 +21,7 @@ def speed_cap(distance: float, deceleration: float) -> float:
 
 @helper
 def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, deceleration: float) -> bool:
-    """Tell whether some leg moves towards a soft end faster than its speed cap. q (6,) m, dq (6,) m/s."""
+    """True if a leg moves towards a soft end faster than its speed cap. q (6,) m, dq (6,) m/s."""
     for i in range(6):
         if dq[i] > speed_cap(soft_max - q[i], deceleration):
             return True
@@ -32,7 +32,7 @@ def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, dece
 
 @helper
 def overspeed(dq: Array, limit: float) -> bool:
-    """Tell whether some leg rate dq (6,) m/s is above the limit in size."""
+    """True if the size of a leg rate dq (6,) m/s exceeds the limit."""
     for rate in dq:  # noqa: SIM110 - compiled
         if abs(rate) > limit:
             return True
@@ -41,7 +41,7 @@ def overspeed(dq: Array, limit: float) -> bool:
 
 @helper
 def lagging(q: Array, q_d: Array, dq_d: Array, at_rest: float, per_speed: float) -> bool:
-    """Tell whether |q_d - q| > at_rest + per_speed |dq_d| on some leg.
+    """True if |q_d - q| > at_rest + per_speed |dq_d| on a leg.
 
     q, q_d (6,) m measured and reference lengths, dq_d (6,) m/s reference rates; at_rest m, per_speed s.
     """
@@ -52,14 +52,14 @@ def lagging(q: Array, q_d: Array, dq_d: Array, at_rest: float, per_speed: float)
 
 
 HOP = 1.0
-"""Measure of a hop from which a pose cannot be told from another assembly's; see `hil.estimation.pose`."""
+"""Measure of a hop above which a pose may belong to another assembly; see `hil.estimation.pose`."""
 REST_m_s = 0.02
-"""A measured leg that is not faster is at rest: brakes do not close on a moving platform."""
+"""A leg below this measured rate is at rest: brakes do not close on a moving platform."""
 
 
 @helper
 def at_rest(rate: Array, age: Ints, limit: float) -> bool:
-    """Tell whether no leg heard in this tick is as fast as `limit` (m/s). rate (6,) m/s, age (6,) ticks."""
+    """True if no leg with a reading in this tick reaches `limit` (m/s). rate (6,) m/s, age (6,) ticks."""
     for i in range(6):  # noqa: SIM110 - compiled
         if age[i] == 0 and abs(rate[i]) >= limit:
             return False
@@ -68,9 +68,9 @@ def at_rest(rate: Array, age: Ints, limit: float) -> bool:
 
 @helper
 def moved_legs(length: Array, age: Ints, still: Array, tolerance: float) -> int:
-    """Return the legs farther than `tolerance` (m) from where they stood, bit i: leg i.
+    """Legs farther than `tolerance` (m) from where they stood, bit i: leg i.
 
-    length (6,) m as heard, age (6,) ticks; still (6,) m is filled for legs that are heard for the first time.
+    length (6,) m of the readings, age (6,) ticks; still (6,) m is filled at a leg's first reading.
     """
     legs = 0
     for i in range(6):

@@ -1,4 +1,4 @@
-"""What the rules on drives, bus, frames, the loop's own time and the recorder compare with.
+"""Limits of the rules on drives, bus, frames, the loop's own timing and the recorder.
 
 A full queue and a dead bus look the same; only time tells them apart.
 """
@@ -18,7 +18,7 @@ DEAD_BUS = 8
 UNRELIABLE = 8
 """From this many remembered ticks with a refused frame of the drives, the bus counts as unreliable."""
 CONTROLLER = int(Foreign.SYNC | Foreign.COMMAND | Foreign.CONFIG)
-"""Frames that only a controller sends: nobody hears his own."""
+"""Frames that only a controller sends; a controller does not receive its own frames."""
 HARMFUL_STRETCH_NS = 4_000_000
 """A stretch is harmful from this length on: real drives would have ended the run."""
 STRETCH_FREE_NS = 500_000_000
@@ -29,13 +29,13 @@ DEGRADED_AT = 8
 
 @helper
 def noted(history: int, happened: bool) -> int:
-    """Return the last HISTORY ticks, 1 for one in which something happened, with the one of now."""
+    """History bits of the last HISTORY ticks, 1 where something happened, updated with the present tick."""
     return (2 * history + happened) % (1 << HISTORY)
 
 
 @helper
 def ones(history: int) -> int:
-    """Return how many of the lowest HISTORY bits are 1."""
+    """Number of ones in the lowest HISTORY bits."""
     count = 0
     for k in range(HISTORY):
         count += (history >> k) & 1
@@ -44,14 +44,14 @@ def ones(history: int) -> int:
 
 @helper
 def bus_down(bus_off: bool, history: int) -> bool:
-    """Tell whether the bus is off, or has refused frames IN_A_ROW times in a row or DEAD_BUS in all."""
+    """True if the bus is off, or has refused frames IN_A_ROW times in a row or DEAD_BUS times in all."""
     row = (1 << IN_A_ROW) - 1
     return bus_off or history & row == row or ones(history) >= DEAD_BUS
 
 
 @helper
 def all_finite(x: Array) -> bool:
-    """Tell whether no element of x, of any shape, is infinite or not a number."""
+    """True if no element of x, of any shape, is infinite or not a number."""
     for value in x.flat:  # noqa: SIM110 - compiled
         if not abs(value) < np.inf:
             return False
@@ -60,7 +60,7 @@ def all_finite(x: Array) -> bool:
 
 @helper
 def stale(age: Ints, limit: int) -> bool:
-    """Tell whether some leg's last fresh feedback is `limit` ticks old or older. age (6,) ticks."""
+    """True if a leg's last fresh feedback is at least `limit` ticks old. age (6,) ticks."""
     for ticks in age:  # noqa: SIM110 - compiled
         if ticks >= limit:
             return True

@@ -1,1 +1,1 @@
-"""Many runs, and what one sees of them: campaigns, faults, comparisons, reports, viewers."""
+"""Studies of many runs: campaigns, fault cases, comparisons, reports, viewers."""

@@ -1,4 +1,4 @@
-"""Tables with units and meanings for pyarrow, an extra."""
+"""Arrow schemas with units and meanings; need pyarrow, an extra."""
 
 import json
 from collections.abc import Sequence
@@ -13,13 +13,13 @@ class Column(NamedTuple):
 
     name: str
     kind: str
-    """int64, float64, bool, text, or name: one of few texts."""
+    """int64, float64, bool, text, or name (text with few distinct values)."""
     unit: str
     meaning: str
 
 
 def arrow(what: str) -> tuple[Any, ModuleType]:
-    """Return pyarrow and its part for Parquet. Raises LogError, which says what needs it: not installed."""
+    """Import pyarrow and pyarrow.parquet. Raises LogError: not installed; the message begins with `what`."""
     try:
         import pyarrow as pa  # noqa: PLC0415
         from pyarrow import parquet  # noqa: PLC0415
@@ -31,7 +31,7 @@ def arrow(what: str) -> tuple[Any, ModuleType]:
 
 
 def schema(pa: Any, columns: Sequence[Column], **attributes: Any) -> Any:
-    """Return the schema of columns; a DataFrame read from the file has units and meanings in `attrs`."""
+    """Arrow schema of columns. A DataFrame read from the file has units and meanings in `attrs`."""
     kinds = {"int64": pa.int64(), "float64": pa.float64(), "bool": pa.bool_(), "text": pa.string()}
     kinds["name"] = pa.dictionary(pa.int32(), pa.string())
     fields = [

@@ -1,4 +1,4 @@
-"""Columns in which two sides differ: as plain values, as a sentence, as a table."""
+"""Differences between two sides, column by column: as plain values, as a sentence, as a table."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -7,11 +7,11 @@ from hil.record.divergence import ColumnDivergence, Place
 from hil.study.table import Column, figure, print_rows
 
 Sides = tuple[str, str]
-"""Keys of the values of either side."""
+"""Names of the two sides, which are also the keys of their values."""
 
 
 def fields(found: ColumnDivergence, sides: Sides) -> dict[str, Any]:
-    """Return what was found of a column as plain values."""
+    """Difference in one column as plain values."""
     column = found.column
     return {
         "column": column.name,
@@ -24,7 +24,7 @@ def fields(found: ColumnDivergence, sides: Sides) -> dict[str, Any]:
 
 
 def place(found: ColumnDivergence, at: Place | None, sides: Sides) -> dict[str, Any] | None:
-    """Return a place with both values as plain values."""
+    """Place of a difference, with both values, as plain values."""
     if at is None:
         return None
     where = {"tick": at.tick, "time_s": at.time_s, "element": at.label, "unit": at.unit}
@@ -32,7 +32,7 @@ def place(found: ColumnDivergence, at: Place | None, sides: Sides) -> dict[str, 
 
 
 def sentence(at: dict[str, Any], sides: Sides) -> str:
-    """Return a place in words."""
+    """Place of a difference as a sentence."""
     values = ", ".join(f"{side.replace('_', '-')} {at[side]}" for side in sides)
     return f"tick {at['tick']} ({at['time_s']:.3f} s): {at['element']}: {values} {at['unit']}".rstrip()
 
@@ -43,7 +43,7 @@ def show(
     more: Sequence[Column] = (),
     style: Callable[[dict[str, Any]], str] = lambda _: "",
 ) -> None:
-    """Print a line for each column; `more` stand before the unit."""
+    """Print one line per column; the table columns `more` come before the unit."""
 
     def first(key: str) -> Callable[[dict[str, Any]], str]:
         return lambda each: "-" if each["first"] is None else _short(str(each["first"][key]))

@@ -1,6 +1,6 @@
-"""`hil export`: a log's frames and columns as files, each by its ending.
+"""`hil export`: frames and columns of a log as files; the file ending selects the format.
 
-Nothing is overwritten unasked, nothing is left half written.
+An existing file is overwritten only on request, and no file is left half written.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from hil.study.view.recording import write_rrd
 
 TIME = Column("t_s", "float64", "s", "time from the first row")
 LINES, GROUP = 1024, 16_384
-"""Rows that are written together: of a CSV file, of a Parquet file."""
+"""Rows written at a time: to a CSV file, to a Parquet file."""
 
 
 def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
-    """Write columns or components by name (none: all); return the number of rows.
+    """Write columns or components (no names: all); return the number of rows.
 
-    The header names each with its unit, `tau.leg_3 [N]`; enumerations and flags stand by name.
+    The header has each name with its unit, `tau.leg_3 [N]`; enumerations and flags are written by name.
 
-    Raises LogError: no such column, or the log is damaged.
+    Raises LogError: unknown column, or damaged log.
     """
     parts = components(log.columns, names, str(log.path))
     count = 0
@@ -48,12 +48,12 @@ def write_csv(log: Log, path: Path, names: Sequence[str]) -> int:
 
 
 def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
-    """Write columns or components by name (none: all); return the number of rows.
+    """Write columns or components (no names: all); return the number of rows.
 
-    Each field carries `unit` and `meaning`; a DataFrame read from the file has them in `attrs`, as that of
-    `Log.frame` has. Enumerations and flags stand by name.
+    Each field carries `unit` and `meaning`; a DataFrame read from the file has them in `attrs`, like
+    `Log.frame`. Enumerations and flags are written by name.
 
-    Raises LogError: pyarrow is not installed, no such column, or the log is damaged.
+    Raises LogError: pyarrow is not installed, unknown column, or damaged log.
     """
     pa, parquet = arrow("Parquet")
     parts = components(log.columns, names, str(log.path))
@@ -72,7 +72,7 @@ def write_parquet(log: Log, path: Path, names: Sequence[str]) -> int:
 
 
 def _columns(log: Log, parts: Sequence[Component], size: int) -> Iterator[list[np.ndarray[Any, Any]]]:
-    """Yield time and components (n,), n about `size`; what has names by name."""
+    """Yield time and components as arrays (n,), n about `size`; enumerations and flags by name."""
     for rows in row_groups(log, parts, size):
         columns: list[np.ndarray[Any, Any]] = [(rows["t_ns"] - log.origin_ns) * 1e-9]
         for part in parts:
@@ -91,11 +91,11 @@ SIGNALS: dict[str, Callable[[Log, Path, Sequence[str]], int]] = {
     ".parquet": write_parquet,
     ".rrd": write_rrd,
 }
-"""Ending of a file -> what is written into it."""
+"""File ending -> function that writes columns in that format."""
 
 
 def utc_ns(text: str) -> int:
-    """Instant in ISO 8601 as ns of UTC, where it has no offset. Raises LogError: not an instant."""
+    """UTC, ns, of an instant in ISO 8601; without offset it is UTC. Raises LogError: not an instant."""
     try:
         instant = datetime.fromisoformat(text)
     except ValueError:
@@ -115,14 +115,14 @@ def export_log(
     columns: Sequence[str] = (),
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Write a log's frames or columns into files, each by its ending; return the summary.
+    """Write frames or columns of a log into files; return the summary. Each ending selects the format.
 
-    `start` is the UTC instant of the first tick, for frames; without, what the log says. `columns` are
-    columns or components for CSV, Parquet and Rerun; none: all. A cut log is written as far as it goes, and
-    is no success.
+    `start` is the UTC instant of the first tick, for frames; default: from the log. `columns` are columns or
+    components for CSV, Parquet and Rerun; default: all. A truncated log is written up to its last readable
+    message, and `success` is False.
 
-    Raises LogError before anything is written: no log, an unknown ending, a file that exists without
-    `overwrite`, an option that none of the files can use, no such column.
+    Raises LogError: not a log; an unknown ending, an existing file without `overwrite` or an option that fits
+    none of the files (before anything is written); an unknown column; a file that cannot be written.
     """
     log = Log(path)
     _check(outs, start=start, columns=columns, overwrite=overwrite)
@@ -143,7 +143,7 @@ def export_log(
     result: dict[str, Any] = {
         "success": not log.cut,
         "kind": "export",
-        "trouble": f"{path}: {log.cut}; what is there is exported" if log.cut else None,
+        "trouble": f"{path}: {log.cut}; exported up to there" if log.cut else None,
         "log": str(path),
         "written": written,
     }
@@ -158,25 +158,25 @@ def export_log(
 
 
 def _check(outs: Sequence[Path], *, start: str | None, columns: Sequence[str], overwrite: bool) -> None:
-    """Refuse what cannot be written, before anything is."""
+    """Check endings, paths and options before anything is written. Raises LogError."""
     endings = {out.suffix.lower() for out in outs}
     for out in outs:
         if out.suffix.lower() not in FRAMES | SIGNALS:
             allowed = ", ".join([*FRAMES, *SIGNALS])
-            raise LogError(f"{out}: the ending says what is written; allowed: {allowed}")
+            raise LogError(f"{out}: the file ending selects the format; allowed: {allowed}")
         new_file(out, force=overwrite, option="")
     if len({real_path(out) for out in outs}) < len(outs):
-        raise LogError("two of the files are the same one; name each once")
+        raise LogError("two output files are the same; give each file once")
     if start is not None and endings.isdisjoint(FRAMES):
-        raise LogError("--start: sets the time of frames, and none of the files has any; leave it out")
+        raise LogError("--start: sets the time of frames, but no output file contains frames; leave it out")
     if columns and endings.isdisjoint(SIGNALS):
-        raise LogError(f"--column: chooses columns for {', '.join(SIGNALS)}, and no such file is named")
+        raise LogError(f"--column: selects columns for {', '.join(SIGNALS)}, but no output is such a file")
 
 
 def _write_frames(log: Log, path: Path, form: str, shift_ns: int) -> int:
-    """Write all frames, shifted from the log's UTC, and return their number. Raises LogError: damaged.
+    """Write all frames, shifted from the log's UTC; return their number. Raises LogError: damaged log.
 
-    A frame that the log has more than a second after its time stands later in the file, at its own time.
+    A frame logged more than a second after its time comes later in the file, with its own time.
     """
     writer = WRITERS[form](path, log.can_channels)
     offset, count = log.epoch_ns + shift_ns, 0

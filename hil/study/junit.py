@@ -1,4 +1,4 @@
-"""JUnit XML: what CI servers read, of a command that judges many cases."""
+"""JUnit XML, for CI servers, of commands that judge many cases."""
 
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,22 +15,22 @@ class Verdict(NamedTuple):
     group: str
     name: str
     failure: str | None = None
-    """What it failed by, in a line; None: it passed."""
+    """Cause of the failure, one line; None: passed."""
     detail: str = ""
-    """More of the failure."""
+    """Details of the failure."""
     output: str = ""
-    """What there is to read of a case, passed or not."""
+    """Output of the case, passed or failed."""
     wall_s: float | None = None
 
 
 def check_junit_path(path: Path) -> None:
-    """Refuse a file that could not be written in the end; an earlier report is replaced. Raises LogError."""
+    """Check early that the report can be written; it replaces an earlier report. Raises LogError."""
     report = Kind("a JUnit report", lambda there: b"<testsuite" in there.read_bytes()[:1000])
     new_file(path, option="--junit", own=report)
 
 
 def write_junit(path: Path, name: str, cases: Iterable[Verdict], wall_s: float | None = None) -> None:
-    """Write cases as one suite. Raises LogError if the file cannot be written."""
+    """Write cases as one suite. Raises LogError: the file cannot be written."""
     suite = ET.Element("testsuite", name=_plain(name))
     for case in cases:
         entry = ET.SubElement(suite, "testcase", classname=_plain(case.group), name=_plain(case.name))
@@ -51,5 +51,5 @@ def write_junit(path: Path, name: str, cases: Iterable[Verdict], wall_s: float |
 
 
 def _plain(text: str) -> str:
-    """Return a text without the characters that XML 1.0 cannot have."""
-    return "".join(sign if sign.isprintable() or sign == "\n" else " " for sign in text)
+    """Replace characters that XML 1.0 does not allow with spaces."""
+    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)

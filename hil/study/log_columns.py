@@ -1,4 +1,4 @@
-"""Columns of a log by name, one less another, and the one table of plots of Rerun and the report."""
+"""Columns of a log by name, differences of two columns, and the plots of Rerun and the report."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -13,18 +13,18 @@ from hil.record.log import Log
 from hil.record.selection import Component, components
 
 DIFFERENCE = " - "
-"""Between two names: the one less the other."""
+"""Separator of a difference, first column minus second."""
 
 
 class Curve(NamedTuple):
-    """One number over time, wherever its rows are."""
+    """One number over time: a component, or the difference of two."""
 
     label: str
     """`tau.leg_3`, or `q_d.leg_3 - q.leg_3`."""
     unit: str
     part: Component
     less: Component | None = None
-    """What is subtracted."""
+    """Subtracted component."""
 
     def of(self, rows: Rows) -> np.ndarray[tuple[int], np.dtype[Any]]:
         """Values (n,) in rows."""
@@ -43,10 +43,10 @@ def titled(label: str, unit: str) -> str:
 
 
 def curves(columns: Sequence[Column], name: str, log: str = "") -> list[Curve]:
-    """Curves of `column`, `column.element`, or `one - other` of two alike; one for each element.
+    """Curves of `column`, `column.element` or `one - other`; one for each element.
 
-    Raises LogError, which names the log: no such column or element, or a difference of two of another shape
-    or unit.
+    Raises LogError: unknown column or element (the message names the log), or a difference of columns that
+    differ in shape or unit, or whose values have names.
     """
     first, minus, second = (side.strip() for side in name.partition(DIFFERENCE))
     ones = components(columns, [first], log)
@@ -56,24 +56,24 @@ def curves(columns: Sequence[Column], name: str, log: str = "") -> list[Curve]:
     kinds = [[(part.unit, bool(part.column.names)) for part in side] for side in (ones, others)]
     if kinds[0] != kinds[1] or kinds[0][0][1]:
         raise LogError(
-            f"{name}: no difference can be made: allowed are two columns of one shape and one unit"
+            f"{name}: invalid difference, allowed: two numeric columns with the same shape and unit"
         )
     return [Curve(f"{a.label}{DIFFERENCE}{b.label}", a.unit, a, b) for a, b in zip(ones, others, strict=True)]
 
 
 def named_columns(names: Iterable[str]) -> set[str]:
-    """Columns that names as `curves` takes them stand for."""
+    """Columns that occur in curve names, as `curves` takes them."""
     sides = (side for name in names for side in name.split(DIFFERENCE))
     return {side.strip().partition(".")[0] for side in sides}
 
 
 def seconds(rows: Rows) -> Array:
-    """Time of each row (n,) in s since the first."""
+    """Time (n,) of each row, s since the first row."""
     return np.asarray((rows["t_ns"] - rows["t_ns"][:1]) * 1e-9, np.float64)
 
 
 def has_pose(rows: Rows, p: str, R: str) -> NDArray[np.bool_]:
-    """Tell in which rows (n,) two columns hold a pose: finite, and a rotation that has been filled."""
+    """Mask (n,) of the rows with a pose in columns `p` and `R`: finite, and the rotation not all zeros."""
     rotation = rows[R].reshape(len(rows), -1)
     there: NDArray[np.bool_] = rotation.any(axis=1) & np.isfinite(rotation).all(axis=1)
     there &= np.isfinite(rows[p]).all(axis=1)
@@ -81,9 +81,9 @@ def has_pose(rows: Rows, p: str, R: str) -> NDArray[np.bool_]:
 
 
 def row_groups(log: Log, parts: Sequence[Component], size: int) -> Iterator[Rows]:
-    """Yield columns of the components, `tick` and `t_ns`, `size` rows or a few more at a time.
+    """Yield `tick`, `t_ns` and the components' columns, at least `size` rows at a time.
 
-    Raises LogError: the log is damaged.
+    Raises LogError: damaged log.
     """
     held: list[Rows] = []
     for block in log.blocks("tick", "t_ns", *(part.column.name for part in parts)):
@@ -114,13 +114,13 @@ TABS: dict[str, dict[str, tuple[str, ...]]] = {
         "Bench time that stood still": ("stretched_ns",),
     },
 }  # fmt: skip
-"""Tab -> plot -> columns, or `one - other`: of Rerun, the report's page and `configs/viewers`."""
+"""Tab -> plot -> columns or `one - other`; for Rerun, the report's page and `configs/viewers`."""
 NAMED_FIRST = ("mode", "command_mode", "faults", "warnings", "drive_state")
-"""States that stand on top; the others follow in the order of the columns."""
+"""Columns that `states` lists first; the others follow in the order of the log."""
 
 
 class Plot(NamedTuple):
-    """Curves over time."""
+    """Curves of one plot."""
 
     tab: str
     title: str
@@ -128,7 +128,7 @@ class Plot(NamedTuple):
 
 
 def plots(columns: Sequence[Column]) -> list[Plot]:
-    """Return the plots of TABS whose columns are all there, at least one curve each."""
+    """List the plots of TABS with at least one curve; curves of missing columns are left out."""
     there = {c.name for c in columns}
     found = []
     for tab, titles in TABS.items():
@@ -141,12 +141,12 @@ def plots(columns: Sequence[Column]) -> list[Plot]:
 
 
 def differences(columns: Sequence[Column]) -> list[Curve]:
-    """Return the curves that stand in no log: one column less another."""
+    """Curves that are no columns of a log: the differences."""
     return [curve for plot in plots(columns) for curve in plot.curves if curve.less]
 
 
 def states(columns: Sequence[Column]) -> list[Column]:
-    """Return the columns whose numbers have names, the most important ones first."""
+    """Columns whose values have names, the most important ones first."""
     named = {c.name: c for c in columns if c.names}
     first = [named.pop(name) for name in NAMED_FIRST if name in named]
     return [*first, *named.values()]

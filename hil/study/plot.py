@@ -1,4 +1,4 @@
-"""`hil plot`: any column of one log or several, one above the other, into a PNG or SVG file."""
+"""`hil plot`: columns of one or several logs, one panel above the other, in a PNG or SVG file."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -15,12 +15,12 @@ from hil.app.readable import readable
 from hil.study.log_columns import curves, named_columns, seconds
 
 DEFAULT = ("q_d - q", "tau", "mode")
-"""What is drawn where nothing is named."""
+"""Curves drawn by default."""
 SUFFIXES = (".png", ".svg")
 STYLES = ("-", "--", ":", "-.")
-"""Of the logs, in their order."""
+"""Line styles of the logs, in their order."""
 LARGEST = 1e300
-"""Matplotlib lays out axes for numbers up to this; larger ones are not drawn, as what is not finite."""
+"""Largest value for which Matplotlib can lay out axes; larger and non-finite values are not drawn."""
 _PANEL_IN = 2.8
 
 
@@ -29,19 +29,19 @@ class Curve(NamedTuple):
 
     label: str
     log: int
-    """Which of the logs, from 0."""
+    """Index of the log."""
     t: Array
     """(n,) s since the first tick."""
     values: Array
     """(n,)."""
     unit: str
-    """Empty where there is none."""
+    """Empty: no unit."""
     names: Mapping[str, int]
-    """Of the values; empty where they have none."""
+    """Name -> value of an enumeration or of flags; empty for plain numbers."""
     flags: bool
-    """The names are of bits, of which a value may have several."""
+    """The names are of bits; a value may have several of them set."""
     prefix: str = ""
-    """Of the label, for the log."""
+    """Name of the log, before the label."""
 
 
 def plot(
@@ -53,12 +53,12 @@ def plot(
     end_s: float | None = None,
     force: bool = False,
 ) -> dict[str, Any]:
-    """Draw columns of logs, one panel a name, and return the summary.
+    """Draw columns of logs, one panel per name; return the summary.
 
-    columns: names as `hil.study.log_columns.curves` takes them. start_s and end_s cut all logs, s since the
-    first tick of each. Every log is drawn over the others, in a line style of its own.
+    columns : names as `hil.study.log_columns.curves` takes them. start_s, end_s : interval drawn of each log,
+    s since its first tick. All logs share the panels; each has its own line style.
 
-    Raises LogError for what cannot be read, for names that a log does not have, and for a file that exists.
+    Raises LogError: unreadable log, unknown column, or existing file.
     """
     names = tuple(columns) or DEFAULT
     path = _path(logs[0], out, force=force)
@@ -77,13 +77,13 @@ def plot(
 def _read(
     logs: Sequence[Path], names: Sequence[str], start_s: float | None, end_s: float | None
 ) -> tuple[list[list[Curve]], list[str]]:
-    """Return the curves of each panel, and what is to be said of logs that end early."""
+    """Curves of each panel, and remarks on logs that end early."""
     panels: list[list[Curve]] = [[] for _ in names]
     shown, remarks = _names(logs), list[str]()
     for n, log_path in enumerate(logs):
         log, rows, remark = readable(log_path, named_columns(names) | {"t_ns"})
         if not len(rows):
-            raise LogError("; ".join(filter(None, (f"{log_path}: has no tick: nothing to draw", remark))))
+            raise LogError("; ".join(filter(None, (f"{log_path}: has no tick to draw", remark))))
         if remark:
             remarks.append(f"{log_path}: {remark}")
         t = seconds(rows)
@@ -100,7 +100,7 @@ def _read(
 
 
 def _names(logs: Sequence[Path]) -> list[str]:
-    """Return what logs are called in a legend: the stem, or the path where another one has that stem."""
+    """Names of the logs in the legend: the stem, or the path if another log has the same stem."""
     stems = [path.stem for path in logs]
     return [printable(path if stems.count(path.stem) > 1 else path.stem) for path in logs]
 
@@ -108,14 +108,14 @@ def _names(logs: Sequence[Path]) -> list[str]:
 def _path(log: Path, out: Path | None, *, force: bool) -> Path:
     path = log.with_name(f"{log.stem}-plot.png") if out is None else out
     if path.suffix.lower() not in SUFFIXES:
-        raise LogError(f"--out {path}: allowed are the endings {' and '.join(SUFFIXES)}")
+        raise LogError(f"--out {path}: unknown file ending, allowed: {' and '.join(SUFFIXES)}")
     return new_file(path, force=force)
 
 
 def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, title: str) -> None:
-    """Draw one panel above the other; the ending of the path says which format.
+    """Draw the panels, one above the other; the ending of the path selects the format.
 
-    Raises LogError where the file cannot be written.
+    Raises LogError: the file cannot be written.
     """
     from matplotlib import rc_context  # noqa: PLC0415 - half a second
     from matplotlib.figure import Figure  # noqa: PLC0415
@@ -133,7 +133,7 @@ def draw(titles: Sequence[str], panels: Sequence[Sequence[Curve]], path: Path, t
             rc_context({"svg.hashsalt": "hil", "svg.fonttype": "none"}),  # one log, one file
             warnings.catch_warnings(),
         ):
-            warnings.filterwarnings("ignore", "Glyph .* missing")  # of a name: boxes stand for it
+            warnings.filterwarnings("ignore", "Glyph .* missing")  # boxes are drawn for it
             figure.savefig(temporary, dpi=110, metadata=dated)
     except OSError as error:
         raise LogError(f"--out {path}: cannot be written: {error.strerror}") from None
@@ -166,7 +166,7 @@ def _panel(axes: Any, name: str, curves: Sequence[Curve]) -> None:
 
 
 def _bits(curve: Curve) -> list[Curve]:
-    """One curve for each bit of flags that is ever set."""
+    """One curve for each bit that is set in at least one value."""
     values = curve.values.astype(np.int64)
     return [
         curve._replace(label=text, values=((values & bit) > 0).astype(np.float64))

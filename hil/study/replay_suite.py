@@ -1,4 +1,4 @@
-"""`hil replay --suite DIR`: every log of a folder replayed, each a case of its own."""
+"""`hil replay --suite DIR`: replay every log of a folder, one case per log."""
 
 import time
 from collections import Counter
@@ -17,40 +17,40 @@ from hil.study.table import Column, print_rows
 from hil.study.workers import Progress, perform
 
 RUNS = ("run", "sim")
-"""Kinds of logs that are replayed."""
+"""Kinds of logs that can be replayed."""
 Outcome = Literal["pass", "fail", "skipped"]
 
 
 class Case(NamedTuple):
-    """What became of one log."""
+    """Result of one log."""
 
     log: str
-    """As found in the folder."""
+    """Path as found in the folder."""
     verdict: Outcome
     text: str
-    """Of one line: what the replay found, or why there was none."""
+    """Result of the replay, or the reason for no replay; one line."""
     summary: dict[str, Any] = {}
-    """As of `hil replay --json`; empty where it was not replayed."""
+    """Summary as of `hil replay --json`; empty if not replayed."""
     wall_s: float = 0.0
 
 
 def logs_in(folder: Path) -> list[Path]:
-    """Return the MCAP files in a folder and below it, by name. Raises LogError: no folder, or none in it."""
+    """MCAP files in a folder and its subfolders, sorted. Raises LogError: no such folder, or no such file."""
     if not folder.is_dir():
         raise LogError(f"--suite {folder}: no such folder")
     found = sorted(path for path in folder.rglob("*.mcap") if path.is_file())
     if not found:
-        raise LogError(f"--suite {folder}: has no file *.mcap, nor has a folder in it: nothing to replay")
+        raise LogError(f"--suite {folder}: has no file *.mcap, also in its subfolders")
     return found
 
 
 def run_suite(paths: Sequence[Path], jobs: int | None, progress: Progress | None) -> Iterator[Case]:
-    """Yield the case of each log, in the order in which they are done; jobs: processes at once."""
+    """Yield one case per log, in the order of completion. jobs : number of processes."""
     return perform(paths, replay_case, died, jobs, progress)
 
 
 def replay_case(path: Path) -> Case:
-    """Replay one log; whatever is wrong with it is its own failure."""
+    """Replay one log; any error becomes a failed case."""
     begun = time.perf_counter()
     try:
         case = _replayed(path)
@@ -64,7 +64,7 @@ def replay_case(path: Path) -> Case:
 def _replayed(path: Path) -> Case:
     kind = Log(path).metadata.get(IDENTITY, {}).get("kind")
     if kind not in RUNS:
-        return Case(str(path), "skipped", f"a log of kind {kind!r:.60}, which has no controller to replay")
+        return Case(str(path), "skipped", f"a log of kind {kind!r:.60}, which contains no controller")
     comparison, summary = replay_log(path)
     remark = f"; {summary['remark']}" if "remark" in summary else ""
     if comparison.story is not None:
@@ -74,17 +74,16 @@ def _replayed(path: Path) -> Case:
 
 
 def died(path: Path) -> Case:
-    """Return the case of a log whose process died."""
+    """Case of a log whose process died."""
     return Case(str(path), "fail", "its process died")
 
 
 def summary(folder: Path, cases: Sequence[Case], wall_s: float) -> dict[str, Any]:
-    """Return the cases as plain values (key `success`: none failed). Raises LogError: none was replayed."""
+    """Summary of the cases (key `success`: none failed). Raises LogError: none was replayed."""
     count = Counter(case.verdict for case in cases)
     if count["skipped"] == len(cases):
         raise LogError(
-            f"--suite {folder}: has no log of `hil run` or `hil sim`, but {len(cases)} of other kinds: "
-            "nothing to replay"
+            f"--suite {folder}: has no log of `hil run` or `hil sim`, only {len(cases)} of other kinds"
         )
     ticks = sum(case.summary.get("ticks", 0) for case in cases)
     return {
@@ -103,7 +102,7 @@ def summary(folder: Path, cases: Sequence[Case], wall_s: float) -> dict[str, Any
 
 
 def show(folder: Path, cases: Sequence[Case]) -> None:
-    """Print a line for each log."""
+    """Print one line per log."""
     columns = (
         Column("log", lambda case: _within(folder, case), left=True),
         Column("verdict", lambda case: "FAIL" if case.verdict == "fail" else case.verdict, left=True),
@@ -115,7 +114,7 @@ def show(folder: Path, cases: Sequence[Case]) -> None:
 
 
 def verdicts(folder: Path, cases: Sequence[Case]) -> Iterator[Verdict]:
-    """Yield a case of JUnit for each log; one that was skipped passes, and says so."""
+    """Yield one JUnit case per log; a skipped log passes, with the reason as its output."""
     for case in sorted(cases):
         place = Path(_within(folder, case))
         yield Verdict(

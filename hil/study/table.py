@@ -1,4 +1,4 @@
-"""Tables of results on the terminal: a list of columns, and a row a line."""
+"""Tables of results on the terminal."""
 
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -11,26 +11,26 @@ from hil.app.output import number
 from hil.app.terminal import visible
 
 TABLE_WIDTH = 180
-"""Columns that a table takes at most where it goes to a file or a pipe."""
+"""Largest width, in characters, of a table in a file or a pipe."""
 
 
 class Terminal(Console):
-    """A console on which no text is markup."""
+    """A console that prints all text literally, without markup."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__(markup=False, emoji=False, highlight=False, **options)
 
 
 class Column(NamedTuple):
-    """One column."""
+    """One column of a table."""
 
     title: str
     cell: Callable[[Any], object]
-    """Row -> text; a `Text` keeps its own style."""
+    """Text of a row's cell; a `Text` keeps its own style."""
     left: bool = False
-    """Words stand at the left, figures at the right."""
+    """True aligns left, for words; False right, for figures."""
     width: int | None = None
-    """Of its widest line."""
+    """Largest width in characters."""
 
 
 def print_rows(
@@ -38,7 +38,7 @@ def print_rows(
     rows: Iterable[Any],
     style: Callable[[Any], str] = lambda _: "",
 ) -> None:
-    """Print rows below the titles; nothing where there is no row. style : of a row."""
+    """Print titles and rows; nothing if there are no rows. style : style of a row."""
     table = Table(box=None, pad_edge=False, header_style="bold")
     for column in columns:
         table.add_column(column.title, justify="left" if column.left else "right", max_width=column.width)
@@ -52,7 +52,7 @@ def print_rows(
 
 
 def _print(table: Table) -> None:
-    """Print a table as wide as it is, or folded to the terminal's width; no word of it is cut."""
+    """Print a table at its own width, or folded to the terminal's width; no word is cut off."""
     out = Terminal()
     for column in table.columns:
         column.overflow = "fold"
@@ -63,7 +63,7 @@ def _print(table: Table) -> None:
 
 
 def figure(value: Any, form: str = "") -> str:
-    """Return a figure in a format, by default as in summaries; `-` where there is none."""
+    """Figure in a format, by default as in summaries; `-` for None and NaN."""
     if value is None or value != value:  # noqa: PLR0124 - nan
         return "-"
     return format(value, form) if form else number(value)

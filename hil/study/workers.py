@@ -1,4 +1,4 @@
-"""Jobs of one function in processes of their own, or wherever else an executor has them done."""
+"""Run one function on many jobs, in separate processes or on another executor."""
 
 import os
 import signal
@@ -16,11 +16,11 @@ from typing import TypeVar
 Job = TypeVar("Job")
 Outcome = TypeVar("Outcome")
 Progress = Callable[[int, int], None]
-"""Called with how many jobs are done, and of how many."""
+"""Called with the number of finished jobs and the number of all jobs."""
 Lend = Callable[[int], AbstractContextManager[Executor]]
-"""Lends an executor for N jobs at once."""
+"""Provides an executor for N jobs at once."""
 AHEAD = 4
-"""Jobs for each process that are under way at once: the next one is there when the last one is done."""
+"""Jobs submitted at once per process, so that no process waits for its next job."""
 
 
 def perform(
@@ -31,11 +31,11 @@ def perform(
     progress: Progress | None,
     total: int | None = None,
 ) -> Iterator[Outcome]:
-    """Yield the outcome of every job, in the order in which they are ready; progress comes before each.
+    """Yield the outcome of every job, in the order of completion; `progress` is called before each.
 
-    function : of a module that a fresh interpreter imports; died : the outcome of a job whose process dies;
-    jobs : processes at once, default one a processor; 1 is this process, where a job that crashes takes the
-    command with it; total : how many jobs there are, where they are made one by one.
+    function : in a module that a fresh interpreter can import. died : outcome of a job whose process dies.
+    jobs : number of processes, default one per processor; 1 runs the jobs in this process, where a crash ends
+    the command. total : number of jobs, if `work` is an iterator.
     """
     if total is None:
         assert isinstance(work, Sized)
@@ -49,7 +49,7 @@ def perform(
 
 
 def counted(outcomes: Iterator[Outcome], total: int, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield `total` outcomes; progress comes before each."""
+    """Yield `total` outcomes; `progress` is called before each."""
     for n in range(total):
         if progress is not None:
             progress(n, total)
@@ -62,12 +62,12 @@ def batch(
     died: Callable[[Job], Outcome],
     lend: Lend,
     ahead: int,
-    gone: type[BaseException],
+    lost_error: type[BaseException],
 ) -> Iterator[Outcome]:
-    """Yield the outcome of every job. Those lost with a process that died run again, each alone.
+    """Yield the outcome of every job. Jobs lost with a dead process run again, one at a time.
 
-    At most `ahead` jobs are under way at once: of a million none is made before its turn, and a process that
-    dies takes few with it. gone : what the future of a job raises that was lost. Other exceptions go on.
+    At most `ahead` jobs are submitted at once: a million jobs are not made in advance, and a dead process
+    loses few. lost_error : exception of the future of a lost job. Other exceptions propagate.
     """
     rest = iter(work)
     lost: list[Job] = []
@@ -78,7 +78,7 @@ def batch(
                 for job in islice(rest, 0 if lost else ahead - len(waiting)):
                     try:
                         waiting[executor.submit(function, job)] = job
-                    except gone:
+                    except lost_error:
                         lost.append(job)
                 if not waiting:
                     break
@@ -86,7 +86,7 @@ def batch(
                     job = waiting.pop(future)
                     try:
                         yield future.result()
-                    except gone:
+                    except lost_error:
                         lost.append(job)
         if not lost:
             return
@@ -94,17 +94,17 @@ def batch(
             with lend(1) as executor:
                 try:
                     yield executor.submit(function, job).result()
-                except gone:
+                except lost_error:
                     yield died(job)
         lost.clear()
 
 
 @contextmanager
 def processes(count: int, function: Callable[[Job], Outcome]) -> Iterator[ProcessPoolExecutor]:
-    """Lend processes that end at once where anything fails: they would finish jobs first, for nobody.
+    """Start processes that are killed at once if anything fails, instead of finishing their jobs.
 
-    They are forked from a fresh interpreter: forked from this one they would hold its locks. A terminal sends
-    Ctrl-C to all of them; it is for this process alone, which ends them.
+    They are forked from a fresh interpreter, so that they hold no locks of this one. They block Ctrl-C, which
+    a terminal sends to all of them: this process handles it and ends them.
     """
     context = get_context("forkserver")
     context.set_forkserver_preload([function.__module__])
@@ -125,7 +125,7 @@ def processes(count: int, function: Callable[[Job], Outcome]) -> Iterator[Proces
 
 
 def _end_with_parent() -> None:
-    """Let this process end when its parent does, by whatever signal: it would wait for jobs for good."""
+    """End this process when its parent dies, however it dies; otherwise it would wait for jobs forever."""
     parent = parent_process()
     assert parent is not None
 

@@ -1,4 +1,4 @@
-"""From the configuration's `reference` section to a trajectory."""
+"""Build a trajectory from the configuration's `reference` section."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -19,44 +19,44 @@ from hil.config.values import Pose
 from hil.mathematics.rotations import rotation_from_vector
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.multisine import multisine_trajectory
-from hil.trajectory.path import HoldTrajectory, Trajectory, axis_limits, checked_words
+from hil.trajectory.path import HoldTrajectory, Trajectory, axis_limits, checked_coordinates
 from hil.trajectory.sampled import sampled_trajectory
 from hil.trajectory.sinusoids import SinusoidTrajectory
 from hil.trajectory.time_optimal import plan, planned_trajectory
 from hil.trajectory.waypoints import waypoint_trajectory
 
 UNTIMED_S = 1e-3
-"""Period of a live reference that is only looked at."""
+"""Period of a live reference that is built for inspection only."""
 
 
 class Context(NamedTuple):
-    """What a trajectory is built with, beside its own settings."""
+    """Data for building a trajectory, in addition to its own settings."""
 
     home: Pose
     """The platform's home pose: default of hold, sinusoids, multisine and live."""
     folder: Path | None
-    """That of the configuration file, to which a CSV path is relative; without one a CSV is refused."""
+    """Folder of the configuration file; CSV paths are relative to it. None: a CSV path is an error."""
     period_s: float
-    """Of the loop."""
+    """Period of the control loop."""
     plan: bytes | None
-    """The plan that a log carries; None plans anew."""
+    """Plan recorded in a log; None: plan again."""
 
 
 def _hold(settings: HoldReference, context: Context) -> Trajectory:
-    chi = checked_words(settings.pose or context.home, "reference.pose")
+    chi = checked_coordinates(settings.pose or context.home, "reference.pose")
     return HoldTrajectory(chi[:3], rotation_from_vector(chi[3:]), settings.duration_s)
 
 
 def _sampled(settings: SampledReference, context: Context) -> Trajectory:
     if context.folder is None:
         raise ConfigurationError(
-            f"reference.path: {settings.path} needs the configuration's folder; there is none here."
+            f"reference.path: {settings.path} is relative to the configuration's folder, which is unknown."
         )
     return sampled_trajectory(settings, context.folder)
 
 
 def _live(settings: LiveReference, context: Context) -> Trajectory:
-    chi = checked_words(settings.start or context.home, "reference.start")
+    chi = checked_coordinates(settings.start or context.home, "reference.start")
     return LiveTrajectory(chi, axis_limits(settings.limits), context.period_s)
 
 
@@ -69,7 +69,7 @@ BUILDERS: dict[type, Callable[..., Trajectory]] = {
     SampledReference: _sampled,
     LiveReference: _live,
 }
-"""Settings model -> builder."""
+"""Settings class -> builder."""
 
 
 def build_trajectory(
@@ -79,9 +79,9 @@ def build_trajectory(
     period_s: float = UNTIMED_S,
     recorded: bytes | None = None,
 ) -> Trajectory:
-    """Return the trajectory of the `reference` section.
+    """Build the trajectory of the `reference` section.
 
-    home: the platform's home pose; folder: that of the configuration file; period_s: of the loop; recorded:
-    the plan in a log. Raises ConfigurationError on what cannot be a trajectory.
+    home: the platform's home pose; folder: folder of the configuration file; period_s: of the loop; recorded:
+    the plan in a log. Raises ConfigurationError for settings that give no trajectory.
     """
     return BUILDERS[type(settings)](settings, Context(home, folder, period_s, recorded))

@@ -1,11 +1,11 @@
-"""Set-points that come while the platform moves, turned into motion within limits of each axis.
+"""Live set-points, turned into motion within limits on each axis.
 
-The one trajectory that has a state, which goes from tick to tick.
+The only trajectory with a state, which advances from tick to tick.
 
-Two stages on each of the six words. The first steers a point with bounded velocity V and acceleration A to
-the target in whole ticks, as fast as that can be, and lands on it exactly. The second is the mean of the
-first over a window T = 2 A / jerk: a mean of what is bounded by V and A is bounded by V and A, and its third
-derivative, (a(t) - a(t - T))/T, by 2 A / T.
+Each of the six axes has two stages. The first is a point with bounded velocity V and acceleration A that
+moves to the target in the smallest whole number of ticks, and stops there exactly. The second is the mean of
+the first over a window T = 2 A / jerk. The mean keeps the bounds V and A, and its third derivative,
+(a(t) - a(t - T))/T, is at most 2 A / T.
 """
 
 import math
@@ -32,29 +32,32 @@ LIVE = np.dtype(
         *SAMPLE.descr,
     ]
 )
-"""halted: 1 where the place of rest is the target; share: of the largest velocity V, what is allowed;
-history: the address of its rows; window: of each word, ticks; x1, v1, rest1: the next tick as it is proposed;
-and the sample of the tick."""
+"""halted: 1 if the place of rest is the target; share: allowed fraction of the largest velocity V;
+history: address of its rows; window: ticks, per axis; x1, v1, rest1: first stage at the next tick, as
+proposed; then the sample of the tick.
+"""
 _SAMPLE = LIVE.itemsize - SAMPLE.itemsize
 TO_JUDGE = 1
-"""Status of `proceed`."""
+"""Status of `proceed`: a braking path must be judged first."""
 WINDOW_S = 4.0
 """Longest window of the second stage."""
 _ROUNDING = 1e-9
 _LANDED = 1e-12
-"""m or rad: nearer than that, at rest, is there."""
+"""m or rad: a point at rest within this distance has reached its target."""
 
 MARK_S, MOST_MARKS = 0.05, 16
-"""How far the instants lie apart, s, at which the way to rest is judged, and the most of them, the last at
-rest. They move along from tick to tick; what they cost, some 7 us each, limits them."""
+"""Spacing, s, and largest number of the points at which a braking path is judged; the last point is at rest.
+The points move with each tick. Their number is limited because each costs about 7 us.
+"""
 POSITION, SPEED, MEAN, TOTAL = range(4)
-"""What the history keeps of each tick: position and speed at it, the mean position until the next one, and
-the sum of the means before it."""
+"""Columns of the history for each tick: position and speed at the tick, mean position until the next tick,
+and sum of the previous means.
+"""
 
 
 @helper
 def ticks_to_stop(v: float, step: float) -> float:
-    """Whole ticks in which a speed v is braked to rest, by at most `step` (m/s or rad/s) in each."""
+    """Whole ticks to brake from speed v to rest, by at most `step` (m/s or rad/s) in each."""
     return float(np.ceil(abs(v) / step - _ROUNDING))
 
 
@@ -62,8 +65,8 @@ def ticks_to_stop(v: float, step: float) -> float:
 def next_speed(distance: float, v: float, V: float, step: float, period: float) -> float:
     """Speed at the next tick on the fastest way to rest at `distance`, from speed v.
 
-    From speed w, n ticks of even braking take w n period/2, where n is the least with w <= n step. The
-    fastest w that leaves just that solves distance = (v + w) period/2 + w n period/2, thus
+    From speed w, n ticks of even braking cover w n period/2, where n is the least with w <= n step. The
+    largest w that still stops in time solves distance = (v + w) period/2 + w n period/2, thus
     w = (2 distance/period - v)/(n + 1), with the least n for which n (n + 1) step >= |2 distance/period - v|.
     """
     reach = 2.0 * distance / period - v
@@ -77,9 +80,9 @@ def next_speed(distance: float, v: float, V: float, step: float, period: float) 
 def first_stage(
     x: float, v: float, target: float, V: float, step: float, period: float
 ) -> tuple[float, float, float]:
-    """Position, speed and the place of rest of a word of the first stage at the next tick.
+    """Position, speed and place of rest of one axis of the first stage at the next tick.
 
-    The place of rest is where braking from then on ends; step is A period.
+    The place of rest is where braking from that tick would end; step is A period.
     """
     w = next_speed(target - x, v, V, step, period)
     x1 = x + 0.5 * period * (v + w)
@@ -90,22 +93,22 @@ def first_stage(
 
 @helper
 def history_of(live: Any) -> Array:
-    """Return the history of the first stage: tick k in row k modulo their number, see `place`."""
+    """History of the first stage: tick k is in row k modulo the number of rows; index by `place`."""
     return reals_at(live.history, live.rows * 24)
 
 
 @helper
-def place(row: int, part: int, word: int) -> int:
-    """Where the history has a part of a word."""
-    return (row * 4 + part) * 6 + word
+def place(row: int, part: int, axis: int) -> int:
+    """Index of an axis' column in a row of the history."""
+    return (row * 4 + part) * 6 + axis
 
 
 @helper
 def propose(live: Any) -> None:
     """Fill x1, v1, rest1: the first stage at the next tick.
 
-    No velocity jumps to a lower share. On the way to rest the share does not count: that way has been judged
-    as it is.
+    If the share of the velocity decreases, the speed decreases within the acceleration limit. The share does
+    not apply to a braking path, which has been judged without it.
     """
     history, now = history_of(live), live.tick % live.rows
     for i in range(6):
@@ -120,7 +123,7 @@ def propose(live: Any) -> None:
 
 @helper
 def enter(live: Any) -> None:
-    """Enter x1, v1 of the next tick into the history, and the mean position until then; go on to it."""
+    """Store x1, v1 of the next tick and the mean position until then in the history; advance to that tick."""
     history, rows, period = history_of(live), live.rows, live.period
     now, then = live.tick % rows, (live.tick + 1) % rows
     for i in range(6):
@@ -134,7 +137,7 @@ def enter(live: Any) -> None:
 
 @helper
 def braked(s: float, x: float, v: float, n: float, period: float) -> float:
-    """Integral over the next s ticks (in ticks) of a position that is braked evenly from x, v in n ticks."""
+    """Integral over the next s ticks (in ticks) of a position that brakes evenly from x, v in n ticks."""
     moving = min(s, n)
     curve = moving * moving * (0.5 - moving / (6.0 * n)) if n > 0.0 else 0.0
     return x * s + period * v * (curve + 0.5 * n * (s - moving))
@@ -142,9 +145,9 @@ def braked(s: float, x: float, v: float, n: float, period: float) -> float:
 
 @helper
 def way_to_rest(live: Any, chi: Array) -> int:
-    """Fill words (n, 6) at which the platform would be if it braked from x1, v1 on; return their number.
+    """Fill poses (n, 6) of the platform when braking from x1, v1; return their number.
 
-    The axes come to rest one after the other: where the last of them does is not all of the way.
+    The axes come to rest at different times, so intermediate poses are needed, too.
     """
     history, rows, period, k = history_of(live), live.rows, live.period, live.tick
     now = k % rows
@@ -168,10 +171,10 @@ def way_to_rest(live: Any, chi: Array) -> int:
 
 @helper
 def proceed(live: Any, tick: int, good: int) -> int:
-    """Go on to a tick; return 0, or TO_JUDGE before the first step of which the way to rest is to be judged.
+    """Advance to a tick; return 0, or TO_JUDGE before a step whose braking path must be judged.
 
-    good: 1 where that of the very next step has been judged. The sample at the tick is of the means over each
-    word's window of ticks.
+    good: 1 if the braking path of the next step has been judged good. The sample at the tick is the mean over
+    each axis' window.
     """
     while live.tick < tick:
         propose(live)
@@ -205,9 +208,9 @@ def proceed(live: Any, tick: int, good: int) -> int:
 
 @pointed(record(LIVE), INTEGER, INTEGER, INTEGER)
 def advance(live: Any, judge: int, context: int, tick: int) -> int:
-    """Go on to a tick, see `LiveTrajectory.advance`; return what was found against the way, or 0.
+    """Advance to a tick, see `LiveTrajectory.advance`; return the judge's reasons against the path, or 0.
 
-    judge: address of (context, address of a pose, (6,) m, rad) -> 0 for a good one.
+    judge: address of (context, address of a pose, (6,) m, rad) -> 0 for a good pose.
     """
     found = good = 0
     way = np.empty((MOST_MARKS, 6))
@@ -224,12 +227,12 @@ def advance(live: Any, judge: int, context: int, tick: int) -> int:
 
 
 class LiveTrajectory(CompiledTrajectory):
-    """Goes to wherever it was last sent, holds there, and stops on `brake`.
+    """Trajectory to the last target set; it holds there, and stops on `brake`.
 
-    start (6,) m, rad: where it begins; limits (3, 6): largest velocity, acceleration and jerk of the words.
-    Mutable state: the record, with the target, the place of rest, the tick and the share of its velocity that
-    is allowed, the history of the first stage, and the end that `brake` sets. `reset` restores the initial
-    one. Raises ConfigurationError where a jerk is so small that the window would be longer than WINDOW_S.
+    start (6,) m, rad: initial pose; limits (3, 6): largest velocity, acceleration and jerk of the axes.
+    Mutable state: the record (target, place of rest, tick, share of the velocity), the history of the first
+    stage, and the end time that `brake` sets. `reset` restores the initial state. Raises ConfigurationError
+    for a jerk so small that the window would exceed WINDOW_S.
     """
 
     def __init__(self, start: Array, limits: Array, period_s: float) -> None:
@@ -256,7 +259,7 @@ class LiveTrajectory(CompiledTrajectory):
         self.reset()
 
     def reset(self) -> None:
-        """Back to the start, at rest, at time zero."""
+        """Return to the start, at rest, at time zero."""
         self._live["tick"] = 0
         self._live["share"] = 1.0
         self._live["target"] = self._live["rest"] = self._start
@@ -264,7 +267,7 @@ class LiveTrajectory(CompiledTrajectory):
             self._live[name] = 0.0
         self._history[:, POSITION] = self._history[:, MEAN] = self._start
         self._history[:, SPEED] = 0.0
-        # Row 0 is tick 0, the others came before it.
+        # Row 0 is tick 0; the other rows are earlier ticks.
         before = np.arange(-len(self._history), 0)[:, None] + 1.0
         self._history[:, TOTAL] = np.roll(before, 1, axis=0) * self._start
         self.duration_s: float | None = None
@@ -277,21 +280,21 @@ class LiveTrajectory(CompiledTrajectory):
         self._live["halted"] = 0
 
     def limit(self, share: float) -> None:
-        """Allow a share 0 .. 1 of the largest velocity; what is faster is braked within the acceleration."""
+        """Allow a share 0 .. 1 of the largest velocity; a higher speed is braked within the acceleration."""
         self._live["share"] = share
 
     def halt(self) -> None:
-        """Come to rest as soon as the limits allow, and stay there until there is another target."""
+        """Come to rest as soon as the limits allow, and stay there until the next target."""
         self._live["halted"] = 1
 
     @property
     def resting(self) -> bool:
-        """Whether it stands still at the place of rest."""
+        """True while the platform is at rest at the place of rest."""
         live = self._live
         return bool(live["halted"]) and not (live["twist"].any() or live["dtwist"].any())
 
     def brake(self) -> None:
-        """Come to rest as soon as the limits allow; from then on there is an end."""
+        """Come to rest as soon as the limits allow, and set the end time."""
         tick = int(self._live["tick"])
         v = self._history[tick % len(self._history), SPEED]
         ticks = int(np.ceil(np.abs(v) / self._live["step"] - _ROUNDING).max())
@@ -300,15 +303,15 @@ class LiveTrajectory(CompiledTrajectory):
 
     @property
     def steer(self) -> Callee:
-        """(record, address of a judge, its context, tick): what `advance` calls."""
+        """Function for compiled code with the arguments of `advance`: (record, judge, its context, tick)."""
         return Callee(advance.address, data_at(self._live), self)
 
     def advance(self, tick: int, judge: Callee) -> int:
-        """Go on to a tick, counted from time zero.
+        """Advance to a tick, counted from time zero.
 
-        judge: (context, address of a pose, (6,) m, rad) -> 0 for a good one. As long as the way to rest of a
-        braking that begins with the next tick is good it goes on towards the target; else it brakes at once,
-        on the way that was good a tick ago, whose end becomes the target. Returns what was found against the
-        way, or 0.
+        judge: (context, address of a pose, (6,) m, rad) -> 0 for a good pose. Before each step the poses of
+        the braking path after that step are judged. If all are good, the motion continues towards the target.
+        Otherwise it brakes at once along the path judged good one tick before, and the end of this path
+        becomes the target. Returns the judge's reasons against the path, or 0.
         """
         return int(advance(self._live, judge.address, judge.context, tick))

@@ -21,7 +21,7 @@ MOVE = np.dtype(
 def evaluate(move: Any, t: float, into: Any) -> int:
     """Fill the sample of p = p0 + s dp, R = exp([s phi]) R0, with s the quintic of t/duration.
 
-    At both its ends, and so before and after them, the quintic rests to the bit.
+    Twist and dtwist are exactly zero at both ends, before and after.
     """
     duration, R0 = move.duration, move.R0
     s, ds, dds = quintic(min(max(t / duration, 0.0), 1.0))
@@ -55,5 +55,5 @@ class GeodesicMove(CompiledTrajectory):
         self.callee = Callee(evaluate.address, data_at(move), move)
 
     def travel_m(self, reach_m: float) -> float:
-        """Return how far a point at most `reach_m` from the platform's origin moves at most, m."""
+        """Largest travel, m, of a point at most `reach_m` from the platform's origin."""
         return hypot(*self._dp.tolist()) + reach_m * hypot(*self._phi.tolist())

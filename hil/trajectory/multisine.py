@@ -1,4 +1,4 @@
-"""Multisines for identification: many lines on each axis, with phases that keep the peak low.
+"""Multisines for identification: many lines on each axis, with phases for a low peak.
 
 Random phases are drawn once, from the configured seed.
 """
@@ -17,14 +17,14 @@ from hil.mathematics.trigonometry import sincos
 from hil.trajectory.sinusoids import SinusoidTrajectory
 
 POINTS_PER_CYCLE = 64
-"""Of the highest line, where the peak is looked for: between two points it is at most 0.12 % higher."""
+"""Search points per cycle of the highest line; the peak between two points is at most 0.12 % higher."""
 SEARCHED = 2_000_000
-"""Most lines times highest multiple of 1/period_s: the search for the peak takes some seconds then."""
+"""Limit of lines times highest multiple of 1/period_s: the search for the peak then takes some seconds."""
 _TURN = 2.0 * math.pi
 
 
 def multisine_trajectory(settings: MultisineReference, home: Pose) -> SinusoidTrajectory:
-    """Return the faded sum of sinusoids; the first whole period begins at `ramp_s`.
+    """Faded sum of sinusoids; the first whole period begins at `ramp_s`.
 
     Raises ConfigurationError when a band has too few frequencies for its lines.
     """
@@ -41,7 +41,7 @@ def multisine_trajectory(settings: MultisineReference, home: Pose) -> SinusoidTr
         line = axis.amplitude / peak(np.array(harmonics, np.int64), np.array(phases, float))
         for harmonic, phase in zip(harmonics, phases, strict=True):
             f = harmonic / settings.period_s
-            # The period begins after the ramp: there the phases are those that were asked for.
+            # The phases apply to the start of the period, which begins after the ramp.
             late = harmonic * (settings.ramp_s / settings.period_s)
             components.append(
                 Sinusoid(
@@ -65,15 +65,15 @@ def multisine_trajectory(settings: MultisineReference, home: Pose) -> SinusoidTr
 
 
 def pick_lines(axis: MultisineAxis, period_s: float, taken: set[int], where: str) -> list[int]:
-    """Return the axis' harmonics of 1/period_s, spread evenly over its band, none of them in `taken`.
+    """Harmonics of 1/period_s for an axis, spread evenly over its band, none of them in `taken`.
 
-    Lines of their own tell the responses to several axes apart in one run. Raises ConfigurationError.
+    Separate lines distinguish the responses to several axes in one run. Raises ConfigurationError.
     """
     low, high = axis.band_Hz
     if high * period_s * axis.lines > SEARCHED:
         raise ConfigurationError(
             f"{where}.band_Hz: {axis.lines} lines up to {high * period_s:.3g} times 1/period_s take too long "
-            f"to add up, allowed: up to {SEARCHED / axis.lines / period_s:g} Hz. Shorten period_s, "
+            f"to sum, allowed: up to {SEARCHED / axis.lines / period_s:g} Hz. Shorten period_s, "
             "lower the band, or take fewer lines."
         )
     first, last = math.ceil(low * period_s - 1e-9), math.floor(high * period_s + 1e-9)
@@ -83,7 +83,7 @@ def pick_lines(axis: MultisineAxis, period_s: float, taken: set[int], where: str
         raise ConfigurationError(
             f"{where}.lines: {axis.lines} lines do not fit into {low:g} to {high:g} Hz, allowed: at most "
             f"{len(free)}, the multiples of 1/period_s = {1 / period_s:g} Hz there"
-            + (f" less {used} that other axes have" if used else "")
+            + (f" minus {used} of other axes" if used else "")
             + ". Lengthen period_s or widen band_Hz."
         )
     if axis.lines == 1:
@@ -100,7 +100,7 @@ def schroeder(lines: int, seed: int) -> list[float]:  # noqa: ARG001
 
 
 def seeded(lines: int, seed: int) -> list[float]:
-    """Phases in rad, uniform over a turn; the same seed gives the same ones on every machine."""
+    """Phases in rad, uniform over a turn; one seed gives equal phases on every machine."""
     draw = Random(seed).random  # noqa: S311 - no secret
     return [_TURN * draw() for _ in range(lines)]
 
@@ -110,9 +110,9 @@ PHASES = {"schroeder": schroeder, "random": seeded}
 
 @kernel(INTEGERS, VECTOR)
 def peak(harmonics: Ints, phases: Array) -> float:
-    """Upper bound of |sum of sin(k w t + phase)| over a period, at most 0.12 % above it.
+    """Upper bound of |sum of sin(k w t + phase)| over a period, at most 0.12 % above the true maximum.
 
-    A sum of degree n is nowhere larger than its largest value at N points of a period over cos(pi n/N).
+    A sum of degree n is at most its largest value at N points of a period divided by cos(pi n/N).
     """
     n = np.max(harmonics)
     points = POINTS_PER_CYCLE * n

@@ -1,12 +1,12 @@
-"""The speed along a path: path time that runs at a share sigma of the clock, and changes it smoothly.
+"""Speed override along a path: path time runs at a share sigma of real time, and sigma changes smoothly.
 
-With s(t) the path time, ds/dt = sigma in 0 .. 1. Its rate and the rate of that are bounded by
+With path time s(t), ds/dt = sigma in 0 .. 1. Two bounds apply to sigma:
 
     |d sigma/dt| <= 1.5/T,  |d2 sigma/dt2| <= 4.5/T^2,  T = engage.stop_s,
 
-so that a change between 0 and 1 takes T, as a controlled stop does, with its largest deceleration: 1.5/T
-times the speed. No acceleration jumps. The motion is p_d(s), sigma p_d', sigma^2 p_d'' + d sigma/dt p_d':
-along the path no faster than configured, and never with more than a controlled stop adds.
+A change between 0 and 1 takes T and has the largest deceleration of a controlled stop: 1.5/T times the
+speed. The acceleration does not jump. The motion is p_d(s), sigma p_d', sigma^2 p_d'' + d sigma/dt p_d':
+the path speed never exceeds the configured one, and the added acceleration never exceeds a controlled stop's.
 """
 
 from typing import Any
@@ -29,10 +29,11 @@ OVERRIDE = np.dtype(
         ("period", "<f8"),
     ]
 )
-"""The tick of the last change with its path time s, sigma with its rate, 1/s, and the target; the limits of
-`change`, and the period, s."""
+"""Tick of the last change with its path time s, sigma with its rate, 1/s, and the target; limits of `change`,
+and the period, s.
+"""
 PEAK, CURVATURE = 1.5, 4.5
-"""Largest rate of sigma times T, and its largest rate times T^2."""
+"""Largest first derivative of sigma times T, largest second derivative times T^2."""
 _LANDED = 1e-12
 _CHANGES, _STEADY, _RESTS, _FULL = range(4)
 
@@ -41,10 +42,9 @@ _CHANGES, _STEADY, _RESTS, _FULL = range(4)
 def change(
     sigma: float, dsigma: float, target: float, limit: float, step: float, period: float
 ) -> tuple[float, float, float]:
-    """Return by how much path time advances in the next tick, and sigma with its rate at its end.
+    """Advance of path time, s, in the next tick, and sigma with its rate at the end of the tick.
 
-    limit: of |d sigma/dt|, 1/s; step: by how much that may change in a tick, 1/s. In between sigma is a
-    parabola.
+    limit: of |d sigma/dt|, 1/s; step: its largest change per tick, 1/s. Within a tick sigma is a parabola.
     """
     w = next_speed(target - sigma, dsigma, limit, step, period)
     ds = period * (sigma + period * (2.0 * dsigma + w) / 6.0)
@@ -56,7 +56,7 @@ def change(
 
 @kernel(REAL, REAL, REAL, REAL, REAL)
 def braking(sigma: float, dsigma: float, limit: float, step: float, period: float) -> float:
-    """Return by how much path time still advances, s, when it brakes to rest from sigma and its rate."""
+    """Remaining advance of path time, s, while sigma brakes to 0 from its value and rate."""
     s = 0.0
     for _ in range(int(8.0 / (limit * period)) + 8):  # braking from full speed takes 1.5 to 2/limit
         if sigma == 0.0 and dsigma == 0.0:
@@ -68,31 +68,31 @@ def braking(sigma: float, dsigma: float, limit: float, step: float, period: floa
 
 @helper
 def time_at(override: Any, tick: int) -> float:
-    """Path time in s at a tick to which it has been advanced; while sigma is constant, at any."""
+    """Path time in s at the tick of the last `advance`, or at any tick while sigma is constant."""
     return float(override.s + override.sigma * ((tick - override.tick) * override.period))
 
 
 @helper
 def is_settled(override: Any) -> bool:
-    """Whether sigma changes no more."""
+    """Check that sigma is constant."""
     return bool(override.sigma == override.target and override.dsigma == 0.0)
 
 
 @helper
 def is_full(override: Any) -> bool:
-    """Whether path time is the clock's."""
+    """Check that path time runs at full speed, and sigma is constant."""
     return bool(override.sigma == 1.0 and is_settled(override))
 
 
 @helper
 def is_resting(override: Any) -> bool:
-    """Whether path time stands still and stays so."""
+    """Check that path time stands still, and sigma is constant."""
     return bool(override.sigma == 0.0 and is_settled(override))
 
 
 @helper
 def go_on(override: Any, tick: int) -> None:
-    """Go on to a tick."""
+    """Advance to a tick."""
     while not is_settled(override) and override.tick < tick:
         ds, override.sigma, override.dsigma = change(
             override.sigma, override.dsigma, override.target, override.limit, override.step, override.period
@@ -103,7 +103,7 @@ def go_on(override: Any, tick: int) -> None:
 
 @helper
 def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, float]:
-    """Path time, sigma and its rate `h` seconds after a tick, as they go on by themselves."""
+    """Path time, sigma and its rate `h` seconds after a tick, extrapolated at the present rate."""
     sigma = min(max(override.sigma + override.dsigma * h, 0.0), 1.0)
     s = time_at(override, tick) + 0.5 * h * (override.sigma + sigma)
     return s, sigma, override.dsigma
@@ -111,7 +111,7 @@ def looked_ahead(override: Any, tick: int, h: float) -> tuple[float, float, floa
 
 @kernel(record(OVERRIDE))
 def _phase(override: Any) -> int:
-    """Return _CHANGES, or at what speed it stays: at rest, at full speed, or in between."""
+    """Phase of the override: changing, or constant at rest, at full speed, or between."""
     if is_resting(override):
         return _RESTS
     if is_full(override):
@@ -141,7 +141,7 @@ class Override:
     """
 
     def __init__(self, period_s: float, change_s: float) -> None:
-        """Run at full speed. change_s > 0: T, in which sigma goes from 1 to 0."""
+        """Start at full speed. change_s > 0: T, the time for sigma from 1 to 0."""
         self.record = context_of(
             OVERRIDE,
             limit=PEAK / change_s,
@@ -151,12 +151,12 @@ class Override:
             target=1.0,
         )
 
-    sigma: float = _column("sigma", "The share of the clock, 0 .. 1.")
-    dsigma: float = _column("dsigma", "Its rate, 1/s.")
-    target: float = _column("target", "Where it goes, 0 .. 1.")
+    sigma: float = _column("sigma", "Rate of path time, as a share of real time, 0 .. 1.")
+    dsigma: float = _column("dsigma", "Rate of sigma, 1/s.")
+    target: float = _column("target", "Target of sigma, 0 .. 1.")
 
     def begin(self, tick: int) -> None:
-        """Let path time be zero at a tick; the speed stays as it is."""
+        """Set path time to zero at a tick; the speed stays."""
         self._from(tick, 0.0)
 
     def place(self, tick: int, s: float) -> None:
@@ -165,13 +165,13 @@ class Override:
         self._from(tick, s)
 
     def settle(self, tick: int, sigma: float) -> None:
-        """Run at sigma from a tick on, at once."""
+        """Set sigma at a tick, without a ramp."""
         self._from(tick, self.time(tick))
         self.sigma = self.target = sigma
         self.dsigma = 0.0
 
     def aim(self, tick: int, target: float) -> None:
-        """Let sigma go to a target from a tick on, to which it has been advanced."""
+        """Set the target of sigma, from a tick to which the override has been advanced."""
         if target != self.target:
             self._from(tick, self.time(tick))
             self.target = target
@@ -181,33 +181,33 @@ class Override:
 
     @property
     def settled(self) -> bool:
-        """Whether sigma changes no more."""
+        """True while sigma is constant."""
         return _phase(self.record) != _CHANGES
 
     @property
     def full(self) -> bool:
-        """Whether path time is the clock's."""
+        """True while path time runs at full speed, and sigma is constant."""
         return _phase(self.record) == _FULL
 
     @property
     def resting(self) -> bool:
-        """Whether path time stands still and stays so."""
+        """True while path time stands still, and sigma is constant."""
         return _phase(self.record) == _RESTS
 
     def advance(self, tick: int) -> None:
-        """Go on to a tick."""
+        """Advance to a tick."""
         _advance(self.record, tick)
 
     def time(self, tick: int) -> float:
-        """Return path time in s at a tick to which it has been advanced; while sigma is constant, at any."""
+        """Path time in s at the tick of the last `advance`, or at any tick while sigma is constant."""
         return _time(self.record, tick)
 
     def rests_at(self, tick: int, target: float) -> float:
-        """Return path time at rest, s, if sigma goes toward a target for one more tick and then to zero."""
+        """Path time at rest, s, if sigma moves toward a target for one more tick and then to zero."""
         limits = [float(self.record[name]) for name in ("limit", "step", "period")]
         ds, sigma, dsigma = change(self.sigma, self.dsigma, target, *limits)
         return self.time(tick) + ds + braking(sigma, dsigma, *limits)
 
     def ahead(self, tick: int, h: float) -> tuple[float, float, float]:
-        """Return path time, sigma and its rate `h` seconds after a tick, as they go on by themselves."""
+        """Path time, sigma and its rate `h` seconds after a tick, extrapolated at the present rate."""
         return _ahead(self.record, tick, h)

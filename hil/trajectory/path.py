@@ -1,10 +1,10 @@
-"""What every trajectory gives, the function that gives it, and the step from a six-word path to it.
+"""The interface of a trajectory, its C function, and the conversion of pose coordinates to a sample.
 
-A trajectory of ours is a C function of the record that it owns: `callee`. One in plain Python is called by
-the same door, see `callee_of`.
+A trajectory of this project is a C function of a record that it owns: `callee`. A trajectory in plain Python
+is wrapped in a callback of the same signature, see `callee_of`.
 
-The six words chi = (x, y, z, rx, ry, rz) are the position in m and the rotation vector in rad of the platform
-frame in the base frame.
+The pose coordinates chi = (x, y, z, rx, ry, rz) are the position in m and the rotation vector in rad of the
+platform frame in the base frame.
 """
 
 import ctypes
@@ -34,14 +34,14 @@ from hil.mathematics.rotations import rotation_motion
 from hil.mathematics.vectors import at
 
 SAMPLE = np.dtype([("p", "<f8", 3), ("R", "<f8", (3, 3)), ("twist", "<f8", 6), ("dtwist", "<f8", 6)])
-"""A `PoseSample` as a record: what the function of a trajectory, `(context, t, into)`, fills."""
+"""A `PoseSample` as a record, filled by the function of a trajectory, `(context, t, into)`."""
 
 
 sample_at = record_at(record(SAMPLE))
 
 
 class PoseSample(NamedTuple):
-    """Pose and motion of the platform at one instant, base frame. Arrays are read-only to every reader."""
+    """Pose and motion of the platform at one instant, base frame. Readers must not change the arrays."""
 
     p: Array
     """(3,) m, platform origin."""
@@ -54,34 +54,34 @@ class PoseSample(NamedTuple):
 
 
 def of_record(sample: Record) -> PoseSample:
-    """Return the parts of a record that has those of SAMPLE: views of it."""
+    """Parts of a record with the fields of SAMPLE, as views."""
     return PoseSample(sample["p"], sample["R"], sample["twist"], sample["dtwist"])
 
 
 class Trajectory(Protocol):
-    """A path in time. No state: the same t gives the same bits."""
+    """A path in time without a state: equal t give equal bits."""
 
     @property
     def duration_s(self) -> float | None:
-        """Length in s; None goes on until stopped."""
+        """Length in s; None: until stopped."""
 
     def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s). Outside [0, duration] the nearest end pose, at rest."""
+        """Sample at t (s). Outside [0, duration]: the nearest end pose, at rest."""
 
 
 class CompiledTrajectory:
-    """A trajectory that is a function of a record: `callee`, which whoever derives from it sets."""
+    """A trajectory that is a C function of a record; a subclass sets `callee`."""
 
     callee: Callee
 
     def sample(self, t: float) -> PoseSample:
-        """Return the sample at t (s); see `Trajectory`."""
+        """Sample at t (s); see `Trajectory`."""
         return sampled_by(self.callee, t)
 
 
 @pointed(record(SAMPLE), REAL, record(SAMPLE))
 def kept(sample: Any, _t: float, into: Any) -> int:
-    """Fill the sample with one that is kept."""
+    """Copy a stored sample, for all t."""
     for i in range(3):
         into.p[i] = sample.p[i]
         for j in range(3):
@@ -100,8 +100,8 @@ class HoldTrajectory(CompiledTrajectory):
         self.callee = Callee(kept.address, data_at(pose), pose)
 
 
-class _Door:
-    """A trajectory in plain Python as a function. `error`: what its last failure was."""
+class _Callback:
+    """A callback for a trajectory in plain Python. `error`: its last exception."""
 
     def __init__(self, trajectory: Trajectory) -> None:
         self._trajectory = trajectory
@@ -124,20 +124,21 @@ class _Door:
 
 
 def callee_of(trajectory: Trajectory) -> Callee:
-    """Return the function of a trajectory and what it works on.
+    """C function of a trajectory, with its context.
 
-    Where one in plain Python raises, the status is FAILED, the sample nan, and `failure` finds the exception.
+    If a trajectory in plain Python raises, the status is FAILED, the sample nan, and `failure` gives the
+    exception.
     """
     own = getattr(trajectory, "callee", None)
     if isinstance(own, Callee):
         return own
-    door = _Door(trajectory)
-    return Callee(door.address, 0, door)
+    callback = _Callback(trajectory)
+    return Callee(callback.address, 0, callback)
 
 
 def failure(keeps: Any) -> BaseException | None:
-    """Return what a trajectory in plain Python has raised, last: one of those that a callee keeps."""
-    if isinstance(keeps, _Door):
+    """Last exception of a trajectory in plain Python, found in the `keeps` of a callee."""
+    if isinstance(keeps, _Callback):
         return keeps.error
     if isinstance(keeps, tuple):
         return next(filter(None, map(failure, keeps)), None)
@@ -145,14 +146,14 @@ def failure(keeps: Any) -> BaseException | None:
 
 
 def sampled_by(callee: Callee, t: float) -> PoseSample:
-    """Return the sample at t (s) in arrays of its own. Raises what a trajectory in plain Python does."""
+    """Sample at t (s) in arrays of its own. Raises the exceptions of a trajectory in plain Python."""
     into = np.ndarray((), SAMPLE)
     require(_by_address(callee.address, callee.context, t, into), callee)
     return of_record(into)
 
 
 def require(status: int, callee: Callee) -> None:
-    """Raise what a trajectory in plain Python has raised, where the status is that of a failure."""
+    """Raise the exception of a trajectory in plain Python if the status is FAILED."""
     if status < 0:
         raise failure(callee) or RuntimeError("a trajectory's function gave no sample")
 
@@ -165,7 +166,7 @@ def _by_address(function: int, context: int, t: float, into: Any) -> int:
 
 @helper
 def lift(chi: Array, dchi: Array, ddchi: Array, into: Any) -> None:
-    """Fill a record of SAMPLE from a six-word path with value chi, first and second derivative."""
+    """Fill a record of SAMPLE from pose coordinates chi with first and second derivative."""
     omega, domega = rotation_motion(at(chi, 3), at(dchi, 3), at(ddchi, 3), into.R)
     for i in range(3):
         into.p[i] = chi[i]
@@ -175,47 +176,47 @@ def lift(chi: Array, dchi: Array, ddchi: Array, into: Any) -> None:
 
 @helper
 def quintic(u: float) -> tuple[float, float, float]:
-    """Scaling s = 10 u^3 - 15 u^4 + 6 u^5 with ds/du, d2s/du2: 0 to 1, at rest without acceleration."""
+    """Scaling s = 10 u^3 - 15 u^4 + 6 u^5 with ds/du, d2s/du2: from 0 to 1, derivatives 0 at the ends."""
     s = u * u * u * (10.0 + u * (-15.0 + 6.0 * u))
     ds = 30.0 * u * u * (1.0 + u * (-2.0 + u))
     dds = 60.0 * u * (1.0 + u * (-3.0 + 2.0 * u))
     return s, ds, dds
 
 
-def six_words(pose: Pose | Waypoint) -> Array:
-    """Return chi (6,) of a configured pose: m and rad."""
+def pose_coordinates(pose: Pose | Waypoint) -> Array:
+    """Pose coordinates chi (6,) of a configured pose: m and rad."""
     return np.concatenate([np.asarray(pose.position_m, float), np.deg2rad(pose.rotation_vector_deg)])
 
 
-def checked_words(pose: Pose | Waypoint, where: str) -> Array:
-    """As `six_words`. Raises ConfigurationError for a turn of more than a half; `where` is the pose's key."""
-    chi = six_words(pose)
+def checked_coordinates(pose: Pose | Waypoint, where: str) -> Array:
+    """Coordinates chi (6,) of `pose` with key `where`; ConfigurationError for more than half a turn."""
+    chi = pose_coordinates(pose)
     require_half_turn(float(np.linalg.norm(chi[3:])), f"{where}.rotation_vector_deg")
     return chi
 
 
 def axis_limits(limits: AxisLimits) -> Array:
-    """Return (3, 6): largest velocity, acceleration and jerk of the six words, in m and rad."""
+    """Limits (3, 6): largest velocity, acceleration and jerk of the pose coordinates, in m and rad."""
 
-    def words(linear: float | tuple[float, ...], angular: float | tuple[float, ...]) -> Array:
+    def six(linear: float | tuple[float, ...], angular: float | tuple[float, ...]) -> Array:
         return np.concatenate([np.broadcast_to(linear, 3), np.deg2rad(np.broadcast_to(angular, 3))])
 
     return np.array(
         [
-            words(limits.velocity_m_s, limits.velocity_deg_s),
-            words(limits.acceleration_m_s2, limits.acceleration_deg_s2),
-            words(limits.jerk_m_s3, limits.jerk_deg_s3),
+            six(limits.velocity_m_s, limits.velocity_deg_s),
+            six(limits.acceleration_m_s2, limits.acceleration_deg_s2),
+            six(limits.jerk_m_s3, limits.jerk_deg_s3),
         ]
     )
 
 
-def words_of_points(points: Sequence[Pose | Waypoint]) -> Array:
-    """Return chi (n, 6) of `reference.points`. Raises ConfigurationError for a turn of more than a half."""
-    return np.array([checked_words(point, f"reference.points[{k}]") for k, point in enumerate(points)])
+def coordinates_of_points(points: Sequence[Pose | Waypoint]) -> Array:
+    """Coordinates chi (n, 6) of `reference.points`; ConfigurationError for more than half a turn."""
+    return np.array([checked_coordinates(point, f"reference.points[{k}]") for k, point in enumerate(points)])
 
 
 def require_half_turn(angle: float, where: str) -> None:
-    """Refuse a rotation vector longer than half a turn: no platform turns so far, and the series end there.
+    """Reject a rotation vector longer than half a turn: no platform turns so far, and the series are limited.
 
     angle in rad. Raises ConfigurationError.
     """

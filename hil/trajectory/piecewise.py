@@ -1,4 +1,4 @@
-"""Piecewise polynomial paths: way-points and splines are both one of these."""
+"""Piecewise polynomial paths, for way-points and splines."""
 
 from typing import Any
 
@@ -11,15 +11,15 @@ from hil.trajectory.path import SAMPLE, CompiledTrajectory, lift
 
 DEGREE = 5
 PIECES = np.dtype([("knots", "<i8"), ("coefficients", "<i8"), ("segments", "<i8"), ("periods", "<i8")])
-"""Addresses of the knots (n + 1,) and the coefficients (n, 6, 6), n, and the passes; 0 is for ever."""
+"""Addresses of the knots (n + 1,) and the coefficients (n, 6, 6), n, and the number of passes; 0: endless."""
 
 
 @pointed(record(PIECES), REAL, record(SAMPLE))
 def evaluate(path: Any, t: float, into: Any) -> int:
     """Fill the sample at t (s) of chi(u) = sum_k c[segment, k] u^k, u in [0, 1] on each segment.
 
-    knots in s from 0; coefficients by segment, power, word. At a knot the segment that begins there counts,
-    except at the very end.
+    knots in s from 0; coefficients [segment, power, axis]. A knot belongs to the segment that begins there,
+    the last knot to the last segment.
     """
     segments, periods = path.segments, path.periods
     knots = reals_at(path.knots, segments + 1)
@@ -43,24 +43,24 @@ def evaluate(path: Any, t: float, into: Any) -> int:
     u = (local - knots[low]) / h
     motion = np.zeros((3, 6))
     chi, dchi, ddchi = motion[0], motion[1], motion[2]
-    for word in range(6):
+    for axis in range(6):
         value = rate = curvature = 0.0
         for k in range(DEGREE, -1, -1):
             curvature = curvature * u + 2.0 * rate
             rate = rate * u + value
-            value = value * u + coefficients[low, k, word]
-        chi[word] = value
+            value = value * u + coefficients[low, k, axis]
+        chi[axis] = value
         if moving:
-            dchi[word] = rate / h
-            ddchi[word] = curvature / (h * h)
+            dchi[axis] = rate / h
+            ddchi[axis] = curvature / (h * h)
     lift(chi, dchi, ddchi, into)
     return 0
 
 
 class PiecewisePolynomial(CompiledTrajectory):
-    """chi(t) polynomial between knots, run through `periods` times (None: for ever).
+    """chi(t) polynomial between knots, repeated `periods` times (None: endless).
 
-    knots (n + 1,) s, increasing from 0; coefficients (n, 6, 6) [segment, power, word] in the segment's
+    knots (n + 1,) s, increasing from 0; coefficients (n, 6, 6) [segment, power, axis] in the segment's
     normalised time u = (t - knot)/(next knot - knot). Both are copied.
     """
 
@@ -76,5 +76,5 @@ class PiecewisePolynomial(CompiledTrajectory):
 
     @property
     def knots(self) -> Array:
-        """(n + 1,) s, between which the path is a polynomial: its acceleration may jump there."""
+        """Times (n + 1,) s of the knots, at which the acceleration may jump."""
         return self._knots.copy()

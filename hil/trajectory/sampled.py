@@ -1,4 +1,4 @@
-"""A path from a CSV file: one cubic spline per word through all rows."""
+"""A path from a CSV file: one cubic spline per pose coordinate through all rows."""
 
 import csv
 import io
@@ -10,7 +10,7 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.files import read_regular
-from hil.config.number import ALLOWED, in_reason, plain_number
+from hil.config.number import ALLOWED, is_allowed, plain_number
 from hil.config.reference import LONGEST_S, SampledReference
 from hil.config.values import AXES
 from hil.trajectory.path import require_half_turn
@@ -19,15 +19,14 @@ from hil.trajectory.waypoints import require_closed
 
 HEADER = ("t_s", *AXES)
 _QUOTED = 200
-"""Signs of a wrong header that are shown."""
+"""Largest number of characters of a wrong header in a message."""
 
 
 def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
     """Read a CSV of poses; return times (n,) s and chi (n, 6) m, rad.
 
-    Blank lines are skipped. Raises ConfigurationError with every problem as `file:line: ...`: the file cannot
-    be read, its header is another, a value is no finite number, times do not increase, or fewer than
-    `at_least` rows are there.
+    Blank lines are skipped. Raises ConfigurationError with every problem as `file:line: ...`: unreadable
+    file, wrong header, value not finite, times not increasing, or fewer than `at_least` rows.
     """
     rows: list[list[float]] = []
     problems: list[str] = []
@@ -48,7 +47,7 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
     except (UnicodeDecodeError, csv.Error) as error:
         raise ConfigurationError(f"{path}: cannot be read as a CSV file: {error}.") from error
     if len(rows) < at_least:
-        problems.append(f"{path}: {len(rows)} row(s) of poses; at least {at_least} must be there.")
+        problems.append(f"{path}: {len(rows)} row(s) of poses; at least {at_least} are required.")
     if problems:
         raise ConfigurationError(*problems)
     table = np.array(rows)
@@ -58,7 +57,7 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
 
 
 def _row(words: list[str], before: float) -> tuple[list[float], str]:
-    """Return the seven numbers of a line after the time `before`, and what is wrong with them, or nothing."""
+    """Seven numbers of a line, and a problem with them or "". `before`: time of the previous row."""
     if len(words) != len(HEADER):
         return [before], f"{len(words)} values; {len(HEADER)} are needed: {','.join(HEADER)}."
     numbers = []
@@ -66,11 +65,11 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
         number = plain_number(word)
         if not math.isfinite(number):
             return [before], f"{name} must be a finite number; given: {word.strip()!r:.60}."
-        if name in AXES and not in_reason(number):
-            return [before], f"{name} must be in size {ALLOWED}; given: {number:g}."
+        if name in AXES and not is_allowed(number):
+            return [before], f"{name} must have a magnitude of {ALLOWED}; given: {number:g}."
         numbers.append(number)
     if not numbers[0] > before:
-        return numbers, f"t_s {numbers[0]:g} is not after {before:g} of the row before; times must increase."
+        return numbers, f"t_s {numbers[0]:g} is not after {before:g} of the row above; times must increase."
     return numbers, ""
 
 
@@ -79,7 +78,7 @@ def clamped_slopes(t: Array, y: Array) -> Array:
 
     Continuity of the second derivative (de Boor, A Practical Guide to Splines, ch. IV): with chords c_i over
     h_i, m_{i-1}/h_{i-1} + 2 m_i (1/h_{i-1} + 1/h_i) + m_{i+1}/h_i = 3 (c_{i-1}/h_{i-1} + c_i/h_i). Solved by
-    elimination down and up the diagonal, which needs no LAPACK: its kernels differ in the last bit.
+    tridiagonal elimination without LAPACK, which differs in the last bit between processors.
     """
     h = np.diff(t)[:, None]
     chord = np.diff(y, axis=0) / h
@@ -97,7 +96,7 @@ def clamped_slopes(t: Array, y: Array) -> Array:
 
 
 def spline_coefficients(t: Array, y: Array) -> Array:
-    """Coefficients (n - 1, 6, m) [segment, power, word] in normalised time of the clamped cubic spline."""
+    """Coefficients (n - 1, 6, m) [segment, power, axis] in normalised time of the clamped cubic spline."""
     h = np.diff(t)[:, None]
     slopes = clamped_slopes(t, y)
     m0, m1, rise = slopes[:-1] * h, slopes[1:] * h, np.diff(y, axis=0)
@@ -110,10 +109,10 @@ def spline_coefficients(t: Array, y: Array) -> Array:
 
 
 def sampled_trajectory(settings: SampledReference, folder: Path) -> PiecewisePolynomial:
-    """Return the spline through the rows of `settings.path` (relative to `folder`), at rest at both ends.
+    """Spline through the rows of `settings.path` (relative to `folder`), at rest at both ends.
 
-    The first row's time is taken as 0. Raises ConfigurationError; see `read_poses`; also for a path longer
-    than LONGEST_S, and when a repeated path does not close.
+    The first row's time counts as 0. Raises ConfigurationError as `read_poses` does, for a path longer
+    than LONGEST_S, and for a repeated path that does not close.
     """
     path = folder / settings.path
     t, chi = read_poses(path, at_least=2)

@@ -12,7 +12,7 @@ from drivers.errors import ConfigurationError
 from hil.config.reference import SinusoidReference
 from hil.config.values import AXES, Pose
 from hil.mathematics.trigonometry import sincos
-from hil.trajectory.path import SAMPLE, CompiledTrajectory, lift, quintic, require_half_turn, six_words
+from hil.trajectory.path import SAMPLE, CompiledTrajectory, lift, pose_coordinates, quintic, require_half_turn
 
 WAVES = np.dtype(
     [
@@ -24,15 +24,15 @@ WAVES = np.dtype(
         ("ramp", "<f8"),
     ]
 )
-"""Addresses of the word of each component (n,), and of amplitude (m or rad), Hz, rad of each (n, 3); n."""
+"""Addresses of the axis of each component (n,), and of amplitude (m or rad), Hz, rad of each (n, 3); n."""
 _TURN = 2.0 * math.pi
 
 
 @helper
 def fade(t: float, duration: float, ramp: float) -> tuple[float, float, float]:
-    """Envelope e(t) with de/dt, d2e/dt2: quintic from 0 to 1 over `ramp` s, and back before the end.
+    """Envelope e(t) with de/dt, d2e/dt2: quintic from 0 to 1 over `ramp` s, and back to 0 before the end.
 
-    t: 0 .. duration; so without a ramp it is 1 throughout.
+    t: 0 .. duration. Without a ramp e = 1 throughout.
     """
     if t < ramp:
         s, ds, dds = quintic(t / ramp)
@@ -70,21 +70,21 @@ def evaluate(path: Any, t: float, into: Any) -> int:
 
 
 class SinusoidTrajectory(CompiledTrajectory):
-    """chi(t) = centre + e(t) sum of a sin(2 pi f t + phase) on single words, e(t) fading in and out.
+    """chi(t) = centre + e(t) sum of a sin(2 pi f t + phase) on single axes, with the envelope e(t).
 
-    With `ramp_s` 0 it starts and ends at speed. Raises ConfigurationError when the two ramps do not fit, or a
-    turn could be too large.
+    With `ramp_s` 0 it starts and ends with a speed. Raises ConfigurationError if the two ramps exceed the
+    duration, or a rotation could exceed half a turn.
     """
 
     def __init__(self, settings: SinusoidReference, home: Pose, largest: Array | None = None) -> None:
-        """Take the largest deviation (6,) m, rad from the centre; by default the sum of the amplitudes."""
+        """Build from settings. largest: largest deviation (6,) m, rad; default: sum of the amplitudes."""
         if 2.0 * settings.ramp_s > settings.duration_s:
             raise ConfigurationError(
                 f"reference.ramp_s: fading in and out takes 2 x {settings.ramp_s:g} s, more than duration_s "
                 f"{settings.duration_s:g}; at most {settings.duration_s / 2:g} s fits."
             )
         self.duration_s = settings.duration_s
-        centre = six_words(settings.centre or home)
+        centre = pose_coordinates(settings.centre or home)
         axis = np.array([AXES.index(c.axis) for c in settings.components], np.int64)
         self._wave = np.array(
             [

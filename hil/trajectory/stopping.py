@@ -1,4 +1,4 @@
-"""A controlled stop: the same path, its time slowed to rest."""
+"""A controlled stop: path time slows to rest on the same path."""
 
 from typing import Any
 
@@ -15,9 +15,9 @@ STOP = np.dtype([("function", "<i8"), ("context", "<i8"), ("t_stop", "<f8"), ("s
 def path_time(t: float, t_stop: float, duration: float) -> tuple[float, float, float]:
     """Path time sigma(t) with its first and second derivative.
 
-    Until `t_stop` sigma = t; then d sigma/dt = 1 - 3 u^2 + 2 u^3 with u = (t - t_stop)/duration: sigma comes
-    to rest at t_stop + duration/2, and no acceleration jumps. The deceleration peaks at 1.5/duration times
-    the speed.
+    Until `t_stop` sigma = t; then d sigma/dt = 1 - 3 u^2 + 2 u^3 with u = (t - t_stop)/duration. sigma comes
+    to rest at t_stop + duration/2 without a jump in acceleration. The largest deceleration is 1.5/duration
+    times the speed.
     """
     u = min(max((t - t_stop) / duration, 0.0), 1.0)
     if u == 0.0:
@@ -29,7 +29,7 @@ def path_time(t: float, t_stop: float, duration: float) -> tuple[float, float, f
 
 @helper
 def slow(sample: Any, rate: float, curvature: float) -> None:
-    """Turn twist and dtwist into those along a path whose time runs at `rate`: the chain rule."""
+    """Scale twist and dtwist in place for path time at `rate`, by the chain rule."""
     for i in range(6):
         along = sample.twist[i]
         sample.twist[i] = rate * along
@@ -38,7 +38,7 @@ def slow(sample: Any, rate: float, curvature: float) -> None:
 
 @pointed(record(STOP), REAL, record(SAMPLE))
 def evaluate(stop: Any, t: float, into: Any) -> int:
-    """Fill the sample of the path that is stopped along."""
+    """Fill the sample of the stopping path."""
     sigma, rate, curvature = path_time(t, stop.t_stop, stop.slowing)
     status: int = call(stop.function, (stop.context, sigma, address_of(into)))
     slow(into, rate, curvature)
@@ -48,8 +48,8 @@ def evaluate(stop: Any, t: float, into: Any) -> int:
 class StoppingTrajectory(CompiledTrajectory):
     """`trajectory` until `t_stop` (s), then slowed to rest along the same path within `duration_s` > 0.
 
-    Time is that of `trajectory`: it can take its place at t_stop without a jump in pose, twist or dtwist.
-    It rests for good from t_stop + duration_s = `self.duration_s` on.
+    Its time is the time of `trajectory`, which it can replace at t_stop without a jump in pose, twist or
+    dtwist. It is at rest from t_stop + duration_s = `self.duration_s` on.
     """
 
     def __init__(self, trajectory: Trajectory, t_stop: float, duration_s: float) -> None:

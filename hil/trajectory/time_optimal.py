@@ -1,6 +1,6 @@
 """Way-points in the shortest time within limits of velocity, acceleration and jerk, at rest at each.
 
-Ruckig plans while the trajectory is built; what runs in the cycle are its polynomials.
+Ruckig plans while the trajectory is built; the cycle evaluates the resulting polynomials.
 """
 
 import io
@@ -13,26 +13,26 @@ from ruckig import Trajectory as Plan
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, LogError
 from hil.config.reference import TimeOptimalReference
-from hil.trajectory.path import axis_limits, words_of_points
+from hil.trajectory.path import axis_limits, coordinates_of_points
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import SAME, require_closed
 
 APART = 1e-12
-"""s: instants of two axes that are closer are one."""
+"""s: instants of two axes closer than this are merged."""
 
 
 def time_optimal_path(settings: TimeOptimalReference) -> tuple[Array, Array]:
-    """Return knots (n + 1,) s and coefficients (n, 6, 6) of the path, as for `PiecewisePolynomial`.
+    """Knots (n + 1,) s and coefficients (n, 6, 6) of the path, as for `PiecewisePolynomial`.
 
-    Each move from rest to rest takes the time of its slowest axis; the others go in proportion, on a straight
-    line of the six words, where their limits allow that, and else within the same time. Raises
-    ConfigurationError when a point is its neighbour's twin, or a repeated path does not close.
+    Each move from rest to rest takes the time of its slowest axis. The other axes move in proportion, on a
+    straight line of the pose coordinates, if their limits allow that; otherwise they only take the same time.
+    Raises ConfigurationError for two equal points in sequence, or a repeated path that does not close.
     """
-    chi = words_of_points(settings.points)
+    chi = coordinates_of_points(settings.points)
     for k, (a, b) in enumerate(pairwise(chi)):
         if np.abs(b - a).max() <= SAME:
             raise ConfigurationError(
-                f"reference.points[{k + 1}]: the same pose as the point before it; a move needs another one."
+                f"reference.points[{k + 1}]: the same pose as the previous point; a move needs another one."
             )
     require_closed(chi, settings.periods, "reference.points")
     limits = axis_limits(settings.limits)
@@ -45,10 +45,10 @@ def time_optimal_path(settings: TimeOptimalReference) -> tuple[Array, Array]:
 
 
 def plan(settings: TimeOptimalReference) -> bytes:
-    """Return the planned path as a file in NumPy's format: a row (37,) for each polynomial, knot first.
+    """Planned path as a file in NumPy's format: a row (37,) for each polynomial, knot first.
 
-    Another C library may plan with another last bit: a log carries its plan, so that it replays to the bit.
-    Raises ConfigurationError as `time_optimal_path`.
+    A log carries its plan, because another C library may plan with another last bit. Raises
+    ConfigurationError as `time_optimal_path`.
     """
     knots, coefficients = time_optimal_path(settings)
     file = io.BytesIO()
@@ -57,19 +57,16 @@ def plan(settings: TimeOptimalReference) -> bytes:
 
 
 def planned_trajectory(file: bytes, periods: int | None) -> PiecewisePolynomial:
-    """Return the trajectory of a `plan`.
-
-    Raises LogError for what is none: a log may carry anything.
-    """
+    """Trajectory of a `plan`. Raises LogError for an invalid file, because a log is untrusted input."""
     table = _table(file)
     knots = np.concatenate([[0.0], table[:, 0]])
     if not np.isfinite(table).all() or not (np.diff(knots) > 0.0).all():
-        raise LogError("the plan of the reference in the log: its numbers must be finite, its times increase")
+        raise LogError("the plan of the reference in the log: numbers must be finite, times must increase")
     return PiecewisePolynomial(knots, table[:, 1:].reshape(len(table), DEGREE + 1, 6), periods)
 
 
 def _table(file: bytes) -> Array:
-    """Return the rows (n, 37) of a plan; no more memory is taken than the file has bytes."""
+    """Rows (n, 37) of a plan; allocates at most the size of the file."""
     stream, width = io.BytesIO(file), 1 + 6 * (DEGREE + 1)
     try:
         np.lib.format.read_magic(stream)
@@ -79,42 +76,42 @@ def _table(file: bytes) -> Array:
         raise LogError(f"the plan of the reference in the log cannot be read: {error}") from None
     if kind != np.float64 or shape != (len(numbers) // width, width) or not shape[0]:
         raise LogError(
-            f"the plan of the reference in the log: {shape} of {kind}, allowed: (n, {width}) of float64, and "
-            f"{len(numbers)} numbers are there"
+            f"the plan of the reference in the log: {shape} of {kind} with {len(numbers)} numbers, allowed: "
+            f"(n, {width}) of float64"
         )
     return np.ascontiguousarray(numbers.reshape(shape, order="F" if fortran else "C"))
 
 
 def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
-    """Return knots (n + 1,) from 0 and coefficients (n, 6, 6) of one move from rest to rest."""
-    ask = InputParameter(6)
-    ask.current_position, ask.target_position = start.tolist(), end.tolist()
-    ask.max_velocity, ask.max_acceleration, ask.max_jerk = limits.tolist()
-    ask.synchronization = Synchronization.Phase
-    answer = Plan(6)
-    result = Ruckig(6).calculate(ask, answer)
+    """Knots (n + 1,) from 0 and coefficients (n, 6, 6) of one move from rest to rest."""
+    request = InputParameter(6)
+    request.current_position, request.target_position = start.tolist(), end.tolist()
+    request.max_velocity, request.max_acceleration, request.max_jerk = limits.tolist()
+    request.synchronization = Synchronization.Phase
+    planned = Plan(6)
+    result = Ruckig(6).calculate(request, planned)
     if result not in {Result.Working, Result.Finished}:
         raise ConfigurationError(
             f"reference.limits: no move from {start} to {end} was found ({result.name})."
         )
-    axes = [_states(profile) for profile in answer.profiles[0]]
+    axes = [_states(profile) for profile in planned.profiles[0]]
     instants = np.unique(np.concatenate([t for t, _ in axes]))
     t = instants[np.concatenate([[True], np.diff(instants) > APART])]
     h = np.diff(t)
     coefficients = np.zeros((len(h), DEGREE + 1, 6))
-    for word, (own, states) in enumerate(axes):
+    for axis, (own, states) in enumerate(axes):
         k = np.minimum(np.searchsorted(own, t[:-1] + APART, side="right") - 1, len(own) - 1)
         x, v, a, j = states[k].T
         s = t[:-1] - own[k]
-        coefficients[:, 0, word] = x + s * (v + s * (a / 2 + s * j / 6))
-        coefficients[:, 1, word] = h * (v + s * (a + s * j / 2))
-        coefficients[:, 2, word] = h * h * (a + s * j) / 2
-        coefficients[:, 3, word] = h * h * h * j / 6
+        coefficients[:, 0, axis] = x + s * (v + s * (a / 2 + s * j / 6))
+        coefficients[:, 1, axis] = h * (v + s * (a + s * j / 2))
+        coefficients[:, 2, axis] = h * h * (a + s * j) / 2
+        coefficients[:, 3, axis] = h * h * h * j / 6
     return t, coefficients
 
 
 def _states(profile: Profile) -> tuple[Array, Array]:
-    """Return instants (n,) and, from each on, position, velocity, acceleration and constant jerk (n, 4)."""
+    """Instants (n,) and, from each on, position, velocity, acceleration and constant jerk (n, 4)."""
     instants = np.concatenate([[0.0], np.cumsum(profile.t)])
     jerk = [*profile.j, 0.0]
     return instants, np.array([profile.p, profile.v, profile.a, jerk]).T

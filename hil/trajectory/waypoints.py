@@ -1,4 +1,4 @@
-"""Paths through way-points at given times. No LAPACK: its kernels differ in the last bit."""
+"""Paths through way-points at given times, without LAPACK, whose last bit depends on the processor."""
 
 from collections.abc import Callable
 from functools import partial
@@ -9,14 +9,14 @@ import numpy as np
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.config.reference import WaypointReference
-from hil.trajectory.path import words_of_points
+from hil.trajectory.path import coordinates_of_points
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 
 CUBIC = (0.0, 0.0, 3.0, -2.0, 0.0, 0.0)
 QUINTIC = (0.0, 0.0, 0.0, 10.0, -15.0, 6.0)
-"""Coefficients of the scaling function s(u), s(0) = 0, s(1) = 1, with no speed at either end."""
+"""Coefficients of the scaling function s(u), s(0) = 0, s(1) = 1, with speed 0 at both ends."""
 SAME = 1e-9
-"""m and rad: how far the last point may lie from the first one when the list is repeated."""
+"""m and rad: largest distance of the last point from the first one in a repeated path."""
 
 
 def rest_to_rest(s: tuple[float, ...], t: Array, chi: Array) -> Array:  # noqa: ARG001
@@ -27,7 +27,7 @@ def rest_to_rest(s: tuple[float, ...], t: Array, chi: Array) -> Array:  # noqa: 
 
 
 def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
-    """Return velocities and accelerations (n, m) of the minimum-jerk path through y (n, m) at t (n,).
+    """Velocities and accelerations (n, m) of the minimum-jerk path through y (n, m) at t (n,).
 
     It minimises the integral of the squared third derivative, at rest at both ends. Stationarity makes it
     quintic between the knots, with continuous third and fourth derivative at the inner ones (T. Flash,
@@ -39,8 +39,8 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
     - 60 D - 24 v0 h - 36 v1 h - 3 a0 h^2 + 9 a1 h^2 and 360 D - 168 v0 h - 192 v1 h - 24 a0 h^2 + 36 a1 h^2
       at its end.
 
-    The conditions at the inner knots are a symmetric positive definite block tridiagonal system in (v, a);
-    it is eliminated down and up its diagonal of 2 x 2 blocks, and needs no pivots.
+    The conditions at the inner knots are a symmetric positive definite block tridiagonal system in (v, a)
+    with 2 x 2 blocks. It is solved by block elimination, which needs no pivoting.
     """
     n = len(t)
     v, a = np.zeros_like(y), np.zeros_like(y)
@@ -69,7 +69,7 @@ def knot_motion(t: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _coupling(h: float) -> Array:
-    """Block from the equations of a knot to (v, a) of the next one, a segment of length h between."""
+    """Coupling block between the equations of a knot and (v, a) of the next one, at the distance h."""
     i = 1.0 / h
     return np.array([[168.0 * i * i * i, -24.0 * i * i], [24.0 * i * i, -3.0 * i]])
 
@@ -81,12 +81,12 @@ def _inverse(A: Array) -> Array:
 
 
 def _times(A: Array, B: Array) -> Array:
-    """Return A (2, 2) times B (2, m), term by term."""
+    """Product of A (2, 2) and B (2, m), term by term."""
     return np.stack([A[i, 0] * B[0] + A[i, 1] * B[1] for i in range(2)])
 
 
 def minimum_jerk_coefficients(t: Array, y: Array) -> Array:
-    """Coefficients (n - 1, 6, m) [segment, power, word] in normalised time of the path of `knot_motion`."""
+    """Coefficients (n - 1, 6, m) [segment, power, axis] in normalised time of the path of `knot_motion`."""
     v, a = knot_motion(t, y)
     h = np.diff(t)[:, None]
     D, v0, v1 = np.diff(y, axis=0), v[:-1] * h, v[1:] * h
@@ -106,11 +106,11 @@ INTERPOLATIONS: dict[str, Callable[[Array, Array], Array]] = {
     "quintic": partial(rest_to_rest, QUINTIC),
     "minimum_jerk": minimum_jerk_coefficients,
 }
-"""Name -> coefficients [segment, power, word] from times (n,) and points (n, 6)."""
+"""Name -> coefficients [segment, power, axis] from times (n,) and points (n, 6)."""
 
 
 def require_closed(chi: Array, periods: int | None, where: str) -> None:
-    """Refuse to repeat a path chi (n, 6) that does not end where it starts. Raises ConfigurationError."""
+    """Check that a repeated path chi (n, 6) ends where it starts. Raises ConfigurationError."""
     gap = float(np.max(np.abs(chi[-1] - chi[0])))
     if periods != 1 and gap > SAME:
         raise ConfigurationError(
@@ -120,20 +120,20 @@ def require_closed(chi: Array, periods: int | None, where: str) -> None:
 
 
 def waypoint_trajectory(settings: WaypointReference) -> PiecewisePolynomial:
-    """Return the path through the points; before the first point it holds.
+    """Path through the points; it holds until the first point's time.
 
     Cubic and quintic rest at every point: chi_k + (chi_k+1 - chi_k) s(u). Minimum jerk rests at the first
-    and the last one. The rotation vector is interpolated like the position. Raises ConfigurationError when
-    the times do not increase, or when a repeated path does not close.
+    and the last one. The rotation vector is interpolated like the position. Raises ConfigurationError if the
+    times do not increase, or a repeated path does not close.
     """
     times = [point.t_s for point in settings.points]
     for k, (t0, t1) in enumerate(pairwise(times)):
         if not t1 > t0:
             raise ConfigurationError(
-                f"reference.points[{k + 1}].t_s: {t1:g} s is not after the point before it ({t0:g} s); "
+                f"reference.points[{k + 1}].t_s: {t1:g} s is not after the previous point ({t0:g} s); "
                 "the times of the points must increase."
             )
-    chi = words_of_points(settings.points)
+    chi = coordinates_of_points(settings.points)
     require_closed(chi, settings.periods, "reference.points")
     coefficients = INTERPOLATIONS[settings.interpolation](np.array(times), chi)
     if times[0] > 0.0:

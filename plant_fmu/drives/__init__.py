@@ -8,11 +8,11 @@ from drivers.registry import loaded
 
 if TYPE_CHECKING:
     from drivers.family import Family
-    from plant_fmu.drives.ends import DrivesEnd
+    from plant_fmu.drives.codec import DrivesEnd
 
 
 def drives_end(protocol: Family) -> DrivesEnd:
-    """Drives' end of a protocol, powered up: its own `drives_end()`, else the entry point of its family."""
+    """Drives' end of a protocol, powered up: `protocol.drives_end()`, else the entry point of its family."""
     own = getattr(protocol, "drives_end", None)
     if own is None:
         return cast("DrivesEnd", loaded("hil.emulated_drives", protocol.traits.family)(protocol))

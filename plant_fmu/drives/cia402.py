@@ -1,8 +1,8 @@
-"""The drives' end of CiA 402: NMT, SDO, and what is rejected, of six emulated drives; the rest is compiled.
+"""The drives' end of CiA 402, not compiled: NMT, SDO and rejected frames of six emulated drives.
 
-A drive follows the documents, not our controller: CiA 301 for communication, IEC 61800-7-201 for the drive.
-What it has of both is in `cia402_dictionary`. Its brake is its own. Quick stop and NMT stop end in the brake
-at once, as the emulated power stage has no ramps.
+The drives follow the standards, not our controller: CiA 301 for communication, IEC 61800-7-201 for the drive.
+`cia402_dictionary` lists the objects that they have. Each drive controls its brake. Quick stop and NMT stop
+engage the brake at once, as the emulated power stage has no ramps.
 """
 
 from typing import Any
@@ -17,16 +17,16 @@ from drivers.protocol import BUS, Frame
 from drivers.signals import LEGS, DriveFault, DriveMode, Reaction
 from plant_fmu.drives import cia402_dictionary as dictionary
 from plant_fmu.drives import cia402_kernels as kernels
-from plant_fmu.drives.ends import CONFIGURE, REJECTED, STOP, UNWATCHED, DrivesEnd
+from plant_fmu.drives.codec import CONFIGURE, REJECTED, STOP, UNWATCHED, DrivesEnd
 
 NO_WATCHDOG_NS = 10**15
-"""Time after which a drive without a consumer heartbeat time reacts."""
+"""Watchdog time of a drive without a consumer heartbeat time."""
 _SHORT_PDO = bytes.fromhex("1082010000000000")
 _NODE = 0x7F
 
 
 class Cia402Drives(DrivesEnd):
-    """Six drives. Mutable state: their elements of DEVICE."""
+    """The drives' end of CiA 402. Mutable state: six elements of DEVICE."""
 
     def __init__(self, family: Any) -> None:
         d: Any = np.zeros((), kernels.DEVICES)
@@ -44,10 +44,10 @@ class Cia402Drives(DrivesEnd):
         self.record["devices"], self.record["new"] = data_at(self.state), data_at(self._new)
 
     def converse(self, frame: Frame) -> None:
-        """Take an NMT command, an SDO request, and what is rejected.
+        """Process an NMT command, an SDO request, or a frame to reject.
 
-        Rejected: a PDO that is shorter than its mapping, an NMT or heartbeat frame of a wrong length, SDO
-        requests of another length than 8.
+        Rejected: a PDO that is shorter than its mapping, an NMT or heartbeat frame of a wrong length, an SDO
+        request whose length is not 8.
         """
         identifier, data, _ = frame
         here = [leg for leg in range(LEGS) if self._bus_of[leg] == frame.bus]
@@ -108,7 +108,7 @@ class Cia402Drives(DrivesEnd):
         self.put(CONFIGURE, (leg,), Reaction.BRAKE if at_once else Reaction.DAMP, watchdog_ns)
 
     def _on_sdo(self, leg: int, data: bytes) -> None:
-        """Answer an SDO client; segmented and block transfers are refused, no object needs them."""
+        """Answer an SDO request; segmented and block transfers are refused, as no object needs them."""
         d, specifier, key = self.state[leg], data[0], (data[1] | data[2] << 8, data[3])
         kind = specifier >> 5
         if d["nmt"] in (o.BOOTS, o.STOPPED) or kind == 4:
@@ -125,7 +125,7 @@ class Cia402Drives(DrivesEnd):
         self._send(leg, o.SDO_REPLY_ID, o.abort(key, code) if code else answer)
 
     def _write(self, leg: int, key: Key, specifier: int, data: bytes) -> int:
-        """Take a download and carry it out; return the abort code."""
+        """Execute a download; return the abort code, 0 for success."""
         if not specifier & 2:
             return o.TOO_LONG
         d, said = self.state[leg], 4 - (specifier >> 2 & 3) if specifier & 1 else 0
@@ -137,7 +137,7 @@ class Cia402Drives(DrivesEnd):
             self._count += kernels.control(self.record, leg, value, data_at(self.messages[self._count :]))
             return 0
         d["values"][dictionary.PLACE[key]] = dictionary.signed(key, value)
-        if key == o.MODE:  # it is in force at once, and shown
+        if key == o.MODE:  # active at once, and displayed
             d["values"][dictionary.PLACE[o.MODE_SHOWN]] = d["values"][dictionary.PLACE[key]]
         if o.RPDO <= key[0] < o.TPDO_MAP + dictionary.PDOS:
             dictionary.fill_pdos(d)

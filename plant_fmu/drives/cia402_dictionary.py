@@ -1,7 +1,7 @@
-"""The object dictionary of an emulated CiA 402 drive, and which writes it refuses with which abort code.
+"""The object dictionary of an emulated CiA 402 drive, and the abort codes of refused writes.
 
-The objects are those of `emulated_drive.eds`. Values are the numbers that they stand for, in one array
-(len(ENTRIES),) in the order of ENTRIES. PDO parameters and mapping: CiA 301, 7.5.2. No state, no clock.
+The objects are those of `emulated_drive.eds`. Values are signed or unsigned numbers in one array
+(len(ENTRIES),), in the order of ENTRIES. PDO parameters and mapping: CiA 301, 7.5.2. No state, no clock.
 """
 
 from configparser import ConfigParser
@@ -16,13 +16,13 @@ from drivers.cia402 import objects as o
 from drivers.cia402.objects import Key
 
 PDOS = 4
-"""RPDOs, and TPDOs."""
+"""Number of RPDOs, and of TPDOs."""
 MAPPED = 4
-"""Objects that a PDO can carry."""
+"""Largest number of objects in a PDO."""
 _PDO_BITS = 64
 _IDS = 0x7FF
 TORQUE_MODES = (4, o.CYCLIC_TORQUE)
-"""Profile torque and cyclic synchronous torque; in both the drive follows the target torque."""
+"""Profile torque and cyclic synchronous torque; in both modes the drive follows the target torque."""
 _EVENTS = {254, o.AT_ONCE}
 _ALLOWED: dict[Key, set[int]] = {
     o.COMMUNICATION_ERROR: {0, 1},
@@ -33,27 +33,29 @@ _ALLOWED: dict[Key, set[int]] = {
     **{(o.RPDO + n, 2): _EVENTS for n in range(PDOS)},
     **{(o.TPDO + n, 2): {o.AT_EVERY_SYNC, *_EVENTS} for n in range(PDOS)},
 }
-"""Values that can be written, where these are not all."""
+"""Object -> values that can be written, for objects that do not accept every value."""
 _SIGNED, _SIZES = range(2, 5), {2: 1, 3: 2, 4: 4, 5: 1, 6: 2, 7: 4}
-"""Data types of a sheet: whole numbers, and the bytes of each."""
+"""Data types of the EDS: the signed ones, and the number of bytes of each."""
 
 
 class Entry(NamedTuple):
-    """One object."""
+    """One object of the dictionary."""
 
     size: int
-    """Bytes."""
+    """Number of bytes."""
     signed: bool
     writable: bool
     default: int
     mappable: str
-    """Letter: t into a TPDO, r into an RPDO."""
+    """t: mappable into a TPDO, r: into an RPDO, empty: not mappable."""
 
 
 def _entries() -> dict[Key, Entry]:
     sheet, found = ConfigParser(), {}
     text = resources.files("drivers.cia402").joinpath("emulated_drive.eds").read_text("ascii")
-    assert crc32(text.encode()) == 0xC3690F82, "another sheet: state its CRC-32, for which kernels are kept"
+    assert crc32(text.encode()) == 0xC3690F82, (
+        "the EDS has changed: state its CRC-32, part of the kernels' cache key"
+    )
     sheet.read_string(text)
     for name in sheet.sections():
         of, (index, _, sub) = sheet[name], name.partition("sub")
@@ -66,13 +68,13 @@ def _entries() -> dict[Key, Entry]:
 
 
 ENTRIES = _entries()
-"""What the emulated drives have, with what a drive has after power-up."""
+"""Objects of the emulated drives, with their values at power-up."""
 PLACE = {key: place for place, key in enumerate(ENTRIES)}
 _INDICES = {index for index, _ in ENTRIES}
 
 
 def defaults(node: int, rated_torque_mNm: int, increments: int) -> Ints:
-    """Return the values of a drive that has just been powered up."""
+    """Values (len(ENTRIES),) of a drive at power-up."""
     own = {
         (0x1014, 0): o.EMCY_ID + node,
         o.SERIAL: node,
@@ -86,14 +88,14 @@ def defaults(node: int, rated_torque_mNm: int, increments: int) -> Ints:
 
 
 def signed(key: Key, raw: int) -> int:
-    """Return a raw value as the number that it stands for."""
+    """Value of an object's raw bits, signed where its data type is."""
     entry = ENTRIES[key]
     bits = 8 * entry.size
     return raw - (1 << bits) if entry.signed and raw >> bits - 1 else raw
 
 
 def fill_pdos(row: Any) -> None:
-    """Put the PDOs that a drive has into its element of DEVICE, from its objects."""
+    """Derive the active PDOs from a drive's objects. Changes the element of DEVICE."""
     row["pdos"] = row["counts"] = 0
     for way, (parameters, mapping) in enumerate(((o.RPDO, o.RPDO_MAP), (o.TPDO, o.TPDO_MAP))):
         found = 0
@@ -113,14 +115,14 @@ def fill_pdos(row: Any) -> None:
 
 
 def missing(key: Key) -> int:
-    """Return the abort code for an object that is not there; 0 for one that is."""
+    """Abort code for an object that does not exist; 0 for one that does."""
     if key in ENTRIES:
         return 0
     return o.NO_SUB_INDEX if key[0] in _INDICES else o.NO_OBJECT
 
 
 def refused(values: Ints, key: Key, value: int, size: int) -> int:
-    """Return the abort code with which a write is refused; 0: it is taken. size: bytes, 0: not said."""
+    """Abort code of a write, 0 if it is allowed. size: bytes, 0 if the request does not state it."""
     entry = ENTRIES[key]
     if not entry.writable:
         return o.READ_ONLY
@@ -131,7 +133,7 @@ def refused(values: Ints, key: Key, value: int, size: int) -> int:
     index, sub = key
     if not o.RPDO <= index < o.TPDO_MAP + PDOS:
         return 0
-    if index & 0x0200:  # the mappings lie 0x200 above the parameters
+    if index & 0x0200:  # indices of mappings: 0x200 above those of parameters
         return _mapping_refused(values, key, value)
     now = int(values[PLACE[index, 1]])
     if sub != 1 or value & o.NOT_VALID:

@@ -1,6 +1,6 @@
 """The drives' end of CiA 402, compiled: SYNC, PDOs, heartbeats and EMCY of six emulated drives.
 
-NMT, SDO, and what is rejected are left to `plant_fmu.drives.cia402`.
+`plant_fmu.drives.cia402` does NMT, SDO and rejected frames.
 """
 
 from typing import Any
@@ -17,7 +17,7 @@ from drivers.frame_pointers import begin_sent, frame_at, place_of, signed, whole
 from drivers.protocol import STRANGE
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.transmission import FIELDS
-from plant_fmu.drives import ends
+from plant_fmu.drives import codec
 from plant_fmu.drives.cia402_dictionary import ENTRIES, MAPPED, PDOS, PLACE, TORQUE_MODES
 
 _WORD, _TARGET, _MODE, _SHOWN = (PLACE[key] for key in (o.CONTROLWORD, o.TARGET_TORQUE, o.MODE, o.MODE_SHOWN))
@@ -35,24 +35,24 @@ DEVICE = np.dtype(
     [
         ("nmt", "<i8"),
         ("state", "<i8"),
-        ("commands", "<i8"),  # so far
-        ("started", "<i8"),  # 1: it has been in Operational since power-up
-        ("stops", "<i8"),  # 1: it has reported its quick stop once
-        ("values", "<i8", (len(ENTRIES),)),  # its object dictionary
-        # from that, RPDOs and the TPDOs of a SYNC: identifiers, 0: none; bytes; the places of their objects
+        ("commands", "<i8"),  # number so far
+        ("started", "<i8"),  # 1: has been in Operational since power-up
+        ("stops", "<i8"),  # 1: has reported its quick stop
+        ("values", "<i8", (len(ENTRIES),)),  # object dictionary
+        # computed from it, for RPDOs and synchronous TPDOs: identifiers, 0: none; bytes; indices of objects
         *((name, "<i8", (2, PDOS)) for name in ("pdos", "sizes", "counts")),
         ("places", "<i8", (2, PDOS, MAPPED)),
     ]
 )
-"""What one drive remembers."""
+"""State of one drive."""
 DEVICES = np.dtype(
     [
         ("devices", "<i8"),  # address of six elements of DEVICE
-        ("new", "<i8"),  # of six that have just been powered up
-        ("buses", "<i8"),  # how many
+        ("new", "<i8"),  # address of six elements as at power-up
+        ("buses", "<i8"),  # number
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
-        ("codes", "<i8", (len(DriveFault),)),  # of an EMCY, by fault
+        ("codes", "<i8", (len(DriveFault),)),  # EMCY code per fault
         ("rated_mNm", "<f8"),
         *FIELDS,
         *((name, "<f8", (LEGS,)) for name in ("counts", "N_per_permille")),
@@ -61,7 +61,7 @@ DEVICES = np.dtype(
 """Six emulated drives."""
 _DEVICES = record(DEVICES)
 _device_at: Any = record_at(record(DEVICE))
-_ROW, _FRAME, _MESSAGE = DEVICE.itemsize, FRAME.itemsize, ends.MESSAGE.itemsize
+_ROW, _FRAME, _MESSAGE = DEVICE.itemsize, FRAME.itemsize, codec.MESSAGE.itemsize
 _STATUSWORDS = np.array([*s.STATUSWORDS.values()])
 _BOOT, _FAULT = int(DriveState.BOOT), int(DriveState.FAULT)
 _OFF, _READY, _RUN, _RESET = map(int, DriveMode)
@@ -80,7 +80,7 @@ def _device(c: Any, leg: int) -> Any:
 
 @helper
 def _following(d: Any, word: int) -> int:
-    """Return the state to which a controlword leads."""
+    """CiA 402 state after a controlword."""
     state = s.commanded(word, d.state, not d.values[_WORD] & 0x80)
     stops_at_once = state == s.QUICK_STOP and d.state == s.ENABLED and d.values[_QUICK] == 0
     return s.DISABLED if stops_at_once else state
@@ -94,15 +94,15 @@ def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
         most = d.values[_MOST] if d.values[_MODE] else 0
         force = min(max(torque, -most), most) * c.N_per_permille[leg]
         if before != s.ENABLED:
-            count = ends.put_message(messages, count, leg, ends.UNWATCHED, _READY, n + 1, force)
-        count = ends.put_message(messages, count, leg, ends.UNWATCHED, _RUN, n + 2, force)
+            count = codec.put_message(messages, count, leg, codec.UNWATCHED, _READY, n + 1, force)
+        count = codec.put_message(messages, count, leg, codec.UNWATCHED, _RUN, n + 2, force)
     elif state == s.QUICK_STOP:
         if before != s.QUICK_STOP:
-            count = ends.put_message(messages, count, leg, ends.STOP, 0, 0, 0.0)
+            count = codec.put_message(messages, count, leg, codec.STOP, 0, 0, 0.0)
     elif before == s.ENABLED:
-        count = ends.put_message(messages, count, leg, ends.UNWATCHED, _OFF, n + 1, 0.0)
+        count = codec.put_message(messages, count, leg, codec.UNWATCHED, _OFF, n + 1, 0.0)
     elif before in (s.IN_FAULT, s.DISABLED) and state != before:
-        count = ends.put_message(messages, count, leg, ends.UNWATCHED, _RESET, n + 1, 0.0)
+        count = codec.put_message(messages, count, leg, codec.UNWATCHED, _RESET, n + 1, 0.0)
     d.stops = d.stops != 0 and state == s.QUICK_STOP
     d.values[_WORD], d.values[_TARGET], d.state, d.commands = word, torque, state, n + 2
     return count
@@ -110,7 +110,10 @@ def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER)
 def control(c: Any, leg: int, word: int, messages: int) -> int:
-    """Let a controlword act with the target torque; without a mode of operation no torque follows."""
+    """Execute a controlword with the stored target torque; without a mode of operation the torque is 0.
+
+    Fills in messages at an address; returns their number.
+    """
     return _control(c, leg, word, _device(c, leg).values[_TARGET], messages)
 
 
@@ -138,7 +141,7 @@ def _listens(c: Any, leg: int, k: int, frame: Any) -> bool:
 
 @helper
 def _listeners(c: Any, frame: Any) -> int:
-    """Return bits of the legs whose RPDO a frame is; FAILED for one that is cut."""
+    """Bit mask of the legs that a frame is an RPDO of; FAILED if it is shorter than the mapping."""
     found = 0
     for leg in range(LEGS):
         for k in range(PDOS):
@@ -153,7 +156,7 @@ def _listeners(c: Any, frame: Any) -> int:
 
 @helper
 def _obey(c: Any, frame: Any, messages: int) -> int:
-    """Take an RPDO at the drives that listen to it."""
+    """Execute an RPDO at all drives that receive it."""
     count = 0
     for leg in range(LEGS):
         d = _device(c, leg)
@@ -168,13 +171,13 @@ def _obey(c: Any, frame: Any, messages: int) -> int:
 
 @helper
 def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
-    """Put a SYNC, or a heartbeat of a node for the drives that watch it, into a message."""
-    message, count = ends.message_at(messages), 0
+    """Fill in one message: a SYNC, or a heartbeat for the drives that monitor the sending node."""
+    message, count = codec.message_at(messages), 0
     for leg in range(LEGS):
         d = _device(c, leg)
         if c.bus_of[leg] != bus:
             continue
-        if kind == ends.SYNC:
+        if kind == codec.SYNC:
             hears = d.nmt == o.OPERATES and d.counts[1, 0] > 0
             if d.state == s.FAULT_REACTION:
                 d.state = s.IN_FAULT
@@ -185,12 +188,12 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
             message.legs[count] = leg
             count += 1
     message.kind, message.counter, message.count = kind, 0, count
-    return 1 if count or kind == ends.SYNC else 0
+    return 1 if count or kind == codec.SYNC else 0
 
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(c: Any, frame_address: int, messages: int) -> int:
-    """Decode a SYNC, a PDO or a heartbeat, else leave it to Python."""
+    """Decode a SYNC, a PDO or a heartbeat; FAILED for a frame that Python has to process."""
     frame = frame_at(frame_address)
     if frame.flags & STRANGE or frame.bus >= c.buses:
         return 0
@@ -200,11 +203,11 @@ def parse(c: Any, frame_address: int, messages: int) -> int:
     identifier = int(frame.id)
     node = identifier & _NODE
     if identifier == o.SYNC_ID:
-        return _to_all(c, ends.SYNC, frame.bus, 0, messages)
+        return _to_all(c, codec.SYNC, frame.bus, 0, messages)
     if identifier == o.NMT_ID:
         return FAILED
     if identifier - node == o.HEARTBEAT_ID:
-        return _to_all(c, ends.ALIVE, frame.bus, node, messages) if frame.length == 1 else FAILED
+        return _to_all(c, codec.ALIVE, frame.bus, node, messages) if frame.length == 1 else FAILED
     return FAILED if identifier - node == o.SDO_REQUEST_ID and place_of(node, c.nodes) >= 0 else 0
 
 
@@ -213,7 +216,7 @@ def parse(c: Any, frame_address: int, messages: int) -> int:
 
 @helper
 def _restart(c: Any, leg: int) -> None:
-    """Let a drive forget what was set in it, but not how many commands there were."""
+    """Restore the power-up state of a drive, except its count of commands."""
     commands = _device(c, leg).commands + 1
     integers_at(c.devices + leg * _ROW, _ROW // 8)[:] = integers_at(c.new + leg * _ROW, _ROW // 8)
     _device(c, leg).commands = commands
@@ -221,14 +224,14 @@ def _restart(c: Any, leg: int) -> None:
 
 @helper
 def _whole(number: float, least: float, most: float) -> int:
-    """Return the nearest whole number, saturated."""
+    """Nearest whole number, saturated."""
     return int(np.rint(min(max(number, least), most)))
 
 
 @helper
 def _measure(c: Any, leg: int, reading: Any) -> bool:
-    """Take what a drive reads; tell whether these are numbers."""
-    d, (turns, speed, torque) = _device(c, leg), ends.at_motor(c, leg, reading)
+    """Store position, velocity and torque in the drive's objects; False if one is NaN."""
+    d, (turns, speed, torque) = _device(c, leg), codec.at_motor(c, leg, reading)
     position, velocity, torque = turns * c.counts[leg], speed * c.counts[leg], torque * 1e6 / c.rated_mNm
     if np.isnan(position) or np.isnan(velocity) or np.isnan(torque):
         return False
@@ -254,8 +257,8 @@ def _send(d: Any, bus: int, k: int, frame: Any) -> None:
 
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in the TPDOs of a SYNC and the leg of each; FAILED for a NaN."""
-    sync, reading = ends.message_at(sync_address), ends.reading_at(reading_address)
+    """Fill in the TPDOs that answer a SYNC and the leg of each; return their number, FAILED for a NaN."""
+    sync, reading = codec.message_at(sync_address), codec.reading_at(reading_address)
     legs, asked, buses, count = integers_at(senders, LEGS * PDOS), 0, 0, 0
     for k in range(sync.count):
         asked |= 1 << sync.legs[k]
@@ -288,7 +291,7 @@ def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: 
 def report(
     c: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, _due: int, into: int
 ) -> int:
-    """Fill in a boot-up, else EMCY and heartbeat, and let a quick stop that has been reported end."""
+    """Fill in a boot-up message, or else EMCY and heartbeat; end a quick stop that was reported before."""
     d, count = _device(c, leg), 0
     if state == _BOOT and d.started:
         _restart(c, leg)

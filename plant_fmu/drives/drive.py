@@ -1,4 +1,4 @@
-"""Six emulated drives: their record, and what faults make of them and their encoders. `Nodes` owns them."""
+"""Six emulated drives: their record, and the faults of drives and encoders. `Nodes` owns them."""
 
 import ctypes
 from collections import deque
@@ -19,7 +19,7 @@ from drivers.signals import INVALID, LEGS, DriveFault, Reaction
 from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd
+from plant_fmu.drives.codec import MESSAGE, READING, DrivesEnd
 from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
 from plant_fmu.drives.live import due_ns
 from plant_fmu.drives.record import NODES, ROOM
@@ -30,7 +30,7 @@ _NO_COUNTER = -1
 
 
 def at_motor(settings: DriveSettings, transmission: Transmission | None) -> DriveSettings:
-    """Return the settings with the force that a drive clips: its torque's, before the losses on the way."""
+    """Drive settings with the force limit at the motor: rated leg force before the transmission's losses."""
     if transmission is None:
         return settings
     rated_N = settings.force_limit_N / float(transmission.driving.min())
@@ -38,19 +38,19 @@ def at_motor(settings: DriveSettings, transmission: Transmission | None) -> Driv
 
 
 class Drives:
-    """Six drives that have just been powered up.
+    """Six drives, initially just powered up.
 
-    Mutable state: the record, see `record.NODES`; frames to send, and the reading that is answered; where
-    legs stood when a fault began that scales what their encoders count.
+    Mutable state: the record, see `record.NODES`; the frames to send; the reading of the current answer; the
+    leg lengths at which faults of encoder scale began.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
-        """Power up; `step_s` is the plant's internal step, over which the force lag is exact."""
+        """Power up; `step_s` is the plant's internal step, for which the force lag is discretised exactly."""
         self.record: Record = np.zeros((), NODES)
         self.seen = cast("Any", self.record.view(np.recarray))
-        """The same for the functions of `kernels` in plain Python: each field is an attribute."""
+        """View of the record for the functions of `kernels` in plain Python: each field is an attribute."""
         self._origins: dict[tuple[int, int], float] = {}
-        """m, by leg and the fault's beginning in ns."""
+        """Leg lengths, m, by leg and start of the fault, ns."""
         n = self.seen
         n.state, n.reaction, n.acting = BOOT, Reaction.BRAKE, BRAKE
         n.counter, n.stuck, n.frozen, n.most = _NO_COUNTER, WORKS, nan, inf
@@ -62,7 +62,7 @@ class Drives:
         n.damping, n.stiffness = emulation.damping_N_s_m, emulation.hold_stiffness_N_m
         n.opening_ns, n.closing_ns = 1e6 * emulation.brake_open_ms, 1e6 * emulation.brake_close_ms
         n.brake_after_ns = round(settings.brake_after_ms * 1e6)
-        # First-order lag over one step: its end value and its mean, both 1 without a lag.
+        # First-order lag over one step: end value and mean, both 1 without a lag.
         x = 2.0 * pi * emulation.force_bandwidth_Hz * step_s
         n.lags, n.lag_end = x > 0.0, exp(-x)
         n.lag_mean = (1.0 - exp(-x)) / x if x > 0.0 else exp(-x)
@@ -70,15 +70,15 @@ class Drives:
     def connect(
         self, t0_ns: int, end: DrivesEnd, plant: Moved, heartbeat_ns: float, reading_ns: float
     ) -> None:
-        """Let them live from `t0_ns` on, with their end and the plant behind them.
+        """Start the drives at `t0_ns` with their protocol's end and the plant.
 
-        Each sends its status, and its reading unasked, so often; 0: never.
+        heartbeat_ns, reading_ns: periods of each drive's status and of its unrequested reading; 0: never.
         """
         self._keeps = end, plant
         n = self.record
         self.address = data_at(n)
         self.out = np.zeros(ROOM, FRAME)
-        """Frames to send: the first `sent`."""
+        """Frames to send: the first `sent` elements."""
         self._asked, self._senders = np.zeros((), MESSAGE), np.zeros(ROOM, np.int64)
         self.reading = np.zeros((), READING)
         n["move"], n["applied"], n["plant"] = plant.move, plant.applied, plant.context
@@ -93,7 +93,7 @@ class Drives:
         n["reading_ns"] = due_ns(t0_ns, 1, reading_ns / LEGS)
 
     def reserve(self, room: int) -> None:
-        """Make room for frames to send."""
+        """Enlarge the array of frames to send; frames in it are kept."""
         out = np.zeros(room, FRAME)
         sent = int(self.record["sent"])
         out[:sent] = self.out[:sent]
@@ -101,14 +101,14 @@ class Drives:
         self.record["out"], self.record["room"] = data_at(out), room
 
     def disturb(self, present: Present, t_ns: int) -> None:
-        """Let the faults of this instant act, the plant being there.
+        """Apply the faults present at `t_ns`, when the plant has reached it.
 
-        An encoder freezes at what it reads, and scales what it moves from there on.
+        A frozen encoder keeps its current reading; a scale error counts from the current length.
         """
         n = self.seen
         self.drift(present, t_ns)
         self._scale(present, n.length)
-        n.lost = 0  # one that is lost freezes at what it would read
+        n.lost = 0  # one without signal freezes at its present value
         reads = [encoder(n, leg)[0] for leg in range(LEGS)]
         n.lost = [INVALID if lost else 0 for lost in present.lost]
         n.frozen = np.where(present.frozen, np.where(np.isnan(n.frozen), reads, n.frozen), nan)
@@ -121,9 +121,9 @@ class Drives:
             n.configured[leg], n.counter[leg] = False, _NO_COUNTER
 
     def _scale(self, present: Present, length: Array) -> None:
-        """Let encoders count a multiple of what their legs move from where each of their faults began.
+        """Apply the scale errors of encoders, each to the motion since its fault began.
 
-        Of several faults of one leg a later one multiplies what the earlier ones make of the motion.
+        The scale errors of one leg multiply, in the order in which they began.
         """
         scale, shift = np.ones(LEGS), np.zeros(LEGS)
         for leg, factor, since_ns in sorted(present.scales, key=itemgetter(2)):
@@ -133,7 +133,7 @@ class Drives:
         self.seen.scale, self.seen.shift = scale, shift
 
     def drift(self, present: Present, t_ns: int) -> None:
-        """Let encoders that drift be off by as much as they are by now."""
+        """Apply the offsets and drifts of encoders, as large as they are at `t_ns`."""
         n = self.seen
         n.offset, n.drift = present.offset_m, 0.0
         for leg, by_m_s, since_ns in present.drifts:
@@ -142,30 +142,30 @@ class Drives:
 
 
 def forgotten_m(settings: HomingSettings, transmission: Transmission, length: Array) -> Array:
-    """Leg lengths (6,) m that encoders do not count which are switched on at lengths (6,) m.
+    """Parts of the leg lengths (6,) m that encoders lose at power-up, at lengths (6,) m.
 
-    Each begins within half of `forgotten_turns` of zero, whatever the motor has done before.
+    After power-up each encoder starts within half of `forgotten_turns` of zero.
     """
     whole = np.round(transmission.turns(length) / settings.forgotten_turns) * settings.forgotten_turns
     return transmission.m_per_turn * whole
 
 
 class Reading:
-    """Spoils the readings of six encoders on their way into the feedback.
+    """Adds delay and noise to the readings of six encoders, before the feedback.
 
-    Mutable state: the readings since the first late encoder, as long as they are needed.
+    Mutable state: the readings since the first encoder delay began, as long as they are needed.
     """
 
     def __init__(self) -> None:
         self._read: deque[tuple[int, Array, Array]] = deque()
 
     def begin(self, present: Present) -> None:
-        """Begin with other faults: where no encoder is late any more, no reading is needed."""
+        """Continue with other faults; without a delayed encoder the stored readings are deleted."""
         if not any(present.late_ns):
             self._read.clear()
 
     def spoil(self, present: Present, t_ns: int, length: Array, rate: Array) -> None:
-        """Change lengths (6,) m and rates (6,) m/s that were read at `t_ns`."""
+        """Add delay and noise to lengths (6,) m and rates (6,) m/s that were read at `t_ns`. Changes both."""
         longest = max(present.late_ns)
         if longest:
             self._read.append((t_ns, length.copy(), rate.copy()))
@@ -178,7 +178,7 @@ class Reading:
             length[leg] += sigma_m * generator.standard_normal()
 
     def _at(self, t_ns: int, leg: int) -> tuple[float, float]:
-        """Return length and rate at an instant, carried on from the reading before it; else the first."""
+        """Length and rate at an instant, extrapolated from the reading before it; else the first reading."""
         before = [read for read in self._read if read[0] <= t_ns]
         at_ns, length, rate = before[-1] if before else self._read[0]
         dt = max(0, t_ns - at_ns) * 1e-9
@@ -186,7 +186,7 @@ class Reading:
 
 
 class Snapshot(NamedTuple):
-    """The plant's end at one instant, for its log."""
+    """Plant and drives at one instant, for the plant's log."""
 
     t_ns: int
     """Grid instant of length and rate."""
@@ -197,9 +197,9 @@ class Snapshot(NamedTuple):
     command: Array
     """(6,) N, last valid command."""
     force: Array
-    """(6,) N, what the drives put on the plant."""
+    """(6,) N, force of the drives on the plant."""
     applied: Array
-    """(6,) N, the plant's own answer to that where it knows it, else `force`."""
+    """(6,) N, force that the plant reports as applied; `force` if it reports none."""
     state: Ints
     """(6,) DriveState."""
     fault: Ints
@@ -210,19 +210,19 @@ class Snapshot(NamedTuple):
     """(6,) N, N m on the platform."""
     truth: Truth | None
     syncs: int
-    """SYNC frames or polls heard since the start."""
+    """SYNC frames or polls received since the start."""
     commands: int
     """Valid command frames with a new counter."""
     repeated: int
-    """Valid command frames whose counter had been seen: they count for nothing."""
+    """Valid command frames with a counter that was received before: they have no effect."""
     rejected: int
-    """Frames that could not be trusted, or were for another SYNC than the present one."""
+    """Frames that were invalid, or belonged to another SYNC than the present one."""
 
 
 def moved(plant: Plant) -> Moved:
-    """Return a plant by address: its own functions, or those that call its methods."""
+    """Functions of a plant by address: compiled ones, or wrappers of its Python methods."""
     compiled = getattr(plant, "moved", None)
-    return _python(plant) if compiled is None else compiled()
+    return _python_functions(plant) if compiled is None else compiled()
 
 
 @cache
@@ -231,7 +231,7 @@ def _reals(address: int, count: int) -> Array:
     return np.frombuffer(memory, np.float64)
 
 
-def _python(plant: Plant) -> Moved:
+def _python_functions(plant: Plant) -> Moved:
     errors: list[BaseException] = []
     step_s = plant.internal_step_s
 

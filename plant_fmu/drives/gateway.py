@@ -1,31 +1,31 @@
-"""Between the drives and the bus: frames that are lost, late, damaged or added on their way."""
+"""Faults between drives and bus: frames that are lost, delayed, corrupted or added."""
 
 from collections.abc import Sequence
 from operator import itemgetter
 
 from drivers.family import Family
 from drivers.protocol import Frame, Received
-from plant_fmu.drives.ends import SYNC, DrivesEnd
+from plant_fmu.drives.codec import SYNC, DrivesEnd
+from plant_fmu.faults.foreign_controller import forged
 from plant_fmu.faults.kinds import FramesForgedCommand
 from plant_fmu.faults.plan import Schedule
-from plant_fmu.faults.stranger import forged
 
 _TIME = itemgetter(0)
 AHEAD_NS = 2_000_000
-"""What others send is put on the bus at most so long before its time."""
+"""Largest time by which a frame of an extra node is queued in advance."""
 Timed = tuple[int, Frame]
 
 
 class Gateway:
-    """Passes frames on as the faults of a schedule have it, and adds those of nodes that should not be there.
+    """Passes frames on with the faults of a schedule, and adds the frames of nodes that should not exist.
 
-    A frame may leave it with a time to come: it is not on the bus before.
-    Mutable state: frames that are to be heard later, frames of others that are to be put on the bus, the time
-    of the last step, what the protocol remembers at the drives' end.
+    A returned frame may have a later time: it enters the bus then. Mutable state: frames to deliver later,
+    frames of extra nodes to put on the bus, the time of the last step, the protocol's state at the drives'
+    end.
     """
 
     def __init__(self, schedule: Schedule, protocol: Family, end: DrivesEnd, t0_ns: int) -> None:
-        """Take the schedule, and the protocol with a drives' end of its own, powered up."""
+        """Create a gateway; `end` is a drives' end for it alone, powered up."""
         self._schedule = schedule
         self._protocol = protocol
         self._end = end
@@ -34,7 +34,7 @@ class Gateway:
         self._until_ns = t0_ns
 
     def hear(self, received: Sequence[Received], until_ns: int) -> list[Received]:
-        """Return what reaches the drives by `until_ns`, in the order of time."""
+        """Frames that reach the drives by `until_ns`, in the order of time."""
         heard = self._later
         for t_ns, frame in received:
             for at_ns, arriving, foreign in self._schedule.carry(t_ns, frame, to_drives=True):
@@ -50,18 +50,18 @@ class Gateway:
         return [Received(*entry) for entry in heard[: len(heard) - len(self._later)]]
 
     def _forge(self, t_ns: int, frame: Frame, heard: list[Timed]) -> None:
-        """Answer a SYNC, or the poll of a drive, before its controller sends another command."""
+        """Add a forged command after a SYNC or after a drive's poll, ahead of the controller's command."""
         protocol, addressed = self._protocol, self._protocol.addressed
         for message in self._end.hear(frame):
             if message["kind"] == SYNC:
                 for fault in (own.fault for own in self._schedule.active(t_ns)):
                     if isinstance(fault, FramesForgedCommand):
-                        asked = set(addressed(frame))  # all on the bus of a SYNC, or the one that is polled
+                        asked = set(addressed(frame))  # all drives on the bus of a SYNC, or the polled one
                         frames = forged(protocol, fault.force_N, int(message["counter"]))
                         self._add(t_ns, [each for each in frames if asked & set(addressed(each))], heard)
 
     def _send(self, until_ns: int, heard: list[Timed]) -> None:
-        """Let others send what they send by `until_ns`."""
+        """Add the frames that extra nodes send by `until_ns`."""
         for fault, own in self._schedule.senders():
             period_ns = 1e9 / fault.rate_Hz
             while (t_ns := own.start_ns + round(own.sent * period_ns)) <= until_ns and t_ns < own.stop_ns:
@@ -74,7 +74,7 @@ class Gateway:
         self._added += timed
 
     def send(self, sent: Sequence[Timed]) -> list[Timed]:
-        """Return what goes on the bus: what is left of what the drives have sent, and what others send."""
+        """Frames for the bus in the order of time: of the drives, after their faults, and of extra nodes."""
         out = [
             (at_ns, arriving)
             for t_ns, frame in sent

@@ -1,4 +1,4 @@
-"""What happens to all six emulated drives in one tick, compiled: n is a record of `record.NODES`."""
+"""One tick of six emulated drives, compiled: n is a record of `record.NODES`."""
 
 from typing import Any
 
@@ -7,15 +7,15 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import helper
 from drivers.signals import LEGS, DriveFault, DriveMode, DriveState, Reaction
-from plant_fmu.drives.ends import COMMAND
+from plant_fmu.drives.codec import COMMAND
 
 BOOT, OFF, READY, RUN, FAULT = map(int, DriveState)
 BRAKE, DAMP, HOLD, ZERO = map(int, Reaction)
 NEVER_NS = 1 << 62
 _LONGEST_NS = float(1 << 60)
-"""Of a watchdog, also one that never ends."""
+"""Limit of a watchdog's time; also the time of a watchdog that never ends."""
 WORKS = -1
-"""A brake that is not stuck."""
+"""Value of `stuck` for a brake that works."""
 
 TRANSITIONS: dict[DriveMode, dict[int, int]] = {
     DriveMode.OFF: {READY: OFF, RUN: OFF},
@@ -23,7 +23,7 @@ TRANSITIONS: dict[DriveMode, dict[int, int]] = {
     DriveMode.RUN: {READY: RUN},
     DriveMode.RESET: {READY: OFF, RUN: OFF, FAULT: OFF},
 }
-"""What each commanded mode does to a drive; a state that is not listed stays as it is."""
+"""Transition of a drive's state by each commanded mode; a state that is not listed stays."""
 _STAYS = -1
 _NEXT = np.array(
     [[TRANSITIONS[mode].get(state, _STAYS) for state in map(int, DriveState)] for mode in DriveMode]
@@ -34,7 +34,7 @@ _NO_FAULT, _ESTOP = int(DriveFault.NONE), int(DriveFault.ESTOP)
 
 @helper
 def enter(n: Any, leg: int, state: int, reason: int) -> None:
-    """Move one drive to a state."""
+    """Change the state of one drive."""
     n.state[leg], n.fault[leg] = state, reason
     if state not in (READY, RUN):
         n.command[leg], n.deadline_ns[leg] = 0.0, NEVER_NS
@@ -42,7 +42,7 @@ def enter(n: Any, leg: int, state: int, reason: int) -> None:
 
 @helper
 def configure(n: Any, leg: int, message: Any) -> bool:
-    """Set a drive of a message CONFIGURE up, unless it is powered; tell whether it was."""
+    """Set up a drive from a CONFIGURE message; False if the drive is powered, which leaves it unchanged."""
     state = n.state[leg]
     if state in (READY, RUN):
         return False
@@ -55,7 +55,7 @@ def configure(n: Any, leg: int, message: Any) -> bool:
 
 @helper
 def encoder(n: Any, leg: int) -> tuple[float, float]:
-    """Return what an encoder reads before quantisation, m and m/s; 0 when lost."""
+    """Length and rate that an encoder reads before quantisation, m and m/s; 0 if it is lost."""
     if n.lost[leg]:
         return 0.0, 0.0
     if np.isnan(n.frozen[leg]):
@@ -67,7 +67,7 @@ def encoder(n: Any, leg: int) -> tuple[float, float]:
 
 @helper
 def _move_brake(at: Array, due_ns: Ints, leg: int, wanted: float, takes_ns: int, t_ns: int) -> None:
-    """Begin or end the movement of a leg's brake; one that is called back has not moved."""
+    """Begin, cancel or end the movement of a leg's brake; a cancelled movement leaves the brake as it was."""
     if at[leg] == wanted:
         due_ns[leg] = NEVER_NS
         return
@@ -81,8 +81,8 @@ def _move_brake(at: Array, due_ns: Ints, leg: int, wanted: float, takes_ns: int,
 def actuate(n: Any, lag: bool, t_ns: int) -> None:
     """Set force and brake of the plant from the drives' states at `t_ns`; with `lag` over the next grid step.
 
-    A drive that shuts its brake keeps its last force until that has closed. Notes whether a drive follows its
-    encoder by itself.
+    A drive whose brake closes keeps its last force until the brake has closed. Sets `controls` if a drive
+    controls its force from its encoder (DAMP or HOLD).
     """
     controls = False
     for leg in range(LEGS):
@@ -119,15 +119,15 @@ def actuate(n: Any, lag: bool, t_ns: int) -> None:
 
 @helper
 def next_move_ns(n: Any) -> int:
-    """Return when the next brake will have opened or closed, ns."""
+    """Earliest instant at which a brake will have opened or closed, ns."""
     return int(min(n.moved_ns.min(), n.followed_ns.min()))
 
 
 @helper
 def fail(n: Any, leg: int, fault: int, t_ns: int) -> bool:
-    """Latch a fault at `t_ns`, the plant being there; the first one stays, but for an emergency stop.
+    """Latch a fault at `t_ns`, when the plant has reached it; True if the fault is to be reported.
 
-    Tells whether it is to be reported.
+    A latched fault stays, except that an emergency stop replaces it.
     """
     state, stops = n.state[leg], fault == _ESTOP
     if state == FAULT:
@@ -157,10 +157,11 @@ def feed(n: Any, leg: int, t_ns: int) -> None:
 
 @helper
 def obey(n: Any, command: Any, t_ns: int) -> int:
-    """Give drives a command, of MESSAGE, at `t_ns`, the plant being there, and actuate if it is new to one.
+    """Execute a command, a MESSAGE, at `t_ns`, when the plant has reached it.
 
-    A command that does not feed the watchdogs feeds that of a drive alone that is powered just now. Returns
-    the legs that entered a state (bit i: leg i).
+    Returns the legs whose drives entered a state, as a bit mask (bit i: leg i). Forces change if the counter
+    is new to one drive. An UNWATCHED command feeds the watchdogs only of drives that were not powered
+    before.
     """
     fresh, entered = False, 0
     for k in range(command.count):
@@ -192,7 +193,7 @@ def obey(n: Any, command: Any, t_ns: int) -> int:
 
 @helper
 def encoders(n: Any, dt_s: float, l: Array, dl: Array, state: Ints) -> None:
-    """Fill in what is read `dt_s` after the plant's last step: m in whole quanta, m/s, state or INVALID."""
+    """Fill in readings `dt_s` after the plant's last step: m in whole quanta, m/s, state or INVALID."""
     for leg in range(LEGS):
         state[leg] = n.state[leg] | n.lost[leg]
         at, dl[leg] = encoder(n, leg)

@@ -1,6 +1,6 @@
-"""The drives' end of the own protocol: fields and checks as in `drivers.legs.kernels`.
+"""The drives' end of protocol `legs`: fields and checksums as in `drivers.legs.kernels`.
 
-CONFIG and E-stop are left to Python.
+CONFIG and E-stop are processed in Python, the other frames are compiled.
 """
 
 from typing import Any
@@ -14,7 +14,7 @@ from drivers.frame_pointers import begin_sent, frame_at, place_of, whole
 from drivers.legs import kernels
 from drivers.protocol import Frame
 from drivers.signals import LEGS, DriveMode, Reaction
-from plant_fmu.drives.ends import COMMAND, CONFIGURE, REJECTED, STOP, SYNC, DrivesEnd, message_at, reading_at
+from plant_fmu.drives.codec import COMMAND, CONFIGURE, REJECTED, STOP, SYNC, DrivesEnd, message_at, reading_at
 
 _ENDS = kernels.ends
 _MODES = len(DriveMode)
@@ -43,7 +43,7 @@ def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
 
 @helper
 def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
-    """Take a command; bytes behind the check, which it does not cover, have to be 0."""
+    """Decode a command; bytes behind the checksum, which does not cover them, have to be 0."""
     data, at, width = frame.data, of.check[0] >> 3, of.check[1] >> 3
     if frame.length != of.length or kernels.check_of(of.id, data, at, width) != whole(data, at, width):
         return _reject(message)
@@ -72,8 +72,8 @@ def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
 def parse(e: Any, frame_address: int, message_address: int) -> int:
     """Decode a SYNC or a command; FAILED for a CONFIG or an E-stop.
 
-    Rejected: wrong length or check, an unknown mode, a force that is not finite, a command that is not for
-    the present SYNC, a SYNC that repeats the present one.
+    Rejected: wrong length or checksum, an unknown mode, a force out of range, a command that does not belong
+    to the present SYNC, a repetition of the present SYNC.
     """
     frame, message = frame_at(frame_address), message_at(message_address)
     identifier: Any = np.int64(frame.id)
@@ -91,9 +91,9 @@ def parse(e: Any, frame_address: int, message_address: int) -> int:
 
 @pointed(_ENDS, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in the feedbacks to a SYNC and the leg of each, leg order on each bus; FAILED for a NaN.
+    """Fill in the feedback frames to a SYNC and the leg of each; return their number, FAILED for a NaN.
 
-    What exceeds its field saturates.
+    The frames are in leg order on each bus. Values out of range saturate.
     """
     sync, reading = message_at(sync_address), reading_at(reading_address)
     values = (reading.length, reading.rate, reading.force)
@@ -128,7 +128,7 @@ def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: 
 def report(
     e: Any, leg: int, state: int, fault: int, watchdog_ns: int, reaction: int, _due: int, into: int
 ) -> int:
-    """Fill in one drive's status."""
+    """Fill in the status frame of one drive."""
     checksum, last = 0, e.status_length - 1
     if watchdog_ns >= 0:
         watchdog = np.int64(np.rint(watchdog_ns * 1e-9 / e.watchdog_s))
@@ -146,14 +146,14 @@ def report(
 
 
 class LegsDrives(DrivesEnd):
-    """Six drives. Mutable state: Cycle of the present SYNC of each bus, in the record."""
+    """The drives' end of protocol `legs`. Mutable state: counter of the present SYNC of each bus."""
 
     def __init__(self, family: Any) -> None:
         self._family = family
         super().__init__(family.tables.copy(), parse, answer, report)
 
     def converse(self, frame: Frame) -> None:
-        """Take an E-stop, whatever its payload, or a CONFIG: of this version, for this leg."""
+        """Process an E-stop, whatever its payload, or a CONFIG, rejected if its version or leg is another."""
         there, config = self._family.legs[frame.bus], self.record["config"].tolist()
         if frame.id not in config:
             self.put(STOP, sorted(there))

@@ -1,7 +1,7 @@
-"""Six drives and the plant behind them live until an instant, in one compiled pass.
+"""One compiled pass that advances six drives and their plant to an instant.
 
-The pass does what every tick needs. What needs a decision, or a part that is not compiled, stops it: it
-returns what that is, its owner does that one thing and enters it again.
+The pass does the work of every tick. It returns to its owner, with the reason, for a decision or a part that
+is not compiled. The owner does that and enters the pass again.
 """
 
 from typing import Any
@@ -16,13 +16,13 @@ from drivers.frame_array import FRAME, SENT
 from drivers.frame_pointers import begin_sent, frame_at, in_order
 from drivers.signals import LEGS, DriveFault
 from drivers.transmission import fill_loss
-from plant_fmu.drives import ends
+from plant_fmu.drives import codec
 from plant_fmu.drives import record as r
 from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, fail, feed, next_move_ns, obey
 
 NODES_RECORD: Any = record(r.NODES)
-_FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
-_FRAME_WORDS, _MESSAGE_WORDS, _READING_WORDS = _FRAME // 8, _MESSAGE // 8, ends.READING.itemsize // 8
+_FRAME, _MESSAGE = FRAME.itemsize, codec.MESSAGE.itemsize
+_FRAME_WORDS, _MESSAGE_WORDS, _READING_WORDS = _FRAME // 8, _MESSAGE // 8, codec.READING.itemsize // 8
 _WATCHDOG, _ESTOP = int(DriveFault.WATCHDOG), int(DriveFault.ESTOP)
 
 
@@ -33,7 +33,7 @@ def _grid_ns(n: Any) -> int:
 
 @helper
 def due_ns(t0_ns: int, number: int, share: float) -> int:
-    """Return when something is due that has been `number` times; without a distance never."""
+    """Instant of the `number`-th event in a series of distance `share` ns; NEVER_NS if the distance is 0."""
     return t0_ns + int(np.int64(np.rint(number * share))) if share > 0.0 else NEVER_NS
 
 
@@ -42,7 +42,7 @@ def due_ns(t0_ns: int, number: int, share: float) -> int:
 
 @helper
 def _at_leg(n: Any, into: Array) -> None:
-    """Fill in what the losses between motors and legs leave of the drives' forces."""
+    """Fill in the leg forces: the drives' forces after the losses of the transmission."""
     if n.geared:
         fill_loss(n.force, n.rate, n.driving, n.back_driving, n.full_loss_m_s, into)
         for leg in range(LEGS):
@@ -69,7 +69,7 @@ def _move(n: Any, steps: int) -> int:
 
 @helper
 def move_to(n: Any, t_ns: int) -> int:
-    """Bring the plant to the grid point nearest to `t_ns`."""
+    """Advance the plant to the grid point nearest to `t_ns`."""
     steps = np.int64(np.floor((t_ns - n.t0_ns) / n.h_ns + 0.5)) - n.k
     if steps <= 0:
         return r.DONE
@@ -88,7 +88,7 @@ def move_to(n: Any, t_ns: int) -> int:
 
 @helper
 def _to_report(n: Any, leg: int) -> None:
-    """Let a drive report that something has changed."""
+    """Queue a status report of a drive whose state has changed."""
     if n.reported == n.pending:
         n.pending = n.reported = n.due = 0
     n.reports[n.pending] = leg
@@ -106,7 +106,7 @@ def _fail(n: Any, legs: Any, fault: int) -> int:
 
 @helper
 def _happen(n: Any, t_ns: int) -> int:
-    """Let the next thing happen that is due by `t_ns`; if nothing is, note until when."""
+    """Execute the earliest event due by `t_ns`; without one, note when the next is due."""
     watchdog, moved = n.deadline_ns.min(), next_move_ns(n)
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
@@ -127,8 +127,8 @@ def _happen(n: Any, t_ns: int) -> int:
         n.beat += 1
         n.beat_ns = due_ns(n.t0_ns, n.beat, n.beat_share)
     else:
-        asked = ends.message_at(n.asked)
-        asked.kind, asked.counter, asked.count, asked.legs[0] = ends.SYNC, 0, 1, n.spoken % LEGS
+        asked = codec.message_at(n.asked)
+        asked.kind, asked.counter, asked.count, asked.legs[0] = codec.SYNC, 0, 1, n.spoken % LEGS
         n.spoken += 1
         n.reading_ns = due_ns(n.t0_ns, n.spoken + 1, n.reading_share)
         n.t_ns, n.latching = other, 1
@@ -137,7 +137,7 @@ def _happen(n: Any, t_ns: int) -> int:
 
 @helper
 def _pass_time(n: Any, frames: int, count: int) -> int:
-    """Let something happen before the next frame, or hear it."""
+    """Execute an event before the next frame, or receive the frame."""
     t_ns, is_end = n.until_ns, n.frame == count
     if not is_end:
         t_ns = min(max(frame_at(frames + n.frame * _FRAME).t_ns, n.now_ns), t_ns)
@@ -157,7 +157,7 @@ def _pass_time(n: Any, frames: int, count: int) -> int:
 
 @helper
 def _put(n: Any, count: int, leg: int) -> None:
-    """Send frames that are filled in, of one drive, or for -1 of those in `senders`; none of silent ones."""
+    """Send `count` new frames of drive `leg`, or for -1 of the drives in `senders`, except silent drives."""
     senders = integers_at(n.senders, r.ROOM)
     first = n.sent
     for k in range(first, first + count):
@@ -174,7 +174,7 @@ def _put(n: Any, count: int, leg: int) -> None:
 
 @helper
 def _report(n: Any) -> int:
-    """Send what one drive is in."""
+    """Send the status of one drive."""
     if n.sent + r.ROOM > n.room:
         return r.FULL
     leg = n.reports[n.reported]
@@ -194,8 +194,8 @@ def _report(n: Any) -> int:
 
 @helper
 def _read(n: Any) -> int:
-    """Read the encoders, as late as the plant's grid point lies back, and the forces."""
-    reading = ends.reading_at(n.reading)
+    """Read forces and encoders, extrapolated from the plant's grid point to the present instant."""
+    reading = codec.reading_at(n.reading)
     known = call(n.applied, (n.plant, reading.force.ctypes.data))
     if known < 0:
         n.refusal = known
@@ -210,11 +210,11 @@ def _read(n: Any) -> int:
 
 @helper
 def _answers(n: Any) -> int:
-    """Fill in the answers of the drives that a SYNC names; return how many, or FAILED (a reading is nan)."""
+    """Fill in the drives' answers to a SYNC message; return their number, FAILED for a reading of NaN."""
     into = n.out + n.sent * _FRAME
     if not n.wired:
         return int(call(n.answer, (n.end, n.asked, n.reading, into, n.senders)))
-    asked, reading, senders = ends.message_at(n.asked), integers_at(n.reading, _READING_WORDS), n.senders
+    asked, reading, senders = codec.message_at(n.asked), integers_at(n.reading, _READING_WORDS), n.senders
     legs, true, total = asked.legs[: asked.count].copy(), reading.copy(), 0
     for leg in legs:
         number = n.number[leg]
@@ -234,8 +234,8 @@ def _answers(n: Any) -> int:
 
 @helper
 def _forge(n: Any) -> None:
-    """Send what others send under the name of a drive, which then remembers its own reading again."""
-    reading, silent = ends.reading_at(n.reading), n.silent
+    """Send forged answers under drives' node numbers, then restore the protocol's memory of the readings."""
+    reading, silent = codec.reading_at(n.reading), n.silent
     true = reading.length.copy()
     for leg in range(LEGS):
         if not np.isnan(n.forged[leg]):
@@ -248,7 +248,7 @@ def _forge(n: Any) -> None:
 
 @helper
 def _latch(n: Any) -> int:
-    """Latch the encoders and answer, up to what somebody else has to do in between."""
+    """Sample the encoders and answer; returns in between for steps that only the owner can do."""
     if n.latching == 1:
         status = move_to(n, n.t_ns)
         if status != r.DONE:
@@ -264,7 +264,7 @@ def _latch(n: Any) -> int:
         if n.look & r.LOOKS_AFTER:
             return r.AFTER_READING
     if n.latching == 3:
-        ends.reading_at(n.reading).length[:] -= n.uncounted
+        codec.reading_at(n.reading).length[:] -= n.uncounted
         n.latching = 4
     if n.sent + r.ROOM > n.room:
         return r.FULL
@@ -292,7 +292,7 @@ def _obey(n: Any, command: Any) -> int:
 
 @helper
 def _reaches(n: Any, message: Any) -> bool:
-    """Put the drives that have the numbers of a message into it; tell whether there are any."""
+    """Replace the node numbers of a message by the drives that have them; False if no drive has one."""
     numbers, force, count = message.legs[: message.count].copy(), message.force.copy(), 0
     for leg in range(LEGS):
         for k in range(numbers.shape[0]):
@@ -305,34 +305,34 @@ def _reaches(n: Any, message: Any) -> bool:
 
 @helper
 def _hear(n: Any) -> int:
-    """Do what the next message says."""
+    """Execute the next message."""
     if n.sent + r.ROOM > n.room:
         return r.FULL
     at = n.messages + n.message * _MESSAGE
-    message = ends.message_at(at)
+    message = codec.message_at(at)
     kind = message.kind
-    if kind == ends.REJECTED:
+    if kind == codec.REJECTED:
         n.rejected += 1
     elif n.wired and not _reaches(n, message):
         pass
-    elif kind == ends.SYNC:
+    elif kind == codec.SYNC:
         n.syncs += 1
         integers_at(n.asked, _MESSAGE_WORDS)[:] = integers_at(at, _MESSAGE_WORDS)
         n.latching = 1
-    elif kind in (ends.COMMAND, ends.UNWATCHED):
+    elif kind in (codec.COMMAND, codec.UNWATCHED):
         status = _obey(n, message)
         if status != r.DONE:
             return status
-    elif kind == ends.ANSWER:
+    elif kind == codec.ANSWER:
         integers_at(n.out + n.sent * _FRAME, _FRAME_WORDS)[:] = integers_at(message.counter, _FRAME_WORDS)
         _put(n, 1, message.legs[0])
-    elif kind == ends.STOP:
+    elif kind == codec.STOP:
         status = _fail(n, message.legs[: message.count], _ESTOP)
         if status != r.DONE:
             return status
     else:
         for leg in message.legs[: message.count]:
-            if kind == ends.ALIVE:
+            if kind == codec.ALIVE:
                 feed(n, leg, n.t_ns)
             elif configure(n, leg, message):
                 _to_report(n, leg)
@@ -344,7 +344,10 @@ def _hear(n: Any) -> int:
 
 @kernel(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
 def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
-    """Live until `until_ns`, hearing frames in the order of time, or go on `again`; return why it ends."""
+    """Advance to `until_ns`, receiving frames in the order of time; return why the pass ends.
+
+    again: continue a pass that has returned for its owner.
+    """
     frames: Any = np.int64(received.ctypes.data)
     count = received.shape[0]
     if not again:

@@ -1,4 +1,4 @@
-"""Emulated drives of MIT framing on 11-bit identifiers: mini-cheetah, CubeMars, and Damiao with registers."""
+"""Emulated drives of the MIT framing, 11-bit identifiers: mini-cheetah, CubeMars, Damiao with registers."""
 
 import struct
 from typing import Any
@@ -13,10 +13,10 @@ from drivers.protocol import STRANGE, Frame
 from drivers.signals import DriveFault, Reaction
 from drivers.tick_columns import Record
 from plant_fmu.drives import motors as drives
-from plant_fmu.drives.ends import CONFIGURE, REJECTED, SYNC
+from plant_fmu.drives.codec import CONFIGURE, REJECTED, SYNC
 
 HELD = tuple(k.KIND)
-"""The registers of an emulated drive, in the order of its record."""
+"""Registers of an emulated drive, in the order of its record."""
 _TIMEOUT_AT = HELD.index(k.TIMEOUT)
 _SPECIAL = (1 << 56) - 1
 _ENABLE, _DISABLE, _CLEAR, _ZERO = (each[-1] for each in (k.ENABLE, k.DISABLE, k.CLEAR, k.ZERO))
@@ -24,7 +24,7 @@ _ENABLE, _DISABLE, _CLEAR, _ZERO = (each[-1] for each in (k.ENABLE, k.DISABLE, k
 
 @helper
 def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
-    """Return the code of a number in a symmetric field, as a drive packs it."""
+    """Encode a number in a symmetric field -end..end, as a drive does."""
     at = min(max(x, -end), end) if clamps else x
     return int((at + end) * ((1 << bits) - 1) / (2.0 * end))
 
@@ -33,10 +33,10 @@ def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
 def device_motion(
     position: float, velocity: float, torque: float, r: Ranges, clamps: bool
 ) -> tuple[int, int, int, int, int]:
-    """Return the five bytes of a reply as a drive packs them.
+    """Five bytes of motion in a reply, as a drive packs them.
 
-    Without clamping, as Katz's firmware: a position past its range wraps, the velocity loses its high bits,
-    and the torque carries into the velocity's low ones.
+    Without clamping, as in Katz's firmware, a position out of range wraps, the velocity loses its high bits,
+    and the torque carries into the low bits of the velocity.
     """
     p = scaled(position, r.position, 16, clamps)
     v = scaled(velocity, r.velocity, 12, clamps)
@@ -46,7 +46,7 @@ def device_motion(
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command. Every frame to a drive is answered by its feedback."""
+    """Execute a command. The drive answers every frame with its feedback."""
     if frame.flags & STRANGE:
         return 0
     if frame.length != 8:
@@ -54,10 +54,10 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     ear, data, count = drives.ear_at(d.ear), frame.data, 0
     special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
     if special == _ZERO:
-        count = drives.rejects(leg, messages)  # it is not emulated
+        count = drives.rejects(leg, messages)  # not emulated
     elif special == _ENABLE:
         if not d.enabled[leg]:
-            # set to what it was delivered with where no controller has set it up
+            # factory setting if no controller has changed it
             ticks = d.registers[leg, _TIMEOUT_AT] if ear.registers else 0.0
             watchdog_ns: Any = d.watchdog_ns
             if ticks > 0.0:
@@ -79,7 +79,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in a reply. A lost encoder reads the lower end of the range: no field says so."""
+    """Fill in a reply. A lost encoder reads the lower end of the range, as no field reports the loss."""
     ear, leg = drives.ear_at(d.ear), said.leg
     begin_sent(frame, ear.replies[leg], ear.longest, 0, d.bus_of[leg])
     data, node = frame.data, d.nodes[leg]
@@ -107,13 +107,13 @@ class MitDrives(drives.MotorDrives):
         super().__init__(family)
 
     def power_up(self, d: Record) -> None:
-        """Let the registers hold what a drive was delivered with."""
+        """Set the registers to their factory values."""
         r = self.family.ranges
         for leg, node in enumerate(self.family.nodes):
             d["registers"][leg, : len(HELD)] = 0, 0, r.position, r.velocity, r.torque, node, 1
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Take the request of a Damiao's register."""
+        """Process a request for a register of a Damiao drive."""
         data = frame.data
         if frame.flags & STRANGE:
             return
@@ -130,7 +130,7 @@ class MitDrives(drives.MotorDrives):
             self._take_register(leg, data)
 
     def _take_register(self, leg: int, data: bytes) -> None:
-        """Answer with what a register holds, once it has been written."""
+        """Write a register if that is requested, then answer with its value."""
         register, kind, held = HELD.index(data[3]), k.KIND[data[3]], self.record["registers"][leg]
         if data[2] == k.WRITE:
             (held[register],) = struct.unpack(kind, data[4:])
@@ -150,4 +150,4 @@ CODES = {
     },
     "robstride": {DriveFault.OVERFORCE: 2, DriveFault.SENSOR: 8, DriveFault.STROKE: 16},
 }
-"""What an emulated drive sends for a fault of its own."""
+"""Fault code that an emulated drive sends, by variant and fault."""

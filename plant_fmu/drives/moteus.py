@@ -1,6 +1,7 @@
-"""Emulated moteus drives: one answers whoever asks what he asks for.
+"""Emulated moteus drives: they answer any controller with the registers that it requests.
 
-Of modes it has stop and torque; it refuses others, and still answers.
+They have the modes stopped and position, the latter with gains scaled to 0, which is torque control. They
+refuse other modes, but still answer.
 """
 
 from typing import Any
@@ -19,18 +20,18 @@ from plant_fmu.drives import motors as drives
 
 READ_ERROR, NO_REGISTER = 0x31, 1
 READABLE = 0x10
-"""Registers below are states of the drive."""
+"""First register that is not a state: below it every register can be read."""
 _WRITTEN = k.MODE, k.COMMAND + 2, k.COMMAND + 3, k.COMMAND + 4, k.COMMAND + 5, k.TIMEOUT
-"""Those that are obeyed: mode, torque, scales of the gains, most torque, time."""
+"""Registers that a write changes: mode, torque, scales of both gains, torque limit, watchdog time."""
 VERSION = 0x010000
-"""Of the emulated drives' firmware."""
+"""Firmware version of the emulated drives."""
 _LONGEST_NS = float(1 << 61)
 _WATCHDOG = int(DriveFault.WATCHDOG)
 
 
 @helper
 def ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
-    """Remember who asks a drive for what, in its order, up to where it is not whole."""
+    """Store who requests which registers of a drive, in their order, up to the first malformed subframe."""
     d.host[leg], at, found = source, 0, 0
     while at < size:
         kind, width, first, count, at = k.group(data, size, at)
@@ -62,7 +63,7 @@ def _take_torque(d: Any, leg: int, values: Array, messages: int) -> int:
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command of any controller; obey, then answer."""
+    """Execute a command from any controller, then answer if it requests a reply."""
     identifier, size, data, count = int(frame.id), int(frame.length), frame.data, 0
     if frame.flags & k.STRANGE or not frame.flags & FD:
         return 0
@@ -92,7 +93,7 @@ def _is_known(name: int) -> bool:
 
 @helper
 def _held(d: Any, said: Any, name: int) -> float:
-    """Return the value of a register of a drive, in its own unit; NaN: not known."""
+    """Value of a drive's register, in the register's unit; NaN if the drive does not have it."""
     timed_out = said.fails and said.fault == _WATCHDOG
     if name == k.MODE:
         mode = k.POSITION if said.runs else k.STOPPED
@@ -114,7 +115,7 @@ def _held(d: Any, said: Any, name: int) -> float:
 
 @helper
 def _put(frame: Any, number: int) -> None:
-    """Put a byte at the end of a frame, if there is room."""
+    """Append a byte to a frame if there is room."""
     if frame.length < FD_LENGTHS[-1]:
         frame.data[frame.length] = number
         frame.length += 1
@@ -130,7 +131,7 @@ def _put_register(frame: Any, name: int) -> None:
 
 @helper
 def _put_value(frame: Any, number: float, name: int, width: int) -> None:
-    """Put a value as a float, or as an integer of its scale, within the largest; the smallest for NaN."""
+    """Append a value as a float, or as a scaled, saturated integer; NaN is the smallest integer."""
     size, raw = k.SIZES[width], 0
     if width == k.FLOAT:
         word = np.empty(1, np.float32)
@@ -146,8 +147,8 @@ def _put_value(frame: Any, number: float, name: int, width: int) -> None:
 
 
 @helper
-def _together(d: Any, leg: int, at: int) -> int:
-    """Return how many of the registers that are asked for, from a place on, one k.group answers; 0: none."""
+def _consecutive(d: Any, leg: int, at: int) -> int:
+    """Length of the run of requested registers, from index `at` on, for one subframe; 0: unknown register."""
     first, width, count = d.wanted[leg, at], d.widths[leg, at], 0
     while at + count < d.asked[leg]:
         name = d.wanted[leg, at + count]
@@ -161,17 +162,17 @@ def _together(d: Any, leg: int, at: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in what a drive answers to what it was asked, to whoever asked; it ends where a frame is full.
+    """Fill in the reply to the last request, for whoever sent it; a full frame ends it.
 
-    A state that the drive does not know is NaN, or the smallest integer; another register that is not among
-    what it says is an error.
+    A state that the drive does not have is NaN or the smallest integer; any other unknown register is an
+    error.
     """
     leg, at = said.leg, 0
     identifier = d.nodes[leg] << 8 | d.host[leg]
     flags = FD | BRS | (EXTENDED if identifier > 0x7FF else 0)
     begin_sent(frame, identifier, 0, flags, d.bus_of[leg])
     while at < d.asked[leg]:
-        first, width, count = d.wanted[leg, at], d.widths[leg, at], _together(d, leg, at)
+        first, width, count = d.wanted[leg, at], d.widths[leg, at], _consecutive(d, leg, at)
         if count == 0:
             _put(frame, READ_ERROR)
             _put_register(frame, first)
@@ -194,13 +195,13 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 
 
 class MoteusDrives(drives.MotorDrives):
-    """Six drives."""
+    """The drives' end of moteus."""
 
     obey, encode = obey, encode
     everyone = k.ALL_NODES
     codes, otherwise = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}, 33
 
     def power_up(self, d: Record) -> None:
-        """Let drives that have heard nothing answer our query."""
+        """Let drives answer our query even before the first one has arrived."""
         for leg in range(LEGS):
             ask(d.view(np.recarray), leg, self.family.host, k.QUERY, len(k.QUERY))

@@ -1,8 +1,10 @@
-"""The drives' end of single-motor drives: one record and one compiled end, which every family shares.
+"""The drives' end of single-motor drives: one record and one compiled end, which all their families share.
 
-A family is a subclass of `MotorDrives`. It gives `obey(d, leg, frame, messages)`, which puts what a frame
-tells one drive into MESSAGEs at an address and returns how many they are, plus ALONE where no other drive
-looks at it, or FAILED to leave it to `request`; and `encode(d, said, frame)`, which fills in its feedback.
+A family is a subclass of `MotorDrives` with two compiled functions:
+
+- ``obey(d, leg, frame, messages)`` puts the content of a frame for one drive into MESSAGEs at an address.
+  Returns their number, plus ALONE if the frame is for this drive only, or FAILED to leave it to `request`;
+- ``encode(d, said, frame)`` fills in the feedback of one drive.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,10 +30,10 @@ from drivers.protocol import Frame, off_bus
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import Record
 from drivers.transmission import FIELDS
-from plant_fmu.drives import ends
+from plant_fmu.drives import codec
 
 MOST_REGISTERS, MOST_ASKED = 8, 64
-"""That a drive remembers; and that one frame asks for."""
+"""Largest number of registers of a drive, and of registers requested in one frame."""
 ALONE = 1 << 8
 SAID = np.dtype(
     [
@@ -39,26 +41,26 @@ SAID = np.dtype(
         *((name, "<f8") for name in ("turns", "speed", "torque")),
     ]
 )
-"""What one drive reads: turns, turns/s and N m of its motor; whether it runs, is in fault, has lost its
-encoder; and its fault, in fault with the family's code."""
+"""Reading of one drive: turns, turns/s and N m of its motor; flags: running, in fault, encoder lost; its
+fault, and while it is in fault the family's code of the fault."""
 DEVICES = np.dtype(
     [
         # the family
         *((name, "<i8") for name in ("obey", "encode", "ear")),
-        ("everyone", "<i8"),  # number that addresses all drives; -1: none does
-        ("codes", "<i8", (len(DriveFault),)),  # sent for each fault of its own
-        ("watchdog_ns", "<i8"),  # as the drives are delivered
+        ("everyone", "<i8"),  # number that addresses all drives; -1: none
+        ("codes", "<i8", (len(DriveFault),)),  # code sent per fault
+        ("watchdog_ns", "<i8"),  # factory setting
         ("reaction", "<i8"),
-        ("buses", "<i8"),  # how many
+        ("buses", "<i8"),  # number
         ("bus_of", "<i8", (LEGS,)),
         ("nodes", "<i8", (LEGS,)),
         *FIELDS,
         # memory
-        ("heard", "<i8", (LEGS,)),  # commands so far: none is a repetition
+        ("heard", "<i8", (LEGS,)),  # number of commands so far; none is a repetition
         ("enabled", "<i8", (LEGS,)),
-        ("registers", "<f8", (LEGS, MOST_REGISTERS)),  # what they hold, each family's in an order of its own
-        ("host", "<i8", (LEGS,)),  # who wants what of each drive, in families where a query says so
-        ("asked", "<i8", (LEGS,)),  # how many registers
+        ("registers", "<f8", (LEGS, MOST_REGISTERS)),  # their values, in the order of the family
+        ("host", "<i8", (LEGS,)),  # sender of the last query, in families with queries
+        ("asked", "<i8", (LEGS,)),  # number of queried registers
         ("wanted", "<i8", (LEGS, MOST_ASKED)),
         ("widths", "<i8", (LEGS, MOST_ASKED)),
         ("said", "<f8", (SAID.itemsize // 8,)),  # scratch: an element of SAID
@@ -71,47 +73,47 @@ _said_at = record_at(record(SAID))
 obeying = pointed(_DEVICES, INTEGER, record(FRAME), INTEGER)
 encoding = pointed(_DEVICES, record(SAID), record(FRAME))
 reporting = pointed(_DEVICES, *[INTEGER] * 7)
-"""What compiles a family's functions."""
-_FRAME, _MESSAGE = FRAME.itemsize, ends.MESSAGE.itemsize
+"""Decorators that compile the functions of a family."""
+_FRAME, _MESSAGE = FRAME.itemsize, codec.MESSAGE.itemsize
 OFF, READY, RUN, RESET = map(int, DriveMode)
 _RUNS, _FAILS = int(DriveState.RUN), int(DriveState.FAULT)
 
 
-# what a family uses
+# functions for the families
 
 
 @helper
 def commands(d: Any, leg: int, mode: int, torque: float, messages: int, count: int) -> int:
-    """Put a command, torque N m, behind `count` messages; return their number, as all of these do."""
+    """Append a command, torque in N m, after `count` messages; return the new count."""
     d.heard[leg] += 1
     d.enabled[leg] = mode == RUN
     force = torque * d.N_per_Nm[leg]
-    return ends.put_message(messages, count, leg, ends.COMMAND, mode, d.heard[leg], force)
+    return codec.put_message(messages, count, leg, codec.COMMAND, mode, d.heard[leg], force)
 
 
 @helper
 def enables(d: Any, leg: int, torque: float, messages: int, count: int) -> int:
-    """Enable a drive, by two commands."""
+    """Append two commands that enable a drive."""
     count = commands(d, leg, READY, torque, messages, count)
     return commands(d, leg, RUN, torque, messages, count)
 
 
 @helper
 def configures(d: Any, leg: int, watchdog_ns: int, messages: int, count: int) -> int:
-    """Set a drive up."""
-    return ends.put_message(messages, count, leg, ends.CONFIGURE, d.reaction, watchdog_ns, 0.0)
+    """Append a set-up of a drive."""
+    return codec.put_message(messages, count, leg, codec.CONFIGURE, d.reaction, watchdog_ns, 0.0)
 
 
 @helper
 def rejects(leg: int, messages: int) -> int:
-    """Reject a frame."""
-    return ends.put_message(messages, 0, leg, ends.REJECTED, 0, 0, 0.0)
+    """Fill in one message: the frame is rejected."""
+    return codec.put_message(messages, 0, leg, codec.REJECTED, 0, 0, 0.0)
 
 
 @helper
 def answers(leg: int, messages: int, count: int) -> int:
-    """Let a drive answer."""
-    return ends.put_message(messages, count, leg, ends.SYNC, 0, 0, 0.0)
+    """Append a message that lets a drive answer."""
+    return codec.put_message(messages, count, leg, codec.SYNC, 0, 0, 0.0)
 
 
 # the end
@@ -119,7 +121,7 @@ def answers(leg: int, messages: int, count: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(d: Any, frame_address: int, messages: int) -> int:
-    """Decode a frame at the drives of its bus, see `DrivesEnd`."""
+    """Decode a frame for the drives on its bus, see `DrivesEnd`."""
     frame = frame_at(frame_address)
     identifier = np.int64(frame.id)
     if frame.bus >= d.buses:
@@ -146,14 +148,14 @@ def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
     said.leg, said.runs, said.fails, said.fault = leg, state == _RUNS, state == _FAILS, reading.fault[leg]
     said.code = d.codes[said.fault] if said.fails else 0
     said.lost = reading.state[leg] & INVALID != 0
-    said.turns, said.speed, said.torque = ends.at_motor(d, leg, reading)
+    said.turns, said.speed, said.torque = codec.at_motor(d, leg, reading)
     return bool(np.isfinite(said.turns) and np.isfinite(said.speed) and np.isfinite(said.torque))
 
 
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in what the drives of a SYNC answer, each on its own bus; FAILED for what is no number."""
-    sync, reading = ends.message_at(sync_address), ends.reading_at(reading_address)
+    """Fill in the answers to a SYNC message, each on its bus; FAILED for a reading that is not finite."""
+    sync, reading = codec.message_at(sync_address), codec.reading_at(reading_address)
     at = np.int64(d.said.ctypes.data)
     said, legs, count = _said_at(at), integers_at(senders, LEGS), 0
     for bus in range(d.buses):
@@ -173,26 +175,26 @@ def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: 
 def silent(
     _d: Any, _leg: int, _state: int, _fault: int, _watchdog_ns: int, _reaction: int, _due: int, _into: int
 ) -> int:
-    """Report nothing: such drives speak when they are asked."""
+    """No status frame: these drives send only when they are requested to."""
     return 0
 
 
 _MEMORY = ("heard", "enabled", "registers", "host", "asked", "wanted", "widths")
 
 
-class MotorDrives(ends.DrivesEnd):
-    """Six drives. Mutable state: the record."""
+class MotorDrives(codec.DrivesEnd):
+    """The drives' end of single-motor drives. Mutable state: the record."""
 
     obey: Pointed
     encode: Pointed
-    """The family's functions, see above."""
+    """Compiled functions of the family, see above."""
     beat: Pointed = silent
-    """`DrivesEnd.report`."""
+    """Function `report` of `DrivesEnd`."""
     everyone = -1
-    """The number of all drives; -1: there is none."""
+    """Node number that addresses all drives; -1: there is none."""
     codes: Mapping[DriveFault, int] = {}
     otherwise = 0
-    """What is sent for a fault of the drive's own, and for others."""
+    """Fault codes that the drives send, and the code of every other fault."""
 
     def __init__(self, family: Any) -> None:
         d: Any = np.zeros((), DEVICES)
@@ -209,25 +211,25 @@ class MotorDrives(ends.DrivesEnd):
         self._new = d.copy()
 
     def power_up(self, d: Record) -> None:
-        """Put what six drives remember that have heard nothing into a record: nothing."""
+        """Fill in the power-up state of six drives; by default all is 0."""
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Do what is not compiled, see `converse`.
+        """Process a frame that is not compiled, see `converse`.
 
-        leg: whom the frame is for, None: nobody; the frame is as it is on bus 0.
+        leg: addressed leg, None if there is none; the frame is given as on bus 0.
         """
         raise NotImplementedError
 
     def say(self, leg: int, frame: Frame) -> None:
-        """Let a drive send its own part of a dialogue, on its bus."""
+        """Append a frame of a start-up dialogue, on the drive's bus."""
         super().say(leg, self.family.to_leg(leg, frame))
 
     def converse(self, frame: Frame) -> None:
-        """Let the family do what is not compiled."""
+        """Pass a frame that is not compiled to `request`."""
         legs: tuple[int, ...] = self.family.addressed(frame)
         self.request(legs[0] if legs else None, off_bus(frame))
 
     def restart(self, legs: Sequence[int]) -> None:
-        """Disable drives that were switched off and on, with nothing written in them."""
+        """Restore the power-up state of drives that were switched off and on: disabled, factory registers."""
         for name in _MEMORY:
             self.record[name][list(legs)] = self._new[name][list(legs)]

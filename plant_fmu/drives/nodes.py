@@ -1,10 +1,10 @@
 """Six emulated drives in front of a plant: encoder, limits, watchdog, heartbeat, brake.
 
 Time. The plant moves on a grid of its internal step h from `start`. A command, a fault or a
-watchdog acts at the grid point nearest to its instant, at most h/2 away. An encoder is latched
-between grid points by length + rate dt, |dt| <= h/2: with leg acceleration a it is wrong by at most
+watchdog acts at the grid point nearest to its instant, at most h/2 away. An encoder is sampled
+between grid points as length + rate dt, |dt| <= h/2. With leg acceleration a its error is at most
 a h^2/8 in length and a h/2 in rate (10 m/s^2 and 100 us: 13 nm and 0.5 mm/s). `Plant.step` is called once
-between two instants that matter, and once per grid point while a drive controls by itself or lags.
+between two events, and once per grid point while forces lag or a drive controls from its encoder.
 """
 
 from collections.abc import Sequence
@@ -33,16 +33,17 @@ from plant_fmu.plant import Plant, Truth
 class Nodes:
     """Six drives and the plant behind them.
 
-    A drive boots with its brake engaged, CONFIG takes it to OFF, then `TRANSITIONS` hold. RUN is
-    reached through READY only. CONFIG counts in BOOT, OFF and FAULT, and is answered by a status that says
-    what holds. The watchdog runs in READY and RUN, from the last valid command with a new counter. A fault
-    latches until RESET; its reaction is the configured one if it strikes in RUN, otherwise the brake, so that
-    no fault opens a brake. Damping and holding end in the brake. A brake takes its time to open and to close,
-    and a drive keeps its last force until its own has closed. An emergency stop brakes and is reported,
-    whatever was latched before.
+    States. A drive boots with its brake engaged; CONFIG takes it to OFF; then `TRANSITIONS` hold. RUN is
+    reached through READY only. CONFIG is valid in BOOT, OFF and FAULT; the drive answers with a status that
+    contains its settings. The watchdog runs in READY and RUN, from the last valid command with a new counter.
 
-    Mutable state: the plant, six drives, the protocol's memory at their end, the time, the schedule of the
-    faults and what they remember. Owner of all of it; `start` resets it.
+    Faults. A fault latches until RESET. Its reaction is the configured one in RUN, otherwise the brake, so
+    that no fault opens a brake. Damping and holding end in the brake. A brake takes time to open and to
+    close; the drive keeps its last force until the brake has closed. An emergency stop brakes and is
+    reported, whatever was latched before.
+
+    Mutable state: the plant, six drives, the protocol's state at their end, the time, the schedule of the
+    faults and their state. Owner of all of it; `start` resets it.
     """
 
     def __init__(
@@ -85,25 +86,25 @@ class Nodes:
         self._missed: list[Rows] = []
         self._frames = NO_FRAMES
         self.waiting = self.schedule.waiting
-        """Faults whose mode the controller has not reached."""
+        """Faults that wait for a mode of the controller."""
         self._edges, self._present = self.schedule.edges_ns(t0_ns + 1), self.schedule.present(t0_ns)
         self._truth: Truth | None = None
         self._truth_k = -1
-        self._disturb(t0_ns)
+        self._apply_faults(t0_ns)
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
-        """As `advance`, with frames in place of arrays: (instant at which to queue it, frame to send)."""
+        """`advance` with frames in place of arrays; returns (instant at which to queue it, frame to send)."""
         return [*received_frames(self.advance(t_ns, received_array(received)))]
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
-        """Live until `t_ns`, hearing elements of FRAME; return those to queue at their instants, in order.
+        """Advance to `t_ns`, receiving elements of FRAME; return those to queue at their instants, in order.
 
-        `received` holds what arrived since the last pass, times up to `t_ns`; a frame older than the
-        last pass's end counts as arriving then. Feedback is queued at the instant its SYNC arrives,
-        status every heartbeat, one drive after the other, and where drives do so when state or fault change.
-        A watchdog that ends at `t_ns` exactly waits for the next pass: a command of that instant is in time.
-        Frames that faults delay or add may be for an instant to come. What is returned is good until the next
-        pass. Raises PlantError if `t_ns` lies before the last one's or the plant fails.
+        `received` holds the frames that arrived since the last pass, times up to `t_ns`; a frame older than
+        the end of the last pass counts as arriving then. Feedback is queued at the instant its SYNC arrives.
+        Status is queued every heartbeat, one drive after the other, and at changes of state or fault if the
+        family does so. A watchdog that ends exactly at `t_ns` waits for the next pass: a command of that
+        instant is in time. Frames that faults delay or add may have later instants. The result is valid
+        until the next pass. Raises PlantError if `t_ns` is before the last one or the plant fails.
         """
         if t_ns < self._record["now_ns"]:
             raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self.now_ns} ns")
@@ -119,11 +120,11 @@ class Nodes:
 
     @property
     def address(self) -> int:
-        """Where the record is that `live` works on; 0 where only `advance` can let the drives live now."""
+        """Address of the record for `live`; 0 while the drives can only advance through `advance`."""
         return 0 if self._gateway is not None or self._present.hangs else self._drives.address
 
     def go_on(self, received: Rows, status: int) -> Rows:
-        """Return what is sent where `live` has ended with a status; see `advance`."""
+        """Continue after `live` has ended with a status; return the frames to send, see `advance`."""
         self._frames = received
         while status:
             self._decide(status)
@@ -145,12 +146,12 @@ class Nodes:
             case record.EDGE:
                 del self._edges[0]
                 self._present = self.schedule.present(t_ns)
-                self._disturb(t_ns)
+                self._apply_faults(t_ns)
             case record.PARSE:
                 (frame,) = sent_frames(self._frames[int(n["frame"]) - 1][np.newaxis])
                 n["heard"] = len(self._end.hear(frame))
             case record.BEFORE_READING:
-                self._weigh()
+                self._set_wrench()
                 self._drives.drift(self._present, t_ns)
             case record.AFTER_READING:
                 reading = self._drives.reading
@@ -159,12 +160,12 @@ class Nodes:
                 length, rate, force = (self._drives.reading[name] for name in ("length", "rate", "force"))
                 leg = int((~np.isfinite(length + rate + force)).argmax())
                 raise PlantError(
-                    f"the plant gave what is no measurement: feedback of leg {leg} is not a number: "
+                    f"the plant gave no valid measurement: feedback of leg {leg} is not a number: "
                     f"{length[leg]} m, {rate[leg]} m/s, {force[leg]} N"
                 )
 
     def reached(self, mode: str) -> None:
-        """Let the time of the faults count that wait for a mode of the controller: it has been reached."""
+        """Start the time of the faults that wait for a mode which the controller has reached."""
         now_ns = self.now_ns
         if self.schedule.reached(mode, now_ns):
             self._edges = self.schedule.edges_ns(now_ns)
@@ -174,24 +175,24 @@ class Nodes:
 
     @property
     def now_ns(self) -> int:
-        """The end of the last pass; of one that failed, how far it came."""
+        """End of the last pass, ns; for a pass that failed, the instant it reached."""
         return int(self._record["now_ns"])
 
     @property
     def next_reading_ns(self) -> int:
-        """When the next drive sends its reading unasked."""
+        """Instant at which the next drive sends its unrequested reading, ns."""
         return int(self._record["reading_ns"])
 
     @property
     def syncs(self) -> int:
-        """SYNC frames or polls heard since the start."""
+        """SYNC frames or polls received since the start."""
         return int(self._record["syncs"])
 
     def snapshot(self) -> Snapshot:
-        """Return the plant's end as it is now; arrays are copies. A plant that has failed tells no truth."""
+        """State of plant and drives now, in copied arrays; a plant that has failed has no truth."""
         truth, n = None, self._record
-        with suppress(PlantError):  # the next step says so
-            truth = self._know()
+        with suppress(PlantError):  # the next step reports it
+            truth = self._known_truth()
         copied = ("length", "rate", "command", "force", "state", "fault", "brake", "wrench")
         counts = ("syncs", "commands", "repeated", "rejected")
         seen: Any = {name: n[name].copy() for name in copied} | {name: int(n[name]) for name in counts}
@@ -211,15 +212,15 @@ class Nodes:
     def _note_edge(self) -> None:
         self._record["edge_ns"] = self._edges[0] if self._edges else kernels.NEVER_NS
 
-    def _weigh(self) -> None:
-        """Set the wrench on the platform; a mass weighs where it is by now."""
+    def _set_wrench(self) -> None:
+        """Set the wrench on the platform; the weight of a mass acts at its current position."""
         wrench = self._present.wrench
-        truth = self._know() if self._present.masses else None
+        truth = self._known_truth() if self._present.masses else None
         if truth is not None:
             wrench = wrench + weight(self._present.masses, truth, self._faults.gravity)
         self._record["wrench"] = wrench
 
-    def _know(self) -> Truth | None:
+    def _known_truth(self) -> Truth | None:
         k = int(self._record["k"])
         if self._truth_k != k:
             self._truth = self._plant.truth()
@@ -228,7 +229,7 @@ class Nodes:
 
     # drives
 
-    def _disturb(self, t: int) -> None:
+    def _apply_faults(self, t: int) -> None:
         present, n = self._present, self._record
         self._note_edge()
         self.bus_off = present.bus_off
@@ -244,11 +245,11 @@ class Nodes:
         self._spoiled.begin(present)
         self._switch_on(present.reset)
         self._end.restart([k for k in n["number"][np.array(present.reset)].tolist() if k != record.MUTE])
-        self._weigh()
+        self._set_wrench()
         kernels.actuate(self._drives.seen, False, t)
 
     def _switch_on(self, which: Sequence[bool]) -> None:
-        """Let the encoders of drives that are switched on forget their turns."""
+        """Let the encoders of drives that are switched on lose their count of turns."""
         n, homing, transmission = self._record, self._settings.homing, self._transmission
         if homing is not None and transmission is not None and any(which):
             n["uncounted"] = np.where(which, forgotten_m(homing, transmission, n["length"]), n["uncounted"])

@@ -1,4 +1,4 @@
-"""Emulated ODrive axes: they have the first five of `drivers.odrive.COMMANDS`."""
+"""Emulated ODrive axes: they implement the first five of `drivers.odrive.COMMANDS`."""
 
 from typing import Any
 
@@ -12,11 +12,11 @@ from drivers.frame_pointers import begin_sent, frame_at, whole
 from drivers.protocol import REMOTE, Frame
 from drivers.signals import DriveFault, DriveState
 from plant_fmu.drives import motors as drives
-from plant_fmu.drives.ends import STOP
+from plant_fmu.drives.codec import STOP
 
 _RUN = int(DriveState.RUN)
 _STATE, _CONTROL_MODE = 0, 1
-"""Of the registers of an emulated axis: the state last asked for, and the control mode; 0: none yet."""
+"""Registers of an emulated axis: the last requested state, and the control mode; 0: none yet."""
 
 
 @helper
@@ -42,7 +42,7 @@ def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command, or the question for estimates."""
+    """Execute a command, or answer a request for estimates."""
     kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
     if frame.flags & o.NOT_OURS:
         return 0
@@ -73,7 +73,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in estimates; a lost encoder has none: they are NaN."""
+    """Fill in encoder estimates; NaN for a lost encoder."""
     begin_sent(frame, d.nodes[said.leg] << 5 | o.ESTIMATES, 8, 0, d.bus_of[said.leg])
     motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
     motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
@@ -84,7 +84,7 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 def beat(
     d: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, due: int, into: int
 ) -> int:
-    """Fill in a heartbeat: error, state, procedure result, trajectory done. Changes wait for it."""
+    """Fill in a heartbeat: error, state, procedure result, trajectory done. None is sent at a change."""
     if not due:
         return 0
     frame = frame_at(into)
@@ -97,7 +97,7 @@ def beat(
 
 
 class ODriveDrives(drives.MotorDrives):
-    """Six axes."""
+    """The drives' end of ODrive."""
 
     obey, encode, beat = obey, encode, beat
     codes = {
@@ -109,7 +109,7 @@ class ODriveDrives(drives.MotorDrives):
     }
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Take Estop, or the question for the address."""
+        """Process Estop or a request for the address."""
         assert leg is not None
         node = self.family.nodes[leg]
         if frame.id & 0x1F == o.ADDRESS:

@@ -1,4 +1,4 @@
-"""Emulated RobStride drives: they have the run mode among registers."""
+"""Emulated RobStride drives: the run mode is their only register."""
 
 import struct
 from typing import Any
@@ -11,13 +11,13 @@ from drivers.mit.fields import TURN
 from drivers.protocol import EXTENDED, Frame
 from drivers.signals import Reaction
 from plant_fmu.drives import motors as drives
-from plant_fmu.drives.ends import CONFIGURE, REJECTED, SYNC
+from plant_fmu.drives.codec import CONFIGURE, REJECTED, SYNC
 from plant_fmu.drives.mit import CODES, scaled
 
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Take a command, which is answered by feedback."""
+    """Execute a command; the drive answers with its feedback."""
     identifier = int(frame.id)
     kind, count = identifier >> 24, 0
     if not frame.flags & EXTENDED or frame.flags & k.STRANGE:
@@ -49,7 +49,7 @@ def _put(data: Any, at: int, number: int) -> None:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in a feedback; it saturates, a lost encoder reads the lower end."""
+    """Fill in a feedback frame; values out of range saturate, a lost encoder reads the lower end."""
     ear, leg = drives.ear_at(d.ear), said.leg
     mode = k.RUNNING if said.runs else k.RESETTING
     identifier = k.FEEDBACK << 24 | mode << 22 | said.code << 16 | d.nodes[leg] << 8 | ear.host
@@ -63,13 +63,13 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 
 
 class RobStrideDrives(drives.MotorDrives):
-    """Six drives."""
+    """The drives' end of RobStride."""
 
     obey, encode = obey, encode
     codes, otherwise = CODES["robstride"], 4
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Take the request for the processor's number, or a register's; all but its reading has feedback."""
+        """Process a request for the device identifier or a register; all but register reads send feedback."""
         identifier, data, _ = frame
         assert leg is not None
         kind, node = identifier >> 24, self.family.nodes[leg]

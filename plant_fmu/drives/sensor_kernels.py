@@ -1,4 +1,4 @@
-"""What emulated sensors hear and measure: where the platform is between two grid points, bias and noise."""
+"""Emulated sensors, compiled: reception of SYNC, the pose between two grid points, bias and noise."""
 
 from math import atan2, pi, sin, sqrt
 from typing import Any
@@ -22,12 +22,12 @@ SENSED = np.dtype(
         *((name, "<f8", (3,)) for name in ("gravity", "before", "acceleration")),
     ]
 )
-"""Emulated sensors: addresses of SENSORS and of the wrench (6,) N, N m on the platform; SYNC's identifier and
-check. By kind: end and Cycle of the last SYNC on its bus, latency, bias and size of the noise (of a turn in
-degrees). What is drawn and measured; m/s^2; grid instant and velocity m/s that are noted for the IMU's
-acceleration."""
+"""Emulated sensors. Addresses of SENSORS and of the wrench (6,) N, N m on the platform; identifier of SYNC;
+instant of the velocity `before`. By kind: reception and counter of the last SYNC on its bus, latency in ns,
+bias and standard deviation of the noise (angles of the tracker in degrees). Random numbers drawn, measured
+values; gravity m/s^2, velocity m/s at `before_ns`, acceleration m/s^2 of the IMU."""
 SILENT = 1
-"""Status of `measure`: no SYNC has been heard for so long that the sensor cannot say when it measures."""
+"""Status of `measure`: the last SYNC is too long ago for a time stamp relative to it."""
 _LONGEST_STAMP_S = 0.0655
 _sensors_at: Any = record_at(record(SENSORS))
 _SMALL = 1e-4
@@ -36,7 +36,7 @@ _SMALL = 1e-4
 
 @helper
 def turn(r: Array, R: Array) -> Array:
-    """Return exp([r]x) R by Rodrigues' formula; r (3,) rad."""
+    """exp([r]x) R by Rodrigues' formula; r (3,) rad."""
     angle = sqrt(r[0] * r[0] + r[1] * r[1] + r[2] * r[2])
     if angle < _SMALL:
         a, b = 1.0 - angle * angle / 6.0, 0.5 - angle * angle / 24.0
@@ -55,13 +55,13 @@ def turn(r: Array, R: Array) -> Array:
 
 @helper
 def carried(p: Array, R: Array, twist: Array, dt_s: float) -> tuple[Array, Array]:
-    """Return p (3,) m and R (3, 3) after `dt_s` at a twist (6,), base frame."""
+    """Position (3,) m and rotation (3, 3) after `dt_s` at a constant twist (6,), base frame."""
     return p + dt_s * twist[:3], turn(dt_s * twist[3:], R)
 
 
 @helper
-def seen_turned(r: Array, R: Array) -> Array:
-    """Return the rotation vector (3,) rad of exp([r]x) R, <= pi: by its quaternion, largest part first."""
+def rotation_vector_of(r: Array, R: Array) -> Array:
+    """Rotation vector (3,) rad of exp([r]x) R, norm <= pi, from its quaternion, largest component first."""
     M = turn(r, R)
     trace = M[0, 0] + M[1, 1] + M[2, 2]
     q = np.empty(4)
@@ -88,7 +88,7 @@ def seen_turned(r: Array, R: Array) -> Array:
 
 @pointed(record(SENSED), INTEGER)
 def listen(n: Any, frame_address: int) -> int:
-    """Note a SYNC; a frame of another kind, or a damaged one, is passed over."""
+    """Store the time and counter of a SYNC; other frames and damaged ones are ignored."""
     frame, s = frame_at(frame_address), _sensors_at(n.sensors)
     is_sync = np.int64(frame.id) == n.sync_id and not frame.flags & STRANGE and frame.length == 2
     if is_sync and intact(frame):
@@ -102,12 +102,12 @@ def listen(n: Any, frame_address: int) -> int:
 def measure(
     n: Any, kind: int, counter: int, t_ns: int, grid_ns: int, p: Array, R: Array, twist: Array, frame: Any
 ) -> int:
-    """Measure at an instant, the truth being that of the grid, and fill in the frame; SILENT or FAILED."""
+    """Measure at `t_ns`, given the truth at the grid point, and fill in the frame; 0, SILENT or FAILED."""
     there, turned = carried(p, R, twist, (t_ns - grid_ns) * 1e-9)
     bias, noise, v = n.bias[kind], n.noise[kind] * n.drawn, n.values
     if kind == TRACKER:
         v[:3] = there + bias[:3] + noise[:3]
-        v[3:] = seen_turned((bias[3:] + noise[3:]) * (pi / 180.0), turned)
+        v[3:] = rotation_vector_of((bias[3:] + noise[3:]) * (pi / 180.0), turned)
     else:
         if kind == IMU:
             if grid_ns > n.before_ns:

@@ -1,7 +1,7 @@
-"""Emulated tracker, IMU and wrench sensor beside the drives: they sample the plant's truth.
+"""Emulated tracker, IMU and wrench sensor in addition to the drives: they sample the plant's truth.
 
-A sample is taken at its own instant, stamped against the last SYNC before it, and enters the bus its
-latency later. Between grid points of the plant the pose is carried on by the twist. The specific force is
+A sample is taken at its own instant, stamped relative to the last SYNC before it, and enters the bus after
+its latency. Between grid points of the plant the pose is extrapolated with the twist. The specific force is
 the mean over the plant's last internal step, as of a device that integrates.
 """
 
@@ -29,8 +29,8 @@ from plant_fmu.plant import Plant, Truth
 class SensedNodes(Nodes):
     """Six drives, the plant behind them, and the configured sensors on its platform.
 
-    Mutable state, beside that of `Nodes`: when each sensor measures next and its counter, a record of SENSED,
-    frames that wait out their latency, the generator. `start` resets all of it.
+    Mutable state, in addition to that of `Nodes`: next sample time and counter of each sensor, a record of
+    SENSED, frames that wait for their latency, the generator of random numbers. `start` resets all of it.
     """
 
     def __init__(
@@ -49,12 +49,12 @@ class SensedNodes(Nodes):
         super().__init__(plant, protocol, emulation, drives, faults)
 
     def start(self, t0_ns: int) -> None:
-        """As `Nodes.start`; every sensor takes its first sample then."""
+        """`Nodes.start`; every sensor takes its first sample at `t0_ns`."""
         super().start(t0_ns)
         self._start_ns = self._sense_ns = t0_ns
         self._count, self._due_ns = dict.fromkeys(self._period_ns, 0), dict.fromkeys(self._period_ns, t0_ns)
         self._note_ns = NEVER_NS
-        """When the velocity is to be noted, a step of the plant before the IMU measures."""
+        """When to store the velocity: one step of the plant before the IMU measures."""
         self._sensed: Record = np.zeros((), SENSED)
         n, drives = self._sensed, self._record
         tracker, imu, wrench = each = self._noise.tracker, self._noise.imu, self._noise.wrench
@@ -69,19 +69,19 @@ class SensedNodes(Nodes):
         first[:] = tracker.position_noise_m, imu.angular_rate_noise_rad_s, wrench.force_noise_N
         second[:] = tracker.orientation_noise_deg, imu.specific_force_noise_m_s2, wrench.moment_noise_N_m
         self._waiting: list[tuple[int, Rows]] = []
-        """When each frame enters the bus, and it."""
+        """Frames to send, each with the instant at which it enters the bus."""
         self._send_ns = NEVER_NS
         self._chance = np.random.default_rng((self._noise.seed, self._faults.seed))
 
     @property
     def address(self) -> int:
-        """0: frames of the sensors are added behind each pass."""
+        """Always 0: the sensors' frames have to be added after each pass."""
         return 0
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
-        """As `Nodes.advance`, with the frames of the sensors among the drives'.
+        """`Nodes.advance`, with the frames of the sensors among those of the drives.
 
-        It goes in passes that end where a sensor acts: what faults change depends on it.
+        A pass ends at each sample of a sensor, as faults change the truth between samples.
         """
         out: list[Rows] = []
         frames = received[np.argsort(received["t_ns"], kind="stable")]
@@ -91,7 +91,7 @@ class SensedNodes(Nodes):
             at_ns = t_ns if ends else self._sense_ns
             early = frames["t_ns"] <= at_ns
             heard, frames = frames[early], frames[~early]
-            for k in range(len(heard)):  # as they are, whatever faults let the drives hear
+            for k in range(len(heard)):  # sensors receive them unchanged by faults
                 listen(self._sensed, data_at(heard[k:]))
             out.append(super().advance(at_ns, heard).copy())
             if not ends:
@@ -105,7 +105,7 @@ class SensedNodes(Nodes):
         return both[np.argsort(both["t_ns"], kind="stable")]
 
     def _sense(self, t_ns: int) -> None:
-        truth, grid_ns = self._know(), self._grid_ns()
+        truth, grid_ns = self._known_truth(), self._grid_ns()
         if truth is None:
             raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
         for kind, due_ns in self._due_ns.items():

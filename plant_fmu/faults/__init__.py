@@ -1,4 +1,4 @@
-"""What can go wrong at the plant's end and on its bus: a module of kinds of faults is imported here."""
+"""Faults of plant, drives, frames and process. A module with kinds of faults has to be imported here."""
 
 from typing import TYPE_CHECKING, Annotated, Union
 

@@ -1,4 +1,4 @@
-"""What faults have in common: when they begin and end, and where they act.
+"""Base classes of all faults: when they begin and end, and on what they act.
 
 Times count from `Nodes.start`, or from the instant at which the controller reaches a mode. Legs are 0..5.
 """
@@ -23,68 +23,69 @@ Moment = Literal[
 """Modes of the controller; HOLD: the reference is at rest in TRACKING."""
 NEVER_NS = 1 << 62
 Effect = tuple[str, Callable[[Any, Any], Any] | None, object]
-"""An entry of `Present`; what makes its new value of the old one and a figure, None where it lists figures
-with their leg and since when; that figure or its field."""
+"""Effect of a kind of fault: entry of `Present`; function (old value, figure) -> new value, or None for an
+entry that lists (leg, figure, since when); the figure, or the name of the field that has it."""
 
 
 class Present:
-    """The faults of drives and plant at one instant, per leg where they are a leg's."""
+    """The faults of drives and plant at one instant; an element per leg for faults of legs."""
 
     def __init__(self) -> None:
         self.since_ns: int
-        """When the fault began that is entered now."""
+        """Start of the fault that is being entered."""
         self.generator: np.random.Generator
-        """The chance of the fault that is entered now."""
+        """Random numbers of the fault that is being entered."""
         self.offset_m = [0.0] * LEGS
         self.drifts: list[tuple[int, float, int]] = []
-        """Leg, m/s, since when in ns."""
+        """Leg, m/s, start in ns."""
         self.noise: list[tuple[int, float, np.random.Generator]] = []
-        """Leg, standard deviation in m, its chance."""
+        """Leg, standard deviation in m, random numbers."""
         self.late_ns = [0] * LEGS
         self.scales: list[tuple[int, float, int]] = []
-        """Leg, multiple of what its encoder moves, since when in ns."""
+        """Leg, factor on the motion that its encoder counts, start in ns."""
         self.frozen = [False] * LEGS
         self.lost = [False] * LEGS
         self.forged_m: list[float | None] = [None] * LEGS
-        """How much longer a second answer of the leg's node says that the leg is."""
+        """Difference between the length in a second answer of the leg's node and its reading; None: no
+        second answer."""
         self.gain = [1.0] * LEGS
         self.saturation_N = [np.inf] * LEGS
         self.silent = [False] * LEGS
         self.reset = [False] * LEGS
         self.stuck: list[bool | None] = [None] * LEGS
-        """True engaged, False released, None works."""
+        """True engaged, False released, None: the brake works."""
         self.slow_ns = [0] * LEGS
-        """How much later than its drive counts the brake has opened or closed."""
+        """Delay of each brake's movement after the time that its drive assumes."""
         self.share = [1.0] * LEGS
-        """Of the brake's force."""
+        """Share of each brake's force that is left."""
         self.wrench: Array = np.zeros(LEGS)
         """(6,) N, N m on the platform at its origin, base frame."""
         self.masses: list[tuple[float, Array]] = []
-        """kg, and where they lie on the platform: (3,) m, platform frame."""
+        """kg, and the position of the mass on the platform: (3,) m, platform frame."""
         self.bus_off = 0
         """Bit i: bus i is cut."""
         self.not_finite = self.hangs = self.crashes = False
 
 
 FAULTS: dict[str, type[Fault]] = {}
-"""`kind` of a fault -> its class, in the order in which they are defined."""
+"""`kind` of a fault -> its class, in the order of definition."""
 
 
 class Fault(Section):
     """A fault that begins at an instant. Each kind states its name as `kind` in the head of its class.
 
-    Raises ValidationError on senseless values.
+    Raises ValidationError on invalid values.
     """
 
     effect: ClassVar[Effect | None] = None
     kind: Any = None
     at_s: Annotated[float, Field(ge=0)] = 0.0
-    """When it begins: after the drives' power-up, or after `mode` is reached."""
+    """Begin of the fault: time after the drives' power-up, or after `mode` is reached."""
     mode: Moment | None = None
-    """The mode of the controller that `at_s` counts from."""
+    """Mode of the controller from whose beginning `at_s` counts."""
 
     def __init_subclass__(cls, kind: str | None = None, effect: Effect | None = None, **given: Any) -> None:
-        """Make a kind of the class: a row of `FAULTS`, and the one value that its field `kind` takes."""
+        """Register a kind: add it to `FAULTS`, and restrict its field `kind` to this name."""
         super().__init_subclass__(**given)
         cls.effect = effect or cls.effect
         if kind is not None:
@@ -93,11 +94,11 @@ class Fault(Section):
 
     @property
     def lasts_ns(self) -> int:
-        """How long it is present; by default for an instant."""
+        """Duration of the fault, ns; by default one instant."""
         return 1
 
     def act(self, present: Present) -> None:
-        """Enter what the fault does to drives and plant, in its leg where it has one."""
+        """Enter the fault's effect in `present`, for its leg if it has one."""
         if self.effect is None:
             return
         (entry, join, figure), fault = self.effect, cast("Any", self)
@@ -112,7 +113,7 @@ class Fault(Section):
 
 
 def last(_: object, figure: object) -> object:
-    """Of several faults the last one counts."""
+    """Of several faults of one kind the last one counts."""
     return figure
 
 
@@ -122,14 +123,14 @@ def later(ns: int, by_ms: float) -> int:
 
 
 class LastingFault(Fault):
-    """A fault that is present for `for_s`."""
+    """A fault with the duration `for_s`."""
 
     for_s: Annotated[float, Field(gt=0)] | None = None
-    """How long it is present; default: to the end."""
+    """Duration of the fault; default: to the end of the run."""
 
     @property
     def lasts_ns(self) -> int:
-        """How long it is present."""
+        """Duration of the fault, ns."""
         return NEVER_NS if self.for_s is None else max(1, round(self.for_s * 1e9))
 
 
@@ -140,9 +141,10 @@ class LegFault(LastingFault):
 
 
 class Occurrence:
-    """A fault in one run.
+    """One fault in one run.
 
-    Mutable state: when it begins, its chance, frames that it has seen, by `Place`, how often it has sent.
+    Mutable state: its start, its random numbers, the frames that it has seen, by `Place`, and how many it has
+    sent.
     """
 
     def __init__(self, fault: Fault, start_ns: int, generator: np.random.Generator) -> None:
@@ -152,27 +154,27 @@ class Occurrence:
 
     @property
     def stop_ns(self) -> int:
-        """When it ends; beyond NEVER_NS where it does not begin."""
+        """End of the fault, ns; beyond NEVER_NS if it does not begin."""
         return self.start_ns + self.fault.lasts_ns
 
 
 Place = tuple[bool, int, int]
-"""Whether a frame is for the drives, the index of its bus, and its identifier."""
+"""Stream of frames: True if it is for the drives, the index of its bus, its identifier."""
 
 
 class Passage(LastingFault):
-    """A fault of frames on their way, in both directions."""
+    """A fault of frames in transit, in both directions."""
 
     adds: ClassVar[bool] = False
-    """Whether frames after the first are sent by somebody else, and heard by both ends."""
+    """True if frames after the first come from an extra node, so that both ends receive them."""
 
     def concerns(self, frame: Frame) -> bool:
-        """Tell whether the fault may strike this frame: by its own identifier and bus, where it has them."""
+        """Check if the fault can affect this frame: its identifier and bus are the frame's or not set."""
         identifier, bus = getattr(self, "identifier", None), getattr(self, "bus", None)
         return identifier in (None, frame.id) and bus in (None, frame.bus)
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Return when and as what a frame arrives that was due at `t_ns`. Changes `own`."""
+        """Arrivals of a frame that was due at `t_ns`: (instant, frame). Changes `own`."""
         raise NotImplementedError
 
 
@@ -180,20 +182,20 @@ class FrameFault(Passage):
     """A fault of the frames of one identifier, or of all, in both directions."""
 
     copies: ClassVar[int] = 1
-    """How many of a frame that is struck arrive."""
+    """Number of copies that arrive of an affected frame."""
     probability: Annotated[float, Field(ge=0, le=1)] = 1.0
-    """Of a frame to be struck."""
+    """Probability with which a frame is affected."""
     identifier: Annotated[int, Field(ge=0)] | None = None
-    """Of the frames that may be struck; default: all."""
+    """Identifier of the frames that can be affected; default: all."""
     seed: Annotated[int, Field(ge=0)] = 0
-    """Decides which frames are struck."""
+    """Seed of the random choice of frames."""
 
     def carry(self, t_ns: int, frame: Frame, _place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Strike at random."""
+        """Let the fault affect a frame at random."""
         if own.generator.random() < self.probability:
             return self.strike(t_ns, frame, own.generator)
         return [(t_ns, frame)]
 
     def strike(self, t_ns: int, frame: Frame, _generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Frames that are left of one that is struck. May draw from the generator."""
+        """Arrivals of an affected frame: (instant, frame). May draw random numbers."""
         return [(t_ns, frame)] * self.copies

@@ -30,23 +30,23 @@ Vector = tuple[float, float, float]
 
 
 class EncoderJump(LegFault, kind="encoder_jump", effect=("offset_m", add, "by_m")):
-    """The encoder slips: from now on it reads this much more than the length."""
+    """The encoder slips: its reading is the length plus a constant."""
 
     by_m: float
 
 
 class EncoderFreeze(LegFault, kind="encoder_freeze", effect=("frozen", last, True)):
-    """The encoder keeps the length of the moment the fault begins, at rate zero."""
+    """The reading stays as it was when the fault began, with rate zero."""
 
 
 class EncoderDrift(LegFault, kind="encoder_drift", effect=("drifts", None, "by_m_s")):
-    """The encoder creeps away: its length at this rate, which its rate contains."""
+    """The reading drifts away from the length at this speed, which the measured rate contains."""
 
     by_m_s: float
 
 
 class EncoderNoise(LegFault, kind="encoder_noise"):
-    """White noise on the length that is sent."""
+    """White noise on the length in the feedback."""
 
     sigma_m: Annotated[float, Field(ge=0)]
     """Standard deviation."""
@@ -58,37 +58,37 @@ class EncoderNoise(LegFault, kind="encoder_noise"):
 
 
 class EncoderLate(LegFault, kind="encoder_late", effect=("late_ns", later, "by_ms")):
-    """What is sent is the length and rate of so long ago; at first it stands still for as long."""
+    """The feedback is late by this time: at first its length and rate stay as when the fault began."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)] = 1.0
 
 
 class EncoderScale(LegFault, kind="encoder_scale", effect=("scales", None, "factor")):
-    """The encoder counts this multiple of the motion since the fault began; its rate is scaled as well."""
+    """The encoder scales the motion since the fault began, and the rate, by this factor."""
 
     factor: float
 
 
 class EncoderSign(LegFault, kind="encoder_sign", effect=("scales", None, -1.0)):
-    """The encoder counts backwards from where it is when the fault begins."""
+    """The encoder counts backwards from its reading when the fault begins."""
 
 
 class EncoderLost(LegFault, kind="encoder_lost", effect=("lost", last, True)):
-    """The drive knows that its encoder is lost: it says so in its feedback, and still obeys."""
+    """The drive detects that its encoder is lost: it reports this, and still executes commands."""
 
 
 class DriveSilence(LegFault, kind="drive_silence", effect=("silent", last, True)):
-    """The drive sends nothing. It still hears."""
+    """The drive sends no frames, but still receives commands."""
 
 
 class DriveReset(Fault, kind="drive_reset", effect=("reset", last, True)):
-    """The drive starts anew at this instant: it is in BOOT, its brake closes, its set-up is forgotten."""
+    """The drive restarts at this instant: it is in BOOT, its brake closes, its set-up is lost."""
 
     leg: Annotated[int, Field(ge=0, lt=LEGS)]
 
 
 class DriveGain(LegFault, kind="drive_gain", effect=("gain", mul, "factor")):
-    """The leg's force is this multiple of what its drive means to apply."""
+    """The leg's force is the drive's force times this factor."""
 
     factor: float
 
@@ -98,33 +98,33 @@ class DriveSign(LegFault, kind="drive_sign", effect=("gain", mul, -1.0)):
 
 
 class DriveSaturation(LegFault, kind="drive_saturation", effect=("saturation_N", min, "limit_N")):
-    """The drive gives no more force than this."""
+    """The drive's force is limited to this value."""
 
     limit_N: Annotated[float, Field(ge=0)]
 
 
 class BrakeStuckOpen(LegFault, kind="brake_stuck_open", effect=("stuck", last, False)):
-    """The brake is released, whatever the drive wants."""
+    """The brake stays released, whatever the drive commands."""
 
 
 class BrakeStuckClosed(LegFault, kind="brake_stuck_closed", effect=("stuck", last, True)):
-    """The brake is engaged, whatever the drive wants."""
+    """The brake stays engaged, whatever the drive commands."""
 
 
 class BrakeSlow(LegFault, kind="brake_slow", effect=("slow_ns", later, "by_ms")):
-    """The brake opens and closes this much later than its drive counts."""
+    """The brake opens and closes later by this time than its drive assumes."""
 
     by_ms: Annotated[float, Field(gt=0, le=10_000)]
 
 
 class BrakeSlipping(LegFault, kind="brake_slipping", effect=("share", mul, "share")):
-    """The engaged brake holds only this share of its force."""
+    """The engaged brake has only this share of its force."""
 
     share: Annotated[float, Field(ge=0, le=1)]
 
 
 BRAKES = (BrakeStuckOpen, BrakeStuckClosed, BrakeSlipping)
-"""What is of the plant's brake alone."""
+"""Faults of the plant's brakes."""
 
 
 class FramesLoss(FrameFault, kind="frames_loss"):
@@ -145,7 +145,7 @@ class FramesDelay(FrameFault, kind="frames_delay"):
     by_ms: Annotated[float, Field(gt=0, le=1000)]
 
     def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Delay it."""
+        """Delay the frame."""
         return super().strike(t_ns + round(self.by_ms * 1e6), frame, generator)
 
 
@@ -153,7 +153,7 @@ class FramesReorder(FrameFault, kind="frames_reorder"):
     """The frame arrives after the next one of its identifier on its bus."""
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Hold a frame back that is struck, until the next one has own."""
+        """Hold an affected frame back until the next one of its stream has arrived."""
         held = own.frames.pop(place, [])
         if not held and own.generator.random() < self.probability:
             own.frames[place] = [frame]
@@ -162,10 +162,10 @@ class FramesReorder(FrameFault, kind="frames_reorder"):
 
 
 class FramesCorrupt(FrameFault, kind="frames_corrupt"):
-    """One bit of the data is flipped behind the back of the bus' own check, as a bad gateway does."""
+    """One bit of the data is flipped without an error of the CAN checksum, as by a faulty gateway."""
 
     def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Flip one bit of any; an empty frame passes."""
+        """Flip one random bit; a frame without data is unchanged."""
         if not frame.data:
             return [(t_ns, frame)]
         bit = int(generator.integers(8 * len(frame.data)))
@@ -175,29 +175,29 @@ class FramesCorrupt(FrameFault, kind="frames_corrupt"):
 
 
 class FramesForgedCommand(LastingFault, kind="frames_forged_command"):
-    """A third node answers every SYNC with a command of its own: RUN, this force in each leg, valid checks.
+    """An extra node sends a command after every SYNC: RUN, this force in each leg, with valid checksums.
 
-    Both ends hear it; it is there before the controller's.
+    Both ends receive it, before the controller's command.
     """
 
     force_N: float = 0.0
 
 
 class FramesForgedFeedback(LegFault, kind="frames_forged_feedback", effect=("forged_m", last, "by_m")):
-    """A second node of the leg's number answers every SYNC: the leg is this much longer, valid checks."""
+    """A second node with the leg's number answers every SYNC: a length off by `by_m`, valid checksums."""
 
     by_m: float
 
 
 class FramesOld(FrameFault, kind="frames_old"):
-    """A third node sends an older frame of the same identifier and bus after the frame. Both ends hear it."""
+    """An extra node repeats an older frame of the same identifier and bus after a frame, for both ends."""
 
     adds: ClassVar[bool] = True
     back: Annotated[int, Field(ge=1, le=1000)] = 2
-    """How many frames of this identifier ago, on its bus."""
+    """Age of the repeated frame, in frames of this identifier on its bus."""
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Remember the frame, and repeat an older one at random."""
+        """Store the frame, and repeat an older one at random."""
         seen = own.frames.setdefault(place, [])
         seen.append(frame)
         if len(seen) <= self.back:
@@ -211,7 +211,7 @@ class BusOff(Passage, kind="bus_off"):
     """No frame passes in either direction; in lockstep the controller's interface reports bus off."""
 
     bus: BusIndex | None = None
-    """Place in `bus.channels`, from 0; default: every bus."""
+    """Index of the bus in `bus.channels`, from 0; default: every bus."""
 
     def act(self, present: Present) -> None:
         """Cut the bus."""
@@ -223,71 +223,71 @@ class BusOff(Passage, kind="bus_off"):
 
 
 class SenderFault(LastingFault):
-    """A node that should not be there sends at its own rate. Both ends hear it."""
+    """An extra node that sends frames at its own rate. Both ends receive them."""
 
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 1000.0
     bus: BusIndex = 0
-    """Place in `bus.channels` of the bus that it is on, from 0."""
+    """Index of the node's bus in `bus.channels`, from 0."""
 
     def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
-        """Return what it sends the n-th time."""
+        """Frames that the node sends as its transmission `number`, from 0."""
         raise NotImplementedError
 
 
 class BusFlood(SenderFault, kind="bus_flood"):
-    """Frames of 8 bytes under an identifier that wins against all others."""
+    """Frames of 8 bytes with an identifier that wins arbitration against all others."""
 
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 8000.0
     identifier: Annotated[int, Field(ge=0, le=0x7FF)] = 0
 
     def frames(self, _protocol: Family, _number: int) -> tuple[Frame, ...]:
-        """Return one frame."""
+        """One frame."""
         return (Frame(self.identifier, _DATA, BUS * self.bus),)
 
 
 class BusSecondController(SenderFault, kind="bus_second_controller"):
-    """A second controller: SYNC, then a command of RUN with this force in each leg."""
+    """A second controller: SYNC, then a RUN command with this force in each leg."""
 
     force_N: float = 0.0
 
     def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
-        """Return what starts its tick, and its command; where the poll is the command, that alone."""
-        from plant_fmu.faults.stranger import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
+        """Frames of the start of a tick, and the command; only this in a family whose poll is the command."""
+        from plant_fmu.faults.foreign_controller import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
 
         return tuple(frame for frame in opened(protocol, self.force_N, number) if frame.bus == self.bus)
 
 
 class ProcessKill(Fault, kind="process_kill"):
-    """The process is killed (SIGKILL): its drives fall silent and its log is cut."""
+    """The process is killed (SIGKILL): its drives fall silent and its log ends."""
 
 
 class ProcessStop(Fault, kind="process_stop"):
     """The process is stopped (SIGSTOP) and continued after `for_s`."""
 
     for_s: Annotated[float, Field(gt=0, le=3600)]
-    """How long it is stopped."""
+    """Time for which the process is stopped."""
 
 
 class ProcessSlow(LastingFault, kind="process_slow"):
-    """The process takes this much longer for every round of its loop."""
+    """Every iteration of the process's loop takes longer by this time."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)]
 
 
 PROCESS = (ProcessKill, ProcessStop, ProcessSlow)
-"""What a simulated plant does not have."""
+"""Faults of the operating-system process, which a simulated plant does not have."""
 
 
 class PlantNaN(LastingFault, kind="plant_nan", effect=("not_finite", last, True)):
-    """The plant's lengths are not numbers."""
+    """The plant's lengths are NaN."""
 
 
 class PlantHang(LastingFault, kind="plant_hang", effect=("hangs", last, True)):
-    """The plant does not come back from a step: no drive answers; what it has missed it catches up with."""
+    """The plant hangs in a step: no drive answers; afterwards it catches up on what it has missed."""
 
 
 class PlantCrash(Fault, kind="plant_crash", effect=("crashes", last, True)):
-    """The plant fails at this instant, and its drives with it."""
+    """The plant fails at this instant, and with it the drives."""
 
 
 class WrenchStep(LastingFault, kind="wrench_step"):
@@ -302,11 +302,11 @@ class WrenchStep(LastingFault, kind="wrench_step"):
 
 
 class PayloadStep(LastingFault, kind="payload_step"):
-    """The weight of a mass on the platform; its inertia is not emulated."""
+    """The weight of an extra mass on the platform; its inertia is not simulated."""
 
     mass_kg: Annotated[float, Field(gt=0)]
     position_m: Vector = (0.0, 0.0, 0.0)
-    """Where the mass lies, platform frame."""
+    """Position of the mass, platform frame."""
 
     def act(self, present: Present) -> None:
         """Several masses add up."""
@@ -314,4 +314,4 @@ class PayloadStep(LastingFault, kind="payload_step"):
 
 
 LOADS = (WrenchStep, PayloadStep)
-"""What needs a platform."""
+"""Faults that need a platform."""

@@ -1,4 +1,4 @@
-"""The faults of one run, and which of them are present when."""
+"""The faults of one run, and their times."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,7 +14,7 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
 class FaultPlan:
-    """The faults of one run. `seed` varies the chance of all of them; gravity (3,) m/s^2, base frame."""
+    """The faults of one run. `seed` varies all their random numbers; gravity (3,) m/s^2, base frame."""
 
     def __init__(
         self, faults: Sequence[Fault] = (), seed: int = 0, gravity: Sequence[float] = STANDARD_GRAVITY
@@ -24,13 +24,13 @@ class FaultPlan:
         self.gravity = np.array(gravity, float)
         frames = (Passage, SenderFault, FramesForgedCommand)
         self.touches_frames = any(isinstance(fault, frames) for fault in self.faults)
-        """Whether frames are changed on their way, or added."""
+        """True if a fault changes frames in transit, or adds some."""
 
 
 class Schedule:
-    """When the faults of a plan begin and end in one run.
+    """Start and end of the faults of a plan in one run.
 
-    Mutable state: the faults as they occur.
+    Mutable state: the occurrences of the faults.
     """
 
     def __init__(self, plan: FaultPlan, t0_ns: int) -> None:
@@ -45,36 +45,36 @@ class Schedule:
         self._passages = [each for each in self._occurrences if isinstance(each.fault, Passage)]
 
     def starts_ns(self, fault: Fault) -> int:
-        """Return when a fault of the plan begins; NEVER_NS where it will not, as things stand."""
+        """Start of a fault of the plan, ns; NEVER_NS while it waits for a mode."""
         return next(each.start_ns for each in self._occurrences if each.fault == fault)
 
     @property
     def waiting(self) -> tuple[Fault, ...]:
-        """Faults whose mode has not been reached."""
+        """Faults that wait for a mode of the controller."""
         return tuple(each.fault for each in self._occurrences if each.start_ns == NEVER_NS)
 
     def begun(self, t_ns: int) -> tuple[Fault, ...]:
-        """Return the faults that have begun by an instant."""
+        """Faults that have begun by an instant."""
         return tuple(each.fault for each in self._occurrences if each.start_ns <= t_ns)
 
     def reached(self, mode: str, t_ns: int) -> bool:
-        """Let the time of the faults count that wait for this mode; tell whether there are any."""
+        """Start the time of the faults that wait for this mode; True if there are any."""
         found = [each for each in self._occurrences if each.start_ns == NEVER_NS and each.fault.mode == mode]
         for each in found:
             each.start_ns = t_ns + round(each.fault.at_s * 1e9)
         return bool(found)
 
     def edges_ns(self, since_ns: int) -> list[int]:
-        """Return the instants from `since_ns` on at which a fault begins or ends, rising."""
+        """Instants from `since_ns` on at which a fault begins or ends, in rising order."""
         edges = {edge for each in self._occurrences for edge in (each.start_ns, each.stop_ns)}
         return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
 
     def active(self, t_ns: int) -> tuple[Occurrence, ...]:
-        """Return the faults that are present at an instant."""
+        """Faults that are present at an instant."""
         return tuple(each for each in self._occurrences if each.start_ns <= t_ns < each.stop_ns)
 
     def present(self, t_ns: int) -> Present:
-        """Return the faults of drives and plant at this instant."""
+        """Effects of the faults on drives and plant at an instant."""
         present = Present()
         for each in self.active(t_ns):
             present.since_ns, present.generator = each.start_ns, each.generator
@@ -82,7 +82,7 @@ class Schedule:
         return present
 
     def carry(self, t_ns: int, frame: Frame, *, to_drives: bool) -> list[tuple[int, Frame, bool]]:
-        """Return when and as what a frame arrives, and whether it is one that nobody of ours has sent."""
+        """Arrivals of a frame after all faults: (instant, frame, True if an extra node sent it)."""
         arriving = [(t_ns, frame, False)]
         for own in self._passages:
             fault = own.fault
@@ -99,14 +99,14 @@ class Schedule:
         return arriving
 
     def senders(self) -> Iterator[tuple[SenderFault, Occurrence]]:
-        """Yield the nodes that should not be there."""
+        """Yield the faults that are extra nodes and have begun or will begin."""
         for each in self._occurrences:
             if isinstance(each.fault, SenderFault) and each.start_ns < NEVER_NS:
                 yield each.fault, each
 
 
 def weight(masses: Sequence[tuple[float, Array]], truth: Truth, gravity: Array) -> Array:
-    """Return the wrench (6,) N, N m of masses on the platform at its origin, base frame."""
+    """Wrench (6,) N, N m on the platform at its origin, base frame, due to the weight of masses on it."""
     wrench = np.zeros(6)
     for mass, position in masses:
         force = mass * gravity

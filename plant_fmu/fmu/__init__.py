@@ -1,1 +1,1 @@
-"""Hosting of any FMU for co-simulation, in this process or a child's."""
+"""Hosting of any FMU for co-simulation, in this process or in a child process."""

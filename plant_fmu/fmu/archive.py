@@ -1,7 +1,7 @@
-"""Guarded extraction of an .fmu file.
+"""Safe extraction of an .fmu file.
 
-A foreign archive is hostile until each member has been looked at; nothing is loaded. `zipfile` writes nothing
-outside the given folder, and a link as a file of text.
+A foreign archive is untrusted until each member has been checked; nothing is loaded. `zipfile` writes nothing
+outside the given folder, and writes a link as a text file.
 """
 
 import zipfile
@@ -13,25 +13,28 @@ from drivers.errors import PlantError
 MAX_MEMBERS = 20_000
 MAX_BYTES = 2 * 1024**3
 MAX_XML_BYTES = 64 * 1024**2
-"""Of a member that is parsed: its tree takes some ten times that, also where no child process bounds it."""
+"""Limit for members that are parsed: the parsed tree takes ten times the memory, even without a child
+process."""
 MAX_RATIO = 400
-"""Largest size of a member over its packed size; real binaries and data stay far below."""
+"""Largest ratio of unpacked to packed size of a member; real binaries and data stay far below."""
 RATIO_FREE_BYTES = 1024**2
 """Members up to this size may have any ratio."""
 _PARSED = frozenset({"modelDescription.xml", "sources/buildDescription.xml"})
 
 
 def open_archive(path: Path) -> zipfile.ZipFile:
-    """Open the .fmu. Raises PlantError if it is missing, no ZIP archive, or not to be unpacked."""
+    """Open the .fmu. Raises PlantError if it is missing, not a ZIP archive, or unsafe to unpack."""
     if path.exists() and not path.is_file():
-        raise PlantError(f"{path}: no FMU: a folder, pipe, socket or device; give the path of an .fmu")
+        raise PlantError(
+            f"{path}: not a file but a folder, pipe, socket or device; give the path of an .fmu file"
+        )
     if not path.is_file():
         raise PlantError(
             f"{path}: no such FMU file; give the path of an .fmu relative to the configuration file"
         )
     try:
         archive = zipfile.ZipFile(path)
-    except Exception as error:  # zipfile raises what it likes on a damaged directory
+    except Exception as error:  # zipfile raises many types on a damaged directory
         raise PlantError(f"{path}: not an FMU (a ZIP archive with modelDescription.xml): {error}") from error
     try:
         check_members(archive.infolist(), path)
@@ -42,9 +45,9 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 
 
 def check_members(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
-    """Refuse too many, too large or too strongly packed members, and descriptions too large to be parsed.
+    """Check number, sizes, compression ratios and names of the members, and the sizes of parsed files.
 
-    Also refused: members of one name, upper and lower case alike, whose contents differ.
+    Refused as well: members whose names differ at most in case, but whose contents differ.
 
     Raises PlantError naming the member.
     """
@@ -68,12 +71,12 @@ def check_members(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
 
 
 def extract(archive: zipfile.ZipFile, path: Path, folder: Path) -> None:
-    """Unpack all members into `folder`; `zipfile` reads no more bytes than their headers announce.
+    """Unpack all members into `folder`; `zipfile` reads at most the bytes that their headers state.
 
-    Raises PlantError on a member that is damaged.
+    Raises PlantError on a damaged member.
     """
     for member in archive.infolist():
         try:
             archive.extract(member, folder)
-        except Exception as error:  # and on a damaged member
+        except Exception as error:  # likewise on a damaged member
             raise PlantError(f"{path}: member {member.filename!r} cannot be unpacked: {error}") from error

@@ -1,6 +1,6 @@
 """Communication steps of an FMU in one compiled call: inputs, step, outputs.
 
-Other threads run meanwhile: one of them ends a child process whose FMU hangs.
+Other threads run in the meantime: one of them ends a child process whose FMU hangs.
 """
 
 from typing import Any
@@ -12,13 +12,13 @@ from drivers.compiled.pointed import call, integers_at, pointed, reals_at
 from drivers.signals import LEGS
 
 DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
-"""How an exchange ended."""
+"""Results of a step."""
 CLOSED = 7
-"""There was none: the FMU is not initialised."""
+"""There was no step: the FMU is not initialised."""
 MEASURED = 2 * LEGS
-"""The first outputs: lengths and rates."""
+"""Number of lengths and rates, which are the first outputs."""
 APPLIED = MEASURED + 18
-"""Where the applied forces stand among the outputs, as far as they are known: behind pose and twist."""
+"""Index of the applied forces in the outputs, behind pose and twist, if they are known."""
 FMU = np.dtype(
     [
         *((name, "<i8") for name in ("instance", "counted", "set", "get", "step")),
@@ -31,25 +31,25 @@ FMU = np.dtype(
         ("step_s", "<f8"),
     ]
 )
-"""One FMU: the component; 1 for FMI 3, which counts values; addresses of its functions, and of the value
-references that they take with their numbers; addresses of inputs, of the bits that the FMU holds of them,
-and of outputs; where force, brake and wrench stand among the inputs, -1 for what the FMU does not have;
-whether it is initialised, internal steps since then, whether the applied forces are known; the FMU's last
-status; DoStep's three flags and its last time; s, its internal step."""
+"""One FMU. The component; 1 for FMI 3, whose calls count values; addresses of its functions. Addresses and
+numbers of the value references that set and get take. Addresses of inputs, of the bits of the inputs that
+the FMU has, and of outputs. Indices of force, brake and wrench in the inputs, -1 if the FMU lacks them. True
+if it is initialised; internal steps since then; true if applied forces are known; last status of the FMU.
+The three flags of DoStep and its last time; internal step in s."""
 _WARNING = 1
-"""The worst status of both standards that still is a success."""
+"""The worst status of both standards that is still a success."""
 _TERMINATED, _EARLY = 1, 2
 
 
 @helper
 def succeeded(status: int) -> bool:
-    """Tell whether a status of either standard is a success: no number that neither has."""
+    """Check if a status is a success in either standard; a number that is no status is none."""
     return 0 <= status <= _WARNING
 
 
 @helper
 def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
-    """Call a function of the FMU, one of FMI 3 with some arguments more; return its status."""
+    """Call a function of the FMU, with the extra arguments `counted` in FMI 3; return its status."""
     if fmu.counted:
         return int(call(function, (fmu.instance, *given, *counted)))
     return int(call(function, (fmu.instance, *given)))
@@ -57,7 +57,7 @@ def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
 
 @helper
 def _put(fmu: Any) -> int:
-    """Set the FMU's inputs; return its status. `held` becomes their bits, or something else if it refuses."""
+    """Set the FMU's inputs; return its status. `held` becomes their bits, or differs from them on failure."""
     bits, held = integers_at(fmu.inputs, fmu.input_count), integers_at(fmu.held, fmu.input_count)
     held[:] = ~bits
     status = _called(fmu, fmu.set, (fmu.set_references, fmu.set_count, fmu.inputs), (fmu.input_count,))
@@ -68,7 +68,7 @@ def _put(fmu: Any) -> int:
 
 @helper
 def _fetch(fmu: Any) -> int:
-    """Get the FMU's outputs; return how that ended. Lengths and rates have to be finite."""
+    """Get the FMU's outputs; return DONE or the failure. Lengths and rates have to be finite."""
     given = (fmu.get_references, fmu.get_count, fmu.outputs)
     fmu.status = _called(fmu, fmu.get, given, (fmu.output_count,))
     if not succeeded(fmu.status):
@@ -83,20 +83,20 @@ def _fetch(fmu: Any) -> int:
 def _do_step(fmu: Any, t_s: float, dt_s: float) -> int:
     at = np.int64(fmu.flags.ctypes.data)
     counted = (at, at + 1, at + 2, np.int64(fmu.last.ctypes.data))
-    return _called(fmu, fmu.step, (t_s, dt_s, np.int32(1)), counted)  # 1: no step is ever taken back
+    return _called(fmu, fmu.step, (t_s, dt_s, np.int32(1)), counted)  # 1: no step is ever repeated
 
 
 put, fetch = pointed(record(FMU))(_put), pointed(record(FMU))(_fetch)
 do_step = pointed(record(FMU), REAL, REAL)(_do_step)
-"""The same for Python."""
+"""The same functions, callable from Python."""
 
 
 @pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """Set what changed of the inputs, go some internal steps, and fill lengths and rates `measured` (12,).
+    """Set the inputs if they changed, do some internal steps, and fill in lengths and rates `measured` (12,).
 
-    force, brake, wrench (6,) and `measured` are addresses. Returns how the exchange ended. The communication
-    time is a multiple of the internal step, not a sum.
+    force, brake, wrench (6,) and `measured` are addresses. Returns DONE or the failure. The communication
+    time is a multiple of the internal step, not a sum of steps.
     """
     if not fmu.ready:
         return CLOSED
@@ -130,7 +130,7 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
 
 @pointed(record(FMU), INTEGER)
 def applied(fmu: Any, force: int) -> int:
-    """Fill in the applied forces (6,) N at an address; return 1, or 0 where they are not known."""
+    """Fill in the applied forces (6,) N at an address; return 1, or 0 if they are unknown."""
     if not fmu.known:
         return 0
     reals_at(force, LEGS)[:] = reals_at(fmu.outputs, fmu.output_count)[APPLIED : APPLIED + LEGS]

@@ -1,6 +1,6 @@
-"""Checks an FMU's description against what we ask of it, before anything of it is loaded.
+"""Checks of an FMU's description against our requirements, before any of its code is loaded.
 
-Each refusal says what the FMU offers.
+Each error message states what the FMU offers.
 """
 
 import math
@@ -18,7 +18,7 @@ from plant_fmu.config import FmuPlant
 
 FLOATS = {"Real", "Float64"}
 MAX_REFERENCE = 2**32 - 1
-"""Value references are unsigned numbers of 32 bits in both standards."""
+"""Value references are unsigned 32-bit numbers in both standards."""
 _INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64)} | {
     "Integer",
     "Enumeration",
@@ -33,20 +33,20 @@ Parameter = float | int | bool | str | list[float]
 
 
 class FmuSpec(FmuPlant):
-    """The settings of an FMU to host; its path does not depend on a folder."""
+    """Settings of an FMU to host; its path does not depend on a folder."""
 
     type: Literal["fmu"] = "fmu"
     truth: list[str] = []
-    """Outputs that hold position, rotation, twist and applied forces; empty where they are not known."""
+    """Outputs with position, rotation, twist and applied forces; empty if unknown."""
 
     @property
     def step_s(self) -> float:
-        """All communication steps are multiples of this."""
+        """Internal step, s: all communication steps are multiples of it."""
         return self.step_us / 1e6
 
 
 def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
-    """Return what to host; a relative path starts at `folder`, the configuration's."""
+    """FMU settings for hosting; a relative path starts at `folder`, that of the configuration file."""
     return FmuSpec(**settings.model_dump() | {"path": str(folder / settings.path)})
 
 
@@ -63,29 +63,29 @@ class Start:
 
 @dataclass(frozen=True)
 class Interface:
-    """All that hosting needs to know about one FMU."""
+    """Data about one FMU that hosting needs."""
 
     description: Any
-    """fmpy's ModelDescription."""
+    """ModelDescription of fmpy."""
     major: int
     library: str
     """Path of the shared library inside the archive."""
     inputs: dict[str, tuple[int, ...]]
-    """force, and brake and wrench where there are -> value references that carry six values."""
+    """force, and brake and wrench if the FMU has them -> value references with six values in total."""
     outputs: dict[str, tuple[int, ...]]
-    """length, rate and the truth, where it is known -> the same."""
+    """length, rate, and the truth if it is known -> value references."""
     starts: tuple[Start, ...]
     assumed: dict[str, str]
-    """Variable -> unit, where the description states none and the configuration does."""
+    """Variable -> unit from the configuration, as the description declares none."""
 
 
 def shown(text: str) -> str:
-    """Return a text of the description for a message: in one line, unprintable characters escaped."""
+    """Text of a description for a message: in one line, unprintable characters escaped."""
     return text if text.isprintable() else repr(text)[1:-1]
 
 
 def stated_unit(variable: Any) -> str | None:
-    """Return the unit that a variable or its type states; None where neither does."""
+    """Find the unit that a variable or its type declares; None without one."""
     of_type = None if variable.declaredType is None else variable.declaredType.unit
     return variable.unit or of_type or None
 
@@ -100,7 +100,7 @@ class _Reader:
         self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
 
     def find(self, name: str) -> list[Any]:
-        """Return the variable, or in FMI 2 the elements ``name[..]`` of an array written out, by index."""
+        """Find a variable, or in FMI 2 the elements ``name[..]`` of an array, sorted by index."""
         if name in self.by_name:
             return [self.by_name[name]]
         elements = [v for n, v in self.by_name.items() if self.major < 3 and n.startswith(f"{name}[")]
@@ -108,11 +108,11 @@ class _Reader:
             return sorted(elements, key=lambda v: [int(n) for n in _INDEX.findall(v.name, len(name))])
         close = sorted(n for n in self.by_name if name.lower().split("[")[0] in n.lower())[:8]
         some = shown(", ".join(close or sorted(self.by_name)[:12]))
-        hint = f"; close to it: {some}" if close else f"; it has {some} ..."
+        hint = f"; similar names: {some}" if close else f"; it has {some} ..."
         raise PlantError(f"{self.path}: the FMU has no variable {name!r}{hint}")
 
     def reference(self, variable: Any) -> int:
-        """Return the number by which the FMU knows a variable."""
+        """Value reference of a variable, as a number. Raises PlantError if it is invalid."""
         stated = str(variable.valueReference)
         if stated.isascii() and stated.isdigit() and int(stated) <= MAX_REFERENCE:
             return int(stated)
@@ -136,11 +136,11 @@ class _Reader:
             return
         raise PlantError(
             f"{self.path}: variable {variable.name!r} is in {name!r}; {' or '.join(allowed)} is needed. "
-            "Convert it inside the FMU: units are not converted on the way"
+            "Convert it inside the FMU: hil does not convert units"
         )
 
     def _assume(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
-        """Take the configured unit of a variable that states none; an array has that of its elements."""
+        """Take the configured unit of a variable that declares none; an array has that of its elements."""
         names = (variable.name, variable.name.split("[")[0], key)
         assumed = next((self.assume_unit[n] for n in names if n in self.assume_unit), None)
         if assumed is None:
@@ -148,20 +148,20 @@ class _Reader:
                 return
             raise PlantError(
                 f"{self.path}: variable {variable.name!r} declares no unit; {' or '.join(allowed)} is "
-                "needed: a force or length in an unknown unit is not driven. Export it with units, or, where "
-                f"you know that it is in {allowed[0]}, write plant.model.assume_unit: {{{key}: {allowed[0]}}}"
+                "needed: hil drives no force or length in an unknown unit. Export it with units; if you know "
+                f"that it is in {allowed[0]}, write plant.model.assume_unit: {{{key}: {allowed[0]}}}"
             )
         if assumed not in allowed:
             raise PlantError(
                 f"{self.path}: assume_unit: {variable.name!r} in {assumed!r}; {' or '.join(allowed)} is "
-                "needed. Convert it inside the FMU: units are not converted on the way"
+                "needed. Convert it inside the FMU: hil does not convert units"
             )
         self.assumed[variable.name] = assumed
 
     def channel(
         self, key: str, names: Sequence[str], causality: str, units: Sequence[str], count: int = 6
     ) -> tuple[int, ...]:
-        """Return the value references of `names`, which carry `count` values."""
+        """Value references of `names`, which have `count` values in total."""
         found = [v for name in names for v in self.find(name)]
         for variable in found:
             if variable.causality != causality:
@@ -188,15 +188,15 @@ class _Reader:
         return references
 
     def start(self, name: str, value: Parameter) -> Start:
-        """Resolve one parameter and convert its value to the variable's type."""
+        """Find one parameter and convert its value to the variable's type."""
         found = self.find(name)
         first = found[0]
         values = list(value) if isinstance(value, list) else [value]
         settable = first.causality in {"parameter", "input"}
         if first.causality == "structuralParameter":
             raise PlantError(
-                f"{self.path}: parameters: {name!r} is a structuralParameter, which FMI 3.0 sets in a "
-                "mode of its own and which is not set from here: give the FMU that start value"
+                f"{self.path}: parameters: {name!r} is a structuralParameter, which hil cannot set "
+                "(FMI 3.0: Configuration Mode); change its start value in the FMU"
             )
         if first.variability == "constant" or not settable:
             raise PlantError(
@@ -210,16 +210,16 @@ class _Reader:
         kind = first.type
         try:
             cast = tuple(self._cast(first, x) for x in values)
-        except (OverflowError, TypeError, ValueError):  # overflow: inf, and an integer that no float is
+        except (OverflowError, TypeError, ValueError):  # overflow: inf, and an integer beyond all floats
             raise PlantError(
-                f"{self.path}: parameters: {name!r} is of type {kind}; {value!r:.60} is no value of it"
+                f"{self.path}: parameters: {name!r} is of type {kind}; {value!r:.60} is not a valid value"
             ) from None
         if kind == "Enumeration":
             kind = "Integer" if self.major < 3 else "Int64"
         return Start(name, kind, tuple(map(self.reference, found)), cast)
 
     def _cast(self, variable: Any, value: float | bool | str) -> float | int | bool | str:
-        """Convert to the variable's type. Raises ValueError."""
+        """Convert a value to the variable's type. Raises ValueError."""
         kind = variable.type
         if kind in FLOATS or kind == "Float32":
             return float(value)
@@ -232,7 +232,7 @@ class _Reader:
         raise ValueError(kind)
 
     def _integer(self, variable: Any, value: float | bool | str) -> int:
-        """Convert to an integer; an enumeration also takes its items' names."""
+        """Convert to an integer; an enumeration also takes the names of its items."""
         if isinstance(value, str) and variable.declaredType is not None:
             for i, item in enumerate(variable.declaredType.items, start=1):
                 if item.name == value:
@@ -243,21 +243,21 @@ class _Reader:
 
 
 def major(description: Any) -> int:
-    """Return the FMI standard that a description keeps: 2 or 3."""
+    """Major FMI version of a description: 2 or 3."""
     return int(description.fmiVersion.split(".")[0])
 
 
 def library_candidates(major: int, identifier: str) -> list[str]:
-    """Return the places of this machine's shared library inside an FMU, preferred first."""
+    """Possible paths of this machine's shared library inside an FMU, preferred first."""
     file = f"{identifier}{fmpy.sharedLibraryExtension}"
     modern = f"binaries/{fmpy.platform_tuple}/{file}"
     return [modern] if major >= 3 else [f"binaries/{fmpy.platform}/{file}", modern]
 
 
 def library(description: Any, members: Sequence[str], path: Path) -> str:
-    """Return the member that is this machine's shared library; members: names in the archive.
+    """Path of this machine's shared library in the archive; members: names in the archive.
 
-    Raises PlantError where there is no binary for this machine.
+    Raises PlantError if there is no binary for this machine.
     """
     candidates = library_candidates(major(description), description.coSimulation.modelIdentifier)
     for candidate in candidates:
@@ -274,21 +274,21 @@ def _refuse_tool(description: Any, spec: FmuSpec) -> None:
     if description.coSimulation.needsExecutionTool and not spec.allow_execution_tool:
         tool = shown(description.generationTool or "the tool that made it")
         raise PlantError(
-            f"{spec.path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone one, "
-            "or, where that tool is on this machine, write plant.model.allow_execution_tool: true"
+            f"{spec.path}: the FMU needs {tool} at run time (needsExecutionTool); export a stand-alone "
+            "FMU or, if that tool is on this machine, write plant.model.allow_execution_tool: true"
         )
 
 
 def described(path: Path) -> Any:
-    """Return the description of an FMU, a file that `open_archive` has checked.
+    """Read the description of an FMU, a file that `open_archive` has checked.
 
-    Raises PlantError on a description that cannot be read, a version of FMI that cannot be hosted, and where
-    the FMU has no co-simulation interface.
+    Raises PlantError on a description that cannot be read, an unsupported FMI version, and an FMU without
+    co-simulation interface.
     """
     try:
-        with path.open("rb") as archive:  # fmpy leaves one open that it opens itself, on malformed XML
+        with path.open("rb") as archive:  # on malformed XML, fmpy leaves an archive open that it opened
             description = read_model_description(archive, validate=False)
-    except Exception as error:  # fmpy and lxml raise what they like on malformed XML
+    except Exception as error:  # fmpy and lxml raise many types on malformed XML
         raise PlantError(f"{path}: modelDescription.xml cannot be read: {shown(str(error))}") from error
     version = description.fmiVersion
     if version != "2.0" and not version.startswith("3.0"):
@@ -301,9 +301,9 @@ def described(path: Path) -> Any:
 def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     """Check the description of an FMU against `spec`.
 
-    members: names in the archive. Raises PlantError that names the variable, what it is and what is needed:
-    FMI version, co-simulation, a binary for this machine, existence, causality, type, unit and number of
-    elements of each mapped variable, parameters.
+    members: names in the archive. Checked are FMI version, co-simulation, a binary for this machine, the
+    parameters, and for each mapped variable existence, causality, type, unit and number of elements. Raises
+    PlantError that names the variable, its property and the required one.
     """
     path = Path(spec.path)
     description = described(path)

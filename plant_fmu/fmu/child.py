@@ -1,7 +1,7 @@
-"""An FMU in a process of its own: ChildHost, and the program that runs there.
+"""An FMU in a process of its own: ChildHost, and the program of that process.
 
-Questions and answers cross a pair of sockets. Whatever the FMU does to its process (crash, hang, exit, change
-of directory or rounding mode), ours sees a PlantError.
+Requests and answers pass through a pair of sockets. Whatever the FMU does to its process (crash, hang, exit,
+change of directory or rounding mode), our process gets a PlantError.
 """
 
 import contextlib
@@ -31,31 +31,32 @@ from plant_fmu.plant import Plant, Robot, Truth
 START_TIMEOUT_S = 60.0
 STEP_TIMEOUT_S = 5.0
 CLOSE_TIMEOUT_S = 10.0
-"""For the FMU to be freed and the interpreter to end."""
+"""Time limit for freeing the FMU and ending the interpreter."""
 _RESET: tuple[()] = ()
-"""The question for a reset; that for a step is what `FmuHost.step` takes."""
+"""Request for a reset; a request for a step has the arguments of `FmuHost.step`."""
 _LIFE_CHECK_MS = 1000
 
 
 class ChildHost:
-    """Plant in front of an FMU in a child process.
+    """Plant whose FMU runs in a child process.
 
-    Mutable state: the child process, the truth with its last answer. The child ends with us, however we end.
+    Mutable state: the child process, and the truth of its last answer. The child ends with our process,
+    however that ends.
     """
 
     def __init__(self, spec: FmuSpec) -> None:
-        """Start the child, load the FMU there, initialise. Raises PlantError with the child's reason."""
+        """Start the child; load and initialise the FMU there. Raises PlantError with the child's reason."""
         self.spec = spec
         self.internal_step_s = spec.step_s
         self._ended: str | None = None
         self._truth: Truth | None = None
-        # The child unpacks in here; whichever of us two is left removes it.
+        # The child unpacks here; the process that ends last removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         self._line, theirs = Pipe()
         self._poll = select.poll()
         self._poll.register(self._line, select.POLLIN)
         try:
-            # Standard output is ours (a summary may go there); Ctrl-C is for us to handle, hence the session.
+            # Standard output belongs to this process (e.g. a summary), and only this process handles Ctrl-C.
             self._process = start(
                 "plant_fmu.fmu.child",
                 *map(str, (theirs.fileno(), os.getpid(), self._folder.name)),
@@ -68,7 +69,9 @@ class ChildHost:
         except OSError as error:
             self._line.close()
             self._folder.cleanup()
-            raise PlantError(f"{spec.path}: no child process for the FMU: {error}") from error
+            raise PlantError(
+                f"{spec.path}: the child process of the FMU cannot be started: {error}"
+            ) from error
         finally:
             theirs.close()
         try:
@@ -97,21 +100,21 @@ class ChildHost:
             ended = f"ended itself with exit code {code}"
             how = f"died of {signal.Signals(-code).name}" if code < 0 else ended
             raise self._end(
-                f"{self.spec.path}: the FMU's process {how} when it was to {what}; "
-                f"it may have {self.spec.memory_GB:g} GB of memory (plant.model.memory_GB)"
+                f"{self.spec.path}: the FMU's process {how} during {what}; "
+                f"its memory limit is {self.spec.memory_GB:g} GB (plant.model.memory_GB)"
             ) from None
         if isinstance(answer, str):
             raise PlantError(answer)
         return answer
 
     def reset(self) -> tuple[Array, Array]:
-        """As FmuHost.reset. From here on the child has the real-time scheduling of the calling process."""
+        """`FmuHost.reset`; from here on the child has the real-time scheduling of the calling process."""
         _follow(self._process.pid)
         return self._measured(_RESET, START_TIMEOUT_S, "reset")
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """As FmuHost.step; also raises PlantError when the FMU hangs or its process dies."""
-        # Lists: an array takes ten times as long to be pickled.
+        """`FmuHost.step`; also raises PlantError when the FMU hangs or its process dies."""
+        # Lists: pickling an array takes ten times as long.
         question = force.tolist(), brake.tolist(), wrench.tolist(), dt_s
         return self._measured(question, STEP_TIMEOUT_S, "step")
 
@@ -120,17 +123,17 @@ class ChildHost:
         return np.array(measured[0]), np.array(measured[1])
 
     def truth(self) -> Truth | None:
-        """As FmuHost.truth, at no cost: it comes with every answer."""
+        """`FmuHost.truth`, without a request: every answer contains it."""
         if self._ended is not None:
             raise PlantError(self._ended)
         return self._truth
 
     def applied_force(self) -> Array | None:
-        """As FmuHost.applied_force."""
+        """`FmuHost.applied_force`."""
         return None if self._truth is None else self._truth.applied_force
 
     def close(self) -> None:
-        """Let the child free the FMU and end; stop it if it does not. A second call does nothing."""
+        """Let the child free the FMU and end; kill it after a timeout. A second call does nothing."""
         if self._line.closed:
             return
         with contextlib.suppress(OSError):  # it has ended
@@ -146,7 +149,7 @@ class ChildHost:
 
 
 def host(spec: FmuSpec) -> Plant:
-    """Load an FMU where its isolation says. Raises PlantError."""
+    """Load an FMU in this process or a child, as its isolation states. Raises PlantError."""
     return FmuHost(spec) if spec.isolation == "in_process" else ChildHost(spec)
 
 
@@ -156,15 +159,15 @@ def fmu_plant(model: FmuPlant, _: Robot, folder: Path) -> Plant:
 
 
 def _follow(child: int) -> None:
-    """Give the child our SCHED_FIFO, one priority below ours: who waits for it can stop it when it hangs.
+    """Give the child our SCHED_FIFO, one priority below ours, so that we can stop it when it hangs.
 
-    A loop that waits for a process without it waits for whatever else runs on the machine. Without the
-    right to it, or in a process that has none, the child keeps what it has.
+    Without it, a loop that waits for the child waits for everything else on the machine. The child keeps its
+    scheduling if ours is another, or the permission is missing.
     """
     if os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK != os.SCHED_FIFO:
         return
     priority = max(1, os.sched_getparam(0).sched_priority - 1)
-    with contextlib.suppress(OSError):  # it has ended, which the next question says
+    with contextlib.suppress(OSError):  # it has ended; the next request reports this
         os.sched_setscheduler(child, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
@@ -173,7 +176,7 @@ def _end_with_parent(line: Connection, parent: int, folder: str) -> None:
     closed = select.poll()
     closed.register(line, select.POLLHUP)
     while not closed.poll(_LIFE_CHECK_MS):
-        # A grandchild forked by the parent may hold its end open: look at the parent, too.
+        # Another process forked by the parent may keep that end open: check the parent, too.
         if os.getppid() != parent:
             break
     shutil.rmtree(folder, ignore_errors=True)
@@ -181,7 +184,7 @@ def _end_with_parent(line: Connection, parent: int, folder: str) -> None:
 
 
 def _bound_memory(most_GB: float) -> None:
-    """Let this process have no more memory of its own; a lower limit of the machine's stays."""
+    """Limit the private memory of this process; a lower limit of the machine stays."""
     most = round(most_GB * 1e9)
     _, allowed = resource.getrlimit(resource.RLIMIT_DATA)
     if allowed != resource.RLIM_INFINITY:
@@ -190,7 +193,7 @@ def _bound_memory(most_GB: float) -> None:
 
 
 def serve(line: Connection, parent: int, folder: str) -> None:
-    """Run in the child: load the FMU of a spec, then answer until asked to end or the parent is gone."""
+    """Run in the child: load the FMU of a spec, then answer requests until None, or the parent's end."""
     ending = threading.Thread(target=_end_with_parent, args=(line, parent, folder), daemon=True)
     ending.start()
     host: FmuHost | None = None
@@ -207,10 +210,10 @@ def serve(line: Connection, parent: int, folder: str) -> None:
             except HilError as error:
                 answer = str(error)
             except MemoryError:
-                answer = "no memory is left for the FMU's process: plant.model.memory_GB bounds it"
+                answer = "the FMU's process is out of memory; its limit is plant.model.memory_GB"
             line.send(answer)
         if host is not None:
-            with contextlib.suppress(PlantError):  # an FMU that cannot be freed goes with its process
+            with contextlib.suppress(PlantError):  # an FMU that cannot be freed ends with its process
                 host.close()
     except (EOFError, ConnectionError):  # the parent is gone
         ending.join()

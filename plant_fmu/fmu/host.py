@@ -1,6 +1,6 @@
 """FmuHost: any co-simulation FMU, 2.0 or 3.0, inside this process.
 
-The FMU shares our process: it can crash it. FMUs that we did not build belong into a child process.
+The FMU can crash this process. FMUs that we did not build belong into a child process.
 """
 
 import contextlib
@@ -35,17 +35,16 @@ def _address(fmu: Any, name: str) -> int:
 
 
 class FmuHost(PointedPlant):
-    """Plant in front of one FMU instance. Inputs that the FMU does not have are dropped.
+    """Plant of one FMU instance. Inputs that the FMU does not have are ignored.
 
     Mutable state: the FMU instance, its record with the tick count behind the communication time, the
-    transfer buffers, the inputs that the FMU holds.
-    Closing terminates and frees the instance and removes the folder that the FMU was unpacked to. That of
-    ours, which has a truth and needs no file but its library, is removed once that is loaded: a process that
-    is killed leaves nothing behind.
+    transfer buffers, the inputs that the FMU has. Closing terminates and frees the instance and removes the
+    folder with the unpacked FMU. The folder of our own FMU, which needs no file but its library, is removed
+    as soon as the library is loaded: a process that is killed leaves nothing behind.
     """
 
     def __init__(self, spec: FmuSpec) -> None:
-        """Unpack, check, load and instantiate; `reset` initialises. Raises PlantError."""
+        """Unpack, check, load, instantiate and initialise the FMU. Raises PlantError."""
         self.spec = spec
         self.internal_step_s = spec.step_s
         self._fmu: Any = None
@@ -71,7 +70,7 @@ class FmuHost(PointedPlant):
         description, folder = self._interface.description, self._folder.name
         here = Path.cwd()
         try:
-            with contextlib.redirect_stdout(sys.stderr):  # fmpy prints where it cannot fill messages in
+            with contextlib.redirect_stdout(sys.stderr):  # fmpy prints messages that it cannot format
                 self._fmu = instantiate_fmu(
                     folder,
                     description,
@@ -92,13 +91,13 @@ class FmuHost(PointedPlant):
         self._messages.append((message or b"").decode("utf-8", "replace").strip())
         del self._messages[:-_MESSAGES]
 
-    def _said(self) -> str:
+    def _reported(self) -> str:
         reported = "; ".join(m for m in self._messages if m)
         self._messages.clear()
         return f": {reported}" if reported else ""
 
     def _error(self, what: str) -> PlantError:
-        return PlantError(f"{self.spec.path}: {what}{self._said()}")
+        return PlantError(f"{self.spec.path}: {what}{self._reported()}")
 
     def _prepare_calls(self) -> None:
         face, fmu = self._interface, self._fmu
@@ -124,7 +123,7 @@ class FmuHost(PointedPlant):
         record["known"] = bool(self.spec.truth)
 
     def _refused(self, status: int, what: str) -> PlantError:
-        label = _LABELS.get(status, f"status {status}, which FMI does not have")
+        label = _LABELS.get(status, f"unknown status {status}")
         return self._error(f"the FMU refused to {what} ({label})")
 
     def _initialise(self) -> None:
@@ -162,7 +161,7 @@ class FmuHost(PointedPlant):
         except Exception as error:
             raise PlantError(
                 f"{self.spec.path}: the FMU refused parameter {start.name!r} = {values}"
-                f"{self._said() or f': {error}'}"
+                f"{self._reported() or f': {error}'}"
             ) from error
 
     def reset(self) -> tuple[Array, Array]:
@@ -198,12 +197,12 @@ class FmuHost(PointedPlant):
         return self._failed(ended, f"step from {begun_s:.9g} s by {steps * step_s:.9g} s")
 
     def moved(self) -> Moved:
-        """Return this plant by address."""
+        """Functions and context of this plant by address."""
         move, applied = fmu_call.move.address, fmu_call.applied.address
         return Moved(move, applied, data_at(self._record), self._did_not_step, self)
 
     def truth(self) -> Truth | None:
-        """Pose, twist and applied forces now; None where the FMU is not known to have them."""
+        """Pose, twist and applied forces now; None if the FMU's outputs for them are unknown."""
         if not self.spec.truth:
             return None
         if not self._record["ready"]:
@@ -211,17 +210,17 @@ class FmuHost(PointedPlant):
         return truth_of(self._outputs[fmu_call.MEASURED :].copy())
 
     def applied_force(self) -> Array | None:
-        """Return the forces behind the drives' lag; None where the FMU is not known to have them."""
+        """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
         return self._outputs[fmu_call.APPLIED :] if self.spec.truth else None
 
     def close(self) -> None:
-        """Terminate, free, unload, remove the unpacked files. A second call does nothing."""
+        """Terminate, free and unload the FMU, remove the unpacked files. A second call does nothing."""
         fmu, self._fmu = self._fmu, None
         initialised, self._record["ready"] = bool(self._record["ready"]), False
         try:
             if fmu is not None:
                 if initialised:
-                    # An FMU in its error state refuses; it is freed all the same.
+                    # An FMU in its error state refuses; it is freed anyway.
                     with contextlib.suppress(Exception):
                         fmu.terminate()
                 fmu.freeInstance()

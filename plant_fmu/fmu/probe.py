@@ -1,4 +1,4 @@
-"""What a plant does when it is pushed: whether its legs are coupled, and whether it falls without brakes."""
+"""Response of a plant to pushes, which shows if its legs are coupled and if it falls without brakes."""
 
 from typing import NamedTuple
 
@@ -9,20 +9,20 @@ from drivers.signals import LEGS
 from plant_fmu.plant import Plant
 
 COUPLED = 1e-3
-"""Legs of a platform move each other by tens of percent; single legs by nothing but rounding."""
+"""Legs of a platform move each other by tens of percent, uncoupled legs only by rounding errors."""
 
 
 class Probe(NamedTuple):
-    """How a plant answers small pushes from its initial state, brakes open."""
+    """Response of a plant to small pushes from its initial state, brakes open."""
 
     acceleration: Array
-    """(6,) m/s^2, of the legs without any force."""
+    """(6,) m/s^2, accelerations of the legs without any force."""
     mobility: Array
-    """(6, 6) 1/kg, acceleration of leg i for one N in leg j."""
+    """(6, 6) 1/kg, acceleration of leg i per force in leg j."""
 
     @property
     def uncoupled(self) -> bool | None:
-        """Tell whether each leg moves by its own force alone; None where pushes move nothing."""
+        """True if each leg moves by its own force alone; None if pushes move no leg."""
         own = np.abs(np.diag(self.mobility))
         if not own.min() > 0.0:
             return None
@@ -33,8 +33,8 @@ class Probe(NamedTuple):
 def probe(plant: Plant, force_N: float, dt_s: float) -> Probe:
     """Push each leg once by `force_N` for one step of `dt_s` s, each time from the initial state.
 
-    The mobility counts what the push adds to the motion without any force. The plant is reset before each
-    step and at the end. Raises PlantError.
+    The mobility is the difference to the motion without any force. The plant is reset before each step and at
+    the end. Raises PlantError.
     """
     open_, calm = np.zeros(LEGS), np.zeros(6)
 

@@ -1,6 +1,6 @@
-"""Which variables of an FMU look like forces, lengths, rates, brakes: a proposal for `plant.model`.
+"""A proposal for `plant.model`: variables of an FMU that look like forces, lengths, rates, brakes.
 
-Only the description is read; nothing of the FMU is loaded.
+Only the description is read; no code of the FMU is loaded.
 """
 
 import re
@@ -23,27 +23,28 @@ _ROLES = {
     ),
     "length": ("output", "m", ("length", "position", "pos", "len", "q", "l", "stroke", "x")),
 }
-"""Key -> causality, unit, words that are or end the name of such a variable; long ones may be within it."""
+"""Key -> causality, unit, and words that a name equals or ends with; a long word may also be inside the name.
+"""
 _NUMBER = re.compile(r"[_.\[(]?([0-9]{1,9})[\])]?")
-"""Of a leg; Python refuses to read one of thousands of digits."""
+"""Number of a leg; Python refuses to convert a number of thousands of digits."""
 
 
 @dataclass(frozen=True)
 class Proposal:
-    """What of an FMU may be mapped to what."""
+    """A proposed map from the keys of `plant.model` to variables of an FMU."""
 
     tool: str
-    """What made it."""
+    """Name of the authoring tool."""
     fmi: str
     needs_tool: bool
     mapped: Mapping[str, tuple[str, ...]]
-    """force, length, rate, brake -> names in leg order; a key that nothing was found for is absent."""
+    """force, length, rate, brake -> names in leg order; keys without a match are absent."""
     unstated: Mapping[str, str]
-    """Of these keys, which state no unit -> the unit that is needed."""
+    """Mapped keys whose variables declare no unit -> the required unit."""
     parameters: tuple[str, ...]
-    """Names of what can be set before it starts."""
+    """Names of the parameters that can be set before the start."""
     obstacle: str = ""
-    """Why it cannot be hosted on this machine as it is; empty where it has a binary for it."""
+    """Reason why it cannot be hosted on this machine as it is; empty if it has a binary for it."""
     variables: Sequence[str] = field(default=())
     """Inputs and outputs, one line each: causality, name, type, unit."""
 
@@ -54,12 +55,12 @@ class Proposal:
 
 
 def propose(path: Path) -> Proposal:
-    """Read an FMU's description and propose a map. Raises PlantError: none that can be hosted here."""
+    """Read an FMU's description and propose a map. Raises PlantError if the FMU cannot be read or hosted."""
     with open_archive(path) as archive:
         members = archive.namelist()
     description = described(path)
     variables = [v for v in description.modelVariables if v.type in FLOATS]
-    groups = _sixes(variables)
+    groups = _groups_of_six(variables)
     mapped: dict[str, tuple[str, ...]] = {}
     unstated: dict[str, str] = {}
     for key, role in _ROLES.items():
@@ -94,8 +95,8 @@ def _obstacle(description: Any, members: Sequence[str], path: Path) -> str:
     return ""
 
 
-def _sixes(variables: Sequence[Any]) -> list[list[Any]]:
-    """Return what comes in sixes: arrays of six elements, and names that differ by a number 0..5 or 1..6."""
+def _groups_of_six(variables: Sequence[Any]) -> list[list[Any]]:
+    """Find groups of six: arrays of six elements, and names that differ in a number 0..5 or 1..6."""
     arrays = [[v] for v in variables if v.shape and tuple(v.shape) == (6,)]
     numbered: dict[tuple[str, str, str], dict[int, Any]] = {}
     for v in variables:
@@ -109,7 +110,7 @@ def _sixes(variables: Sequence[Any]) -> list[list[Any]]:
 def _best(
     groups: list[list[Any]], causality: str, unit: str | None, words: Sequence[str]
 ) -> list[Any] | None:
-    """Return the one group that fits: by stated unit and name, then by name where none is stated."""
+    """Find the one group that fits: by declared unit and name, or by name if no unit is declared."""
     ranked: dict[int, list[list[Any]]] = {}
     for group in groups:
         first = group[0]

@@ -1,1 +1,1 @@
-"""A rehearsal bench: six emulated drives, wired as a Wiring says, before legs on trestles or a platform."""
+"""A rehearsal bench: six emulated drives, wired as a Wiring states, with legs on trestles or a platform."""

@@ -1,6 +1,6 @@
-"""The rehearsal bench: drives, cables and legs of a wiring, and the hands of who stands beside them.
+"""The rehearsal bench: drives, cables and legs of a wiring, and the hands of the operator.
 
-What it answers is the plant's truth. It knows no configuration but the figures that it is built from.
+Its answers are the plant's truth. It knows no configuration except the figures that it is built from.
 """
 
 from typing import Any, NamedTuple
@@ -25,15 +25,16 @@ from plant_fmu.rehearsal.wiring import OWN, Wiring
 TAPE_M = 2e-4
 """Standard deviation of a length that is measured by tape."""
 GAUGE_SHARE = 3e-3
-"""Standard deviation of a reading of the force gauge, as a share of it."""
+"""Standard deviation of a reading of the force gauge, as a share of the reading."""
 LEVEL = 0.3
-"""Cosine between gravity and the legs' common way below which a weight neither presses nor pulls."""
+"""Cosine between gravity and the mean direction of the legs below which a weight neither presses nor pulls.
+"""
 HAND_SHARE = 0.05
-"""A hand, with a lever where it has to, pushes with this share of the rated force."""
+"""Force of a hand, with a lever if necessary, as a share of the rated force."""
 USUAL_FRICTION = 0.001
-"""Of legs whose friction is not known, as a share of the rated force."""
+"""Friction of legs for which it is unknown, as a share of the rated force."""
 GAUGE_YIELD_M = 5e-5
-"""How far a gauge gives way under its force."""
+"""Deflection of a force gauge under its force."""
 _DAMPING_N_s2_m2 = 2_000.0
 _STEP_S = 1e-4
 
@@ -41,33 +42,33 @@ _STEP_S = 1e-4
 class TrestleLegs(UncoupledLegs):
     """Plant: six uncoupled legs on trestles, at rest, x their lengths.
 
-    A hand on a leg is a force. A lever on its brake lets it be moved anywhere. A gauge holds its end by a
-    spring.
+    A hand on a leg is a force. A lever on the brake of a leg lets the operator move it anywhere. A force
+    gauge holds the end of a leg with a spring.
     """
 
     def __init__(self, gauge_N: float, **figures: Any) -> None:
-        """Take the force at which a gauge gives way by GAUGE_YIELD_M, and fields of BENCH."""
+        """Create legs from the force at which a gauge deflects by GAUGE_YIELD_M, and fields of BENCH."""
         super().__init__(_STEP_S, damping=_DAMPING_N_s2_m2, **figures)
         self._gauge_N_m = gauge_N / GAUGE_YIELD_M
 
     def place(self, leg: int, length: float) -> None:
-        """Move a leg there, as far as it goes, with a lever on its brake."""
+        """Move a leg to a length, within its ends of travel, with a lever on its brake."""
         at = self.legs
         at["x"][leg] = min(max(length, at["shortest"][leg]), at["longest"][leg])
         at["v"][leg] = 0.0
 
     def push(self, leg: int, force: float) -> None:
-        """Lay a hand on a leg with so many N; it follows for HAND_M at most. 0 takes it away."""
+        """Push a leg by hand, in N; the hand follows for HAND_M at most. 0 takes the hand away."""
         self.legs["hand"][leg], self.legs["hand_from"][leg] = force, self.legs["x"][leg]
 
     def hold_at_gauge(self, leg: int | None) -> None:
-        """Clamp the end of a leg to the force gauge; None takes it away."""
+        """Clamp the end of a leg to the force gauge; None releases it."""
         self.legs["stiffness"] = self.legs["origin"] = 0.0
         if leg is not None:
             self.legs["stiffness"][leg], self.legs["origin"][leg] = self._gauge_N_m, self.legs["x"][leg]
 
     def gauge(self) -> float:
-        """Return what the gauge reads, N, > 0 where the leg pushes. Raises PlantError without a leg there."""
+        """Force gauge reading, N, > 0 if the leg pushes. Raises PlantError if no leg is clamped."""
         legs = self.legs
         if not legs["stiffness"].any():
             raise PlantError("rehearsal: no leg is clamped to the force gauge")
@@ -75,18 +76,18 @@ class TrestleLegs(UncoupledLegs):
 
 
 class WiredNodes(Nodes):
-    """`Nodes` whose drives are set up as a wiring has them.
+    """`Nodes` with drives that are set up as a wiring states.
 
-    What drives remember is by the number that they answer to: two with one number share it.
+    The protocol's state of drives is stored by node number: two drives with one number share it.
     """
 
     def __init__(self, wiring: Wiring, *given: Any) -> None:
-        """Take the wiring, and what `Nodes` takes."""
+        """Create nodes from the wiring and the arguments of `Nodes`."""
         self._wiring = wiring
         super().__init__(*given)
 
     def start(self, t0_ns: int) -> None:
-        """As `Nodes.start`."""
+        """`Nodes.start`, with the node numbers, watchdogs and missing drives of the wiring."""
         super().start(t0_ns)
         n, w = self._record, self._wiring
         strange, absent = np.array(w.other_protocol), ~np.array(w.present)
@@ -96,29 +97,29 @@ class WiredNodes(Nodes):
 
 
 class Stand(NamedTuple):
-    """Figures of a machine on trestles."""
+    """Data of a machine on trestles."""
 
     mass_kg: float
-    """What moves in a leg."""
+    """Moving mass of a leg."""
     friction_N: float
     brake_N: float
     length_min: float
-    """m, ends of travel as the configuration has them."""
+    """m, ends of travel in the configuration."""
     length_max: float
     base_joints: Array
     """(6, 3) m."""
     platform_joints: Array
     """(6, 3) m."""
     platform_kg: float
-    """What the platform weighs."""
+    """Mass of the platform."""
     presses: float
-    """> 0: its weight presses the legs together."""
+    """> 0: the platform's weight compresses the legs."""
 
 
 class RehearsalBench:
-    """Six drives before legs on trestles. Mutable state: the nodes, the legs, the chance of readings.
+    """Six drives with legs on trestles.
 
-    And whether the platform hangs on the legs.
+    Mutable state: the nodes, the legs, the random errors of readings, and whether the platform is mounted.
     """
 
     def __init__(
@@ -133,7 +134,7 @@ class RehearsalBench:
     ) -> None:
         self.stand, self.wiring = stand, wiring
         self.hung = False
-        """The platform hangs on the legs."""
+        """True while the platform is mounted on the legs."""
         self._rated_N = settings.force_limit_N
         stroke = stand.length_max - stand.length_min
         friction = max(stand.friction_N, USUAL_FRICTION * self._rated_N) + self._rated_N * np.array(
@@ -154,26 +155,27 @@ class RehearsalBench:
         self._chance = np.random.default_rng(seed)
 
     def behind_cables(self, plant: Plant) -> WiredPlant:
-        """Return a plant as this wiring connects it; encoders are right at the middle of the stroke."""
+        """Connect a plant to the cables of this wiring; encoders are right at the middle of the stroke."""
         middle = 0.5 * (self.stand.length_min + self.stand.length_max)
         return WiredPlant(plant, self.wiring, np.full(LEGS, middle), self._rated_N)
 
     def length(self, leg: int) -> float:
-        """Return the true length of a leg, m."""
+        """Length of a leg, m, without errors of measurement."""
         return float(self._legs.legs["x"][leg])
 
     def _read(self, value: float) -> float:
-        """Read the force gauge or the scales, at which this is."""
+        """Add the error of a reading of force gauge or scales to a true value."""
         return value * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
 
     def do(self, act: str, leg: int = -1, value: float = 0.0) -> float:
-        """Do what an operator's hands are asked for; return what they read, 0 for what is done.
+        """Execute an act of the operator; return the operator's reading, 0 for an act without one.
 
-        leg: where it is of one. value: m to `move` a leg with a lever on its brake, or the share of its
-        configured stroke to `place` it at, as far as it goes; of no use to the others. Hands push with
-        HAND_SHARE of the rated force, and read what a free leg gave way at, or what they push with while it
-        holds. `clamp` fixes a leg to the force gauge, `free` the one that is there. What is weighed is the
-        platform; `read_way` is 1 where its weight presses the legs together, -1 where it pulls, 0: neither.
+        leg: for acts on one leg. value: for `move`, m by which a lever on the brake moves the leg; for
+        `place`, the target as a share of the configured stroke, limited by the ends of travel. Hands push
+        with HAND_SHARE of the rated force. They read the force at which a free leg moves, or the force of
+        the push while the leg holds. `clamp` fixes a leg to the force gauge, `free` releases it. `weigh`
+        weighs the platform. `read_way` is 1 if the platform's weight compresses the legs, -1 if it pulls
+        them, 0 for neither.
         """
         legs, s, push = self._legs, self.stand, HAND_SHARE * self._rated_N
         match act:
@@ -213,7 +215,7 @@ class RehearsalBench:
         return 0.0
 
     def hang(self, p: Array, R: Array) -> None:
-        """Hang the platform, its legs mounted as they are, at p (3,) m, R (3, 3), or where that is."""
+        """Mount the platform at p (3,) m, R (3, 3), off by the wiring's error of the home. Moves the legs."""
         self.hung = True
         base, platform = joints_of(self.wiring, self.stand.base_joints, self.stand.platform_joints)
         there = p + np.array([0.0, 0.0, self.wiring.home_off_m])
@@ -222,7 +224,7 @@ class RehearsalBench:
 
 
 def joints_of(wiring: Wiring, base: Array, platform: Array) -> tuple[Array, Array]:
-    """Return base and platform joints (6, 3) m of the legs as they are mounted, of those they should have."""
+    """Joints of base and platform (6, 3) m to which the legs are mounted, from the correct joints."""
     radius = np.hypot(base[:, 0], base[:, 1])[:, None]
     outwards = base / np.where(radius > 0.0, radius, np.inf) * (1.0, 1.0, 0.0)
     moved = base + np.array(wiring.joint_off_m)[:, None] * outwards

@@ -1,4 +1,4 @@
-"""A plant behind wrong cables: what six drives see and do, made of what six legs do."""
+"""A plant behind wrong cables: readings and effects of six drives, derived from six legs."""
 
 from typing import Any
 
@@ -22,16 +22,15 @@ WIRES = np.dtype(
     + [(name, "<i8") for name in ("move", "context")]
     + [(name, "<f8", LEGS) for name in ("most", "stuck", "origin", "at_start", "followed")]
 )
-"""Fields of `Wiring`; brakes that each drive opens (bit i: leg i); 1 where it takes part; the plant behind
-the cables by address, `Moved`; the most force of each drive, N;
-of each leg where its brake is stuck, NaN for one that works, and the length at which a scale has no effect,
-m. State of each drive: m, what a frozen encoder reads, NaN before that is known; m, where an encoder stands
-that follows its leg with play."""
+"""Fields of `Wiring`. Bit mask of the brakes that each drive opens (bit i: leg i); 1 if the drive takes part.
+The plant behind the cables by address, see `Moved`. Largest force of each drive, N. Of each leg, the position
+of a stuck brake, NaN for one that works, and the length at which a scale has no effect, m. State of each
+drive: reading of a frozen encoder, m, NaN before it is known; position of an encoder with play, m."""
 
 
 @helper
 def _connect(w: Any, force: Array, brake: Array, at_leg: Array, held: Array) -> None:
-    """Fill in what forces (6,) N and brakes (6,) of the drives are at the legs."""
+    """Fill in forces and brakes at the legs from forces (6,) N and brakes (6,) of the drives."""
     at_leg[:], held[:] = 0.0, 1.0
     for drive in range(LEGS):
         if w.driven[drive]:
@@ -51,7 +50,7 @@ def _connect(w: Any, force: Array, brake: Array, at_leg: Array, held: Array) -> 
 
 @helper
 def _read(w: Any, length: Array, rate: Array, reads: Array, rates: Array) -> None:
-    """Fill in what encoders read, m and m/s, of legs at length (6,) m and rate (6,) m/s."""
+    """Fill in readings of the encoders, m and m/s, for legs at length (6,) m and rate (6,) m/s."""
     for drive in range(LEGS):
         leg = w.encoder[drive]
         w.followed[drive] = min(max(w.followed[drive], length[leg] - w.play_m[drive]), length[leg])
@@ -84,14 +83,17 @@ def _applied(_w: Any, _force: int) -> int:
 
 
 class WiredPlant(PointedPlant):
-    """Plant: forces and brakes of drives go to the legs that they are wired to, and encoders read theirs.
+    """Plant: forces and brakes of drives act on the legs to which they are wired, as do their encoders.
 
-    Mutable state: the plant behind the cables, from `reset` on what frozen encoders read, and where
-    those with play are.
+    Mutable state: the plant behind the cables; from `reset` on the readings of frozen encoders, and the
+    positions of encoders with play.
     """
 
     def __init__(self, plant: Plant, wiring: Wiring, origin: Array, rated_N: float = 1.0) -> None:
-        """Take the plant, lengths (6,) m of its legs at which a scale has no effect, and the rated force."""
+        """Create a wired plant.
+
+        origin: leg lengths (6,) m at which an error of scale has no effect; rated_N: rated force of a drive.
+        """
         w, self._wires = wiring, np.zeros((), WIRES)
         self._connect(plant)
         for names in _AS_WIRED.values():
@@ -109,12 +111,12 @@ class WiredPlant(PointedPlant):
         self._wires["move"], self._wires["context"] = self._behind.move, self._behind.context
 
     def exchange(self, plant: Plant) -> None:
-        """Connect the cables to another plant of the same step, which begins anew."""
+        """Connect the cables to another plant with the same step, and reset it."""
         self._connect(plant)
         plant.reset()
 
     def reset(self) -> tuple[Array, Array]:
-        """Reset the plant; lengths (6,) m and rates (6,) m/s as the encoders read them."""
+        """Reset the plant; return lengths (6,) m and rates (6,) m/s as the encoders read them."""
         self._wires["at_start"], self._wires["followed"] = np.nan, np.inf
         reads, rates = np.empty(LEGS), np.empty(LEGS)
         _read_at(self._wires, *self._plant.reset(), reads, rates)
@@ -122,16 +124,16 @@ class WiredPlant(PointedPlant):
         return reads, rates
 
     def moved(self) -> Moved:
-        """Return this plant by address."""
+        """Functions and context of this plant by address."""
         return Moved(_move.address, _applied.address, data_at(self._wires), self._refused, self)
 
     def _refused(self, status: int, force: Array, brake: Array, wrench: Array, steps: int) -> BaseException:
         return self._behind.refused(status, force, brake, wrench, steps)
 
     def truth(self) -> Truth | None:
-        """Return what the plant knows."""
+        """Truth of the plant behind the cables."""
         return self._plant.truth()
 
     def close(self) -> None:
-        """Free what the plant holds."""
+        """Free the resources of the plant behind the cables."""
         self._plant.close()

@@ -1,6 +1,6 @@
-"""What is wired to what on a rehearsal bench: the truth that a bring-up has to find out.
+"""The wiring of a rehearsal bench: the truth that a bring-up has to find.
 
-Every tuple has one element a drive, in the leg order of the configuration, unless it says a leg.
+Every tuple has one element per drive, in the leg order of the configuration, or per leg if that is stated.
 """
 
 from dataclasses import dataclass, replace
@@ -18,135 +18,154 @@ NONE = (None,) * LEGS
 
 @dataclass(frozen=True)
 class Wiring:
-    """Drives, motors, encoders, brakes and joints, as they are; by default as they should be."""
+    """Actual drives, motors, encoders, brakes and joints; the defaults are the correct ones."""
 
     motor: tuple[int, ...] = OWN
     """Leg that the motor of each drive moves."""
     encoder: tuple[int, ...] = OWN
-    """Leg that the encoder of each drive counts."""
+    """Leg that the encoder of each drive measures."""
     brake: tuple[frozenset[int], ...] = OWN_BRAKES
     """Legs whose brakes each drive opens."""
     force_gain: tuple[float, ...] = ONES
-    """N at the leg for each N that the drive believes to give."""
+    """Force at the leg per force of the drive."""
     scale: tuple[float, ...] = ONES
-    """m of reading for each m of the leg."""
+    """Change of the reading per change of the leg's length."""
     offset_m: tuple[float, ...] = ZEROS
-    """Reading less length at the middle of the stroke."""
+    """Reading minus length at the middle of the stroke."""
     rate_scale: tuple[float, ...] = ONES
-    """m/s of rate for each m/s that the reading changes by."""
+    """Measured rate per rate of change of the reading."""
     force_one_way: tuple[bool, ...] = (False,) * LEGS
-    """The drive gives no force that is below zero to its own mind."""
+    """The drive cannot give a force that is negative in its own sign."""
     force_most: tuple[float, ...] = (inf,) * LEGS
-    """Most force that the drive gives, as a share of the rated one."""
+    """Largest force of the drive, as a share of the rated force."""
     frozen: tuple[bool, ...] = (False,) * LEGS
-    """The encoder reads what it read at power-up."""
+    """The encoder keeps its reading at power-up."""
     stuck: tuple[float | None, ...] = NONE
-    """Of each leg: where its brake stays, 1 shut, 0 open; None for one that works."""
+    """Per leg: position of a stuck brake, 1 closed, 0 open; None for one that works."""
     brake_share: tuple[float, ...] = ONES
-    """Of each leg: share of its force that the brake has."""
+    """Per leg: share of its force that the brake has."""
     brake_inverted: tuple[bool, ...] = (False,) * LEGS
-    """Of each leg: its brake shuts when it should open."""
+    """Per leg: the brake closes when it should open."""
     jump_m: tuple[float, ...] = ZEROS
-    """The reading is so much more beyond the middle of the stroke."""
+    """Jump of the reading beyond the middle of the stroke."""
     stops: tuple[bool, ...] = (False,) * LEGS
-    """The reading stays that of the middle beyond it."""
+    """Beyond the middle of the stroke the reading stays that of the middle."""
     play_m: tuple[float, ...] = ZEROS
-    """The leg moves so far before the encoder follows it."""
+    """Play: motion of the leg before the encoder follows."""
     friction: tuple[float, ...] = ZEROS
-    """Of each leg: friction beyond the usual, as a share of the rated force."""
+    """Per leg: additional friction, as a share of the rated force."""
     present: tuple[bool, ...] = (True,) * LEGS
     """The drive has power and a bus."""
     answers_as: tuple[int, ...] = OWN
-    """Whose node number each drive has been given."""
+    """Leg whose node number each drive has."""
     watchdog: tuple[float, ...] = ONES
-    """Factor on the drive's watchdog; inf: it has none, and says nothing of it."""
+    """Factor on the drive's watchdog time; inf: it has no watchdog, and does not report this."""
     other_protocol: tuple[bool, ...] = (False,) * LEGS
-    """The drive speaks CANopen as delivered: a heartbeat in pre-operational, nothing else."""
+    """The drive uses CANopen as at delivery: it sends a heartbeat in pre-operational and nothing else."""
     shorter: tuple[float, ...] = ZEROS
-    """Of each leg: share of the stroke that is missing at its long end."""
+    """Per leg: share of the stroke that is missing at its long end."""
     base_joint: tuple[int, ...] = OWN
-    """Of each leg: the base joint at which it is mounted."""
+    """Per leg: the base joint at which it is mounted."""
     platform_joint: tuple[int, ...] = OWN
-    """Of each leg: the platform joint at which it is mounted."""
+    """Per leg: the platform joint at which it is mounted."""
     joint_off_m: tuple[float, ...] = ZEROS
-    """Of each leg: so far its base joint is outside of where it should be."""
+    """Per leg: distance by which its base joint is too far outwards."""
     home_off_m: float = 0.0
-    """The platform hangs so much above the known poses."""
+    """Height of the platform above its known poses."""
     payload: float = 1.0
-    """Mass and inertia of the platform are so many times what they should be."""
+    """Factor on mass and inertia of the platform."""
     gravity: float = 1.0
     """-1: the machine hangs from the ceiling."""
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One mistake of who wired the machine."""
+    """One wiring mistake."""
 
     name: str
-    """A row of MISTAKES."""
+    """Key of MISTAKES."""
     leg: int
     """Leg or drive, 0..5."""
     other: int = -1
-    """The second one where two take part."""
+    """The second leg or drive of a mistake with two."""
     third: int = -1
-    """The third one of a rotation."""
+    """The third leg or drive of a rotation."""
     value: float | None = None
-    """Size; None is the one of the table."""
+    """Size of the mistake; None: the usual size in MISTAKES."""
 
 
 MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
     "ids_swapped": (("motor", "encoder", "brake"), 2, (), "node numbers of two drives exchanged"),
-    "ids_rotated": (("motor", "encoder", "brake"), 3, (), "node numbers of three drives handed round"),
+    "ids_rotated": (("motor", "encoder", "brake"), 3, (), "node numbers rotated among three drives"),
     "motor_crossed": (("motor",), 2, (), "motor cables of two drives exchanged"),
     "encoder_crossed": (("encoder",), 2, (), "encoder cables of two drives exchanged"),
     "brake_crossed": (("brake",), 2, (), "brake cables of two drives exchanged"),
-    "brake_of_another": (("brake",), 1, (), "the drive's output opens another leg's brake, too"),
-    "mounted_elsewhere": (("base_joint",), 2, (), "two legs mounted at each other's base joint"),
-    "platform_end_elsewhere": (("platform_joint",), 2, (), "two legs at each other's platform joint"),
-    "encoder_counts_another": (("encoder",), 1, (), "an encoder counts another leg, beside that leg's own"),
+    "brake_of_another": (("brake",), 1, (), "the drive also opens the brake of another leg"),
+    "mounted_elsewhere": (("base_joint",), 2, (), "base joints of two legs exchanged"),
+    "platform_end_elsewhere": (("platform_joint",), 2, (), "platform joints of two legs exchanged"),
+    "encoder_counts_another": (
+        ("encoder",),
+        1,
+        (),
+        "an encoder measures another leg, as that leg's own does",
+    ),
     "same_id": (("answers_as",), 1, (), "a drive has the node number of another one"),
     "encoder_sign": (("scale",), 1, (-1.0, -4.0, -0.25), "the encoder counts backwards"),
-    "encoder_scale": (("scale",), 1, (2.0, 0.01, 100.0), "the encoder counts too much or too little"),
-    "rate_sign": (("rate_scale",), 1, (-1.0, -100.0, -0.01), "the rate has the other sign than the position"),
-    "rate_scale": (("rate_scale",), 1, (2.0, 0.0, 100.0), "the rate has another unit than the position"),
-    "force_one_way": (("force_one_way",), 1, (1.0,), "the motor pulls, and does not push, or the reverse"),
-    "force_saturates": (("force_most",), 1, (0.008, 0.0, 1.0), "most force, as a share of the rated one"),
-    "force_sign": (("force_gain",), 1, (-1.0, -4.0, -0.25), "motor phases exchanged: force the other way"),
+    "encoder_scale": (("scale",), 1, (2.0, 0.01, 100.0), "wrong encoder resolution"),
+    "rate_sign": (
+        ("rate_scale",),
+        1,
+        (-1.0, -100.0, -0.01),
+        "the rate has the opposite sign of the position",
+    ),
+    "rate_scale": (("rate_scale",), 1, (2.0, 0.0, 100.0), "the rate is not in the unit of the position"),
+    "force_one_way": (("force_one_way",), 1, (1.0,), "the motor can only pull, or only push"),
+    "force_saturates": (
+        ("force_most",),
+        1,
+        (0.008, 0.0, 1.0),
+        "largest force, as a share of the rated force",
+    ),
+    "force_sign": (("force_gain",), 1, (-1.0, -4.0, -0.25), "motor phases exchanged: force reversed"),
     "force_scale": (("force_gain",), 1, (0.5, 0.0, 100.0), "force too large or too small"),
-    "wrong_lead": (("scale", "force_gain"), 1, (1.25, 0.25, 4.0), "another lead or gear than the drive has"),
-    "drive_reversed": (("scale", "force_gain"), 1, (-1.0, -4.0, -0.25), "motor and encoder turned round"),
-    "encoder_frozen": (("frozen",), 1, (1.0,), "the encoder stands still"),
-    "encoder_jumps": (("jump_m",), 1, (6e-3, -0.1, 0.1), "the reading is so much more beyond mid-stroke, m"),
-    "encoder_stops": (("stops",), 1, (1.0,), "the encoder stands still beyond mid-stroke"),
+    "wrong_lead": (("scale", "force_gain"), 1, (1.25, 0.25, 4.0), "wrong lead or gear ratio"),
+    "drive_reversed": (("scale", "force_gain"), 1, (-1.0, -4.0, -0.25), "motor and encoder reversed"),
+    "encoder_frozen": (("frozen",), 1, (1.0,), "the encoder reading is frozen"),
+    "encoder_jumps": (("jump_m",), 1, (6e-3, -0.1, 0.1), "the reading jumps by this at mid-stroke, m"),
+    "encoder_stops": (("stops",), 1, (1.0,), "the encoder reading stops at mid-stroke"),
     "backlash": (("play_m",), 1, (0.005, 0.0, 0.1), "play between leg and encoder, m"),
-    "offset": (("offset_m",), 1, (0.004, -0.1, 0.1), "homed at another length, m"),
+    "offset": (("offset_m",), 1, (0.004, -0.1, 0.1), "homing error, m"),
     "brake_stuck_shut": (("stuck",), 1, (1.0,), "the brake does not open"),
-    "brake_stuck_open": (("stuck",), 1, (0.0,), "the brake does not shut"),
-    "brake_inverted": (("brake_inverted",), 1, (1.0,), "the brake shuts when it should open"),
+    "brake_stuck_open": (("stuck",), 1, (0.0,), "the brake does not close"),
+    "brake_inverted": (("brake_inverted",), 1, (1.0,), "the brake closes when it should open"),
     "brake_weak": (("brake_share",), 1, (0.01, 0.0, 1.0), "the brake has this share of its force"),
-    "friction": (("friction",), 1, (0.012, 0.0, 1.0), "friction beyond the usual, share of the rated force"),
-    "end_stop": (("shorter",), 1, (0.15, 0.0, 0.9), "an end stop in the way, share of the stroke"),
+    "friction": (("friction",), 1, (0.012, 0.0, 1.0), "additional friction, as a share of the rated force"),
+    "end_stop": (("shorter",), 1, (0.15, 0.0, 0.9), "part of the stroke is blocked, as a share of it"),
     "watchdog_missing": (("watchdog",), 1, (inf,), "the drive has no watchdog"),
-    "watchdog_long": (("watchdog",), 1, (8.0, 1.0, 100.0), "the watchdog takes so many times what was set"),
-    "watchdog_short": (("watchdog",), 1, (0.3, 0.01, 1.0), "the watchdog takes this share of what was set"),
-    "absent": (("present",), 1, (0.0,), "no power, or no bus, at a drive"),
-    "wrong_protocol": (("other_protocol",), 1, (1.0,), "the drive speaks CANopen as delivered"),
-    "joint_elsewhere": (("joint_off_m",), 1, (0.03, -0.1, 0.1), "the base joint is so much further out, m"),
-    "wrong_home": (("home_off_m",), 0, (0.015, -0.1, 0.1), "the platform hangs so much too high, m"),
-    "payload": (("payload",), 0, (2.0, 0.1, 10.0), "the platform weighs so many times what is configured"),
+    "watchdog_long": (("watchdog",), 1, (8.0, 1.0, 100.0), "factor on the watchdog time, too long"),
+    "watchdog_short": (("watchdog",), 1, (0.3, 0.01, 1.0), "factor on the watchdog time, too short"),
+    "absent": (("present",), 1, (0.0,), "a drive without power or bus"),
+    "wrong_protocol": (("other_protocol",), 1, (1.0,), "the drive uses CANopen with factory settings"),
+    "joint_elsewhere": (
+        ("joint_off_m",),
+        1,
+        (0.03, -0.1, 0.1),
+        "the base joint is too far outwards by this, m",
+    ),
+    "wrong_home": (("home_off_m",), 0, (0.015, -0.1, 0.1), "the platform is too high by this at home, m"),
+    "payload": (("payload",), 0, (2.0, 0.1, 10.0), "factor on the platform's mass and inertia"),
     "upside_down": (("gravity",), 0, (-1.0,), "the machine hangs from the ceiling"),
 }
-"""Name -> fields of Wiring that it changes, legs that take part, what it is, and its size before that.
+"""Name -> fields of Wiring that it changes, number of legs, sizes, description.
 
-One in which no leg takes part is of the whole machine. A size is the usual one, and the least and the largest
-that somebody may ask for where it can be stated.
-"""
+A mistake of 0 legs concerns the whole machine. Sizes are the usual one, and the smallest and the largest that
+can be requested, if a size can be stated."""
 OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watchdog" in fields)
 """Mistakes of drives that have a watchdog."""
 
 
 def wired(*mistakes: Mistake) -> Wiring:
-    """Return the wiring with some mistakes. Raises ValueError: unknown, or a leg that does not exist."""
+    """Wiring with some mistakes. Raises ValueError on an unknown mistake or a leg that does not exist."""
     wiring = Wiring()
     for mistake in mistakes:
         wiring = _with(wiring, mistake)
@@ -154,7 +173,7 @@ def wired(*mistakes: Mistake) -> Wiring:
 
 
 def legs_of(name: str) -> int:
-    """Return how many legs a mistake has to name: `leg`, `other`, `third`; 0: it is of the whole machine."""
+    """Legs that a mistake needs, 0 to 3: `leg`, `other`, `third`; 0: it concerns the whole machine."""
     return 2 if name in _ONTO_ANOTHER else MISTAKES[name][1]
 
 
@@ -185,5 +204,5 @@ def _with(wiring: Wiring, mistake: Mistake) -> Wiring:
 
 
 _ONTO_ANOTHER = frozenset({"encoder_counts_another", "same_id", "brake_of_another"})
-"""One leg's is that of another, which keeps its own."""
+"""Mistakes in which one leg gets the part of another leg, which keeps it."""
 _FACTORS = frozenset({"scale", "rate_scale", "force_gain", "watchdog"})

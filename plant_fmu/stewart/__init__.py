@@ -1,1 +1,1 @@
-"""The Stewart-Gough plant: physics in C (`sources`) and what wraps it into an FMU."""
+"""The Stewart-Gough plant: physics in C (`sources`), and its packaging as an FMU."""

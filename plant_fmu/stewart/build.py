@@ -1,4 +1,4 @@
-"""Makes the .fmu: finds a compiler, compiles the C sources, packs and caches."""
+"""Build of the .fmu: finds a compiler, compiles the C sources, packs and caches."""
 
 import hashlib
 import importlib.util
@@ -34,10 +34,10 @@ _ZIP_DATE = (2000, 1, 1, 0, 0, 0)
 
 
 class Target(NamedTuple):
-    """One machine that a binary is made for."""
+    """A kind of machine for which a binary is built."""
 
     zig: str
-    """Target triple for zig; without one zig compiles for the CPU at hand."""
+    """Target triple for zig; without one zig compiles for the present CPU."""
     folder: str
     suffix: str
 
@@ -52,16 +52,16 @@ TARGETS: dict[str, Target] = {
 
 
 class Compiler(NamedTuple):
-    """How to call a C compiler."""
+    """Command line of a C compiler."""
 
     command: tuple[str, ...]
     zig: bool
     identity: str
-    """What tells two compilers apart, for the cache."""
+    """Text that distinguishes compilers in the cache key."""
 
 
 def this_machine() -> str:
-    """Key of TARGETS for the running interpreter. Raises PlantError for one that we do not build for."""
+    """Key of TARGETS for this machine. Raises PlantError on an unsupported machine."""
     key = f"{sys.platform}-{platform.machine()}"
     if key not in TARGETS:
         raise PlantError(f"no FMU binary can be built for {key}; allowed are {', '.join(TARGETS)}")
@@ -77,19 +77,19 @@ def _identity(command: tuple[str, ...], argument: str) -> str | None:
 
 
 def find_compiler(*, zig: bool = False) -> Compiler:
-    """Return $CC, the system's cc, or zig from the package ziglang; only zig if asked for.
+    """Find $CC, the system's cc, or zig from the package ziglang; with `zig` only the last.
 
-    Raises PlantError with what to install when there is none.
+    Raises PlantError that says what to install if there is none.
     """
     if not zig:
         wanted = os.environ.get("CC")
         found: tuple[str, ...] = ()
-        with suppress(ValueError):  # a quotation mark without its other
+        with suppress(ValueError):  # unbalanced quotation marks
             found = tuple(shlex.split(wanted or shutil.which("cc") or ""))
         if found and (identity := _identity(found, "--version")):
             return Compiler(found, zig=False, identity=identity)
         if wanted:
-            raise PlantError(f"the compiler in CC={wanted!r} does not run; mend or unset CC")
+            raise PlantError(f"the compiler in CC={wanted!r} does not run; correct or unset CC")
     if importlib.util.find_spec("ziglang") is not None:
         command = (sys.executable, "-m", "ziglang")
         if identity := _identity(command, "version"):
@@ -115,7 +115,7 @@ def _digest(parts: dict[str, bytes]) -> str:
 
 
 def token(version: FmiVersion) -> str:
-    """Return the instantiation token: it changes with any source or description, and with nothing else."""
+    """Token of the FMU's instantiation: it changes with any source or description, and with nothing else."""
     files = _source_files(version)
     xml = model_description(version, "", [name for name in files if name.endswith(".c")])
     digest = _digest({**files, "modelDescription.xml": xml})
@@ -153,7 +153,7 @@ def _pack(
     for key, data in binaries.items():
         target = TARGETS[key]
         system, processor = key.split("-")
-        # FMI 2.0 knows no processors but x86; importers on others look in the x86 folder all the same.
+        # FMI 2.0 has folders for x86 processors only; importers on others use the x86 folder, too.
         plain = version == "2.0" and (processor == "x86_64" or len(binaries) == 1)
         folder = _PLAIN_2[system] if plain else target.folder
         members[f"binaries/{folder}/{MODEL_IDENTIFIER}{target.suffix}"] = data
@@ -166,13 +166,13 @@ def _pack(
 
 
 def build(fmi_version: FmiVersion = "3.0", out: Path | None = None, *, release: bool = False) -> Path:
-    """Return the path of our plant's FMU, compiled now or taken from the cache.
+    """Build our plant's FMU, or take it from the cache; return its path.
 
-    out: where to put a copy; None returns the cached file itself. release: binaries for all of TARGETS,
-    cross-compiled with zig; else one for this machine. The same sources and compiler give the same bytes.
+    out: path for a copy; None returns the cached file itself. release: binaries for all of TARGETS,
+    cross-compiled with zig; otherwise one for this machine. The same sources and compiler give the same
+    bytes.
 
-    Raises PlantError without a compiler, on a compilation that fails, or a cache or copy that cannot be
-    written.
+    Raises PlantError without a compiler, on a failed compilation, and if cache or copy cannot be written.
     """
     keys = list(TARGETS) if release else [this_machine()]
     compiler = find_compiler(zig=release)

@@ -9,8 +9,8 @@ from plant_fmu.stewart import variables as table
 FmiVersion = Literal["2.0", "3.0"]
 MODEL_IDENTIFIER = "stewart"
 COMPILER_OPTIONS = "-O2 -funroll-loops -ffp-contract=off -fno-math-errno -std=c99"
-"""No contraction: every machine of one family computes the same bits. No errno: a square root is one
-instruction then; nothing reads it."""
+"""No contraction: all machines of one family compute the same bits. No errno: a square root is then one
+instruction; nothing reads errno."""
 DESCRIPTION = (
     "Stewart-Gough platform with rigid-body legs, drives with force lag, brakes, friction and end stops. "
     "Forces in, leg lengths and rates out, SI units."
@@ -29,7 +29,10 @@ def _typed(
     about: dict[str, str],
     numbers: dict[str, str],
 ) -> ET.Element:
-    """Add what has a type. Tags: of FMI 2.0, where the type is an element of its own within; of FMI 3.0."""
+    """Add an element with a type.
+
+    tags: outer and inner element of FMI 2.0, where the type is an element inside; the element of FMI 3.0.
+    """
     outer, inner, whole = tags
     if version == "2.0":
         return ET.SubElement(ET.SubElement(parent, outer, about), inner, numbers)
@@ -72,10 +75,10 @@ def _value(kind: str, start: Sequence[float] | None) -> dict[str, str]:
 
 
 def model_description(version: FmiVersion, token: str, sources: Sequence[str]) -> bytes:
-    """Return modelDescription.xml.
+    """Text of modelDescription.xml.
 
-    FMI 3.0 has array variables, value reference = row of the table; FMI 2.0 one scalar ``name[i,j]`` per
-    element, reference = its place, and lists the sources.
+    FMI 3.0 has array variables, whose value reference is the row of the table. FMI 2.0 has one scalar
+    ``name[i,j]`` per element, whose reference is its place, and lists the sources.
     """
     two = version == "2.0"
     about = {
@@ -104,14 +107,14 @@ def model_description(version: FmiVersion, token: str, sources: Sequence[str]) -
         ET.SubElement(root, "CoSimulation", {**about, "fixedInternalStepSize": repr(table.INTERNAL_STEP)})
     _types(root, version)
     categories = ET.SubElement(root, "LogCategories")
-    ET.SubElement(categories, "Category", name="logStatusError", description="Why a call was refused")
+    ET.SubElement(categories, "Category", name="logStatusError", description="Reason for a refused call")
     ET.SubElement(root, "DefaultExperiment", startTime="0", stopTime="1", stepSize=repr(table.STEP_SIZE))
     _structure(root, version, _variables(root, version))
     return _text(root)
 
 
 def _variables(root: ET.Element, version: FmiVersion) -> dict[str, list[str]]:
-    """Return for each row of the table how the structure knows its elements: by index or reference."""
+    """Add the variables; return the keys of each row's elements in the structure: index or reference."""
     two = version == "2.0"
     variables = ET.SubElement(root, "ModelVariables")
     keys: dict[str, list[str]] = {}
@@ -153,7 +156,7 @@ def _structure(root: ET.Element, version: FmiVersion, keys: dict[str, list[str]]
 
 
 def build_description(sources: Sequence[str]) -> bytes:
-    """Return sources/buildDescription.xml of FMI 3.0."""
+    """Text of sources/buildDescription.xml of FMI 3.0."""
     root = ET.Element("fmiBuildDescription", fmiVersion="3.0")
     configuration = ET.SubElement(root, "BuildConfiguration", modelIdentifier=MODEL_IDENTIFIER)
     files = ET.SubElement(configuration, "SourceFileSet", language="C99", compilerOptions=COMPILER_OPTIONS)

@@ -1,4 +1,4 @@
-"""The plant's variables: one table behind both model descriptions and the C tables, which are here.
+"""Table of the plant's variables, from which model descriptions and C tables are generated.
 
 A new variable is one row here and its use in ``sources/plant.c``.
 """
@@ -76,11 +76,11 @@ class Variable(NamedTuple):
     start: tuple[float, ...] | None
     description: str
     types: tuple[str, ...] = ()
-    """Type of each element where `type` is Mixed."""
+    """Type of each element if `type` is Mixed."""
     depends: tuple[str, ...] = ()
     """Inputs that an output depends on directly."""
     behind: tuple[str, ...] = ()
-    """Parameters that an output's initial value depends on; all where none is listed."""
+    """Parameters that an output's initial value depends on; empty: all."""
     causality: Causality = "output"
 
     @property
@@ -185,7 +185,7 @@ def element_name(variable: Variable, element: int) -> str:
 
 
 def header() -> str:
-    """Return model.h."""
+    """Text of model.h."""
     values = "\n".join(f"    double {v.name}{f'[{v.size}]' if v.shape else ''};" for v in VARIABLES)
     return f"""/* Generated from the variable table. */
 #ifndef STEWART_MODEL_H
@@ -217,7 +217,7 @@ extern const char TOKEN[];
 
 
 def tables(token: str) -> str:
-    """Return model.c with the given instantiation token."""
+    """Text of model.c with the given instantiation token."""
     rows = []
     for v, end in zip(VARIABLES, accumulate(v.size for v in VARIABLES), strict=True):
         low, high = TYPES[v.type].min, TYPES[v.type].max

@@ -1,4 +1,4 @@
-"""What the page on the bring-up quotes of a rehearsal is what it says."""
+"""The output quoted in the guide on bring-up is that of the rehearsal."""
 
 import re
 import shlex
@@ -11,7 +11,7 @@ from hil.cli import main
 PAGE = (Path(__file__).parents[2] / "docs/guides/bringup.md").read_text()
 
 
-def test_the_finding_on_the_page_is_the_one_of_its_rehearsal(tmp_path, monkeypatch):
+def test_quoted_finding_is_that_of_the_rehearsal(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (command,) = re.findall(r"^hil (bringup virtual --rehearse --yes --mistake .*)$", PAGE, re.MULTILINE)
     (quoted,) = re.findall(r"```text\n(.*?)\n```", PAGE, re.DOTALL)

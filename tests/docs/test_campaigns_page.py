@@ -1,4 +1,4 @@
-"""The campaign that the page on campaigns begins with runs, and makes what the page says."""
+"""The first campaign in the guide on campaigns runs with the stated result."""
 
 import re
 from pathlib import Path
@@ -12,7 +12,7 @@ from hil.study.campaign.figures import METRICS
 PAGE = (Path(__file__).parents[2] / "docs/guides/campaigns.md").read_text()
 
 
-def test_the_first_campaign_of_the_page_runs(tmp_path, monkeypatch):
+def test_first_campaign_of_the_guide_runs(tmp_path, monkeypatch):
     example = re.search(r"Write `first.yaml`:\n\n```yaml\n(.*?)```", PAGE, re.DOTALL)
     assert example is not None
     monkeypatch.chdir(tmp_path)
@@ -26,6 +26,6 @@ def test_the_first_campaign_of_the_page_runs(tmp_path, monkeypatch):
     assert Path("first/report.html").is_file()
 
 
-def test_the_page_names_every_metric():
+def test_guide_lists_every_metric():
     section = PAGE.partition("## What is measured")[2].partition("\n## ")[0]
     assert set(re.findall(r"`([a-zA-Z_]+)`", section)) >= set(METRICS)

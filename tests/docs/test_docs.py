@@ -1,4 +1,4 @@
-"""The documentation speaks of things that exist."""
+"""Modules, files and tests named in the documentation exist, and its examples are right."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FILE = re.compile(
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_name_in_a_page_exists(page):
+def test_every_module_and_file_named_in_a_page_exists(page):
     text = page.read_text()
     wrong = {}
     for name in NAME.findall(text):
@@ -36,7 +36,7 @@ def test_every_name_in_a_page_exists(page):
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
-def test_every_test_in_a_page_exists(page):
+def test_every_test_named_in_a_page_exists(page):
     named = TEST.findall(page.read_text())
     missing = [(file, name) for file, name in named if name not in functions(ROOT / file)]
     assert not missing
@@ -53,8 +53,8 @@ def functions(file):
     [page for page in PAGES if EXAMPLE.search(page.read_text())],
     ids=lambda page: page.relative_to(ROOT).as_posix(),
 )
-def test_the_examples_of_a_page_give_what_it_shows(page):
-    """All of one page in order, with one set of names."""
+def test_examples_of_a_page_give_the_shown_output(page):
+    """All examples of one page in order, in one namespace."""
     text = "\n".join(EXAMPLE.findall(page.read_text()))
     examples = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
     assert examples.examples
@@ -64,7 +64,7 @@ def test_the_examples_of_a_page_give_what_it_shows(page):
     assert not heard, "".join(heard)
 
 
-def test_the_tree_on_the_map_has_one_line_for_every_room():
+def test_architecture_page_lists_every_package():
     tree = (ROOT / "docs/guides/architecture.md").read_text().split("```")[1]
     rooms = {line.split()[0] for line in tree.splitlines() if line.strip()}
     there = {

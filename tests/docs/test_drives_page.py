@@ -1,4 +1,4 @@
-"""The blocks of the page about drives, each pasted into a configuration that `hil new` has written."""
+"""Each block of the guide on drives, pasted into a configuration from `hil new`, works."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ ROBOT = (
 
 
 def sections(text: str) -> dict[str, str]:
-    """Return the top sections of a YAML text by name, as they stand."""
+    """Top sections of a YAML text by name, unchanged."""
     return {
         found.group(1): found.group()
         for found in re.finditer(r"^(\w+):.*\n(?:(?:[ #].*)?\n)*", text, re.MULTILINE)
@@ -43,7 +43,7 @@ def sections(text: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def new(tmp_path_factory):
-    """The text of a new robot's configuration: our own protocol at 1 kHz on CAN FD."""
+    """Text of a new robot's configuration: our own protocol at 1 kHz on CAN FD."""
     file = tmp_path_factory.mktemp("new") / "my.yaml"
     assert CliRunner().invoke(main, ["new", str(file), *ROBOT.split()]).exit_code == 0
     return file.read_text(encoding="utf-8")
@@ -61,7 +61,7 @@ def test_every_family_has_a_block():
 
 
 @pytest.mark.parametrize("name", broad(BLOCKS, quick=2))
-def test_a_block_in_the_file_of_a_new_robot_passes_check(name, new):
+def test_block_pasted_into_a_new_configuration_passes_check(name, new):
     c = loads(pasted(new, BLOCKS[name]), f"{name}.yaml")
     assert c.drives.protocol == yaml.safe_load(BLOCKS[name])["drives"]["protocol"]
     told = inspect(c).warnings
@@ -69,7 +69,7 @@ def test_a_block_in_the_file_of_a_new_robot_passes_check(name, new):
 
 
 @pytest.mark.parametrize("name", broad(BLOCKS, quick=1))
-def test_with_a_block_a_new_robot_follows_its_path_parks_and_replays(name, new, tmp_path):
+def test_new_robot_with_a_block_follows_its_path_parks_and_replays(name, new, tmp_path):
     c = loads(pasted(new, BLOCKS[name]), f"{name}.yaml")
     summary = simulate(c, log=tmp_path / "run.mcap", duration_s=3.0)
     assert summary["success"], summary

@@ -1,4 +1,4 @@
-"""The masters of the page about foreign controllers move the drives that `hil plant` serves."""
+"""The masters in the guide on foreign controllers move the drives of `hil plant`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
 from tests import foreign_plant
-from tests.serving import serving
+from tests.plant_thread import serving
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs/guides/foreign-controllers.md").read_text(encoding="utf-8")
@@ -32,7 +32,7 @@ MOVED_m = 0.02
 
 
 def configuration(family: str, folder: Path, fmu: Path | None) -> Configuration:
-    """configs/bench.yaml with the sections of the page for a family, an FMU in place of the springs."""
+    """configs/bench.yaml with the guide's sections for a family, optionally an FMU in place of the springs."""
     blocks = re.findall(r"```yaml\n(.*?)```", PAGE, re.DOTALL)
     (block,) = (each for each in blocks if f"protocol: {family}" in each)
     changes: dict[str, Any] = yaml.safe_load(block)
@@ -46,14 +46,14 @@ def configuration(family: str, folder: Path, fmu: Path | None) -> Configuration:
 
 @pytest.fixture(scope="module")
 def foreign(tmp_path_factory):
-    """An FMU of somebody else's making: Python behind FMI 2.0, without units."""
+    """A third-party FMU: Python behind FMI 2.0, without units."""
     pytest.importorskip("pythonfmu.builder")
     return foreign_plant.built(tmp_path_factory.mktemp("fmu"))
 
 
 @pytest.fixture(autouse=True)
 def patient_masters(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let masters wait for an answer as long as a busy machine may need: the package gives up after 0.2 s."""
+    """Raise the masters' timeouts of 0.2 s to what a busy machine may need."""
     monkeypatch.setattr("canopen.sdo.client.SdoClient.RESPONSE_TIMEOUT", 5.0)
     for wait in ("CHECK_TPDO", "SWITCH_STATE_SINGLE", "SWITCH_STATE_FINAL", "SWITCH_OP_MODE"):
         monkeypatch.setattr(f"canopen.profiles.p402.BaseNode402.TIMEOUT_{wait}", 5.0)
@@ -69,7 +69,7 @@ def moved_mm(output: str) -> list[float]:
 
 
 def at_rest(nodes: Nodes) -> Snapshot:
-    """Wait until the brakes have closed."""
+    """State of the drives after the brakes have closed."""
     end = time.monotonic() + 5.0
     while not (snapshot := nodes.snapshot()).brake.all():
         assert time.monotonic() < end, snapshot
@@ -78,7 +78,7 @@ def at_rest(nodes: Nodes) -> Snapshot:
 
 
 def read_by_canopen() -> float:
-    """Return the length of leg 4 that the position of its drive is, m: 0.02 m a turn, 1.6 m at zero."""
+    """Length of leg 4 from its drive's position, m: 0.02 m per turn, 1.6 m at zero."""
     import canopen  # noqa: PLC0415 - an extra
 
     network = canopen.Network(bus=can.Bus(CHANNEL, "localcan", ignore_config=True))
@@ -90,7 +90,7 @@ def read_by_canopen() -> float:
 
 
 def read_by_moteus() -> list[float]:
-    """Return the lengths of all legs, m."""
+    """Lengths of all legs, m."""
     import moteus  # type: ignore[import-untyped]  # noqa: PLC0415 - an extra
 
     async def read() -> list[float]:
@@ -118,7 +118,7 @@ CASES = [
 
 @pytest.mark.realtime(patient=True)
 @pytest.mark.parametrize(("family", "plant"), CASES)
-def test_a_foreign_master_moves_its_legs_and_reads_their_lengths(
+def test_foreign_master_moves_its_legs_and_reads_their_lengths(
     tmp_path, monkeypatch, capsys, request, family, plant
 ):
     program, legs, read, resolution_m = MASTERS[family]

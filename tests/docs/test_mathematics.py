@@ -1,4 +1,4 @@
-"""Equations of the pages: accents on top, indices at the side, brackets that grow, fractions as written."""
+"""Equations of the pages: accents on top, indices at the side, growing brackets, fractions as written."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def tree(equation):
 
 
 def shape(element):
-    """An equation as nested tuples of tags, leaves as their texts."""
+    """An equation as nested tuples of tags, with texts as leaves."""
     children = tuple(map(shape, element))
     tag = element.tag.removeprefix(NAMESPACE)
     return (tag, *children) if children else (element.text or "")
@@ -58,19 +58,22 @@ def test_accents_are_on_top_and_indices_at_the_side(equation, expected):
         (r"\left(\frac{a}{b}\right)", {"(": "true", ")": "true"}),
     ],
 )
-def test_brackets_grow_with_what_is_tall_between_them(equation, grows):
+def test_brackets_grow_around_tall_content(equation, grows):
     found = {e.text: e.get("stretchy") for e in tree(equation).iter(NAMESPACE + "mo") if e.text in "()[]|"}
     assert found == grows
 
 
-def test_fractions_of_the_pages_are_read_as_written():
-    """A fraction without braces begins with a digit: then two are mended, and one before braces is read rightly."""
+def test_fractions_without_braces_begin_with_a_digit():
+    """A fraction without braces must begin with a digit.
+
+    The translator then reads both arguments correctly.
+    """
     short = re.compile(r"\\[td]?frac\s*(?![{\s]|\d\s*[\d{])(\S+)")
     assert not {page.name: found for page in PAGES if (found := short.findall(page.read_text()))}
 
 
 @pytest.mark.long
-def test_the_documentation_builds_without_a_warning(tmp_path):
+def test_documentation_builds_without_warnings(tmp_path):
     command = [sys.executable, "-m", "sphinx", "-b", "html", "-W", "--keep-going", "-q"]
     folders = ["-d", str(tmp_path / "trees"), str(ROOT / "docs"), str(tmp_path / "html")]
     done = subprocess.run(

@@ -1,4 +1,4 @@
-"""The packages of the pages on laws and on drive families run, replay and pass the contract suites."""
+"""The packages in the guides on laws and drive families run, replay and pass the contract suites."""
 
 import os
 import re
@@ -25,17 +25,17 @@ assert run.summary["rejected_frames"] == 0
 
 
 class Package:
-    """What `hil new KIND NAME` writes, as an installation leaves it on the path; blocks of its page by caption."""
+    """A package written by `hil new KIND NAME`, installed on the path, and the code blocks of its guide by caption."""
 
     def __init__(self, kind: str, name: str, page: str, folder: Path) -> None:
-        """Write the package."""
+        """Write and install the package."""
         self.blocks = dict(BLOCK.findall((ROOT / "docs/guides" / page).read_text()))
         self.files = {path.name: path for path in write_skeleton(kind, name, folder)}
         self.folder = folder / name
         self.install()
 
     def install(self) -> None:
-        """Leave on the path what an installation does."""
+        """Write the metadata that an installation leaves on the path."""
         project = tomllib.loads(self.files["pyproject.toml"].read_text())["project"]
         installed = self.folder / f"{project['name']}-{project['version']}.dist-info"
         installed.mkdir()
@@ -46,7 +46,7 @@ class Package:
         (installed / "entry_points.txt").write_text("\n".join(lines))
 
     def run(self, code: str) -> str:
-        """Run Python code where the package is installed; standard output."""
+        """Run Python code with the package installed; return standard output."""
         here = os.environ | {"PYTHONPATH": f"{self.folder}{os.pathsep}{ROOT}"}
         command = [sys.executable, "-c", code]
         done = subprocess.run(command, cwd=self.folder, env=here, capture_output=True, text=True, check=False)
@@ -62,9 +62,9 @@ def package(request, tmp_path_factory):
     return Package(request.param, *PAGES[request.param], tmp_path_factory.mktemp("page"))
 
 
-def test_the_package_of_the_page_runs_and_replays(package):
+def test_package_of_the_guide_runs_and_replays(package):
     package.run(package.blocks["simulation"] + SUCCESS)
 
 
-def test_the_package_of_the_page_passes_the_contract_suite(package):
+def test_package_of_the_guide_passes_the_contract_suite(package):
     assert re.search(r"^\d+ passed", package.run(CONTRACT), re.MULTILINE)

@@ -1,4 +1,4 @@
-"""The examples on the page about references are sections that load, pass the checks, and are all there are."""
+"""The guide on references has a valid example of every kind."""
 
 import re
 from pathlib import Path
@@ -30,7 +30,7 @@ def test_every_kind_has_one_example_and_a_line_in_the_table():
 
 
 @pytest.mark.parametrize("example", EXAMPLES, ids=KINDS)
-def test_an_example_loads_and_passes_the_checks(example, tmp_path):
+def test_example_loads_and_passes_the_checks(example, tmp_path):
     (tmp_path / "path.csv").write_text(PATH)
     virtual = load("virtual").text
     first, last = virtual.index("\nreference:") + 1, virtual.index("\nlimits:") + 1

@@ -1,4 +1,4 @@
-"""The commands of the page on what-ifs, comparisons and folders of logs run in their order."""
+"""The commands in the guide on what-if, comparisons and log folders run in their order."""
 
 import re
 import shlex
@@ -13,7 +13,7 @@ PAGE = (Path(__file__).parents[2] / "docs/guides/what-if.md").read_text()
 
 
 @pytest.mark.long
-def test_the_commands_of_the_page_run_in_their_order(tmp_path, monkeypatch):
+def test_commands_of_the_guide_run_in_their_order(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (block,) = re.findall(r"```sh\n(.*?)```", PAGE, re.DOTALL)
     lines = block.splitlines()

@@ -1,4 +1,4 @@
-"""CiA 402 drives of the tests: a screw of 20 mm, 2^17 counts a turn, 9 N m of rated torque."""
+"""CiA 402 drives for tests: a screw of 20 mm, 2^17 counts per turn, rated torque 9 N m."""
 
 from typing import Any
 
@@ -32,7 +32,7 @@ def settings(**changes) -> TransmissionSettings:
 
 
 def made(node_ids: Any, gear: TransmissionSettings, **given: Any) -> Cia402Protocol:
-    """Return the codec of drives with keys of the section `drives`, the others in their options."""
+    """Codec from keys of the section `drives` (force_limit_N, heartbeat_ms) and options (all others)."""
     options: dict[str, Any] = {"rated_torque_Nm": RATED_Nm}
     own: dict[str, Any] = {key: given.pop(key) for key in ("force_limit_N", "heartbeat_ms") if key in given}
     bus = BusSettings(layout="classic")
@@ -56,7 +56,7 @@ DEVICE_STATES = {
 
 
 def changed(memory: Remembered, leg: int, objects: Any = None, **fields: Any) -> Remembered:
-    """Return the memory of six drives with other objects and fields of one of them."""
+    """Memory of six drives with changed objects and fields of one drive."""
     rows = memory.state.copy()
     for key, value in (objects or {}).items():
         rows[leg]["values"][PLACE[key]] = value
@@ -67,7 +67,7 @@ def changed(memory: Remembered, leg: int, objects: Any = None, **fields: Any) ->
 
 
 def holding(protocol: Any, states: Any) -> Remembered:
-    """Return the memory of six drives that hold our set-up, in the contract's states (6,)."""
+    """Memory of six configured drives in these DriveStates (6,)."""
     memory = Remembered(memory_of(drives_end(protocol)))
     setup = DriveSetup(1.0, Reaction.BRAKE, 100.0)
     for leg, steps in enumerate(protocol.plans(setup)):

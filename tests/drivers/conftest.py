@@ -1,4 +1,4 @@
-"""A runtime folder for each test of a bus, and participants and processes on its localcan channel `t`."""
+"""A runtime folder for each test of a bus; participants and processes on its localcan channel `t`."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def join(runtime: Path) -> Iterator[Callable[..., Participant]]:
 
 @pytest.fixture
 def child(runtime: Path) -> Iterator[Callable[[str], subprocess.Popen[str]]]:
-    """Start a process that is on the channel as `node` and runs code; it is killed at the end."""
+    """Start a process that joins the channel as `node` and runs code; it is killed at the end."""
     with ExitStack() as stack:
 
         def begin(code: str) -> subprocess.Popen[str]:

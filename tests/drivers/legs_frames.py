@@ -1,4 +1,4 @@
-"""The own protocol frame by frame."""
+"""The protocol `legs` frame by frame."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from drivers.tick_columns import Record, new_record
 from hil.contracts.drives_end import answers, go_back, memory_of
 from hil.contracts.messages import DeviceMessage, Sync, hear
 from plant_fmu.drives import drives_end
-from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.drives.codec import DrivesEnd
 
 SETUP = DriveSetup(0.01, Reaction.BRAKE, 1000.0)
 COUNTER_AT = {0x100: 6, 0x101: 6, 0x110: 24, 0x120: 48}
-"""Byte of the counter of each command; in the lower half of it in layout ideal."""
+"""Byte of the counter in each command; in layout ideal its lower half."""
 
 
 def bitwise_crc(data: bytes, width: int) -> int:
-    """CRC-8 of SAE J1850 or CRC-16/M17 (width 8 or 16), divided bit by bit as a shift register does."""
+    """CRC-8 of SAE J1850 or CRC-16/M17 (width 8 or 16), divided bit by bit as in a shift register."""
     polynomial, final = {8: (0x1D, 0xFF), 16: (0x5935, 0)}[width]
     register = (1 << width) - 1
     for byte in data:
@@ -37,7 +37,7 @@ def bitwise_crc(data: bytes, width: int) -> int:
 
 
 def resealed(frame: Frame, at: int, changed: bytes) -> Frame:
-    """A frame with other bytes from `at` on and the right check behind them."""
+    """A frame with other bytes from `at` on and a correct check."""
     data, lead = bytearray(frame.data), bytes([frame.id % 256, frame.id // 256])
     data[at : at + len(changed)] = changed
     if frame.id == 0x110:
@@ -49,7 +49,7 @@ def resealed(frame: Frame, at: int, changed: bytes) -> Frame:
 
 @cache
 def _controller(protocol: Any) -> tuple[ControllerEnd, Any]:
-    """Return a controller's end and its dialogue at the start: listeners decode thousands of frames a second."""
+    """Controller's end and its initial dialogue; cached, as some tests decode thousands of frames."""
     end = protocol.controller_end(SETUP)
     return end, end.remembered()
 
@@ -63,7 +63,7 @@ def _drives(protocol: Any) -> tuple[DrivesEnd, Any]:
 def decode(
     protocol: Any, frames: Sequence[Received], tick: int, last: Record | None = None, since_ns: int = ALWAYS
 ) -> Any:
-    """Return the record of a tick with what the drives said since the last one, FIRST if there is none."""
+    """Record of a tick with the drives' frames since `last`; None: since FIRST."""
     record = new_record()
     record["tick"] = tick
     end, start = _controller(protocol)
@@ -73,17 +73,15 @@ def decode(
 
 
 def opening(protocol: Any, tick: int) -> tuple[Frame, ...]:
-    """Return the frames that start a tick."""
     return sent_frames(_controller(protocol)[0].begin(tick))
 
 
 def command_frames(protocol: Any, sent: Command, tick: int) -> tuple[Frame, ...]:
-    """Return the frames of a command."""
     return sent_frames(_controller(protocol)[0].give(sent, tick))
 
 
 def heard(protocol: Any, frame: Frame, present: int = -1) -> tuple[DeviceMessage, ...]:
-    """Return what the drives make of a frame after the SYNC `present` on each bus; -1: after none."""
+    """Messages of the drives for a frame after the SYNC `present` on each bus; -1: before any SYNC."""
     end, start = _drives(protocol)
     start["present"] = present
     go_back(end, start)
@@ -91,7 +89,7 @@ def heard(protocol: Any, frame: Frame, present: int = -1) -> tuple[DeviceMessage
 
 
 def parse(protocol: Any, frame: Frame, present: int | None = None) -> DeviceMessage | None:
-    """Return what the drives make of a frame after the SYNC `present`; None: that of a command itself."""
+    """Message of the drives for a frame after the SYNC `present`; None: the counter of the command itself."""
     if present is None:
         at = COUNTER_AT.get(frame.id, len(frame.data))
         present = frame.data[at] if at < len(frame.data) else -1
@@ -103,6 +101,6 @@ def parse(protocol: Any, frame: Frame, present: int | None = None) -> DeviceMess
 def one_feedback(
     protocol: Any, leg: int, length: float, rate: float, force: float, state: int, counter: int
 ) -> Frame:
-    """Return one drive's feedback to the SYNC with a counter."""
+    """Feedback of one drive to the SYNC with a counter."""
     l, dl, f = (np.full(LEGS, value, float) for value in (length, rate, force))
     return answers(protocol, Sync(counter), l, dl, f, np.full(LEGS, state, np.int64))[leg][1]

@@ -1,6 +1,7 @@
-"""Random commands and replies of moteus, and the digests of what the vendor's package makes of them.
+"""Random moteus commands and replies, and digests of their bytes and values in the vendor's package.
 
-Run with the package installed, `python -m tests.drivers.moteus_foreign` writes tests/data/drives/moteus_random.json.
+With the package installed, `python -m tests.drivers.moteus_foreign` writes
+tests/data/drives/moteus_random.json.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ FILE = Path(__file__).parents[1] / "data" / "drives" / "moteus_random.json"
 
 
 def single(value: float) -> float:
-    """Return the nearest float32: what both are given, so that neither rounds."""
+    """Nearest float32, an exact input for both codecs."""
     return float(struct.unpack("<f", struct.pack("<f", value))[0])
 
 
 def commands() -> Iterator[tuple[int, float, float, float]]:
-    """Yield id, torque N m, most torque N m and watchdog s."""
+    """Yield id, torque N m, torque limit N m and watchdog s."""
     r = random.Random(7)
     for _ in range(COUNT):
         yield (
@@ -37,7 +38,7 @@ def commands() -> Iterator[tuple[int, float, float, float]]:
 
 
 def replies() -> Iterator[bytes]:
-    """Yield payloads of replies at every width, the NaN codes and NOPs among them."""
+    """Yield reply payloads of every width, with NaN codes and NOPs among them."""
     r = random.Random(11)
     forms = ("b", "h", "i", "f")
     for _ in range(COUNT):
@@ -54,12 +55,11 @@ def replies() -> Iterator[bytes]:
 
 
 def line(mode: float, position: float, velocity: float, torque: float, fault: float) -> str:
-    """Return what a reply says as a line."""
+    """Values of a reply as a line."""
     return f"{mode:g} {position:.9g} {velocity:.9g} {torque:.9g} {fault:g}\n"
 
 
 def digest(parts: Iterable[bytes]) -> str:
-    """Return the SHA-256 of all parts, one after the other."""
     whole = hashlib.sha256()
     for part in parts:
         whole.update(part)
@@ -67,7 +67,6 @@ def digest(parts: Iterable[bytes]) -> str:
 
 
 def foreign_command(package: Any, node: int, torque: float, most: float, timeout_s: float) -> Any:
-    """Return the package's command."""
     return package.Controller(id=node).make_position(
         position=float("nan"),
         velocity=0.0,
@@ -81,14 +80,13 @@ def foreign_command(package: Any, node: int, torque: float, most: float, timeout
 
 
 def foreign_line(package: Any, data: bytes) -> str:
-    """Return what the package reads in a reply."""
+    """Values that the vendor's package reads in a reply, as a line."""
     said = package.parse_reply(data) if hasattr(package, "parse_reply") else package.moteus.parse_reply(data)
     r = package.Register
     return line(*(float(said[each]) for each in (r.MODE, r.POSITION, r.VELOCITY, r.TORQUE, r.FAULT)))
 
 
 def write() -> None:
-    """Write the digests of the package that is installed."""
     moteus: Any = import_module("moteus")
 
     FILE.write_text(

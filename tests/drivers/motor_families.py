@@ -1,4 +1,4 @@
-"""The families of single-motor drives by value, and what one frame of such a drive says."""
+"""The families of single-motor drives by value, and the content of one frame of such a drive."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import memory_of
 from hil.contracts.messages import Sync
-from plant_fmu.drives.ends import DrivesEnd
+from plant_fmu.drives.codec import DrivesEnd
 
 GEAR = Transmission(TransmissionSettings(lead_m=0.1, sign=[1, -1, 1, -1, 1, -1], offset_m=1.75))
 UNIT = Transmission(TransmissionSettings(lead_m=1.0))
@@ -39,7 +39,7 @@ UNLIKE_GEAR = TransmissionSettings(
 )
 UNLIKE = Transmission(UNLIKE_GEAR)
 RANGES = Ranges(95.5, 400.0, 144.0)
-"""Wide enough for the contract's legs of 1.5 to 2 m and 6 kN, behind a lead of 0.1 m."""
+"""Wide enough for the contract's legs of 1.5 to 2 m and 6 kN with a lead of 0.1 m."""
 ALL_NODES = (1, 2, 3, 4, 5, 6)
 MIT_NODES = (1, 2, 3, 4, 5, 15)
 ROBSTRIDE_NODES = (1, 2, 3, 4, 5, 127)
@@ -48,10 +48,10 @@ MOTEUS_NODES = (1, 2, 3, 4, 5, 126)
 
 
 class Heard(NamedTuple):
-    """What one frame of a drive says; None and False: it says nothing of it.
+    """Content of one frame of a drive; None and False: not in this frame.
 
-    Motion in turns and turns/s, torque in N m, power as DriveState OFF (disabled), RUN (enabled) or FAULT, fault as
-    DriveFault or the family's own, answer as register and value of the start-up dialogue.
+    Motion in turns and turns/s, torque in N m, power as DriveState OFF (disabled), RUN (enabled) or FAULT,
+    fault as DriveFault or the family's own code, answer as register and value of the start-up dialogue.
     """
 
     leg: int
@@ -66,11 +66,9 @@ class Heard(NamedTuple):
 
 
 class MotorMemory(Remembered):
-    """What six drives remember."""
-
     @property
     def asked(self) -> tuple[tuple[int, tuple[tuple[int, int], ...]], ...]:
-        """Who wants which registers of each drive, with their widths."""
+        """For each drive, the host that requests registers, and these registers with their widths."""
         d = self.state
         return tuple(
             (host, tuple(zip(d["wanted"][leg, :n].tolist(), d["widths"][leg, :n].tolist(), strict=True)))
@@ -79,7 +77,7 @@ class MotorMemory(Remembered):
 
 
 def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
-    """Return the measurement of the tick before, each leg with numbers of its own."""
+    """Measurement of the tick before, with different numbers for each leg."""
     last = new_record()
     last["tick"], last["age"] = number, age
     last["length"] = [2.1, 2.2, 2.3, 2.4, 2.5, 2.6]
@@ -91,8 +89,6 @@ def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
 
 
 class Motors(ByValue):
-    """Such a family."""
-
     def _dialogue(self, end: ControllerEnd, setup: DriveSetup | None) -> Remembered:
         return Remembered(end.remembered(), setup, "mode")
 
@@ -100,7 +96,7 @@ class Motors(ByValue):
         return MotorMemory(memory_of(end))
 
     def hear(self, frame: Frame) -> Any:
-        """Return what a drive's frame says as `Heard`; None for an unknown frame."""
+        """Content of a drive's frame as `Heard`; None for an unknown frame."""
         heard = self.protocol._heard(frame)
         if heard is None:
             return None
@@ -118,14 +114,13 @@ class Motors(ByValue):
         )
 
     def poll(self, dialogue: Remembered, leg: int) -> Frame:
-        """Return what one drive is sent in a tick."""
         into = np.empty(LEGS, FRAME)
         kernels.begin(self._end(dialogue).state, 0, data_at(into))
         return sent_frames(into)[leg]
 
 
 def pack_command(position: float, velocity: float, kp: float, kd: float, torque: float, r: Ranges) -> bytes:
-    """Return the eight bytes of a command: 16, 12, 12, 12 and 12 bits, most significant first."""
+    """Eight bytes of a command: 16, 12, 12, 12 and 12 bits, most significant first."""
     number = code(position, -r.position, r.position, 16)
     for x, low, high in (
         (velocity, -r.velocity, r.velocity),
@@ -138,7 +133,7 @@ def pack_command(position: float, velocity: float, kp: float, kd: float, torque:
 
 
 def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, float]:
-    """Return position rad, velocity rad/s, kp, kd and torque N m of the eight bytes of a command."""
+    """Position rad, velocity rad/s, kp, kd and torque N m in the eight bytes of a command."""
     number = int.from_bytes(data, "big")
     p, *others = (
         number >> 48,
@@ -153,7 +148,7 @@ def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, 
 
 
 def made(protocol: str, nodes: Any, gear: Any, options: dict[str, Any], **drives: float) -> Any:
-    """Return the codec of such drives behind a gear; made with one that carries any force."""
+    """Codec of such drives behind a gear, created with another gear that allows any force."""
     light = TransmissionSettings(lead_m=1e-9)
     given = DriveSettings(protocol=protocol, transmission=light, options=options)
     section = given.model_copy(update={"node_ids": list(nodes), **drives})
@@ -164,8 +159,6 @@ def made(protocol: str, nodes: Any, gear: Any, options: dict[str, Any], **drives
 
 
 class MitProtocol(Motors):
-    """MIT framing on 11-bit identifiers."""
-
     def __init__(self, variant: str, ranges: Ranges, nodes: Any, host: int, gear: Any) -> None:
         model = next(iter(VARIANTS[variant].models))
         keys = dict(zip(("position_rad", "velocity_rad_s", "torque_N_m"), ranges, strict=True))
@@ -179,29 +172,23 @@ def _mini_cheetahs(r: Ranges) -> MitProtocol:
 
 
 def read_reply(data: bytes, r: Ranges) -> tuple[float, float, float]:
-    """Return rad, rad/s and N m that the controller reads in five bytes of a reply."""
+    """Position rad, velocity rad/s and torque N m that the controller reads in five bytes of a reply."""
     heard = _mini_cheetahs(r).hear(Frame(0, b"\1" + data))
     return heard.motion[0] * TURN, heard.motion[1] * TURN, heard.torque
 
 
 class RobStrideProtocol(MitProtocol):
-    """RobStride's."""
-
     def __init__(self, ranges: Ranges, nodes: Any, host: int, gear: Any) -> None:
         super().__init__("robstride", ranges, nodes, host, gear)
 
 
 class ODriveProtocol(Motors):
-    """ODrive's."""
-
     def __init__(self, nodes: Any, watchdog_s: float, gear: Any, unasked_s: float = 0.0) -> None:
         options = {"encoder_msg_rate_ms": round(1e3 * unasked_s)}
         super().__init__(made("odrive", nodes, gear, options, watchdog_ms=1e3 * watchdog_s))
 
 
 class MoteusProtocol(Motors):
-    """moteus'."""
-
     def __init__(self, nodes: Any, host: int, mode: Reaction, most: float, gear: Any) -> None:
         word = "stopped" if mode == Reaction.BRAKE else "zero_velocity"
         options = {"host_id": host, "timeout_mode": word, "torque_N_m": most}
@@ -209,7 +196,7 @@ class MoteusProtocol(Motors):
 
 
 def mit(variant: str, gear: Any = GEAR) -> MitProtocol:
-    """Return drives of a variant with 11-bit identifiers; those of a Damiao answer on 16 and their number."""
+    """Drives of a variant with 11-bit identifiers; a Damiao answers on 16 plus its number."""
     return MitProtocol(variant, RANGES, MIT_NODES, 16 if variant == "damiao" else 0, gear)
 
 
@@ -226,7 +213,6 @@ def moteus(gear: Any = GEAR, most_Nm: float = 1000.0) -> MoteusProtocol:
 
 
 def motors(gear: Any) -> dict[str, Any]:
-    """Return each family of single-motor drives behind a gear."""
     found: dict[str, Any] = {name: mit(name, gear) for name in ("mini_cheetah", "cubemars", "damiao")}
     return found | {"robstride": robstride(gear), "odrive": odrive(gear), "moteus": moteus(gear)}
 
@@ -239,7 +225,7 @@ LATE = SINCE_NS - 1
 
 
 def begun(protocol: Motors, **fields: Any) -> Remembered:
-    """Return the dialogue of drives that are set up and disabled, with other fields."""
+    """Dialogue of drives that are set up and disabled, with changed fields."""
     start = protocol.start(DriveSetup(0.05, protocol.traits.reactions[0], 250.0))
     set_up = tuple(1 + n for n in start.exchanges)
     return start._replace(**{"done": set_up, "power": (int(DriveState.OFF),) * LEGS} | fields)
@@ -252,7 +238,7 @@ def measured(
     number: int = 13,
     **fields: Any,
 ) -> tuple[Any, Remembered]:
-    """Return a tick and the dialogue after these frames; one with a time came then, the others in time."""
+    """Tick and dialogue after these frames; a pair has the time of a late frame, the others are in time."""
     timed: list[Any] = [each if type(each) is tuple else (SINCE_NS, each) for each in frames]
     tick = new_record()
     tick["tick"] = number
@@ -272,7 +258,7 @@ _MOTEUS = moteus(UNIT, 2.0)
 
 
 def asked(data: bytes) -> tuple[tuple[int, int], ...]:
-    """Return the registers that a frame asks for, each with its width."""
+    """Registers that a frame requests, each with its width."""
     memory, _ = _MOTEUS.parse(_MOTEUS.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
     registers: tuple[tuple[int, int], ...] = memory.asked[0][1]
     return registers
@@ -281,7 +267,6 @@ def asked(data: bytes) -> tuple[tuple[int, int], ...]:
 def replied(
     data: bytes, turns: float = 0.5, speed: float = -1.0, torque: float = 1.5, state: int = DriveState.RUN
 ) -> bytes:
-    """Return the drive's answer to a frame."""
     memory, _ = _MOTEUS.parse(_MOTEUS.power_up(), Frame(0x8001, data, EXTENDED | FD | BRS))
     length, force = np.full(6, turns) * UNIT.m_per_turn, np.full(6, torque) * UNIT.N_per_Nm
     rate, states = np.full(6, speed) * UNIT.m_per_turn, np.full(6, state, np.int64)
@@ -290,7 +275,7 @@ def replied(
 
 
 def registers(data: bytes, kind: int) -> dict[int, float] | None:
-    """Return values of the subframes of a kind (WRITE, REPLY), NaN where unknown; None for a cut frame."""
+    """Values in the subframes of a kind (WRITE, REPLY), NaN where unknown; None for a truncated frame."""
     names = tuple(range(0x180))
     values = np.full(len(names), np.nan)
     has = read_subframes(data, len(data), kind, names, values)

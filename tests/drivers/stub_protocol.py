@@ -1,8 +1,8 @@
-"""A drive family of the tests, with nothing in common with our own but the contract.
+"""A drive family for tests that shares only the contract with the real families.
 
-29-bit identifiers, one per kind and node. Three exchanges set a node up. No SYNC and no counter: a drive
-answers its poll, in two frames, and the poll carries the command of the last tick. Heartbeats carry fault
-codes of the drives' own.
+29-bit identifiers, one per kind and node. Three exchanges set a node up. There is no SYNC and no counter: a
+drive answers its poll in two frames, and the poll carries the command of the last tick. Heartbeats carry the
+drives' own fault codes.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from drivers.frame_array import FRAME, NO_FRAMES, received_frames, sent_array
 from drivers.protocol import ERROR, EXTENDED, REMOTE, SINGLE, DriveSetup, Frame, Resolution, Traits
 from drivers.signals import INVALID, LEGS, NEVER, DriveMode, DriveState, Reaction
 from drivers.tick_columns import Record, tick_at
-from plant_fmu.drives import ends
-from plant_fmu.drives.ends import MESSAGE, READING, DrivesEnd
+from plant_fmu.drives import codec
+from plant_fmu.drives.codec import MESSAGE, READING, DrivesEnd
 
 STOP, POLL, PLACE, LOAD, SET, DONE, BEAT = range(7)
 """Kinds of frames, in the order of arbitration."""
@@ -38,7 +38,7 @@ MAGIC = 0x5E7
 RETRY = 10
 """Ticks after which a request without an answer is repeated."""
 OWN_FAULTS = 0x7300
-"""Added to a DriveFault: the code of the drives' own."""
+"""Offset from a DriveFault to the drives' own code."""
 _FIELDS = {
     STOP: struct.Struct("<"),
     POLL: struct.Struct("<Bf"),
@@ -50,11 +50,11 @@ _FIELDS = {
 }
 _STEP_m = 1e-7
 MOST_SET_UP = 2
-"""Frames of a tick."""
+"""Most frames of the set-up in a tick."""
 
 
 class StubDialogue(NamedTuple):
-    """The controller's end: what each exchange sets, which are confirmed, ticks of requests, the next polls."""
+    """State of the controller: values of the exchanges, those confirmed, ticks of requests, the next polls."""
 
     values: tuple[int, ...]
     done: tuple[int, ...]
@@ -63,7 +63,7 @@ class StubDialogue(NamedTuple):
 
 
 class StubMemory(NamedTuple):
-    """The drives' end: one element a drive; polls heard, of which none is a repetition."""
+    """State of the drives, one element per drive; `polls` counts polls received, none of them a repetition."""
 
     done: tuple[int, ...]
     watchdog_us: tuple[int, ...]
@@ -75,7 +75,7 @@ def _put(values: tuple[int, ...], leg: int, value: int) -> tuple[int, ...]:
 
 
 class InPython(Pointed):
-    """A function of integers, as compiled passes call one by its address. It may not raise."""
+    """A function of integers that compiled passes call by its address. It must not raise."""
 
     def __init__(self, function: Callable[..., int], arguments: int) -> None:
         address, self.keeps = of_python(function, *[INTEGER] * arguments)
@@ -83,12 +83,10 @@ class InPython(Pointed):
 
 
 UNUSED = np.dtype([("unused", "<i8")])
-"""A record of which nothing is used: the stub has its state in Python."""
+"""An unused record: the stub has its state in Python."""
 
 
 class StubProtocol(Family):
-    """The stub's tables."""
-
     def __init__(self, node_ids: list[int]) -> None:
         super().__init__(node_ids)
         self.refuse_nodes(0, MAX_NODE, "the stub")
@@ -133,7 +131,7 @@ class StubProtocol(Family):
         return self.frame(PLACE, leg, *steps), self.frame(LOAD, leg, float(np.clip(force, -1e9, 1e9)), state)
 
     def read(self, frame: Frame) -> tuple[int, int, tuple[float, ...] | None] | None:
-        """Return kind, leg and fields; no fields for a wrong length, None for a foreign frame."""
+        """Kind, leg and fields; fields None for a wrong length, all None for a foreign frame."""
         if not frame.flags & EXTENDED or frame.flags & (REMOTE | ERROR | 0xFF00):
             return None
         if frame.id not in self._meaning:
@@ -275,9 +273,9 @@ class StubDrives(DrivesEnd):
             return
         kind, leg, fields = read
         if fields is None:
-            self.put(ends.REJECTED)
+            self.put(codec.REJECTED)
         elif kind == STOP:
-            self.put(ends.STOP, (leg,))
+            self.put(codec.STOP, (leg,))
         elif kind == POLL:
             self._on_poll(leg, int(fields[0]), fields[1])
         else:
@@ -285,23 +283,23 @@ class StubDrives(DrivesEnd):
 
     def _on_poll(self, leg: int, mode: int, force: float) -> None:
         if mode >= len(DriveMode) or not isfinite(force):
-            self.put(ends.REJECTED)
+            self.put(codec.REJECTED)
             return
         count = self.memory.polls[leg] + 1
         self.memory = self.memory._replace(polls=_put(self.memory.polls, leg, count))
-        self.put(ends.COMMAND, (leg,), mode, count, force)
-        self.put(ends.SYNC, (leg,))
+        self.put(codec.COMMAND, (leg,), mode, count, force)
+        self.put(codec.SYNC, (leg,))
 
     def _on_set(self, leg: int, step: int, value: int) -> None:
         memory, fits = self.memory, (value == MAGIC, value > 0, value < len(Reaction))
         if step >= EXCHANGES or step > memory.done[leg] or not fits[step]:
-            self.put(ends.REJECTED)
+            self.put(codec.REJECTED)
             return
         memory = memory._replace(done=_put(memory.done, leg, step + 1))
         if step == 1:
             memory = memory._replace(watchdog_us=_put(memory.watchdog_us, leg, value))
         if step == EXCHANGES - 1:
-            self.put(ends.CONFIGURE, (leg,), value, 1000 * memory.watchdog_us[leg])
+            self.put(codec.CONFIGURE, (leg,), value, 1000 * memory.watchdog_us[leg])
         self.memory = memory
         self.say(leg, self._protocol.frame(DONE, leg, step))
 
@@ -325,7 +323,7 @@ class StubDrives(DrivesEnd):
 
 
 def stub(bus: BusSettings, drives: DriveSettings) -> StubProtocol:
-    """Return the codec of a configuration: the stub's row."""
+    """Codec of a configuration: the entry point of the stub."""
     if bus.layout == "ideal":
         raise ConfigurationError("bus.layout: allowed with the stub: classic, fd, given: ideal")
     if drives.options:

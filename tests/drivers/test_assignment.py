@@ -1,4 +1,4 @@
-"""Assignments to slices inside kernels: as NumPy does them."""
+"""Assignments to slices inside kernels give the results of NumPy."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ def arrays():
     return np.zeros(6), np.arange(6.0) + 1.0, np.zeros((6, 6)), k, n
 
 
-def test_every_kind_of_index_and_value_gives_what_numpy_gives():
+def test_every_index_and_value_gives_the_result_of_numpy():
     compiled, plain = arrays(), arrays()
     assigned(*compiled)
     assign(*plain)

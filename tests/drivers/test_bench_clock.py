@@ -1,4 +1,4 @@
-"""The clock of a virtual bench: when its time stands still, for whom, and for how long."""
+"""Clock of a virtual bench: when time stands still, for which participant, and for how long."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from drivers.can.localcan.bench_clock import DISMISS_NS
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
-from tests.drivers.frames_heard import got
+from tests.drivers.received_frames import got
 
 pytestmark = [pytest.mark.usefixtures("runtime"), pytest.mark.realtime]
 WAKE_NS, WORK_NS = 1_000_000, 2_000_000
@@ -20,14 +20,14 @@ HOLDS = "clock.holds = True\n"
 
 @pytest.fixture
 def held(join):
-    """Return the clock of a participant on whose wire time may stand still, and who holds it."""
+    """Clock of a participant that holds time, on a wire where time may stand still."""
     node = join()
     node.clock.begin(WAKE_NS, WORK_NS)
     node.clock.holds = True
     return node.clock
 
 
-def test_time_stands_for_a_late_participant_and_goes_on_from_there(held, join):
+def test_time_stands_still_for_a_late_participant_and_then_resumes(held, join):
     viewer = join().clock
     held.working()
     due = held.now() + WORK_NS
@@ -43,7 +43,7 @@ def test_time_stands_for_a_late_participant_and_goes_on_from_there(held, join):
     assert 0.025e9 < held.stretched() < 1e9
 
 
-def test_time_stands_for_the_earliest_of_several(held, join):
+def test_time_stands_still_at_the_earliest_due_of_several(held, join):
     second = join().clock
     second.holds = True
     second.waiting(held.now() + 10_000_000)
@@ -52,14 +52,14 @@ def test_time_stands_for_the_earliest_of_several(held, join):
     stood = held.now()
     time.sleep(0.01)
     assert held.now() == stood
-    held.working()  # it is not the one that time stands for
+    held.working()  # time does not stand still for this one
     assert held.now() == stood
     second.working()
     assert held.now() >= stood
     assert held.stretched() > 0.02e9
 
 
-def test_a_sleeper_does_not_come_back_before_its_bench_time(held, child, join):
+def test_sleep_does_not_end_before_its_bench_time(held, child, join):
     child(HOLDS + f"clock.working(); time.sleep(0.05); clock.waiting(clock.now() + {10**9}); time.sleep(5)")
     time.sleep(0.02)
     assert held.now() == held.now()
@@ -69,7 +69,7 @@ def test_a_sleeper_does_not_come_back_before_its_bench_time(held, child, join):
     assert time.monotonic() - begun > 0.02, "time stood still for the other one"
 
 
-def test_the_time_of_a_killed_process_goes_on_at_once(held, child):
+def test_time_resumes_at_once_after_a_holder_is_killed(held, child):
     other = child(HOLDS + "clock.working(); print('on', flush=True); time.sleep(30)")
     assert other.stdout.readline() == "on\n"
     os.kill(other.pid, signal.SIGKILL)
@@ -78,7 +78,7 @@ def test_the_time_of_a_killed_process_goes_on_at_once(held, child):
     assert time.monotonic() - begun < 0.2
 
 
-def test_a_stopped_process_is_dismissed_and_may_come_back(held, child):
+def test_stopped_process_is_dismissed_and_may_hold_time_again(held, child):
     other = child(
         HOLDS
         + "clock.working(); os.kill(os.getpid(), signal.SIGSTOP); clock.working(); print('on', flush=True);"
@@ -98,7 +98,7 @@ def test_a_stopped_process_is_dismissed_and_may_come_back(held, child):
     assert held.now() == stood, "it holds time again"
 
 
-def test_a_foreign_sender_ends_the_standing_still_and_a_listener_does_not(held, join):
+def test_sender_that_does_not_hold_time_ends_all_standstills(held, join):
     stranger = join()
     got(stranger.receive())
     assert not held.interrupted
@@ -114,8 +114,8 @@ def test_a_foreign_sender_ends_the_standing_still_and_a_listener_does_not(held, 
 
 
 @pytest.mark.long
-def test_time_runs_backwards_for_nobody(held, child):
-    """Two processes that hold time raise, lower and break their promises; a third one looks on."""
+def test_time_never_runs_backwards_for_any_participant(held, child):
+    """Two processes that hold time raise, lower and break their promises; a third one reads the clock."""
     code = """
 import random
 random.seed({})
@@ -138,7 +138,7 @@ while True:
     assert all(other.poll() is None for other in others)
 
 
-def test_a_participant_sleeps_until_its_time_and_does_not_spin(join):
+def test_sleep_until_a_bench_time_does_not_spin(join):
     clock = join().clock
     begun, worked = time.monotonic_ns(), time.process_time()
     clock.sleep_until(clock.now() + 60_000_000)

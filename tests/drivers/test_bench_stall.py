@@ -1,4 +1,4 @@
-"""Bench time that stands still for a late participant: when the others go on without it."""
+"""Standstill of bench time for a late participant: when the others continue without it."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from drivers.can.localcan.layout import SLOT, SLOT_SERIAL, SLOTS, SLOTS_AT
 
 MS = 1_000_000
 OWN, OTHER = SLOTS + 3, SLOTS + 7
-"""Serial numbers of the participant that looks on, and of the late one."""
+"""Serial numbers of the participant that reads the clock, and of the late one."""
 
 
 @pytest.fixture
 def looks(monkeypatch):
-    """Look at a clock that stands for the other one; return at which look it was dismissed first, 0: none."""
+    """Function that reads the halted clock; it gives the number of the reading that dismissed, 0: none."""
     words = np.zeros(SLOTS_AT + SLOTS * SLOT, np.int64)
     words[SLOTS_AT + OTHER % SLOTS * SLOT + SLOT_SERIAL] = OTHER
     wire: Any = SimpleNamespace(words=words, ring=lambda serial: serial == OTHER)
@@ -44,12 +44,12 @@ def looks(monkeypatch):
 
 
 @pytest.mark.parametrize("stall_ms", [3, 250, 251, 10_000])
-def test_a_stall_of_the_whole_machine_dismisses_nobody(looks, stall_ms):
+def test_stall_of_the_whole_machine_dismisses_no_participant(looks, stall_ms):
     assert looks(1, MS) == 0
     assert looks(100, stall_ms * MS) == 0
 
 
-def test_a_late_participant_is_dismissed_after_250_ms_in_which_others_run(looks):
+def test_late_participant_is_dismissed_after_others_ran_for_250_ms(looks):
     assert looks(101, MS) == 0
-    assert looks(1, 10_000 * MS) == 0, "a stall counts as one look"
+    assert looks(1, 10_000 * MS) == 0, "a stall counts as one reading"
     assert looks(300, MS) == 149, "100 ms, 2 ms and 149 ms"

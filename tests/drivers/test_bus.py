@@ -1,4 +1,4 @@
-"""Buses opened as the configuration has them: frames, roles, refusals, several channels at once."""
+"""Buses opened from the configuration: frames, roles, refusals, several channels at once."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from drivers.config import BusSettings
 from drivers.errors import BusError, RunError
 from drivers.frame_array import sent_array
 from drivers.protocol import BRS, ERROR, FD, Frame
-from tests.drivers.frames_heard import got, soon
+from tests.drivers.received_frames import got, soon
 
 LOCAL = BusSettings(interface="localcan", channel="t")
 GROUP = f"239.74.163.{2 + os.getpid() % 250}"
 CHANNEL = f"of-{os.getpid()}"
-"""A role on either is one of the whole machine: no other process has it."""
+"""Names of this process only: roles on these interfaces hold for the whole machine."""
 CHANNELS = ("a", "b", "c")
 pytestmark = pytest.mark.usefixtures("runtime")
 
@@ -32,7 +32,7 @@ def local(channel: str) -> BusSettings:
 
 
 def three(**options: dict[str, Any]) -> BusSettings:
-    """Three channels of two legs each; `options` of some of them."""
+    """Three channels of two legs each, with `options` by channel."""
     channels = [
         {"channel": name, "legs": [2 * k, 2 * k + 1], "options": options.get(name, {})}
         for k, name in enumerate(CHANNELS)
@@ -44,7 +44,7 @@ def three(**options: dict[str, Any]) -> BusSettings:
 
 
 def test_frames_and_error_frames_are_distinguished():
-    """The classes of an error can be the number of an identifier: 0x80 is a bus error, and SYNC."""
+    """The class of an error can equal an identifier: 0x80 is a bus error, and SYNC."""
     with Bus.open(LOCAL, "controller") as a, Bus.open(LOCAL, "plant") as b:
         a.send(sent_array([Frame(0x80, b"", ERROR)]))
         time.sleep(0.005)
@@ -93,7 +93,7 @@ def test_udp_multicast_carries_frames_and_stays_on_this_machine():
         ({"channel": "t", "options": {"colour": 1}}, ["colour", "spin_us, tx_limit"]),
     ],
 )
-def test_a_bus_that_cannot_be_opened_is_refused_and_its_role_is_free(settings, words):
+def test_bus_that_cannot_open_is_refused_and_leaves_its_role_free(settings, words):
     for _ in range(2):
         with pytest.raises(BusError) as caught:
             Bus.open(BusSettings.model_validate(settings), "controller")
@@ -123,7 +123,7 @@ def test_a_second_controller_is_refused_until_the_first_is_killed(interface):
 
 
 @pytest.mark.parametrize("interface", ["socketcan", "kvaser", "udp_multicast"])
-def test_a_role_on_hardware_is_one_of_the_whole_machine(monkeypatch, tmp_path, interface):
+def test_role_on_hardware_holds_for_the_whole_machine(monkeypatch, tmp_path, interface):
     held = RoleLock(interface, CHANNEL, "plant")
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))  # as another user or a service has it
     try:
@@ -145,7 +145,7 @@ def test_a_role_on_hardware_is_one_of_the_whole_machine(monkeypatch, tmp_path, i
 
 
 @pytest.mark.parametrize("role", ["controller", "plant"])
-def test_a_role_is_taken_and_given_back_on_every_bus(role):
+def test_role_is_taken_and_released_on_every_bus(role):
     with Bus.open(three(), role):
         for channel in CHANNELS:
             with pytest.raises(RunError, match=f"localcan:{channel} .*{role}.*{os.getpid()}"):
@@ -156,7 +156,7 @@ def test_a_role_is_taken_and_given_back_on_every_bus(role):
 
 
 @pytest.mark.parametrize("bad", CHANNELS)
-def test_where_one_bus_does_not_open_the_others_are_left(bad):
+def test_if_one_bus_does_not_open_the_others_are_closed(bad):
     with Bus.open(local(bad), "plant"), pytest.raises(RunError, match=f"localcan:{bad} .*plant"):
         Bus.open(three(), "plant").close()
     with pytest.raises(BusError, match="colour"):

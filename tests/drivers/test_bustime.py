@@ -1,4 +1,4 @@
-"""Bus time against the closed forms, bit streams built by hand, and a bit-by-bit arbitration."""
+"""Bus time against closed forms, bit streams built by hand, and bitwise arbitration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.errors import BusError, ConfigurationError
 from drivers.legs.protocol import LegsProtocol
 from drivers.protocol import BRS, ERROR, EXTENDED, FD, REMOTE, Frame
 from hil.app.configuration.bus_budget import budget
-from tests.drivers.arbitrated import arbitrate
+from tests.drivers.arbitration_queue import arbitrate
 
 CLASSIC_1M = BitTiming(1_000_000, 1_000_000)
 FD_1M_5M = BitTiming(1_000_000, 5_000_000)
@@ -32,12 +32,12 @@ FD_1M_5M = BitTiming(1_000_000, 5_000_000)
         (12, FD | BRS | EXTENDED, (57, 154)),
     ],
 )
-def test_a_frame_has_its_bits_at_each_rate_at_worst(length, flags, bits):
+def test_frame_has_these_worst_case_bits_at_each_rate(length, flags, bits):
     assert frame_bits(length, flags) == bits
 
 
 @pytest.mark.parametrize(("length", "bits"), [(8, 135), (4, 95), (0, 55), (1, 65)])
-def test_classic_worst_case_is_that_of_davis_2007(length, bits):
+def test_classic_worst_case_equals_davis_2007(length, bits):
     # R. Davis et al., Real-Time Systems 35 (2007), eq. 1: 55 + 10 s bits for 11-bit identifiers
     assert 55 + 10 * length == bits
     assert frame_bits(length, 0) == (bits, 0)
@@ -45,7 +45,7 @@ def test_classic_worst_case_is_that_of_davis_2007(length, bits):
     assert frame_bits(length, EXTENDED) == (80 + 10 * length, 0)
 
 
-def test_three_tick_layouts_take_the_time_of_the_design():
+def test_three_tick_layouts_take_their_designed_bus_time():
     eight, four = Frame(1, bytes(8)), Frame(1, bytes(4))
     assert budget([eight] * 12, CLASSIC_1M, 500).total_ns == 1_620_000
     assert budget([eight] * 2 + [four] * 6, CLASSIC_1M, 500).total_ns == 840_000
@@ -128,7 +128,7 @@ def test_no_classic_bit_stream_is_longer_than_the_worst_case(id_, extended, data
     assert actual <= bound
     stuffed = (54 if extended else 34) + 8 * len(data[:n])
     assert actual >= bound - (stuffed - 1) // 4
-    # ISO 11898-1: 44 bits beside the data, 64 with a long identifier, and the interframe space
+    # ISO 11898-1: 44 bits next to the data, 64 with a long identifier, and the interframe space
     least = (64 if extended else 44) + 8 * len(data[:n]) + 3
     assert frame_time_ns(len(data[:n]), EXTENDED if extended else 0, CLASSIC_1M, least=True) == 1000 * least
     assert least <= actual
@@ -142,7 +142,7 @@ def test_no_fd_bit_stream_takes_longer_than_the_worst_case(id_, extended, data, 
     assert slow <= slow_bound
     assert slow + fast <= slow_bound + fast_bound
     assert slow * 5 + fast <= slow_bound * 5 + fast_bound
-    # what straddles the rates was counted at the slow one: 1 us for 0.2 us
+    # the bits between the rates count at the slow one: 1 us instead of 0.2 us
     assert (
         frame_time_ns(n, FD | BRS | (EXTENDED if extended else 0), FD_1M_5M, least=True)
         <= 1000 * slow + 200 * fast - 800
@@ -151,12 +151,12 @@ def test_no_fd_bit_stream_takes_longer_than_the_worst_case(id_, extended, data, 
 
 
 @pytest.mark.parametrize(("flags", "us"), [(0, 111), (EXTENDED, 131), (FD, 158), (FD | BRS, 54.8)])
-def test_the_shortest_frame_has_no_stuff_bits_but_the_fixed_ones(flags, us):
+def test_shortest_frame_has_only_the_fixed_stuff_bits(flags, us):
     length = 12 if flags & FD else 8
     assert frame_time_ns(length, flags, FD_1M_5M, least=True) == 1000 * us
 
 
-def test_a_frame_has_one_of_the_lengths_of_its_kind():
+def test_frame_lengths_are_padded_or_refused():
     assert FD_LENGTHS == (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
     padded = {n: min(each for each in FD_LENGTHS if each >= n) for n in range(65)}
     assert all(frame_bits(n, FD | BRS) == frame_bits(padded[n], FD | BRS) for n in range(65))
@@ -171,13 +171,13 @@ def test_the_shortest_time_is_rounded_down_and_the_longest_up():
     assert frame_time_ns(0, 0, slow) == 339_312, "55 bits take 339 311.38 ns"
 
 
-def test_worst_case_is_nearly_reached():
+def test_real_bit_streams_nearly_reach_the_worst_case():
     # identifier 0x078 and 0x78 bytes repeat 0000 1111: a stuff bit every fourth bit
     streams = [classic_length(0x078, False, bytes([byte] * 8)) for byte in (0x3C, 0x78, 0x0F, 0xC3)]
     assert max(streams) >= 135 - 4
 
 
-def test_overload_is_refused_with_the_arithmetic():
+def test_overload_is_refused_and_shows_the_calculation():
     many = [Frame(1, bytes(8))] * 12
     with pytest.raises(ConfigurationError) as caught:
         budget(many, CLASSIC_1M, 1000, 70).require(either_layout=True)
@@ -208,7 +208,7 @@ def field(id_: int, flags: int) -> list[int]:
 
 
 @given(headers(), headers())
-def test_priority_is_what_wired_and_decides(a, b):
+def test_priority_agrees_with_bitwise_arbitration(a, b):
     first, second = field(*a), field(*b)
     for x, y in zip(first, second, strict=False):
         if x != y:
@@ -223,7 +223,7 @@ def test_priority_cases_by_hand():
     assert priority(0x100 << 18 | 5, EXTENDED) < priority(0x101, 0)
 
 
-def test_lowest_identifier_wins_among_those_queued_when_the_bus_falls_free():
+def test_lowest_identifier_queued_before_the_bus_is_free_wins():
     # 0x300 has the idle bus; 0x200 and 0x100 wait for its end; 0x050 comes too late for that and is next
     queued = [(0, 0x300, 0, 100), (10, 0x200, 1, 100), (20, 0x100, 2, 100), (101, 0x050, 3, 100)]
     sent, free = arbitrate(queued, 0, 10_000)
@@ -231,7 +231,7 @@ def test_lowest_identifier_wins_among_those_queued_when_the_bus_falls_free():
     assert free == 400
 
 
-def test_only_what_has_begun_is_decided():
+def test_only_frames_that_have_begun_are_decided():
     queued = [(0, 5, 0, 100), (0, 4, 1, 100), (0, 3, 2, 100)]
     assert arbitrate(queued, 0, 0) == ([(2, 100)], 100)
     assert arbitrate(queued, 0, 99) == ([(2, 100)], 100)
@@ -241,7 +241,7 @@ def test_only_what_has_begun_is_decided():
 
 
 @given(st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 5), st.integers(1, 200)), max_size=20))
-def test_the_bus_never_idles_while_a_frame_waits_and_sends_the_best_first(frames):
+def test_bus_never_idles_and_sends_the_highest_priority_first(frames):
     queued = [(t, key, i, duration) for i, (t, key, duration) in enumerate(frames)]
     random.Random(0).shuffle(queued)
     by_number = {q[2]: q for q in queued}
@@ -261,7 +261,7 @@ def test_the_bus_never_idles_while_a_frame_waits_and_sends_the_best_first(frames
     st.lists(st.tuples(st.integers(0, 1000), st.integers(0, 5), st.integers(1, 200)), max_size=20),
     st.lists(st.integers(0, 2000), max_size=5),
 )
-def test_looking_in_between_changes_nothing(frames, looks):
+def test_intermediate_polls_do_not_change_the_arbitration(frames, looks):
     queued = [(t, key, i, duration) for i, (t, key, duration) in enumerate(frames)]
     at_once, _ = arbitrate(queued, 100, 1 << 40)
     assert len(at_once) == len(queued)

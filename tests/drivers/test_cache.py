@@ -1,4 +1,4 @@
-"""Compiled kernels: where they are kept, when a kept one is used, and that it is whole."""
+"""Cache of compiled kernels: its place, when a cached kernel is used, and detection of damage."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def fourfold(x):
 
 def test_a_kernel_is_compiled_once_for_all_processes(tmp_path):
     (tmp_path / "kernels_of_a_test.py").write_text(KERNELS)
-    time.sleep(0.1)  # else they count as saved meanwhile
+    time.sleep(0.1)  # otherwise they would count as saved meanwhile
     search = os.pathsep.join([str(tmp_path), str(ROOT)])
     environment = os.environ | {"XDG_CACHE_HOME": str(tmp_path), "PYTHONPATH": search}
     command = [sys.executable, "-c", PROGRAM]
@@ -71,11 +71,11 @@ def with_kernels() -> set[str]:
     return names
 
 
-def test_every_file_with_kernels_is_compiled_ahead():
+def test_every_file_with_kernels_is_precompiled():
     assert with_kernels() <= set(modules())
 
 
-def test_all_sources_of_a_kernel_lie_in_its_room_and_those_below():
+def test_all_sources_of_a_kernel_are_in_its_room_or_below():
     graph = grimp.build_graph(*PACKAGES)
     for name in with_kernels():
         own = (ROOT / name.replace(".", "/")).with_suffix(".py")
@@ -95,12 +95,12 @@ def imported(name: str, file: Path) -> Any:
 
 
 class Package:
-    """A package of a user's own, and a cache of its own. State: what was compiled in the last process."""
+    """A user's package with a cache of its own. State: compilations in the last process."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
         self.patch, self.folder, self.compiled = monkeypatch, folder, list[bool]()
         monkeypatch.setattr(cache, "progress", self.compiled.append)
-        monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it knows edits by seconds only
+        monkeypatch.setattr(sys, "dont_write_bytecode", True)  # it notices edits with a resolution of seconds
         for name in ("__init__", "gains", "law"):
             (folder / f"{name}.py").write_text(KERNELS)
 
@@ -109,7 +109,6 @@ class Package:
             remembered.cache_clear()
 
     def loaded(self) -> Any:
-        """Import the law as a later process does."""
         self.forget()
         self.compiled.clear()
         time.sleep(0.1)
@@ -117,7 +116,6 @@ class Package:
         return imported("laws_of_this_test.law", self.folder / "law.py")
 
     def compiles(self) -> bool:
-        """Tell whether the next process compiles."""
         assert self.loaded().twice(4.0) == 8.0
         return bool(self.compiled)
 
@@ -131,13 +129,13 @@ def package(monkeypatch, tmp_path):
     made.forget()
 
 
-def test_a_kernel_is_found_until_a_source_of_its_package_is_edited(package):
+def test_cached_kernel_is_used_until_a_source_of_its_package_changes(package):
     assert [package.compiles(), package.compiles()] == [True, False]
     (package.folder / "gains.py").write_text("gain = 2.0")
     assert [package.compiles(), package.compiles()] == [True, False]
 
 
-def test_a_damaged_file_is_compiled_again(package):
+def test_damaged_cache_file_is_compiled_again(package):
     package.loaded()
     (kept, *_) = sorted((package.folder.parent / "cache").rglob("*.kernel"))
     content = kept.read_bytes()
@@ -148,8 +146,8 @@ def test_a_damaged_file_is_compiled_again(package):
         assert [package.compiles(), package.compiles()] == [True, False]
 
 
-def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
-    """As of two scripts, both `__main__`, with one function on the same line."""
+def test_functions_that_differ_only_by_their_file_are_cached_apart(package):
+    """Such as two scripts, both `__main__`, with one function on the same line."""
     files = {factor: package.folder / f"by{factor}.py" for factor in (2, 5)}
     for factor, file in files.items():
         file.write_text(f"def scaled(x):\n    return {factor} * x\n")
@@ -158,13 +156,13 @@ def test_functions_that_differ_by_their_file_alone_are_kept_apart(package):
     assert len(places - {None}) == 2
 
 
-def test_without_a_folder_to_write_a_kernel_is_compiled_in_each_process(package, monkeypatch):
+def test_without_a_writable_folder_each_process_compiles(package, monkeypatch):
     (package.folder.parent / "file").touch()
     monkeypatch.setattr(cache, "CACHE_FOLDER", package.folder.parent / "file")
     assert [package.compiles(), package.compiles()] == [True, True]
 
 
-def test_a_loaded_kernel_computes_raises_and_serves_other_kernels(package, monkeypatch):
+def test_loaded_kernel_computes_raises_and_can_be_called_by_kernels(package, monkeypatch):
     package.loaded()
     with monkeypatch.context() as patch:
         patch.setattr(binding, "parse_bitcode", None)
@@ -185,7 +183,7 @@ def test_a_loaded_kernel_computes_raises_and_serves_other_kernels(package, monke
 
 
 @pytest.mark.parametrize(("given", "used"), [(None, ".cache"), ("relative", ".cache"), ("{}/own", "own")])
-def test_the_cache_lies_in_an_absolute_xdg_cache_home_else_at_home(monkeypatch, tmp_path, given, used):
+def test_cache_is_in_an_absolute_xdg_cache_home_else_in_the_home_folder(monkeypatch, tmp_path, given, used):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     if given:

@@ -1,4 +1,4 @@
-"""A CAN interface by netlink: what is asked and read, its comparison with the configuration, error frames.
+"""A CAN interface through netlink: request and answer, comparison with the configuration, error frames.
 
 Bytes are written by hand after linux/rtnetlink.h, linux/if_link.h, linux/can/netlink.h and linux/can/error.h.
 """
@@ -52,14 +52,14 @@ def test_a_virtual_interface_has_no_controller_to_compare():
 
 
 @pytest.mark.parametrize("cut", range(16, len(CAN0), 3))
-def test_a_cut_answer_is_read_as_far_as_it_goes(cut):
+def test_truncated_answer_is_read_up_to_its_end(cut):
     assert parse("can0", CAN0[:cut]).number == 5
 
 
 @pytest.mark.parametrize(
     ("number", "state"), [(0, "ACTIVE"), (1, "WARNING"), (2, "PASSIVE"), (3, "OFF"), (4, "UNKNOWN")]
 )
-def test_states_are_those_of_enum_can_state(number, state):
+def test_states_follow_enum_can_state(number, state):
     raw = CAN0.replace(bytes.fromhex(STATE), bytes.fromhex(f"0800 0400 0{number}000000"))
     assert parse("can0", raw).state is BusState[state]
 
@@ -67,7 +67,7 @@ def test_states_are_those_of_enum_can_state(number, state):
 def test_the_configured_interface_is_not_refused():
     assert refusal(can0(), settings()) == ""
     assert refusal(can0(), settings(layout="classic", options={"restart_ms": 100})) == ""
-    # an adapter that was set up past the kernel
+    # an adapter that was not set up through the kernel
     assert refusal(can0(bitrate_bit_s=None), settings(layout="classic")) == ""
     # classic frames do not use the second rate
     assert refusal(can0(data_bitrate_bit_s=2_000_000, modes=0), settings(layout="classic")) == ""
@@ -87,7 +87,7 @@ def test_the_configured_interface_is_not_refused():
         ({"up": False}, {}, ["is down", "up"]),
     ],
 )
-def test_another_interface_is_refused_with_both_values(changes, wanted, words):
+def test_interface_that_differs_is_refused_with_both_values(changes, wanted, words):
     why = refusal(can0(**changes), settings(**wanted))
     assert all(word in why for word in words), why
 
@@ -118,7 +118,7 @@ def test_all_differences_of_an_interface_are_reported_at_once():
         (0x004, "0001", "UNKNOWN", True),
         (0x004, "0002", "UNKNOWN", False),
         (0x204, "0005000000006003", "WARNING", True),
-        (0x008, "0031", "UNKNOWN", False),  # byte 1 speaks of the controller only in its class
+        (0x008, "0031", "UNKNOWN", False),  # byte 1 is about the controller only in its class
         (0x088, "0020020000000000", "UNKNOWN", False),
         (0x004, "00", "UNKNOWN", False),
         (0x080, "", "UNKNOWN", False),
@@ -132,13 +132,13 @@ def test_an_error_frame_reports_state_and_overflow(identifier, data, state, over
 
 
 def queue(index: int, parent: str, length: int) -> bytes:
-    """Return the payload of an RTM_NEWQDISC: of a queue in which so many frames wait."""
+    """Payload of an RTM_NEWQDISC for a queue in which `length` frames wait."""
     statistics = f"1800 0300 {length:02x}000000 a8000000 00000000 00000000 00000000"
     options = f"0a00 0100 706c756700 00 0000 1c00 0700 {statistics}"
     return bytes.fromhex(f"00000000 {index:02x}000000 00000180 {parent} 02000000 {options}")
 
 
-def test_the_frames_that_wait_are_those_of_the_roots_of_one_link(monkeypatch):
+def test_waiting_frames_are_counted_in_the_root_queues_of_one_link(monkeypatch):
     asked: list[Any] = []
 
     def request(*given: Any) -> list[bytes]:

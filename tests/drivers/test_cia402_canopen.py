@@ -1,6 +1,6 @@
 """The package canopen 2.4.1 brings up our emulated drives; our controller sets up drives of canopen.
 
-What canopen does is written by others, after the same documents: a mistake that both our ends share shows.
+Others wrote canopen from the same documents, so it shows a mistake that both our ends share.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from drivers.protocol import DriveSetup, Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import Placed
+from hil.contracts.loopback import Placed
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from tests.drivers.cia402_drives import COUNTS, PERMILLE_N, RATED_Nm, SCREW_m, drives
@@ -46,7 +46,7 @@ def from_message(message: can.Message) -> Frame:
 
 @pytest.fixture(autouse=True)
 def _version():
-    assert metadata.version("canopen") == "2.4.1", "that the vectors are from"
+    assert metadata.version("canopen") == "2.4.1", "the version of the vectors"
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ class Carts(Placed):
 
 
 class Emulated:
-    """Our six drives on a python-can bus, in a thread of their own."""
+    """Our six drives on a python-can bus, in their own thread."""
 
     def __init__(self, channel: str) -> None:
         self.bus = can.Bus(interface="virtual", channel=channel)
@@ -277,7 +277,7 @@ def test_our_controller_sets_up_six_drives_of_canopen(network, od):
     np.testing.assert_allclose(tick["length"], expected, rtol=0, atol=1e-12)
 
 
-def test_each_abort_code_with_a_meaning_here_is_one_that_canopen_knows():
+def test_canopen_knows_each_abort_code_that_has_a_meaning_here():
     known = import_module("canopen.sdo.exceptions").SdoAbortedError.CODES
     assert len(set(ABORTS.values())) == len(ABORTS) > 20
     assert set(ABORTS) <= set(known)

@@ -1,4 +1,4 @@
-"""CiA 402 drives keep the contract of a drive protocol; they reset, trip, lose the controller and are stopped."""
+"""CiA 402 drives fulfil the contract of a drive protocol; they reset, fault, lose the controller and stop."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveFault, DriveMode, DriveState
-from hil.contracts.ends import FORCE, OFF, PERIOD_NS, Ends
+from hil.contracts.loopback import FORCE, OFF, PERIOD_NS, Ends
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.cia402_drives import PERMILLE_N, STEP_m, drives
@@ -23,10 +23,10 @@ HEARTBEAT = 0x77F
 class TestCia402WithVelocity(TroubleContract):
     RESOLUTION = (STEP_m, STEP_m, PERMILLE_N, PERMILLE_N)
     LENGTHS = (-326.0, 327.0)
-    """2^31 counts of 20 mm / 2^17 about 0.75 m."""
+    """2^31 counts of 20 mm / 2^17 around 0.75 m."""
     SPEED = 327.0
     MOST_N = 10_000.0
-    """0x6072 in the drive."""
+    """Value of 0x6072 in the drive."""
     BEATS = "nothing"
 
     def beat_ids(self, protocol):
@@ -40,7 +40,7 @@ class TestCia402WithVelocity(TroubleContract):
 class TestCia402WithoutVelocity(ProtocolContract):
     RESOLUTION = (STEP_m, 1.5, PERMILLE_N, PERMILLE_N)
     READS_RATES = False
-    """The legs of the contract stand still and say that they move: only a PDO tells that."""
+    """The legs of the contract are at rest but report a rate, which only a PDO carries."""
 
     @pytest.fixture
     def family(self):
@@ -52,7 +52,7 @@ def states(ends: Ends) -> list[int]:
 
 
 def alone(ends: Ends, frames: Any, ticks: int) -> list[Frame]:
-    """Let the drives live for some ticks with these frames in each, and return what they send."""
+    """Step the drives for some ticks with these frames in each; the result is the frames that they send."""
     sent: list[Frame] = []
     for _ in range(ticks):
         ends.tick += 1
@@ -61,7 +61,7 @@ def alone(ends: Ends, frames: Any, ticks: int) -> list[Frame]:
     return sent
 
 
-def test_each_drive_trips_without_our_heartbeat_although_pdos_go_on():
+def test_each_drive_faults_without_heartbeat_although_pdos_continue():
     ends = Ends(drives())
     ends.running()
     for _ in range(40):
@@ -78,7 +78,7 @@ def test_each_drive_trips_without_our_heartbeat_although_pdos_go_on():
     assert "heartbeat" in ends.protocol.fault_text(0x8130)
 
 
-def test_heartbeats_of_its_controller_alone_keep_a_drive_enabled():
+def test_only_heartbeats_of_its_controller_keep_a_drive_enabled():
     ends = Ends(drives())
     ends.running()
     alone(ends, [Frame(HEARTBEAT, b"\x05")], 100)
@@ -88,7 +88,7 @@ def test_heartbeats_of_its_controller_alone_keep_a_drive_enabled():
 
 
 @pytest.mark.parametrize("runs", [True, False])
-def test_emergency_stop_with_the_off_of_its_tick_stays_a_stop_until_a_reset(runs):
+def test_emergency_stop_with_off_in_the_same_tick_lasts_until_a_reset(runs):
     ends = Ends(drives())
     if runs:
         ends.running()
@@ -108,7 +108,7 @@ def test_emergency_stop_with_the_off_of_its_tick_stays_a_stop_until_a_reset(runs
     assert not ends.measurement["drive_fault"].any()
 
 
-def test_force_is_there_from_enabling_on_and_a_drive_is_not_enabled_from_off():
+def test_force_starts_with_enabling_which_is_not_possible_from_off():
     ends = Ends(drives())
     ends.until_set_up()
     for command, state in ((RUN, DriveState.OFF), (READY, DriveState.READY)):

@@ -1,4 +1,4 @@
-"""Emulated CiA 402 drives, request by request: NMT, SDO, PDO, heartbeats, faults and what they report."""
+"""Emulated CiA 402 drives, request by request: NMT, SDO, PDO, heartbeats, faults and their reports."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ from tests.drivers.cia402_drives import changed, drives, holding
 
 LEG, NODE = 3, 4
 P = ByValue(drives((1, 2, 3, NODE, 5, 6), lead_m=2 * np.pi * 9e-3 / 2.5, counts_per_turn=4096))
-"""Force at leg 3 of a permille: -2.5 N."""
+"""Force at leg 3 per permille: -2.5 N."""
 ALL_RUN = np.full(6, DriveState.RUN)
 HELD = holding(P.protocol, ALL_RUN)
 OFF, READY, RUN, RESET = DriveMode
 
 
 def drive(**fields: Any) -> Remembered:
-    """Return drives that are set up, of which that of leg 3 has other objects and fields."""
+    """Configured drives; the drive of leg 3 has changed objects and fields."""
     objects = {o.CONSUMER_HEARTBEAT: 127 << 16, o.PRODUCER_HEARTBEAT: 0, o.FAULT_REACTION: 2} | fields.pop(
         "objects", {}
     )
@@ -56,7 +56,7 @@ def command(mode: DriveMode, counter: int, force: float = 0.0) -> tuple[Any, ...
 
 
 def said(messages: Any) -> list[Any]:
-    """Return messages: of commands what they say, of answers their bytes."""
+    """Messages: a command as its fields, an answer as its bytes."""
     found = [tuple(each) if isinstance(each, DeviceCommand | Sync) else each for each in plain(messages)]
     return [each.frame.data.hex() if isinstance(each, Answer) else each for each in found]
 
@@ -88,14 +88,14 @@ def report(
         (3, 5, State.ENABLED, []),
     ],
 )
-def test_nmt_command_is_followed_and_not_while_the_drive_boots(number, nmt, state, messages):
+def test_nmt_command_is_obeyed_except_while_the_drive_boots(number, nmt, state, messages):
     memory, found = given(drive(), 0, bytes((number, NODE)))
     assert (field(memory, "nmt"), field(memory, "state"), found) == (nmt, state, messages)
     assert given(drive(nmt=0), 0, bytes((number, NODE))) == (drive(nmt=0), [])
 
 
 @pytest.mark.parametrize("node", [0, 1, 2])
-def test_nmt_stop_takes_the_force_of_every_enabled_drive_that_it_addresses(node):
+def test_nmt_stop_removes_the_force_of_each_addressed_enabled_drive(node):
     states = [DriveState.RUN, DriveState.OFF, DriveState.RUN, DriveState.RUN, DriveState.OFF, DriveState.RUN]
     addressed = [leg for leg in range(6) if node in (0, leg + 1)]
     memory, found = given(holding(P.protocol, states), 0, bytes((0x02, node)))
@@ -105,7 +105,7 @@ def test_nmt_stop_takes_the_force_of_every_enabled_drive_that_it_addresses(node)
 
 
 @pytest.mark.parametrize(("time_ms", "reaction"), [(50, 2), (50, 1), (50, 0), (0, 0)])
-def test_reaction_to_silence_is_the_heartbeat_time_and_the_fault_reaction(time_ms, reaction):
+def test_heartbeat_time_and_fault_reaction_set_the_watchdog_reaction(time_ms, reaction):
     held = {o.CONSUMER_HEARTBEAT: 127 << 16 | time_ms, o.FAULT_REACTION: reaction}
     expected = Configure(LEG, 1e-3 * time_ms or 1e6, Reaction.DAMP if reaction else Reaction.BRAKE)
     assert given(drive(objects=held), 0, bytes((1, NODE)))[1] == [expected]
@@ -131,7 +131,7 @@ def test_reaction_to_silence_is_the_heartbeat_time_and_the_fault_reaction(time_m
         (State.SWITCHED_ON, 0x07, State.SWITCHED_ON, []),
     ],
 )
-def test_controlword_acts_by_the_state_that_it_leads_to(before, word, after, messages):
+def test_controlword_acts_by_its_target_state(before, word, after, messages):
     memory, found = control(drive(state=before), word, 100)
     assert found == messages
     assert (field(memory, "state"), field(memory, "commands")) == (after, 9)
@@ -141,7 +141,7 @@ def test_controlword_acts_by_the_state_that_it_leads_to(before, word, after, mes
 
 
 @pytest.mark.parametrize(("torque", "taken"), [(600, 500), (499, 499), (-600, -500), (-499, -499)])
-def test_torque_saturates_at_the_most_of_the_drive_and_is_none_without_a_mode(torque, taken):
+def test_torque_saturates_at_max_torque_and_is_zero_without_a_mode(torque, taken):
     assert control(drive(objects={o.MAX_TORQUE: 500}), 0x0F, torque)[1] == [command(RUN, 9, -2.5 * taken)]
     assert control(drive(objects={o.MODE: 0}), 0x0F, torque)[1] == [command(RUN, 9)]
 
@@ -160,7 +160,7 @@ def test_a_quick_stop_reports_its_state_once_and_option_0_disables_at_once():
     assert (field(memory, "state"), found) == (State.DISABLED, [command(OFF, 8)])
 
 
-def test_pdo_is_taken_in_operational_and_a_cut_one_is_refused_with_an_emcy():
+def test_pdo_acts_in_operational_only_and_a_short_one_causes_an_emcy():
     assert given(drive(), 0x204, struct.pack("<Hhx", 0x0F, 100))[1] == [command(RUN, 9, -250.0)]
     for nmt in (0, 4, 127):
         assert control(drive(nmt=nmt), 0x0F, 100) == (drive(nmt=nmt), [])
@@ -180,7 +180,7 @@ def test_pdo_is_taken_in_operational_and_a_cut_one_is_refused_with_an_emcy():
         (DriveFault.ESTOP, ""),
     ],
 )
-def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault, emcy):
+def test_each_fault_sends_one_emcy_and_another_one_when_it_ends(fault, emcy):
     memory = drive(objects={o.COMMUNICATION_ERROR: 1})
     for _ in range(2):
         for state, data in ((DriveState.FAULT, emcy), (DriveState.OFF, "0000000000000000")):
@@ -195,7 +195,7 @@ def test_fault_is_an_emcy_once_and_once_that_it_is_over_each_time_it_comes(fault
         assert field(memory, "nmt") == (after if fault == DriveFault.WATCHDOG else nmt)
 
 
-def test_only_drives_that_run_and_have_a_position_answer():
+def test_only_operational_drives_with_a_valid_position_answer():
     zeros = np.zeros(6)
     for lost in range(6):
         states = np.array([1, 2, 3, 4, 3, 3])

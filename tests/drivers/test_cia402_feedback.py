@@ -1,4 +1,4 @@
-"""What a tick measures of CiA 402 drives: each leg by its own frames, at its own age, with its own faults."""
+"""Measurement of CiA 402 drives in a tick: each leg by its own frames, with its own age and faults."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Received
 from drivers.signals import NEVER, DriveFault, DriveState, Foreign
 from drivers.tick_columns import Record, new_record
 from hil.contracts.by_value import ByValue, Remembered
-from hil.contracts.ends import SETUP
+from hil.contracts.loopback import SETUP
 from tests.drivers.cia402_drives import NODES, STEP_m, drives, made
 from tests.drivers.motor_families import UNLIKE_GEAR, last_tick
 
 P = ByValue(drives(NODES, lead_m=[0.01, 0.02, 0.03, 0.04, 0.05, 0.06]))
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
 WOKE_NS = 1_000
-"""When the loop woke up; the SYNC of this tick ended 500 ns later, on the bus of the last leg 800 ns later."""
+"""Wake-up time of the loop; this tick's SYNC ended 500 ns later, on the bus of the last leg 800 ns later."""
 KEPT = ("length", "rate", "drive_force", "drive_state")
 FAULTS = [0, 1, 0, 3, 4, 5]
-"""Of the tick before: a stop, 2, is over where the drive is not stopped any more."""
+"""Faults of the tick before; the stop, 2, has ended, as that drive is no longer stopped."""
 
 
 def place(leg: int, counts: int = 0, torque: int = 0, state: State = State.ENABLED) -> Frame:
@@ -41,13 +41,13 @@ def begun(protocol: ByValue = P, **fields: Any) -> Remembered:
     return start._replace(**done | fields)
 
 
-def told(
+def decoded(
     *frames: Frame | tuple[int, Frame],
     last: Record | None = None,
     protocol: ByValue = P,
     **fields: Any,
 ) -> tuple[Any, Remembered]:
-    """Return a tick and the dialogue after these frames; one with a time came then, the others in time."""
+    """Tick and dialogue after these frames; a pair has the time of a late frame, the others are in time."""
     timed = [
         Received(*each) if isinstance(each[0], int) and len(each) == 2 else Received(2_000, each)
         for each in frames
@@ -62,20 +62,20 @@ def told(
 
 def test_tick_without_frames_keeps_the_measurement_and_counts_nothing():
     before = last_tick(10, [0, 2, 5, NEVER, NEVER - 2, 1])
-    tick, _ = told(last=before)
+    tick, _ = decoded(last=before)
     for name in KEPT:
         assert tick[name].tolist() == before[name].tolist()
     assert tick["drive_fault"].tolist() == FAULTS
     assert tick["age"].tolist() == tick["counted_age"].tolist() == [3, 5, 8, NEVER, NEVER, 4]
     assert tick["blind"].tolist() == [0] * 6
     assert [int(tick[name]) for name in ("rejected", "doubled", "foreign", "altered")] == [0] * 4
-    assert told(last=last_tick(-1, 4))[0]["age"].tolist() == [5] * 6
-    assert told(last=last_tick(0, 4))[0]["age"].tolist() == [17] * 6
+    assert decoded(last=last_tick(-1, 4))[0]["age"].tolist() == [5] * 6
+    assert decoded(last=last_tick(0, 4))[0]["age"].tolist() == [17] * 6
 
 
 @pytest.mark.parametrize("leg", range(6))
 def test_two_tpdos_measure_their_leg_and_no_other(leg):
-    tick, dialogue = told(speed(leg, -262144), place(leg, 131072, -100))
+    tick, dialogue = decoded(speed(leg, -262144), place(leg, 131072, -100))
     t, before = P.transmission, last_tick()
     six = np.ones(6)
     measured = {
@@ -93,54 +93,58 @@ def test_two_tpdos_measure_their_leg_and_no_other(leg):
     assert dialogue.rate == tuple(tick["rate"].tolist())
 
 
-def test_tpdo_without_its_speed_gives_the_state_and_no_length():
-    tick, dialogue = told(place(2, 131072, 100, State.DISABLED), states=(int(State.DISABLED),) * 6)
+def test_tpdo1_without_tpdo2_gives_the_state_but_no_length():
+    tick, dialogue = decoded(place(2, 131072, 100, State.DISABLED), states=(int(State.DISABLED),) * 6)
     assert tick["drive_state"].tolist() == [0, 1, OFF, 3, 4, 1]
     assert tick["drive_force"][2] != last_tick()["drive_force"][2]
     assert (tick["age"][2], tick["length"][2], tick["rate"][2]) == (1, 2.3, 0.03)
     assert dialogue.states[2] == State.DISABLED
-    assert told(speed(2, 500))[0]["rate"].tolist() == last_tick()["rate"].tolist()
+    assert decoded(speed(2, 500))[0]["rate"].tolist() == last_tick()["rate"].tolist()
 
 
-def test_answer_from_before_the_end_of_the_sync_on_its_bus_is_a_tick_old():
+def test_answer_before_the_end_of_sync_on_its_bus_is_one_tick_old():
     for t_ns, first, last in ((1_499, 1, 1), (1_500, 0, 1), (1_799, 0, 1), (1_800, 0, 0)):
         frames = [(t_ns, frame) for leg in (0, 5) for frame in (place(leg, 100), speed(leg))]
-        tick, _ = told(*frames, last=last_tick(age=3))
+        tick, _ = decoded(*frames, last=last_tick(age=3))
         assert tick["age"].tolist() == [first, 4, 4, 4, 4, last]
 
 
-def test_late_answer_counts_unless_a_newer_is_held():
+def test_late_answer_counts_unless_a_newer_one_is_held():
     late, here = (WOKE_NS, place(2, 131072)), (WOKE_NS, speed(2))
     for age, there in ((0, False), (1, True)):
         ages = [1 - age] * 6
         ages[2] = age
-        tick, _ = told(late, here, last=last_tick(age=ages))
+        tick, _ = decoded(late, here, last=last_tick(age=ages))
         assert (tick["length"][2] != 2.3) == there
         assert tick["age"][2] == 1
-    assert told(late, speed(2), last=last_tick(age=3))[0]["age"][2] == 1
-    assert told(late, place(2, 131072), speed(2), last=last_tick(age=3))[0]["age"][2] == 0, "the same in time"
-    assert told(place(2), here, last=last_tick(age=3))[0]["age"][2] == 4, "its speed is of another SYNC"
+    assert decoded(late, speed(2), last=last_tick(age=3))[0]["age"][2] == 1
+    assert decoded(late, place(2, 131072), speed(2), last=last_tick(age=3))[0]["age"][2] == 0, (
+        "the same in time"
+    )
+    assert decoded(place(2), here, last=last_tick(age=3))[0]["age"][2] == 4, (
+        "its velocity belongs to another SYNC"
+    )
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_second_answer_doubles_its_node_where_the_drive_owes_none(leg):
+def test_second_answer_marks_a_doubled_node_unless_the_drive_owes_it(leg):
     frames = [place(leg, 100), speed(leg, 1)]
-    tick, _ = told(*frames, place(leg, 101), owed=(0,) * 12)
+    tick, _ = decoded(*frames, place(leg, 101), owed=(0,) * 12)
     assert tick["doubled"] == 1 << leg
-    assert told(*frames, speed(leg, 2), owed=(0,) * 12)[0]["doubled"] == 1 << leg
-    assert told(*frames, *frames, owed=(0,) * 12)[0]["doubled"] == 0
+    assert decoded(*frames, speed(leg, 2), owed=(0,) * 12)[0]["doubled"] == 1 << leg
+    assert decoded(*frames, *frames, owed=(0,) * 12)[0]["doubled"] == 0
     lately = tuple(5 if each == leg else -100 for each in range(6))
     owes = tuple(int(each % 6 == leg) for each in range(12))
-    tick, dialogue = told(*frames, place(leg, 101), speed(leg, 2), missed=lately, owed=owes)
+    tick, dialogue = decoded(*frames, place(leg, 101), speed(leg, 2), missed=lately, owed=owes)
     assert tick["doubled"] == 0
     assert tick["length"][leg] == P.transmission.length(np.full(6, 101 / 131072))[leg]
     assert dialogue.owed == tuple(0 if each % 6 == leg else 1 for each in range(12))
-    assert told(*frames, place(leg, 101), missed=(4,) * 6, owed=owes)[0]["doubled"] == 1 << leg
+    assert decoded(*frames, place(leg, 101), missed=(4,) * 6, owed=owes)[0]["doubled"] == 1 << leg
 
 
 def test_owed_answers_are_counted_by_drive_and_kind_up_to_eight():
     ages = [0, 1, 0, 2, 0, 0]
-    _, dialogue = told(
+    _, dialogue = decoded(
         place(1), speed(4), last=last_tick(12, ages), missed=(5, 5, 4, 5, 5, 5), owed=tuple(range(12))
     )
     assert dialogue.missed == (5, 12, 4, 12, 5, 5)
@@ -148,7 +152,7 @@ def test_owed_answers_are_counted_by_drive_and_kind_up_to_eight():
 
 
 def doubled(*ticks: int) -> int:
-    """Return what is doubled in the last of some ticks, after calm ones, with so many answers of leg 4 each."""
+    """`doubled` in the last tick, after 20 ticks with one answer of leg 4 and then these numbers of answers."""
     dialogue, m = P.start(SETUP), new_record()
     answers = [[place(4, 100), speed(4)], [place(4, 101), speed(4, 1)]]
     for number, count in enumerate([1] * 20 + list(ticks)):
@@ -159,11 +163,11 @@ def doubled(*ticks: int) -> int:
     return int(m["doubled"])
 
 
-def test_drive_that_missed_a_tick_may_catch_up_once_and_soon():
+def test_drive_that_missed_a_tick_may_catch_up_once_within_8_ticks():
     assert doubled(2) == 1 << 4
     assert doubled(0, 2) == doubled(0, 1, 1, 2) == 0
-    assert doubled(0, 1, 2, 2) == 1 << 4, "it owed one alone"
-    assert doubled(0, *[1] * 8, 2) == 1 << 4, "an answer that was lost does not come"
+    assert doubled(0, 1, 2, 2) == 1 << 4, "it owed only one"
+    assert doubled(0, *[1] * 8, 2) == 1 << 4, "a lost answer does not arrive later"
 
 
 def test_broken_frames_are_counted_and_change_nothing():
@@ -171,7 +175,7 @@ def test_broken_frames_are_counted_and_change_nothing():
         0x182: (bytes(7), b"\xff\xff" + bytes(6)), 0x282: (bytes(8),), 0x082: (bytes(7),),
         0x702: (b"\6", b"\5\5"), 0x582: (bytes(7),),
     }  # fmt: skip
-    tick, dialogue = told(*(Frame(identifier, data) for identifier, each in bad.items() for data in each))
+    tick, dialogue = decoded(*(Frame(identifier, data) for identifier, each in bad.items() for data in each))
     assert (tick["rejected"], tick["foreign"]) == (7, 0)
     for name in KEPT:
         assert tick[name].tolist() == last_tick()[name].tolist()
@@ -187,9 +191,9 @@ def test_frames_of_another_controller_are_foreign_and_unknown_ones_are_not():
         (Frame(0x205, bytes(4)), Foreign.COMMAND),
         (Frame(0x77F, b"\5"), Foreign.COMMAND),
     ):
-        assert told(frame)[0]["foreign"] == name
+        assert decoded(frame)[0]["foreign"] == name
     strange = [Frame(0x80, b"", flags) for flags in (EXTENDED, FD, REMOTE, ERROR, BUS)]
-    tick, _ = told(
+    tick, _ = decoded(
         *strange, Frame(0x187, bytes(8)), Frame(0x301, bytes(8)), place(0)._replace(flags=EXTENDED), place(3)
     )
     assert (tick["foreign"], tick["rejected"]) == (0, 0)
@@ -197,9 +201,9 @@ def test_frames_of_another_controller_are_foreign_and_unknown_ones_are_not():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_emcy_is_the_fault_of_its_drive_low_byte_first_or_that_it_is_over(leg):
+def test_emcy_sets_or_clears_the_fault_of_its_drive(leg):
     for data, code in (("0573010000000000", 0x7305), ("0000000000000000", 0)):
-        tick, _ = told(Frame(0x081 + leg, bytes.fromhex(data)))
+        tick, _ = decoded(Frame(0x081 + leg, bytes.fromhex(data)))
         assert tick["drive_fault"].tolist() == [code if each == leg else n for each, n in enumerate(FAULTS)]
 
 
@@ -208,7 +212,7 @@ def test_drive_that_boots_loses_its_fault_its_answer_and_its_set_up(leg):
     before, mine = last_tick(), [each == leg for each in range(6)]
     before["drive_fault"] = 0x7305
     booted = place(leg), speed(leg), Frame(0x701 + leg, b"\0")
-    tick, dialogue = told(*booted, last=before, tries=(4,) * 6, asked=(3,) * 6)
+    tick, dialogue = decoded(*booted, last=before, tries=(4,) * 6, asked=(3,) * 6)
     states = [BOOT if m else state for m, state in zip(mine, before["drive_state"].tolist(), strict=True)]
     assert tick["drive_state"].tolist() == states
     assert tick["age"].tolist() == [1] * 6
@@ -219,18 +223,18 @@ def test_drive_that_boots_loses_its_fault_its_answer_and_its_set_up(leg):
 
 
 @pytest.mark.parametrize(
-    ("nmt", "done", "anew"), [(4, True, True), (127, True, True), (5, True, False), (127, False, False)]
+    ("nmt", "done", "again"), [(4, True, True), (127, True, True), (5, True, False), (127, False, False)]
 )
-def test_drive_that_leaves_operational_is_set_up_again_and_keeps_its_fault(nmt, done, anew):
+def test_drive_that_leaves_operational_is_set_up_again_and_keeps_its_fault(nmt, done, again):
     at = begun().at if done else (2,) * 6
-    tick, dialogue = told(Frame(0x705, bytes((nmt,))), at=at)
-    assert dialogue.at == tuple(0 if anew and leg == 4 else n for leg, n in enumerate(at))
+    tick, dialogue = decoded(Frame(0x705, bytes((nmt,))), at=at)
+    assert dialogue.at == tuple(0 if again and leg == 4 else n for leg, n in enumerate(at))
     assert tick["drive_fault"].tolist() == FAULTS
-    assert (tick["drive_state"][4] == BOOT) == anew
+    assert (tick["drive_state"][4] == BOOT) == again
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_that_stopped_quickly_is_in_fault_until_it_is_switched_on(leg):
+def test_drive_after_a_quick_stop_is_in_fault_until_switched_on(leg):
     def of_leg(own: State, others: State) -> tuple[int, ...]:
         return tuple(int(own if each == leg else others) for each in range(6))
 
@@ -238,48 +242,50 @@ def test_drive_that_stopped_quickly_is_in_fault_until_it_is_switched_on(leg):
         (State.QUICK_STOP, State.DISABLED, State.ENABLED),
         (State.DISABLED, State.ENABLED, State.SWITCHED_ON),
     ):
-        tick, dialogue = told(place(leg, state=state), states=of_leg(before, others))
+        tick, dialogue = decoded(place(leg, state=state), states=of_leg(before, others))
         assert dialogue.stopped == 1 << leg
         assert (tick["drive_state"][leg], tick["drive_fault"][leg]) == (FAULT, [2, 1, 2, 3, 4, 5][leg])
-    tick, dialogue = told(place(leg, state=State.DISABLED), states=of_leg(State.SWITCHED_ON, State.ENABLED))
+    tick, dialogue = decoded(
+        place(leg, state=State.DISABLED), states=of_leg(State.SWITCHED_ON, State.ENABLED)
+    )
     assert (dialogue.stopped, tick["drive_state"][leg]) == (0, OFF)
     mine = last_tick()
     mine["drive_fault"] = DriveFault.ESTOP
     for state in (State.READY_TO_SWITCH_ON, State.ENABLED):
-        tick, _ = told(last=mine, states=(int(state),) * 6, stopped=1 << leg)
+        tick, _ = decoded(last=mine, states=(int(state),) * 6, stopped=1 << leg)
         halted = state is State.READY_TO_SWITCH_ON
         assert tick["drive_state"][leg] == (FAULT if halted else mine["drive_state"][leg])
-    tick, _ = told(last=mine, stopped=1 << leg)
+    tick, _ = decoded(last=mine, stopped=1 << leg)
     assert tick["drive_fault"].tolist() == [2 if each == leg else 0 for each in range(6)]
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_first_answer_after_the_start_ends_the_set_up_of_its_drive(leg):
+def test_first_answer_after_nmt_start_completes_the_set_up_of_its_drive(leg):
     last_step = tuple(n - 1 for n in begun().at)
     asked = tuple(0 if each == leg else -1 for each in range(6))
     frames = [frame for each in range(6) for frame in (place(each), speed(each))]
-    _, dialogue = told(*frames, at=last_step, asked=asked)
+    _, dialogue = decoded(*frames, at=last_step, asked=asked)
     assert P.legs_set_up(dialogue) == tuple(each == leg for each in range(6))
     late = [(WOKE_NS, frame) for frame in frames]
-    assert told(*late, at=last_step, asked=asked, last=last_tick(age=3))[1].at == last_step
+    assert decoded(*late, at=last_step, asked=asked, last=last_tick(age=3))[1].at == last_step
     earlier = tuple(n - 2 for n in begun().at)
-    assert told(*frames, at=earlier, asked=(9,) * 6)[1].at == earlier
+    assert decoded(*frames, at=earlier, asked=(9,) * 6)[1].at == earlier
 
 
 @pytest.mark.parametrize("changes", [{}, {"efficiency": 1.0}, {"back_driving_efficiency": 1.0}])
-def test_forces_are_read_with_the_losses_of_each_leg_at_its_rate(changes):
+def test_measured_forces_include_the_losses_of_each_leg_at_its_rate(changes):
     lossy = ByValue(made(NODES, UNLIKE_GEAR.model_copy(update=changes), force_limit_N=100.0))
     counts = [30000, -30000, 0, 30000, -30000, 2000]
     frames = [f for leg in range(6) for f in (place(leg, 0, 100), speed(leg, 65536 * counts[leg] // 100))]
-    tick, _ = told(*frames, protocol=lossy)
+    tick, _ = decoded(*frames, protocol=lossy)
     expected = lossy.transmission.force(np.full(6, 100 * 9e-3), tick["rate"])
     np.testing.assert_allclose(tick["drive_force"], expected, rtol=1e-9)
 
 
-def test_force_of_a_drive_without_losses_follows_from_its_torque_alone():
+def test_force_of_a_drive_without_losses_follows_only_from_its_torque():
     last = last_tick()
     last["rate"] = np.nan
-    tick, _ = told(*(place(leg, 0, 100) for leg in range(6)), last=last)
+    tick, _ = decoded(*(place(leg, 0, 100) for leg in range(6)), last=last)
     np.testing.assert_allclose(tick["drive_force"], 100 * 9e-3 * P.transmission.N_per_Nm, rtol=1e-12)
 
 
@@ -287,8 +293,8 @@ def test_force_of_a_drive_without_losses_follows_from_its_torque_alone():
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_rate_of_lengths_is_the_slope_of_a_parabola_at_its_last_sync(late):
-    """10 k + k^2 counts k tenths of a millisecond after the first SYNC, answered in the tick or in the next."""
+def test_rate_from_lengths_is_the_slope_at_the_end_of_a_parabola(late):
+    """10 k + k^2 counts at k tenths of a millisecond after the first SYNC, answered in this tick or the next."""
     protocol, last = ByValue(drives(NODES, velocity=False)), new_record()
     dialogue = protocol.start(SETUP)
     k = np.cumsum([0, 43, 37, 46, 34, 41, 38, 44, 36])
@@ -306,7 +312,7 @@ def test_rate_of_lengths_is_the_slope_of_a_parabola_at_its_last_sync(late):
 
 
 @pytest.mark.parametrize("late", [0, 1])
-def test_length_is_latched_at_the_end_of_the_sync_on_the_bus_of_its_leg(late):
+def test_length_is_latched_at_the_end_of_sync_on_the_bus_of_its_leg(late):
     last = last_tick(age=3)
     last["t_ns"], last["lateness_ns"], last["latch_ns"] = 100, 20, [1, 2, 3, 4, 5, 6]
     tick = new_record()
@@ -321,7 +327,7 @@ def test_length_is_latched_at_the_end_of_the_sync_on_the_bus_of_its_leg(late):
     assert tick["age"].tolist() == [late] * 6
 
 
-def test_step_of_half_a_period_to_fifty_makes_a_rate():
+def test_step_of_half_to_fifty_periods_gives_a_rate():
     protocol = ByValue(drives(NODES, velocity=False))
     run = received_array([Received(2_000, place(leg, 131072)) for leg in range(6)])
     before = {"mean": 0.5, "T": 0.004, "latched_ns": 0, "length": 0.0, "has_length": 1}

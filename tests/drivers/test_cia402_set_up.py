@@ -1,4 +1,4 @@
-"""The start-up dialogue of CiA 402 step by step: its frames, its turns, its patience, and its answers."""
+"""The start-up dialogue of CiA 402 step by step: its frames, turns, patience and answers."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from drivers.cia402 import end as ends
+from drivers.cia402 import controller_end as ends
 from drivers.cia402 import objects as o
-from drivers.cia402.end import Step, max_torque, plan, watchdog_ms
+from drivers.cia402.controller_end import Step, max_torque, plan, watchdog_ms
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array, sent_frames
 from drivers.protocol import DriveSetup, Frame, Received
@@ -26,14 +26,14 @@ WRITES = """
 2B17100018000000 2F29100101000000 2B07600001000000 2B5A600002000000 2B5E600002000000 2F6060000A000000
 2B726000D10D0000 2FC2600128000000 2FC26002FC000000
 """
-"""9 N m, 10 kN, heartbeat of 24 ms, watchdog of 50 ms, 250 Hz: 40 x 10^-4 s."""
+"""For 9 N m, 10 kN, heartbeat of 24 ms, watchdog of 50 ms, 250 Hz: 40 x 10^-4 s."""
 READ_BACK = """
 14001 14002 16000 16001 16002 18001 18002 1A000 1A001 1A002 1A003 18011 18012 1A010 1A011 18021 18031 10161
 10170 10291 60070 605A0 605E0 60610 60720 60C21 60C22
 """
 
 
-def test_drive_is_identified_mapped_set_read_back_and_started_in_this_order():
+def test_drive_is_identified_mapped_set_read_back_and_started_in_order():
     steps = plan(5, SETUP, drives())
 
     def read(index: int, sub: int) -> bytes:
@@ -46,7 +46,7 @@ def test_drive_is_identified_mapped_set_read_back_and_started_in_this_order():
     assert [step.request(5) for step in steps] == expected
 
 
-def test_what_is_read_is_compared_in_the_bits_that_count():
+def test_read_values_are_compared_in_the_bits_of_their_mask():
     found = {step.key: step for step in plan(5, SETUP, drives(), 4096) if step.kind == "read"}
     whole, cob, off = 0xFFFFFFFF, 0xBFFFFFFF, 0x80000000
     expected = {
@@ -65,12 +65,12 @@ def test_what_is_read_is_compared_in_the_bits_that_count():
 
 
 def values(protocol: Any, kind: str, key: tuple[int, int], setup: DriveSetup = SETUP) -> list[list[int]]:
-    """Return what each drive is sent or asked of an object, in order."""
+    """Values of an object that are written to or expected of each drive, in order."""
     return [[s.value for s in each if (s.kind, s.key) == (kind, key)] for each in protocol.plans(setup)]
 
 
-def test_plan_follows_the_rate_the_velocity_the_counts_and_the_reaction():
-    # 391 Hz: 2.558 ms, which 255 steps of 10 us are not
+def test_plan_depends_on_rate_velocity_counts_and_reaction():
+    # 391 Hz: 2.558 ms, more than 255 steps of 10 us
     for rate_Hz, *period in ((2000.0, 50, -5), (391.0, 26, -4), (1000.0 / 255, 255, -3), (0.1, 100, -1)):
         setup = DriveSetup(max(10.0, 4.0 / rate_Hz), Reaction.BRAKE, rate_Hz)
         for sub, value in enumerate(period, 1):
@@ -111,7 +111,7 @@ def test_watchdog_is_at_least_four_periods_and_fits_into_16_bits(watchdog_s, rat
     assert watchdog_ms(setup) == found
 
 
-def test_most_torque_is_that_of_the_weakest_leg_within_16_bits():
+def test_max_torque_is_that_of_the_weakest_leg_within_16_bits():
     assert max_torque(1000.0, [2.0, -1.0, 4.0]) == 1000
     assert max_torque(1000.5, [2.0, 1.0]) == 1001
     assert max_torque(1000.0 * (1 + 0.5e-12), [1.0]) == 1000
@@ -132,7 +132,7 @@ DONE = 3
 
 
 def begun(plans: Any = (A,) * 6, setup: DriveSetup = SETUP, **fields: Any) -> ends.Cia402End:
-    """Return the controller's end of six drives with these plans, at these steps."""
+    """The controller's end of six drives with these plans, at these steps."""
     end = ends.Cia402End(P, setup, plans)
     for name, value in fields.items():
         end.state[name] = value
@@ -148,12 +148,11 @@ def tick(number: int = 100, **columns: Any) -> Record:
 
 
 def sent(end: ends.Cia402End, *given: Any, **columns: Any) -> tuple[Frame, ...]:
-    """Return the requests of a tick."""
     return sent_frames(end.set_up(tick(*given, **columns)))
 
 
 def asked(frames: tuple[Frame, ...]) -> list[int]:
-    """Return the legs of requests to nodes 10 to 15."""
+    """Legs of requests to nodes 10 to 15."""
     return [frame.id - 0x60A if frame.id else frame.data[1] - 10 for frame in frames]
 
 
@@ -162,7 +161,7 @@ def of(end: ends.Cia402End, name: str) -> list[int]:
     return found
 
 
-def test_drives_that_are_done_or_wait_or_are_powered_are_passed_over():
+def test_drives_that_are_done_or_waiting_or_powered_get_no_request():
     waits: dict[str, Any] = {"at": (DONE, 0, 0, 0, 0, DONE), "asked": (-1, 95, 88, 87, -1, -1)}
     states = [OFF, OFF, OFF, OFF, READY, OFF]
     assert asked(sent(begun(**waits), drive_state=states)) == [2, 3]
@@ -172,13 +171,13 @@ def test_drives_that_are_done_or_wait_or_are_powered_are_passed_over():
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(250.0, 12), (100.0, 6), (150.0, 8), (1000.0, 50)])
-def test_patience_is_50_ms_and_six_ticks_at_least(rate_Hz, ticks):
+def test_patience_is_50_ms_but_at_least_six_ticks(rate_Hz, ticks):
     for since, again in ((ticks - 1, False), (ticks, True)):
         assert bool(sent(begun(setup=SETUP._replace(rate_Hz=rate_Hz), asked=100 - since))) == again
 
 
 @pytest.mark.parametrize(("tries", "at", "first"), [(19, 1, False), (20, 1, True), (20, 0, False)])
-def test_drive_that_misses_twenty_requests_is_asked_from_the_beginning(tries, at, first):
+def test_dialogue_starts_again_after_twenty_unanswered_requests(tries, at, first):
     mine = (A[0]._replace(key=o.REVISION), *A[1:])
     end = begun((A, A, mine, A, A, A), at=(3, 3, at, 3, 3, 3), tries=(0, 0, tries, 0, 0, 0))
     assert sent(end) == (Frame(0x60C, mine[0 if first or at == 0 else 1].request(12)),)
@@ -218,13 +217,13 @@ def test_drive_in_fault_without_a_known_code_is_asked_for_it():
     ("head", "value"),
     [
         (0x43, 0x12345678), (0x47, 0x345678), (0x4B, 0x5678), (0x4F, 0x78), (0x42, 0x12345678),
-        # without bit 0 the two bits of the size mean nothing
+        # without bit 0 the two size bits have no meaning
         (0x46, 0x12345678), (0x4A, 0x12345678), (0x4E, 0x12345678),
-        # to come in segments; an abort; a confirmation
+        # segmented transfer; abort; confirmation
         (0x40, None), (0x41, None), (0x44, None), (0x49, None), (0x4D, None), (0x80, None), (0x60, None),
     ],
 )  # fmt: skip
-def test_answer_has_as_many_bytes_as_its_size_gives_else_four(head, value):
+def test_answer_has_the_bytes_of_its_size_field_or_four(head, value):
     data = bytes.fromhex(f"{head:02x}64601278563412")
     assert o.read_value(data) == (None if value is None else ((0x6064, 0x12), value))
     assert o.read_value(data[:7]) is None
@@ -238,13 +237,13 @@ WROTE = bytes.fromhex("6060600000000000")
 
 
 def at(leg_at: int, plans: Any = (A,) * 6, **fields: Any) -> ends.Cia402End:
-    """Return leg 2 at a step, asked in tick 90."""
+    """Controller's end with leg 2 at a step, requested in tick 90."""
     asked = {"asked": (9, 9, 90, 9, 9, 9), "tries": (1, 1, 5, 1, 1, 1)}
     return begun(plans, at=(0, 0, leg_at, 0, 0, 0), **asked | fields)
 
 
 def answered(end: ends.Cia402End, data: bytes, number: int = 100, **columns: Any) -> Record:
-    """Let leg 2 answer; return the tick."""
+    """Decode an answer of leg 2; the result is the tick."""
     here = tick(number)
     end.take(received_array([Received(1, Frame(0x58C, data))]), tick(number - 1, **columns), here, 0)
     return here
@@ -271,7 +270,7 @@ def test_answer_to_another_request_changes_nothing_or_is_rejected():
     ("head", "value"),
     [(0x43, 0x12345678), (0x47, 0x345678), (0x4B, 0x5678), (0x4F, 0x78), (0x4E, 0x12345678)],
 )
-def test_drive_in_fault_gives_its_error_code_in_the_bytes_of_the_size(head, value):
+def test_drive_in_fault_reports_its_error_code_if_it_is_unknown(head, value):
     data = bytes((head, 0x3F, 0x60, 0)) + bytes.fromhex("78563412")
     assert answered(begun(at=DONE), data)["rejected"] == 0
     found = answered(begun(at=DONE), data, drive_state=FAULT)
@@ -283,7 +282,7 @@ def test_drive_in_fault_gives_its_error_code_in_the_bytes_of_the_size(head, valu
         assert not answered(begun(at=DONE), bytes.fromhex(other), drive_state=FAULT)["drive_fault"].any()
 
 
-def test_refusal_is_kept_until_the_drive_is_set_up_and_waits_its_patience():
+def test_refusal_is_reported_until_set_up_and_retried_after_a_patience():
     end = at(1)
     answered(end, bytes.fromhex("8060600030000906"))
     assert (of(end, "at"), of(end, "asked"), of(end, "tries")[2]) == ([0] * 6, [9, 9, 100, 9, 9, 9], 0)
@@ -297,12 +296,12 @@ def test_refusal_is_kept_until_the_drive_is_set_up_and_waits_its_patience():
     assert last.lacks() == tuple("" if leg == 2 else why for leg in range(6))
     end = at(1)
     answered(end, bytes.fromhex("8060600000000000"))
-    assert "abort 0x05040001" in end.lacks()[2], "an unknown command, where no code is given"
+    assert "abort 0x05040001" in end.lacks()[2], "without a code: an unknown command"
 
 
 @pytest.mark.parametrize(("code", "passes"), [(0x06020000, True), (0x06090011, True), (0x06090030, False)])
 @pytest.mark.parametrize("optional", [False, True])
-def test_missing_object_is_passed_over_where_it_is_optional(code, passes, optional):
+def test_missing_object_is_skipped_if_it_is_optional(code, passes, optional):
     end = at(0, ((A[0]._replace(optional=optional), A[1]),) * 6)
     answered(end, bytes.fromhex("80001000") + code.to_bytes(4, "little"))
     found = of(end, "at")[2], "refused" in end.lacks()[2]

@@ -1,4 +1,4 @@
-"""CiA 402 frames, byte for byte as the package canopen 2.4.1 makes and reads them (tests/data)."""
+"""CiA 402 frames, byte for byte as the package canopen 2.4.1 writes and reads them (tests/data)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.cia402 import objects as o
-from drivers.cia402.end import plan
+from drivers.cia402.controller_end import plan
 from drivers.cia402.states import STATE_OF, State, controlword
 from drivers.errors import ProtocolError
 from drivers.frame_array import received_array
@@ -18,16 +18,16 @@ from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, NEVER, Command, DriveFault, DriveMode, DriveState
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import SETUP
+from hil.contracts.loopback import SETUP
 from hil.contracts.messages import Status
 from tests.drivers.cia402_drives import COUNTS, NODES, PERMILLE_N, SCREW_m, changed, drives, holding
 
 DATA = json.loads((Path(__file__).parents[1] / "data/cia402_vectors.json").read_text(encoding="utf-8"))
 LEG = 4
-"""Of node 5."""
+"""Leg of node 5."""
 P = ByValue(drives(NODES))
 RUNNING = holding(P.protocol, [DriveState.RUN] * 6)
-"""What drives remember that have been set up."""
+"""Memory of configured drives."""
 
 
 def vectors(what: str) -> list[Any]:
@@ -70,7 +70,7 @@ def test_set_up_sync_and_heartbeat_have_the_bytes_of_canopen():
     assert commanded[-1] == Frame(0x700 + 127, frame(vectors("heartbeat OPERATIONAL")[0]).data)
 
 
-def test_sdo_frames_are_written_and_read_as_canopen_does():
+def test_sdo_frames_agree_with_canopen():
     for v in vectors("SDO request: download"):
         size = {"u16": 2, "i16": 2, "i8": 1, "i32": 4}[v["inputs"]["type"]]
         assert o.download(place_of(v), v["inputs"]["value"], size) == frame(v).data, v["what"]
@@ -86,7 +86,7 @@ def test_sdo_frames_are_written_and_read_as_canopen_does():
 
 
 @each("statusword decoded")
-def test_statusword_is_the_state_that_canopen_reads(v):
+def test_statusword_gives_the_state_that_canopen_reads(v):
     name = v["decoded"]["state"].replace("OPERATION ENABLED", "ENABLED").replace(" ", "_")
     name = name.removesuffix("_ACTIVE")
     assert STATE_OF[v["inputs"]["statusword"] & 0x7F] == (-1 if name == "UNKNOWN" else State[name])
@@ -103,7 +103,7 @@ def test_statusword_is_the_state_that_canopen_reads(v):
         ("FAULT", "RUN", "disable_voltage"), ("FAULT", "RESET", "fault_reset"),
     ],
 )  # fmt: skip
-def test_controlword_is_that_of_canopens_table(state, mode, word):
+def test_controlword_agrees_with_the_table_of_canopen(state, mode, word):
     known = STATE_OF[int(DATA["tables"]["statusword_masks"][state]["value"], 16)]
     assert (
         controlword(DriveMode[mode], known, edge=True, stopped=False) == DATA["tables"]["controlwords"][word]
@@ -111,7 +111,7 @@ def test_controlword_is_that_of_canopens_table(state, mode, word):
 
 
 @each("TPDO1 statusword")
-def test_tpdo_of_node_5_is_length_force_and_state(v):
+def test_tpdo_of_node_5_gives_length_force_and_state(v):
     m, said = decoded([frame(v)], ByValue(drives(NODES, velocity=False))), v["inputs"]
     assert m["age"].tolist() == [NEVER] * 4 + [0, NEVER]
     assert m["length"][LEG] == pytest.approx(0.75 + SCREW_m * said["position_counts"] / COUNTS, abs=1e-9)
@@ -131,7 +131,7 @@ def test_emcy_and_boot_up_have_the_bytes_of_canopen():
 
 
 @each("EMCY")
-def test_emcy_is_the_drives_fault(v):
+def test_emcy_code_is_the_fault_of_the_drive(v):
     assert decoded([frame(v)])["drive_fault"].tolist() == [0] * 4 + [v["inputs"]["error_code"], 0]
 
 

@@ -1,4 +1,4 @@
-"""CRC-8 and CRC-16 against published check values, a bitwise division, and a count of what they find."""
+"""CRC-8 and CRC-16 against published check values, a bitwise division, and a count of detected errors."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from tests.drivers.legs_frames import bitwise_crc
 
 
 def crc8(data: bytes) -> int:
-    """Return the CRC-8 of bytes, of which the first two stand for an identifier."""
+    """CRC-8 of bytes, the first two of which are an identifier."""
     return check(int.from_bytes(data[:2], "little"), data[2:], 1)
 
 
 def crc16(data: bytes) -> int:
-    """Return the CRC-16 as `crc8`."""
+    """CRC-16 of bytes, the first two of which are an identifier."""
     return check(int.from_bytes(data[:2], "little"), data[2:], 2)
 
 
@@ -34,7 +34,7 @@ def crc16(data: bytes) -> int:
         (bytes.fromhex("FFFFFFFF"), 0x74),
     ],
 )
-def test_the_crc8_has_its_published_values(data, expected):
+def test_crc8_has_its_published_values(data, expected):
     assert crc8(data) == expected
     assert bitwise_crc(data, 8) == expected
 
@@ -54,15 +54,15 @@ def test_every_burst_of_up_to_eight_bits_changes_the_check(data, draw):
     assert crc8(damaged.to_bytes(len(data), "big")) != crc8(data)
 
 
-def test_the_check_value_of_the_crc16_is_that_of_the_catalogue():
-    """CRC-16/M17 of the catalogue of parametrised CRC algorithms."""
+def test_crc16_has_the_check_value_of_the_catalogue():
+    """CRC-16/M17 in the catalogue of parametrised CRC algorithms."""
     assert crc16(b"123456789") == bitwise_crc(b"123456789", 16) == 0x772B
 
 
 def hamming_distance(polynomial: int, width: int, bits: int) -> int:
-    """Count out how many wrong bits of a code word of so many it takes to pass, five at most.
+    """Smallest number of wrong bits that passes undetected in a code word of `bits` bits, at most five.
 
-    A pattern passes if the remainders of its bits add up to nothing.
+    An error pattern passes if the remainders of its bits add up to 0.
     """
     remainders, x = [], 1
     for _ in range(bits):
@@ -79,7 +79,7 @@ def hamming_distance(polynomial: int, width: int, bits: int) -> int:
     return 4 if len(set(two)) < len(two) else 5
 
 
-def test_the_check_of_the_fd_command_finds_any_four_wrong_bits():
+def test_check_of_the_fd_command_detects_any_four_wrong_bits():
     code = 16 + 8 * 26 + 16  # identifier, forces with counter and mode, check
     assert hamming_distance(0x5935, 16, code) == 5
     assert hamming_distance(0x5935, 16, 241 + 16) == 5, "the length of Koopman's table"
@@ -89,5 +89,5 @@ def test_the_check_of_the_fd_command_finds_any_four_wrong_bits():
 
 
 @pytest.mark.parametrize("size", [2, 5, 8, 12])
-def test_the_crc8_of_the_short_frames_finds_any_two_wrong_bits(size):
+def test_crc8_of_the_short_frames_detects_any_two_wrong_bits(size):
     assert hamming_distance(0x1D, 8, 16 + 8 * size) == 3

@@ -1,4 +1,4 @@
-"""The own protocol: the DBC itself, refused frames of both ends, and round trips against cantools."""
+"""The protocol `legs`: its DBC files, frames that either end refuses, and round trips against cantools."""
 
 from __future__ import annotations
 
@@ -61,14 +61,14 @@ def test_dbc_loads_in_strict_cantools_without_a_warning(caplog, of, name, messag
     assert (file, len(database.messages)) == (name, messages)
 
 
-def test_the_sensors_stamp_against_the_sync_of_the_drives():
+def test_sensors_and_drives_have_the_same_sync():
     ours, theirs = (database.get_message_by_name("SYNC") for database in DATABASES)
     assert (ours.frame_id, ours.length) == (theirs.frame_id, theirs.length)
     values = {"Cycle": 0xA7, "CRC": 0xC3}
     assert ours.encode(values) == theirs.encode(values)
 
 
-def test_identifiers_are_in_the_order_of_urgency():
+def test_identifiers_are_in_order_of_urgency():
     order = ("ESTOP", "SYNC", "COMMAND", "FEEDBACK", "TRACKER", "IMU", "WRENCH", "CONFIG", "STATUS")
     kinds = [m.name.split("_")[0] for m in sorted(ALL_MESSAGES, key=lambda m: m.frame_id)]
     assert list(dict.fromkeys(kinds)) == list(order)
@@ -98,7 +98,7 @@ def test_drive_enumerations_have_the_names_of_the_dbc():
     assert names("CONFIG_1", "Reaction") == {int(r): r.name for r in Reaction}
 
 
-def test_fd_attributes_and_cycle_times():
+def test_messages_have_their_fd_attributes_and_cycle_times():
     sensors = {"TRACKER_7": 5, "IMU_8": 2, "WRENCH_9": 1}
     for message in ALL_MESSAGES:
         fd = message.name.startswith(("COMMAND_FD", "COMMAND_IDEAL", "FEEDBACK_FD", "FEEDBACK_IDEAL"))
@@ -113,7 +113,7 @@ def test_fd_attributes_and_cycle_times():
 
 
 @all_layouts
-def test_any_single_flipped_bit_of_a_feedback_is_refused(layout):
+def test_feedback_with_any_single_flipped_bit_is_refused(layout):
     frame = feedback(layout, 5)
     for bit in range(8 * len(frame.data)):
         measurement = decode(P[layout], received(damaged(frame, bit)), 5)
@@ -136,15 +136,15 @@ def test_a_feedback_of_wrong_length_node_or_state_is_refused(layout):
 @pytest.mark.parametrize(
     "word", ["000000000000F07F", "000000000000F8FF", "000000000000F0FF", "9C7500883CE4377E"]
 )
-def test_a_float_that_is_not_finite_or_absurd_is_refused(at, word):
+def test_float_that_is_not_finite_or_out_of_range_is_refused(at, word):
     measurement = decode(P["ideal"], received(resealed(feedback("ideal", 5), at, bytes.fromhex(word))), 5)
     assert (measurement["rejected"], measurement["age"][0]) == (1, NEVER)
 
 
 @pytest.mark.parametrize("data", [b"", b"\1", b"\1\0\0", b"\1\0\0\0", b"\5\0\0\0", b"\1\6\0\0"])
-def test_a_status_that_is_cut_damaged_or_of_an_unknown_state_is_refused(data):
+def test_status_that_is_short_damaged_or_of_unknown_state_is_refused(data):
     seals = [0x5A, bitwise_crc(b"\x01\x07" + data, 8)]
-    for seal in seals[:1] if data == b"\1\0\0\0" else seals:  # that one makes sense under its seal
+    for seal in seals[:1] if data == b"\1\0\0\0" else seals:  # with a correct CRC this one is valid
         measurement = decode(P["fd"], received(Frame(0x701, data + bytes([seal]))), 5)
         assert measurement["rejected"] == 1
         assert measurement["drive_fault"].tolist() == [0] * 6
@@ -154,7 +154,7 @@ def test_a_status_that_is_cut_damaged_or_of_an_unknown_state_is_refused(data):
 
 
 @all_layouts
-def test_any_single_flipped_bit_of_a_command_is_refused_by_the_drives(layout):
+def test_drives_refuse_a_command_with_any_single_flipped_bit(layout):
     for frame in command_frames(P[layout], Command(DriveMode.RUN, np.arange(6.0) * 100), 5):
         for bit in range(8 * len(frame.data)):
             assert isinstance(parse(P[layout], damaged(frame, bit)), Rejected)
@@ -162,21 +162,21 @@ def test_any_single_flipped_bit_of_a_command_is_refused_by_the_drives(layout):
 
 
 @all_layouts
-def test_an_unknown_mode_is_refused_by_the_drives(layout):
+def test_drives_refuse_an_unknown_mode(layout):
     at, unknown, known = {"classic": (5, 0x80, 0x60), "fd": (25, 4, 3), "ideal": (48, 0x45, 0x35)}[layout]
     for frame in command_frames(P[layout], Command(DriveMode.RUN, np.zeros(6)), 5):
         assert isinstance(parse(P[layout], resealed(frame, at, bytes([unknown]))), Rejected)
         assert isinstance(parse(P[layout], resealed(frame, at, bytes([known]))), DeviceCommand)
 
 
-def test_a_command_that_is_not_finite_is_refused_by_the_drives():
+def test_drives_refuse_a_command_that_is_not_finite():
     (frame,) = command_frames(P["ideal"], Command(DriveMode.RUN, np.zeros(6)), 5)
     assert isinstance(parse(P["ideal"], resealed(frame, 14, b"\xf0\x7f")), Rejected)
 
 
 @pytest.mark.parametrize(("at", "byte"), [(4, 4), (5, 1), (5, 7), (0, 0), (6, 1), (6, 3)])
-def test_a_senseless_configuration_is_refused_by_the_drives(at, byte):
-    frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: byte 0 alone holds the watchdog
+def test_drives_refuse_an_invalid_config(at, byte):
+    frame = P["fd"].configure(0.000_255, Reaction.HOLD)[3]  # 255 us: only byte 0 of the watchdog is used
     assert isinstance(parse(P["fd"], resealed(frame, at, bytes([byte]))), Rejected)
     assert isinstance(parse(P["fd"], damaged(frame, 3)), Rejected)
 
@@ -198,7 +198,9 @@ COUNTS = {"classic": 255, "fd": 255, "ideal": 15}
     tick=st.integers(0, 1 << 40),
     leg=st.integers(0, 5),
 )
-def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, state, tick, leg):
+def test_feedback_survives_a_round_trip_and_agrees_with_cantools(
+    layout, length, rate, force, state, tick, leg
+):
     frame = one_feedback(P[layout], leg, length, rate, force, state, tick & 15)
     measurement = decode(P[layout], received(frame), tick)
     assert measurement["age"][leg] == 0
@@ -227,7 +229,7 @@ def test_feedback_round_trip_and_cantools_agree(layout, length, rate, force, sta
     mode=st.sampled_from(DriveMode),
     tick=st.integers(0, 1 << 40),
 )
-def test_command_round_trip_and_cantools_agree(layout, force, mode, tick):
+def test_command_survives_a_round_trip_and_agrees_with_cantools(layout, force, mode, tick):
     frames = command_frames(P[layout], Command(mode, np.array(force)), tick)
     back: dict[int, float] = {}
     for frame in frames:

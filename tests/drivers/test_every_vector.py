@@ -1,4 +1,4 @@
-"""Each vector of other people's code goes to the end that it is for, which has to make of it what the table has."""
+"""Vectors of other libraries: each goes to its end of the codec, and the result is that of the table."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MOTEUS, ODRIVE = moteus(UNIT, 1e4), ODriveProtocol((0, 1, 2, 3, 5, 7), 0.05, UNI
 
 
 def family(name: str, v: Vector) -> Motors:
-    """Return the family that a vector is for, with the ranges that it has."""
+    """Family of a vector, with the ranges of the vector."""
     if name in {"odrive", "moteus"}:
         return ODRIVE if name == "odrive" else MOTEUS
     key = {"mit": "range", "damiao": "motor", "robstride": "model"}[name]
@@ -66,7 +66,7 @@ KINDS: dict[type, str] = {Rejected: "refused", EmergencyStop: "stopped", Answer:
 
 
 def obeyed(name: str, v: Vector, *, enabled: bool = True) -> str:
-    """Return what the emulated drives make of a frame, in words."""
+    """Reaction of the emulated drives to a frame, in words."""
     protocol = family(name, v)
     memory = protocol.power_up()._replace(enabled=(enabled,) * LEGS)
     if name == "odrive":
@@ -84,7 +84,7 @@ def obeyed(name: str, v: Vector, *, enabled: bool = True) -> str:
 
 
 def heard(name: str, v: Vector) -> str:
-    """Return what the controller makes of a frame, in words."""
+    """Meaning of a frame for the controller, in words."""
     found = family(name, v).hear(frame(v))
     if found is None:
         return "nobody's"
@@ -94,7 +94,10 @@ def heard(name: str, v: Vector) -> str:
 
 
 def fits(name: str, v: Vector, expected: Any) -> bool:
-    """Compare: `> x` at enabled drives, `| x` at disabled ones, `< x` at the controller; by a function; by several."""
+    """True if a vector has the expected result: `> x` enabled drives, `| x` disabled, `< x` controller.
+
+    A function is called with the vector; a tuple has several expectations.
+    """
     if isinstance(expected, tuple):
         return all(fits(name, v, each) for each in expected)
     if not isinstance(expected, str):
@@ -124,7 +127,7 @@ def packed_five(v: Vector, r: Ranges) -> bytes:
 
 
 def packed(name: str) -> Any:
-    """Compare a command with a library's, and what the drive reads with what a firmware read, in float32."""
+    """Compare a command with a library's, and its decoding with a firmware's, in float32."""
 
     def same(v: Vector) -> bool:
         r = ranges(name, v)
@@ -136,7 +139,7 @@ def packed(name: str) -> Any:
 
 
 def mit_reply(v: Vector) -> bool:
-    """Compare a reply that is read, and one that an emulated drive packs past its range as the firmware does."""
+    """Compare the decoding of a reply, and an emulated drive's packing past its range with the firmware's."""
     r, data = ranges("mit", v), frame(v).data
     names = "position_rad", "velocity_rad_s", "torque_or_current"
     made = data[1:6]
@@ -151,7 +154,7 @@ def damiao_feedback(v: Vector) -> bool:
     code, at_end = said["status_code"], abs(said["position_rad"]) == 12.5
     power = {0: DriveState.OFF, 1: DriveState.RUN}.get(code, DriveState.FAULT)
     fault = {0: 0, 1: 0, 13: DriveFault.WATCHDOG}.get(code, 0x100 + code)
-    # at its end a position may have gone past it
+    # a position at its end may be beyond it
     motion = None if at_end else (said["position_rad"] / TURN, said["velocity_rad_s"] / TURN)
     same = found.motion is None if motion is None else near(found.motion, motion)
     return (
@@ -167,7 +170,7 @@ def damiao_register(v: Vector) -> bool:
 
 
 def robstride_torque(v: Vector) -> bool:
-    """Compare our command with the library's, which rounds the torque and is off by a step."""
+    """Compare our command with the library's, which rounds the torque: at most one step off."""
     protocol = family("robstride", v)
     torque = {"mode": DriveMode.RUN, "ran": (True,) * 6, "torque": (v["inputs"]["torque_Nm"],) * 6}
     sent, theirs = protocol.poll(begun(protocol, **torque), 0), frame(v)
@@ -179,7 +182,7 @@ def robstride_torque(v: Vector) -> bool:
 
 
 def robstride_feedback(v: Vector) -> bool:
-    """Compare with the library that keeps the maker's scale."""
+    """Compare with the library that uses the maker's scale."""
     found, i = family("robstride", v).hear(frame(v)), v["inputs"]
     said = v["others"]["RS"] if "others" in v else v["decoded"]
     faults = i["fault_bits"]
@@ -191,7 +194,7 @@ def robstride_feedback(v: Vector) -> bool:
 
 
 def packed_with_the_sign(v: Vector) -> bool:
-    """Compare with the library that turns the axis round: its signs are the transmission's here."""
+    """Compare with the library that reverses an axis: here the transmission has the sign."""
     i, sign = v["inputs"], v["inputs"]["axis_direction"]
     p, velocity, kp, kd, torque = (i[key] for key in FIVE)
     r = Ranges(i["P_max"], i["V_max"], i["T_max"])
@@ -238,7 +241,7 @@ def axis_estimates(v: Vector) -> bool:
 
 
 def moteus_command(v: Vector) -> bool:
-    """Compare the figures that the drive reads with those that the package was given."""
+    """Compare the values that the drive reads with those given to the package."""
     written = registers(bytes.fromhex(v["data"]), WRITE)
     names = {
         "position_rev": COMMAND,
@@ -274,7 +277,7 @@ def moteus_mode(mode: int) -> Any:
 
 
 def axis_state(v: Vector) -> bool:
-    """Idle, closed loop and calibration, and an axis that is not ours."""
+    """Idle, closed loop and calibration, and a foreign axis."""
     words = {1: "off", 8: "ready run", 3: "refused"}[v["inputs"]["Axis_Requested_State"]]
     return obeyed("odrive", v, enabled=False) == (words if v["inputs"]["node_id"] != 63 else "")
 
@@ -318,8 +321,8 @@ EXPECTED: dict[str, dict[str, Any]] = {
         **{f"{name} mode": "> " for name in ("position-velocity", "velocity", "position-force")},
         "parameter reply": ("< register", damiao_register),
         "feedback ": ("< feedback", damiao_feedback),
-        "parameter reply: DEC": "< state",  # nobody here asks for it
-        "AMBIGUITY": "< register",  # at one of two positions: none is better than a wrong one
+        "parameter reply: DEC": "< state",  # this codec does not request it
+        "AMBIGUITY": "< register",  # at one of two positions: no reading is better than a wrong one
     },
     "robstride": {
         "type 1 operation control": "> run answers",
@@ -384,7 +387,7 @@ EXPECTED: dict[str, dict[str, Any]] = {
         "reply: q and d current float": ("< feedback", moteus_reply),
     },
 }
-"""What each vector has to become; the longest beginning of its name counts."""
+"""Expected result of each vector; the longest matching start of its name decides."""
 
 
 def row_of(name: str, v: Vector) -> str:
@@ -394,7 +397,7 @@ def row_of(name: str, v: Vector) -> str:
 
 
 @pytest.mark.parametrize("name", EXPECTED)
-def test_each_vector_becomes_what_its_row_has_and_every_row_has_one(name):
+def test_each_vector_has_the_result_of_its_row_and_every_row_is_used(name):
     rows = [(row_of(name, v), v) for v in DATA[name]["vectors"]]
     assert {row for row, _ in rows} == set(EXPECTED[name])
     wrong = [f"{row}: {v['what']} {v['inputs']}" for row, v in rows if not fits(name, v, EXPECTED[name][row])]

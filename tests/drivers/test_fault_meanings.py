@@ -1,4 +1,4 @@
-"""The words of fault codes, against the names that their makers' code gives them."""
+"""Texts of fault codes, against the names in the makers' code."""
 
 import json
 import re
@@ -17,17 +17,17 @@ SAME = {
     "uncalibrated": "calibrated", "drv": "driver", "temp": "temperature", "regen": "regeneration", "bad": "bad",
     "estop": "emergency",
 }  # fmt: skip
-"""What a maker's abbreviation is called here."""
+"""Words used here for the abbreviations of the makers."""
 
 
 def words(name: str) -> list[str]:
-    """Return the words of a name in camel case or with underscores, without those that every name may have."""
+    """Words of a name in camel case or with underscores, except those that any name may have."""
     parts = re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name.replace("_", " "))
     return [SAME.get(part.lower(), part.lower()) for part in parts if part.lower() not in {"start", "limit"}]
 
 
 def says(text: str, name: str) -> bool:
-    """Tell whether a text has every word of a name, be it in one piece (over voltage, overvoltage)."""
+    """True if a text has every word of a name, even joined (over voltage, overvoltage)."""
     joined = text.lower().replace(" ", "")
     return all(word.replace(" ", "") in joined for word in words(name))
 
@@ -35,7 +35,7 @@ def says(text: str, name: str) -> bool:
 @pytest.mark.parametrize(
     ("family", "table"), [("moteus", FAULTS), ("odrive", ERRORS), ("robstride", ROBSTRIDE_FAULTS)]
 )
-def test_every_code_has_the_words_of_its_makers_code(family, table):
+def test_every_fault_text_has_the_words_of_the_makers_name(family, table):
     names = {int(code): [said] if isinstance(said, str) else said for code, said in SAID[family].items()}
     assert sorted(table) == sorted(names)
     assert [
@@ -59,7 +59,7 @@ def test_every_code_has_the_words_of_its_makers_code(family, table):
         ),
     ],
 )
-def test_words_of_cubemars_and_damiao_are_those_of_their_manuals_in_order(table, names):
+def test_texts_of_cubemars_and_damiao_follow_their_manuals_in_order(table, names):
     assert sorted(table) == list(range(1, len(names) + 1))
     assert all(says(table[code], name) for code, name in enumerate(names, start=1)), table
 
@@ -79,9 +79,9 @@ EMCY = {
     0x83FF: "torque", 0x84FF: "velocity", 0x85FF: "position", 0x86FF: "positioning", 0x87FF: "synchronisation",
     0x90FF: "external", 0xF0FF: "additional", 0xFFFF: "manual",
 }  # fmt: skip
-"""Of CiA 301, table 26, and CiA 402-2: a code, or one of a class, and what its words have to have."""
+"""Words required for codes of CiA 301, table 26, and CiA 402-2, and for one code of each class."""
 
 
-def test_words_of_canopen_are_those_of_the_documents_for_each_code_and_class():
+def test_texts_of_canopen_have_the_words_of_each_code_and_class():
     assert meaning(0x00EE) == meaning(0xEFEE) == "unknown"
     assert {code: meaning(code) for code, said in EMCY.items() if said not in meaning(code)} == {}

@@ -1,4 +1,4 @@
-"""Files and folders: written whole or not at all, read only where regular, of one user alone."""
+"""Files and folders: written whole or not at all, read only if regular, private to one user."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_a_full_disk_leaves_the_earlier_file(tmp_path):
 
 
 @pytest.mark.parametrize("mode", [0o600, 0o664])
-def test_a_new_file_has_the_rights_of_the_earlier_one(tmp_path, mode):
+def test_new_file_has_the_permissions_of_the_earlier_one(tmp_path, mode):
     path = tmp_path / "run.yaml"
     path.write_text("earlier")
     path.chmod(mode)
@@ -60,7 +60,7 @@ def test_a_pipe_and_a_file_beyond_the_limit_are_not_read(tmp_path):
             read_regular(path, most)
 
 
-def test_a_folder_that_others_reach_is_refused(tmp_path):
+def test_folder_open_to_other_users_is_refused(tmp_path):
     folder = own_folder(tmp_path / "a" / "b")
     assert [path.stat().st_mode & 0o777 for path in (folder.parent, folder)] == [0o700, 0o700]
     folder.chmod(0o750)

@@ -1,4 +1,4 @@
-"""Files of frames as their own tools write them, read back by python-can."""
+"""Frame files as other tools write them, read back by python-can."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def test_candump_has_time_channel_identifier_and_data(tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["asc", "blf"])
-def test_python_can_reads_what_is_written(tmp_path, kind):
+def test_python_can_reads_the_frames_of_asc_and_blf(tmp_path, kind):
     written(kind, tmp_path / f"a.{kind}", "a")
     reader: Any = {"asc": can.ASCReader, "blf": can.BLFReader}[kind](tmp_path / f"a.{kind}")
     for k, (message, frame) in enumerate(zip(reader, FRAMES, strict=True)):

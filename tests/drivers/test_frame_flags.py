@@ -1,4 +1,4 @@
-"""Each kind of frame in the kernel's bytes and in a message of python-can, there and back."""
+"""Round trip of each kind of frame through the kernel's bytes and through a python-can message."""
 
 from __future__ import annotations
 
@@ -41,20 +41,20 @@ KINDS = [0, EXTENDED, REMOTE, EXTENDED | REMOTE, FD, FD | BRS, FD | ESI, FD | BR
         (Frame(0x123, b"\xff" * 64, FD | BRS | ESI | EXTENDED), "23010080 40030000" + "ff" * 64),
     ],
 )
-def test_frames_of_socketcan_are_those_of_the_kernel(frame, raw):
+def test_frames_of_socketcan_have_the_bytes_of_the_kernel(frame, raw):
     assert pack(*frame) == bytes.fromhex(raw)
     assert unpack(bytes.fromhex(raw)) == frame
 
 
 @little_endian
-def test_an_error_frame_of_the_kernel_keeps_its_classes():
+def test_error_frame_of_the_kernel_keeps_its_classes():
     # CAN_ERR_FLAG | CAN_ERR_BUSOFF, and all 29 bits of classes
     assert unpack(bytes.fromhex("40000020 08000000 0000000000000000")) == Frame(0x40, bytes(8), ERROR)
     assert unpack(bytes.fromhex("ffffff3f 08000000 0000000000000000")) == Frame(0x1FFFFFFF, bytes(8), ERROR)
 
 
 @pytest.mark.parametrize(("size", "flags"), [(9, 0), (65, FD)])
-def test_data_longer_than_a_frame_of_the_kernel_is_refused(size, flags):
+def test_data_too_long_for_a_frame_of_the_kernel_is_refused(size, flags):
     with pytest.raises(BusError, match=f"{size} bytes"):
         pack(*Frame(0x7FF, bytes(size), flags))
 

@@ -1,4 +1,4 @@
-"""What a tick measures by the own protocol: each leg by its own frames, at their age."""
+"""Measurement of a tick with the protocol `legs`: each leg by its own frames, at their age."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ legs = pytest.mark.parametrize("leg", range(6))
 
 
 def sent(layout: str, counter: int = NUMBER, **changes: Any) -> list[Frame]:
-    """Return the feedbacks of all legs to the SYNC of a tick, each with numbers of its own."""
+    """Feedbacks of all legs to the SYNC of a tick, each with different numbers."""
     values: dict[str, Any] = {"length": LENGTH, "rate": RATE, "force": FORCE, "state": RUN} | changes
     return [frame for _, frame in answers(P[layout], Sync(counter & 0xF), *values.values())]
 
 
 def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
-    """Return the record of the tick before, each leg with numbers of its own."""
+    """Record of the tick before, with different numbers for each leg."""
     last = new_record()
     last["tick"], last["age"] = number, age
     last["length"], last["rate"] = 2.1 + 0.1 * np.arange(6), 0.01 + 0.01 * np.arange(6)
@@ -49,7 +49,6 @@ def last_tick(number: int = 12, age: int | list[int] = 0) -> Record:
 def taken(
     layout: str, *frames: Frame, last: Any = None, t_ns: int = SINCE_NS, since_ns: int = SINCE_NS
 ) -> Any:
-    """Return the record of a tick with these frames."""
     tick = new_record()
     tick["tick"] = NUMBER
     for name in ("blind", *COUNTS):
@@ -91,14 +90,14 @@ def test_a_feedback_measures_its_leg_and_no_other(layout, leg):
 @pytest.mark.parametrize(
     ("behind", "age", "rejected"), [(0, 0, 0), (1, 1, 0), (8, 8, 0), (9, 21, 1), (15, 21, 1)]
 )
-def test_a_late_feedback_has_its_age_and_one_from_the_future_is_refused(layout, behind, age, rejected):
+def test_late_feedback_has_its_age_and_one_from_the_future_is_refused(layout, behind, age, rejected):
     tick = taken(layout, sent(layout, NUMBER - behind)[4], last=last_tick(12, 20))
     assert (int(tick["age"][4]), int(tick["rejected"])) == (age, rejected)
     assert tick["age"].tolist()[:4] == [21] * 4
 
 
 @layouts
-def test_a_feedback_from_before_the_tick_is_no_answer_to_its_sync(layout):
+def test_feedback_received_before_the_tick_does_not_answer_its_sync(layout):
     for t_ns, counter, age, rejected in (
         (SINCE_NS - 1, 13, 4, 1),
         (SINCE_NS, 13, 0, 0),
@@ -112,7 +111,7 @@ def test_a_feedback_from_before_the_tick_is_no_answer_to_its_sync(layout):
 
 
 @layouts
-def test_a_late_feedback_counts_where_it_is_newer_than_what_is_held(layout):
+def test_late_feedback_counts_if_it_is_newer_than_the_one_held(layout):
     for held, there in ((2, False), (3, True)):
         tick = taken(layout, sent(layout, NUMBER - 3)[4], last=last_tick(12, held))
         assert tick["length"][4] == pytest.approx(LENGTH[4] if there else 2.5)
@@ -122,7 +121,7 @@ def test_a_late_feedback_counts_where_it_is_newer_than_what_is_held(layout):
 
 @layouts
 @legs
-def test_an_invalid_length_makes_its_leg_blind_and_not_fresh(layout, leg):
+def test_invalid_length_makes_its_leg_blind_and_not_fresh(layout, leg):
     states = RUN.copy()
     states[leg] = DriveState.FAULT | INVALID
     tick = taken(layout, *sent(layout, state=states), last=last_tick(12, 5))
@@ -138,7 +137,7 @@ def test_an_invalid_length_makes_its_leg_blind_and_not_fresh(layout, leg):
 
 @layouts
 @legs
-def test_a_second_answer_that_differs_doubles_its_node(layout, leg):
+def test_second_answer_with_other_content_marks_a_doubled_node(layout, leg):
     good = sent(layout)
     others = [
         sent(layout, length=LENGTH + 0.01),
@@ -164,7 +163,7 @@ def test_a_second_answer_that_differs_doubles_its_node(layout, leg):
 
 @layouts
 @legs
-def test_after_a_blind_answer_one_of_an_earlier_tick_is_no_second_one(layout, leg):
+def test_after_a_blind_answer_an_earlier_one_does_not_count_as_second(layout, leg):
     blind, late = sent(layout, state=RUN | INVALID)[leg], sent(layout, NUMBER - 1)[leg]
     tick = taken(layout, blind, late, last=last_tick(12, 5))
     assert (int(tick["doubled"]), int(tick["age"][leg])) == (0, 1)
@@ -172,7 +171,7 @@ def test_after_a_blind_answer_one_of_an_earlier_tick_is_no_second_one(layout, le
     assert tick["blind"].tolist() == [each == leg for each in range(6)]
 
 
-def test_frames_of_a_controller_are_foreign_by_their_kind_in_any_layout():
+def test_controller_frames_are_foreign_by_their_kind_in_any_layout():
     zeros = Command(DriveMode.OFF, np.zeros(6))
     commands = [f for p in P.values() for f in command_frames(p, zeros, 0)]
     assert len(commands) == 4
@@ -192,7 +191,7 @@ def test_frames_of_a_controller_are_foreign_by_their_kind_in_any_layout():
 
 @layouts
 @legs
-def test_a_status_has_the_fault_of_its_drive_and_reports_another_set_up(layout, leg):
+def test_status_gives_the_fault_of_its_drive_and_a_different_set_up(layout, leg):
     def status(fault: DriveFault, state: int, **other: Any) -> Frame:
         holds = Configure(leg, 0.0125, Reaction.HOLD)._replace(**other)
         return reports(P[layout], Status(leg, state, fault, holds))[0]
@@ -200,7 +199,7 @@ def test_a_status_has_the_fault_of_its_drive_and_reports_another_set_up(layout, 
     tick = taken(layout, status(DriveFault.STROKE, 4))
     assert tick["drive_fault"].tolist() == [5 if each == leg else k for each, k in enumerate(range(6))]
     assert (int(tick["altered"]), int(tick["rejected"])) == (0, 0)
-    for state, altered in ((1, 1 << leg), (0, 0)):  # in boot it has none
+    for state, altered in ((1, 1 << leg), (0, 0)):  # no set-up in BOOT
         tick = taken(layout, status(DriveFault.NONE, state, watchdog_s=0.1))
         assert (int(tick["altered"]), int(tick["rejected"])) == (altered, 0)
     good = status(DriveFault.STROKE, 4)
@@ -215,7 +214,7 @@ def test_a_status_has_the_fault_of_its_drive_and_reports_another_set_up(layout, 
 
 @layouts
 @legs
-def test_the_held_answer_may_come_again_and_its_state_is_compared(layout, leg):
+def test_repeated_answer_is_compared_with_the_one_held(layout, leg):
     held = taken(layout, *sent(layout))
     held["tick"], held["age"] = NUMBER - 1, 2
     again = [sent(layout, NUMBER - 3, state=state)[leg] for state in (RUN, RUN + 1)]
@@ -233,7 +232,7 @@ def test_the_held_answer_may_come_again_and_its_state_is_compared(layout, leg):
 
 @layouts
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE, ERROR, BUS, 128 * BUS], ids=str)
-def test_frames_of_another_kind_or_bus_are_ignored(layout, flag):
+def test_frames_of_other_kinds_or_buses_are_ignored(layout, flag):
     frames = [*sent(layout), *opening(P[layout], 0), *P[layout].traits.emergency_stop]
     tick = taken(layout, *(frame._replace(flags=frame.flags | flag) for frame in frames))
     assert tick["age"].tolist() == [1] * 6

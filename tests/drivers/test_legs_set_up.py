@@ -1,4 +1,4 @@
-"""The own protocol's set-up: who is sent a CONFIG and when, what confirms it."""
+"""Set-up of the protocol `legs`: when a drive gets a CONFIG, and what confirms it."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ BOOT, OFF, READY, RUN, FAULT = DriveState
 
 
 def placed(*places: int) -> LegsProtocol:
-    """Return the protocol of drives that hold these places in the command."""
+    """The protocol of drives that have these places in the command."""
     protocol = LegsProtocol("fd", NODES, 32_000.0)
     protocol.tables["place"] = places
     return protocol
 
 
 def status(leg: int, state: int = OFF, protocol: LegsProtocol = P, **other: Any) -> Frame:
-    """Return the heartbeat of a drive that holds the set-up, or another."""
+    """Status of a drive that has our set-up, or a changed one."""
     holds = Configure(leg, 0.0125, Reaction.HOLD)._replace(**other)
     return reports(protocol, Status(leg, state, DriveFault.NONE, holds))[0]
 
 
 def bare(leg: int) -> Frame:
-    """Return the heartbeat of a drive that was never set up."""
+    """Status of a drive that was never set up."""
     return reports(P, Status(leg, OFF, DriveFault.NONE))[0]
 
 
@@ -62,14 +62,14 @@ def begun(**fields: Any) -> Remembered:
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(50.0, 6), (325.0, 6), (330.0, 7), (400.0, 8), (1000.0, 20)])
-def test_each_drive_has_its_turn_every_20_ms_and_every_sixth_tick_at_most(rate_Hz, ticks):
+def test_each_drive_has_a_turn_every_20_ms_but_at_least_six_ticks_apart(rate_Hz, ticks):
     dialogue = V.start(SETUP._replace(rate_Hz=rate_Hz))
     turns = [[f.id - 0x600 for f in V.set_up(dialogue, at(k, state=BOOT))[1]] for k in range(2 * ticks)]
     assert turns == 2 * ([[node] for node in NODES] + [[]] * (ticks - 6))
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_drive_is_sent_its_config_by_its_state_age_and_tries(leg):
+def test_state_age_and_tries_decide_whether_a_drive_gets_a_config(leg):
     def sends(state: int, age: int = 0, sent: int = 0, confirmed: int = 0) -> bool:
         states, ages, tries = ([9] * 6 for _ in range(3))
         states[leg], ages[leg], tries[leg] = state, age, sent
@@ -86,7 +86,7 @@ def test_a_drive_is_sent_its_config_by_its_state_age_and_tries(leg):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_status_confirms_the_set_up_of_its_drive_and_takes_it_back(leg):
+def test_status_confirms_or_revokes_the_set_up_of_its_drive(leg):
     mine = 1 << leg
     dialogue = taken(begun(), status(leg))
     assert (dialogue.confirmed, V.legs_set_up(dialogue)) == (mine, (False,) * 6), "we have sent none yet"
@@ -105,7 +105,7 @@ def test_a_status_confirms_the_set_up_of_its_drive_and_takes_it_back(leg):
         assert after.said[leg] == int.from_bytes(other.data[2:4], "little")
 
 
-def test_only_the_last_whole_status_of_a_drive_counts():
+def test_only_the_last_intact_status_of_a_drive_counts():
     first, second = status(2, watchdog_s=0.02), status(2, watchdog_s=0.03)
     heard = taken(begun(), first, second, status(4, watchdog_s=0.02)).said
     assert heard[2] == int.from_bytes(second.data[2:4], "little")
@@ -116,7 +116,7 @@ def test_only_the_last_whole_status_of_a_drive_counts():
     assert taken(begun(), first, *spoiled).said[2] == int.from_bytes(first.data[2:4], "little")
 
 
-def test_what_each_drive_lacks_is_read_from_its_checksum():
+def test_missing_set_up_of_each_drive_follows_from_its_checksum():
     statuses = {
         0: status(0),
         2: status(2, reaction=Reaction.DAMP),
@@ -125,24 +125,24 @@ def test_what_each_drive_lacks_is_read_from_its_checksum():
         5: status(5, watchdog_s=0.02),
     }
     dialogue = taken(begun(sent=(1, 0, 1, 2, 3, 4)), *statuses.values())
-    words = ["", "sent no CONFIG", "checksum", "checksum", "reports no set-up", "checksum"]
+    words = ["", "been sent no CONFIG", "checksum", "checksum", "reports no set-up", "checksum"]
     for leg, (word, lack) in enumerate(zip(words, V.set_up_lacks(dialogue), strict=True)):
         assert (word in lack) if word else not lack
         if word == "checksum":
             found = int.from_bytes(statuses[leg].data[2:4], "little"), dialogue.expected[leg]
             assert "0x{:04X}, not 0x{:04X}".format(*found) in lack
     for unheard in (begun(sent=(1,) * 6), taken(dialogue, status(0, BOOT))):  # the right checksum, in boot
-        assert "no status" in V.set_up_lacks(unheard)[0]
+        assert "not confirmed" in V.set_up_lacks(unheard)[0]
 
 
-def test_a_drive_of_another_version_of_the_protocol_does_not_confirm():
+def test_drive_with_another_protocol_version_does_not_confirm():
     older = LegsProtocol("fd", NODES, 32_000.0)
     older.tables["version"] = 1
     assert "checksum" in V.set_up_lacks(taken(begun(sent=(1,) * 6), status(1, protocol=older)))[1]
 
 
 @pytest.mark.parametrize("watchdog_s", [0.0, 4e-7, 4294.9673, float("nan"), float("inf"), -1.0])
-def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
+def test_watchdog_is_from_1_us_to_32_bits_of_us(watchdog_s):
     with pytest.raises(ProtocolError, match="CONFIG"):
         P.configure(watchdog_s, Reaction.HOLD)
     for fits in (6e-7, 4294.967295):
@@ -154,7 +154,7 @@ def test_a_watchdog_is_1_us_to_32_bits_of_them(watchdog_s):
 
 
 @pytest.mark.parametrize("rated_N", [0.000999, 0.001, 4294967.295, 4294967.296])
-def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
+def test_rated_force_must_fit_into_the_checksum(rated_N):
     if 0.001 <= rated_N <= 4294967.295:
         assert LegsProtocol("fd", NODES, rated_N).rated_force_N == rated_N
         return
@@ -165,7 +165,7 @@ def test_a_rated_force_is_one_that_the_checksum_can_carry(rated_N):
 # what drives refuse
 
 
-def test_drives_refuse_a_frame_that_is_cut_repeated_or_of_another_sync():
+def test_drives_refuse_a_short_or_repeated_frame_or_one_of_another_sync():
     command = command_frames(P, Command(DriveMode.RUN, np.zeros(6)), 7)[0]
     sync = opening(P, 7)[0]
     for frame, present in (

@@ -18,8 +18,8 @@ from drivers.can.localcan.participant import DEFAULT_TIMING, Participant
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
-from tests.drivers.arbitrated import arbitrate
-from tests.drivers.frames_heard import CLASSIC_8_BYTES, CRAWL, got, soon
+from tests.drivers.arbitration_queue import arbitrate
+from tests.drivers.received_frames import CLASSIC_8_BYTES, CRAWL, got, soon
 
 pytestmark = pytest.mark.usefixtures("runtime")
 
@@ -39,7 +39,7 @@ def test_a_frame_takes_its_bit_time_and_its_sender_knows_its_end(join):
     assert sender.sent_ns() == [received.t_ns]
 
 
-def test_lowest_identifier_wins_when_the_bus_falls_free(join):
+def test_lowest_identifier_wins_when_the_bus_becomes_free(join):
     a, b, c = join(CRAWL), join(CRAWL), join(CRAWL)
     # the first frame holds the bus, and the others meet at its end
     a.send(sent_array([Frame(0x700, bytes(8))]))
@@ -65,7 +65,7 @@ def test_every_participant_sees_the_same_order_and_times(join):
     assert sum(bool(r.frame.flags & OWN) for r in seen_by_b) == 10
 
 
-def test_a_node_has_a_limit_of_waiting_frames_and_flushes_its_own_alone(join):
+def test_node_has_a_limit_of_waiting_frames_and_flushes_only_its_own(join):
     a, b, c = join(CRAWL, tx_limit=8), join(CRAWL), join(CRAWL)
     assert a.send(sent_array([Frame(0x10 + k, bytes(8)) for k in range(12)])) == 8
     b.send(sent_array([Frame(0x50, b""), Frame(0x51, b"")]))
@@ -77,7 +77,7 @@ def test_a_node_has_a_limit_of_waiting_frames_and_flushes_its_own_alone(join):
 
 
 @pytest.mark.parametrize(("length", "carried"), [(8, 8), (9, 12), (33, 48), (64, 64)])
-def test_a_frame_of_can_fd_is_filled_up_to_a_length_that_there_is(join, length, carried):
+def test_can_fd_frame_is_padded_to_a_valid_length(join, length, carried):
     a, b = join(), join()
     data = bytes(range(1, length + 1))
     for _ in range(2):
@@ -100,8 +100,8 @@ def test_a_frame_that_the_bus_cannot_carry_is_refused(join, frame):
 
 
 @pytest.mark.parametrize(("senders", "each"), [(1, 3 * 8192), (2, 40_000)])
-def test_a_slow_reader_loses_the_oldest_and_counts_them(join, senders, each):
-    """An outbox holds 8192 frames, the log of all 32768."""
+def test_slow_reader_loses_the_oldest_frames_and_counts_them(join, senders, each):
+    """An outbox holds 8192 frames, the common log 32768."""
     fast = BitTiming(1_000_000_000, 1_000_000_000)
     nodes, reader = [join(fast) for _ in range(senders)], join(fast)
     for k in range(0, each, 32):
@@ -157,8 +157,8 @@ def _send_all(node, first):
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_the_log_decides_as_arbitration_does(runtime, monkeypatch, seed):
-    """Random traffic on a wire whose clock is turned by hand, against `arbitrate`."""
+def test_log_and_arbitration_give_the_same_order(runtime, monkeypatch, seed):
+    """Random traffic on a wire with a manual clock, against `arbitrate`."""
     chance = random.Random(seed)
     now = [1_000_000]
     nodes = [Participant("t", DEFAULT_TIMING) for _ in range(3)]
@@ -166,7 +166,7 @@ def test_the_log_decides_as_arbitration_does(runtime, monkeypatch, seed):
         node.clock.begin(1, 1)
 
     def set_time(t_ns):
-        # bench time stands where the earliest due is
+        # bench time stands still at the earliest due
         words = nodes[0]._wire.words
         words[slot_at(nodes[0].serial) + SLOT_DUE] = t_ns
         now[0] = t_ns

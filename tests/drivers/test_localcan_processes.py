@@ -20,12 +20,12 @@ from drivers.can.localcan.participant import DEFAULT_TIMING, Participant
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame, Received
-from tests.drivers.frames_heard import CLASSIC_8_BYTES, CRAWL, got, soon
+from tests.drivers.received_frames import CLASSIC_8_BYTES, CRAWL, got, soon
 
 pytestmark = pytest.mark.usefixtures("runtime")
 
 
-def test_killed_in_full_flight_leaves_the_bus_usable(join, child):
+def test_bus_remains_usable_after_a_sender_is_killed(join, child):
     a, b = join(), join()
     for _ in range(4):
         sender = child("while True: node.send([Frame(0x555, bytes(8))] * 4); node.receive()")
@@ -37,13 +37,13 @@ def test_killed_in_full_flight_leaves_the_bus_usable(join, child):
         got(b.receive())
         a.send(sent_array([Frame(0x10, b"alive")]))
         assert got(collect(b, soon(1), {0x10}))[-1].frame.data == b"alive"
-    # the sender has noticed the deaf sockets and the newcomer has swept them
+    # the sender has noticed the dead sockets and the new participant has removed them
     late = join()
     assert len(late._wire.present()) == 3
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
-def test_a_sender_that_goes_in_the_middle_of_a_frame_has_no_effect(join, child, number):
+def test_sender_killed_or_stopped_within_a_frame_has_no_effect(join, child, number):
     sender = child(
         f"""
 from drivers.can.localcan import layout, log
@@ -66,7 +66,7 @@ sys.stdin.readline(); node.send([Frame(0x21, b"never")])
 
 
 def start_by_hand(words, sender, number):
-    """Put a start into the log as one who is gone before it has written the frame's end."""
+    """Append a start to the log like a participant that is killed before it writes the end of the frame."""
     index = max(layout.FIRST, int(words[layout.HINT_AT]))
     entry = (
         index // layout.LOG << layout.LAP_SHIFT | sender.serial % layout.SLOTS << layout.NUMBER_BITS | number
@@ -75,7 +75,7 @@ def start_by_hand(words, sender, number):
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_frame_ends_for_all_alike_although_its_starter_was_killed(join, late):
+def test_frame_has_one_end_for_all_although_its_starter_was_killed(join, late):
     a, b, c = join(CRAWL), join(CRAWL), join(CRAWL, own=True)
     assert a.send(sent_array([Frame(0x20, bytes(8)), Frame(0x10, bytes(8))])) == 2
     start_by_hand(b._wire.words, a, 0)
@@ -88,7 +88,7 @@ def test_a_frame_ends_for_all_alike_although_its_starter_was_killed(join, late):
     assert heard[1][-1] == heard[0][-1]
 
 
-def test_joining_and_leaving_wait_for_a_stopped_participant_only_so_long(join, runtime, monkeypatch):
+def test_joining_and_leaving_wait_a_bounded_time_for_a_stopped_process(join, runtime, monkeypatch):
     monkeypatch.setattr("drivers.can.localcan.wire.JOIN_S", 0.2)
     a, b = join(), join()
     with (next((runtime / "hexapod-hil").glob("t.wire*"))).open() as held:
@@ -103,8 +103,8 @@ def test_joining_and_leaving_wait_for_a_stopped_participant_only_so_long(join, r
     join()
 
 
-def test_a_reader_is_woken_although_the_sender_was_killed_as_it_rang(join):
-    # a rung doorbell that never sounded: the next frame after 20 ms rings again
+def test_reader_is_woken_although_a_sender_was_killed_while_ringing(join):
+    # marked as rung, but without a ring: the next frame after 20 ms rings again
     reader, sender = join(), join()
     reader.arm()
     reader._wire.words[slot_at(reader.serial) + SLOT_RUNG] = time.monotonic_ns()
@@ -113,14 +113,14 @@ def test_a_reader_is_woken_although_the_sender_was_killed_as_it_rang(join):
     assert select.select([reader], [], [], 1.0)[0]
 
 
-def test_a_newcomer_in_the_slot_of_a_killed_participant_does_not_hold_time(join):
+def test_new_participant_in_the_slot_of_a_killed_one_does_not_hold_time(join):
     viewer, killed = join(), join()
-    # 1 ns to wake up, 1 ns to work: it holds time up at once
+    # 1 ns to wake up, 1 ns to work: time stands still at once
     killed.clock.begin(1, 1)
     killed.clock.holds = True
     killed.clock.working()
     assert viewer.clock.stands()
-    killed._wire.bell.close()  # without a word to the others, as the kernel does it
+    killed._wire.bell.close()  # without notice to the others, as by the kernel
     newcomer = join()
     assert newcomer.serial % layout.SLOTS == killed.serial % layout.SLOTS
     assert not viewer.clock.stands()
@@ -128,10 +128,10 @@ def test_a_newcomer_in_the_slot_of_a_killed_participant_does_not_hold_time(join)
     killed._closed = True
 
 
-def test_leftovers_of_a_dead_bus_do_not_disturb_the_next(join, child, runtime):
+def test_remains_of_a_dead_bus_do_not_disturb_the_next(join, child, runtime):
     child("node.send([Frame(0x111, bytes(8))] * 60); os.kill(os.getpid(), 9)").wait(10)
     assert list((runtime / "hexapod-hil").iterdir())
-    # other timing than the dead bus had, none of its frames, and no trace at the end
+    # different timing from the dead bus, none of its frames, and no files at the end
     a, b = join(CRAWL), join(CRAWL)
     a.send(sent_array([Frame(0x10, b"new")]))
     assert [r.frame.id for r in got(collect(b, soon()))] == [0x10]
@@ -141,7 +141,7 @@ def test_leftovers_of_a_dead_bus_do_not_disturb_the_next(join, child, runtime):
 
 
 @pytest.mark.realtime
-def test_two_processes_at_full_load_lose_nothing_and_take_the_bus_time(join, child):
+def test_two_processes_at_full_load_lose_no_frame_and_keep_the_bus_time(join, child):
     node = join()
     child(
         """
@@ -163,7 +163,7 @@ time.sleep(1)
     assert node.overflow == 0
 
 
-def test_a_newcomer_next_to_a_sender_stays_on_the_bus(join, child):
+def test_new_participant_next_to_a_sender_stays_on_the_bus(join, child):
     child("while True: node.send([Frame(0x55, b'')]); time.sleep(2e-4)")
     node = join()
     for _ in range(60):
@@ -174,8 +174,8 @@ def test_a_newcomer_next_to_a_sender_stays_on_the_bus(join, child):
 
 
 @pytest.mark.long
-def test_all_participants_see_one_order_though_some_are_stopped(join, child, tmp_path):
-    """Four processes send, two of them are stopped and continued at random; all logs agree."""
+def test_all_participants_see_one_order_although_some_are_stopped(join, child, tmp_path):
+    """Four processes send, and two of them are stopped and resumed at random; all logs agree."""
     watcher = join()
     code = """
 import json, random

@@ -1,4 +1,4 @@
-"""localcan under python-can: its bus, its logger, its viewer."""
+"""localcan under python-can: its bus, logger and viewer."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def message(identifier, data=b"", **options):
     return can.Message(arbitration_id=identifier, data=data, is_extended_id=False, **options)
 
 
-def test_python_can_sees_the_bus_under_its_entry_point():
+def test_python_can_finds_localcan_by_its_entry_point():
     with (
         can.Bus("t", "localcan", bitrate=1_000_000, data_bitrate=5_000_000, fd=True, ignore_config=True) as a,
         can.Bus("t", "localcan", receive_own_messages=True, ignore_config=True) as b,
@@ -60,7 +60,7 @@ def test_python_can_sees_the_bus_under_its_entry_point():
         assert next_message(a).arbitration_id == 0x50
 
 
-def test_another_timing_a_full_queue_and_fd_frames_are_refused():
+def test_different_timing_a_full_queue_and_fd_frames_are_refused():
     with LocalCanBus("t", bitrate=125_000, fd=False) as bus:
         with pytest.raises(can.CanInitializationError, match="125000"):
             LocalCanBus("t", bitrate=250_000)
@@ -73,7 +73,7 @@ def test_another_timing_a_full_queue_and_fd_frames_are_refused():
             bus.send(message(0x1, is_fd=True))
 
 
-def test_an_asyncio_reader_gets_all_messages_by_the_file_descriptor():
+def test_asyncio_reader_gets_all_messages_through_the_descriptor():
     async def run() -> list[int]:
         with LocalCanBus("t", bitrate=1_000_000, fd=False) as a, LocalCanBus("t") as b:
             reader = can.AsyncBufferedReader()
@@ -92,8 +92,8 @@ def test_an_asyncio_reader_gets_all_messages_by_the_file_descriptor():
 def on_the_bus(
     node: Participant, program: str, *options: str, **pipes: Any
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Run a program of python-can until it is on the channel; kill it at the end."""
-    # where the tests run in the background SIGINT is ignored, and so it would be in here
+    """Run a program of python-can until it has joined the channel; kill it at the end."""
+    # SIGINT is ignored if the tests run in the background; the child would inherit this
     start = (
         "import runpy, signal; signal.signal(signal.SIGINT, signal.default_int_handler);"
         f"runpy.run_module({program!r}, run_name='__main__')"

@@ -1,4 +1,4 @@
-"""MIT framing: the contract of each variant, its dialogue, frames of other people's code, and settings."""
+"""MIT framing: the contract of each variant, its dialogue, frames of other libraries, and settings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivers.protocol import EXTENDED, Frame
 from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.transmission import Transmission
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import SETUP, Ends
+from hil.contracts.loopback import SETUP, Ends
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import (
     ALL_NODES,
@@ -45,7 +45,7 @@ FINE_m_s, FINE_N = 2 * 800.0 / 65535 / (2 * np.pi) * LEAD_m, 2 * 288.0 / 65535 *
 class MitInTrouble(TroubleContract):
     RESOLUTION = (STEP_m, STEP_m_s, STEP_N, STEP_N)
     LENGTHS, SPEED = (0.24, 3.26), 6.36
-    """95.5 rad and 400 rad/s behind 0.1 m a turn, less than a step from the ends."""
+    """95.5 rad and 400 rad/s with 0.1 m per turn, less than a step from the ends."""
     VARIANT = ""
 
     @pytest.fixture
@@ -82,16 +82,16 @@ class TestRobStride(MitInTrouble):
 BRAKES = SETUP._replace(reaction=Reaction.BRAKE)
 
 
-def test_new_run_enables_again_though_nothing_was_heard_between():
+def test_new_run_enables_again_without_any_frame_in_between():
     protocol = mit("damiao")
     dialogue = begun(protocol, mode=DriveMode.RUN, ran=(True,) * 6)
-    assert ENABLE not in {frame.data for frame in protocol.begin(dialogue, 1)}, "it fell back by itself"
+    assert ENABLE not in {frame.data for frame in protocol.begin(dialogue, 1)}, "it was disabled by itself"
     for mode in (DriveMode.OFF, DriveMode.RUN):
         dialogue, _ = protocol.command(dialogue, Command(mode, np.zeros(6)), 1)
     assert {frame.data for frame in protocol.begin(dialogue, 2)} == {ENABLE}
 
 
-def test_drive_with_other_ranges_is_not_set_up_and_says_which():
+def test_drive_with_other_ranges_is_not_set_up_and_the_range_is_reported():
     ends = Ends(mit("damiao"))
     other = ByValue(MitProtocol("damiao", RANGES._replace(position=100.0), MIT_NODES, 16, GEAR))
     ends.dialogue = other.start(BRAKES)
@@ -99,10 +99,10 @@ def test_drive_with_other_ranges_is_not_set_up_and_says_which():
     for _ in range(100):
         ends.step()
     assert not any(other.legs_set_up(ends.dialogue))
-    assert other.set_up_lacks(ends.dialogue)[0] == "PMAX (register 21) is 95.5 in the drive, 100 here"
+    assert other.set_up_lacks(ends.dialogue)[0] == "PMAX (register 21) is 95.5 in the drive, expected 100"
 
 
-def test_range_that_is_not_a_single_is_confirmed_by_the_nearest_one():
+def test_range_that_is_not_a_single_is_confirmed_by_the_nearest_single():
     near = RANGES._replace(position=95.3, velocity=400.1, torque=143.9)
     Ends(MitProtocol("damiao", near, MIT_NODES, 16, GEAR)).until_set_up()
 
@@ -123,7 +123,7 @@ def vectors(name: str, begins: str) -> list[Any]:
 
 
 def ranges(name: str, model: str) -> Ranges:
-    """Return them from position, velocity, kp, kd, torque, or without gains."""
+    """Ranges from a row with position, velocity, kp, kd, torque, or without gains."""
     p, v, *gains = DATA[name]["ranges"][model]
     return Ranges(p, v, gains[0] if name == "robstride" else gains[-1])
 
@@ -144,7 +144,7 @@ def frame(v: Any) -> Frame:
         *(("robstride", m, m) for m in VARIANTS["robstride"].models),
     ],
 )
-def test_ranges_of_a_model_are_those_of_its_libraries(variant, model, name):
+def test_ranges_of_a_model_agree_with_other_libraries(variant, model, name):
     file = variant if variant in DATA else "mit"
     assert VARIANTS[variant].models[model] == pytest.approx(ranges(file, name), rel=1e-8)
 
@@ -153,7 +153,7 @@ def damiao(motor: str = "DM4310") -> MitProtocol:
     return MitProtocol("damiao", ranges("damiao", motor), ALL_NODES, 16, GEAR)
 
 
-def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
+def test_damiao_special_frames_and_registers_agree_with_libraries():
     protocol = damiao()
     start = protocol.start(BRAKES)
     # 0.1 s are 2000 steps of 50 us
@@ -172,7 +172,7 @@ def test_damiao_special_frames_and_registers_are_those_of_its_libraries():
         assert sent == frame(vectors("damiao", what)[0]), what
 
 
-def test_robstride_special_frames_are_those_of_its_libraries():
+def test_robstride_special_frames_agree_with_libraries():
     protocol = robstride()
     start = protocol.start(BRAKES)
     written, read = protocol.exchanges(BRAKES)[0][0].frames
@@ -188,7 +188,7 @@ def test_robstride_special_frames_are_those_of_its_libraries():
 
 
 @given(torque=st.floats(-20.0, 20.0), position=st.floats(-15.0, 15.0))
-def test_command_saturates_and_no_torque_makes_it_a_special_frame(torque, position):
+def test_command_saturates_and_never_becomes_a_special_frame(torque, position):
     r = VARIANTS["damiao"].models["DM4310"]
     p, v, kp, kd, t = unpack_command(pack_command(position, 0.0, 0.0, 0.0, torque, r), r)
     assert 0.0 <= min(max(torque, -10.0), 10.0) - t < 20.0 / 4095 * (1 + 1e-9)
@@ -221,12 +221,12 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
         ({"options": {"variant": "damiao"}}, "model of protocol mit"),
         ({"options": {"variant": "mini_cheetah", "gain": 1}}, "given: gain"),
         ({"options": {"variant": "mini_cheetah", "torque_N_m": -1}}, "torque_N_m of protocol mit"),
-        # replies on a drive's own identifier, or on none
-        ({"options": {"variant": "mini_cheetah", "host_id": 3}}, "host_id 3 makes replies"),
-        ({"options": {"variant": "cubemars", "model": "AK80-6", "host_id": 0x7FF}}, "host_id 2047 makes"),
-        ({"options": {"variant": "cubemars", "model": "AK80-6", "host_id": -1}}, "host_id -1 makes"),
-        ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 0}}, "host_id 0 makes replies"),
-        ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 0x7FE}}, "host_id 2046 makes"),
+        # replies with a drive's own identifier, or an invalid one
+        ({"options": {"variant": "mini_cheetah", "host_id": 3}}, "host_id 3 a reply"),
+        ({"options": {"variant": "cubemars", "model": "AK80-6", "host_id": 0x7FF}}, "host_id 2047 a reply"),
+        ({"options": {"variant": "cubemars", "model": "AK80-6", "host_id": -1}}, "host_id -1 a reply"),
+        ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 0}}, "host_id 0 a reply"),
+        ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 0x7FE}}, "host_id 2046 a reply"),
         *(
             ({"options": {"variant": "robstride", "model": "rs-02", "host_id": host}}, f"host_id .*given: {host}")
             for host in (0, 127, 256)
@@ -244,7 +244,7 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
         ({"force_limit_N": 4000.0}, r"4000 N need 12\.73 N m"),
     ],
 )  # fmt: skip
-def test_setting_that_the_variant_does_not_have_is_refused_by_name(changes, message):
+def test_setting_that_the_variant_does_not_have_is_refused_with_its_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
 
@@ -281,8 +281,8 @@ def test_settings_reach_the_nodes_ranges_and_identifiers_of_a_variant(variant, m
 
 
 @pytest.mark.parametrize("variant", ["mini_cheetah", "cubemars", "damiao"])
-def test_lengths_that_a_drive_can_report_end_with_the_range_of_its_position(variant):
-    """12.5 rad on a pulley of 20 mm are 0.25 m, either way from where the motor reads zero."""
+def test_reported_lengths_have_the_range_of_the_position_field(variant):
+    """12.5 rad on a pulley of 20 mm are 0.25 m, in both directions from the motor's zero."""
     gear = Transmission(TransmissionSettings(pulley_radius_m=0.02, offset_m=[1.0, 1.1, 1.2, 1.3, 1.4, 1.5]))
     ranges, host = RANGES._replace(position=12.5), 16 if variant == "damiao" else 0
     shortest, longest = MitProtocol(variant, ranges, MIT_NODES, host, gear).traits.reported_lengths

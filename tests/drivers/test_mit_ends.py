@@ -1,4 +1,4 @@
-"""MIT framing frame by frame: what emulated drives obey and answer, what replies are heard as, what drives are sent."""
+"""MIT framing frame by frame: commands and answers of emulated drives, decoded replies, frames to drives."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ STEP_Nm = 288.0 / 4095
 OFF, RUN, FAULT = DriveState.OFF, DriveState.RUN, DriveState.FAULT
 SYNC, REFUSED = (Sync(0, (3,)),), (Rejected(),)
 HALF = struct.pack(">HHHH", 0x7FFF, 0x7FFF, 0, 0)
-"""Position and speed of nothing in the middle of their ranges, no gains."""
+"""Position and velocity in the middle of their ranges, no gains."""
 
 every_variant = pytest.mark.parametrize("name", VARIANTS)
 every_one = pytest.mark.parametrize("name", FOUR)
 
 
 def to(name: str, what: str, leg: int = 3, torque_Nm: float = 0.0) -> Frame:
-    """Return what asks a drive for something: idle, enable, clear or drive, with a torque."""
+    """Request to a drive: idle, enable, clear, or drive with a torque."""
     kinds = {"idle": DISABLE, "enable": ENABLE, "clear": CLEAR if name == "damiao" else DISABLE}
     if name != "robstride":
         code = int((torque_Nm + 144.0) / STEP_Nm)
@@ -51,7 +51,7 @@ def to(name: str, what: str, leg: int = 3, torque_Nm: float = 0.0) -> Frame:
 # what drives obey
 
 
-def told(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
+def parsed(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[Remembered, list[Any]]:
     memory, found = memory or FOUR[name].power_up(), []
     for frame in frames:
         memory, messages = FOUR[name].parse(memory, frame)
@@ -60,11 +60,11 @@ def told(name: str, *frames: Frame, memory: Remembered | None = None) -> tuple[R
 
 
 @every_one
-def test_drive_obeys_torques_from_enabling_to_disabling(name):
+def test_drive_obeys_torques_only_while_it_is_enabled(name):
     protocol, torques = FOUR[name], (66.5, -73.2)
     drive, other = (to(name, "drive", torque_Nm=torque) for torque in torques)
     enable, disable = to(name, "enable"), to(name, "idle")
-    memory, found = told(name, drive, enable, drive, enable, other, disable, other, enable)
+    memory, found = parsed(name, drive, enable, drive, enable, other, disable, other, enable)
     taken = [float((protocol.coded(np.full(6, torque)) * UNLIKE.N_per_Nm)[3]) for torque in torques]
     delivered = (Configure(3, 1e6, Reaction.BRAKE),)
     enabled = [
@@ -91,26 +91,26 @@ def test_drive_obeys_torques_from_enabling_to_disabling(name):
 
 
 @every_one
-def test_clear_resets_where_there_is_one_and_a_broken_frame_is_not_obeyed(name):
+def test_clear_resets_if_supported_and_a_broken_frame_is_not_obeyed(name):
     running = FOUR[name].power_up()._replace(enabled=(True,) * 6)
     clear = to(name, "clear") if name == "robstride" else Frame(4, CLEAR)
-    memory, ((first, *_),) = told(name, clear, memory=running)
+    memory, ((first, *_),) = parsed(name, clear, memory=running)
     resets = name in {"damiao", "robstride"}
     assert first.mode == (DriveMode.RESET if resets else DriveMode.RUN)
     assert memory.enabled[3] != resets
     enable = to(name, "enable")
     cut, stray = enable._replace(data=enable.data[:7]), enable._replace(id=enable.id ^ 2)
-    memory, found = told(
+    memory, found = parsed(
         name, cut, stray, *(enable._replace(flags=enable.flags ^ f) for f in (EXTENDED, FD, REMOTE, BUS))
     )
     assert found == [REFUSED, *[()] * 5]
     assert not any(memory.enabled)
     if name != "robstride":
-        assert told(name, Frame(4, ZERO))[1] == [REFUSED + SYNC]
+        assert parsed(name, Frame(4, ZERO))[1] == [REFUSED + SYNC]
 
 
 @every_one
-def test_each_drive_is_sent_what_its_own_state_and_history_ask_for(name):
+def test_frame_to_each_drive_depends_on_its_state_and_history(name):
     protocol, torques = FOUR[name], (10.0, -20.0, 30.0, 40.0, 50.0, -144.0)
     six: dict[str, Any] = {"power": (1, 3, 4, 1, 0, 4), "ran": (False, False, False, True, False, True)}
     start = protocol.start(SETUP)._replace(torque=torques, **six)
@@ -140,10 +140,10 @@ def reply(kind: int, register: int, value: bytes) -> Answer:
     return Answer(3, Frame(20, bytes((4, 0, kind, register)) + value))
 
 
-def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
+def test_register_keeps_its_value_and_a_watchdog_acts_at_once():
     ticks, one, other = struct.pack("<I", 1000), struct.pack("<I", 1), struct.pack("<f", 7.5)
     limit = Configure(3, 0.05, Reaction.BRAKE)
-    memory, found = told(
+    memory, found = parsed(
         "damiao",
         request(WRITE, 9, ticks),
         request(WRITE, 10, one),
@@ -166,7 +166,7 @@ def test_register_keeps_what_is_written_and_a_limit_of_silence_holds_at_once():
     assert [each[0] for each in memory.registers] == [leg == 3 for leg in range(6)]
 
 
-def test_a_damiao_takes_requests_for_its_node_and_refuses_invalid_ones():
+def test_damiao_obeys_requests_to_its_node_and_refuses_invalid_ones():
     memory = DAMIAO.power_up()
     for leg, node in enumerate(MIT_NODES):
         for kind in (READ, WRITE):
@@ -176,10 +176,10 @@ def test_a_damiao_takes_requests_for_its_node_and_refuses_invalid_ones():
             assert DAMIAO.parse(memory, other) == (memory, ())
     assert [DAMIAO.addressed(Frame(0x7FF, data)) for data in (b"\4", b"")] == [(), ()]
     assert VARIANTS["cubemars"].addressed(request(READ, 9)) == ()
-    assert told("damiao", request(0xCC, 0))[1] == [SYNC], "a request for feedback"
-    # cut; of an unknown node; not there; who the drive is, which can only be read
+    assert parsed("damiao", request(0xCC, 0))[1] == [SYNC], "a request for feedback"
+    # short; unknown node; no node; unknown register; identity registers, which are read-only
     unknown = request(0xCC, 0, b"\0\0\0"), request(0xCC, 0, node=9), Frame(0x7FF, b"\4"), request(READ, 8)
-    assert told("damiao", *unknown, request(WRITE, 14), request(WRITE, 15))[1] == [REFUSED] * 6
+    assert parsed("damiao", *unknown, request(WRITE, 14), request(WRITE, 15))[1] == [REFUSED] * 6
 
 
 # what drives send
@@ -196,7 +196,7 @@ def test_a_damiao_takes_requests_for_its_node_and_refuses_invalid_ones():
         (DriveFault.STROKE, 0, 14),
     ],
 )
-def test_state_and_fault_are_where_each_variant_has_them(fault, cubemars, damiao):
+def test_each_variant_reports_state_and_fault_in_its_own_field(fault, cubemars, damiao):
     faults = np.array([0, 0, fault, 0, 0, 0])
     for state in DriveState:
         states = np.array([1, 1, state, 1, 1, 1])
@@ -222,7 +222,7 @@ REST = bytes((0x80, 0, 0x80, 8, 0, 30, 30))
 
 
 @pytest.mark.parametrize("status", range(16))
-def test_status_of_a_damiao_is_its_state_or_its_fault_or_broken(status):
+def test_status_of_a_damiao_is_a_state_a_fault_or_broken(status):
     heard = DAMIAO.hear(Frame(19, bytes((status << 4 | 3,)) + REST))
     if status in (2, 3, 4, 5, 6, 7, 15):
         assert heard == Heard(2, broken=True)
@@ -233,7 +233,7 @@ def test_status_of_a_damiao_is_its_state_or_its_fault_or_broken(status):
 
 
 @pytest.mark.parametrize(("name", "sizes"), [("mini_cheetah", (6, 7)), ("cubemars", (8,)), ("damiao", (8,))])
-def test_reply_of_another_length_or_node_is_broken(name, sizes):
+def test_reply_of_wrong_length_or_unknown_node_is_broken(name, sizes):
     protocol, identifier = VARIANTS[name], 19 if name == "damiao" else 0
     for size in range(9):
         heard = protocol.hear(Frame(identifier, bytes((3, 0x80, 0, 0x80, 8, 0, 0, 0))[:size]))
@@ -247,7 +247,7 @@ def test_reply_of_another_length_or_node_is_broken(name, sizes):
 
 @pytest.mark.parametrize("code", [0, 1, 0x8000, 0xFFFE, 0xFFFF])
 @every_variant
-def test_end_of_the_position_is_no_reading_where_replies_saturate(name, code):
+def test_position_at_its_end_is_no_reading_if_replies_saturate(name, code):
     tail = {"mini_cheetah": b"", "cubemars": bytes((30, 0)), "damiao": bytes((30, 30))}[name]
     first, identifier = (0x13, 19) if name == "damiao" else (3, 0)
     data = bytes((first, code >> 8, code & 0xFF, 0x80, 0x08, 0)) + tail
@@ -256,7 +256,7 @@ def test_end_of_the_position_is_no_reading_where_replies_saturate(name, code):
     assert (heard.motion is None) == (name != "mini_cheetah" and code in (0, 0xFFFF))
 
 
-def test_register_of_a_damiao_is_an_answer_and_its_identity_is_not():
+def test_register_of_a_damiao_is_an_answer_but_its_identity_is_not():
     for data, expected in (
         (b"\4\0\x33\x15" + struct.pack("<f", 95.5), Heard(3, answer=(21, 95.5))),
         (b"\4\0\x55\x09" + struct.pack("<I", 1000), Heard(3, answer=(9, 1000.0))),
@@ -269,7 +269,7 @@ def test_register_of_a_damiao_is_an_answer_and_its_identity_is_not():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_identity_of_a_damiao_is_in_its_own_two_registers(leg):
+def test_identity_of_a_damiao_is_in_two_registers(leg):
     node = MIT_NODES[leg]
     for register, what in ((15, "serial number"), (14, "revision")):
         data = bytes((node, 0, 0x33, register, 1, 2, 3, 4))
@@ -287,7 +287,7 @@ def test_identity_of_a_damiao_is_in_its_own_two_registers(leg):
     assert VARIANTS["cubemars"].identity(Frame(0, data)) is None
 
 
-def test_damiao_is_set_up_with_its_mode_its_limit_and_its_three_ranges():
+def test_damiao_is_set_up_with_mode_watchdog_and_three_ranges():
     (exchanges, *_, last) = DAMIAO.exchanges(SETUP)
     assert {each.register: each.value for each in exchanges} == {10: 1, 9: 1000, 21: 95.5, 22: 400, 23: 144}
     assert [each.frames for each in last] == [

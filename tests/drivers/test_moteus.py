@@ -1,4 +1,4 @@
-"""moteus: the contract, 10^4 commands byte for byte as the vendor's package makes them, replies read alike."""
+"""moteus: the contract, and 10^4 commands and replies that agree with the vendor's package."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.errors import ConfigurationError
 from drivers.moteus import QUERY, STOP, pad, torque_command
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
-from hil.contracts.ends import PERIOD_NS, SETUP, Ends
+from hil.contracts.loopback import PERIOD_NS, SETUP, Ends
 from hil.contracts.messages import Sync
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
@@ -56,17 +56,17 @@ def read(data: bytes) -> str:
     return foreign.line(said[0], said[1], said[2], said[3], said[0xF])
 
 
-def test_ten_thousand_commands_are_those_of_the_vendors_package():
+def test_ten_thousand_commands_agree_with_the_vendors_package():
     ours = foreign.digest(torque_command(t, most, wait) for _, t, most, wait in foreign.commands())
     assert (ours, RANDOM["count"]) == (RANDOM["commands"], 10_000)
     assert RANDOM["package"] == "moteus 1.1.1 from PyPI (Apache-2.0)"
 
 
-def test_ten_thousand_replies_are_read_as_by_the_vendors_package():
+def test_ten_thousand_replies_are_read_like_the_vendors_package_does():
     assert foreign.digest(read(each).encode() for each in foreign.replies()) == RANDOM["replies"]
 
 
-def test_package_itself_where_it_is_installed_says_the_same():
+def test_commands_and_replies_agree_with_the_installed_package():
     package = pytest.importorskip("moteus")
     assert version("moteus") == "1.1.1"
     for each in foreign.commands():
@@ -75,7 +75,7 @@ def test_package_itself_where_it_is_installed_says_the_same():
         assert foreign.foreign_line(package, data) == read(data), data.hex()
 
 
-def test_commands_and_stops_are_the_vectors_with_their_identifiers():
+def test_commands_and_stops_agree_with_the_vectors_and_identifiers():
     stop = next(
         v for v in VECTORS if v["what"] == "stop" and v["inputs"].get("query") and v["inputs"]["id"] == 1
     )
@@ -94,7 +94,7 @@ def test_commands_and_stops_are_the_vectors_with_their_identifiers():
 # the drive without a controller
 
 
-def test_enabled_drive_damps_after_the_time_of_its_last_command_until_a_stop():
+def test_enabled_drive_damps_after_its_command_times_out_until_a_stop():
     ends = Ends(moteus())
     ends.running()
     np.testing.assert_allclose(ends.nodes._drives.seen.watchdog_ns, 50e6, rtol=1e-7, err_msg="of the command")
@@ -115,7 +115,7 @@ def test_enabled_drive_damps_after_the_time_of_its_last_command_until_a_stop():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_that_stopped_in_motion_is_enabled_again_by_a_new_run_alone(leg):
+def test_only_a_new_run_enables_a_drive_that_stopped_in_motion(leg):
     ends = Ends(moteus())
     ends.running()
     enter(ends.nodes._drives, leg, DriveState.OFF, DriveFault.NONE)
@@ -142,7 +142,7 @@ STEPS = {
 
 
 @pytest.mark.parametrize("width", STEPS)
-def test_package_reads_what_an_emulated_drive_answers_at_any_width(width):
+def test_package_reads_the_answers_of_an_emulated_drive_at_any_width(width):
     package: Any = pytest.importorskip("moteus")
     resolution = package.QueryResolution()
     for name in ("position", "velocity", "torque", "q_current", "abs_position", "voltage", "temperature"):
@@ -162,10 +162,10 @@ def test_package_reads_what_an_emulated_drive_answers_at_any_width(width):
         assert said[name] == pytest.approx(value, abs=step), name
     assert (said[r.MODE], said[r.FAULT]) == (10, 0)
     assert np.isnan([said[r.Q_CURRENT], said[r.ABS_POSITION]]).all()
-    assert 0x102 not in said, "nothing that it says: an error"
+    assert 0x102 not in said, "unknown register: an error"
 
 
-def test_identity_of_a_drive_is_asked_and_answered_as_the_package_does():
+def test_identity_request_and_answer_agree_with_the_package():
     package: Any = pytest.importorskip("moteus")
     r = package.Register
     serial = (r.SERIAL_NUMBER1, r.SERIAL_NUMBER2, r.SERIAL_NUMBER3)
@@ -180,7 +180,7 @@ def test_identity_of_a_drive_is_asked_and_answered_as_the_package_does():
         assert P.hear(reply) == Heard(2), "no feedback, and not broken"
 
 
-def test_serial_number_has_96_bits_the_lowest_first_and_a_version_32():
+def test_serial_number_has_96_bits_lowest_word_first_and_version_32():
     words = struct.pack("<III", 0x80000001, 2, 0xFFFFFFFF)
     whole = Frame(0x300, pad(bytes.fromhex("2ba002") + words), FD | BRS)
     assert P.identity(whole) == Said(2, "serial number", 0xFFFFFFFF_00000002_80000001)
@@ -217,7 +217,7 @@ def made(layout: Any = "fd", **changes: Any) -> Any:
         ({"options": {"timeout_mode": "stopped", "torque_N_m": 0.9}}, r"300 N need 0\.9549 N m .* up to 0\.9 N m"),
     ],
 )  # fmt: skip
-def test_setting_that_does_not_fit_is_refused_by_name(changes, message):
+def test_invalid_setting_is_refused_with_its_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
 

@@ -1,4 +1,4 @@
-"""A moteus by itself: what an emulated one obeys and answers, and what its replies are heard as."""
+"""moteus frame by frame: commands and answers of an emulated drive, and decoded replies."""
 
 from __future__ import annotations
 
@@ -25,11 +25,10 @@ RESET, READY, RUN = DriveMode.RESET, DriveMode.READY, DriveMode.RUN
 
 
 def to(leg: int, data: bytes) -> Frame:
-    """Return a frame of ours to a drive, with a reply."""
     return Frame(0x8100 | NODES[leg], pad(data), ALL)
 
 
-def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
+def parsed(*frames: Frame) -> tuple[Remembered, list[Any]]:
     memory, found = P.power_up(), []
     for frame in frames:
         memory, messages = P.parse(memory, frame)
@@ -38,7 +37,7 @@ def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
 
 
 def written(**values: float) -> Frame:
-    """Return position mode with some of: torque, kp, kd, most."""
+    """Position mode with some of: torque, kp, kd, most."""
     data = b"\x01\0\x0a"
     for name, register in (("torque", 0x22), ("kp", 0x23), ("kd", 0x24), ("most", 0x25)):
         if name in values:
@@ -54,25 +53,25 @@ def written(**values: float) -> Frame:
         ({"kp": None}, None), ({"kd": None}, None), ({"kp": 1.0}, None),
     ],
 )  # fmt: skip
-def test_position_mode_is_a_torque_without_gains_and_with_a_limit(changes, torque):
+def test_position_mode_without_gains_is_a_limited_torque(changes, torque):
     values = {"torque": 0.5, "kp": 0.0, "kd": 0.0, "most": 2.0} | changes
-    memory, (messages,) = told(written(**{name: x for name, x in values.items() if x is not None}))
+    memory, (messages,) = parsed(written(**{name: x for name, x in values.items() if x is not None}))
     if torque is None:
         assert messages == (Rejected(), Sync(0, (1,)))
         assert not any(memory.enabled)
         return
     assert messages[2] == command(1, RUN, 2, torque * PER[1])
-    assert messages[0] == Configure(1, 0.1, Reaction.DAMP), "its own time: the command gives none"
+    assert messages[0] == Configure(1, 0.1, Reaction.DAMP), "its own timeout: the command has none"
 
 
 @pytest.mark.parametrize(("sent_s", "kept_s"), [(0.03, 0.03), (nan, 0.1), (0.0, 0.1)])
-def test_command_without_a_time_leaves_the_drive_the_delivered_one(sent_s, kept_s):
-    _, ((first, *_),) = told(to(3, torque_command(0.5, 2.0, sent_s)))
+def test_command_without_a_timeout_leaves_the_factory_setting(sent_s, kept_s):
+    _, ((first, *_),) = parsed(to(3, torque_command(0.5, 2.0, sent_s)))
     assert first.leg == 3
     assert first.watchdog_s == pytest.approx(kept_s, rel=1e-6)
 
 
-def test_drive_obeys_a_frame_of_can_fd_to_its_identifier_or_to_all():
+def test_drive_obeys_can_fd_frames_to_its_identifier_or_to_all():
     fd, enabled = FD | EXTENDED, P.power_up()._replace(enabled=(True,) * 6)
     own = [(0x104, FD), (0x8104, fd), (0xFF04, fd)]
     to_all = [(0xFFFF, fd), (0x7FF, FD), (0x7F, FD)]
@@ -138,13 +137,13 @@ def reply(
         ({"torque": inf}, None),
     ],
 )
-def test_reply_is_heard_with_its_state_fault_and_motion(given, heard):
+def test_reply_is_decoded_to_state_fault_and_motion(given, heard):
     values: dict[str, Any] = {"motion": (0.5, 0.25), "feedback": True, "torque": 1.5, "fault": 0}
     expected = Heard(3, broken=True) if heard is None else Heard(3, **values | heard)
     assert P.hear(reply(**given)) == expected
 
 
-def test_reply_that_is_not_whole_or_lacks_a_register_is_broken():
+def test_incomplete_reply_is_broken():
     texts = "21", "2100", "2f01000000", "ff", "210001", "2c", "2c7f7f", "7f01"
     known = (0, 1, 2, 3, 0xF)
     lacking = (b"".join(bytes((0x21, k, 1)) for k in known if k != missing) for missing in known)
@@ -152,7 +151,7 @@ def test_reply_that_is_not_whole_or_lacks_a_register_is_broken():
         assert P.hear(Frame(4 << 8 | 1, data, FD | BRS)) == Heard(3, broken=True)
 
 
-def test_reply_with_another_flag_is_nobodys():
+def test_reply_with_wrong_flags_is_ignored():
     frame = reply()
     for flags in (BRS, *(frame.flags | wrong for wrong in (EXTENDED, REMOTE, ERROR, BUS))):
         assert P.hear(frame._replace(flags=flags)) is None
@@ -162,7 +161,7 @@ def test_reply_with_another_flag_is_nobodys():
         assert protocol.hear(frame._replace(id=identifier, flags=wrong)) is None
 
 
-def test_command_of_another_controller_is_foreign_of_its_leg():
+def test_command_of_another_controller_is_foreign_for_its_leg():
     ids = (0x0502, 1), (126, 5), (0x007F, 0), (0xFF7F, 0), (0xFF05, 4), (0xFFFF, 0), (0x7FF, 0)
     for identifier, leg in ids:
         flags = FD | EXTENDED * (identifier > 0x7FF)
@@ -183,11 +182,11 @@ SAID: dict[str, dict[int, float] | None] = {
     # a count of its own, a register of two bytes: 0x120 is 0xa0 0x02
     "20 04 00 0a 32 f6 01": {0: 10.0, 1: 0.5, 2: -1.0, 3: 0.5},
     "29 a0 02 01 00 00 80": {0x120: -2147483647.0}, "29 80 02 01 00 00 00": {0x100: 1.0},
-    "20 00 21 00 0a": {0: 10.0},  # none of a kind, and then one
+    "20 00 21 00 0a": {0: 10.0},  # an empty group, then one with a register
     "21 00 0a 21 00 0b": {0: 11.0},
-    # what is asked for in between is no answer; an error ends the frame
+    # a read in between is no answer; an error ends the frame
     "11 00 21 00 0a": {0: 10.0}, "21 00 0a 31 05 01 2f": {0: 10.0}, "21 00 0a 30 05": {0: 10.0},
-    # not whole, or of another kind
+    # incomplete, or of another kind
     **dict.fromkeys((
         "21", "21 00", "22 00 0a", "25 00 0a", "29 00 0a 00 00", "2d 00 0a 00 00", "20", "20 04", "20 81",
         "29 a0", "23 00 0a 0a", "01 00 0a", "41 00", "21 00 0a 01 00 0a", "21 00 0a 21 00", "20 02 00 0a",
@@ -195,7 +194,7 @@ SAID: dict[str, dict[int, float] | None] = {
 }  # fmt: skip
 
 
-def test_frame_gives_its_registers_each_at_its_scale_or_is_broken():
+def test_frame_gives_its_scaled_registers_or_is_broken():
     for text, found in SAID.items():
         said = registers(bytes.fromhex(text), REPLY)
         assert said == (None if found is None else pytest.approx(found, rel=1e-12)), text
@@ -215,7 +214,7 @@ def test_frame_gives_its_registers_each_at_its_scale_or_is_broken():
         (0x28, {0: 1.0}),
     ],
 )
-def test_command_has_the_scale_of_what_is_read_and_a_time_its_own(register, scales):
+def test_command_registers_have_these_scales(register, scales):
     for width, scale in scales.items():
         number = struct.pack("<" + "bhif"[width], 3)
         found: Any = registers(bytes((WRITE | width << 2 | 1, register)) + number, WRITE)
@@ -226,7 +225,7 @@ def test_command_has_the_scale_of_what_is_read_and_a_time_its_own(register, scal
     ("text", "reply"),
     [
         ("14 04 00", "24 04 00 0a 00 88 13 60 f0 96 00"),
-        ("12 01 11 03", "23 01 32 f6 03"),  # what follows one another goes together
+        ("12 01 11 03", "23 01 32 f6 03"),  # consecutive registers share a group
         ("11 01 15 02", "21 01 32 25 02 60 f0"),
         ("1d 01", "2d 01 00 00 00 3f"),
         ("19 03", "29 03 dc 05 00 00"),
@@ -238,17 +237,17 @@ def test_command_has_the_scale_of_what_is_read_and_a_time_its_own(register, scal
         ("11 03 30 11 04", "21 03 03"),  # an error ends the frame
     ],
 )
-def test_reply_has_what_was_asked_for_in_groups_and_an_error_for_the_unknown(text, reply):
+def test_reply_has_the_requested_groups_and_an_error_for_unknown_ones(text, reply):
     assert replied(bytes.fromhex(text)) == pad(bytes.fromhex(reply))
 
 
-def test_reply_ends_where_a_frame_is_full():
+def test_reply_ends_when_its_frame_is_full():
     for count in (63, 64, 65, 127):
         assert asked(bytes((READ, count, 1))) == tuple((1 + k, 0) for k in range(min(count, 64)))
     reply = replied(bytes((READ | 3 << 2, 20, 1)))
     assert len(reply) == 64
     assert reply[:3] == bytes((REPLY | 3 << 2, 15, 1))
-    assert reply[63] == 0x31, "the first of those that it does not have"
+    assert reply[63] == 0x31, "the first unknown register"
     for size in range(65):
         full = min(each for each in (*range(9), 12, 16, 20, 24, 32, 48, 64) if each >= size)
         assert pad(bytes(size)) == bytes(size) + b"\x50" * (full - size), "lengths of CAN FD"

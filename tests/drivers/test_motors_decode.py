@@ -1,4 +1,4 @@
-"""What a tick measures of motor drives, by what each of their frames says and when it comes."""
+"""Measurement of motor drives in a tick, by the content of each frame and its time."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.moteus import pad
 from drivers.motor_kernels import wire_state
 from drivers.protocol import BRS, EXTENDED, FD, Frame, Received
 from drivers.signals import NEVER, DriveMode, DriveState, Foreign
-from hil.contracts.ends import at_tick
+from hil.contracts.loopback import at_tick
 from tests.drivers.motor_families import (
     LATE,
     MOTEUS_NODES,
@@ -37,7 +37,7 @@ P, DAMIAO, ODRIVE = moteus(UNLIKE, 2.0), mit("damiao", UNLIKE), odrive(UNLIKE)
 def reply(
     leg: int, turns: float = 0.5, speed: float = 0.0, torque: float = nan, mode: int = 0, fault: int = 0
 ) -> Frame:
-    """Return what a moteus answers: disabled, where no other mode is given; 10 runs, 1 is in fault."""
+    """Answer of a moteus, disabled by default; mode 10 runs, mode 1 is a fault."""
     data = b"\x21\0" + bytes((mode,)) + b"\x2f\x01" + struct.pack("<3f", turns, speed, torque)
     identifier = MOTEUS_NODES[leg] << 8
     return Frame(
@@ -46,23 +46,22 @@ def reply(
 
 
 def beat(leg: int, error: int = 0, state: int = 1) -> Frame:
-    """Return the heartbeat of an ODrive: state and error alone."""
+    """Heartbeat of an ODrive: only state and error."""
     return Frame(ODRIVE_NODES[leg] << 5 | 1, struct.pack("<IBBBB", error, state, 0, 0, 0))
 
 
 def estimate(leg: int, turns: float = 0.5) -> Frame:
-    """Return the answer of an ODrive: its motion alone."""
+    """Answer of an ODrive: only its motion."""
     return Frame(ODRIVE_NODES[leg] << 5 | 9, struct.pack("<ff", turns, 0.0))
 
 
 def status(leg: int, code: int = 0) -> Frame:
-    """Return the feedback of a Damiao."""
     node = (1, 2, 3, 4, 5, 15)[leg]
     return Frame(16 + node, bytes((code << 4 | node, 0x80, 0, 0x80, 8, 0, 30, 30)))
 
 
 COMMAND = Frame(3, bytes(8), FD)
-"""To leg 2 of moteus."""
+"""Command to leg 2 of moteus."""
 NOBODYS = Frame(0x600, bytes(8))
 
 
@@ -84,11 +83,11 @@ def test_ages_grow_by_the_ticks_since_the_last_one_up_to_never():
     assert tick["age"].tolist() == tick["counted_age"].tolist() == [3, 5, 0, NEVER, NEVER, 4]
     for before, grown in ((-1, 1), (0, 13)):
         tick, _ = measured(P, last=last_tick(before, [0, 1, 2, 3, 4, 5]))
-        assert tick["age"].tolist() == [grown + k for k in range(6)], "of a first tick"
+        assert tick["age"].tolist() == [grown + k for k in range(6)], "in a first tick"
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_answer_measures_its_leg_through_its_transmission_and_no_other(leg):
+def test_answer_measures_only_its_leg_through_its_transmission(leg):
     tick, dialogue = measured(P, reply(leg, 0.5, 0.25, 1.5, mode=1, fault=39))
     t, six = UNLIKE, np.ones(6)
     figures = {
@@ -108,7 +107,7 @@ def test_answer_measures_its_leg_through_its_transmission_and_no_other(leg):
     assert dialogue.said == tuple(13 if k == leg else 0 for k in range(6))
 
 
-def test_answer_without_motion_is_blind_and_one_without_torque_leaves_the_force():
+def test_answer_without_motion_is_blind_and_without_torque_keeps_the_force():
     tick, _ = measured(P, reply(4, nan, torque=1.5), reply(1), reply(0, torque=0.0))
     assert tick["blind"].tolist() == [0, 0, 0, 0, 1, 0]
     assert tick["age"].tolist() == [0, 0, 1, 1, 1, 1]
@@ -117,7 +116,7 @@ def test_answer_without_motion_is_blind_and_one_without_torque_leaves_the_force(
     assert tick["drive_force"].tolist() == [0.0, *last_tick()["drive_force"][1:].tolist()]
 
 
-def test_broken_and_foreign_frames_are_counted_and_say_nothing():
+def test_broken_and_foreign_frames_are_counted_and_change_nothing():
     broken = reply(2)._replace(data=b"\x21")
     for frames, rejected, name in (((broken,) * 3, 3, 0), ((COMMAND, NOBODYS), 0, Foreign.COMMAND)):
         tick, dialogue = measured(P, *frames)
@@ -132,16 +131,16 @@ def test_broken_and_foreign_frames_are_counted_and_say_nothing():
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_owed_late_answer_measures_at_its_age_and_another_does_not(leg):
+def test_late_answer_measures_at_its_age_only_if_it_was_owed(leg):
     for owed in (0, 1, 2):
         ages = [owed if each == leg else 0 for each in range(6)]
         tick, _ = measured(P, (LATE, reply(leg)), last=last_tick(10, ages), number=14)
         assert tick["length"][leg] == (length(0.5, leg) if owed else last_tick()["length"][leg])
-        assert tick["age"].tolist() == [4] * 6, "of the tick before, which is four ago"
+        assert tick["age"].tolist() == [4] * 6, "from the tick before, four ticks ago"
         assert tick["rejected"] == 1
 
 
-def test_late_answer_is_not_taken_in_the_first_tick_nor_without_motion():
+def test_late_answer_does_not_count_in_the_first_tick_or_without_motion():
     for before, taken in ((-1, False), (0, True)):
         tick, _ = measured(P, (LATE, reply(1)), last=last_tick(before, NEVER), number=1)
         assert (tick["length"][1] != last_tick()["length"][1]) == taken
@@ -151,7 +150,7 @@ def test_late_answer_is_not_taken_in_the_first_tick_nor_without_motion():
     assert tick["blind"].tolist() == [0, 1, 0, 0, 0, 0]
 
 
-def test_of_a_late_answer_and_one_in_time_the_one_in_time_counts():
+def test_answer_in_time_counts_before_a_late_one():
     late, there = (LATE, reply(1)), (SINCE_NS, reply(1, 0.25))
     for frames in ((late, there), (there, late)):
         tick, _ = measured(P, *frames, last=last_tick(10, 3))
@@ -159,7 +158,7 @@ def test_of_a_late_answer_and_one_in_time_the_one_in_time_counts():
 
 
 @pytest.mark.parametrize(("done", "counted"), [(0, 0), (1, 0), (5, 0), (6, 2)])
-def test_late_answers_are_counted_of_a_drive_that_is_set_up(done, counted):
+def test_late_answers_are_counted_once_a_drive_is_set_up(done, counted):
     late = (LATE, status(3)), (LATE, status(3)), (LATE, status(2))
     assert measured(DAMIAO, *late, done=(0, 0, 0, done, 0, 0))[0]["rejected"] == counted
 
@@ -177,18 +176,18 @@ def test_second_answer_with_other_content_is_doubled_and_the_first_counts(leg):
     assert measured(P, *both)[0]["doubled"] == 1 << 1 | 1 << 4
 
 
-def test_second_answer_counts_where_the_drive_owed_one():
+def test_second_answer_counts_if_the_drive_owed_one():
     tick, _ = measured(P, reply(2), reply(2, 0.25), owed=(0, 0, 1, 0, 0, 0))
     assert (tick["doubled"], tick["length"][2]) == (0, length(0.25, 2))
 
 
-def test_drive_owes_what_it_was_asked_for_up_to_twenty_ticks():
+def test_drive_owes_its_unanswered_polls_of_up_to_twenty_ticks():
     frames = reply(4), reply(4, 0.25), (LATE, reply(3)), (LATE, reply(5)), reply(5)
     _, dialogue = measured(P, *frames, done=(0, 1, 1, 1, 1, 1), owed=(5, 0, 19, 20, 3, 0))
     assert dialogue.owed == (0, 1, 20, 20, 2, 0)
 
 
-def test_drive_not_heard_before_may_send_one_answer_more_than_polls():
+def test_new_drive_may_send_one_answer_more_than_polls():
     two = reply(2), reply(2, 0.25)
     assert measured(P, *two, done=(0,) * 6)[0]["doubled"] == 0
     tick, dialogue = measured(P, *two, reply(2, 0.75), done=(0,) * 6)
@@ -206,7 +205,7 @@ def test_drive_not_heard_before_may_send_one_answer_more_than_polls():
         ((0, 0, 0, 2, 2, 2, 2, 2), (6, 7)),
     ],
 )
-def test_node_is_doubled_once_it_sent_more_answers_than_it_owed(counts, doubled):
+def test_node_is_doubled_once_it_sends_more_answers_than_it_owes(counts, doubled):
     dialogue, last, said, found = begun(P), last_tick(12), 0, []
     for number, count in enumerate(counts):
         answers = [reply(2, said + k) for k in range(count)]
@@ -224,7 +223,7 @@ def test_node_is_doubled_once_it_sent_more_answers_than_it_owed(counts, doubled)
 # states
 
 
-def test_frame_of_the_state_alone_measures_nothing():
+def test_frame_with_only_a_state_measures_nothing():
     tick, dialogue = measured(ODRIVE, beat(4, 8), beat(4, 16))
     assert (tick["age"].tolist(), tick["doubled"]) == ([1] * 6, 0)
     assert (dialogue.power[4], dialogue.said[4], tick["drive_fault"][4]) == (FAULT, 13, 0x110)
@@ -244,21 +243,21 @@ def test_feedback_without_a_state_keeps_the_fault():
 
 
 @pytest.mark.parametrize(("mode", "power"), [(m, RUN if m == DriveMode.RUN else OFF) for m in DriveMode])
-def test_drive_that_never_reports_is_what_it_is_asked_for_or_faulted(mode, power):
+def test_drive_that_never_reports_has_the_requested_state_or_a_fault(mode, power):
     replies = (Frame(0, bytes((leg + 1, 0x80, 0, 0x80, 8, 0, 30, code))) for leg, code in ((1, 0), (2, 1)))
     _, dialogue = measured(mit("cubemars", UNLIKE), *replies, mode=int(mode), power=(0,) * 6)
     assert dialogue.power == (0, power, FAULT, 0, 0, 0)
 
 
-def test_each_drive_is_in_boot_until_it_is_set_up_and_has_reported_its_state():
+def test_drive_is_in_boot_until_it_is_set_up_and_has_reported_its_state():
     power = tuple(map(int, (OFF, OFF, BOOT, RUN, FAULT, OFF)))
     tick, _ = measured(DAMIAO, status(0), done=(6, 5, 6, 1, 1, 0), power=power)
     assert tick["drive_state"].tolist() == [OFF, BOOT, BOOT, RUN, FAULT, BOOT]
     _, dialogue = measured(DAMIAO, *map(status, range(6)), done=(0, 1, 2, 6, 0, 0))
-    assert dialogue.done == (1, 1, 2, 6, 1, 1), "heard for the first time, or farther on"
+    assert dialogue.done == (1, 1, 2, 6, 1, 1), "first answer, or further progress"
 
 
-def test_drive_that_ran_and_is_off_while_run_is_asked_for_has_restarted():
+def test_drive_that_ran_and_is_off_while_run_is_requested_has_restarted():
     power = tuple(map(int, (RUN, OFF, RUN, OFF, FAULT, OFF)))
     ran = (False, False, True, True, False, False)
     for mode, expected in (
@@ -269,11 +268,11 @@ def test_drive_that_ran_and_is_off_while_run_is_asked_for_has_restarted():
     ran = (False, True, False, True, True, False)
     tick, dialogue = measured(P, reply(0), mode=int(DriveMode.RUN), ran=ran)
     assert tick["drive_state"].tolist() == [BOOT if each else READY for each in ran]
-    assert dialogue.ran == ran, "until RUN is asked for again"
+    assert dialogue.ran == ran, "until RUN is requested again"
 
 
 @pytest.mark.parametrize("mode", DriveMode)
-def test_state_follows_from_what_a_drive_says_and_is_asked_for(mode):
+def test_state_follows_from_the_report_and_the_request(mode):
     for ran in (False, True):
         for set_up in (False, True):
             for power in (RUN, FAULT):
@@ -289,17 +288,17 @@ def test_state_follows_from_what_a_drive_says_and_is_asked_for(mode):
 
 
 @pytest.mark.parametrize(("age", "done"), [(19, 6), (20, 0)])
-def test_drive_silent_for_more_than_twenty_ticks_is_set_up_again_and_no_other(age, done):
+def test_only_drives_silent_for_over_twenty_ticks_are_set_up_again(age, done):
     _, dialogue = measured(DAMIAO, last=last_tick(age=[0, 0, 0, age, 0, 0]), done=(0, 6, 6, 6, 6, 6))
     assert dialogue.done == (0, 6, 6, done, 6, 6)
 
 
-def test_state_is_unknown_once_its_report_is_older_than_its_patience():
+def test_state_is_unknown_once_its_report_exceeds_the_patience():
     _, dialogue = measured(P, power=(int(RUN),) * 6, said=(1, 2, 3, 4, 5, 6), patience_ticks=10)
     assert dialogue.power == (BOOT, BOOT, RUN, RUN, RUN, RUN)
 
 
-def test_fresh_awaited_and_sender_follow_from_what_a_frame_says():
+def test_fresh_awaited_and_sender_follow_from_the_content_of_a_frame():
     frames: list[Any] = [estimate(0), beat(3), NOBODYS, estimate(5), Frame(2 << 5 | 0xE, bytes(8))]
     assert [ODRIVE.awaited(each) for each in frames] == [9, -1, -1, 62 << 5 | 9, -1]
     assert [ODRIVE.sender(each) for each in frames] == [0, 3, -1, 5, -1]

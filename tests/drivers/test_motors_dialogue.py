@@ -1,4 +1,4 @@
-"""The controller's end of motor drives between measurements: commands, set-up, what is lacking, traits, settings."""
+"""The controller's end of motor drives between measurements: commands, set-up, missing parts, traits."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from tests.drivers.motor_families import MIT_NODES, MOTORS, UNLIKE, begun, measu
 OFF, RUN, FAULT, BOOT = DriveState.OFF, DriveState.RUN, DriveState.FAULT, DriveState.BOOT
 P, DAMIAO = moteus(UNLIKE, 2.0), mit("damiao", UNLIKE)
 PMAX, VMAX = 21, 22
-"""Registers of the third and fourth exchange of a Damiao, which hold 95.5 and 400."""
+"""Registers of the third and fourth exchange of a Damiao, with the values 95.5 and 400."""
 
 
 def answer(leg: int, register: int, value: float) -> Frame:
-    """Return what a Damiao answers to the reading of a register."""
+    """Answer of a Damiao to the read of a register."""
     node = MIT_NODES[leg]
     return Frame(16 + node, struct.pack("<HBBf", node, 0x33, register, value))
 
@@ -46,7 +46,7 @@ def test_reaction_that_the_drives_do_not_have_is_refused():
 # commands
 
 
-def test_command_is_remembered_as_torques_at_the_rates_last_read():
+def test_command_is_stored_as_torques_at_the_last_rates():
     force, rate = np.array([1.0, -2.0, 3.0, 0.0, 5.0, -6.0]), (0.05, -0.05, 0.2, 0.0, -0.2, 0.01)
     dialogue, frames = P.command(begun(P, rate=rate), Command(DriveMode.READY, force), 3)
     assert (frames, dialogue.mode) == ((), DriveMode.READY)
@@ -54,7 +54,7 @@ def test_command_is_remembered_as_torques_at_the_rates_last_read():
     assert dialogue.torque != tuple(UNLIKE.torque(force).tolist())
 
 
-def test_which_drives_ran_is_lost_with_another_mode_and_with_no_other_command():
+def test_only_a_change_of_mode_forgets_which_drives_ran():
     ran = (True, False, True, False, False, True)
     for before in DriveMode:
         for after in DriveMode:
@@ -64,7 +64,7 @@ def test_which_drives_ran_is_lost_with_another_mode_and_with_no_other_command():
 
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_force_is_taken_up_to_the_largest_torque_of_the_field(leg, sign):
+def test_force_is_accepted_up_to_the_largest_torque_of_the_field(leg, sign):
     force = np.zeros(6)
     most = sign * 2.0 * UNLIKE.N_per_Nm[leg]
     force[leg] = most * (1.0 + 1e-10)
@@ -74,14 +74,14 @@ def test_force_is_taken_up_to_the_largest_torque_of_the_field(leg, sign):
     with pytest.raises(ProtocolError, match=r"up to 2 N m are allowed; lower limits.force_N"):
         P.command(begun(P), Command(DriveMode.RUN, force), 3)
     for wrong in ([1.0] * 5, [1.0] * 5 + [float("nan")], [float("-inf")] + [1.0] * 5, [[1.0] * 6]):
-        with pytest.raises(ProtocolError, match="six finite ones"):
+        with pytest.raises(ProtocolError, match="six finite numbers"):
             P.command(begun(P), Command(DriveMode.RUN, np.array(wrong)), 3)
 
 
 # the start-up dialogue
 
 
-def test_each_drive_is_asked_for_its_next_exchange_one_drive_a_tick():
+def test_one_drive_per_tick_gets_its_next_exchange():
     dialogue = begun(DAMIAO, done=(6, 3, 0, 5, 3, 6))
     sent = []
     for number in range(13, 16):
@@ -92,16 +92,16 @@ def test_each_drive_is_asked_for_its_next_exchange_one_drive_a_tick():
     assert DAMIAO.set_up(dialogue, at(16)) == (dialogue, ())
 
 
-def test_drive_that_cannot_be_asked_does_not_hold_up_the_next_one():
+def test_drive_that_gets_no_request_does_not_delay_the_next_one():
     power = tuple(map(int, (RUN, OFF, OFF, FAULT, OFF, OFF)))
-    for asked, node in ((4, 4), (3, 2)):  # ten ticks without an answer are not over, or are
+    for asked, node in ((4, 4), (3, 2)):  # before, and after, ten ticks without an answer
         dialogue = begun(DAMIAO, done=(1,) * 6, power=power, asked=(-10, asked, -10, -10, -10, -10))
-        # enabled; asked; silent; one tick silent
+        # enabled; waiting; silent; silent for one tick
         _, (frame,) = DAMIAO.set_up(dialogue, at(13, [0, 0, 2, 1, 0, 0]))
         assert frame.data[0] == node
 
 
-def test_answer_of_the_value_as_a_single_confirms_its_exchange():
+def test_answer_with_the_value_as_a_single_confirms_its_exchange():
     before: dict[str, Any] = {"done": (3,) * 6, "asked": (9,) * 6, "read": 4.0, "has_read": 1}
     tick, dialogue = measured(DAMIAO, answer(3, PMAX, 95.5), **before)
     assert dialogue.done == (3, 3, 3, 4, 3, 3)
@@ -122,7 +122,7 @@ def test_answer_to_another_request_changes_nothing(done, register):
         assert dialogue == begun(DAMIAO, done=(done,) * 6, owed=(min(done, 1),) * 6)
 
 
-def test_each_drive_lacks_its_answer_its_register_or_its_state():
+def test_missing_answer_register_or_state_of_each_drive_is_reported():
     power = tuple(map(int, (OFF, OFF, OFF, OFF, BOOT, RUN)))
     read = {"read": (0.0, 0.0, 0.0, 7.25, 0.0, 1.0), "has_read": (0, 0, 0, 1, 0, 1)}
     dialogue = begun(DAMIAO, done=(0, 1, 3, 3, 6, 6), power=power, **read)
@@ -130,8 +130,8 @@ def test_each_drive_lacks_its_answer_its_register_or_its_state():
         "it has not answered",
         "CTRL_MODE (register 10) is not confirmed",
         "PMAX (register 21) is not confirmed",
-        "PMAX (register 21) is 7.25 in the drive, 95.5 here",
-        "it has not said whether it is enabled",
+        "PMAX (register 21) is 7.25 in the drive, expected 95.5",
+        "it has not reported whether it is enabled",
         "",
     )
     assert DAMIAO.legs_set_up(dialogue) == (False,) * 5 + (True,)
@@ -141,7 +141,7 @@ def test_each_drive_lacks_its_answer_its_register_or_its_state():
 
 
 TRAITS = {
-    # command a tick later, frames of set-up a tick, stop latches, identifiers shared, watchdog, power, reaction
+    # command delay in ticks, set-up frames per tick, stop latches, identifiers shared, watchdog, power, reaction
     "mini_cheetah": (1, 0, False, True, False, "never", Reaction.BRAKE),
     "cubemars": (1, 0, False, True, False, "never", Reaction.BRAKE),
     "damiao": (1, 1, False, True, True, "feedback", Reaction.BRAKE),
@@ -152,10 +152,10 @@ TRAITS = {
 
 
 @pytest.mark.parametrize("name", MOTORS)
-def test_each_family_has_its_traits(name):
+def test_each_family_has_these_traits(name):
     t = MOTORS[name].traits
-    told = t.command_delay_ticks, t.set_up_frames, t.stop_latches, t.shares_identifiers, t.has_watchdog
-    assert (*told, t.power_told, *t.reactions) == TRAITS[name]
+    found = t.command_delay_ticks, t.set_up_frames, t.stop_latches, t.shares_identifiers, t.has_watchdog
+    assert (*found, t.power_told, *t.reactions) == TRAITS[name]
     assert {t.force_on_brakes, t.answers_name_sync, t.latches_together} == {False}
     assert (t.unasked_s, t.database, t.reset_ticks) == (0.0, None, 3)
     assert "brake" in t.dangers[0]
@@ -166,7 +166,7 @@ def test_each_family_has_its_traits(name):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_leg_that_needs_most_torque_decides_and_is_named_where_legs_are_unlike(leg):
+def test_refused_torque_is_that_of_the_worst_leg_which_is_reported(leg):
     # F l / (2 pi eta): 100 N x 0.2 m / (2 pi 0.8) = 3.979 N m
     leads = [0.2 if each == leg else 0.1 for each in range(6)]
     unlike = Transmission(TransmissionSettings(lead_m=leads, efficiency=0.8, sign=[1, -1, 1, -1, 1, -1]))

@@ -1,4 +1,4 @@
-"""Motor drives of every family: their own numbers, no length of a lost encoder, and other controllers."""
+"""Frames of every family of motor drives: each drive's own numbers, lost encoders, other controllers."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ZEROS = np.zeros(LEGS)
 
 
 def sent(name: str, length: float, lost: int = -1, state: DriveState = DriveState.OFF) -> list[Frame]:
-    """Return what six drives answer whose legs stand at a length, one of them without its encoder."""
+    """Answers of six drives with all legs at one length, one drive without its encoder."""
     states = np.full(LEGS, int(state))
     states[lost] |= INVALID if lost >= 0 else 0
     found = answers(MOTORS[name], Sync(0), np.full(LEGS, length), ZEROS, ZEROS, states)
@@ -39,7 +39,7 @@ def sent(name: str, length: float, lost: int = -1, state: DriveState = DriveStat
 # readings
 
 
-STEPS = {  # turns, turns/s, N m that a reading is off by at most
+STEPS = {  # largest error of a reading: turns, turns/s, N m
     "mini_cheetah": (191 / 65535 / TURN, 800 / 4095 / TURN, 288 / 4095),
     "robstride": (191 / 65535 / TURN, 800 / 65535 / TURN, 288 / 65535),
     "odrive": (1e-6, 1e-6, None),
@@ -65,7 +65,7 @@ def test_each_drive_answers_with_its_own_numbers_in_the_order_of_the_poll(name):
 
 @pytest.mark.parametrize("state", DriveState)
 @pytest.mark.parametrize("name", MOTORS)
-def test_no_length_is_read_of_a_lost_encoder_in_any_state(name, state):
+def test_lost_encoder_gives_no_length_in_any_state(name, state):
     for lost in range(LEGS):
         frames = sent(name, 1.6, lost, state)
         if name == "mini_cheetah":
@@ -89,7 +89,7 @@ def test_position_past_either_end_of_its_range_is_no_length(name, end):
 
 @pytest.mark.parametrize("place", [0.5, nan, inf, -inf])
 @pytest.mark.parametrize("speed", [0.25, nan, inf, -inf])
-def test_estimate_of_an_axis_is_motion_only_if_both_of_its_numbers_are(place, speed):
+def test_estimate_of_an_axis_gives_motion_only_if_both_values_are_finite(place, speed):
     for leg, node in enumerate(ODRIVE_NODES):
         heard = MOTORS["odrive"].hear(Frame(node << 5 | 0x09, struct.pack("<ff", place, speed)))
         assert (heard.leg, heard.feedback) == (leg, True)
@@ -101,18 +101,17 @@ def test_estimate_of_an_axis_is_motion_only_if_both_of_its_numbers_are(place, sp
 
 NODES = {"robstride": ROBSTRIDE_NODES, "odrive": ODRIVE_NODES, "moteus": MOTEUS_NODES}
 SET_POINTS = bytes.fromhex("02 04 06 07 0b 0c 0d 0e 0f 11 12 13 16 18 19 1a 1b 1f")
-"""What CAN Simple has a controller send to an axis, settings among them."""
+"""Commands and settings that a controller can send to an axis by CAN Simple."""
 
 
 def commands(name: str, node: int) -> list[Frame]:
-    """Return frames of another controller to a drive."""
     hosts: tuple[int, ...]
     if name == "robstride":
         data, hosts = struct.pack("<HxxI", 0x7005, 0), (253, 0xAA)
         return [
             Frame(k << 24 | host << 8 | node, data, EXTENDED) for k in (1, 3, 4, 17, 18) for host in hosts
         ]
-    if name == "odrive":  # a node number of 0xFF: a setting of the address, no answer with it
+    if name == "odrive":  # node number 0xFF: sets an address, is no answer with one
         return [Frame(node << 5 | kind, b"\xff" + bytes(7)) for kind in SET_POINTS]
     if name == "moteus":
         hosts = (0, 0x80, 0x85, 5)
@@ -121,7 +120,7 @@ def commands(name: str, node: int) -> list[Frame]:
 
 
 @pytest.mark.parametrize("name", MOTORS)
-def test_command_of_another_controller_is_foreign_whatever_it_sets(name):
+def test_any_command_of_another_controller_is_foreign(name):
     for leg, node in enumerate(NODES.get(name, MIT_NODES)):
         for frame in commands(name, node):
             heard = MOTORS[name].hear(frame)
@@ -129,7 +128,7 @@ def test_command_of_another_controller_is_foreign_whatever_it_sets(name):
             assert (heard.leg, heard.foreign) == (leg, True), frame
 
 
-def test_register_request_to_a_damiao_is_foreign_and_nobodys_elsewhere():
+def test_register_request_is_foreign_to_a_damiao_and_ignored_by_others():
     for node in MIT_NODES:
         for request in (0x33, 0x55, 0xCC, 0xAA):
             frame = Frame(0x7FF, bytes((node, 0, request, 9, 1, 0, 0, 0)))

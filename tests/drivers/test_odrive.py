@@ -1,4 +1,4 @@
-"""ODrive CAN Simple 0.6: the contract, bytes of the vendor's own headers, axes frame by frame, and settings."""
+"""ODrive CAN Simple 0.6: the contract, bytes of the vendor's headers, axes frame by frame, and settings."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, Frame, Said
 from drivers.signals import Command, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.drives_end import command, plain, reports
-from hil.contracts.ends import SETUP
+from hil.contracts.loopback import SETUP
 from hil.contracts.messages import Configure, DeviceMessage, EmergencyStop, Rejected, Status
 from hil.contracts.trouble import TroubleContract
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
@@ -52,18 +52,20 @@ def frame(v: Any) -> Frame:
     return Frame(v["id"], bytes.fromhex(v["data"]))
 
 
-def told(dialogue: Remembered, mode: DriveMode, tick: int = 0) -> list[list[Frame]]:
-    """Return the frames of a tick's command to each axis."""
+def commanded(dialogue: Remembered, mode: DriveMode, tick: int = 0) -> list[list[Frame]]:
     _, frames = P.command(dialogue, Command(mode, np.zeros(6)), tick)
     return [[frame for frame in frames if frame.id >> 5 == node] for node in NODES]
 
 
-def test_states_modes_errors_and_stops_are_the_vendors_frames():
+def test_states_modes_errors_and_stops_agree_with_the_vendors_frames():
     start = P.start(BRAKES)
     for sent, name in (
-        (told(start, DriveMode.RUN)[3][0], "Set_Axis_State"),
-        (told(start._replace(power=(DriveState.OFF,) * 6), DriveMode.READY)[0][0], "Set_Controller_Mode"),
-        (told(start, DriveMode.RESET)[1][1], "Clear_Errors"),
+        (commanded(start, DriveMode.RUN)[3][0], "Set_Axis_State"),
+        (
+            commanded(start._replace(power=(DriveState.OFF,) * 6), DriveMode.READY)[0][0],
+            "Set_Controller_Mode",
+        ),
+        (commanded(start, DriveMode.RESET)[1][1], "Clear_Errors"),
         (P.traits.emergency_stop[1], "Estop"),
         (reports(P, Status(0, DriveState.OFF, DriveFault.NONE))[0], "Heartbeat"),
     ):
@@ -71,7 +73,7 @@ def test_states_modes_errors_and_stops_are_the_vendors_frames():
     assert P.begin(start, 0)[1] == Frame(vectors("Get_Encoder_Estimates")[0]["id"], b"", REMOTE)
 
 
-def test_each_axis_is_told_by_its_own_state():
+def test_command_to_each_axis_depends_on_its_own_state():
     power = tuple(
         map(int, (DriveState.RUN, DriveState.OFF, DriveState.FAULT, DriveState.OFF, DriveState.RUN, 0))
     )
@@ -82,7 +84,7 @@ def test_each_axis_is_told_by_its_own_state():
         (DriveMode.RUN, [[state, torque]] * 6),
         (DriveMode.RESET, [[state, clear]] * 6),
     ):
-        found = told(P.start(BRAKES)._replace(power=power), mode)
+        found = commanded(P.start(BRAKES)._replace(power=power), mode)
         assert [[frame.id & 0x1F for frame in frames] for frames in found] == kinds
 
 
@@ -92,7 +94,7 @@ def test_each_axis_is_told_by_its_own_state():
 OTHERS = (7, 1, 2, 3, 5, 62)
 AXES = ODriveProtocol(OTHERS, 0.07, UNLIKE)
 TOOL = Configure(4, 0.07, Reaction.BRAKE)
-"""What odrivetool has set in leg 4, whose node is 5."""
+"""Watchdog set by odrivetool in leg 4, whose node is 5."""
 REFUSED = (Rejected(),)
 
 
@@ -112,7 +114,7 @@ TORQUE_CONTROL = to(0x0B, struct.pack("<II", 1, 1))
 
 
 def sent_to(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]]:
-    """Return what an axis remembers of frames, and what each of them came to."""
+    """Memory of an axis after these frames, and the messages from each of them."""
     memory, found = AXES.power_up(), []
     for frame in frames:
         memory, messages = AXES.parse(memory, frame)
@@ -121,7 +123,7 @@ def sent_to(*frames: Frame) -> tuple[Remembered, list[tuple[DeviceMessage, ...]]
 
 
 @pytest.mark.parametrize("flags", [EXTENDED, FD, ERROR, BUS, 3 * BUS])
-def test_frame_with_another_flag_or_node_is_neither_obeyed_nor_heard(flags):
+def test_frame_with_other_flags_or_another_node_is_ignored(flags):
     enabled = AXES.power_up()._replace(enabled=(True,) * 6)
     for frame in (torque(0.5), state(1), to(0x02), to(0x09, flags=REMOTE), to(0x06, flags=REMOTE), to(0x0D)):
         assert AXES.parse(enabled, frame._replace(flags=frame.flags | flags)) == (enabled, ())
@@ -136,7 +138,7 @@ def test_frame_with_another_flag_or_node_is_neither_obeyed_nor_heard(flags):
         assert AXES.addressed(frame) == ()
 
 
-def test_frame_that_the_axis_does_not_have_is_refused_or_ignored():
+def test_unknown_frame_to_an_axis_is_refused_or_ignored():
     taken = {0x02, 0x06, 0x07, 0x0B, 0x0E, 0x18}
     ignored = {0x00, 0x01, 0x03, 0x05, 0x08, 0x09, 0x0A, 0x14, 0x15, 0x17, 0x1C, 0x1D, 0x1E}
     for kind in set(range(32)) - taken:
@@ -151,7 +153,7 @@ def test_frame_that_the_axis_does_not_have_is_refused_or_ignored():
             assert (messages == REFUSED) == (size not in sizes), (hex(kind), size)
 
 
-def test_axis_closes_its_loop_under_torque_control_alone():
+def test_axis_closes_its_loop_only_in_torque_control():
     frames = [
         state(8),
         to(0x0B, struct.pack("<II", 2, 1)),
@@ -185,7 +187,7 @@ def test_axis_closes_its_loop_under_torque_control_alone():
     assert memory.enabled == (False,) * 6
     assert memory.registers[4][:2] == [1.0, 1.0]
     assert memory.registers[:4] == ([0.0] * 8,) * 4
-    assert sent_to(to(0x18))[1] == [(command(4, DriveMode.RESET, 1),)], "errors are cleared without data too"
+    assert sent_to(to(0x18))[1] == [(command(4, DriveMode.RESET, 1),)], "errors are also cleared without data"
     for number in (0, 2, 3, 7, 9):
         memory, found = sent_to(TORQUE_CONTROL, state(8), state(number))
         assert (found[-1], memory.enabled[4]) == (REFUSED, True), "neither idle nor closed loop"
@@ -202,7 +204,7 @@ def test_axis_closes_its_loop_under_torque_control_alone():
         (DriveFault.STROKE, 0x10000),
     ],
 )
-def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_in_run_alone(fault, error):
+def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_only_in_run(fault, error):
     for now in DriveState:
         _, (beat,) = AXES.report(AXES.power_up(), Status(4, now, fault))
         closed = 8 if now == DriveState.RUN else 1
@@ -221,21 +223,21 @@ def test_heartbeat_has_the_error_of_a_fault_and_closed_loop_in_run_alone(fault, 
         (0x80000000, 1, DriveState.FAULT, 0x80000100),
     ],
 )
-def test_error_of_a_heartbeat_is_a_known_fault_or_the_axis_own(error, axis, power, fault):
+def test_error_of_a_heartbeat_is_a_drive_fault_or_a_code_of_the_axis(error, axis, power, fault):
     said: Any = AXES.hear(Frame(5 << 5 | 1, struct.pack("<IBBBB", error, axis, 9, 9, 9)))
     assert (said.leg, said.power, said.fault) == (4, power, fault)
     assert {said.feedback, said.broken, said.foreign} == {False}
     assert AXES.fault_text(0x2108) == "missing estimate, motor over temperature"
 
 
-def test_heartbeat_or_estimate_of_another_length_is_broken():
+def test_heartbeat_or_estimate_of_wrong_length_is_broken():
     for kind in (0x01, 0x09):
         for size in (0, 4, 7):
             heard = AXES.hear(to(kind, bytes(size)))
             assert (heard.leg, heard.broken, heard.feedback) == (4, True, False)
 
 
-def test_address_is_of_eight_bytes_from_its_own_node_and_not_a_request():
+def test_address_has_eight_bytes_and_its_own_node_and_is_no_request():
     data = bytes.fromhex("05010203040506ff")
     assert AXES.identity(to(0x06, data)) == Said(4, "serial number", 0x060504030201)
     for other in (to(0x06, data, REMOTE), to(0x06, data[:7]), to(0x05, data), to(0x06, b"\4" + data[1:])):
@@ -247,7 +249,7 @@ def test_address_is_of_eight_bytes_from_its_own_node_and_not_a_request():
 # what the controller asks an axis for
 
 
-def test_axis_is_asked_again_if_it_reports_late_that_its_loop_is_open():
+def test_axis_is_told_again_if_it_later_reports_an_open_loop():
     power = (DriveState.OFF, DriveState.OFF, DriveState.RUN, DriveState.OFF, DriveState.OFF, DriveState.OFF)
     known = AXES.start(BRAKES)._replace(
         mode=int(DriveMode.RUN),
@@ -294,12 +296,12 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
         ({"transmission": {"lead_m": 2000.0}, "force_limit_N": 60}, r"carries up to 10000 N m"),
     ],
 )
-def test_setting_that_does_not_fit_is_refused_by_name(changes, message):
+def test_invalid_setting_is_refused_with_its_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         made(**changes)
 
 
-def test_settings_reach_the_codec_and_estimates_come_every_10_ms_as_delivered():
+def test_settings_reach_the_codec_and_estimates_default_to_10_ms():
     named = made(
         heartbeat_ms=125, watchdog_ms=40, options={"encoder_msg_rate_ms": 4}, node_ids=[7, 2, 0, 4, 5, 62]
     )

@@ -1,4 +1,4 @@
-"""What an axis sends by timers: its state by heartbeats now and then, and estimates beside its answers."""
+"""Timers of an axis: heartbeats report its state, and estimates arrive next to its answers."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from drivers.frame_array import received_array, sent_array
 from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from hil.app.check.subject import answered_ns
-from hil.app.configuration.bus_budget import unasked_readings
+from hil.app.configuration.bus_budget import timed_feedbacks
 from hil.app.encoder_limits import encoder_limits
-from hil.contracts.ends import BEAT_TICKS, FORCE, OFF, PERIOD_NS, READY, RESET, SETUP, Ends, Line, at_tick
+from hil.contracts.loopback import BEAT_TICKS, FORCE, OFF, PERIOD_NS, READY, RESET, SETUP, Ends, Line, at_tick
 from hil.loop.latches import checked
 from tests.drivers.motor_families import GEAR, ODriveProtocol, odrive
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
@@ -31,7 +31,7 @@ FORCED = Command(DriveMode.RUN, FORCE)
 
 
 def line() -> Line:
-    """Return both ends, set up, with axes whose loops are not closed."""
+    """Both ends, set up, with axes whose loops are open."""
     ends = Line(odrive())
     ends.until_set_up()
     for _ in range(2):
@@ -40,13 +40,13 @@ def line() -> Line:
 
 
 def asked(frames: Sequence[Frame], kind: int, state: int | None = None) -> list[int]:
-    """Return the legs that are sent a frame of a kind, of a state where one is given, in order."""
+    """Legs that get a frame of a kind, and of a state if given, in order."""
     data = None if state is None else struct.pack("<Ixxxx", state)
     return [NODES.index(f.id >> 5) for f in frames if f.id & 0x1F == kind and data in (None, f.data)]
 
 
 def asked_while_run(ends: Line) -> list[int]:
-    """Return the legs that are asked to close their loops in six heartbeats of RUN."""
+    """Legs that are told to close their loops during six heartbeats of RUN."""
     legs: list[int] = []
     for _ in range(6 * BEAT_TICKS):
         ends.step(FORCED, set_up=False)
@@ -58,13 +58,13 @@ def mute(frames: list[Received]) -> list[Received]:
     return [each for each in frames if each.frame.id & 0x1F != HEARTBEAT]
 
 
-def test_axis_has_its_force_at_once_and_is_ready_until_its_heartbeat():
+def test_axis_gives_force_at_once_and_is_ready_until_its_heartbeat():
     ends = line()
     ends.to_hear = mute
     for _ in range(3 * BEAT_TICKS):
         ends.step(FORCED, set_up=False)
         np.testing.assert_allclose(ends.nodes.snapshot().command, FORCE, rtol=1e-6, atol=1e-3)
-        assert asked(ends.sent, TORQUE) == list(range(LEGS)), "it feeds the watchdog, which is 0.05 s"
+        assert asked(ends.sent, TORQUE) == list(range(LEGS)), "this feeds the watchdog of 0.05 s"
         assert ends.states() == [DriveState.READY] * LEGS
     assert ends.nodes.snapshot().state.tolist() == [DriveState.RUN] * LEGS
     ends.to_hear = list
@@ -73,7 +73,7 @@ def test_axis_has_its_force_at_once_and_is_ready_until_its_heartbeat():
     assert ends.states() == [DriveState.RUN] * LEGS
 
 
-def test_axis_is_asked_once_to_close_its_loop_and_again_if_it_stays_open():
+def test_axis_is_told_once_to_close_its_loop_and_again_if_it_stays_open():
     assert asked_while_run(line()) == list(range(LEGS))
     ends, lost = line(), Frame(NODES[3] << 5 | AXIS_STATE, struct.pack("<Ixxxx", 8))
     ends.to_obey = lambda frames: [frame for frame in frames if frame != lost]
@@ -82,7 +82,7 @@ def test_axis_is_asked_once_to_close_its_loop_and_again_if_it_stays_open():
     assert ends.nodes.snapshot().state.tolist().count(DriveState.RUN) == LEGS - 1
     assert asked_while_run(ends) == [3]
     assert ends.states() == [DriveState.RUN] * LEGS
-    # one that ran is asked again by a new RUN alone
+    # only a new RUN enables an axis again that had run
     idle = Frame(NODES[3] << 5 | AXIS_STATE, struct.pack("<Ixxxx", 1))
     ends.step(FORCED, set_up=False, first=(idle,))
     assert asked_while_run(ends) == []
@@ -101,7 +101,7 @@ def test_axis_enabled_for_less_than_a_heartbeat_counts_as_enabled(mode, ticks):
         ends.step(Command(mode, FORCE), set_up=False)
         assert asked(ends.sent, AXIS_STATE, 1) == list(range(LEGS))
     assert ends.nodes.snapshot().brake.all()
-    assert ends.states() == [DriveState.RUN] * LEGS, "no axis has said that its brake is shut"
+    assert ends.states() == [DriveState.RUN] * LEGS, "no axis has reported its brake closed"
     ends.to_hear = list
     for _ in range(BEAT_TICKS + 1):
         ends.step(Command(mode, FORCE), set_up=False)
@@ -115,25 +115,25 @@ def test_reset_clears_errors_that_axes_have_not_yet_reported(anew):
     ends.step(OFF, first=ends.protocol.traits.emergency_stop)
     assert ends.nodes.snapshot().state.tolist() == [DriveState.FAULT] * LEGS
     if anew:
-        ends.begin_anew()
+        ends.replace_controller()
     for _ in range(ends.protocol.traits.reset_ticks):
         ends.step(RESET)
     assert ends.nodes.snapshot().state.tolist() == [DriveState.OFF] * LEGS
 
 
-def test_emulated_axis_sends_its_heartbeat_by_a_timer_and_none_with_a_change():
-    ends, told = line(), list[tuple[int, int]]()
+def test_emulated_axis_sends_its_heartbeat_by_a_timer_only():
+    ends, beats = line(), list[tuple[int, int]]()
 
     def hear(frames: list[Received]) -> list[Received]:
-        told.extend((t_ns, frame.id >> 5) for t_ns, frame in frames if frame.id & 0x1F == HEARTBEAT)
+        beats.extend((t_ns, frame.id >> 5) for t_ns, frame in frames if frame.id & 0x1F == HEARTBEAT)
         return frames
 
     ends.to_hear = hear
     for command in (FORCED, READY, FORCED, OFF, RESET, OFF) * 4:
         ends.step(command, set_up=False, first=ends.protocol.traits.emergency_stop if command == OFF else ())
-    assert len(told) > 3 * LEGS
-    assert set(np.diff([t_ns for t_ns, _ in told])) == {BEAT_TICKS * PERIOD_NS // LEGS}
-    assert {node for _, node in told[:LEGS]} == set(NODES)
+    assert len(beats) > 3 * LEGS
+    assert set(np.diff([t_ns for t_ns, _ in beats])) == {BEAT_TICKS * PERIOD_NS // LEGS}
+    assert {node for _, node in beats[:LEGS]} == set(NODES)
 
 
 # estimates that nobody asked for
@@ -153,7 +153,7 @@ def estimate(leg: int, turns: float) -> Frame:
 
 
 def heard(ends: Ends, *coming: tuple[int, Frame]) -> Any:
-    """Return the measurement of the next tick, of frames that came so many ns after its begin."""
+    """Measurement of the next tick from frames with times in ns after its start."""
     begun = (ends.tick + 1) * PERIOD_NS
     tick = at_tick(ends.tick + 1)
     run = received_array([Received(begun + t_ns, frame) for t_ns, frame in coming])
@@ -166,20 +166,20 @@ BEFORE = tuple((-500_000, estimate(leg, 7.0)) for leg in range(LEGS))
 
 
 @pytest.mark.parametrize("leg", range(LEGS))
-def test_newest_estimate_counts_and_one_from_before_the_poll_does_not(leg):
+def test_newest_estimate_counts_but_not_one_from_before_the_poll(leg):
     tick = heard(ready(), *BEFORE, *ANSWERS, (400_000, estimate(leg, 0.9)))
     expected = np.array([0.9 if each == leg else 0.1 * each for each in range(LEGS)])
     np.testing.assert_allclose(tick["length"], GEAR.length(expected), rtol=1e-6)
     assert (tick["doubled"], tick["rejected"], tick["age"].tolist()) == (0, 0, [0] * LEGS)
 
 
-def test_second_and_late_estimates_are_counted_where_axes_send_none_unasked():
+def test_second_and_late_estimates_count_as_errors_without_a_timer():
     tick = heard(ready(0.0), BEFORE[0], *ANSWERS, (400_000, estimate(3, 0.9)))
     assert (tick["doubled"], tick["rejected"]) == (1 << 3, 1)
 
 
 @pytest.mark.parametrize("unasked_s", [0.0, UNASKED_S])
-def test_emulated_axis_sends_its_estimates_by_its_timer_beside_its_answers(unasked_s):
+def test_emulated_axis_sends_estimates_by_timer_next_to_its_answers(unasked_s):
     ends, times = ready(unasked_s), list[int]()
     for _ in range(100):
         ends.step()
@@ -202,15 +202,15 @@ def configured(options: dict[str, int], **bus: Any) -> Any:
     ("options", "rate_Hz", "frames"),
     [({}, 312.5, 1), ({}, 200.0, 3), ({}, 100.0, 6), ({}, 50.0, 12), ({"encoder_msg_rate_ms": 0}, 50.0, 0)],
 )
-def test_estimates_of_every_tick_are_in_the_arithmetic_of_the_bus(options, rate_Hz, frames):
-    found = unasked_readings(configured(options), rate_Hz)
+def test_unrequested_estimates_of_every_tick_are_in_the_bus_budget(options, rate_Hz, frames):
+    found = timed_feedbacks(configured(options), rate_Hz)
     assert [(len(frame.data), frame.flags) for frame in found] == [(8, 0)] * frames
     channels = [{"channel": "a", "legs": [0, 1, 2, 3]}, {"channel": "b", "legs": [4, 5]}]
-    there = unasked_readings(configured(options, channels=channels), 100.0)
+    there = timed_feedbacks(configured(options, channels=channels), 100.0)
     assert sorted(frame.bus for frame in there) == ([] if options else [0, 0, 0, 0, 1, 1])
 
 
-def test_unasked_estimates_need_135_bit_more_and_make_lengths_less_certain():
+def test_unrequested_estimates_cost_135_bits_and_certainty_of_lengths():
     c, waits, shares = family("odrive"), [], []
     for unasked_ms in (0, 10):
         drives = c.drives.model_copy(update={"options": {"encoder_msg_rate_ms": unasked_ms}})
@@ -221,8 +221,8 @@ def test_unasked_estimates_need_135_bit_more_and_make_lengths_less_certain():
     assert shares == [0.3, 0.6]
 
 
-def test_estimate_that_counts_gives_the_latest_time_of_its_poll():
-    """A bus that says when it had taken the frames, slowly: what came first may have come by the timer."""
+def test_newest_estimate_gives_the_latest_time_of_its_poll():
+    """The bus reports the acceptance of frames, slowly: the first estimate may come from the timer."""
     protocol = ready().protocol
     polls = protocol.begin(protocol.start(SETUP._replace(reaction=Reaction.BRAKE)), 0)
     answers = [Received(300_000, estimate(2, 0.0)), Received(700_000, estimate(2, 0.1))]

@@ -1,4 +1,4 @@
-"""The own protocol keeps the contract, and one that shares nothing with it runs and replays."""
+"""The protocol `legs` fulfils the contract, and an unrelated protocol runs and replays."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from hil.app.compose import build_cycle, build_nodes
 from hil.app.configuration.configuration import Configuration, json_schema, loads
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
-from hil.contracts.ends import Ends
+from hil.contracts.loopback import Ends
 from hil.contracts.messages import DeviceCommand, hear
 from hil.contracts.protocol import ProtocolContract
 from hil.contracts.trouble import TroubleContract
@@ -85,7 +85,7 @@ class TestStub(ProtocolContract):
     def family(self):
         return StubProtocol([4096, 513, 770, 1027, 1284, 65535])
 
-    def test_own_fault_codes_pass_through_and_polls_take_the_place_of_a_sync(self, protocol):
+    def test_own_fault_codes_pass_through_and_polls_replace_sync(self, protocol):
         ends = Ends(protocol)
         ends.until_set_up()
         for _ in range(3):
@@ -95,13 +95,11 @@ class TestStub(ProtocolContract):
 
 
 class Wire:
-    """A bus that keeps what it is given."""
-
     def __init__(self) -> None:
         self.sent: list[Frame] = []
 
     def flush_tx(self) -> None:
-        """Nothing waits."""
+        """No frames wait."""
 
     def skew_ns(self) -> int:
         return 0
@@ -113,7 +111,7 @@ class Wire:
 
 @pytest.fixture
 def row(monkeypatch):
-    """One more entry point; no other test sees it in the schema."""
+    """One more entry point, which no other test sees in the schema."""
     monkeypatch.setitem(registered("hil.protocols"), "stub", STUB)
     json_schema.cache_clear()
     yield
@@ -137,7 +135,7 @@ def recorded(tmp_path_factory):
     return summary, Log.open(path)
 
 
-def test_protocol_that_shares_nothing_with_ours_runs_and_replays_to_the_bit(recorded):
+def test_unrelated_protocol_runs_and_replays_to_the_bit(recorded):
     summary, log = recorded
     assert summary["success"], summary
     rows = log.rows()
@@ -149,7 +147,7 @@ def test_protocol_that_shares_nothing_with_ours_runs_and_replays_to_the_bit(reco
     assert summary["replay"]["ticks"] == len(rows)
 
 
-def test_its_frames_and_its_database_are_in_the_log(recorded):
+def test_frames_and_database_of_the_protocol_are_in_the_log(recorded):
     _, log = recorded
     assert log.attachments["stub.dbc"] == b'VERSION ""\n'
     assert "legs.dbc" not in log.attachments
@@ -162,7 +160,7 @@ def test_its_frames_and_its_database_are_in_the_log(recorded):
     assert sizes[-1] == 6
 
 
-def test_failed_loop_switches_the_drives_off_where_the_poll_is_the_command(row):
+def test_failed_loop_switches_off_drives_whose_poll_is_the_command(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     run = Command(DriveMode.RUN, np.full(6, 100.0))
     cycle.end.give(run, 0)
@@ -174,7 +172,7 @@ def test_failed_loop_switches_the_drives_off_where_the_poll_is_the_command(row):
 
 
 @pytest.mark.parametrize("change", [(NODES, STUB_NODES), (NODES, NODES)])
-def test_lockstep_waits_to_its_deadline_for_what_is_not_fresh(row, change):
+def test_lockstep_waits_until_its_deadline_for_fresh_feedback(row, change):
     c = configuration(change)
     nodes, plant = build_nodes(c)
     lockstep = Lockstep(build_cycle(c, 50.0, 0.24), nodes, (BitTiming.of(c.bus),), 0.01)
@@ -189,7 +187,7 @@ def test_lockstep_waits_to_its_deadline_for_what_is_not_fresh(row, change):
         plant.close()
 
 
-def test_drive_without_a_complete_set_up_is_named_and_a_reset_begins_again(row):
+def test_drive_with_incomplete_set_up_is_reported_and_reset_restarts_it(row):
     cycle = build_cycle(configuration((NODES, STUB_NODES)), 50.0, 0.24)
     cycle.tick["drive_state"], cycle.tick["age"] = DriveState.OFF, 0
     end: Any = cycle.end
@@ -206,7 +204,7 @@ def test_drive_without_a_complete_set_up_is_named_and_a_reset_begins_again(row):
         ([(NODES, f"protocol: hart\n  {NODES}")], "drives.protocol: .*stub, given: hart"),
         ([(NODES, "node_ids: [1, 2, 3, 4, 5, 128]")], r"node_ids\[5\]: .* legs: 1 to 127, given: 128"),
         ([(NODES, STUB_NODES.replace("513", "65536"))], r"node_ids\[1\]: .* 0 to 65535, given: 65536"),
-        ([(NODES, f"{NODES}\n  options: {{gain: 2}}")], "protocol legs has none, given: gain"),
+        ([(NODES, f"{NODES}\n  options: {{gain: 2}}")], "protocol legs has no options, given: gain"),
         ([(NODES, f"{NODES}\n  transmission: {{lead_m: 0.005}}")], r"drives\.transmission: protocol legs"),
         (
             [("layout: classic  ", "layout: ideal  "), (NODES, STUB_NODES)],
@@ -214,13 +212,13 @@ def test_drive_without_a_complete_set_up_is_named_and_a_reset_begins_again(row):
         ),
     ],
 )
-def test_row_checks_the_settings_of_its_protocol(row, changes, message):
+def test_invalid_settings_of_each_protocol_are_refused(row, changes, message):
     with pytest.raises(ConfigurationError) as caught:
         configuration(*changes)
     assert any(re.search(message, problem) for problem in caught.value.problems), caught.value.problems
 
 
-def test_sensors_are_refused_where_no_sync_carries_their_stamp(row):
+def test_sensors_are_refused_without_a_sync_for_their_stamp(row):
     sensors = (
         ("layout: classic  ", "layout: fd  "),
         ("recording:\n", "sensors:\n  imu: {rate_Hz: 50}\n\nrecording:\n"),
@@ -230,7 +228,7 @@ def test_sensors_are_refused_where_no_sync_carries_their_stamp(row):
         configuration((NODES, STUB_NODES), *sensors)
 
 
-def test_bus_index_travels_in_the_flags_and_bus_0_leaves_every_byte_as_it_was():
+def test_bus_index_is_in_the_flags_and_bus_0_changes_no_byte():
     frame = Frame(0x181, b"\1\2", FD)
     assert (frame.bus, Frame(0x181, b"", FD | 3 << 8).bus) == (0, 3)
     content = received_array([Received(5, frame)]).tobytes()

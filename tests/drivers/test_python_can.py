@@ -1,4 +1,4 @@
-"""The interfaces of python-can: how they are opened, what is heard, what is lost, when one is off."""
+"""python-can interfaces: opening, reception, losses, and when one counts as off."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from drivers.config import BusSettings
 from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import Frame
-from tests.drivers.frames_heard import got
+from tests.drivers.received_frames import got
 
 PAIR = (Frame(1, b"a"), Frame(2, b"b"))
 Look = can.Message | Exception | None
@@ -40,9 +40,9 @@ def message(identifier: int, **changes: Any) -> can.Message:
 
 
 class Adapter:
-    """A stand-in for a bus of python-can: `coming` is what `recv` gives or raises, look by look; then `last`.
+    """A fake python-can bus: `recv` gives or raises the elements of `coming`, then `last`.
 
-    Mutable state: what is to come, how often it was looked, what was sent, and whether it was shut down.
+    Mutable state: what is to come, the number of polls, frames sent, and whether it was shut down.
     """
 
     def __init__(self, *coming: Look, last: Look = None, raises: Exception | None = None) -> None:
@@ -99,8 +99,8 @@ OWN = {"bitrate": 250_000, "data_bitrate": 4_000_000, "fd": False, "single_handl
         ({"interface": "udp_multicast", "layout": "classic"}, {"hop_limit": 0}),
     ],
 )
-def test_a_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch, changes, expected):
-    """Files and the environment of python-can do not count: they may have a bit rate for other work."""
+def test_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch, changes, expected):
+    """Files and environment of python-can are ignored: they may set a bit rate for other work."""
     opened: list[Any] = []
 
     def bus(*place: str, **options: Any) -> Adapter:
@@ -117,8 +117,8 @@ def test_a_bus_is_opened_with_the_bit_rates_of_its_layout_or_options(monkeypatch
 
 @pytest.mark.parametrize("interface", ["kvaser", "slcan", "udp_multicast"])
 @pytest.mark.parametrize("age_s", [0.0, 0.9, -3e-4, 1e6])
-def test_a_frame_has_the_time_at_which_it_was_taken(monkeypatch, interface, age_s):
-    """Whatever its own stamp: that may be of the adapter's clock."""
+def test_frame_has_the_time_of_its_reading(monkeypatch, interface, age_s):
+    """Its own time stamp is ignored: it may come from the adapter's clock."""
     coming: Any = Adapter(can.Message(timestamp=time.time() - age_s, arbitration_id=1))
     monkeypatch.setattr(can, "Bus", lambda *_, **__: coming)
     bus = open_python_can(BusSettings(interface=interface, channel="0", layout="classic"))
@@ -145,7 +145,7 @@ def test_frames_are_sent_without_waiting_until_one_is_refused():
         bus.send(sent_array(PAIR))
 
 
-def test_a_bus_that_failed_is_off_until_it_takes_frames_again():
+def test_bus_that_failed_is_off_until_it_accepts_frames_again():
     adapter = Adapter()
     bus = on(adapter)
     for _ in range(2):
@@ -172,7 +172,7 @@ def test_an_unreadable_message_is_one_lost_frame(error):
     assert (heard(bus), bus.overflow, bus.off) == ([2] * 20, 21, False)
 
 
-def test_a_look_ends_although_frames_come_without_end():
+def test_reading_ends_although_frames_arrive_without_end():
     adapter = Adapter(last=message(7))
     bus = on(adapter)
     for _ in range(2):
@@ -181,7 +181,7 @@ def test_a_look_ends_although_frames_come_without_end():
 
 
 @pytest.mark.parametrize(("failures", "off"), [(7, False), (8, True)])
-def test_eight_failures_in_a_row_are_an_interface_that_is_gone(failures, off):
+def test_interface_counts_as_gone_after_eight_consecutive_failures(failures, off):
     adapter = Adapter(None)
     bus = on(adapter)
     heard(bus)
@@ -191,20 +191,20 @@ def test_eight_failures_in_a_row_are_an_interface_that_is_gone(failures, off):
 
 
 @pytest.mark.parametrize("error", [*GARBLED, OSError("gone")], ids=repr)
-def test_an_interface_that_only_fails_is_off_at_the_first_look(error):
+def test_interface_that_only_fails_is_off_at_the_first_reading(error):
     adapter = Adapter(last=error)
     bus = on(adapter)
     assert (heard(bus), bus.off) == ([], True)
     looks, lost = adapter.looks, bus.overflow
     assert heard(bus) == []
-    assert (adapter.looks, bus.overflow) == (looks + 1, lost), "it is not asked again and again"
+    assert (adapter.looks, bus.overflow) == (looks + 1, lost), "it is polled once"
 
 
 # the end
 
 
 @pytest.mark.parametrize("error", [can.CanOperationError("port"), OSError("usb"), AttributeError("handle")])
-def test_an_error_of_an_interface_at_its_end_ends_no_run_and_keeps_no_role(error):
+def test_error_while_closing_does_not_end_the_run_or_keep_the_role(error):
     given: list[str] = []
     role: Any = SimpleNamespace(close=lambda: given.append("back"))
     adapter = Adapter(raises=error)
@@ -219,7 +219,7 @@ def test_an_error_of_an_interface_at_its_end_ends_no_run_and_keeps_no_role(error
 
 @pytest.fixture
 def line() -> Iterator[tuple[PythonCan, int]]:
-    """Return a bus and the descriptor at which its adapter would write."""
+    """A bus and the descriptor at which its adapter would write."""
     ours, theirs = os.openpty()
     tty.setraw(ours)
     tty.setraw(theirs)
@@ -233,14 +233,14 @@ def line() -> Iterator[tuple[PythonCan, int]]:
 
 
 def write(line: tuple[PythonCan, int], data: bytes) -> None:
-    """Let the adapter write, and wait until all of it is there."""
+    """Write as the adapter, and wait until all of it has arrived."""
     bus, adapter = line
     os.write(adapter, data)
     port: Any = bus._bus.serialPortOrig  # type: ignore[attr-defined]
     assert any(port.in_waiting == len(data) for _ in range(1_000_000))
 
 
-def test_frames_after_lines_that_confirm_own_frames_are_there_at_one_look(line):
+def test_one_reading_gives_all_frames_after_confirmation_lines(line):
     bus, _ = line
     write(line, b"\r" * 12 + b"t1232AABB\r" + b"z\r" * 6 + b"t1241CC\r" + b"\r")
     assert [each.frame for each in got(bus.receive())] == [Frame(0x123, b"\xaa\xbb"), Frame(0x124, b"\xcc")]
@@ -255,7 +255,7 @@ def test_a_damaged_line_is_one_lost_frame(line, garbled):
     assert (bus.overflow, bus.off) == (1, False)
 
 
-def test_an_adapter_that_is_pulled_out_is_off_and_closes_without_an_error(line):
+def test_unplugged_adapter_is_off_and_closes_without_error(line):
     bus, adapter = line
     os.close(adapter)
     assert (heard(bus), bus.off) == ([], True)

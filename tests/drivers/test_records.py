@@ -1,4 +1,4 @@
-"""Arguments of kernels: arrays and records, what is read, written and refused, and that nothing is kept."""
+"""Arguments of kernels: arrays and records that are read, written or refused."""
 
 from typing import Any
 
@@ -23,7 +23,7 @@ POINT = np.dtype([("x", np.float64), ("n", np.int64), ("unseen", np.int64)])
 
 @kernel(VECTOR, MATRIX, INTEGERS, OUT_FLAGS, OUT_VECTOR, OUT_MATRIX, OUT_FLAGS)
 def _look(vector: Any, matrix: Any, integers: Any, flags: Any, out: Any, rows: Any, marks: Any) -> int:
-    """Copy the first four to the others and return how many elements there were."""
+    """Copy the first four to the others; the result is the number of their elements."""
     for i in range(vector.shape[0]):
         out[i] = vector[i] + 1000.0 * integers[i]
         marks[i] = flags[i]
@@ -49,7 +49,7 @@ def look(given: dict[str, Any]) -> int:
     return _look(*given.values())
 
 
-def test_kernel_reads_its_arguments_and_fills_those_that_it_may():
+def test_kernel_reads_its_arguments_and_fills_its_outputs():
     for kind in (np.int64, np.longlong, "<i8"):
         given = arguments(integers=np.arange(4).astype(kind))
         assert look(given) == 18
@@ -80,7 +80,7 @@ READ_ONLY.flags.writeable = False
         ("flags", np.zeros(4, np.uint8)), ("out", READ_ONLY), ("rows", np.zeros((3, 2)).T), ("marks", np.zeros(4)),
     ],
 )  # fmt: skip
-def test_argument_of_another_kind_is_refused_and_nothing_is_filled(name, value):
+def test_argument_of_another_type_is_refused_and_outputs_stay_empty(name, value):
     given = arguments(**{name: value})
     with pytest.raises(TypeError):
         look(given)
@@ -92,7 +92,7 @@ def _change(vector: Any) -> None:
     vector[0] = 1.0
 
 
-def test_kernel_that_only_reads_hands_nothing_on_to_one_that_writes():
+def test_read_only_argument_cannot_be_passed_to_a_kernel_that_writes():
     def lends(vector: Any) -> None:
         _change(vector)
 
@@ -120,7 +120,7 @@ def _sum(points: Any) -> float:
     return total
 
 
-def test_kernel_takes_a_record_or_a_vector_of_records_and_refuses_others():
+def test_kernel_accepts_records_of_its_type_and_refuses_others():
     points = np.zeros(4, POINT)
     points["x"], points["n"] = (1.0, 2.0, 4.0, 8.0), 7
     for k, x in enumerate(points["x"].tolist()):

@@ -1,4 +1,4 @@
-"""What packages register by entry point: a package that is broken, or takes a name that is taken."""
+"""Entry points: a package that cannot be imported, a name registered twice, and the name of a law."""
 
 import os
 import subprocess
@@ -19,7 +19,7 @@ def test_package_that_cannot_be_imported_is_refused_with_its_entry_point(monkeyp
         loaded("hil.laws", "broken")
 
 
-def test_two_packages_with_one_name_are_refused_with_both(tmp_path):
+def test_name_registered_by_two_packages_is_refused_and_lists_both(tmp_path):
     for name in ("first", "second"):
         installed = tmp_path / f"{name}-1.dist-info"
         installed.mkdir()

@@ -1,4 +1,4 @@
-"""RobStride's own framing: what a drive obeys and answers, and both ends of its identifiers."""
+"""RobStride's own framing: commands and answers of a drive, and both ends of its identifiers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from drivers.protocol import BUS, ERROR, EXTENDED, FD, REMOTE, DriveSetup, Frame
 from drivers.signals import INVALID, LEGS, DriveFault, DriveMode, DriveState, Reaction
 from hil.contracts.by_value import Remembered
 from hil.contracts.drives_end import command, plain
-from hil.contracts.ends import at_tick
+from hil.contracts.loopback import at_tick
 from hil.contracts.messages import Answer, Configure, Rejected, Sync
 from tests.drivers.motor_families import ROBSTRIDE_NODES as NODES
 from tests.drivers.motor_families import UNLIKE, Heard, robstride
@@ -33,7 +33,7 @@ def parameter(number: int, mode: int = 0) -> bytes:
     return struct.pack("<HxxI", number, mode)
 
 
-def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
+def parsed(*frames: Frame) -> tuple[Remembered, list[Any]]:
     memory, found = P.power_up(), []
     for frame in frames:
         memory, messages = P.parse(memory, frame)
@@ -41,19 +41,21 @@ def told(*frames: Frame) -> tuple[Remembered, list[Any]]:
     return memory, found
 
 
-def test_cut_frame_is_refused_and_an_unknown_one_is_ignored():
-    assert told(to(3), to(4, b"\2" + bytes(7)))[1][1] == (command(3, DriveMode.OFF, 3), *SYNC), "no clearing"
-    assert told(*(to(kind, bytes(7)) for kind in (1, 3, 4, 17, 18)))[1] == [REFUSED] * 5
-    assert told(*(to(kind) for kind in (2, 5, 6, 7, 16, 19, 21)))[1] == [()] * 7
+def test_short_frame_is_refused_and_an_unknown_one_is_ignored():
+    assert parsed(to(3), to(4, b"\2" + bytes(7)))[1][1] == (command(3, DriveMode.OFF, 3), *SYNC), (
+        "no clearing"
+    )
+    assert parsed(*(to(kind, bytes(7)) for kind in (1, 3, 4, 17, 18)))[1] == [REFUSED] * 5
+    assert parsed(*(to(kind) for kind in (2, 5, 6, 7, 16, 19, 21)))[1] == [()] * 7
     for flags in (0, *(EXTENDED | each for each in (FD, REMOTE, ERROR, BUS))):
-        assert told(to(3, flags=flags))[1] == [()]
+        assert parsed(to(3, flags=flags))[1] == [()]
         assert P.hear(to(3, flags=flags)) is None
-    assert told(Frame(3 << 24 | 253 << 8 | 6, bytes(8), EXTENDED))[1] == [()]
+    assert parsed(Frame(3 << 24 | 253 << 8 | 6, bytes(8), EXTENDED))[1] == [()]
 
 
 def test_run_mode_is_written_and_read_back_and_another_register_is_refused():
     read, write = to(17, parameter(0x7005)), to(18, parameter(0x7005, 2))
-    memory, found = told(read, write, read, to(17, parameter(0x7006)), to(18, parameter(0x7006)))
+    memory, found = parsed(read, write, read, to(17, parameter(0x7006)), to(18, parameter(0x7006)))
 
     def answer(mode: int) -> tuple[Answer]:
         return (Answer(3, Frame(17 << 24 | 4 << 8 | 253, parameter(0x7005, mode), EXTENDED)),)
@@ -66,7 +68,7 @@ def test_run_mode_is_written_and_read_back_and_another_register_is_refused():
 
 
 @pytest.mark.parametrize("leg", range(LEGS))
-def test_drive_is_set_up_by_the_answer_with_the_run_mode_that_was_written(leg):
+def test_answer_with_the_written_run_mode_completes_the_set_up(leg):
     last, dialogue = at_tick(0), P.start(SETUP)._replace(done=(1,) * LEGS, power=(1,) * LEGS)
     last["age"] = 0
     # the mode is one byte
@@ -75,13 +77,13 @@ def test_drive_is_set_up_by_the_answer_with_the_run_mode_that_was_written(leg):
         heard = received_array([Received(0, answer)])
         lacks = P.set_up_lacks(P.decode(dialogue, heard, last, at_tick(1)))
         assert all(lacks[each] for each in range(LEGS) if each != leg)
-        assert lacks[leg] == (f"run_mode (0x7005) is {mode} in the drive, 0 here" if mode else "")
+        assert lacks[leg] == (f"run_mode (0x7005) is {mode} in the drive, expected 0" if mode else "")
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_drive_says_who_it_is_to_whoever_asks(leg):
+def test_drive_reports_its_identity_to_any_controller(leg):
     assert P.traits.identity_requests == (tuple(to(0, leg=each) for each in range(6)),)
-    _, ((answer,),) = told(P.traits.identity_requests[0][leg])
+    _, ((answer,),) = parsed(P.traits.identity_requests[0][leg])
     assert answer == Answer(leg, Frame(NODES[leg] << 8 | 0xFE, bytes((NODES[leg], *bytes(7))), EXTENDED))
     assert P.identity(answer.frame) == Said(leg, "serial number", NODES[leg])
     data = bytes(range(1, 9))
@@ -102,7 +104,7 @@ def test_drive_says_who_it_is_to_whoever_asks(leg):
 
 
 def sent(**changes: Any) -> list[tuple[int, Frame]]:
-    """Return what all drives answer, each with numbers of its own, from inside their ranges."""
+    """Answers of all drives, each with different numbers inside their ranges."""
     given: dict[str, Any] = {"state": np.full(6, 1), "fault": None} | changes
     rate = UNLIKE.rate(TURNS / 4)
     reading = UNLIKE.length(TURNS), rate, UNLIKE.force(TURNS * 2, rate), given["state"], given["fault"]
@@ -119,7 +121,7 @@ def sent(**changes: Any) -> list[tuple[int, Frame]]:
         (DriveFault.STROKE, 16),
     ],
 )
-def test_state_and_faults_are_in_the_identifier_of_a_feedback(fault, bits):
+def test_identifier_of_a_feedback_has_state_and_faults(fault, bits):
     faults = np.array([0, 0, fault, 0, 0, 0])
     for state in DriveState:
         states = np.array([1, 1, state | INVALID, 1, 1, 1])
@@ -136,7 +138,7 @@ def feedback(mode: int, faults: int, data: bytes = b"\x80\0\x80\0\x80\0\0\xfa") 
     return P.hear(Frame(2 << 24 | mode << 22 | faults << 16 | 4 << 8 | 253, data, EXTENDED))
 
 
-def test_feedback_gives_state_and_faults_and_no_position_at_either_end():
+def test_feedback_gives_state_and_faults_but_no_position_at_either_end():
     for mode, faults, power, fault in (
         (0, 0, DriveState.OFF, 0),
         (1, 0, DriveState.OFF, 0),
@@ -153,7 +155,7 @@ def test_feedback_gives_state_and_faults_and_no_position_at_either_end():
         assert (heard.motion is not None) == there
 
 
-def test_frame_to_another_controller_is_nobodys_and_a_cut_one_broken():
+def test_frame_to_another_controller_is_ignored_and_a_short_one_broken():
     assert feedback(2, 0, bytes(7)) == Heard(3, broken=True)
     assert P.hear(Frame(17 << 24 | 4 << 8 | 253, bytes(7), EXTENDED)) == Heard(3, broken=True)
     assert P.hear(Frame(2 << 24 | 4 << 8 | 252, bytes(8), EXTENDED)) is None

@@ -1,4 +1,4 @@
-"""Sensor frames: what is refused, what is late or lost, and round trips."""
+"""Sensor frames: refused, late and lost samples, and round trips."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from drivers.legs.kernels import check
 from drivers.protocol import EXTENDED, FD, REMOTE, Frame, Received
 from drivers.sensor_kernels import OLDEST
 from drivers.sensors import KINDS, SensorProtocol
-from tests import sensed
-from tests.sensed import Readings
+from tests import sensor_samples
+from tests.sensor_samples import Readings
 
 ALL = SensorSettings(tracker=TrackerSettings(), imu=ImuSettings(), wrench=WrenchSensorSettings())
 P = SensorProtocol(BusSettings(), ALL)
@@ -30,7 +30,7 @@ def sample(kind, tick, counter, offset_s=0.0004):
 
 def decode(tick, *frames, before=None):
     given = received_array([Received(n, frame) for n, frame in enumerate(frames)])
-    return sensed.decode(P, given, tick, Readings() if before is None else before)
+    return sensor_samples.decode(P, given, tick, Readings() if before is None else before)
 
 
 def damaged(frame, bit):
@@ -43,7 +43,7 @@ def damaged(frame, bit):
 @given(
     data=st.data(), tick=st.integers(300, 1 << 40), behind=st.integers(0, OLDEST), counter=st.integers(0, 99)
 )
-def test_a_sample_arrives_with_its_values_and_the_tick_of_its_sync(kind, data, tick, behind, counter):
+def test_sample_arrives_with_its_values_and_the_tick_of_its_sync(kind, data, tick, behind, counter):
     ends = {"tracker": (214.0, 1.8), "imu": (6.5, 65.5), "wrench": (2e6, 2e6)}[kind]
     values = tuple(data.draw(st.floats(-end, end)) for end in np.repeat(ends, 3))
     offset = data.draw(st.floats(0, 0.0655))
@@ -57,7 +57,7 @@ def test_a_sample_arrives_with_its_values_and_the_tick_of_its_sync(kind, data, t
 
 
 @every_kind
-def test_any_single_flipped_bit_and_any_other_length_is_refused(kind):
+def test_sample_with_a_flipped_bit_or_wrong_length_is_refused(kind):
     frame = sample(kind, 5, 1)
     for bit in range(8 * len(frame.data)):
         assert decode(5, damaged(frame, bit)) == Readings(rejected=1)
@@ -67,7 +67,7 @@ def test_any_single_flipped_bit_and_any_other_length_is_refused(kind):
 
 @every_kind
 @pytest.mark.parametrize("flag", [EXTENDED, REMOTE])
-def test_frames_of_other_kinds_and_identifiers_are_foreign(kind, flag):
+def test_frames_of_other_kinds_and_identifiers_are_ignored(kind, flag):
     frame = sample(kind, 5, 1)
     others = frame._replace(flags=frame.flags | flag), Frame(frame.id + 1, frame.data, FD)
     assert decode(5, *others) == Readings()
@@ -77,7 +77,7 @@ def test_frames_of_other_kinds_and_identifiers_are_foreign(kind, flag):
     ("tick", "stamp", "counts"),
     [(300, 301, 0), (300, 300, 1), (300, 173, 1), (300, 172, 0), (3, 255, 0), (3, 0, 1)],
 )
-def test_a_stamp_from_the_future_or_too_far_back_is_refused(tick, stamp, counts):
+def test_stamp_in_the_future_or_too_old_is_refused(tick, stamp, counts):
     readings = decode(tick, sample("tracker", stamp, 1))
     assert (len(readings.tracker), readings.rejected) == (counts, 1 - counts)
 
@@ -95,7 +95,7 @@ def test_a_gap_in_the_counter_counts_as_lost_and_a_repetition_is_ignored(kind):
     assert (again.lost, getattr(again, kind), again.rejected) == (0, (), 0)
 
 
-def test_several_samples_of_a_tick_come_in_the_order_of_their_instants():
+def test_samples_of_a_tick_are_in_order_of_time():
     readings = decode(20, sample("tracker", 18, 2), sample("tracker", 15, 1))
     assert [s.tick for s in readings.tracker] == [15, 18]
 
@@ -116,7 +116,7 @@ def test_a_rotation_vector_longer_than_half_a_turn_is_refused(r, rejected):
     assert decode(5, P.encode("tracker", (0, 0, 0, *r), 5, 0.0, 1)).rejected == rejected
 
 
-def test_a_nan_and_an_offset_beyond_its_field_are_not_sent():
+def test_nan_and_an_offset_beyond_its_field_are_refused():
     with pytest.raises(ProtocolError, match="not a number"):
         P.encode("imu", (float("nan"), *VALUES[1:]), 5, 0.0, 3)
     assert P.encode("imu", VALUES, 5, 0.065535, 3).data[12:14] == b"\xff\xff"
@@ -134,16 +134,16 @@ def test_an_unknown_validity_is_refused(kind):
         assert (len(getattr(readings, kind)), readings.rejected) == (there, rejected), validity
 
 
-def test_layout_classic_has_no_room():
+def test_layout_classic_has_no_room_for_samples():
     with pytest.raises(ConfigurationError, match=r"sensors\.tracker"):
         SensorProtocol(BusSettings(layout="classic"), ALL)
     assert SensorProtocol(BusSettings(layout="classic"), SensorSettings()).kinds == ()
 
 
-def test_the_bus_budget_has_as_many_frames_as_can_fall_into_a_tick():
+def test_bus_budget_counts_all_samples_that_can_fall_into_a_tick():
     assert [len(f.data) for f in P.cyclic_frames(1000.0)] == [32, 20, 32]
     assert len(P.cyclic_frames(500.0)) == 1 + 1 + 2
-    assert len(P.cyclic_frames(1000.0 * (1 - 0.5e-9))) == 3, "rounding makes no frame"
+    assert len(P.cyclic_frames(1000.0 * (1 - 0.5e-9))) == 3, "rounding adds no frame"
     assert len(P.cyclic_frames(1000.0 * (1 - 1.5e-9))) == 4
     assert len(P.cyclic_frames(200.0)) == 1 + 3 + 5
 
@@ -157,4 +157,4 @@ def test_a_value_beyond_its_field_is_sent_as_invalid(place, end, step):
         values[place] = end + beyond * step
         readings = decode(9, P.encode("imu", values, 9, 0.0, 3))
         assert (len(readings.imu), readings.rejected) == (samples, 0)
-        assert readings.counters[KINDS.index("imu")] == 3, "its node was heard"
+        assert readings.counters[KINDS.index("imu")] == 3, "its node has sent a frame"

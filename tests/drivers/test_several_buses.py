@@ -1,4 +1,4 @@
-"""Legs on several buses: what the configuration refuses, where each frame goes, what the door to them does."""
+"""Legs on several buses: refused configurations, the bus of each frame, and the bus object."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import Command, DriveMode, DriveState, Reaction
 from drivers.tick_columns import new_record
 from hil.contracts.by_value import ByValue
-from hil.contracts.ends import PERIOD_NS, Ends, shapes
+from hil.contracts.loopback import PERIOD_NS, Ends, shapes
 from hil.contracts.messages import Answer, Configure, Sync, hear
 from plant_fmu.drives import drives_end
 from tests.drivers.cia402_drives import holding
 from tests.drivers.legs_frames import command_frames, opening, parse
-from tests.sensed import Readings
-from tests.sensed import decode as decode_samples
+from tests.sensor_samples import Readings
+from tests.sensor_samples import decode as decode_samples
 
 HALVES = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
 ODD = ((0, 5), (1, 2, 3, 4))
@@ -74,14 +74,14 @@ def family(name, legs=((0, 1, 2), (3, 4, 5))):
         ([HALVES[0], {"channel": "b", "legs": []}, {"channel": "c", "legs": [3, 4, 5]}], "at least 1 item"),
     ],
 )
-def test_assignment_that_leaves_or_repeats_a_leg_is_refused(channels, message):
+def test_assignment_that_omits_or_repeats_a_leg_is_refused(channels, message):
     with pytest.raises(ValidationError, match=message):
         buses(*channels)
     with pytest.raises(ValidationError, match="both channel and channels"):
         buses(*HALVES, channel="x")
 
 
-def test_bus_has_its_own_values_and_what_is_left_out_is_shared():
+def test_bus_has_its_own_values_and_shares_the_omitted_ones():
     own = {"interface": "socketcan", "bitrate_bit_s": 500_000, "options": {"x": 1}}
     other = {"channel": "b", "legs": [5, 3, 4], **own}
     found = buses(HALVES[0], other, bitrate_bit_s=800_000, max_load_percent=60.0)
@@ -93,7 +93,7 @@ def test_bus_has_its_own_values_and_what_is_left_out_is_shared():
     assert found.channel == "a", "where the operator finds the run"
 
 
-def test_sensor_is_read_on_its_bus_alone_and_one_of_an_unknown_bus_is_refused():
+def test_sensor_counts_only_on_its_bus_and_needs_a_known_bus():
     with pytest.raises(ConfigurationError, match=r"sensors\.imu\.channel: .*given: c"):
         SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="c")))
     sensors = SensorProtocol(buses(*HALVES), SensorSettings(imu=ImuSettings(channel="b")))
@@ -109,7 +109,7 @@ def test_sensor_is_read_on_its_bus_alone_and_one_of_an_unknown_bus_is_refused():
 
 @pytest.mark.parametrize("name", FAMILIES)
 @pytest.mark.parametrize("legs", [((0, 1, 2), (3, 4, 5)), ODD, tuple((leg,) for leg in range(6))])
-def test_drive_is_polled_commanded_set_up_and_stopped_on_its_own_bus_alone(name, legs):
+def test_all_frames_to_a_drive_are_on_its_own_bus(name, legs):
     protocol = family(name, legs)
     on = {leg: bus for bus, there in enumerate(legs) for leg in there}
     tick = new_record()
@@ -137,7 +137,7 @@ def test_drive_is_polled_commanded_set_up_and_stopped_on_its_own_bus_alone(name,
 
 
 def answers_of(name: str, protocol: ByValue) -> list[tuple[int, Frame]]:
-    """Return what six drives answer; those of CiA 402 when they have been set up."""
+    """Answers of six drives; CiA 402 drives are set up before."""
     zeros, state, memory = np.zeros(6), np.full(6, DriveState.OFF, np.int64), protocol.power_up()
     if name == "cia402":
         memory = holding(protocol.protocol, state)
@@ -145,7 +145,6 @@ def answers_of(name: str, protocol: ByValue) -> list[tuple[int, Frame]]:
 
 
 def decoded(protocol: ByValue, frames: Sequence[Frame]) -> Any:
-    """Return the measurement of a first tick with these frames."""
     last, tick = new_record(), new_record()
     last["tick"], tick["tick"] = -1, 0
     heard = received_array([Received(5, each) for each in frames])
@@ -154,7 +153,7 @@ def decoded(protocol: ByValue, frames: Sequence[Frame]) -> Any:
 
 
 @pytest.mark.parametrize("name", FAMILIES)
-def test_answers_are_on_the_bus_of_their_drive_and_count_there_alone(name):
+def test_answers_are_on_the_bus_of_their_drive_and_count_only_there(name):
     protocol = family(name, ODD)
     answers = answers_of(name, protocol)
     assert {leg: frame.bus for leg, frame in answers} == {0: 0, 5: 0, 1: 1, 2: 1, 3: 1, 4: 1}
@@ -168,7 +167,7 @@ def test_answers_are_on_the_bus_of_their_drive_and_count_there_alone(name):
         assert (tick["age"] == 0).sum() in ((0,) if strays else (6,)) or name == "cia402"
 
 
-def test_drive_is_told_its_slot_in_the_command_of_its_bus():
+def test_config_gives_a_drive_its_place_in_the_command_of_its_bus():
     protocol = LegsProtocol("fd", NODES, 100.0, ODD)
     frames = protocol.configure(0.01, Reaction.BRAKE)
     assert [frame.data[5] for frame in frames] == [1, 1, 2, 3, 4, 2], "legs 0 and 5; legs 1 to 4"
@@ -176,7 +175,7 @@ def test_drive_is_told_its_slot_in_the_command_of_its_bus():
     assert parse(protocol, frames[5]._replace(flags=frames[5].flags + BUS)) is None
 
 
-def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it():
+def test_sync_latches_the_legs_of_its_bus_only_and_a_command_needs_it():
     protocol = LegsProtocol("fd", NODES, 100.0, ((0, 1, 2), (3, 4, 5)))
     first, second = opening(protocol, 4)
     end = drives_end(protocol)
@@ -188,11 +187,11 @@ def test_sync_on_one_bus_latches_the_legs_of_that_bus_and_its_command_needs_it()
 
 
 HEARTBEAT = 0x700 + 127
-"""Of a controller of CiA 402: no tick needs it."""
+"""Heartbeat of a CiA 402 controller: no tick needs it."""
 
 
 @pytest.mark.parametrize("name", ["legs", "cia402", "odrive", "moteus"])
-def test_drives_of_each_bus_run_and_their_frames_are_those_of_the_bus_time(name):
+def test_drives_of_each_bus_run_with_the_frames_of_the_bus_budget(name):
     ends, run = Ends(family(name, ODD)), Command(DriveMode.RUN, FORCE)
     ends.running(FORCE)
     for _ in range(20):
@@ -211,7 +210,7 @@ def test_drives_of_each_bus_run_and_their_frames_are_those_of_the_bus_time(name)
         assert [(frame.id, frame.bus) for frame in cyclic[:2]] == [(0x080, 0), (0x080, 1)]
 
 
-# the door to several buses
+# the bus object
 
 
 class Still(Clock):
@@ -248,7 +247,7 @@ def fakes(count: int) -> list[Any]:
     return [FakeLink(Still()) for _ in range(count)]
 
 
-def test_skew_is_of_the_first_frames_and_each_frame_has_the_time_of_its_bus():
+def test_skew_is_between_first_frames_and_times_are_per_bus():
     clock = Still()
     for times, skew_ns in (
         (((75_000, 900_000), (151_000,), (80_000,)), 76_000),
@@ -261,4 +260,4 @@ def test_skew_is_of_the_first_frames_and_each_frame_has_the_time_of_its_bus():
     order = (1, BUS), (1, 0), (2, BUS), (3, BUS), (2, 0)
     bus.send(sent_array([Frame(identifier, b"", flags) for identifier, flags in order]))
     links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
-    assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "none where the bus did not take it"
+    assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "None: the bus did not accept it"

@@ -1,4 +1,4 @@
-"""The numbers that a log carries: states count from 0 without a gap, and each reason of a mask has one bit."""
+"""Numbers in a log: states count from 0 without a gap, and each reason of a mask has one bit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MASKS = {
 
 
 @pytest.mark.parametrize("kind", [*STATES, *MASKS], ids=lambda kind: kind.__name__)
-def test_a_number_of_the_log_keeps_its_meaning(kind):
+def test_numbers_in_a_log_keep_their_meaning(kind):
     found = {name: int(member) for name, member in kind.__members__.items()}
     if kind in STATES:
         assert found == {name: number for number, name in enumerate(STATES[kind].split())}
@@ -41,6 +41,6 @@ def test_a_number_of_the_log_keeps_its_meaning(kind):
         assert found == {"NONE": 0} | {name: 1 << bit for bit, name in enumerate(MASKS[kind].split())}
 
 
-def test_the_mark_of_a_lost_encoder_is_a_bit_that_no_state_has():
+def test_flag_of_a_lost_encoder_is_a_bit_that_no_state_uses():
     assert signals.INVALID == 8
     assert max(signals.DriveState) < signals.INVALID

@@ -1,4 +1,4 @@
-"""SocketCan over a made kernel: what it does with each errno, ancillary datum and error frame."""
+"""SocketCan over a fake kernel: its reaction to each errno, ancillary datum and error frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from drivers.errors import BusError
 from drivers.frame_array import sent_array
 from drivers.protocol import BRS, FD, Frame
 from drivers.signals import BusState
-from tests.drivers.frames_heard import got
+from tests.drivers.received_frames import got
 
 SETTINGS = BusSettings(interface="socketcan", channel="can0", layout="classic")
 CAN0 = CanInterface("can0", 5, True, 16, "can", True, 1_000_000, None, BusState.ACTIVE, 0, 0, None)
@@ -30,15 +30,15 @@ TIMESTAMP, LOST, MEMINFO = 35, 40, 55
 SECOND = 1_000_000_000
 
 
-class MadeSocket:
-    """What the kernel would answer, in order; `waiting` is what it still has of ours, bytes."""
+class FakeSocket:
+    """A fake socket: answers of the kernel, in order; `waiting`: bytes of our frames in its queue."""
 
     def __init__(self, kernel: Kernel) -> None:
         self.kernel, self.answers = kernel, deque[object]()
         self.sent, self.options, self.waiting = list[bytes](), dict[tuple[int, int], int](), 0
         self.refuses: int | None = None
         self.kept = 0
-        """The error that the interface's going down leaves, until somebody asks or is told."""
+        """Error left by taking the interface down, until it is read or raised."""
         self.closed = False
 
     def setblocking(self, blocks: bool) -> None:
@@ -67,10 +67,10 @@ class MadeSocket:
         if isinstance(answer, OSError):
             raise answer
         raw, *rest = cast("tuple[Any, ...]", answer)
-        return (raw[:size], *rest)  # as the kernel cuts it
+        return (raw[:size], *rest)  # the kernel truncates it
 
     def getsockopt(self, _level: int, option: int, *_size: int) -> Any:
-        # SO_MEMINFO begins with what was received, its limit, and what waits to be sent; SO_ERROR is a number
+        # SO_MEMINFO: bytes received, their limit, bytes waiting to be sent, ...; SO_ERROR is a number
         if option == MEMINFO:
             return struct.pack("=3I", 0, 0, self.waiting)
         error, self.kept = self.kept, 0
@@ -91,16 +91,16 @@ class MadeSocket:
 
 
 class Kernel:
-    """An interface, its queue and its sockets. State: what it was told, and how it is."""
+    """An interface, its queue and its sockets. State: calls received, and the state of the interface."""
 
     def __init__(self) -> None:
         self.interface, self.queued = CAN0, 0
         self.there, self.forbidden, self.unbindable = True, False, False
-        self.calls, self.sockets = list[bool](), list[MadeSocket]()
+        self.calls, self.sockets = list[bool](), list[FakeSocket]()
 
-    def open(self, *kind: int) -> MadeSocket:
+    def open(self, *kind: int) -> FakeSocket:
         assert kind == (socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        self.sockets.append(MadeSocket(self))
+        self.sockets.append(FakeSocket(self))
         return self.sockets[-1]
 
     def get_link(self, _name: str) -> bytes:
@@ -118,7 +118,7 @@ class Kernel:
 
 
 class Clock:
-    """The module's time, set by hand."""
+    """Time of the module, set by the test."""
 
     def __init__(self) -> None:
         self.ns = 7 * SECOND
@@ -184,7 +184,7 @@ def test_an_interface_that_is_missing_or_cannot_be_bound_is_refused(kernel, ther
 
 
 @pytest.mark.parametrize(("data", "flags"), [(b"12345678", 0), (bytes(range(64)), FD | BRS)])
-def test_a_frame_comes_whole_with_the_kernels_time_stamp(made, clock, data, flags):
+def test_frame_is_received_intact_with_the_kernels_time_stamp(made, clock, data, flags):
     can, sock = made
     sock.hears(0x123, data, t_ns=time.time_ns() - 3_000_000)
     (received,) = got(can.receive())
@@ -192,7 +192,7 @@ def test_a_frame_comes_whole_with_the_kernels_time_stamp(made, clock, data, flag
     assert -4_000_000 < received.t_ns - clock.ns < -2_900_000
 
 
-def test_losses_are_counted_once_and_over_the_wrap(made):
+def test_losses_are_counted_once_and_across_the_wrap_of_the_counter(made):
     can, sock = made
     for lost in (3, 3, 10, 0xFFFFFFFF, 1):
         sock.hears(0x80, lost=lost)
@@ -202,7 +202,7 @@ def test_losses_are_counted_once_and_over_the_wrap(made):
     assert can.overflow == 0xFFFFFFFF + 2 + 1
 
 
-def test_the_worst_state_lasts_until_it_was_read(made):
+def test_worst_state_lasts_until_it_is_read(made):
     can, sock = made
     assert (can.worst_state(), can.virtual) == (BusState.ACTIVE, False)
     sock.hears(CONTROLLER_PROBLEM, bytes([0, 0x20, 0, 0, 0, 0, 0, 0]))
@@ -213,11 +213,11 @@ def test_the_worst_state_lasts_until_it_was_read(made):
 
 
 @pytest.mark.parametrize("back", [RESTARTED, CONTROLLER_PROBLEM])
-def test_bus_off_lasts_until_the_controller_reports_that_it_is_back(made, back):
+def test_bus_off_lasts_until_the_controller_reports_its_return(made, back):
     can, sock = made
     sock.hears(BUS_OFF)
     sock.hears(0x20000080)  # an error without a state
-    sock.hears(0x123, t_ns=time.time_ns() + SECOND)  # one that the controller had received before
+    sock.hears(0x123, t_ns=time.time_ns() + SECOND)  # the controller had received this one before
     got(can.receive())
     assert (can.off, sends(can), can.worst_state()) == (True, 0, BusState.OFF)
     sock.hears(back, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]))
@@ -226,7 +226,7 @@ def test_bus_off_lasts_until_the_controller_reports_that_it_is_back(made, back):
     assert [can.worst_state() for _ in range(2)][1] is BusState.ACTIVE
 
 
-def test_a_virtual_interface_is_back_with_the_next_frame(kernel):
+def test_virtual_interface_is_back_with_its_next_frame(kernel):
     kernel.interface = CAN0._replace(kind="vcan", has_controller=False)
     can = SocketCan(SETTINGS)
     kernel.sockets[-1].hears(BUS_OFF)
@@ -237,7 +237,7 @@ def test_a_virtual_interface_is_back_with_the_next_frame(kernel):
     assert (can.off, can.worst_state()) == (False, BusState.OFF)
 
 
-def test_a_bus_that_was_off_between_two_looks_was_off(made):
+def test_bus_off_between_two_readings_is_reported(made):
     can, sock = made
     bus = Bus([can])
     sock.hears(BUS_OFF)
@@ -250,7 +250,7 @@ def test_a_bus_that_was_off_between_two_looks_was_off(made):
 # a bus that takes nothing
 
 
-def test_a_full_queue_is_a_busy_bus_until_it_has_not_been_empty_for_50_ms(made, clock):
+def test_full_queue_means_a_busy_bus_and_after_50_ms_a_dead_one(made, clock):
     can, sock = made
     assert sends(can, *[FRAME] * 3) == 3
     sock.waiting, sock.refuses = 900, errno.ENOBUFS
@@ -264,13 +264,13 @@ def test_a_full_queue_is_a_busy_bus_until_it_has_not_been_empty_for_50_ms(made, 
     for _ in range(5):
         assert sends(can) == 1
         clock.ns += 10_000_000
-    # it would take one more: that is what must not wait there
+    # the kernel would accept one more, but it must not wait there
     assert (sends(can), can.off) == (0, True)
     sock.waiting = 0
     assert (sends(can), can.off) == (1, False)
 
 
-def test_a_machine_that_stood_still_has_not_seen_a_dead_bus(made, clock):
+def test_stall_of_the_machine_is_not_taken_for_a_dead_bus(made, clock):
     can, sock = made
     sock.waiting = 900
     sends(can)
@@ -285,12 +285,12 @@ def test_a_frame_that_the_interface_cannot_carry_is_an_error(made):
         sends(can)
 
 
-def test_an_interface_that_was_down_is_used_when_it_is_up_as_configured(made, clock, kernel):
+def test_interface_that_was_down_is_used_once_it_is_up_as_configured(made, clock, kernel):
     can, sock = made
     sock.refuses = errno.ENETDOWN
     assert (sends(can), can.off) == (0, True)
     can.died()
-    assert kernel.calls == [], "it is not taken up by us"
+    assert kernel.calls == [], "the program does not bring it up"
     sock.hears(0x123)
     assert [each.frame.id for each in got(can.receive())] == [0x123]
     assert can.off, "a frame does not prove that it is the configured one"
@@ -299,7 +299,7 @@ def test_an_interface_that_was_down_is_used_when_it_is_up_as_configured(made, cl
         clock.ns += 100_000_000
         assert sends(can) == 0
     kernel.interface = CAN0
-    assert sends(can) == 0, "it is looked at ten times a second"
+    assert sends(can) == 0, "it is checked ten times a second"
     clock.ns += 100_000_000
     assert (sends(can), can.off) == (1, False)
     kernel.sockets[-1].answers.append(OSError(errno.ENETDOWN, "made"))
@@ -326,7 +326,7 @@ def test_an_interface_that_was_deleted_is_opened_again(made, clock, kernel):
 # stale frames
 
 
-def starve(bus: Bus, sock: MadeSocket, clock: Clock) -> int:
+def starve(bus: Bus, sock: FakeSocket, clock: Clock) -> int:
     sock.waiting = 900
     for _ in range(6):
         bus.send(sent_array([FRAME]))
@@ -334,7 +334,7 @@ def starve(bus: Bus, sock: MadeSocket, clock: Clock) -> int:
     return bus.events().off
 
 
-def test_frames_on_a_dead_bus_are_dropped_once_until_something_is_heard(made, clock, kernel):
+def test_frames_on_a_dead_bus_are_dropped_once_until_a_frame_is_received(made, clock, kernel):
     can, sock = made
     bus = Bus([can])
     for hears, drops in ((False, 1), (False, 1), (True, 2)):
@@ -349,7 +349,7 @@ def test_frames_on_a_dead_bus_are_dropped_once_until_something_is_heard(made, cl
 
 
 @pytest.mark.parametrize(("restart_ms", "dropped"), [(0, []), (100, [False, True])])
-def test_a_controller_that_is_to_stay_bus_off_is_not_restarted(kernel, restart_ms, dropped):
+def test_controller_that_must_stay_bus_off_is_not_restarted(kernel, restart_ms, dropped):
     kernel.interface = CAN0._replace(restart_ms=restart_ms)
     can = SocketCan(SETTINGS)
     kernel.sockets[-1].hears(BUS_OFF)
@@ -358,8 +358,8 @@ def test_a_controller_that_is_to_stay_bus_off_is_not_restarted(kernel, restart_m
     assert (kernel.calls, can.off) == (dropped, not dropped)
 
 
-@pytest.mark.parametrize("cause", ["nothing", "queue", "bus-off", "restarted unheard"])
-def test_a_new_try_drops_stale_frames_and_restarts_the_controller(made, kernel, cause):
+@pytest.mark.parametrize("cause", ["nothing", "queue", "bus-off", "restarted unnoticed"])
+def test_flush_drops_stale_frames_and_restarts_the_controller(made, kernel, cause):
     can, sock = made
     if cause == "queue":
         kernel.queued = 3
@@ -371,11 +371,11 @@ def test_a_new_try_drops_stale_frames_and_restarts_the_controller(made, kernel, 
     can.flush_tx()
     assert kernel.calls == ([False, True] if cause in {"queue", "bus-off"} else [])
     sock.hears(0x123)
-    assert [each.frame.id for each in got(can.receive())] == [0x123], "going down and up is no news"
+    assert [each.frame.id for each in got(can.receive())] == [0x123], "the program itself took it down and up"
     assert (can.off, sends(can)) == (False, 1)
 
 
-def test_a_new_try_without_rights_or_at_another_bit_rate_keeps_the_bus_off(made, kernel):
+def test_flush_without_rights_or_at_another_bit_rate_keeps_the_bus_off(made, kernel):
     can, _ = made
     for queued, interface, words in (
         (3, CAN0, "CAP_NET_ADMIN"),

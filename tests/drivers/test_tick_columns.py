@@ -1,4 +1,4 @@
-"""The columns of a tick: labels, units, and the records that are made of them."""
+"""Columns of a tick: labels, units, and the records made of them."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from drivers.signals import NEVER
         ("J", [f"J.{k}" for k in range(36)], ["m"] * 18 + ["1"] * 18),
     ],
 )
-def test_a_column_has_labels_and_units(name, labels, units):
+def test_columns_have_these_labels_and_units(name, labels, units):
     column = t.COLUMNS[name]
     assert ([*column.labels], [*column.units], column.size) == (labels, units, len(labels))
 
 
-def test_a_record_begins_before_the_first_tick():
+def test_new_record_is_that_before_the_first_tick():
     record: Any = t.new_record()
     assert (record["tick"], record["age"].tolist()) == (-1, [NEVER] * 6)
     nowhere = {name for name in t.COLUMNS if np.isnan(record[name].astype(float)).all()}

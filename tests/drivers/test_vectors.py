@@ -1,6 +1,6 @@
-"""One hand-computed byte vector per message and layout, so that a wrong scale at both ends cannot cancel.
+"""One byte vector calculated by hand per message and layout: a wrong scale at both ends cannot cancel out.
 
-Little-endian. The arithmetic stands next to each vector; the check is divided bit by bit.
+Little-endian. The calculation is next to each vector; the check is divided bit by bit.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ HOLDS = Configure(5, 0.0125, Reaction.HOLD)
 
 
 class Vector(NamedTuple):
-    """A message, its frame by our codec, its bytes by hand as candump writes them, and its fields."""
+    """A message, its frame from our codec, its bytes by hand in the format of candump, and its fields."""
 
     message: str
     frame: Frame
@@ -51,14 +51,13 @@ class Vector(NamedTuple):
 
     @property
     def expected(self) -> Frame:
-        """The frame of the bytes; `##1`: CAN FD with a switched bit rate."""
+        """Frame of these bytes; `##1`: CAN FD with bit-rate switch."""
         identifier, _, data = self.wire.partition("#")
         fd = data.startswith("#1")
         return Frame(int(identifier, 16), bytes.fromhex(data[2:] if fd else data), FD | BRS if fd else 0)
 
     @property
     def signals(self) -> dict[str, float]:
-        """Values of the fields by their names."""
         pairs = (each.split("=") for each in self.values.split())
         return {name: float(value) if "." in value else int(value, 0) for name, value in pairs}
 
@@ -144,7 +143,7 @@ VECTORS = [
     Vector(
         "FEEDBACK_FD_2",
         one_feedback(P["fd"], 1, 1.2345678, -0.25, 1234.0, DriveState.RUN | INVALID, 7),
-        # as before; the highest bit of byte 10 says that length and rate are of no use
+        # as before; the highest bit of byte 10 marks length and rate as invalid
         "282##1 4E 61 BC 00  60 DA D9 FF  69 02  B7  67",
         "Length=1.2345678 Rate=-0.25 Force=1234 Counter=7 State=3 Invalid=1 CRC=0x67",
     ),
@@ -192,7 +191,7 @@ def test_codec_writes_the_bytes_computed_by_hand(vector):
 
 
 @pytest.mark.parametrize("vector", [v for v in VECTORS if "CRC" in v.signals], ids=lambda v: v.message)
-def test_the_check_covers_the_identifier_and_all_bytes_before_it(vector):
+def test_check_covers_the_identifier_and_all_bytes_before_it(vector):
     identifier, data, _ = vector.expected
     lead = identifier.to_bytes(2, "little")
     if vector.message in ("COMMAND_FD", "COMMAND_FD_SHORT"):
@@ -204,7 +203,7 @@ def test_the_check_covers_the_identifier_and_all_bytes_before_it(vector):
         assert bitwise_crc(lead + data[:-1], 8) == data[-1] == vector.signals["CRC"]
 
 
-def test_the_set_up_checksum_covers_its_config_and_the_rated_force():
+def test_set_up_checksum_covers_its_config_and_the_rated_force():
     config = bytes.fromhex("06 06  D4 30 00 00 02 06 02")
     assert bitwise_crc(config + bytes.fromhex("00 48 E8 01"), 16) == 0x3AF9
 
@@ -213,7 +212,7 @@ SHORT = [v for v in VECTORS if v.message.startswith(("COMMAND_CLASSIC", "FEEDBAC
 
 
 @pytest.mark.parametrize("vector", SHORT, ids=lambda v: v.message)
-def test_the_general_database_has_forces_in_per_cent_of_the_rated_one(vector):
+def test_general_database_has_forces_in_per_cent_of_the_rated_force(vector):
     decoded = GENERAL.decode_message(*vector.expected[:2], decode_choices=False)
     for name, value in vector.signals.items():
         expected = 100.0 * value / RATED_N if name.startswith("Force") else value

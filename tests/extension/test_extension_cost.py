@@ -1,4 +1,4 @@
-"""What an extension costs: each step of the map's table "How to add", done in a copy of the tree, and run."""
+"""Cost of an extension: each row of the table "How to add" in the architecture guide, applied to a copy and run."""
 
 import json
 import re
@@ -18,16 +18,16 @@ pytestmark = pytest.mark.long
 ROOT = Path(__file__).parents[2]
 PARTS = Path(__file__).parent / "parts"
 LIMITS = {"column": 2, "safety rule": 3, "plant fault": 2, "command": 2}
-"""Source files that an extension may touch; a law or a protocol is a package of its own."""
+"""Largest number of source files touched by an extension; a law or a protocol is a separate package."""
 NEW = None
-"""Stands for the anchor of a file that is new."""
+"""In place of an anchor: the file is new."""
 
 
 STEPS: dict[str, list[tuple[str, str | None, str]]] = {
     "column": [
         (
             "drivers/tick_columns.py",
-            ')\n"""What the log holds',
+            '    _("effort", "probe_force"',
             '    _("reference", "leg_error", float, "m", "q_d less q", *PER_LEG),\n',
         ),
         (
@@ -75,20 +75,20 @@ def sources(tree):
 
 
 def insert(file, anchor, text):
-    """Put a text before the one place where the anchor is."""
+    """Insert a text before the only occurrence of the anchor."""
     if anchor is NEW:
         assert not file.exists()
         file.parent.mkdir(exist_ok=True)
         file.write_text(text)
         return
     before = file.read_text()
-    assert before.count(anchor) == 1, f"{file}: {anchor!r} is there {before.count(anchor)} times"
+    assert before.count(anchor) == 1, f"{file}: {anchor!r} occurs {before.count(anchor)} times"
     file.write_text(before.replace(anchor, text + anchor))
 
 
 @pytest.fixture(scope="session")
 def copied(tmp_path_factory):
-    """A copy of the tree with every extension, and the source files that differ after each of them."""
+    """A copy of the tree with every extension, and the source files changed by each."""
     tree = tmp_path_factory.mktemp("tree")
     listed = ("git", "ls-files", "-z", "--cached", "--others", "--exclude-standard")
     for name in subprocess.run(listed, cwd=ROOT, capture_output=True, check=True).stdout.decode().split("\0"):
@@ -112,7 +112,7 @@ def tree(copied):
 
 
 def python(tree, *arguments, code=0):
-    """Run the copy with this interpreter; return standard output."""
+    """Run the copy with this interpreter; return its output."""
     here = environ | {"PYTHONPATH": str(tree)}
     done = subprocess.run(
         [sys.executable, *map(str, arguments)],
@@ -131,7 +131,7 @@ def ask(tree, script):
 
 
 def changed(tree, name, *changes):
-    """Write a shipped configuration with other lines, and return its name."""
+    """Write a shipped configuration with changed lines, and return its name."""
     text = (tree / f"configs/{name}.yaml").read_text()
     for pattern, new in changes:
         text, found = re.subn(pattern, new, text, flags=re.MULTILINE | re.DOTALL)
@@ -141,13 +141,13 @@ def changed(tree, name, *changes):
 
 
 @pytest.mark.parametrize("extension", LIMITS)
-def test_an_extension_touches_no_more_files_than_allowed(copied, extension):
+def test_extension_touches_no_more_files_than_allowed(copied, extension):
     assert 1 <= len(copied[1][extension]) <= LIMITS[extension], copied[1][extension]
 
 
 @pytest.mark.parametrize("extension", LIMITS)
-def test_the_map_names_what_an_extension_touches(copied, extension):
-    """Files that there are by their path, new ones by their folder."""
+def test_architecture_guide_names_the_files_touched_by_an_extension(copied, extension):
+    """Existing files by their path, new ones by their folder."""
     page = (ROOT / "docs/guides/architecture.md").read_text()
     row = re.search(rf"^\| a {extension} \|.*$", page, re.MULTILINE)
     assert row is not None
@@ -156,7 +156,7 @@ def test_the_map_names_what_an_extension_touches(copied, extension):
         assert f"`{named}" in row[0], named
 
 
-def test_a_new_column_is_in_the_log_with_its_unit(tree):
+def test_new_column_is_in_the_log_with_its_unit(tree):
     python(tree, "-m", "hil.cli", "sim", "virtual", "--duration", "0.05", "--log", "column.mcap")
     log = Log.open(tree / "column.mcap")
     column = next(column for column in log.columns if column.name == "leg_error")
@@ -166,8 +166,8 @@ def test_a_new_column_is_in_the_log_with_its_unit(tree):
     assert rows["leg_error"].any()
 
 
-def test_a_new_safety_rule_faults_the_run(tree):
-    """The rule's ceiling is 1.15 m; the shipped path stays below."""
+def test_new_safety_rule_faults_the_run(tree):
+    """The ceiling of the rule is 1.15 m; the shipped path stays below."""
     hold = "reference: {type: hold, duration_s: 1, pose: {position_m: [0, 0, 1.2]}}\n\n"
     high = changed(tree, "virtual", ("^reference:.*?(?=^limits:)", hold))
     said = python(tree, "-m", "hil.cli", "sim", high, "--log", "rule.mcap", code=1)
@@ -177,12 +177,12 @@ def test_a_new_safety_rule_faults_the_run(tree):
     assert rows["p"][first, 2] > 1.15 > rows["p"][first - 1, 2]
 
 
-def test_a_new_plant_fault_acts_on_its_leg(tree):
-    """Leg 5 gives half of what it is commanded, the others give all."""
+def test_new_plant_fault_acts_on_its_leg(tree):
+    """Leg 5 applies half of its commanded force, the others all of it."""
     assert ask(tree, "ask_fault.py") == [1.0, 1.0, 1.0, 1.0, 1.0, 0.5]
 
 
-def test_a_new_command_runs_and_is_listed(tree):
+def test_new_command_runs_and_is_listed(tree):
     assert re.search(
         r"^  lengths +Leg lengths at home\.$", python(tree, "-m", "hil.cli", "--help"), re.MULTILINE
     )

@@ -1,4 +1,4 @@
-"""A drive family that is not in the tree, begun with `hil new protocol`: MyActuator RMD."""
+"""A drive family outside the tree, started with `hil new protocol`: MyActuator RMD."""
 
 import re
 from pathlib import Path
@@ -90,14 +90,14 @@ def package(tmp_path_factory):
     return made
 
 
-def test_a_family_that_begins_with_the_skeleton_passes_the_contract_suite(package):
+def test_family_from_the_skeleton_passes_the_contract_suite(package):
     assert re.search(r"^\d\d passed", package.run(CONTRACT), re.MULTILINE)
 
 
-def test_it_reads_and_writes_recorded_bytes(package):
+def test_family_reads_and_writes_recorded_frames(package):
     vectors = VECTORS.read_text()
     assert int(package.run(f"import sys; sys.argv = ['', {vectors!r}]\n{RECORDED}")) == 13
 
 
-def test_it_runs_to_parked_and_replays(package):
+def test_family_runs_until_parked_and_replays(package):
     package.run(SIMULATION + SUCCESS)

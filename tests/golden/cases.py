@@ -1,4 +1,4 @@
-"""The golden cases: what each run is made of. A case that is in expected.json is never changed, only added to."""
+"""The golden cases: settings of each run. A case in expected.json is never changed; cases are only added."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FUSED: Changes = {
 
 
 def law(name: str, **keys: Any) -> Changes:
-    """Return the changes that give a law its settings."""
+    """Changes that select a law with its settings."""
     return {**SOON, "controller": {"law": name, **keys}}
 
 
@@ -294,7 +294,7 @@ CASES |= {
     ),
 }  # fmt: skip
 
-# More of what meets: two things at once.
+# Combinations of two events.
 LIVE: Changes = {"reference": {"type": "live", "limits": LIMITS}}
 CASES |= {
     "law inverse_dynamics constant": Case(
@@ -358,4 +358,4 @@ QUICK = {
     "fused pose with an IMU",
     "a tick skipped five times in a row",
 }
-"""In the normal suite; all others are long."""
+"""Cases of the normal suite; all others are long."""

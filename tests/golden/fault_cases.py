@@ -1,4 +1,4 @@
-"""Golden cases with faults: each kind while tracking, the important ones at other moments and elsewhere, too."""
+"""Golden cases with faults: each kind while tracking, the important ones also in other modes and machines."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ SOON: Changes = {
     "engage": {"force_ramp_s": 0.05, "brake_release_s": 0.02, "blend_s": 0.1, "stop_s": 0.3},
     "plant": {"drives": {"brake_open_ms": 20, "brake_close_ms": 20}},
 }
-"""Less waiting before the path."""
+"""Shorter waits before the path."""
 STILL: Changes = {**SOON, "reference": {"type": "hold", "duration_s": 0.3}}
 FAULTS = {
     "encoder_jump": "leg=2 by=0.005",
@@ -50,7 +50,7 @@ FAULTS = {
     "wrench_step": "force=0,0,-2800",
     "payload_step": "mass=230 position=0.2,0,0.2",
 }
-"""Kind -> its words on `virtual`."""
+"""Kind -> its parameters on `virtual`."""
 IMPORTANT = (
     "encoder_jump", "encoder_freeze", "encoder_drift", "drive_silence", "drive_reset", "brake_stuck_open",
     "brake_stuck_closed", "bus_off", "frames_loss", "frames_delay", "frames_forged_command",

@@ -1,7 +1,7 @@
-"""Write what the golden cases give now into expected.json: those that are missing there, and no other.
+"""Write the present results of the golden cases into expected.json; existing cases are not changed.
 
 python -m tests.golden.freeze                   # adds the missing cases
-python -m tests.golden.freeze --replace NAME    # makes one again, on purpose
+python -m tests.golden.freeze --replace NAME    # replaces one case
 python -m tests.golden.freeze --check           # runs all and compares; writes nothing
 """
 
@@ -23,19 +23,19 @@ CPU = environment()["cpu"]
 
 
 def expected() -> dict[str, Any]:
-    """Return what is kept of all cases, by name, and on which CPU it was computed."""
+    """Frozen results by case name, and the CPU on which they were computed."""
     found: dict[str, Any] = json.loads(EXPECTED.read_text(encoding="utf-8"))
     return found
 
 
 def text_of(kept: dict[str, Any]) -> str:
-    """Return the text of the file: a line a case, so that a change shows which case it concerns."""
+    """Text of the file: one line per case, so that a diff shows the changed case."""
     lines = [f"{json.dumps(name)}: {json.dumps(kept[name])}" for name in sorted(kept)]
     return f'{{"cpu": {json.dumps(CPU)},\n"cases": {{\n' + ",\n".join(lines) + "\n}}\n"
 
 
 def frozen(name: str) -> dict[str, Any]:
-    """Run a case. Raises ValueError: it is not worth keeping, as it does not do what its words say."""
+    """Run a case. Raises ValueError if it does not replay, or if faults or commands were not reached."""
     begun = time.process_time()
     trace = run(CASES[name])
     comparison = replayed(CASES[name], trace)
@@ -50,7 +50,7 @@ def frozen(name: str) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Add the missing cases."""
+    """Add the missing cases, or replace or check some."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--replace", action="append", default=[], choices=list(CASES), metavar="NAME")
     parser.add_argument("--check", action="store_true")

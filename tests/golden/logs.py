@@ -1,6 +1,6 @@
-"""The frozen logs of tests/data/golden_logs: what each was made of.
+"""The frozen logs of tests/data/golden_logs, with the settings of each.
 
-python -m tests.golden.logs     # makes those that are missing; one that is there is never made again
+python -m tests.golden.logs     # makes the missing ones; an existing log is never made again
 """
 
 from __future__ import annotations
@@ -16,23 +16,20 @@ from tools.drive_families import FAMILIES, merged
 
 FOLDER = Path(__file__).parents[1] / "data" / "golden_logs"
 BRIEF: Changes = merged(SOON, {"engage": {"blend_s": 0.05, "stop_s": 0.1, "brake_close_s": 0.05}})
-"""Short runs make small logs, and so do slow loops."""
+"""Short runs and slow loops keep the logs small."""
 SLOW: Changes = merged(BRIEF, {"loop": {"rate_Hz": 250}, "drives": {"watchdog_ms": 16}})
 TRACKING = "mode=TRACKING at=0.05"
 
 
 def of_family(name: str) -> Case:
-    """Return a short run of a drive family."""
     return Case("desktop", merged(SLOW, FAMILIES[name]), duration_s=0.6)
 
 
 def of_law(name: str, changes: Changes = SLOW) -> Case:
-    """Return a short run of a law."""
     return Case("virtual", merged(LAWS[name], changes), duration_s=0.3)
 
 
 def of_fault(words: str, changes: Changes = SLOW, configuration: str = "virtual") -> Case:
-    """Return a short run with a fault."""
     return Case(configuration, changes, [words], duration_s=0.35)
 
 
@@ -86,11 +83,10 @@ LOGS: dict[str, Case] = {
     ),
 }  # fmt: skip
 QUICK = ("vcan50", "emergency-stop", "two-buses-bus-off")
-"""Replayed in the normal suite."""
+"""Logs replayed in the normal suite."""
 
 
 def main() -> None:
-    """Make the missing logs."""
     FOLDER.mkdir(exist_ok=True)
     for name, case in LOGS.items():
         path = FOLDER / f"{name}.mcap"

@@ -1,4 +1,4 @@
-"""Runs of a golden case in lockstep and in replay, and what is kept of them: digests of frames and columns."""
+"""Runs of a golden case in lockstep and in replay, and its frozen result: digests of frames and columns."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ CONFIGS = Path(str(configs.__path__[0]))
 DIGITS = 16
 """Hexadecimal digits kept of each SHA-256."""
 _FRAME = struct.Struct("<qBBIB")
-"""Before the data of each frame: t_ns (0 of a frame that is sent), bus, flags without the bus, id, length."""
+"""Header of each frame: t_ns (0 for a sent frame), bus, flags without the bus, id, length."""
 
 
 class Case(NamedTuple):
@@ -40,33 +40,34 @@ class Case(NamedTuple):
     configuration: str
     changes: Mapping[str, Any] = {}
     faults: Sequence[str] = ()
-    """In the words of `hil sim --fault`."""
+    """As given to `hil sim --fault`."""
     commands: Sequence[TimedCommand] = ()
     duration_s: float | None = None
-    """As of `hil sim --duration`."""
+    """As given to `hil sim --duration`."""
     longest_s: float = 3.0
-    """The run is cut there, in whatever mode it is."""
+    """Time at which the run is cut, in whatever mode it is."""
     altered: Mapping[int, Mapping[str, Any]] = {}
-    """Tick -> fields of its TickInput that are replaced before a second run of the cycle, which counts; a
-    tick with `skipped` replaces as many ticks before it."""
+    """Tick -> fields of its TickInput to replace for a second, final run of the cycle; a tick with `skipped`
+    replaces that many ticks before it.
+    """
 
 
 class Trace(NamedTuple):
-    """What was captured of a case."""
+    """Recorded ticks and end of a case."""
 
     entries: list[Tick]
     mode: Mode
     faults: Fault
     unmet: list[str]
-    """Faults that have not struck; how many commands have not been given."""
+    """Faults that did not strike, and the number of commands not given."""
 
 
 class Enough(Exception):  # noqa: N818 - not an error
-    """The longest time of the case is over."""
+    """The case has reached its longest time."""
 
 
 def frame_bytes(frames: Sequence[Received] | Sequence[Frame]) -> bytes:
-    """Bytes of the frames of one tick for the digests, whatever carries the frames: the only such place."""
+    """Bytes of the frames of one tick for the digests, independent of the frames' type."""
     parts = [struct.pack("<I", len(frames))]
     for each in frames:
         t_ns, frame = each if isinstance(each, Received) else (0, each)
@@ -76,7 +77,7 @@ def frame_bytes(frames: Sequence[Received] | Sequence[Frame]) -> bytes:
 
 
 def configured(case: Case) -> Configuration:
-    """Return the configuration of a case, faults included."""
+    """Configuration of a case, faults included."""
     text = (CONFIGS / f"{case.configuration}.yaml").read_text(encoding="utf-8")
     c = loads(with_changes(text, case.changes), f"{case.configuration}.yaml with changes", CONFIGS)
     c = with_faults(c, case.faults)
@@ -84,19 +85,17 @@ def configured(case: Case) -> Configuration:
 
 
 def new_cycle(c: Configuration) -> Cycle:
-    """Return a controller in its initial state."""
     return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
 def entry_of(inp: TickInput, sent: Rows, row: Rows) -> Tick:
-    """Return a tick as a log holds it."""
     copied: Any = row.copy()
     received = received_frames(inp.frames)
     return Tick(copied, received, sent_frames(sent), inp.operator, inp.setpoints, inp.orders)
 
 
 def run(case: Case) -> Trace:
-    """Run a case in lockstep without a recorder, then, where inputs are altered, its cycle alone."""
+    """Run a case in lockstep without a recorder; with altered inputs, then run its cycle alone on these."""
     c = configured(case)
     c.require("sim")
     cycle = new_cycle(c)
@@ -149,24 +148,23 @@ def _altered(inputs: Sequence[TickInput], altered: Mapping[int, Mapping[str, Any
 
 
 class Captured:
-    """The ticks of a trace, as `hil.loop.replay.replay` reads them of a log."""
+    """The ticks of a trace, in the form that `hil.loop.replay.replay` reads."""
 
     def __init__(self, trace: Trace) -> None:
         self._entries = trace.entries
 
     def ticks(self) -> Iterator[Tick]:
-        """Return the ticks."""
         return iter(self._entries)
 
 
 def replayed(case: Case, trace: Trace) -> Comparison:
-    """Give the captured inputs to a new cycle and compare."""
+    """Comparison of a new cycle's outputs for the recorded inputs."""
     with collector_paused():
         return replay(Captured(trace), new_cycle(configured(case)))
 
 
 def digests(trace: Trace) -> dict[str, Any]:
-    """Return what is kept of a trace: plain values, digests as hexadecimal digits."""
+    """Frozen result of a trace: plain values, digests as hexadecimal digits."""
     received, sent = hashlib.sha256(), hashlib.sha256()
     for entry in trace.entries:
         received.update(frame_bytes(entry.received))
@@ -188,7 +186,7 @@ def digests(trace: Trace) -> dict[str, Any]:
 
 
 def differences(kept: Mapping[str, Any], found: Mapping[str, Any], *, same_cpu: bool = True) -> list[str]:
-    """Return in what a run differs from what was kept; on another CPU columns may."""
+    """Differences between a run and the frozen result; on another CPU columns may differ."""
     plain = [
         f"{key}: {found[key]}, kept: {kept[key]}"
         for key in ("ticks", "modes", "mode", "faults")

@@ -1,4 +1,4 @@
-"""Every golden case gives the frames and columns that it gave when it was frozen, and replays to the bit."""
+"""Every golden case gives its frozen frames and columns, and replays to the bit."""
 
 import pytest
 
@@ -15,7 +15,7 @@ def test_every_case_is_frozen():
 @pytest.mark.parametrize(
     "name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.long) for name in CASES]
 )
-def test_a_run_gives_the_same_frames_and_columns_and_replays(name):
+def test_case_gives_its_frozen_frames_and_columns_and_replays(name):
     kept = expected()
     trace = run(CASES[name])
     comparison = replayed(CASES[name], trace)

@@ -1,4 +1,4 @@
-"""Logs that were frozen replay to the bit."""
+"""Frozen logs replay to the bit."""
 
 import json
 
@@ -17,7 +17,7 @@ def test_every_row_of_the_table_has_its_log():
 
 
 @pytest.mark.parametrize("name", QUICK)
-def test_a_frozen_log_replays_to_the_bit(name):
+def test_frozen_log_replays_to_the_bit(name):
     found = replay_case(FOLDER / f"{name}.mcap")
     assert found.verdict == "pass", found.text
 
@@ -33,7 +33,7 @@ def test_all_frozen_logs_replay_as_one_suite(tmp_path):
     assert (summary["passed"], summary["failed"], summary["skipped"]) == (len(LOGS), 0, 0)
 
 
-def test_an_older_log_that_is_cut_gives_its_rows_without_the_later_column(tmp_path):
+def test_cut_older_log_gives_its_rows_with_nan_in_a_later_column(tmp_path):
     data, counts = (FOLDER / "ideal.mcap").read_bytes(), []
     for size in range(100_000, len(data), 10_000):
         (tmp_path / "cut.mcap").write_bytes(data[:size])

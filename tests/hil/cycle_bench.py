@@ -1,4 +1,4 @@
-"""A cycle with six drives on locked legs, and the pieces from which its tests make a situation."""
+"""A cycle with six drives on locked legs, and helpers that set up its state for tests."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class Bench:
         return out
 
     def until(self, mode, limit=2000):
-        """Reset, engage, and go on until a mode is entered."""
+        """Reset, engage, and step until a mode is entered."""
         operator: tuple[Operator, ...] = (Operator.RESET,)
         for _ in range(limit):
             out = self.step(operator)
@@ -113,7 +113,7 @@ class Bench:
         raise AssertionError(f"{mode} not reached, but {self.cycle.mode}")
 
     def go_on(self, mode, limit=2000):
-        """Go on without a word until a mode is entered."""
+        """Step without operator commands until a mode is entered."""
         for _ in range(limit):
             if self.cycle.mode is mode:
                 return
@@ -121,7 +121,7 @@ class Bench:
         raise AssertionError(f"{mode} not reached, but {self.cycle.mode}")
 
     def stopped(self, mode):
-        """Stop in the approach, and go on until a mode on the way to closed brakes."""
+        """Stop in the approach, and step until a mode on the way to closed brakes."""
         self.until(Mode.APPROACH)
         self.step((Operator.STOP,))
         self.go_on(mode)
@@ -133,13 +133,13 @@ class Bench:
 
 
 def a_bench(**changes: Any) -> Bench:
-    """Return a bench that is quickly under way."""
+    """Bench with short engage times."""
     return Bench(VIRTUAL.model_copy(update={"engage": BRISK} | changes))
 
 
 @contextmanager
 def held_to(bench, **limits):
-    """Let safety judge by other limits for a while: what they forbid is a fault."""
+    """Change limits of safety for the duration of a `with` block."""
     own = bench.cycle.parts.safety.limits
     before = {name: own[name].item() for name in limits}
     for name, value in limits.items():
@@ -153,30 +153,32 @@ def held_to(bench, **limits):
 
 
 def said(*operator: Operator, tick: int = 50) -> Any:
-    """Return the input of a tick in which the operator says this."""
+    """Input of a tick with these operator commands."""
     return SimpleNamespace(tick=tick, operator=operator, setpoints=(), orders=())
 
 
 def measured(cycle: Cycle, **columns: Any) -> Any:
-    """Return a tick in which all legs are heard, at rest at home, and all drives are in RUN."""
+    """Tick with feedback of all legs, at rest at home, and all drives in RUN."""
     parts = cycle.parts
     home = {"p": parts.home_p, "R": parts.home_R, "J": np.eye(6), "age": 0, "tick": 50}
     return record_of(**home | {"drive_state": int(DriveState.RUN)} | columns)
 
 
 def aside(cycle: Cycle) -> Any:
-    """Return a position beside home."""
+    """Position near home."""
     return cycle.parts.home_p + np.array([0.01, -0.02, 0.03])
 
 
 def ticked(cycle: Cycle, number: int, *operator: Operator, orders: tuple[Order, ...] = ()) -> None:
-    """Take the orders and choose the mode of a tick in which all drives are in RUN and the legs at rest."""
+    """Process the orders and choose the mode of a tick in which all drives are in RUN and the legs at
+    rest.
+    """
     cycle.operating.step(orders, number, cycle.mode, cycle.motion)
     cycle._change_mode(said(*operator, tick=number), measured(cycle, tick=number))
 
 
 def fault_text(cycle: Cycle) -> str:
-    """Return the faults of the last tick and what shows them, in one line."""
+    """Faults of the last tick and their evidence, in one line."""
     narrator = Narrator(cycle)
     narrator.look()
     return narrator.short

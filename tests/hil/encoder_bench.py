@@ -1,6 +1,6 @@
-"""Six encoders in short sequences of ticks, and what safety makes of their readings.
+"""Six encoders in short sequences of ticks, and the verdicts of safety on their readings.
 
-64 ticks a second, T = 1/64 s. Unless a test says more, a bound is nothing but what a brake that closes takes.
+64 ticks a second, T = 1/64 s. By default a bound allows only the travel of a closing brake.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from hil.safety.kernels import powered
 T = 1.0 / 64.0
 PERIOD_NS = 15_625_000
 CREEP = 0.02 * T / 2.0
-"""m, on which a brake closes within a tick."""
+"""Travel, m, of a leg whose brake closes within a tick."""
 WIDE = LimitSettings(
     force_N=1e6, force_step_N=1e6, force_window_N=1e6, speed_m_s=1e6, deceleration_m_s2=1e6,
     stroke_margin_m=0.0, following_error_m=1e6, standstill_m=0.125, consistency_m=1.0, condition=1e6,
@@ -52,7 +52,7 @@ class Columns:
 
 
 def probed(safety, tick, last):
-    """Let safety judge a tick and the probe push what it suspects; return the verdict."""
+    """Verdict of safety on a tick; the probe pushes the suspected legs."""
 
     def probe():
         if powered(int(tick["mode"])):
@@ -62,10 +62,10 @@ def probed(safety, tick, last):
 
 
 class Bench:
-    """Six legs that move as their rates say, and what safety makes of that."""
+    """Six legs that move at their rates, and the verdicts of safety on them."""
 
     def __init__(self, length=5.0, **limits):
-        """Take what differs from limits that allow nothing."""
+        """Take changes of limits that allow nothing."""
         quiet = EncoderLimits(
             watched_legs=63, length_noise_m=0.0, rate_noise_m_s=0.0, rate_skew_s=0.0, rate_error=0.0,
             disturbance_m_s2=0.0, mobility=np.zeros((6, 6)), acting_ticks=0, push_N=np.zeros(6),
@@ -79,9 +79,10 @@ class Bench:
         self.length, self.rate, self.latched_s = six(length), six(0.0), 0.0
 
     def tick(self, rate=None, jump=0.0, unseen=(), late_s=0.0, lateness=0, mode=Mode.TRACKING, **columns):
-        """Move on to the next latch, `lateness` ticks / 64 and `late_s` behind the clock; return the record.
+        """Move on to the next sample, `lateness` ticks / 64 and `late_s` behind the clock, and give its record.
 
-        rate: (6,) from now on, at a uniform acceleration; jump: (6,) m, for good; unseen: legs not heard.
+        rate: (6,) from now on, at a uniform acceleration; jump: (6,) m, permanent; unseen: legs without
+        feedback.
         """
         self.n += 1
         now_s = self.n * T + lateness * T + late_s
@@ -102,25 +103,25 @@ class Bench:
         return tick
 
     def ticks(self, count, **columns):
-        """Return the last of some calm ticks."""
+        """Last of some ticks without a doubted leg."""
         for _ in range(count):
             tick = self.tick(**columns)
             assert calm(tick)
         return tick
 
     def memory(self, name):
-        """Return a column of what the rules remember."""
+        """One column of the memory of the rules."""
         return self.safety.memory[name]
 
 
 def calm(tick):
-    """Tell whether the columns of a tick doubt nobody."""
+    """True if the columns of a tick doubt no leg."""
     said = tick["legs_doubted"], tick["doubt"], tick["doubt_value"], tick["doubt_limit"]
     return said == (0, Doubt.NONE, 0.0, 0.0)
 
 
 def doubted(tick, why, leg, value, limit):
-    """Tell whether a tick doubts this leg alone, for this reason."""
+    """True if a tick doubts only this leg, for this reason."""
     said = tick["doubt_value"], tick["doubt_limit"]
     return (tick["legs_doubted"], tick["doubt"]) == (1 << leg, why) and said == pytest.approx((value, limit))
 
@@ -129,7 +130,7 @@ COLUMNS = {"rate", "jump", "unseen", "late_s", "lateness", "mode"}
 
 
 def after(count, **given):
-    """Return a bench after some calm ticks; given: columns of the ticks, and limits that differ."""
+    """Bench after some calm ticks; given: columns of the ticks, and changed limits."""
     bench = Bench(**{name: value for name, value in given.items() if name not in COLUMNS})
     bench.ticks(count, **{name: value for name, value in given.items() if name in COLUMNS})
     return bench

@@ -1,4 +1,4 @@
-"""A client of Foxglove's websocket protocol, version 1, made of sockets: what it reads, a viewer would."""
+"""Client of Foxglove's websocket protocol, version 1, on plain sockets: it reads what a viewer reads."""
 
 import base64
 import json
@@ -9,7 +9,7 @@ from typing import Any
 
 
 class Client:
-    """Connects, and reads as much as it is asked to."""
+    """A connected client that reads on demand."""
 
     def __init__(self, port):
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=10.0)
@@ -37,7 +37,7 @@ class Client:
         self._socket.sendall(head + bytes(b ^ mask[i % 4] for i, b in enumerate(data)))
 
     def messages(self, quiet_s):
-        """Yield subscription, time in ns and payload until the server is quiet or gone."""
+        """Subscription, time in ns and payload of each message until the server is quiet or closed."""
         self._socket.settimeout(quiet_s)
         opcode = 2
         while opcode != 8:
@@ -50,7 +50,7 @@ class Client:
                 yield number, t_ns, data[13:]
 
     def frame(self):
-        """Return opcode and payload of the next frame."""
+        """Opcode and payload of the next frame."""
         first, length = struct.unpack("!BB", self._file.read(2))
         length &= 0x7F
         if length >= 126:

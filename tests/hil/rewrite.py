@@ -1,4 +1,4 @@
-"""Logs rewritten with the mcap library's own reader and writer, and files of its records."""
+"""Logs rewritten with the mcap library's own reader and writer, and files of MCAP records."""
 
 from itertools import accumulate
 from pathlib import Path
@@ -15,7 +15,7 @@ def metadata(name, **values):
 
 
 def placed(tmp_path, *records):
-    """A file of these records, and where each begins."""
+    """File of these records, and the offset of each."""
     starts = list(accumulate(map(len, records), initial=len(MAGIC)))
     file = tmp_path / "records.mcap"
     file.write_bytes(MAGIC + b"".join(records))
@@ -23,7 +23,7 @@ def placed(tmp_path, *records):
 
 
 def mcap_summary(path):
-    """Return the summary section of an MCAP file as the mcap library reads it."""
+    """Summary section of an MCAP file, read by the mcap library."""
     with Path(path).open("rb") as file:
         summary = make_reader(file, validate_crcs=True).get_summary()
     assert summary is not None
@@ -41,10 +41,10 @@ def rewrite_log(
     end=None,
     **options,
 ):
-    """Copy `src` to `dst`; `edit(topic, data, sequence)` returns the new data, or None to leave a message out.
+    """Copy `src` to `dst`; `edit(topic, data, sequence)` gives the new data, or None to drop a message.
 
-    `sequence(topic, number)` is the new number of a message; `end` changes the summary of the run; `options` go to
-    mcap.writer.Writer (compression, chunk_size, use_chunking).
+    `sequence(topic, number)` is the new number of a message; `end` changes the summary of the run; `options`
+    go to mcap.writer.Writer (compression, chunk_size, use_chunking).
     """
     with Path(src).open("rb") as source, Path(dst).open("xb") as target:
         reader = make_reader(source, validate_crcs=True)

@@ -1,4 +1,4 @@
-"""A Safety and healthy ticks in which single values can be changed, for tests of the rules put together."""
+"""Safety and healthy ticks in which single values can be changed, for tests of the combined rules."""
 
 from typing import NamedTuple
 
@@ -21,7 +21,7 @@ FOLLOWING = POWERED[1:6]
 CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
 OFF = (Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT)
 RATE_HZ = 40.0
-"""A window of ten ticks."""
+"""Rate at which a window has ten ticks."""
 PERIOD_NS = 25_000_000
 LIMITS = LimitSettings(
     force_N=100.0, force_step_N=50.0, force_window_N=80.0, speed_m_s=3.0, deceleration_m_s2=2.0,
@@ -31,7 +31,7 @@ LIMITS = LimitSettings(
 
 
 class Judged(NamedTuple):
-    """A verdict, and what safety filled in."""
+    """A verdict, and the columns that safety filled."""
 
     warnings: Warn
     faults: Fault
@@ -43,7 +43,9 @@ class Judged(NamedTuple):
 
 
 class Bench:
-    """A Safety and a healthy tick in which single values can be changed; what it fills was something else."""
+    """Safety and a healthy tick in which single values can be changed; its output columns hold other
+    values before.
+    """
 
     def __init__(self, limits=LIMITS, **options):
         settings = {"drive_force_limit": 1000.0, "length_min": 1.0, "length_max": 9.0, "rate_Hz": RATE_HZ}
@@ -74,7 +76,7 @@ WARN, FAULT = 1.0, 2.0
 
 
 def certified(action=WARN, ticks=3, **options):
-    """Return a bench that watches V = 4 (de + e)^2 of each axis, which may not grow at all."""
+    """Bench with a watch on V = 4 (de + e)^2 of each axis, which may not grow at all."""
     table = np.zeros((12, 6))
     table[2:5] = 4.0  # P_11, P_12, P_22
     table[5] = 1e3  # disturbance: the reference may jump by 25 m/s

@@ -1,4 +1,4 @@
-"""Made-up ticks for the tests of recording: every value random, so that nothing can pass by being zero."""
+"""Random ticks for tests of recording: no value is zero by default, so that a missing value cannot pass."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def random_rows(count, seed=1, dtype=ROW):
 
 
 def packed_rows(table, rows):
-    """Return the messages of rows as the recorder packs them, without the heads of their records."""
+    """Messages of rows as the recorder packs them, without the headers of their records."""
     encoder = Encoder(table, epoch_ns=0, can_channels=["can0"], scene=None)
     made = encoder.encode(Batch(rows, np.zeros(0, FRAME), np.zeros(0, np.int64)))
     records = [bytes(each) for each in made.records()]
@@ -68,7 +68,7 @@ def record(recording, ticks):
 
 
 def log_of(ticks, folder, configuration="a: 1\n", can_channel="can0"):
-    """Return the path of a log of ticks in a new folder `log`."""
+    """Path of a log of ticks in a new folder `log`."""
     path = folder.mktemp("log") / "a.mcap"
     with Recording.start(
         path, configuration=configuration, lockstep=True, can_channel=can_channel

@@ -17,7 +17,7 @@ from hil.signals import SetPoint
 from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.path import PoseSample
 from tests.hil.cycle_bench import VIRTUAL
-from tests.judged import judged
+from tests.pose_judges import judged
 
 BOOK = json.loads((Path(__file__).parents[1] / "data/book_platform.json").read_text())
 HOME = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -46,7 +46,7 @@ def lengths(chi):
 
 
 def toward(leg, way):
-    """Return a position at which a leg is the shortest one, or (-1) the longest one."""
+    """A position at which a leg is the shortest one, or (way -1) the longest one."""
     base = np.array(BOOK["geometry"]["base_joints"])[leg] * np.array([1.0, 1.0, 0.0])
     return HOME[:3] + way * 0.3 * base / np.linalg.norm(base)
 
@@ -63,7 +63,7 @@ def toward(leg, way):
         (("force",), np.abs(MODEL.inverse_dynamics(P, R, STILL, STILL)).max(), 0.0, Refusal.FORCE),
     ],
 )
-def test_a_pose_and_a_way_may_be_at_a_limit_to_the_last_bit(fields, most, stricter, refusal):
+def test_poses_and_paths_exactly_at_a_limit_are_allowed(fields, most, stricter, refusal):
     judge = admission(**ROOMY)
     for limit, expected in ((most, 0), (np.nextafter(most, stricter), refusal)):
         for name in fields:
@@ -75,7 +75,7 @@ def test_a_pose_and_a_way_may_be_at_a_limit_to_the_last_bit(fields, most, strict
 # -- set-points
 
 
-def test_home_takes_the_books_static_force_and_no_less():
+def test_the_force_limit_at_home_is_the_books_static_force():
     assert admission()(HOME) == 0
     assert admission(force_N=STATIC * (1 + 1e-6))(HOME) == 0
     assert admission(force_N=STATIC * (1 - 1e-6))(HOME) == Refusal.FORCE
@@ -83,7 +83,7 @@ def test_home_takes_the_books_static_force_and_no_less():
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_set_point_is_refused_exactly_a_millimetre_before_a_soft_end(seed):
+def test_a_set_point_is_refused_from_1_mm_before_a_soft_end(seed):
     chi = HOME + np.random.default_rng(seed).uniform(-0.15, 0.15, 6)
     q = lengths(chi)
     for low, high, expected in (
@@ -95,7 +95,7 @@ def test_a_set_point_is_refused_exactly_a_millimetre_before_a_soft_end(seed):
 
 
 @pytest.mark.parametrize("word", range(6))
-def test_the_force_at_a_pose_leaves_room_for_the_largest_acceleration_of_each_axis(word):
+def test_the_force_check_includes_the_largest_acceleration_of_each_axis(word):
     ddchi = 3.0 * np.eye(6)[word]
     rest = MODEL.inverse_dynamics(P, R, STILL, STILL)
     most = max(np.abs(MODEL.inverse_dynamics(P, R, STILL, way * ddchi)).max() for way in (1.0, -1.0))
@@ -104,7 +104,7 @@ def test_the_force_at_a_pose_leaves_room_for_the_largest_acceleration_of_each_ax
     assert admission(ddchi, **ROOMY | {"force_N": most * (1 - 1e-9)})(CHI) == Refusal.FORCE
 
 
-def test_a_pose_near_the_turn_of_a_right_angle_about_z_is_singular():
+def test_a_pose_rotated_by_nearly_90_degrees_about_z_is_singular():
     roomy = {"force_N": 1e9, "low": 0.1, "high": 5.0}
     for turn_deg, refused in ((89, True), (30, False)):
         turned = HOME + np.array([0, 0, 0, 0, 0, np.deg2rad(turn_deg)])
@@ -113,7 +113,7 @@ def test_a_pose_near_the_turn_of_a_right_angle_about_z_is_singular():
 
 @pytest.mark.parametrize("word", range(6))
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_what_is_not_finite_is_no_pose(word, value):
+def test_a_non_finite_pose_is_refused(word, value):
     chi = HOME.copy()
     chi[word] = value
     assert admission()(chi) == Refusal.NOT_A_POSE
@@ -124,7 +124,7 @@ AXES = [(1, 0, 0), (0, 1, 0), (0, 0, 1), (0.6, 0, 0.8), (0, 0.8, 0.6), (0.6, 0.8
 
 @pytest.mark.parametrize("axis", AXES)
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_half_a_turn_about_any_axis_is_a_pose_and_more_is_none(axis, way):
+def test_rotations_up_to_180_degrees_are_poses_and_larger_ones_are_not(axis, way):
     judge = admission(**ROOMY | {"low": -1e9, "high": 1e9, "force_N": 1e99, "rated": 1e99, "condition": 1e99})
     exact = [(np.pi, True), (np.nextafter(np.pi, 4.0), False)] if 1 in axis else []
     for angle, is_pose in ((1.0001 * np.pi, False), (0.9999 * np.pi, True), *exact):
@@ -136,12 +136,12 @@ def test_half_a_turn_about_any_axis_is_a_pose_and_more_is_none(axis, way):
 
 
 def one_leg(leg, rate, p=P):
-    """Return a sample in which one leg alone changes its length."""
+    """A sample in which only one leg changes its length."""
     return PoseSample(p, R, np.linalg.solve(jacobian(PLATFORM, p, R), rate * np.eye(6)[leg]), STILL)
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_way_is_refused_exactly_where_a_leg_passes_its_soft_ends(leg):
+def test_a_path_is_refused_exactly_where_a_leg_passes_its_soft_ends(leg):
     for way, end in ((1.0, np.argmin), (-1.0, np.argmax)):
         p = toward(leg, way)
         q = lengths(np.array([*p, 0.0, 0.0, 0.0]))
@@ -156,15 +156,15 @@ def test_a_way_is_refused_exactly_where_a_leg_passes_its_soft_ends(leg):
 
 
 @LEGS_AND_WAYS
-def test_on_a_way_a_leg_is_as_fast_as_the_limit_and_no_faster(leg, way):
+def test_on_a_path_a_leg_may_move_at_its_speed_limit_but_no_faster(leg, way):
     judge = admission(**ROOMY | {"speed_m_s": 0.3})
     assert judge.on_the_way(one_leg(leg, way * 0.3 * (1 - 1e-9))) == 0
     assert judge.on_the_way(one_leg(leg, way * 0.3 * (1 + 1e-9))) == Refusal.SPEED
 
 
 @LEGS_AND_WAYS
-def test_on_a_way_a_leg_can_brake_before_the_end_that_it_moves_to(leg, way):
-    """With 2 m/s^2 and 0.04 m before it a leg may have 0.4 m/s; it is the nearest one to that end."""
+def test_on_a_path_a_leg_must_be_able_to_brake_before_its_end(leg, way):
+    """At 2 m/s^2 and 0.04 m from its end a leg may move at 0.4 m/s; it is the nearest one to that end."""
     p = toward(leg, -way)
     q = lengths(np.array([*p, 0.0, 0.0, 0.0]))
     assert (way * q).argmax() == leg
@@ -175,8 +175,8 @@ def test_on_a_way_a_leg_can_brake_before_the_end_that_it_moves_to(leg, way):
 
 
 @LEGS_AND_WAYS
-def test_on_a_way_a_leg_pushes_and_pulls_with_what_its_limit_allows(leg, way):
-    """In motion, where that leg alone has to give 5 kN, and the others 1 kN the other way."""
+def test_on_a_path_a_leg_may_push_and_pull_up_to_its_force_limit(leg, way):
+    """In motion, where this leg has to give 5 kN, and the others 1 kN in the other direction."""
     twist = np.array([0.1, -0.2, 0.15, 0.3, -0.2, 0.25])
     moving = MODEL.inverse_dynamics(P, R, twist, STILL)
     inertia = np.array([MODEL.inverse_dynamics(P, R, twist, each) - moving for each in np.eye(6)]).T
@@ -188,7 +188,7 @@ def test_on_a_way_a_leg_pushes_and_pulls_with_what_its_limit_allows(leg, way):
 
 @pytest.mark.parametrize("word", range(6))
 @pytest.mark.parametrize("part", ["twist", "dtwist"])
-def test_a_way_whose_motion_is_not_finite_is_refused(part, word):
+def test_a_path_with_non_finite_motion_is_refused(part, word):
     motion = np.where(np.arange(6) == word, np.nan, 0.0)
     assert admission(**ROOMY).on_the_way(THERE) == 0
     assert admission(**ROOMY).on_the_way(THERE._replace(**{part: motion})) != 0
@@ -202,8 +202,8 @@ def test_a_way_whose_motion_is_not_finite_is_refused(part, word):
     ("twist", "stop_s"),
     [((0.2, 0, 0, 0, 0, 0), 0.5), ((0, 0, -0.3, 0, 0, 0), 2.0), ((0, 0, 0, 0, 0, 0.5), 0.1)],
 )
-def test_a_jogs_forces_change_by_no_more_than_the_bound_and_by_most_of_it(twist, stop_s, share, steepest):
-    """Forces of the motion itself: rest, the steepest sigma', at speed, its steepest fall, and 250 ms on.
+def test_the_bound_on_force_changes_of_a_jog_holds_and_is_tight(twist, stop_s, share, steepest):
+    """Forces of the motion: at rest, at the steepest sigma', at speed, at its steepest fall, 250 ms later.
 
     With |sigma''| <= 4.5 / T^2 a change by s has sigma' of up to sqrt(4.5 s) / T, and of 1.5 / T at most.
     """
@@ -222,7 +222,7 @@ def test_a_jogs_forces_change_by_no_more_than_the_bound_and_by_most_of_it(twist,
     assert 0.8 * bound < seen <= bound * (1 + 1e-9)
 
 
-def test_a_jog_may_change_a_force_by_the_window_to_the_last_bit():
+def test_a_jog_may_change_a_force_by_exactly_the_window():
     there = PoseSample(P, R, np.array([0.2, -0.1, 0.1, 0.3, 0.2, -0.3]), STILL)
     change = admission().change_N(there, 0.5)
     assert change > 1.0
@@ -240,7 +240,7 @@ LIMITS = np.array([[0.3] * 6, [1.0] * 6, [10.0] * 6])
 
 
 def world(chi):
-    """A world that ends at x = 0.2 and has a wall between y = 0.05 and 0.06."""
+    """A workspace that ends at x = 0.2, with a wall between y = 0.05 and 0.06."""
     return (Refusal.STROKE if abs(chi[0]) > 0.2 else 0) | (Refusal.FORCE if 0.05 < chi[1] < 0.06 else 0)
 
 
@@ -254,7 +254,7 @@ def at(x=0.0, y=0.0):
 
 
 def move(steering, points, tick, *, tracking=True):
-    """Take set-points, and go to a tick of the trajectory, as the cycle does."""
+    """Accept or refuse set-points, and advance the trajectory to a tick, as the cycle does."""
     steering.take(points, tracking=tracking)
     against = 0 if tick is None else steering.trajectory.advance(tick, steering.judge)
     if against:
@@ -267,7 +267,7 @@ def go(steering, first, last):
     return steering.trajectory.sample(0.0).p
 
 
-def test_a_good_set_point_is_taken_and_reached(steering):
+def test_a_valid_set_point_is_accepted_and_reached(steering):
     move(steering, (at(0.1),), 1)
     assert steering.counts == Counts(1, 0, 0)
     assert steering.answers == [0]
@@ -275,7 +275,7 @@ def test_a_good_set_point_is_taken_and_reached(steering):
     assert steering.answers == []
 
 
-def test_a_bad_set_point_is_refused_and_the_good_one_before_it_stays(steering):
+def test_an_invalid_set_point_is_refused_and_the_earlier_one_stays(steering):
     move(steering, (at(0.1),), 1)
     move(steering, (at(0.3),), 2)
     assert steering.counts == Counts(1, 1, Refusal.STROKE)
@@ -284,14 +284,14 @@ def test_a_bad_set_point_is_refused_and_the_good_one_before_it_stays(steering):
     assert steering.counts == Counts(1, 1, 0), "said once, counted for good"
 
 
-def test_of_several_in_one_tick_the_last_good_one_is_followed(steering):
+def test_the_last_valid_set_point_of_a_tick_is_followed(steering):
     move(steering, (at(0.1), at(-0.1), at(9.0)), 1)
     assert steering.answers == [0, 0, Refusal.STROKE]
     assert steering.counts == Counts(2, 1, Refusal.STROKE)
     assert go(steering, 2, 2000)[0] == pytest.approx(-0.1, abs=1e-14)
 
 
-def test_set_points_before_or_after_the_tracking_are_refused(steering):
+def test_set_points_outside_tracking_are_refused(steering):
     move(steering, (at(0.1),), None, tracking=False)
     assert steering.answers == [Refusal.NOT_TRACKING]
     steering.trajectory.reset()
@@ -299,7 +299,7 @@ def test_set_points_before_or_after_the_tracking_are_refused(steering):
     assert steering.counts == Counts(0, 1, 0), "a restart forgets the place, not the count"
 
 
-def test_a_wall_on_the_way_stops_before_it_and_is_counted_once(steering):
+def test_the_platform_stops_before_a_wall_which_is_counted_once(steering):
     move(steering, (at(0.0, 0.1),), 1)
     refusals = []
     for tick in range(2, 2000):
@@ -311,8 +311,8 @@ def test_a_wall_on_the_way_stops_before_it_and_is_counted_once(steering):
     assert steering.trajectory.sample(0.0).p[1] > 0.049
 
 
-def test_a_set_point_and_the_way_refused_in_one_tick_are_both_reported(steering):
-    """The platform moves on in a tick with set-points as in one without."""
+def test_a_refused_set_point_and_path_in_one_tick_are_both_reported(steering):
+    """The platform moves in a tick with set-points as in a tick without."""
     move(steering, (at(0.0, 0.04),), 1)
     before = go(steering, 2, 300)[1]
     steering._admission = lambda chi: Refusal.STROKE if abs(chi[0]) > 0.2 else Refusal.FORCE

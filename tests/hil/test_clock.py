@@ -1,4 +1,4 @@
-"""Deadlines keep phase and never catch up; missing rights are reported, and nothing outlives the block."""
+"""Deadlines keep phase and never catch up; missing rights are reported; all rights are undone at the end."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_deadlines_are_absolute_keep_phase_and_are_never_early() -> None:
 
 
 class Hands(Clock):
-    """A clock that stands until somebody sleeps, and then wakes up 30 us late."""
+    """A clock that stands still until a call of sleep, which wakes up 30 us late."""
 
     def __init__(self, t_ns: int) -> None:
         self.t_ns = t_ns
@@ -55,7 +55,7 @@ class Hands(Clock):
 
 
 @pytest.mark.parametrize("start_ns", [0, 5_000_000_000, 10**18])
-def test_a_loop_goes_on_with_the_period_under_way(start_ns: int) -> None:
+def test_a_late_loop_continues_with_the_current_period(start_ns: int) -> None:
     hands = Hands(start_ns - 700_000)
     deadlines = Deadlines(1000.0, 12.5, start_ns, hands)
     assert deadlines.wait() == Wake(0, start_ns, 30_000, 0)
@@ -74,7 +74,7 @@ def test_a_loop_goes_on_with_the_period_under_way(start_ns: int) -> None:
 
 @pytest.fixture
 def thawed() -> Iterator[None]:
-    """Nothing is frozen but what the test freezes; the suite's own is frozen again afterwards."""
+    """No object is frozen before the test; all are frozen again after it."""
     gc.unfreeze()
     yield
     gc.freeze()
@@ -82,7 +82,7 @@ def thawed() -> Iterator[None]:
 
 @pytest.mark.usefixtures("thawed")
 @pytest.mark.parametrize("raises", [False, True])
-def test_real_time_reports_each_part_once_and_undoes_all(raises: bool) -> None:
+def test_real_time_reports_each_right_once_and_undoes_all(raises: bool) -> None:
     affinity = os.sched_getaffinity(0)
     with contextlib.suppress(ZeroDivisionError), real_time(1, None) as report:
         assert not gc.isenabled()
@@ -100,9 +100,9 @@ def test_real_time_reports_each_part_once_and_undoes_all(raises: bool) -> None:
 
 
 @pytest.mark.usefixtures("thawed")
-def test_real_time_leaves_no_garbage_behind_and_freezes_what_lives() -> None:
+def test_real_time_collects_garbage_and_freezes_live_objects() -> None:
     class Node:
-        """May be part of a cycle."""
+        """An object that may refer to itself."""
 
     with clock.collector_paused():
         node: Any = Node()
@@ -119,7 +119,7 @@ def test_real_time_leaves_no_garbage_behind_and_freezes_what_lives() -> None:
 
 
 class Kernel:
-    """The kernel's calls for one process: an ordinary user may not end the reset on fork."""
+    """The kernel's calls for one process; an ordinary user cannot clear the reset on fork."""
 
     def __init__(
         self, monkeypatch: pytest.MonkeyPatch, policy: int = 0, priority: int = 0, *, ordinary: bool = False
@@ -152,10 +152,10 @@ POLICIES = [
 @pytest.mark.parametrize("reset", [0, os.SCHED_RESET_ON_FORK])
 @pytest.mark.parametrize(("policy", "priority"), POLICIES)
 @pytest.mark.parametrize("ordinary", [False, True])
-def test_a_process_goes_back_to_the_policy_and_priority_that_it_had(
+def test_a_process_returns_to_its_original_policy_and_priority(
     monkeypatch: pytest.MonkeyPatch, policy: int, priority: int, reset: int, ordinary: bool
 ) -> None:
-    """An ordinary user keeps the reset on fork that came with SCHED_FIFO: the policy itself is as it was."""
+    """An ordinary user keeps the reset on fork of SCHED_FIFO, with the original policy."""
     kernel = Kernel(monkeypatch, policy | reset, priority, ordinary=ordinary)
     kept = os.SCHED_RESET_ON_FORK if ordinary else reset
     assert fifo_allowed(80)
@@ -173,7 +173,7 @@ def no(*_: object) -> NoReturn:
 
 @pytest.mark.parametrize("fifo", [True, False])
 @pytest.mark.parametrize("others", [True, False])
-def test_granted_rights_are_reported_and_undone_others_have_a_reason(
+def test_granted_rights_are_reported_and_undone_missing_ones_explained(
     monkeypatch: pytest.MonkeyPatch, fifo: bool, others: bool
 ) -> None:
     """The process is pinned only together with SCHED_FIFO."""
@@ -209,7 +209,7 @@ def test_granted_rights_are_reported_and_undone_others_have_a_reason(
 
 @pytest.fixture
 def wakes(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A function that gives each wake-up this lateness and these skips, in turn; it returns the periods waited."""
+    """A function that sets lateness and skips of each wake-up, in turn; it returns the periods waited."""
 
     def give(*found: tuple[int, int]) -> list[int]:
         again, waited = itertools.cycle(found), list[int]()
@@ -234,7 +234,7 @@ def wakes(monkeypatch: pytest.MonkeyPatch) -> Any:
         ([(0, 0), (120_000_000, 3)], 0.123, 250.0),
     ],
 )
-def test_the_rate_held_outlasts_twice_the_worst_stall(
+def test_the_holdable_rate_survives_twice_the_worst_stall(
     wakes: Any, found: list[tuple[int, int]], worst_s: float, rate_Hz: float
 ) -> None:
     """100 periods last 0.1 s at 1 kHz; skipped periods and lateness count together."""
@@ -256,20 +256,20 @@ def test_the_rate_held_outlasts_twice_the_worst_stall(
         (50.0, 5, 50.0),
     ],
 )
-def test_a_rate_outlasts_a_stall_of_40_ms_and_is_100_Hz_at_least(
+def test_a_holdable_rate_survives_40_ms_and_is_at_least_100_Hz(
     wakes: Any, rate_Hz: float, periods: int, found_Hz: float
 ) -> None:
     wakes((0, 0))
     assert holdable_rate(rate_Hz, periods=periods, seconds=0.05) == (found_Hz, 0.0)
 
 
-def test_late_wake_ups_are_beyond_a_tenth_of_the_period_or_skip(wakes: Any) -> None:
+def test_a_wake_up_later_than_a_tenth_of_the_period_or_skipping_is_late(wakes: Any) -> None:
     waited = wakes((0, 0), (100_000, 0), (101_000, 0), (0, 1))
     assert late_share(1000.0, 1, seconds=0.4) == 0.5
     assert late_share(500.0, 1, seconds=0.4) == 0.25
     assert waited == [1_000_000] * 400 + [2_000_000] * 200
 
 
-def test_the_peak_resident_memory_is_that_of_the_kernels_status_in_MB() -> None:
+def test_peak_resident_memory_agrees_with_the_kernels_status() -> None:
     lines = dict(line.split(":", 1) for line in Path("/proc/self/status").read_text().splitlines())
     assert clock.resident_MB() == pytest.approx(int(lines["VmHWM"].split()[0]) / 1024, rel=0.1)

@@ -1,4 +1,4 @@
-"""The pure step: what it sends in each mode, what it makes of what it hears, and that it is pure."""
+"""The pure step: its commands in each mode, its use of feedback, and its purity."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def bench():
 # -- before the platform is armed
 
 
-def test_each_booting_drive_is_set_up_once_one_a_tick(bench):
+def test_each_booting_drive_is_set_up_once_one_drive_per_tick(bench):
     sizes = [len(bench.step().frames) for _ in range(100)]
     assert sizes == [2] * 6 + [1] * 94
     assert [c.leg for c in bench.drives.configured] == [*range(6)]
@@ -35,7 +35,7 @@ def test_each_booting_drive_is_set_up_once_one_a_tick(bench):
     assert all(not any(c.force) for c in bench.drives.commands)
 
 
-def test_drives_that_stayed_powered_are_set_up_again_and_so_they_are_by_a_reset(bench):
+def test_drives_are_set_up_again_at_start_and_after_a_reset(bench):
     bench.drives.state = [DriveState.OFF] * 6
     bench.until(Mode.IDLE)
     assert sorted(c.leg for c in bench.drives.configured) == [*range(6)]
@@ -45,7 +45,7 @@ def test_drives_that_stayed_powered_are_set_up_again_and_so_they_are_by_a_reset(
     assert {c.leg for c in bench.drives.configured[6:]} == {*range(6)}
 
 
-def test_latched_faults_of_drives_are_cleared_on_request_only_and_for_a_few_ticks(bench):
+def test_latched_drive_faults_are_cleared_only_on_request_for_a_few_ticks(bench):
     for tick in range(300):
         bench.drives.state = [DriveState.OFF] * 5 + [DriveState.FAULT]
         bench.step((Operator.RESET,) if tick == 100 else (Operator.ENGAGE,))
@@ -59,7 +59,7 @@ def test_latched_faults_of_drives_are_cleared_on_request_only_and_for_a_few_tick
 # -- the step
 
 
-def test_force_is_built_up_against_closed_brakes_to_what_holds_the_platform(bench):
+def test_force_ramps_up_to_the_holding_force_against_closed_brakes(bench):
     bench.until(Mode.RELEASING)
     ready = [c for c in bench.drives.commands if c.mode == DriveMode.READY]
     assert np.abs(np.diff([c.force for c in ready], axis=0)).max() < 30.0
@@ -76,7 +76,7 @@ def test_the_step_is_pure(bench):
     assert bench.cycle.mode is not Mode.IDLE
 
 
-def test_a_reset_of_the_cycle_goes_back_to_the_first_tick(bench):
+def test_a_reset_of_the_cycle_restores_its_initial_state(bench):
     fresh, again = Bench(), Bench()
     bench.until(Mode.APPROACH)
     bench.step(bus_off=True)
@@ -93,7 +93,7 @@ def test_a_reset_of_the_cycle_goes_back_to_the_first_tick(bench):
         assert a.row.tobytes() == b.row.tobytes()
 
 
-def test_a_changed_bit_of_a_feedback_is_refused_and_the_leg_goes_stale(bench):
+def test_feedback_with_a_flipped_bit_is_rejected_and_its_leg_is_stale(bench):
     bench.until(Mode.APPROACH)
     frames = list(bench.drives.feedback(bench.tick + 1))
     t_ns, frame = frames[3]
@@ -106,7 +106,7 @@ def test_a_changed_bit_of_a_feedback_is_refused_and_the_leg_goes_stale(bench):
     assert int(row["warnings"]) & Warn.REJECTED
 
 
-def test_a_frame_from_before_the_loop_woke_up_is_no_answer_to_its_sync(bench):
+def test_a_frame_from_before_the_wake_up_does_not_answer_its_sync(bench):
     bench.until(Mode.IDLE)
     for lateness_ns, age, rejected in ((199_999, 0, 0), (200_001, 1, 6)):
         row = bench.step(lateness_ns=lateness_ns).row
@@ -116,7 +116,7 @@ def test_a_frame_from_before_the_loop_woke_up_is_no_answer_to_its_sync(bench):
 # -- faults
 
 
-def test_a_silent_leg_is_carried_on_at_its_last_rate_then_faults(bench):
+def test_a_silent_leg_is_extrapolated_at_its_last_rate_then_faults(bench):
     bench.until(Mode.APPROACH)
     bench.drives.rate = 0.01
     bench.step()
@@ -137,7 +137,7 @@ def test_a_silent_leg_is_carried_on_at_its_last_rate_then_faults(bench):
 
 
 @pytest.mark.parametrize(("silent", "mode"), [(range(5), Mode.HELD), (range(6), Mode.FAULT)], ids=str)
-def test_force_stays_on_while_one_drive_is_heard_and_ends_a_second_after_the_last(silent, mode):
+def test_force_stays_on_until_all_drives_are_silent_for_a_second(silent, mode):
     bench = a_bench()
     bench.until(Mode.APPROACH)
     bench.drives.silent = set(silent)
@@ -152,7 +152,7 @@ def test_force_stays_on_while_one_drive_is_heard_and_ends_a_second_after_the_las
     assert (bench.force.min() > 3000.0) == (mode is Mode.HELD)
 
 
-def test_a_fault_latches_through_engage_and_leaves_by_reset(bench):
+def test_a_fault_stays_latched_through_engage_and_is_cleared_by_reset(bench):
     bench.until(Mode.APPROACH)
     assert bench.force.min() > 3000.0
     row = bench.step(bus_off=True).row
@@ -168,7 +168,7 @@ def test_a_fault_latches_through_engage_and_leaves_by_reset(bench):
     bench.until(Mode.APPROACH)
 
 
-def test_an_emergency_stop_goes_to_the_wire_first(bench):
+def test_an_emergency_stop_is_the_first_frame_sent(bench):
     bench.until(Mode.APPROACH)
     out = bench.step((Operator.ESTOP,))
     assert isinstance(parse(bench.cycle.parts.protocol, sent_frames(out.frames)[0]), EmergencyStop)
@@ -180,10 +180,8 @@ def test_an_emergency_stop_goes_to_the_wire_first(bench):
     ("rivals", "latches", "sent"),
     [(False, False, [1, 0, 0, 0]), (False, True, [1, 1, 1, 1]), (True, False, [1, 1, 1, 1])],
 )
-def test_a_stop_is_repeated_where_drives_latch_it_or_another_controller_commands_them(
-    monkeypatch, rivals, latches, sent
-):
-    """Drives that go on in RUN whatever is sent; else OFF is the stop."""
+def test_estop_repeats_if_drives_latch_it_or_obey_a_second_controller(monkeypatch, rivals, latches, sent):
+    """Otherwise drives stay in RUN whatever is sent, and OFF is the stop."""
     bench = a_bench()
     protocol = bench.cycle.parts.protocol
     monkeypatch.setattr(protocol, "traits", replace(protocol.traits, stop_latches=latches))
@@ -204,7 +202,7 @@ def test_a_stop_is_repeated_where_drives_latch_it_or_another_controller_commands
     ("mode", "stuck", "leads"),
     [(Mode.LOADING, DriveState.OFF, Mode.FAULT), (Mode.RELEASING, DriveState.READY, Mode.PARKING)],
 )
-def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stuck, leads):
+def test_a_drive_that_does_not_change_state_is_a_fault_after_a_second(bench, mode, stuck, leads):
     bench.until(mode)
     entered = bench.tick
     while bench.cycle.mode is mode:
@@ -216,7 +214,7 @@ def test_a_drive_that_does_not_follow_is_a_fault_after_a_second(bench, mode, stu
     assert 1000 < bench.tick - entered < 1700
 
 
-def test_force_stays_on_while_one_brake_does_not_shut_and_then_it_is_a_fault(bench):
+def test_force_stays_on_if_a_brake_does_not_engage_which_is_a_fault(bench):
     bench.until(Mode.APPROACH)
     stuck = bench.drives.state
     bench.step((Operator.STOP,))
@@ -234,7 +232,7 @@ def test_force_stays_on_while_one_brake_does_not_shut_and_then_it_is_a_fault(ben
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.STOPPING])
-def test_legs_that_do_not_come_to_rest_are_a_fault_and_not_a_stop_for_ever(bench, mode):
+def test_legs_that_never_come_to_rest_are_a_fault_after_a_second(bench, mode):
     bench.until(Mode.APPROACH)
     bench.step((Operator.STOP,) * (mode is Mode.STOPPING))
     begun, duration_s = bench.tick, bench.cycle.motion.trajectory.duration_s
@@ -247,7 +245,7 @@ def test_legs_that_do_not_come_to_rest_are_a_fault_and_not_a_stop_for_ever(bench
     assert (bench.tick - begun) * 1e-3 == pytest.approx(duration_s + 1.0, abs=0.1)
 
 
-def test_a_fault_while_parking_leaves_the_force_that_holds_alone(bench):
+def test_a_fault_while_parking_keeps_the_holding_force(bench):
     bench.stopped(Mode.PARKING)
     assert not bench.cycle.faults
     with held_to(bench, following_error_m=-1.0):
@@ -260,13 +258,13 @@ def test_a_fault_while_parking_leaves_the_force_that_holds_alone(bench):
 
 
 class Failing:
-    """A law that meets an error in tick 100."""
+    """A law that raises an error from tick 100 on."""
 
     def __init__(self, error: BaseException) -> None:
         self.error = error
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """Nothing to reset."""
 
     def effort(self, tick) -> None:
         if tick["tick"] >= 100:
@@ -274,7 +272,7 @@ class Failing:
         tick["tau_law"] = 0.0
 
 
-def test_a_law_that_raises_is_a_latched_fault():
+def test_an_exception_of_the_law_is_a_latched_fault():
     error = ZeroDivisionError("a defect")
     bench = Bench(cycle=Cycle(replace(a_bench().cycle.parts, law=Failing(error))))
     bench.until(Mode.IDLE)
@@ -287,7 +285,7 @@ def test_a_law_that_raises_is_a_latched_fault():
     assert np.isnan(bench.cycle.tick["tau_law"]).all()
 
 
-def test_ctrl_c_in_a_law_ends_the_step_in_which_it_came():
+def test_ctrl_c_in_a_law_ends_its_step():
     bench = Bench(cycle=Cycle(replace(a_bench().cycle.parts, law=Failing(KeyboardInterrupt()))))
     with pytest.raises(KeyboardInterrupt):
         bench.until(Mode.TRACKING)
@@ -296,7 +294,7 @@ def test_ctrl_c_in_a_law_ends_the_step_in_which_it_came():
     assert bench.cycle.mode is Mode.WAITING
 
 
-def test_of_several_stops_that_safety_asks_for_the_first_one_is_kept(bench):
+def test_the_first_of_several_stops_requested_by_safety_is_kept(bench):
     bench.until(Mode.APPROACH)
     with held_to(bench, stop_on_recorder_loss=1):
         for changes in ({"recorder_alive": False}, {"skipped": 1000}, {}):

@@ -1,4 +1,4 @@
-"""A second time in one cycle: a stop, a RESET, a fault, a hold or an arming do not act on what follows."""
+"""Repeated events in one cycle: a stop, RESET, fault, hold or arming does not affect later ones."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.hil.test_operating import HOLD, KEY, PARK, START
 
 
 def on_the_way_back(speed: float) -> Cycle:
-    """Return a cycle that parks: a tenth of a metre to go, at a share of the speed."""
+    """A cycle on its way to park: 0.1 m to go, at a share of the speed."""
     cycle = build_cycle(VIRTUAL, 1000.0, 0.01)
     parts, motion, operating = cycle.parts, cycle.motion, cycle.operating
     here = parts.home_p + np.array([0.0, 0.0, 0.1])
@@ -45,7 +45,7 @@ def on_the_way_back(speed: float) -> Cycle:
 
 @pytest.mark.parametrize("speed", [1.0, 0.5])
 @pytest.mark.parametrize("cause", ["operator", "safety", "fault"])
-def test_a_stop_on_the_way_back_stands_whoever_asked_and_whatever_is_said_after(cause, speed):
+def test_a_stop_during_the_return_holds_whatever_caused_or_follows_it(cause, speed):
     cycle = on_the_way_back(speed)
     for number in range(1, 300):
         ticked(cycle, number)
@@ -72,7 +72,7 @@ def test_a_stop_on_the_way_back_stands_whoever_asked_and_whatever_is_said_after(
 
 
 def on_the_path(text: str) -> Cycle:
-    """Return a cycle half-way along a straight path of 20 mm/s that begins at home."""
+    """A cycle half-way along a straight path of 20 mm/s that begins at home."""
     cycle = build_cycle(loads(text), 1000.0, 0.01)
     parts = cycle.parts
     there = parts.home_p + np.array([0.0, 0.0, 0.1])
@@ -84,7 +84,7 @@ def on_the_path(text: str) -> Cycle:
 KEYED = VIRTUAL.text.replace("\nreference: ", "\noperator: {deadman_s: 0.1}\n\nreference: ")
 
 
-def test_without_the_key_the_way_back_does_not_begin():
+def test_the_return_to_the_first_pose_needs_the_key():
     cycle = on_the_path(KEYED)
     for number in range(5000, 7500):
         said = (*(KEY,) * (number < 5100), *(PARK,) * (number == 5000))
@@ -113,7 +113,7 @@ def test_a_set_point_after_park_is_refused():
     assert bench.cycle.operating.parks
 
 
-def test_brakes_that_opened_are_not_proven_by_a_reset_and_a_stop():
+def test_a_reset_and_a_stop_do_not_prove_brakes_that_were_open():
     bench = a_bench()
     bench.until(Mode.APPROACH)
     modes = []
@@ -127,8 +127,8 @@ def test_brakes_that_opened_are_not_proven_by_a_reset_and_a_stop():
 # -- a platform that is held
 
 
-def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_test():
-    """The step from tick to tick is made for a law that goes on."""
+def test_the_full_force_returns_one_tick_after_a_failed_brake_test():
+    """The limit of the force step is meant for a continuous law."""
     gentle = VIRTUAL.limits.model_copy(update={"force_step_N": 200.0})
     bench = a_bench(limits=gentle, engage=BRISK.model_copy(update={"force_ramp_s": 0.1}))
     bench.stopped(Mode.UNLOADING)
@@ -143,7 +143,7 @@ def test_the_force_comes_back_whole_in_the_tick_after_a_brake_has_failed_its_tes
     np.testing.assert_allclose(bench.force, HOLDING_N, atol=1.0)
 
 
-def test_a_platform_not_measured_any_more_while_it_parks_is_held_by_the_last_force():
+def test_a_platform_that_loses_feedback_while_parking_keeps_its_last_force():
     bench = a_bench(engage=BRISK.model_copy(update={"brake_close_s": 0.1}))
     bench.stopped(Mode.PARKING)
     bench.drives.silent = {2}
@@ -158,7 +158,7 @@ def test_a_platform_not_measured_any_more_while_it_parks_is_held_by_the_last_for
 
 
 @pytest.mark.parametrize("by_m", [4e-4, -4e-4])
-def test_a_platform_not_measured_is_held_by_the_same_force_whatever_its_legs_say(by_m):
+def test_without_feedback_the_holding_force_ignores_leg_readings(by_m):
     bench = a_bench()
     bench.until(Mode.APPROACH)
     bench.drives.silent = {3}
@@ -173,7 +173,7 @@ def test_a_platform_not_measured_is_held_by_the_same_force_whatever_its_legs_say
         assert bench.cycle.mode is Mode.HELD
 
 
-def test_the_reference_stays_with_a_platform_that_yields_until_the_brakes_are_shut():
+def test_the_reference_follows_a_yielding_platform_until_brakes_engage():
     bench = a_bench()
     bench.stopped(Mode.PARKING)
     with held_to(bench, following_error_m=-1.0):
@@ -191,7 +191,7 @@ def test_the_reference_stays_with_a_platform_that_yields_until_the_brakes_are_sh
     assert np.abs(tick["p_d"] - tick["p"]).max() > 1e-6, "there the legs have to stand"
 
 
-def test_predictor_and_observer_follow_the_forces_sent_and_none_with_drives_off():
+def test_predictor_and_observer_use_the_forces_sent_and_zero_if_off():
     damping = "  damping_ratio: 1\n"
     delay = "  delay_compensation: {bus_ms: 0.5, drive_lag_ms: 0.8, hold_ms: 0.5}\n"
     observer = "\nestimation: {wrench: {source: observer, bandwidth_Hz: 5, bus_ms: 0.5, drive_lag_ms: 0.8}}\n"
@@ -211,7 +211,7 @@ def test_predictor_and_observer_follow_the_forces_sent_and_none_with_drives_off(
 
 
 END = 400
-"""The tick at which the motion ends unless it is held."""
+"""Tick at which the motion ends unless it is held."""
 LATE = END - 20
 
 
@@ -228,7 +228,7 @@ def under_way(mode: Mode, stop_s: float, deadman_s: float | None = None) -> Cycl
 
 
 def held(cycle: Cycle, first: int, last: int, *orders: Order) -> None:
-    """Tick on while the platform has to stay as it is, with orders in the first tick."""
+    """Run ticks in which the mode must stay, with orders in the first tick."""
     mode = cycle.mode
     for number in range(first, last):
         ticked(cycle, number, orders=orders if number == first else ())
@@ -237,7 +237,7 @@ def held(cycle: Cycle, first: int, last: int, *orders: Order) -> None:
 
 @pytest.mark.parametrize("stop_s", [0.5, 4.0])
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.STOPPING])
-def test_a_hold_just_before_the_end_is_kept_until_start_which_parks(mode, stop_s):
+def test_a_hold_just_before_the_end_lasts_until_start_which_parks(mode, stop_s):
     cycle = under_way(mode, stop_s)
     held(cycle, 1, LATE)
     held(cycle, LATE, 6000, HOLD)
@@ -248,7 +248,7 @@ def test_a_hold_just_before_the_end_is_kept_until_start_which_parks(mode, stop_s
 
 
 def parks(cycle: Cycle, first: int) -> list[Mode]:
-    """Tick on until the brakes shut, without a fault; the modes on the way there."""
+    """Run until PARKING, without a fault; return the modes before it."""
     modes: list[Mode] = []
     for number in range(first, first + 8000):
         ticked(cycle, number)
@@ -260,7 +260,7 @@ def parks(cycle: Cycle, first: int) -> list[Mode]:
 
 
 @pytest.mark.parametrize("word", ["stop", "park"])
-def test_on_a_hold_at_the_end_stop_parks_there_and_park_at_the_first_pose(word):
+def test_after_a_hold_at_the_end_stop_parks_there_park_at_the_first_pose(word):
     cycle = under_way(Mode.TRACKING, 0.5)
     held(cycle, 1, LATE)
     held(cycle, LATE, 2000, HOLD)

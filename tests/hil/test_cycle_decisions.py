@@ -1,4 +1,4 @@
-"""What a tick decides: what a RESET clears, what a transition needs, where faults lead, what drives are sent."""
+"""Decisions of a tick: effects of RESET, transitions, reactions to faults, commands to drives."""
 
 from __future__ import annotations
 
@@ -45,7 +45,9 @@ def cycle(made: Cycle) -> Cycle:
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("stays", [False, True])
-def test_a_reset_clears_what_is_latched_where_nothing_is_held(made, staying, monkeypatch, mode, stays):
+def test_a_reset_clears_latched_state_only_in_fault_waiting_or_parked(
+    made, staying, monkeypatch, mode, stays
+):
     cycle, forgot = staying if stays else made, list[str]()
     cycle.reset()
     parts = cycle.parts
@@ -72,7 +74,7 @@ def test_a_reset_clears_what_is_latched_where_nothing_is_held(made, staying, mon
 
 
 def facts_of(cycle: Cycle, monkeypatch: pytest.MonkeyPatch, tick: Any) -> Any:
-    """Return the facts from which the table of transitions chooses the mode."""
+    """Facts from which the transition table chooses the mode."""
     found: list[Any] = []
     monkeypatch.setattr(cycle_module, "next_mode", lambda mode, facts, _: found.append(facts) or mode)  # type: ignore[func-returns-value]
     cycle._change_mode(said(), tick)
@@ -82,7 +84,7 @@ def facts_of(cycle: Cycle, monkeypatch: pytest.MonkeyPatch, tick: Any) -> Any:
 
 @pytest.mark.parametrize("lacks", ["", "turns", "set-up", "pose"])
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, Mode.PARKED])
-def test_before_the_platform_is_armed_drives_need_turns_set_up_and_a_pose(cycle, monkeypatch, mode, lacks):
+def test_arming_needs_known_turns_drive_set_up_and_a_pose(cycle, monkeypatch, mode, lacks):
     cycle.mode = mode
     cycle.sight.located = lacks != "pose"
     monkeypatch.setattr(type(cycle.homing), "known", lacks != "turns")
@@ -94,7 +96,7 @@ def test_before_the_platform_is_armed_drives_need_turns_set_up_and_a_pose(cycle,
 
 @pytest.mark.parametrize("mode", [Mode.HELD, Mode.TRACKING])
 @pytest.mark.parametrize("lacks", ["", "rest", "ramp"])
-def test_only_a_held_platform_at_rest_can_have_its_brakes_proven(cycle, monkeypatch, mode, lacks):
+def test_brakes_can_be_proven_only_for_a_held_platform_at_rest(cycle, monkeypatch, mode, lacks):
     cycle.mode, cycle.faults = mode, Fault.DRIVE
     if lacks == "ramp":
         monkeypatch.setattr(cycle, "durations", cycle.durations._replace(load=0.0))
@@ -103,8 +105,8 @@ def test_only_a_held_platform_at_rest_can_have_its_brakes_proven(cycle, monkeypa
 
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault], ids=lambda fault: fault.name)
-def test_after_a_fault_of_a_brake_or_a_measurement_no_brake_is_proven(cycle, monkeypatch, fault):
-    """But where a leg was only not heard."""
+def test_after_a_fault_of_brake_or_measurement_no_brake_can_be_proven(cycle, monkeypatch, fault):
+    """Except STALE: missing feedback alone does not prevent the proof."""
     cycle.mode = Mode.HELD
     believed = fault is Fault.STALE or fault not in {Fault.BRAKE, *UNSEEN}
     for faults in (fault, fault | Fault.DRIVE | Fault.STALE):
@@ -113,9 +115,7 @@ def test_after_a_fault_of_a_brake_or_a_measurement_no_brake_is_proven(cycle, mon
 
 
 @pytest.mark.parametrize("under_control", [Fault.NONE, Fault.FOLLOWING])
-def test_legs_that_do_not_rest_are_braked_even_where_following_leads_to_a_stop(
-    cycle, monkeypatch, under_control
-):
+def test_legs_not_at_rest_are_braked_even_if_following_leads_to_a_stop(cycle, monkeypatch, under_control):
     monkeypatch.setattr(cycle, "_under_control", under_control)
     monkeypatch.setattr(cycle.motion, "overdue", lambda *_: True)
     cycle.mode = Mode.STOPPING
@@ -127,8 +127,8 @@ def test_legs_that_do_not_rest_are_braked_even_where_following_leads_to_a_stop(
     ("mode", "word", "leads"),
     [(Mode.LOADING, Operator.RESET, Mode.FAULT), (Mode.PARKING, Operator.RELEASE, Mode.HELD)],
 )
-def test_a_word_that_came_with_the_fault_of_a_drive_is_no_answer_to_it(cycle, mode, word, leads):
-    """A RELEASE given before anything was held must not let go of it."""
+def test_a_command_in_the_tick_of_a_drive_fault_does_not_act_on_the_fault(cycle, mode, word, leads):
+    """A RELEASE given before the platform was held must not release it."""
     cycle.mode, late = mode, round(1000.0 * (cycle.durations.least(mode) + 1.0)) + 2
     cycle.faults = Fault.SET_UP
     cycle._change_mode(said(word, tick=late), measured(cycle, tick=late))
@@ -148,7 +148,7 @@ def test_a_word_that_came_with_the_fault_of_a_drive_is_no_answer_to_it(cycle, mo
     ],
     ids=str,
 )
-def test_drives_none_of_which_was_heard_for_a_second_cannot_hold(cycle, ages, blind, mode):
+def test_drives_all_silent_for_a_second_cannot_hold_the_platform(cycle, ages, blind, mode):
     cycle.mode, cycle.tick = Mode.PARKING, measured(cycle, age=ages, blind=blind)
     cycle._react(said(), Fault.DRIVE)
     assert cycle.mode is mode
@@ -168,7 +168,7 @@ def test_drives_none_of_which_was_heard_for_a_second_cannot_hold(cycle, ages, bl
         (Mode.IDLE, DriveState.OFF, Fault.ESTOP, Fault.NONE, True),
     ],
 )
-def test_an_emergency_stop_follows_its_fault_or_another_controller_of_powered_drives(
+def test_estop_follows_its_fault_or_a_second_controller_of_powered_drives(
     cycle, mode, state, fault, latched, stops
 ):
     cycle.mode, cycle.faults = mode, latched
@@ -190,7 +190,7 @@ def test_an_emergency_stop_follows_its_fault_or_another_controller_of_powered_dr
         (Mode.UNLOADING, Fault.DRIVE, Fault.DRIVE, False),
     ],
 )
-def test_a_held_platform_measured_no_longer_keeps_the_force_of_that_tick(cycle, mode, latched, fault, holds):
+def test_a_held_platform_that_loses_feedback_keeps_the_force_of_that_tick(cycle, mode, latched, fault, holds):
     cycle.mode, cycle.faults, cycle.tick = mode, latched, measured(cycle)
     cycle.effort.last_tau, cycle.effort.holding = LAST, 2.0 * LAST
     cycle._react(said(), fault)
@@ -200,7 +200,7 @@ def test_a_held_platform_measured_no_longer_keeps_the_force_of_that_tick(cycle, 
 
 @pytest.mark.parametrize("fault", [*FOLLOW, Fault.DRIVE, Fault.SET_UP])
 @pytest.mark.parametrize("before", [Fault.DRIVE, Fault.BRAKE, Fault.STALE, Fault.ENCODER | Fault.BRAKE])
-def test_a_fault_of_the_pose_is_no_news_where_a_leg_was_not_measured_before(cycle, fault, before):
+def test_pose_faults_are_ignored_after_a_lost_leg_measurement(cycle, fault, before):
     cycle.mode, cycle.faults, cycle.tick = Mode.HELD, before, measured(cycle)
     cycle._react(said(), fault)
     news = not before & (Fault.STALE | Fault.ENCODER) or fault not in FOLLOW
@@ -209,7 +209,7 @@ def test_a_fault_of_the_pose_is_no_news_where_a_leg_was_not_measured_before(cycl
 
 
 @pytest.mark.parametrize("fault", [*FOLLOW, Fault.DRIVE])
-def test_on_the_way_to_a_second_proof_a_lost_measurement_ends_it(cycle, fault):
+def test_a_lost_measurement_ends_a_second_brake_test(cycle, fault):
     cycle.mode, cycle.faults, cycle.tick = Mode.UNLOADING, Fault.STALE, measured(cycle)
     cycle._react(said(), fault)
     assert cycle.faults == Fault.STALE | fault
@@ -221,12 +221,12 @@ def test_on_the_way_to_a_second_proof_a_lost_measurement_ends_it(cycle, fault):
 
 
 class Law:
-    """Asks for the same always. State: how often."""
+    """A law with a constant force. State: number of calls."""
 
     asked = 0
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """Nothing to reset."""
 
     def effort(self, tick: Any) -> None:
         self.asked += 1
@@ -235,7 +235,7 @@ class Law:
 
 @pytest.fixture
 def bench() -> Bench:
-    """Six drives and a cycle that stays in its mode, with a law that asks for the same always."""
+    """Six drives and a cycle that stays in its mode, with a law of constant force."""
     parts = build_cycle(VIRTUAL, 1000.0, 0.01).parts
     bench = Bench(cycle=Cycle(replace(parts, law=Law())))
     for _ in range(50):
@@ -245,7 +245,7 @@ def bench() -> Bench:
 
 
 def stepped(bench: Bench, mode: Mode, faults: Fault = Fault.NONE) -> Any:
-    """Return the record of the next tick, which is in a mode."""
+    """Record of the next tick, in a given mode."""
     cycle = bench.cycle
     cycle.mode, cycle.faults = mode, faults
     cycle.control.settle()
@@ -265,7 +265,7 @@ def stepped(bench: Bench, mode: Mode, faults: Fault = Fault.NONE) -> Any:
         (Mode.TRACKING, Fault.NONE, True, False, False),
     ],
 )
-def test_the_law_is_left_out_and_the_drives_are_watched_where_they_are_to_be(
+def test_fixed_forces_bypass_the_law_and_drives_are_watched_by_mode(
     bench, monkeypatch, mode, faults, yields, fixed, watched
 ):
     cycle, seen, resumed = bench.cycle, list[Any](), list[Any]()
@@ -293,7 +293,7 @@ def test_the_law_is_left_out_and_the_drives_are_watched_where_they_are_to_be(
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_drives_get_power_force_and_set_up_where_the_mode_asks_for_them(bench, monkeypatch, mode):
+def test_the_mode_determines_power_force_and_set_up_of_the_drives(bench, monkeypatch, mode):
     frame = Frame(0x7A5, b"\1")
     monkeypatch.setattr(bench.cycle.end, "set_up", lambda tick: sent_array([frame]))
     bench.cycle.effort.reach_N = 1e9

@@ -1,4 +1,4 @@
-"""What each mode begins with, whichever it comes from: reference, forces, proof of the brakes, and hold."""
+"""Entry into each mode from any mode: reference, forces, brake proof, and hold."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def made() -> Cycle:
 
 @pytest.fixture
 def cycle(made: Cycle) -> Cycle:
-    """Return a cycle whose every mark of an entry differs from what an entry makes it."""
+    """A cycle in which every quantity that an entry sets has another value."""
     made.reset()
     made.effort.holding, made.effort.last_tau = 2.0 * LAST, LAST
     made.effort.offset, made.effort.entry_tick = 3.0 * LAST, 7
@@ -34,7 +34,7 @@ def cycle(made: Cycle) -> Cycle:
 
 
 def entered(cycle: Cycle, mode: Mode, before: Mode) -> Any:
-    """Enter a mode in tick 50, aside from home and under a load; return the tick."""
+    """Enter a mode in tick 50, away from home and under a load; return the tick."""
     cycle.mode = before
     tick = measured(cycle, p=aside(cycle), wrench=LOAD)
     cycle._enter(mode, tick)
@@ -50,12 +50,12 @@ def rests_at(cycle: Cycle, p: Any) -> None:
 
 
 def offset_from(cycle: Cycle, tick: Any, force: Any, *, on_it: bool) -> Any:
-    """Return what the law at rest leaves of a force (6,) N."""
+    """Force (6,) N minus the force of the law at rest."""
     parts = cycle.parts
     return force - tau_at_rest(parts.law, parts.platform, tick, cycle.motion.sample(50), on_it=on_it)
 
 
-def test_force_is_built_up_to_what_holds_the_platform_where_it_is_with_its_load(cycle):
+def test_loading_ramps_to_the_static_force_at_the_measured_pose_and_load(cycle):
     entered(cycle, Mode.LOADING, Mode.IDLE)
     statics = cycle.effort.statics(aside(cycle), cycle.parts.home_R, LOAD)
     np.testing.assert_array_equal(cycle.effort.holding, statics)
@@ -63,7 +63,7 @@ def test_force_is_built_up_to_what_holds_the_platform_where_it_is_with_its_load(
     assert cycle.proven
 
 
-def test_as_brakes_open_the_law_takes_over_where_the_platform_is_and_none_is_proven(cycle):
+def test_at_release_the_law_starts_at_the_measured_pose_brakes_unproven(cycle):
     tick = entered(cycle, Mode.RELEASING, Mode.LOADING)
     np.testing.assert_array_equal(cycle.effort.holding, 2.0 * LAST)
     np.testing.assert_allclose(cycle.effort.offset, offset_from(cycle, tick, 2.0 * LAST, on_it=False))
@@ -73,7 +73,7 @@ def test_as_brakes_open_the_law_takes_over_where_the_platform_is_and_none_is_pro
 
 
 @pytest.mark.parametrize("speed", [0.4, 1.0])
-def test_the_approach_begins_from_rest_with_the_reference_behind_it(cycle, speed):
+def test_the_approach_begins_at_rest_and_leads_to_the_reference(cycle, speed):
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     cycle.operating.speed = speed
     live: Any = cycle.parts.trajectory
@@ -91,7 +91,7 @@ def test_the_approach_begins_from_rest_with_the_reference_behind_it(cycle, speed
 
 
 @pytest.mark.parametrize("before", [Mode.APPROACH, Mode.LOADING])
-def test_the_law_begins_with_the_reference_where_no_approach_came_before(cycle, monkeypatch, before):
+def test_the_law_is_reset_at_tracking_only_without_an_approach(cycle, monkeypatch, before):
     begun: list[str] = []
     monkeypatch.setattr(cycle.parts.law, "reset", lambda: begun.append("law"))
     cycle.operating.speed = 0.4
@@ -108,7 +108,7 @@ def test_the_law_begins_with_the_reference_where_no_approach_came_before(cycle, 
     assert cycle.operating.parks is not first
 
 
-def test_a_stop_parks_no_more_and_the_force_fades_from_the_last_one_sent(cycle):
+def test_a_stop_cancels_park_and_unloading_ramps_from_the_last_force(cycle):
     entered(cycle, Mode.STOPPING, Mode.TRACKING)
     assert not cycle.operating.parks
     entered(cycle, Mode.UNLOADING, Mode.PARKING)
@@ -126,7 +126,7 @@ def test_a_stop_parks_no_more_and_the_force_fades_from_the_last_one_sent(cycle):
         (Mode.WAITING, 0.2, True, True),
     ],
 )
-def test_the_brakes_are_proven_by_the_unloading_alone(cycle, monkeypatch, before, load_s, was, proven):
+def test_only_unloading_proves_the_brakes(cycle, monkeypatch, before, load_s, was, proven):
     monkeypatch.setattr(cycle, "durations", cycle.durations._replace(load=load_s))
     cycle.proven = was
     entered(cycle, Mode.PARKED, before)
@@ -138,7 +138,7 @@ def test_the_brakes_are_proven_by_the_unloading_alone(cycle, monkeypatch, before
 
 @pytest.mark.parametrize("blind", [False, True])
 @pytest.mark.parametrize("before", [Mode.TRACKING, Mode.IDLE])
-def test_a_platform_is_held_where_it_is_or_where_it_should_be_if_not_measured(cycle, before, blind):
+def test_a_platform_is_held_where_measured_or_at_its_reference_if_unknown(cycle, before, blind):
     cycle.faults = Fault.STALE if blind else Fault.BRAKE
     cycle.last = record_of(wrench=OLD_LOAD)
     entered(cycle, Mode.HELD, before)
@@ -148,7 +148,7 @@ def test_a_platform_is_held_where_it_is_or_where_it_should_be_if_not_measured(cy
 
 
 @pytest.mark.parametrize("before", [Mode.PARKING, Mode.LOADING, Mode.UNLOADING])
-def test_on_the_way_to_its_brakes_it_is_held_by_the_force_that_did(cycle, monkeypatch, before):
+def test_a_platform_held_from_parking_or_a_brake_test_keeps_its_force(cycle, monkeypatch, before):
     cycle.faults = Fault.BRAKE
     news: list[Any] = []
     monkeypatch.setattr(cycle.parts.safety, "resume", lambda force: news.append(force.copy()))
@@ -162,7 +162,7 @@ def test_on_the_way_to_its_brakes_it_is_held_by_the_force_that_did(cycle, monkey
     assert news[1:] == ["forgotten"], "the drives are watched again from the start"
 
 
-def test_what_yields_is_held_where_it_is_with_the_load_it_has(cycle, monkeypatch):
+def test_a_yielding_platform_is_held_at_its_measured_pose_and_load(cycle, monkeypatch):
     news: list[str] = []
     monkeypatch.setattr(cycle.obedience, "forget", lambda: news.append("forgotten"))
     cycle._yield(measured(cycle, p=aside(cycle), wrench=LOAD))
@@ -177,7 +177,7 @@ def test_what_yields_is_held_where_it_is_with_the_load_it_has(cycle, monkeypatch
     ("fault", "yields"), [(Fault.CERTIFICATE, False), (Fault.FOLLOWING, True), (Fault.DRIVE, True)]
 )
 @pytest.mark.parametrize("latched", [False, True])
-def test_while_parking_the_law_goes_on_after_a_fault_that_a_stop_may_follow(cycle, fault, yields, latched):
+def test_the_law_continues_while_parking_after_a_fault_that_allows_a_stop(cycle, fault, yields, latched):
     cycle.tick = measured(cycle)
     if latched:
         cycle.mode, cycle.faults = Mode.STOPPING, fault
@@ -190,7 +190,7 @@ def test_while_parking_the_law_goes_on_after_a_fault_that_a_stop_may_follow(cycl
     assert cycle.faults == fault
 
 
-def test_what_parks_without_a_fault_does_so_by_its_law_where_its_reference_was(cycle):
+def test_parking_without_a_fault_uses_the_law_at_the_last_reference(cycle):
     cycle._yields = True
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 40)
     cycle.mode = Mode.STOPPING

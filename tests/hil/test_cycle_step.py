@@ -1,4 +1,4 @@
-"""What one step hands from stage to stage, what a cycle is made of, and what its reset puts back."""
+"""Data between the stages of a step, parts of a cycle, and its reset."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ LENIENT = VIRTUAL.limits.model_copy(update={"following_error_m": 10.0})
 
 
 class Law:
-    """Asks for the same always. State: the shortfall that it saw last."""
+    """A law with a constant force. State: the last shortfall."""
 
     shortfall = ZERO6
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """Nothing to reset."""
 
     def effort(self, tick: Any) -> None:
         self.shortfall = tick["shortfall"].copy()
@@ -39,7 +39,7 @@ class Law:
 
 
 def a_bench(**parts: Any) -> Bench:
-    """Return a bench about to begin tick 50 that stays in its mode, with a live reference and a constant law."""
+    """A bench just before tick 50 that stays in its mode, with a live reference and a constant law."""
     c = VIRTUAL.model_copy(update={"reference": LIVE, "limits": LENIENT})
     bench = Bench(cycle=Cycle(replace(build_cycle(c, 1000.0, 0.01).parts, **{"law": Law()} | parts)))
     for _ in range(50):
@@ -54,7 +54,7 @@ def bench() -> Bench:
 
 
 def step(bench: Bench, mode: Mode, **changes: Any) -> Any:
-    """Return the row of the next tick, which is in a mode."""
+    """Row of the next tick, in a given mode."""
     bench.cycle.mode = mode
     bench.cycle.control.settle()
     return bench.step(**changes).row
@@ -63,7 +63,7 @@ def step(bench: Bench, mode: Mode, **changes: Any) -> Any:
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING])
 @pytest.mark.parametrize("elsewhere", [False, True])
 @pytest.mark.parametrize("what", ["goes", "on hold", "parks"])
-def test_a_live_reference_takes_set_points_while_it_goes_and_goes_on_only_on_its_way(
+def test_a_live_reference_takes_set_points_and_advances_only_if_tracked(
     bench, monkeypatch, mode, elsewhere, what
 ):
     taken: list[Any] = []
@@ -85,7 +85,7 @@ def test_a_live_reference_takes_set_points_while_it_goes_and_goes_on_only_on_its
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
 @pytest.mark.parametrize("away", [False, True])
-def test_the_law_gets_the_time_along_the_reference_only_on_it_and_the_log_always(bench, mode, away):
+def test_the_law_gets_the_reference_time_only_while_on_the_reference(bench, mode, away):
     cycle = bench.cycle
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     if away:
@@ -99,7 +99,7 @@ def test_the_law_gets_the_time_along_the_reference_only_on_it_and_the_log_always
 
 
 @pytest.mark.parametrize("mode", list(Mode))
-def test_the_reference_is_the_motion_where_legs_follow_it_and_else_where_they_are(bench, mode):
+def test_the_reference_is_the_measured_pose_unless_legs_follow_the_motion(bench, mode):
     cycle = bench.cycle
     cycle.motion.rest(aside(cycle), cycle.parts.home_R, 20)
     row = step(bench, mode)
@@ -117,7 +117,7 @@ def test_the_reference_is_the_motion_where_legs_follow_it_and_else_where_they_ar
         (Mode.LOADING, 10.0, False),
     ],
 )
-def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(bench, mode, limit_N, limited):
+def test_the_law_sees_the_shortfall_of_limited_forces_while_it_acts(bench, mode, limit_N, limited):
     cycle = bench.cycle
     cycle.effort.holding, cycle.mode_tick = ASKED, -100_000
     with held_to(bench, force_N=limit_N):
@@ -132,7 +132,7 @@ def test_what_the_limits_took_of_a_force_is_kept_for_the_law_while_it_acts(bench
 
 @pytest.mark.parametrize("mode", list(Mode))
 @pytest.mark.parametrize("proven", [False, True])
-def test_a_leg_whose_drive_was_off_counts_as_braked_by_the_last_brake_test_alone(mode, proven):
+def test_a_leg_with_its_drive_off_counts_as_braked_if_brakes_are_proven(mode, proven):
     parts = build_cycle(VIRTUAL, 1000.0, 0.01).parts
     length, step_m = leg_lengths(parts.platform, parts.home_p, parts.home_R), np.full(6, 0.01)
     bench = a_bench(last_pose=LastPose(length, step_m, step_m, step_m, "parked", "hil homing"))
@@ -147,7 +147,7 @@ def test_a_leg_whose_drive_was_off_counts_as_braked_by_the_last_brake_test_alone
 # -- what a cycle is made of
 
 
-def test_turns_forgotten_before_the_brakes_open_are_known_and_later_ones_refused():
+def test_turns_lost_before_brakes_open_are_restored_and_later_ones_refused():
     made = build_cycle(VIRTUAL.model_copy(update={"engage": BRISK}), 1000.0, 0.01).parts
     true, step_m = leg_lengths(made.platform, made.home_p, made.home_R), np.full(6, 0.01)
     pose = LastPose(true, np.full(6, 1e-4), step_m, step_m, "parked", "hil homing")
@@ -172,14 +172,14 @@ POSE = PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)
 
 
 @pytest.mark.parametrize(("rate_Hz", "share"), [(500.0, 2.0), (1000.0, 1.0), (2000.0, 0.5)])
-def test_a_force_may_change_as_much_in_a_second_at_any_rate(rate_Hz, share):
+def test_the_limit_of_force_change_per_second_is_the_same_at_any_rate(rate_Hz, share):
     limits = build_cycle(VIRTUAL, rate_Hz, 0.01).parts.safety.limits
     assert limits["force_step_N"] == pytest.approx(share * VIRTUAL.limits.force_step_N)
     assert limits["force_window_N"] == VIRTUAL.limits.force_window_N
 
 
 @pytest.mark.parametrize("watchdog_s", [0.003, 0.5])
-def test_a_watchdog_that_is_given_is_set_in_the_drives_and_else_the_configured_one(watchdog_s):
+def test_drives_get_the_given_watchdog_or_else_the_configured_one(watchdog_s):
     assert build_cycle(VIRTUAL, 1000.0, watchdog_s).parts.setup.watchdog_s == watchdog_s
     assert drive_setup(VIRTUAL, 1000.0).watchdog_s == pytest.approx(1e-3 * VIRTUAL.drives.watchdog_ms)
 
@@ -188,7 +188,7 @@ def test_a_watchdog_that_is_given_is_set_in_the_drives_and_else_the_configured_o
     ("law", "rate_Hz", "disturbance", "noise"),
     [(VIRTUAL.controller, 500.0, 7.0, (3e-5, 4e-3)), (POSE, 1000.0, 8.0, (1e-5, 2e-3))],
 )
-def test_the_certificate_is_watched_in_the_axes_of_the_law_with_payload_and_noise(
+def test_the_certificate_uses_the_laws_axes_the_payload_and_the_noise(
     monkeypatch, law, rate_Hz, disturbance, noise
 ):
     watched: list[tuple[Any, ...]] = []

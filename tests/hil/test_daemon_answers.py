@@ -1,4 +1,4 @@
-"""The daemon listens until it has six valid answers, and switches drives off with SYNC and command."""
+"""The daemon waits for six valid answers, and switches drives off with SYNC and command."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from hil.loop.daemon import Shell, _answers, run, switch_off
 from hil.loop.panel import OperatorPanel
 from hil.loop.run_end import Course
 from plant_fmu.drives import drives_end
-from tests.drivers.frames_heard import got
+from tests.drivers.received_frames import got
 
 TICK = 1003
 
 
 class Queue:
-    """A bus that has one frame after the other, each as late as the one before was taken."""
+    """A bus that delivers its frames one by one, each after the previous one was taken."""
 
     clock = SimpleNamespace(now=lambda: 9_000, stretched=lambda: 0)
 
@@ -50,7 +50,7 @@ class Queue:
         return received_array(taken)
 
     def flush_tx(self) -> None:
-        """Nothing waits."""
+        """The transmit queue is empty."""
 
     def events(self) -> Any:
         return SimpleNamespace(off=0)
@@ -72,12 +72,12 @@ def six(cycle: Any, counter: int = TICK) -> list[Frame]:
 
 
 def listened(cycle: Any, bus: Queue, begun_ns: int, deadline_ns: int) -> list[Received]:
-    """Return what the daemon has heard of a tick."""
+    """Frames that the daemon received in a tick."""
     return got(_answers(cycle, cast("Bus", bus), TICK, begun_ns, deadline_ns))
 
 
 def commands(cycle: Any, bus: Queue) -> list[DeviceCommand]:
-    """Return the commands that the drives get from what was sent."""
+    """Commands of the drives in the frames sent."""
     end = drives_end(cycle.parts.protocol)
     return [each for frame in bus.sent for each in hear(end, frame) if isinstance(each, DeviceCommand)]
 
@@ -101,14 +101,14 @@ def test_an_invalid_answer_does_not_end_the_wait_for_the_right_one(cycle, bad, h
     assert len(bus.left) == 1, "what comes after six good ones waits for the next tick"
 
 
-def test_at_the_deadline_it_goes_on_with_what_is_there(cycle):
+def test_at_the_deadline_the_daemon_continues_with_the_received_answers(cycle):
     good = six(cycle)
     heard = listened(cycle, Queue(*good[:5], damaged(good[5])), 1_000, 10**9)
     assert len(heard) == 6
 
 
-def test_answers_that_came_before_a_stall_past_the_deadline_are_taken(cycle):
-    """A family whose answers share an identifier is waited for frame by frame."""
+def test_answers_received_before_a_stall_past_the_deadline_are_used(cycle):
+    """For a family with shared identifiers the daemon waits frame by frame."""
 
     class HeldUp(Queue):
         def wait(self, _deadline_ns: int) -> Rows:
@@ -133,13 +133,13 @@ def test_a_frame_from_before_the_tick_is_not_an_answer(cycle):
 
 
 @pytest.mark.parametrize("last", [-1, 0, 6])
-def test_the_last_commands_go_on_where_the_ticks_have_ended(cycle, last):
+def test_the_counter_of_the_last_commands_continues_after_the_last_tick(cycle, last):
     bus, ended = Queue(), SimpleNamespace(tick=last, period_ns=1_000)
     assert switch_off(cycle, cast("Bus", bus), cast("Deadlines", ended))
     assert [each.counter for each in commands(cycle, bus)] == [last + k for k in range(1, 6)]
 
 
-def test_a_poll_that_is_the_command_never_repeats_the_last_force():
+def test_switching_off_never_repeats_the_last_force_with_a_poll():
     desktop = build_cycle(load("desktop"), 400.0, 0.013)
     bus = Queue()
     assert desktop.parts.protocol.traits.command_delay_ticks == 1
@@ -152,7 +152,7 @@ def test_a_poll_that_is_the_command_never_repeats_the_last_force():
 
 
 class Dead(Queue):
-    """A bus that takes no frame."""
+    """A bus that accepts no frame."""
 
     def send(self, frames: Rows) -> int:
         return len(frames)
@@ -169,7 +169,7 @@ class Dead(Queue):
         ),
     ],
 )
-def test_a_dead_bus_promises_no_watchdog_that_the_drives_lack(name, changes, left):
+def test_a_dead_bus_reports_the_watchdog_only_for_drives_that_have_one(name, changes, left):
     text = load(name).text
     c = loads(text.replace(*changes), name) if changes else load(name)
     cycle, bus = build_cycle(c, 400.0, 0.013), Dead()

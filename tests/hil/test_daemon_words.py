@@ -1,4 +1,4 @@
-"""What the real-time loop reports, records and passes on, with doubles of all that it talks to."""
+"""Reports, records and inputs of the real-time loop, with test doubles for its surroundings."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ POINT, ORDER = SetPoint(0.0, 0.0, 1.0, 0.0, 0.0, 0.0), Order(Operator.HOLD)
 
 
 class World:
-    """A bus, a clock, a recorder, a cycle and a course that do what is written for each tick."""
+    """A bus, a clock, a recorder, a cycle and a course that behave as specified for each tick."""
 
     def __init__(self, *ticks: dict[str, Any], stops_unrecorded: bool = False) -> None:
         self.ticks, self.now = ticks, -1
@@ -122,7 +122,7 @@ def slept(monkeypatch: pytest.MonkeyPatch) -> list[float]:
 
 
 @pytest.mark.parametrize("consent", [False, True])
-def test_the_operator_is_told_once_what_is_waited_for_and_why_it_stays(consent):
+def test_the_request_for_consent_and_each_trouble_are_reported_once(consent):
     ready = {"mode": Mode.IDLE, "waits": True}
     one, two = ({"mode": Mode.HELD, "stays_for": f"leg {k} moved"} for k in (1, 2))
     tracking, fault = (
@@ -154,7 +154,7 @@ def test_a_lost_recorder_stays_lost_and_is_reported_once(stops, what):
     assert world.said[0].startswith(f"the recorder is gone: {what} (recording.on_recorder_loss: ")
 
 
-def test_the_log_has_what_a_tick_read_sent_and_was_ordered():
+def test_the_log_has_received_frames_sent_frames_and_orders_of_each_tick():
     heard = SimpleNamespace(operator=(), setpoints=(POINT,), orders=(ORDER,))
     heard._replace = lambda **new: SimpleNamespace(**{**vars(heard), **new})
     world = World({"operator": (Operator.STOP,)}, {})
@@ -168,7 +168,7 @@ def test_the_log_has_what_a_tick_read_sent_and_was_ordered():
     assert (received_frames(world.inputs[0].frames), world.inputs[0].setpoints) == (frames, (POINT,))
 
 
-def test_a_step_has_the_time_that_the_last_one_took(monkeypatch):
+def test_each_step_gets_the_computing_time_of_the_previous_one(monkeypatch):
     world = World({"took_ns": 300}, {"took_ns": 700}, {"took_ns": 1})
     monkeypatch.setattr(time, "perf_counter_ns", lambda: world.passed_ns)
     world.run()
@@ -177,7 +177,7 @@ def test_a_step_has_the_time_that_the_last_one_took(monkeypatch):
     assert world.panel.take() == (Operator.STOP,)
 
 
-def test_a_bus_that_cannot_be_flushed_at_a_reset_does_not_end_the_run():
+def test_a_failed_flush_of_the_bus_at_a_reset_does_not_end_the_run():
     world = World({}, {"operator": (Operator.RESET,)}, {})
     assert world.run() is world.ending
     assert world.done == ["flushed"]
@@ -188,7 +188,7 @@ def test_a_bus_that_cannot_be_flushed_at_a_reset_does_not_end_the_run():
 @pytest.mark.parametrize(
     "error", [BusError("the cable is out"), ZeroDivisionError("?"), ValueError("?"), OSError("?"), KeyError()]
 )
-def test_a_loop_that_fails_switches_the_drives_off_and_tells_why(slept, error, refused):
+def test_a_failing_loop_switches_the_drives_off_and_reports_the_reason(slept, error, refused):
     world = World({}, {"error": error, "refused": refused})
     ended = world.run()
     times = SAFE_FRAMES * (1 + refused)
@@ -207,8 +207,8 @@ def test_a_loop_that_fails_switches_the_drives_off_and_tells_why(slept, error, r
 
 
 @pytest.mark.parametrize("answer_ns", [None, 0, 111])
-def test_answers_give_the_time_of_a_frame_where_the_bus_does_not(monkeypatch, answer_ns):
-    """The bus is given the frames at 100 ns, and that took until 130."""
+def test_answers_give_the_sending_time_if_the_bus_does_not(monkeypatch, answer_ns):
+    """The bus gets the frames at 100 ns; sending lasts until 130 ns."""
     told: list[Any] = []
     opening, answer = sent_array(OPENING), received_array([ANSWER])
     times = iter([100, 130])

@@ -1,4 +1,4 @@
-"""Where rows of two logs part."""
+"""Differences between the rows of two logs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def compared(one, other, name, tolerance=EXACT):
     return found, beyond.tolist()
 
 
-def test_the_first_tick_and_the_largest_difference_are_two_places():
+def test_the_first_and_the_largest_difference_have_separate_places():
     tau = np.zeros((4, 6))
     tau[1, 2], tau[1, 5], tau[3, 4] = 0.5, -2.0, 7.0
     found, beyond = compared(rows(tau=tau), rows(), "tau")
@@ -58,17 +58,17 @@ def test_the_first_tick_and_the_largest_difference_are_two_places():
         (-0.0, 0.0, Tolerance(), False),
     ],
 )
-def test_a_value_is_within_its_tolerance(one, other, tolerance, beyond):
+def test_values_are_compared_with_absolute_and_relative_tolerances(one, other, tolerance, beyond):
     _, found = compared(rows(1, condition=one), rows(1, condition=other), "condition", tolerance)
     assert found == [beyond]
 
 
-def test_whole_numbers_beyond_the_digits_of_a_float_differ():
+def test_integers_beyond_float_precision_are_compared_exactly():
     found, beyond = compared(rows(1, t_ns=2**60 + 1), rows(1, t_ns=2**60), "t_ns")
     assert (beyond, found.largest) == ([True], 1.0)
 
 
-def test_a_column_is_followed_from_block_to_block():
+def test_differences_of_a_column_accumulate_across_blocks():
     found = Divergence([COLUMNS["mode"], COLUMNS["tau"]], {"tau": 3.0})
     for tau, mode in ((1.0, 0), (5.0, 0), (9.0, 5), (4.0, 5)):
         found.take(rows(1, tau=tau, mode=mode), rows(1), np.zeros(1))
@@ -78,7 +78,7 @@ def test_a_column_is_followed_from_block_to_block():
     assert forces.first.one == 5.0
 
 
-def test_columns_come_in_the_order_in_which_they_part():
+def test_diverging_columns_are_sorted_by_their_first_difference():
     mode, tau, q = np.array([0, 0, 1, 1]), np.zeros((4, 6)), np.zeros((4, 6))
     tau[1, 0], q[2, 0] = 1.0, 1.0
     found = Divergence([COLUMNS[name] for name in ("mode", "q", "tau", "dq")])
@@ -88,7 +88,7 @@ def test_columns_come_in_the_order_in_which_they_part():
     assert [each.column.name for each in found.different] == ["mode", "q", "tau"]
 
 
-def test_a_relative_tolerance_is_for_floats_without_one_of_their_own():
+def test_the_relative_tolerance_applies_to_floats_without_their_own():
     found = Divergence([COLUMNS[name] for name in ("age", "q", "tau")], {"tau": 0.5}, 1e-3)
     relative = [(each.tolerance.absolute, each.tolerance.relative) for each in found.columns]
     assert relative == [(0.0, 0.0), (0.0, 1e-3), (0.5, 0.0)]
@@ -106,7 +106,7 @@ def test_a_relative_tolerance_is_for_floats_without_one_of_their_own():
         ({"tau": 0, "q": 3, "mode": 0}, ["mode", "tau"]),
     ],
 )
-def test_the_first_columns_are_all_that_part_in_the_earliest_tick(parts, first):
+def test_the_first_columns_are_all_that_differ_in_the_earliest_tick(parts, first):
     there, here = rows(), rows()
     for name, row in parts.items():
         here[name][row:] = 1
@@ -117,7 +117,7 @@ def test_the_first_columns_are_all_that_part_in_the_earliest_tick(parts, first):
 
 @pytest.mark.parametrize("by", [5, -5])
 @pytest.mark.parametrize(("tolerance", "beyond"), [(0.0, True), (4.9, True), (5.0, False), (np.inf, False)])
-def test_whole_numbers_are_as_far_apart_as_they_are(by, tolerance, beyond):
+def test_integer_differences_are_compared_with_the_absolute_tolerance(by, tolerance, beyond):
     age = np.zeros((4, 6), np.int64)
     age[2, 4] = by
     found, ticks = compared(rows(age=age), rows(), "age", Tolerance(tolerance))
@@ -125,7 +125,7 @@ def test_whole_numbers_are_as_far_apart_as_they_are(by, tolerance, beyond):
     assert ticks == [False, False, beyond, False]
 
 
-def test_a_larger_difference_within_a_relative_tolerance_is_not_the_first():
+def test_a_larger_difference_within_tolerance_is_not_the_first_divergence():
     one, other = rows(), rows()
     other["tau"][2] = one["tau"][2] = [1e6, 1.0, 2.0, 0.0, 0.0, 0.0]
     one["tau"][2] += [0.5, 0.1, 0.2, 0.0, 0.0, 0.0]

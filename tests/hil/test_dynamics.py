@@ -1,4 +1,4 @@
-"""M, H, G, inverse and forward dynamics against MuJoCo and Pinocchio, with and without drives, and energies."""
+"""M, H, G, inverse and forward dynamics against MuJoCo and Pinocchio, with and without drives; energy balances."""
 
 import json
 from pathlib import Path
@@ -56,7 +56,7 @@ def state_of(case):
 
 
 def of_legs(case):
-    """J, dq, ddq of the engines, and the friction and the force of DRIVES by the closed form m ddq + b dq + c sgn(dq)."""
+    """J, dq, ddq from the engines; friction and force of DRIVES in closed form, m ddq + b dq + c sgn(dq)."""
     J, dq, ddq = (np.array(case["expected"][key]) for key in ("jacobian", "rates", "length_accels"))
     friction = VISCOUS * dq + COULOMB * np.sign(dq)
     return J, dq, ddq, friction, REFLECTED * ddq + friction
@@ -65,7 +65,7 @@ def of_legs(case):
 @SPINS
 @BARE_AND_DRIVEN
 @pytest.mark.parametrize("case", CASES)
-def test_a_state_agrees_with_the_rigid_body_engines(case, drives, spin, prefix):
+def test_dynamics_agree_with_the_rigid_body_engines(case, drives, spin, prefix):
     p, R, twist, dtwist, wrench, f = state_of(case)
     e = case["expected"]
     J, dq, ddq, friction, force = of_legs(case)
@@ -91,14 +91,14 @@ def test_a_state_agrees_with_the_rigid_body_engines(case, drives, spin, prefix):
 
 @BARE_AND_DRIVEN
 @pytest.mark.parametrize("case", CASES)
-def test_massless_legs_leave_the_platform_and_its_drives(case, drives):
+def test_with_massless_legs_only_platform_and_drives_have_inertia(case, drives):
     p, R, twist, dtwist, wrench, _ = state_of(case)
     model = Model(PLATFORMS[case["geometry"]], "massless_legs", **drives)
     expected = case["expected"]["massless_leg_forces"] + (of_legs(case)[-1] if drives else NOTHING)
     assert relative(model.inverse_dynamics(p, R, twist, dtwist, wrench), expected) <= 1e-9
 
 
-def test_the_books_41_states():
+def test_dynamics_agree_with_the_books_41_states():
     model = Model(Platform.from_dict(BOOK["geometry"]))
     for s in BOOK["states"]:
         R = rotation_from_vector(np.array(s["rotvec"]))
@@ -109,7 +109,7 @@ def test_the_books_41_states():
 
 @pytest.mark.parametrize("spin", ["none", "universal"])
 @pytest.mark.parametrize("case", CASES[1::6])
-def test_power_is_the_rate_of_energy(case, spin):
+def test_power_equals_the_rate_of_energy(case, spin):
     """d/dt kinetic = twist.(M dtwist + H), d/dt potential = twist.G along a motion (central differences)."""
     p, R, twist, dtwist, _, _ = state_of(case)
     model = Model(PLATFORMS[case["geometry"]], leg_spin=spin)
@@ -131,7 +131,7 @@ def test_power_is_the_rate_of_energy(case, spin):
 
 @pytest.mark.parametrize("spin", ["none", "universal"])
 @pytest.mark.parametrize("case", CASES[1::6])
-def test_H_is_passive_with_the_rate_of_M(case, spin):
+def test_the_power_of_H_equals_half_the_rate_of_M(case, spin):
     """twist.(dM/dt/2) twist = twist.H, dM/dt by central differences along p + t v, exp(t w) R."""
     p, R, twist, *_ = state_of(case)
     model = Model(PLATFORMS[case["geometry"]], leg_spin=spin, reflected_mass=REFLECTED)
@@ -149,8 +149,8 @@ def test_H_is_passive_with_the_rate_of_M(case, spin):
 
 @SPINS
 @BARE_AND_DRIVEN
-def test_joint_space_law_linearises_exactly(drives, spin, prefix):
-    """With ddq* = the engines' length accelerations the law gives the engines' leg forces, and the drives'."""
+def test_the_joint_space_law_linearises_exactly(drives, spin, prefix):
+    """With the engines' length accelerations as ddq*, the law gives the engines' and drives' leg forces."""
     for case in TRUTH["cases"]:
         p, R, twist, _, wrench, _ = state_of(case)
         model = Model(PLATFORMS[case["geometry"]], leg_spin=spin, **drives)
@@ -162,7 +162,7 @@ def test_joint_space_law_linearises_exactly(drives, spin, prefix):
 
 @BARE_AND_DRIVEN
 @pytest.mark.parametrize("case", CASES[1::6])
-def test_variants_differ_by_the_terms_they_leave_out(case, drives):
+def test_variants_differ_by_their_omitted_terms(case, drives):
     p, R, twist, dtwist, wrench, _ = state_of(case)
     platform, e = PLATFORMS[case["geometry"]], case["expected"]
     M, G = (np.array(e[key]) for key in ("M", "G"))
@@ -192,7 +192,7 @@ def test_forward_dynamics_inverts_inverse_dynamics_of_every_variant(variant, sli
         assert relative(model.forward_dynamics(p, R, twist, tau, wrench), dtwist, 1.0) <= 1e-9
 
 
-def test_coulomb_friction_is_the_sign_or_a_slope_up_to_the_sliding_speed():
+def test_coulomb_friction_is_a_sign_or_a_ramp_up_to_the_sliding_speed():
     platform = PLATFORMS[TRUTH["cases"][0]["geometry"]]
     dq = np.array([0.0, 1e-4, -1e-4, 1e-3, -0.5, 0.5])
     exact = Model(platform, coulomb=100.0, sliding_speed=0.0)
@@ -203,8 +203,8 @@ def test_coulomb_friction_is_the_sign_or_a_slope_up_to_the_sliding_speed():
     )
 
 
-def test_inertia_scale_scales_masses_and_inertias_and_no_friction():
-    """The legs' own centres of mass stay where they are."""
+def test_inertia_scale_scales_masses_and_inertias_but_not_friction():
+    """The centres of mass of the legs stay unchanged."""
     for name, d in TRUTH["geometries"].items():
         half = {
             part: {key: value if key == "com" else (value or 0.0) * 0.9 for key, value in d[part].items()}
@@ -219,8 +219,8 @@ def test_inertia_scale_scales_masses_and_inertias_and_no_friction():
 
 
 @pytest.mark.parametrize("per_leg", [False, True])
-def test_the_configured_law_believes_in_the_configured_drives(per_leg):
-    """On the reference the law is pure feed-forward: the engines' forces and the closed form."""
+def test_the_configured_law_models_the_configured_drives(per_leg):
+    """On the reference the law is pure feed-forward: the engines' forces plus the closed form."""
     case = TRUTH["cases"][3]
     p, R, twist, dtwist, wrench, _ = state_of(case)
     e = case["expected"]

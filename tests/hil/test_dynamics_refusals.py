@@ -1,4 +1,4 @@
-"""Poses, motions and drives without meaning are refused by name, with their values."""
+"""Invalid poses, motions and drives are refused with their names and values."""
 
 import json
 from pathlib import Path
@@ -30,7 +30,7 @@ ANGLES = np.radians([0, 60, 120, 180, 240, 300])
 HEXAGON = np.column_stack([np.cos(ANGLES), np.sin(ANGLES), 0 * ANGLES])
 SIMILAR = Platform.from_dict({**BOOK, "base_joints": 2 * HEXAGON, "platform_joints": HEXAGON})
 SINGULAR = (np.array([0.0, 0.0, 1.0]), rotation_from_vector(np.array([0.0, 0.0, np.pi / 2])))
-"""A platform turned by 90 degrees about z over a similar base (Fichter, 1986)."""
+"""A platform rotated by 90 degrees about z over a similar base (Fichter, 1986)."""
 
 OF_A_POSE = {
     "leg_lengths": lambda p, R: leg_lengths(PLATFORM, p, R),
@@ -62,7 +62,7 @@ OF_A_POSE = {
     ],
     ids=["nan", "infinite", "two numbers", "nan rotation", "scaled", "reflection", "4x4"],
 )
-def test_a_pose_without_meaning_is_named_with_its_value(name, p, R, named):
+def test_an_invalid_pose_is_refused_with_its_name_and_value(name, p, R, named):
     with pytest.raises(KinematicsError) as caught:
         OF_A_POSE[name](p, R)
     carried: Any = caught.value.values[named]
@@ -108,7 +108,7 @@ def test_a_leg_of_length_zero_is_refused():
     ],
 )
 @pytest.mark.parametrize("find", [forward_kinematics, continue_kinematics])
-def test_lengths_without_a_pose_are_refused_with_their_values(find, q, p, R, named):
+def test_leg_lengths_that_fit_no_pose_are_refused_with_their_values(find, q, p, R, named):
     with pytest.raises(KinematicsError) as caught:
         find(PLATFORM, q, p, R)
     assert named in caught.value.values
@@ -144,7 +144,7 @@ BAD_DRIVES = [-1.0, float("nan"), [1.0] * 5, "much", [1.0, 1.0, -1.0, 1.0, 1.0, 
         ),
     ],
 )
-def test_settings_without_meaning_are_refused_by_name(name, bad):
+def test_invalid_settings_are_refused_by_name(name, bad):
     needed = {("variant", "constant"): "frozen_at", ("leg_spin", "universal"): "universal_joint_base_axes"}
     with pytest.raises(ModelError, match=needed.get((name, str(bad)), name)):
         Model(PLATFORM, **{name: bad})

@@ -1,4 +1,4 @@
-"""The force asked for in a tick: the law's own, entry offset, learned force, ramps, and the window while held."""
+"""The force requested in a tick: law, entry offset, learned force, ramps, and the window while held."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ LEARNED = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
 SHORTFALL = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])
 WRENCH = np.array([0.0, 0.0, -500.0, 10.0, 0.0, 0.0])
 KEPT: list[Any] = []
-"""Callbacks that a test has made."""
+"""References that keep the callbacks of a test alive."""
 FORCES = LearnedForces(np.zeros((3, 6)), -0.1, 0.1, 0.05)
 
 
 class Law:
-    """Asks for the same always. State: the tick that it saw last, and what it was called for."""
+    """A law with a constant force. State: the last tick, and the calls."""
 
     def __init__(self) -> None:
         self.own = OWN
@@ -60,7 +60,7 @@ def parts() -> Any:
 
 
 def a_cycle(parts: Any, **different: Any) -> tuple[Cycle, Law]:
-    """Return a cycle with such a law, which stands at a sample with the holding force."""
+    """A cycle with this law, at rest at a sample, with the holding force."""
     law = Law()
     cycle = Cycle(replace(parts, law=law, **different))
     cycle.motion.rest(parts.home_p, parts.home_R, 1)
@@ -72,7 +72,7 @@ def a_cycle(parts: Any, **different: Any) -> tuple[Cycle, Law]:
 def filled(
     cycle: Cycle, mode: Mode, number: int = 2, *, since: int = 1, free: bool = True, **columns: Any
 ) -> Record:
-    """Return a tick with what is asked for in it, in a mode entered at a tick."""
+    """A tick with its requested force, in a mode entered at tick `since`."""
     tick = record_of(tick=number, drive_state=int(DriveState.RUN if free else DriveState.OFF), **columns)
     cycle.tick, cycle.mode, cycle.mode_tick = tick, mode, since
     cycle.control.settle()
@@ -83,7 +83,7 @@ def filled(
 
 
 def learns(cycle: Cycle) -> list[tuple[int, ...]]:
-    """Let LEARNED be what was learned; return the arguments of each call for it, to be filled."""
+    """Make LEARNED the learned force; return a list that collects the arguments of each call."""
     calls: list[tuple[int, ...]] = []
 
     def look(*given: int) -> int:
@@ -97,7 +97,7 @@ def learns(cycle: Cycle) -> list[tuple[int, ...]]:
 
 
 class Predictor:
-    """Moves nothing on. State: whether the brakes were open in the last tick."""
+    """Predicts no motion. State: True if the brakes were open in the last tick."""
 
     horizon_s = 1e-3
     free: bool | None = None
@@ -108,7 +108,7 @@ class Predictor:
         self.look = Callee(address, 0, keeps)
 
     def reset(self) -> None:
-        """Nothing is kept."""
+        """Nothing to reset."""
 
     def _ahead(self, _context: int, free: int, _tick: int) -> int:
         self.free = bool(free)
@@ -118,7 +118,7 @@ class Predictor:
 # -- the entry offset
 
 
-def test_the_entry_offset_fades_over_the_blend_and_without_one_is_gone_at_once(parts):
+def test_the_entry_offset_fades_over_the_blend_time_or_ends_at_once(parts):
     for blend_s, shares in (
         (0.1, {10: 1.0, 35: 1.0 - QUARTER, 60: 0.5, 110: 0.0, 999: 0.0}),
         (0.0, {10: 0.0}),
@@ -131,7 +131,7 @@ def test_the_entry_offset_fades_over_the_blend_and_without_one_is_gone_at_once(p
             np.testing.assert_allclose(tick["tau_asked"], OWN + share * (HOLDING - OWN), rtol=1e-12)
 
 
-def test_the_external_wrench_comes_in_as_the_entry_offset_goes_out(parts):
+def test_the_external_wrench_fades_in_as_the_entry_offset_fades_out(parts):
     cycle, law = a_cycle(parts, wrench=ExternalWrench(None, 1000.0, 1e-3))
     cycle.effort.entry_tick = 10
     blend = round(parts.engage.blend_s * parts.rate_Hz)
@@ -155,7 +155,7 @@ def test_while_held_the_law_stays_within_the_window_about_the_holding_force(part
         np.testing.assert_allclose(filled(cycle, mode)["tau_asked"], HOLDING + way * 1e6)
 
 
-def test_what_was_learned_is_added_but_never_where_the_platform_is_held(parts):
+def test_learned_forces_are_added_except_for_a_held_platform(parts):
     cycle, law = a_cycle(parts, learned=FORCES)
     learned = cycle.effort.learned
     assert learned is not None
@@ -184,7 +184,7 @@ def test_what_was_learned_is_added_but_never_where_the_platform_is_held(parts):
 
 
 @pytest.mark.parametrize("predicts", [True, False])
-def test_the_law_sees_what_the_limits_took_and_the_tick_has_its_own_force(parts, predicts):
+def test_the_law_sees_the_shortfall_and_the_tick_has_the_laws_own_force(parts, predicts):
     predictor = Predictor() if predicts else None
     cycle, law = a_cycle(parts, predictor=predictor)
     for free in (True, False):
@@ -197,8 +197,8 @@ def test_the_law_sees_what_the_limits_took_and_the_tick_has_its_own_force(parts,
 
 
 @pytest.mark.parametrize("number", [3, 500])
-def test_a_law_that_looks_ahead_reads_its_table_where_its_force_will_act(parts, number):
-    """The path began in tick 2; off the clock's time a table says nothing."""
+def test_a_predicting_law_reads_its_table_at_the_time_its_force_acts(parts, number):
+    """The path begins in tick 2; at another speed than the clock's the table has no time."""
     cycle, law = a_cycle(parts, predictor=Predictor())
     cycle.motion.start(parts.trajectory, 2)
     filled(cycle, Mode.TRACKING, number)
@@ -212,8 +212,8 @@ def test_a_law_that_looks_ahead_reads_its_table_where_its_force_will_act(parts, 
 
 
 @pytest.mark.parametrize(("left", "t_d"), [(0, None), (1, 1.5e-3), (2, 0.5e-3), (3, None), (9, None)])
-def test_the_table_is_read_from_the_first_force_that_acts_along_the_path(parts, left, t_d):
-    """The approach ends so many ticks later; its last force may act on the path already."""
+def test_the_table_is_read_from_the_first_force_that_acts_on_the_path(parts, left, t_d):
+    """The approach ends `left` ticks later; its last force may already act on the path."""
     predictor = Predictor()
     predictor.horizon_s = 2.5e-3
     cycle, law = a_cycle(parts, predictor=predictor)
@@ -242,7 +242,7 @@ QUARTER = 0.103515625
         (Mode.UNLOADING, 0.2, 0.0),
     ],
 )
-def test_the_holding_force_comes_after_a_brake_test_of_its_ramp_and_goes_at_once(mode, elapsed_s, share):
+def test_loading_waits_one_ramp_before_it_ramps_unloading_ramps_at_once(mode, elapsed_s, share):
     assert holding_share(mode, elapsed_s, 0.2) == pytest.approx(share, abs=1e-12)
     assert [smoothstep(x) for x in (-2.0, 0.25, 0.5, 0.75, 3.0)] == [0.0, QUARTER, 0.5, 1.0 - QUARTER, 1.0]
 
@@ -251,7 +251,7 @@ def test_the_holding_force_comes_after_a_brake_test_of_its_ramp_and_goes_at_once
     "mode", [Mode.WAITING, Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED, Mode.FAULT]
 )
 @pytest.mark.parametrize("load_s", [0.0, 0.2])
-def test_without_the_law_only_a_ramp_asks_for_a_share_of_the_holding_force(parts, mode, load_s):
+def test_without_the_law_only_a_ramp_requests_a_share_of_the_holding_force(parts, mode, load_s):
     cycle, law = a_cycle(parts, engage=parts.engage.model_copy(update={"force_ramp_s": load_s}))
     tick = filled(cycle, mode, 104, since=4, free=False, tau_asked=LEARNED)
     share = {Mode.LOADING: 0.0, Mode.UNLOADING: 0.5}.get(mode) if load_s else None
@@ -260,7 +260,7 @@ def test_without_the_law_only_a_ramp_asks_for_a_share_of_the_holding_force(parts
 
 
 @pytest.mark.parametrize("on_it", [False, True])
-def test_at_rest_a_fresh_law_is_asked_without_load_at_the_sample_or_where_measured(parts, on_it):
+def test_the_force_at_rest_is_that_of_a_reset_law_without_load(parts, on_it):
     law: Any = Law()
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     there = PoseSample(np.array([0.01, 0.02, 1.0]), np.eye(3), np.zeros(6), np.zeros(6))

@@ -1,4 +1,4 @@
-"""The rules on encoders put together: who is doubted and when, what a bound is made of, and time."""
+"""Rules on encoders combined: which legs are doubted and when, parts of a bound, and time."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ def test_encoders_a_jump_beyond_the_noise_of_two_readings_is_doubted(leg, sign):
     assert bench.faults == Fault.ENCODER
 
 
-def test_encoders_a_gap_that_is_its_bound_to_the_last_bit_is_allowed():
+def test_encoders_a_gap_exactly_at_its_bound_is_allowed():
     bound = float(after(2, length=0.0).tick(jump=six(1.0, 3))["doubt_limit"])
     after(2, length=0.0).ticks(1, jump=six(bound, 3))
 
 
-def test_encoders_the_share_of_a_gap_is_that_of_its_bound_for_watched_legs():
+def test_encoders_watched_legs_have_the_gap_as_a_share_of_its_bound():
     bench = Bench(length_noise_m=0.25, watched_legs=0b010111)
     assert np.isnan(bench.tick()["encoder_share"]).all()
     assert np.array_equal(bench.tick()["encoder_share"], [0.0, 0.0, 0.0, np.nan, 0.0, np.nan], equal_nan=True)
@@ -49,7 +49,7 @@ def test_encoders_the_share_of_a_gap_is_that_of_its_bound_for_watched_legs():
 
 
 @BOTH_SIGNS
-def test_encoders_the_share_is_that_of_a_gap_or_of_their_sum_the_larger_one(sign):
+def test_encoders_the_share_is_the_larger_of_the_gaps_and_their_sums(sign):
     bench = after(2, length_noise_m=0.25)
     shares = [bench.tick(jump=six(sign * 0.125, 1))["encoder_share"][1] for _ in range(3)]
     assert shares[0] == pytest.approx(0.125 / (0.5 + CREEP), rel=1e-9)
@@ -60,7 +60,7 @@ def test_encoders_the_share_is_that_of_a_gap_or_of_their_sum_the_larger_one(sign
     assert share == pytest.approx(0.375 / (0.5 + CREEP), rel=1e-9)
 
 
-def test_encoders_the_second_reading_is_the_first_that_is_compared():
+def test_encoders_comparison_begins_with_the_second_reading():
     assert calm(Bench().tick(jump=9.0))
     bench = Bench()
     bench.tick()
@@ -68,14 +68,14 @@ def test_encoders_the_second_reading_is_the_first_that_is_compared():
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_encoders_are_judged_from_idle_on_but_for_a_fault(mode):
+def test_encoders_are_judged_in_all_modes_except_waiting_and_fault(mode):
     bench = after(2, mode=mode)
     tick = bench.tick(jump=six(1.0, 3), mode=mode)
     assert calm(tick) == (mode in {Mode.WAITING, Mode.FAULT})
     assert bool(bench.faults & Fault.ENCODER) != calm(tick)
 
 
-def test_encoders_a_doubt_stays_as_it_was_until_the_run_waits_anew():
+def test_encoders_a_doubt_stays_unchanged_until_the_next_waiting():
     bench = after(2)
     bench.tick(jump=six(1.0, 3))
     for mode in (Mode.HELD, Mode.FAULT, Mode.IDLE):
@@ -89,14 +89,14 @@ def test_encoders_a_doubt_stays_as_it_was_until_the_run_waits_anew():
     assert doubted(bench.tick(jump=six(-2.0, 1), mode=Mode.IDLE), Doubt.JUMP, 1, -2.0, CREEP)
 
 
-def test_encoders_of_two_at_once_the_first_says_why():
+def test_encoders_of_two_doubted_legs_the_first_gives_the_reason():
     tick = after(2).tick(jump=[0.0, 0.0, 3.0, 0.0, 4.0, 0.0])
     assert tick["legs_doubted"] == 0b010100
     assert (tick["doubt"], tick["doubt_value"]) == (Doubt.JUMP, 3.0)
 
 
 @ON_ONE_LEG
-def test_encoders_that_are_not_watched_are_not_doubted(leg):
+def test_encoders_of_unwatched_legs_are_not_doubted(leg):
     bench = after(2, watched_legs=63 - (1 << leg))
     bench.ticks(1, jump=six(1.0, leg))
     other = (leg + 1) % 6
@@ -114,8 +114,8 @@ SHUT = [Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED]
 
 @pytest.mark.parametrize("share", [0.0, 1.0])
 @pytest.mark.parametrize("mode", BRAKING + SHUT)
-def test_encoders_a_leg_stopped_within_a_tick_has_not_jumped_but_on_closed_brakes(mode, share):
-    """0.5 x 8 m/s x T = 62.5 mm beside what the rates say; 2 x 10 mm are noise, 19 mm a late latch."""
+def test_encoders_a_leg_stopped_in_a_tick_is_a_jump_only_on_closed_brakes(mode, share):
+    """0.5 x 8 m/s x T = 62.5 mm more than the rates explain; 2 x 10 mm are noise, 19 mm a late latch."""
     bench = after(3, rate=8.0, mode=mode, length_noise_m=0.01)
     tick = bench.tick(rate=six(0.0, 1, 8.0), jump=six((0.5 - share) * 8.0 * T, 1), mode=mode)
     if mode in SHUT:
@@ -126,7 +126,7 @@ def test_encoders_a_leg_stopped_within_a_tick_has_not_jumped_but_on_closed_brake
     assert calm(bench.tick(mode=mode))
 
 
-def test_encoders_a_leg_that_is_stopped_has_jumped_by_what_is_beyond_that():
+def test_encoders_the_jump_of_a_stopped_leg_counts_beyond_its_stopping_gap():
     bench = after(2, mode=Mode.IDLE)
     assert bench.tick(jump=six(1.0, 3), mode=Mode.IDLE)["legs_moved"] == 0, "a jump is no motion of a leg"
     assert bench.faults == Fault.ENCODER
@@ -135,8 +135,8 @@ def test_encoders_a_leg_that_is_stopped_has_jumped_by_what_is_beyond_that():
 
 
 @pytest.mark.parametrize(("disturbance", "excused"), [(256.0, False), (255.0, True)])
-def test_encoders_a_leg_is_not_stopped_by_what_forces_explain(disturbance, excused):
-    """8 m/s are 1 / 64 s x 2 x 256 m/s^2: the rate has not leapt, and a gap of 62.5 mm is a jump."""
+def test_encoders_a_stop_that_forces_explain_does_not_excuse_a_gap(disturbance, excused):
+    """8 m/s are 1 / 64 s x 2 x 256 m/s^2: the rate has not leapt, so a gap of 62.5 mm is a jump."""
     bench = after(3, rate=8.0, length_noise_m=0.001, disturbance_m_s2=disturbance)
     tick = bench.tick(rate=six(0.0, 1, 8.0), jump=six(4.0 * T, 1))
     assert calm(tick) == excused
@@ -147,8 +147,8 @@ def test_encoders_a_leg_is_not_stopped_by_what_forces_explain(disturbance, excus
 
 
 @BOTH_SIGNS
-def test_encoders_the_bound_grows_with_noise_of_rates_and_acceleration_of_the_leg(sign):
-    """A rate latched 0.5 s beside its length is off by half of 4 + 3 m/s^2; 4: from -2 to 2."""
+def test_encoders_the_bound_grows_with_rate_noise_and_leg_acceleration(sign):
+    """A rate latched 0.5 s away from its length is off by half of 4 + 3 m/s^2; 4: from -2 to 2."""
     bench = after(2, rate=six(-sign * 3.0 * T, 1), rate_noise_m_s=0.25, rate_skew_s=0.5, disturbance_m_s2=2.0)
     bench.ticks(1, rate=0.0)
     limit = T * (0.25 + 0.5 * (4.0 + 3.0)) + 4.0 * T * T / 8.0 + CREEP
@@ -156,11 +156,11 @@ def test_encoders_the_bound_grows_with_noise_of_rates_and_acceleration_of_the_le
 
 
 FORCE_N = 8.0 / T**2
-"""With a mobility of 1/kg its change makes a bound larger by 1 m."""
+"""With a mobility of 1/kg this change widens a bound by 1 m."""
 
 
 def pushed_by(then, acting_ticks=3, first=20, unseen=(), away=0):
-    """Return a bench on whose leg 2 the forces (n,) of leg 5 have acted; others were heard `away` ticks ago."""
+    """A bench on whose leg 2 forces (n,) of leg 5 acted; `unseen` legs are silent in the last `away` ticks."""
     mobility = np.zeros((6, 6))
     mobility[2, 5] = 1.0
     bench = Bench(mobility=mobility, acting_ticks=acting_ticks)
@@ -172,7 +172,7 @@ def pushed_by(then, acting_ticks=3, first=20, unseen=(), away=0):
 
 @BOTH_SIGNS
 @pytest.mark.parametrize(("acting", "reach"), [(3, 4), (0, 1), (13, 14), (14, 15), (40, 15)])
-def test_encoders_a_change_of_force_counts_until_it_has_acted_in_full(sign, acting, reach):
+def test_encoders_a_force_change_widens_the_bound_until_it_has_fully_acted(sign, acting, reach):
     bench = pushed_by([sign * FORCE_N] * reach, acting)
     assert doubted(bench.tick(jump=six(1.5, 2)), Doubt.JUMP, 2, 1.5, 1.0 + CREEP)
     bench = pushed_by([sign * FORCE_N] * (reach + 1), acting)
@@ -181,7 +181,7 @@ def test_encoders_a_change_of_force_counts_until_it_has_acted_in_full(sign, acti
 
 @BOTH_SIGNS
 @pytest.mark.parametrize("after", range(5))
-def test_encoders_a_pulse_of_force_counts_as_long(sign, after):
+def test_encoders_a_force_pulse_widens_the_bound_as_long_as_a_force_change(sign, after):
     bench = pushed_by([sign * FORCE_N] + [0.0] * after)
     assert doubted(bench.tick(jump=six(1.5, 2)), Doubt.JUMP, 2, 1.5, 1.0 + CREEP)
     assert doubted(pushed_by([FORCE_N] + [0.0] * 5).tick(jump=six(0.5, 2)), Doubt.JUMP, 2, 0.5, CREEP)
@@ -189,8 +189,8 @@ def test_encoders_a_pulse_of_force_counts_as_long(sign, after):
 
 @pytest.mark.parametrize(("away", "reach"), [(2, 6), (7, 11), (9, 11)])
 @pytest.mark.parametrize("silent", [0, 5])
-def test_encoders_of_a_leg_not_heard_for_long_the_forces_since_then_count(silent, away, reach):
-    """Eight ticks at most: after more than that it is not compared."""
+def test_encoders_forces_during_a_silence_of_a_leg_widen_its_bound(silent, away, reach):
+    """Eight ticks at most: after a longer silence readings are not compared."""
     bench = pushed_by([FORCE_N] * reach, unseen=[silent], away=away)
     assert doubted(bench.tick(jump=six(1.5, 2)), Doubt.JUMP, 2, 1.5, 1.0 + CREEP)
     bench = pushed_by([FORCE_N] * (reach + 1), unseen=[silent], away=away)
@@ -201,7 +201,7 @@ def test_encoders_of_a_leg_not_heard_for_long_the_forces_since_then_count(silent
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("before", [1, 20])
-def test_encoders_a_leg_is_compared_with_its_last_reading_for_eight_ticks(leg, before):
+def test_encoders_a_leg_is_compared_with_readings_up_to_eight_ticks_old(leg, before):
     bench = after(before)
     bench.ticks(7, unseen=[leg])
     assert doubted(bench.tick(jump=six(1.0, leg)), Doubt.JUMP, leg, 1.0, 8.0 * CREEP)
@@ -217,7 +217,7 @@ def test_encoders_a_leg_is_compared_with_its_last_reading_for_eight_ticks(leg, b
     assert doubted(bench.tick(jump=six(1.0, 2)), Doubt.JUMP, 2, 1.0, CREEP)
 
 
-def test_encoders_nothing_is_remembered_over_a_long_silence():
+def test_encoders_the_memory_of_a_leg_is_cleared_after_a_long_silence():
     bench = after(1, rate=six(1.0), length_noise_m=1.0, rate_noise_m_s=1.0)
     bench.ticks(2, rate=six(1.0 + T), jump=six(0.01))
     names = ("gaps", "travel", "acceleration", "spacing_s")
@@ -231,7 +231,7 @@ def test_encoders_nothing_is_remembered_over_a_long_silence():
 # -- time
 
 
-def test_encoders_what_the_clock_says_is_late_is_no_delay_beside_it():
+def test_encoders_lateness_known_from_the_clock_is_not_a_delay():
     bench = after(2, rate=RATES)
     for lateness in (0.25, 0.75, 0.0, 0.5):
         bench.ticks(1, lateness=lateness)
@@ -240,7 +240,7 @@ def test_encoders_what_the_clock_says_is_late_is_no_delay_beside_it():
 
 
 @ON_ONE_LEG
-def test_encoders_what_the_bus_says_is_late_is_no_delay_of_its_leg(leg):
+def test_encoders_lateness_known_from_the_bus_is_not_a_delay_of_the_leg(leg):
     known = six(PERIOD_NS // 2, leg, other=0, dtype=int)
     for latch_ns, doubts in ((known, 0), (six(0, dtype=int), 1 << leg)):
         bench = after(3, rate=RATES)
@@ -250,7 +250,7 @@ def test_encoders_what_the_bus_says_is_late_is_no_delay_of_its_leg(leg):
 
 
 @BOTH_SIGNS
-def test_encoders_a_delay_that_all_show_is_time(sign):
+def test_encoders_a_delay_shown_by_all_legs_counts_as_time(sign):
     bench = after(2, rate=sign * RATES)
     bench.ticks(1, late_s=0.75 * T, rate=sign * RATES + 1.75 * T)
     assert bench.memory("delay_s") == pytest.approx(0.75 * T, rel=1e-2)
@@ -262,7 +262,7 @@ def test_encoders_a_delay_that_all_show_is_time(sign):
     assert doubted(after(2, rate=RATES).tick(late_s=0.5 * T, jump=six(0.25, 2)), Doubt.JUMP, 2, 0.25, CREEP)
 
 
-def test_encoders_a_leg_that_was_silent_takes_the_delay_of_others_but_shows_none():
+def test_encoders_a_silent_leg_adopts_a_shared_delay_but_does_not_show_one():
     for late_s in (0.5 * T, 0.0):
         bench = after(2, rate=RATES)
         bench.ticks(1, late_s=0.5 * T, unseen=[5])
@@ -282,8 +282,8 @@ def test_encoders_a_leg_that_was_silent_takes_the_delay_of_others_but_shows_none
 
 
 @BOTH_SIGNS
-def test_encoders_a_leg_that_others_contradict_may_be_late_by_a_share_of_a_period(sign):
-    """At -8 and -4, in the mean -6 m/s."""
+def test_encoders_a_contradicted_leg_may_be_late_by_a_share_of_a_period(sign):
+    """From -8 to -4 m/s, -6 m/s on average."""
     bench = after(2, rate=sign * RATES, disturbance_m_s2=256.0)
     limit = CREEP + 512.0 * T * T / 8.0 + 0.3 * T * 6.0
     tick = bench.tick(rate=sign * (RATES + six(4.0, 5)), jump=six(sign * 0.999 * limit, 5))
@@ -296,7 +296,7 @@ def test_encoders_a_leg_that_others_contradict_may_be_late_by_a_share_of_a_perio
 
 @BOTH_SIGNS
 @pytest.mark.parametrize("moving", [[5], [2, 5]])
-def test_encoders_of_few_legs_that_move_may_be_late_by_a_period(moving, sign):
+def test_encoders_may_be_late_by_a_period_if_only_few_legs_move(moving, sign):
     rates = sign * np.where(np.isin(np.arange(6), moving), RATES, 0.0)
     bench = after(2, rate=rates)
     bench.ticks(1, late_s=0.99 * T)
@@ -311,8 +311,8 @@ def test_encoders_of_few_legs_that_move_may_be_late_by_a_period(moving, sign):
 
 
 @pytest.mark.parametrize("heard", [[5], [0, 5]])
-def test_encoders_of_few_legs_that_are_heard_may_be_late_by_a_period(heard):
-    """A stall just before SYNC: only some answers are in time."""
+def test_encoders_may_be_late_by_a_period_if_only_few_legs_answer(heard):
+    """A stall just before SYNC: only some answers arrive in time."""
     bench = after(2, rate=RATES)
     bench.ticks(1, late_s=0.9 * T, unseen=[leg for leg in range(6) if leg not in heard])
     bench.ticks(3)

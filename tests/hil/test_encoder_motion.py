@@ -1,4 +1,4 @@
-"""The rules on encoders put together: slips, leaps, and readings that stand still."""
+"""Rules on encoders combined: slips, leaps, and frozen readings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench,
 @ON_ONE_LEG
 @BOTH_SIGNS
 def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
-    """Of the first, 1 - T / 50 ms is left a tick later."""
+    """Of the first gap, 1 - T / 50 ms is left a tick later."""
     bench = after(2, length_noise_m=0.25)
     bench.ticks(1, jump=six(sign * 0.3, leg))
     value = sign * 0.3 * (1.0 + 0.6875)
@@ -32,8 +32,8 @@ def test_encoders_small_gaps_add_up_to_a_slip(leg, sign):
 
 
 @BOTH_SIGNS
-def test_encoders_a_slip_may_be_a_share_of_the_way_of_the_last_fifty_milliseconds(sign):
-    """Noise of the rate over all of that, and a period's delay of a leg that others contradict."""
+def test_encoders_a_slip_may_be_a_share_of_the_travel_in_the_last_50_ms(sign):
+    """Rate noise over all of this time, and a period's delay of a leg that others contradict."""
     bench = after(
         60, rate=sign * RATES, length_noise_m=0.5, rate_noise_m_s=2.0, rate_error=0.5, disturbance_m_s2=64.0
     )
@@ -45,15 +45,15 @@ def test_encoders_a_slip_may_be_a_share_of_the_way_of_the_last_fifty_millisecond
 
 
 @BOTH_SIGNS
-def test_encoders_what_would_be_a_delay_of_a_leg_that_moves_alone_adds_up(sign):
+def test_encoders_apparent_delays_of_a_lone_moving_leg_add_up_to_a_slip(sign):
     for share, why in ((0.17, Doubt.NONE), (0.28, Doubt.SLIP)):
         bench = after(2, rate=six(8.0, 5))
         bench.ticks(1, jump=six(sign * share * T * 8.0, 5))
         assert bench.tick(jump=six(sign * share * T * 8.0, 5))["doubt"] == why
 
 
-def test_encoders_what_a_long_gap_explains_is_not_held_against_the_encoder_a_tick_later():
-    """Of 50 mm, which 128 m/s^2 explain in four periods, 34 are left a tick later, where 16 mm are allowed anew."""
+def test_encoders_a_gap_explained_by_a_long_silence_stays_excused():
+    """Of 50 mm, which 128 m/s^2 explain in four periods, 34 are left a tick later, when 16 are allowed."""
     bench = after(2, disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(3, unseen=[1])
     bench.ticks(1, jump=six(0.05, 1))
@@ -74,15 +74,15 @@ def test_encoders_what_a_long_gap_explains_is_not_held_against_the_encoder_a_tic
 
 
 def accelerated(**limits):
-    """Return a bench whose lengths say nothing, after three ticks at rest with open brakes."""
+    """A bench with wide bounds on lengths, after three ticks at rest with open brakes."""
     wide = {"length_noise_m": 1e3, "open_ticks": 2}
     return after(3, **{**wide, **limits})
 
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_rate_may_leap_as_loads_and_noise_make_it(leg, sign):
-    """From -8 to 8 m/s^2, and noise of the last acceleration, too."""
+def test_encoders_a_rate_may_leap_by_disturbance_and_noise(leg, sign):
+    """From -8 to 8 m/s^2, plus the noise of the last acceleration."""
     limit = 16.0 * T + 2.0 * 0.25 * 2.0
     limits = {"disturbance_m_s2": 8.0, "rate_noise_m_s": 0.25}
     accelerated(**limits).ticks(1, rate=six(sign * 0.999 * limit, leg))
@@ -93,7 +93,7 @@ def test_encoders_a_rate_may_leap_as_loads_and_noise_make_it(leg, sign):
 
 
 @BOTH_SIGNS
-def test_encoders_an_acceleration_that_goes_on_is_no_leap_and_one_that_ends_is(sign):
+def test_encoders_an_acceleration_is_a_leap_only_when_it_ends(sign):
     for then in (96.1, 95.9):
         bench = accelerated(disturbance_m_s2=16.0)
         for n in range(1, 4):
@@ -110,7 +110,7 @@ def test_encoders_a_leap_is_judged_by_the_times_between_the_readings():
     assert doubted(bench.tick(rate=six(9.0 + 4.0 * T, 1)), Doubt.LEAP, 1, value, limit)
 
 
-def test_encoders_a_leap_counts_once_the_brakes_have_had_their_time_to_open():
+def test_encoders_leaps_count_only_after_the_opening_time_of_the_brakes():
     bench = after(3, length_noise_m=1e3, open_ticks=3, disturbance_m_s2=32.0)
     bench.ticks(1, mode=Mode.IDLE)
     bench.ticks(2)
@@ -118,7 +118,7 @@ def test_encoders_a_leap_counts_once_the_brakes_have_had_their_time_to_open():
     assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -9.0 - 9.0, 1.0)
 
 
-def test_encoders_no_leap_without_an_acceleration_before():
+def test_encoders_a_leap_needs_an_earlier_acceleration():
     bench = after(1, length_noise_m=1e3, open_ticks=0, rate_noise_m_s=1e-3)
     bench.ticks(1, rate=six(9.0, 1))
     assert doubted(bench.tick(rate=six(0.0)), Doubt.LEAP, 1, -18.0, 4e-3)
@@ -128,7 +128,7 @@ def test_encoders_no_leap_without_an_acceleration_before():
 
 
 class Standing(Bench):
-    """One leg stands, and the others move at 1 m/s along the reference; its own reference may move."""
+    """One reading is frozen; the other legs move at 1 m/s along the reference. Its own reference may move."""
 
     def __init__(self, leg, **limits):
         wide = {"length_noise_m": 0.5, "rate_noise_m_s": 0.25, "open_ticks": 0, "push_N": six(300.0)}
@@ -137,7 +137,7 @@ class Standing(Bench):
         self.rate = six(0.0, leg, 1.0)
 
     def stand(self, astray=0.0, where=None, **columns):
-        """Return a tick in which a leg, by default that which stands, is astray of its reference, m."""
+        """A tick in which a leg, by default the frozen one, is `astray` m off its reference."""
         leg = self.leg if where is None else where
         now_s = (self.n + 1) * T
         q_d = self.length + self.rate * (now_s - self.latched_s) - six(astray, leg)
@@ -145,7 +145,7 @@ class Standing(Bench):
 
 
 def standing(leg, **limits):
-    """Return such a bench after its first tick."""
+    """A `Standing` bench after its first tick."""
     bench = Standing(leg, **limits)
     bench.stand()
     return bench
@@ -156,7 +156,7 @@ RISES = [200.0, 300.0, 300.0, 100.0, -100.0, -300.0]
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_then_doubted(leg, sign):
+def test_encoders_a_frozen_leg_far_off_reference_is_pushed_then_doubted(leg, sign):
     bench = Standing(leg)
     assert [bench.stand(sign * 5.0 * (n > 1))["tau"][leg] for n in range(4)] == [0.0] * 4
     for n, force in enumerate(RISES):
@@ -170,17 +170,17 @@ def test_encoders_a_leg_that_stands_far_from_its_reference_is_pushed_then_doubte
 
 
 @BOTH_SIGNS
-def test_encoders_a_leg_that_stands_near_its_reference_is_pushed_there_first(sign):
+def test_encoders_a_frozen_leg_is_first_pushed_towards_its_reference(sign):
     assert standing(2, length_noise_m=0.05).stand(sign * 0.6)["tau"][2] == pytest.approx(-sign * 200.0)
 
 
-def test_encoders_a_leg_that_stands_is_pushed_where_another_one_strays():
+def test_encoders_a_frozen_leg_is_pushed_if_another_leg_strays():
     assert standing(2).stand(5.5, where=4)["tau"] == pytest.approx(six(200.0, 2))
     assert standing(2).stand(5.5, where=4, unseen=[4])["tau"] == pytest.approx(six(0.0))
 
 
 @BOTH_SIGNS
-def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more(sign):
+def test_encoders_pushing_ends_when_the_leg_moves_by_more_than_its_noise(sign):
     bench = standing(2)
     bench.stand(20.0)
     bench.stand(20.0, jump=six(sign * 0.5, 2))
@@ -195,7 +195,7 @@ def test_encoders_a_leg_that_moves_by_more_than_its_noise_is_not_pushed_any_more
 
 
 @ON_ONE_LEG
-def test_encoders_a_leg_that_friction_may_hold_is_named_and_not_pushed_while_one_strays(leg):
+def test_encoders_a_frozen_leg_held_by_friction_is_recorded_but_not_pushed(leg):
     bench = standing(leg, sticks=1)
     assert bench.memory("strays") == 0
     bench.stand(20.0)
@@ -207,7 +207,7 @@ def test_encoders_a_leg_that_friction_may_hold_is_named_and_not_pushed_while_one
     assert bench.memory("strays") == 0
 
 
-def test_encoders_the_way_of_a_free_leg_counts_from_where_its_reading_stands():
+def test_encoders_free_travel_restarts_when_a_frozen_reading_moves():
     bench = standing(2, sticks=1)
     bench.memory("free_m")[2] = bench.memory("free_m_s")[2] = 7.0
     bench.stand(20.0)
@@ -220,8 +220,8 @@ def test_encoders_the_way_of_a_free_leg_counts_from_where_its_reading_stands():
 @pytest.mark.parametrize(
     ("both_ways", "most"), [(0, 3), (0b111011, 3), (0b000100, 6)], ids=["one", "another leg's two", "two"]
 )
-def test_encoders_a_leg_that_sticks_is_doubted_after_its_pushes(both_ways, most, sign):
-    """One, or under an unknown load one each way."""
+def test_encoders_a_sticking_leg_is_doubted_after_its_pushes(both_ways, most, sign):
+    """One push, or one in each direction under an unknown load."""
     for push in (most, most + 1):
         bench = standing(2, sticks=1)
         bench.safety.memory["both_ways"] = both_ways
@@ -231,8 +231,8 @@ def test_encoders_a_leg_that_sticks_is_doubted_after_its_pushes(both_ways, most,
 
 
 @ON_ONE_LEG
-def test_encoders_a_leg_that_was_pushed_makes_no_other_suspect_until_it_settled(leg):
-    """Else pushes go from leg to leg: each one moves its leg by more than what a leg is suspected for."""
+def test_encoders_a_pushed_leg_makes_no_other_leg_suspect_until_it_settled(leg):
+    """Otherwise pushes would spread from leg to leg: each moves a leg by more than the suspicion threshold."""
     memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))
     settle = encoder_kernels.let_settle
     memory.push[leg] = -1
@@ -246,7 +246,7 @@ def test_encoders_a_leg_that_was_pushed_makes_no_other_suspect_until_it_settled(
         assert memory.began == pytest.approx(expected), "its own reference may move on"
 
 
-def test_encoders_a_leg_that_is_pushed_is_unsettled_as_long_as_that_lasts():
+def test_encoders_a_leg_is_unsettled_as_long_as_it_is_pushed():
     bench = standing(2)
     bench.stand(20.0)
     for _ in range(3):
@@ -258,7 +258,7 @@ def test_encoders_a_leg_that_is_pushed_is_unsettled_as_long_as_that_lasts():
 
 
 @BOTH_SIGNS
-def test_encoders_a_rate_of_three_times_its_noise_is_a_motion(sign):
+def test_encoders_a_rate_above_three_times_its_noise_is_a_motion(sign):
     for rate, push in ((0.75, -1), (0.76, 0)):
         bench = Standing(2)
         bench.rate = six(sign * rate, 2, 1.0)
@@ -267,20 +267,20 @@ def test_encoders_a_rate_of_three_times_its_noise_is_a_motion(sign):
         assert bench.memory("push")[2] == push
 
 
-def test_encoders_a_push_waits_for_a_leg_that_is_silent_and_goes_on():
+def test_encoders_a_push_pauses_while_the_leg_is_silent_and_continues():
     bench = standing(2)
     bench.stand(20.0)
     assert bench.stand(20.0, unseen=[2])["tau"][2] == pytest.approx(-200.0)
     assert bench.stand(20.0)["tau"][2] == pytest.approx(-300.0)
 
 
-def test_encoders_a_leg_that_is_not_watched_is_not_pushed():
+def test_encoders_an_unwatched_leg_is_not_pushed():
     bench = standing(2, watched_legs=63 - 4)
     assert bench.stand(20.0)["tau"][2] == 0.0
     assert bench.memory("stood")[2] == 0
 
 
-def test_encoders_nothing_is_pushed_or_remembered_to_stand_before_the_brakes_are_open():
+def test_encoders_frozen_legs_are_pushed_only_with_open_brakes():
     bench = Standing(2, open_ticks=3)
     for n in range(5):
         bench.stand(20.0 * n)
@@ -303,7 +303,7 @@ def test_encoders_a_push_ends_as_fast_as_it_rises_or_turns(sticks, ticks, rise, 
 
 
 def forces(limits, pushes, left_N=0.0):
-    """Return what is added to leg 2 while its push goes on by these ticks."""
+    """Force added to leg 2 in these ticks of its push."""
     memory, tick, found = SimpleNamespace(push=six(0)), SimpleNamespace(probe_force=six(left_N, 2)), []
     for push in pushes:
         memory.push[2] = push
@@ -313,14 +313,14 @@ def forces(limits, pushes, left_N=0.0):
 
 
 @BOTH_SIGNS
-def test_encoders_what_is_left_of_a_push_goes_as_slowly_before_the_other_way(sign):
+def test_encoders_a_push_fades_at_its_rate_before_it_reverses(sign):
     limits = SimpleNamespace(push_ticks=16, push_N=six(300.0), sticks=0, rise_ticks=1)
     found = forces(limits, [sign * k for k in (1, 2, 3)], left_N=-300.0 * sign)
     assert found == pytest.approx([sign * force for force in (-262.5, -225.0, -187.5)])
 
 
 @ON_ONE_LEG
-def test_encoders_a_leg_is_being_probed_until_nothing_is_left_of_it(leg):
+def test_encoders_a_leg_counts_as_probed_until_its_push_force_is_zero(leg):
     probed = encoder_kernels.probed
     assert not probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(0)))
     assert probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(-1, leg)))
@@ -332,8 +332,8 @@ def test_encoders_a_leg_is_being_probed_until_nothing_is_left_of_it(leg):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_gap_may_be_what_two_slopes_lag_behind(leg, sign):
-    """The range is 16 m/s^2: T^2 / 8 of it, and T / 2 times the two lags of T / 3."""
+def test_encoders_a_gap_may_include_the_lag_of_two_slopes(leg, sign):
+    """The acceleration range is 16 m/s^2: T^2 / 8 of it, plus T / 2 times the two lags of T / 3."""
     bench = after(5, differences=1, disturbance_m_s2=8.0)
     limit = 16.0 * T * T * (1.0 / 8.0 + 1.0 / 3.0) + CREEP
     assert doubted(bench.tick(jump=six(sign * 1e-2, leg)), Doubt.JUMP, leg, sign * 1e-2, limit)
@@ -341,8 +341,8 @@ def test_encoders_a_gap_may_be_what_two_slopes_lag_behind(leg, sign):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_encoders_a_slope_may_leap_by_what_three_slopes_lag_behind(leg, sign):
-    """T of the range as any rate, and the lags: T / 3 of the last, three times T / 3 of the one before."""
+def test_encoders_a_leap_of_slopes_may_include_the_lag_of_three_slopes(leg, sign):
+    """T times the range, as for any rate, plus lags: T / 3 of the last slope, three times T / 3 of the previous."""
     limit = 16.0 * T * (1.0 + 4.0 / 3.0)
     for share, doubts in ((0.999, False), (1.001, True)):
         bench = accelerated(differences=1, disturbance_m_s2=8.0)

@@ -1,4 +1,4 @@
-"""Legs that are pushed to see whether they move: each by its own force, and for its own turn."""
+"""Legs that are pushed to see whether they move: each with its own force and duration."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hil.loop.probe import beyond, fill_probe
 from tests.hil.encoder_bench import BOTH_SIGNS, six
 
 FORCES_N = np.array([300.0, 150.0, 420.0, 80.0, 260.0, 510.0])
-"""What friction may hold of each leg."""
+"""Largest friction force of each leg."""
 
 
 def probed(limits, pushes, legs=range(6), force_N=0.0):
-    """Return the forces (n, 6) while the push of legs goes on by these ticks, and whether each tick begins one."""
+    """Forces (n, 6) in these ticks of a push, and for each tick True if it begins a push."""
     memory, tick = SimpleNamespace(push=six(0, dtype=int)), SimpleNamespace(probe_force=six(force_N))
     found, begun = [], []
     for push in pushes:
@@ -28,8 +28,8 @@ def probed(limits, pushes, legs=range(6), force_N=0.0):
 @BOTH_SIGNS
 @pytest.mark.parametrize("legs", [[0], [5], [1, 4]], ids=str)
 @pytest.mark.parametrize("sticks", [0, 1])
-def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(sign, legs, sticks):
-    """Where it comes at once, in its first tick; where it rises over eight ticks, in the fourth."""
+def test_only_the_suspected_leg_is_pushed_with_its_own_friction_force(sign, legs, sticks):
+    """The full force acts in the first tick, or, with a rise over eight ticks, in the fourth."""
     limits = SimpleNamespace(push_ticks=8, push_N=FORCES_N, sticks=sticks, rise_ticks=1)
     found, begun = probed(limits, [sign * k for k in range(1, 5)], legs)
     whole = np.where(np.isin(np.arange(6), legs), sign * FORCES_N, 0.0)
@@ -42,7 +42,7 @@ def test_a_leg_is_pushed_by_what_its_own_friction_may_hold_and_no_other_is(sign,
 @BOTH_SIGNS
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("rise", [1, 4])
-def test_a_leg_that_sticks_is_pushed_one_way_and_let_go_as_steeply(sign, leg, rise):
+def test_a_sticking_leg_is_pushed_one_way_with_equal_rise_and_fall(sign, leg, rise):
     limits = SimpleNamespace(push_ticks=20, push_N=FORCES_N, sticks=1, rise_ticks=rise)
     found, _ = probed(limits, [sign * k for k in [*range(1, 21), *[0] * rise]], [leg])
     assert not np.delete(found, leg, axis=1).any()
@@ -58,8 +58,8 @@ def test_a_leg_that_sticks_is_pushed_one_way_and_let_go_as_steeply(sign, leg, ri
     ("last", "ticks", "now"),
     [(6, 0, 4), (2.5, 0, 0.5), (2, 0, 0), (0, 3, 2), (4, 3, 5), (6, 3, 5), (1, -3, -1)],
 )
-def test_a_push_begins_turns_and_ends_by_no_more_than_allowed(sign, last, ticks, now):
-    """5 N over 5 ticks: 2 N a tick; in the third one the push is whole."""
+def test_a_push_begins_reverses_and_ends_within_the_allowed_slope(sign, last, ticks, now):
+    """5 N over 5 ticks: 2 N per tick; the push is complete in the third."""
     limits = SimpleNamespace(push_ticks=5, push_N=six(5.0), sticks=0, rise_ticks=1)
     found, _ = probed(limits, [sign * ticks], force_N=sign * float(last))
     np.testing.assert_allclose(found, [six(sign * now)])
@@ -77,7 +77,7 @@ def test_a_push_begins_turns_and_ends_by_no_more_than_allowed(sign, last, ticks,
         (2.0, 5.0, 0.9, 0.8, -3.0 / 0.9, 7.0 / 0.9),  # driven either way
     ],
 )
-def test_friction_and_losses_of_the_gear_hold_a_leg_within_their_size_of_the_load(
+def test_friction_and_gear_losses_hold_a_leg_within_a_range_about_the_load(
     load, friction, along, against, low, high
 ):
     assert beyond(low - 1.0, load, friction, along, against) == pytest.approx(-1.0)

@@ -1,6 +1,6 @@
-"""Every rule on encoders at its limit, on both sides of it.
+"""Every rule on encoders on both sides of its limit.
 
-A test is named after the file of the rules: the mutation test runs them against changed copies of it.
+Test names begin with the file of the rules: the mutation test runs them against mutated copies of that file.
 """
 
 import math
@@ -65,15 +65,15 @@ SHARED = [
 
 
 @pytest.mark.parametrize(("gap", "rates", "tolerance", "delay"), SHARED)
-def test_residuals_latch_a_delay_is_shared_where_three_legs_bear_witness_of_it(gap, rates, tolerance, delay):
+def test_residuals_latch_a_delay_is_shared_if_three_legs_show_it(gap, rates, tolerance, delay):
     expected = (0.0, False) if delay is None else (delay, True)
     assert residuals.shared_delay(gap, rates, six(tolerance)) == expected
 
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_residuals_latch_one_leg_may_be_late_where_the_others_do_not_contradict(leg, sign):
-    """At 1 m/s half a metre is half a second; the others show it, rest, or are not heard."""
+def test_residuals_latch_a_leg_may_be_late_unless_others_contradict(leg, sign):
+    """At 1 m/s half a metre is half a second; the others show the same, rest, or are silent."""
     gap, rates, tolerance = six(sign * 0.5, leg), six(1.0, leg), six(1e-6)
     say = six(math.nan)
     assert residuals.explained(leg, gap, rates, tolerance, say), "nobody else is heard"
@@ -90,8 +90,8 @@ def test_residuals_latch_one_leg_may_be_late_where_the_others_do_not_contradict(
 
 @BOTH_SIGNS
 @pytest.mark.parametrize("way", [1, -1])
-def test_residuals_latch_contradiction_begins_where_both_tolerances_end(sign, way):
-    """Half a second makes 1 m of 2 m/s, and 4 m of 8 m/s: 1/8 m of the one is 1/2 m of the other."""
+def test_residuals_latch_contradiction_begins_beyond_both_tolerances(sign, way):
+    """Half a second is 1 m at 2 m/s, and 4 m at 8 m/s: 1/8 m of the one corresponds to 1/2 m of the other."""
     rates = np.array([way * 2.0, sign * 8.0, 0.0, 0.0, 0.0, 0.0])
     tolerance = np.array([0.125, 0.25, 1.0, 1.0, 1.0, 1.0])
     gap, say = six(way * 1.0, 0), six(math.nan)
@@ -103,14 +103,14 @@ def test_residuals_latch_contradiction_begins_where_both_tolerances_end(sign, wa
 
 
 @pytest.mark.parametrize(("moving", "shared"), [((1, 3, 4), True), ((0, 3, 5), True), ((0, 1), False)])
-def test_residuals_latch_a_leg_shows_a_delay_beyond_its_own_tolerance(moving, shared):
+def test_residuals_latch_a_leg_shows_a_delay_only_beyond_its_tolerance(moving, shared):
     tolerance = np.where(np.isin(np.arange(6), moving), 1e-6, 9.0)
     assert residuals.shared_delay(RATES * 0.25, RATES, tolerance)[1] == shared
 
 
 @pytest.mark.parametrize("exact", [(0, 4), (3, 4)])
-def test_residuals_latch_a_leg_agrees_on_a_delay_within_its_own_tolerance(exact):
-    """The two fast ones tell the delay; the others are off by less than is theirs."""
+def test_residuals_latch_a_leg_agrees_with_a_delay_within_its_tolerance(exact):
+    """The two fast legs determine the delay; the others differ by less than their tolerance."""
     those = np.isin(np.arange(6), exact)
     rates = np.where(those, 8.0, 1.0)
     gap, tolerance = np.where(those, 2.0, 0.26), np.where(those, 1e-6, 0.02)
@@ -121,7 +121,7 @@ def test_residuals_latch_a_leg_agrees_on_a_delay_within_its_own_tolerance(exact)
 @ON_ONE_LEG
 @BOTH_SIGNS
 @pytest.mark.parametrize("of", ["itself", "another"])
-def test_residuals_latch_a_delay_explains_a_leg_within_the_tolerance_of_each(leg, sign, of):
+def test_residuals_latch_a_delay_explains_a_leg_within_each_tolerance(leg, sign, of):
     explained = residuals.explained
     off = leg if of == "itself" else (leg + 2) % 6
     for wrong, fine in ((0.09, True), (0.11, False)):
@@ -135,8 +135,8 @@ def test_residuals_latch_a_delay_explains_a_leg_within_the_tolerance_of_each(leg
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-def test_residuals_increments_a_rate_that_leaps_makes_a_gap_of_up_to_half_of_it(sign):
-    """From 2 m/s to rest within half a second, at its beginning or its end: 0 or 1 m, and the rates say half."""
+def test_residuals_increments_a_rate_leap_makes_a_gap_of_up_to_half_of_it(sign):
+    """From 2 m/s to rest at the beginning or end of half a second: 0 or 1 m; the rates give half a metre."""
     T, leap = 0.5, -2.0
     for gap in (0.5, -0.5):
         assert residuals.beside(sign * gap, sign * leap, T) == 0.0
@@ -147,7 +147,7 @@ def test_residuals_increments_a_rate_that_leaps_makes_a_gap_of_up_to_half_of_it(
 
 
 def test_residuals_increments_the_bound_is_the_worst_case_of_an_acceleration():
-    """An acceleration that changes by a half way makes the trapezoidal rule wrong by a T^2 / 8."""
+    """An acceleration that changes by a half-way gives the trapezoidal rule an error of a T^2 / 8."""
     a, T = 16.0, 1e-3
     v = 0.5 * a * T
     length = 0.5 * a * (0.5 * T) ** 2  # rest, then a
@@ -156,13 +156,13 @@ def test_residuals_increments_the_bound_is_the_worst_case_of_an_acceleration():
     assert residuals.gap_bound(0.0, 0.0, a, T) == pytest.approx(a * T * T / 8 + rest)
 
 
-def test_residuals_increments_the_bound_has_noise_and_a_brake_on_a_creeping_leg():
+def test_residuals_increments_the_bound_includes_noise_and_a_creeping_leg():
     assert residuals.gap_bound(3.0, 0.0, 0.0, 0.0) == 6.0
     assert residuals.gap_bound(0.0, 5.0, 0.0, 0.5) == 2.5 + 0.02 * 0.25
     assert residuals.gap_bound(0.0, 0.0, 8.0, 0.5) == 0.25 + 0.02 * 0.25
 
 
-def test_residuals_increments_a_slow_slip_shows_against_what_a_window_explains():
+def test_residuals_increments_a_slow_slip_exceeds_the_bound_of_its_window():
     T, rest = 1e-3, 0.02 * 0.5e-3
     assert residuals.slip_bound(3.0, 0.0, 0.0, T, 0.0, 0.0) == pytest.approx(6.0 + rest)
     assert residuals.slip_bound(0.0, 2.0, 0.0, T, 0.0, 0.0) == pytest.approx(0.1 + rest)
@@ -172,7 +172,7 @@ def test_residuals_increments_a_slow_slip_shows_against_what_a_window_explains()
 
 
 @BOTH_SIGNS
-def test_residuals_increments_a_long_tick_excuses_what_the_sum_is_beyond_the_usual_bound(sign):
+def test_residuals_increments_a_long_tick_excuses_the_excess_of_the_sum(sign):
     assert residuals.excused(1.0, sign * 5.0, 2.0, 0.5, 0.25) == 3.0
     assert residuals.excused(4.0, sign * 5.0, 2.0, 0.5, 0.25) == 4.0
     assert residuals.excused(1.0, sign * 5.0, 2.0, 0.376, 0.25) == 3.0
@@ -199,7 +199,7 @@ def test_residuals_leaps_are_bounded_by_acceleration_and_noise():
 
 
 @ON_ONE_LEG
-def test_residuals_leaps_of_one_leg_name_it_and_of_more_name_none(leg):
+def test_residuals_leaps_are_attributed_only_if_a_single_leg_leaps(leg):
     assert residuals.sole(six(1.0)) == -1
     assert residuals.sole(six(1.0 + BARELY, leg, 1.0)) == leg
     two = six(1.5, leg)
@@ -213,14 +213,14 @@ def test_residuals_leaps_of_one_leg_name_it_and_of_more_name_none(leg):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_residuals_stillness_a_leg_strays_from_where_it_was_itself(leg, sign):
+def test_residuals_stillness_a_leg_strays_from_its_own_initial_error(leg, sign):
     began, heard = np.arange(1.0, 7.0), np.zeros(6, int)
     assert residuals.strayed(began, began, heard) == 0.0
     assert residuals.strayed(began + six(sign * 0.5, leg), began, heard) == 0.5
 
 
 @BOTH_SIGNS
-def test_residuals_stillness_is_within_the_noise_of_length_and_rate(sign):
+def test_residuals_stillness_means_within_the_noise_of_length_and_rate(sign):
     assert residuals.stands(5.0 + sign * 0.25, 0.0, 5.0, 0.25, 0.5)
     assert not residuals.stands(5.0 + sign * 0.26, 0.0, 5.0, 0.25, 0.5)
     assert residuals.stands(5.0, sign * 0.5, 5.0, 0.25, 0.5)
@@ -229,7 +229,7 @@ def test_residuals_stillness_is_within_the_noise_of_length_and_rate(sign):
 
 @ON_ONE_LEG
 @BOTH_SIGNS
-def test_residuals_stillness_of_one_leg_is_held_against_the_farthest_that_is_heard(leg, sign):
+def test_residuals_stillness_is_compared_with_the_farthest_fresh_leg(leg, sign):
     heard, began = np.zeros(6, np.int64), six(0.5)
     assert residuals.strayed(six(0.5), began, heard) == 0.0
     assert residuals.strayed(six(0.5 + sign * 2.0, leg, 0.75), began, heard) == 2.0
@@ -239,7 +239,7 @@ def test_residuals_stillness_of_one_leg_is_held_against_the_farthest_that_is_hea
 
 
 @BOTH_SIGNS
-def test_residuals_stillness_a_push_goes_both_ways_at_once_or_along_lines(sign):
+def test_residuals_stillness_a_push_has_both_directions_as_steps_or_ramps(sign):
     assert push_of(0, 5, 10.0, False, 1) == push_of(0, 5, 10.0, True, 1) == 0.0
     ticks = [sign * n for n in (1, 2, 5, 6, 10, 11)]
     lines = [sign * push_of(n, 5, 10.0, False, 1) for n in ticks]
@@ -248,6 +248,6 @@ def test_residuals_stillness_a_push_goes_both_ways_at_once_or_along_lines(sign):
     assert [sign * push_of(sign * n, 11, 10.0, True, 4) for n in range(6)] == [0.0, 2.5, 5.0, 7.5, 10.0, 10.0]
 
 
-def test_residuals_stillness_counts_a_leg_as_moving_long_before_a_millimetre():
-    """20 um, with the 2 um of noise that are assumed."""
+def test_residuals_stillness_a_leg_counts_as_moving_from_20_um_on():
+    """20 um, with an assumed noise of 2 um."""
     assert (residuals.SUSPECT, residuals.MOVED, residuals.SETTLES_S) == (10.0, 3.0, 0.2)

@@ -1,4 +1,4 @@
-"""The rules on encoders where ticks are not alike: long and short steps, late latches, silences, pushes."""
+"""Rules on encoders with unequal ticks: long and short steps, late latches, silences, pushes."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from tests.hil.safety_bench import certified
 STEPS = pytest.mark.parametrize(
     ("T0", "T1"), [(1.0, 1.0), (1.0, 1.5), (1.5, 0.5), (3.0, 1.0), (1.0, 3.0)], ids=str
 )
-"""The step before and the last one."""
+"""Previous step and last step."""
 
 
 @STEPS
-def test_residuals_a_slope_lags_by_the_worst_acceleration_between_three_lengths(T0, T1):
-    """The slope of the parabola through them less the rate at their end, summed over short pulses of force."""
+def test_residuals_the_lag_of_a_slope_is_the_worst_case_of_an_acceleration(T0, T1):
+    """Slope of the parabola through three lengths minus the rate at their end, summed over force pulses."""
     pulse = (T0 + T1) * 1e-4
     at = np.arange(-T0 - T1, 0.0, pulse) + 0.5 * pulse
     lengths = [np.zeros_like(at), np.clip(-T1 - at, 0.0, None) * pulse, -at * pulse]
@@ -34,8 +34,8 @@ def test_residuals_a_slope_lags_by_the_worst_acceleration_between_three_lengths(
 
 
 @STEPS
-def test_residuals_a_leap_of_slopes_lags_by_its_three_rates_as_they_count_in_it(T0, T1):
-    """Of rates r0, r1, r2 it is r2 - r1 - (r1 - r0) T1 / T0; r0 and r1 lag alike."""
+def test_residuals_the_lag_of_a_leap_weights_the_lags_of_its_three_rates(T0, T1):
+    """With rates r0, r1, r2 the leap is r2 - r1 - (r1 - r0) T1 / T0; r0 and r1 have the same lag."""
     lags = 0.25, 0.125
     counts = 1.0, 1.0 + T1 / T0, T1 / T0
     expected = lags[0] * counts[0] + lags[1] * (counts[1] + counts[2])
@@ -43,14 +43,14 @@ def test_residuals_a_leap_of_slopes_lags_by_its_three_rates_as_they_count_in_it(
 
 
 LAG = {(1.0, 1.0): 1.0 / 3.0, (1.0, 1.5): 0.5 * 1.5 * 2.5 / 4.0, (1.5, 0.5): 0.5 * 0.5 * 2.0 / 2.5}
-"""Periods, by the step before and the last one."""
+"""Periods, by previous step and last step."""
 
 
 @ON_ONE_LEG
 @BOTH_SIGNS
 @pytest.mark.parametrize("after_it", [False, True], ids=["in a long step", "in the short one after it"])
-def test_a_slope_may_leap_by_what_steps_of_different_length_explain_and_no_more(leg, sign, after_it):
-    """The range is 16 m/s^2. A tick that is half a period late makes a step of 1.5 T, and the next of 0.5 T."""
+def test_the_bound_on_a_leap_of_slopes_accounts_for_unequal_steps(leg, sign, after_it):
+    """The acceleration range is 16 m/s^2. A tick half a period late makes steps of 1.5 T and 0.5 T."""
     if after_it:
         step, lags = 0.5, LAG[1.5, 0.5] + LAG[1.0, 1.5] * (1.0 + 2.0 * 0.5 / 1.5)
     else:
@@ -66,12 +66,12 @@ def test_a_slope_may_leap_by_what_steps_of_different_length_explain_and_no_more(
 
 
 def slopes(lengths):
-    """The slope at the end of the parabola through each three lengths, one apart."""
+    """Slope at the end of the parabola through each three lengths, spaced by 1."""
     return 1.5 * lengths[2:] - 2.0 * lengths[1:-1] + 0.5 * lengths[:-2]
 
 
-def test_residuals_a_late_latch_and_a_jump_show_in_slopes_by_the_stated_shares():
-    """Lengths at 1 m/s and 1 s apart; a leap is how far a slope is from where the last two lead."""
+def test_residuals_a_late_latch_and_a_jump_appear_in_slopes_as_computed():
+    """Lengths at 1 m/s, spaced by 1 s; a leap is a slope's deviation from the last two, extrapolated."""
     even, delay, jump = np.arange(12.0), 0.01, 0.01
     late = even + delay * (np.arange(12) == 6)
     leaps = np.diff(slopes(late), n=2)
@@ -87,7 +87,7 @@ def test_residuals_a_late_latch_and_a_jump_show_in_slopes_by_the_stated_shares()
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
 def test_residuals_a_late_latch_explains_a_leap_of_either_sign(leg, sign):
-    """Of all legs that move the same delay; its largest leap is six times rate and delay."""
+    """The same delay of all moving legs; its largest leap is six times rate and delay."""
     rates, bounds = sign * RATES, six(1e-3)
     for share, is_time in ((0.99, True), (1.01, False)):
         leaps = share * residuals.TIME_LEAPS * 0.25 * rates
@@ -96,14 +96,14 @@ def test_residuals_a_late_latch_explains_a_leap_of_either_sign(leg, sign):
     assert not residuals.is_time(leg, alone, rates, bounds, 0.25), "the others say nothing of it"
 
 
-def test_residuals_a_slope_lags_by_half_of_its_step_where_the_one_before_is_not_known():
+def test_residuals_a_slope_lags_by_half_its_step_after_an_unknown_step():
     assert residuals.lag_of(4.0, 0.0) == 2.0
 
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_residuals_a_leap_is_time_within_the_bound_of_its_own_leg_and_where_it_is_known(leg, sign):
-    """Six times 0.25 periods of each rate are explained, to the last bit, and what its own bound allows more."""
+def test_residuals_a_leap_counts_as_time_within_the_bound_of_its_leg(leg, sign):
+    """Six times 0.25 periods of each rate are explained exactly, plus the leg's own bound."""
     is_time = residuals.is_time
     leaps = sign * 1.5 * RATES
     assert is_time(leg, leaps, RATES, six(0.0), 0.25)
@@ -117,8 +117,8 @@ def test_residuals_a_leap_is_time_within_the_bound_of_its_own_leg_and_where_it_i
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("silent", [0, 2, 5])
-def test_gaps_and_leaps_of_slopes_lag_by_the_steps_of_their_own_leg(leg, silent):
-    """The range is 16 m/s^2; the silent one has a step of 2 T behind it, the others have T."""
+def test_bounds_on_gaps_and_leaps_use_the_steps_of_their_own_leg(leg, silent):
+    """The acceleration range is 16 m/s^2; the silent leg has a step of 2 T behind it, the others T."""
     steps = (1.0, 2.0, 1.0) if leg == silent else (1.0, 1.0, 1.0)
     lags = [0.5 * now * (now + was) / (2.0 * now + was) for was, now in pairwise(steps)]
     gap = 16.0 * T * T * (1.0 / 8.0 + 0.5 * sum(lags)) + CREEP
@@ -135,7 +135,7 @@ def test_gaps_and_leaps_of_slopes_lag_by_the_steps_of_their_own_leg(leg, silent)
 
 
 @ON_ONE_LEG
-def test_no_leap_is_seen_in_the_first_rate_after_a_long_silence_of_its_leg(leg):
+def test_the_first_rate_after_a_long_silence_is_not_judged_as_a_leap(leg):
     bench = after(3, open_ticks=0, length_noise_m=1e3, rate_noise_m_s=1e-3)
     bench.ticks(9, unseen=[leg])
     bench.ticks(1)
@@ -144,14 +144,14 @@ def test_no_leap_is_seen_in_the_first_rate_after_a_long_silence_of_its_leg(leg):
 
 
 FASTEST = 5
-"""Of RATES, at 8 m/s; the next one has 4 m/s."""
+"""Fastest of RATES, at 8 m/s; the next one has 4 m/s."""
 
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
 @pytest.mark.parametrize("unshared", [0.3, 0.6])
-def test_the_leg_that_leaps_most_is_not_doubted_for_a_latch_late_for_all(leg, sign, unshared):
-    """All slopes leap by the same share of their rates; of the fastest leg alone by more than forces explain."""
+def test_the_fastest_leg_is_not_doubted_for_a_latch_late_for_all_legs(leg, sign, unshared):
+    """All slopes leap by the same share of their rates; only the fastest leaps by more than forces explain."""
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
     largest = bound + residuals.TIME_LEAPS * unshared * 8.0
     for leap, doubts in ((1.1 * bound, False), (1.9 * bound, False), (1.01 * largest, True)):
@@ -171,7 +171,7 @@ def test_the_leg_that_leaps_most_is_not_doubted_for_a_latch_late_for_all(leg, si
             assert calm(tick)
 
 
-def test_what_a_stall_excused_is_forgotten_over_a_long_silence():
+def test_excuses_of_a_stall_are_cleared_after_a_long_silence():
     bench = after(2, disturbance_m_s2=64.0, length_noise_m=1e-3)
     bench.ticks(3, unseen=[1])
     bench.ticks(1, jump=six(0.05, 1))
@@ -182,17 +182,17 @@ def test_what_a_stall_excused_is_forgotten_over_a_long_silence():
     calm_until_now = Bench(disturbance_m_s2=64.0, length_noise_m=1e-3)
     calm_until_now.ticks(2)
     just_allowed = 0.99 * (2e-3 + 128.0 * T * T / 8.0 + CREEP)
-    told = [
+    doubts = [
         [int(each.tick(jump=six(just_allowed, 1))["doubt"]) for _ in range(12)]
         for each in (bench, calm_until_now)
     ]
-    assert told[0] == told[1]
-    assert told[0][-1] == Doubt.SLIP, "a slip is found as soon as if there had been no stall"
+    assert doubts[0] == doubts[1]
+    assert doubts[0][-1] == Doubt.SLIP, "a slip is found as soon as if there had been no stall"
 
 
 @pytest.mark.parametrize("pushes", [True, False])
-def test_no_certificate_is_judged_by_forces_that_push_a_leg_that_stands(pushes):
-    """The watch of `certified` with three efforts, and one leg 0.2 m astray whose reading does not change."""
+def test_the_certificate_is_not_judged_while_a_frozen_leg_is_pushed(pushes):
+    """The monitor of `certified` with three efforts; one leg has a frozen reading 0.2 m off its reference."""
     watch = Watch(certified().safety._watched[:CONSTANTS].copy(), 3)
     legs = 0b111111 if pushes else 0
     limits = NONE._replace(watched_legs=legs, length_noise_m=0.01, push_N=np.full(6, 8.0), push_ticks=3)
@@ -207,8 +207,8 @@ def test_no_certificate_is_judged_by_forces_that_push_a_leg_that_stands(pushes):
 
 
 @pytest.mark.parametrize("other", [0, 2, 4])
-def test_a_leg_whose_leap_is_not_known_contradicts_no_latch_that_was_late_for_all(other):
-    """It was silent for long, and heard once since: of its spacing nothing is known."""
+def test_a_leg_with_an_unknown_leap_does_not_contradict_a_late_latch(other):
+    """The leg was silent for long and has answered once since: its spacing is unknown."""
     bench = after(8, rate=RATES, differences=1, disturbance_m_s2=8.0, length_noise_m=1e3, open_ticks=2)
     bench.ticks(9, unseen=[other])
     bench.ticks(1)
@@ -218,7 +218,7 @@ def test_a_leg_whose_leap_is_not_known_contradicts_no_latch_that_was_late_for_al
 
 @pytest.mark.parametrize("leg", range(6))
 @BOTH_SIGNS
-def test_a_leg_that_moves_alone_may_leap_for_a_late_latch_and_for_forces(leg, sign):
+def test_a_leg_that_moves_alone_may_leap_by_a_late_latch_plus_forces(leg, sign):
     bound = 16.0 * T * (1.0 + 4.0 / 3.0)
     largest = bound + residuals.TIME_LEAPS * 0.3 * 8.0
     for share, doubts in ((0.99, False), (1.01, True)):
@@ -235,7 +235,7 @@ def test_a_leg_that_moves_alone_may_leap_for_a_late_latch_and_for_forces(leg, si
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_stall_excuses_what_is_beyond_noise_and_a_share_of_the_travel_of_its_leg(leg):
+def test_a_stall_excuses_the_gap_beyond_noise_and_a_share_of_the_travel(leg):
     rates = RATES / 16.0
     bench = after(2, rate=rates, disturbance_m_s2=64.0, length_noise_m=1e-3, rate_error=0.125)
     bench.ticks(3, unseen=[leg])
@@ -246,6 +246,6 @@ def test_a_stall_excuses_what_is_beyond_noise_and_a_share_of_the_travel_of_its_l
 
 @BOTH_SIGNS
 @pytest.mark.parametrize(("leap", "doubts"), [(0.9e-9, False), (1.1e-9, True)])
-def test_where_nothing_explains_a_leap_a_nanometre_per_second_is_none(leap, doubts, sign):
+def test_leaps_up_to_1_nm_per_s_are_always_allowed(leap, doubts, sign):
     tick = after(4, open_ticks=0).tick(rate=six(sign * leap, 2))
     assert doubted(tick, Doubt.LEAP, 2, sign * leap, 1e-9) if doubts else calm(tick)

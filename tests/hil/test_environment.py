@@ -1,4 +1,4 @@
-"""What a log has of the machine and the software that wrote it."""
+"""Machine and software data in a log."""
 
 import os
 import platform
@@ -12,7 +12,7 @@ from hil.record.environment import PACKAGES, environment, product_version
 ROOT = Path(__file__).parents[2]
 
 
-def test_a_log_has_version_packages_processor_clock_and_sources():
+def test_a_log_records_version_packages_processor_clock_and_sources():
     found = environment()
     assert found["version"] == product_version() == version("hexapod-hil")
     assert (found["cpus"], found["byte_order"]) == (str(os.cpu_count()), sys.byteorder)

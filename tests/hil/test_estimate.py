@@ -1,4 +1,4 @@
-"""The estimator tracks, never raises, and never changes assembly silently."""
+"""The estimator tracks, never raises, and never changes the assembly mode silently."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ def rotation(r):
 
 
 def updated(estimator, q, dq=0.0):
-    """The record of a tick with the estimate of its lengths and rates."""
+    """Record of a tick with the estimated lengths and rates."""
     tick = record_of(q=q, dq=dq)
     estimator.update(tick)
     return tick
@@ -41,7 +41,7 @@ def book_pose(t):
     return HOME[0] + k * (np.array(knot["p"]) - HOME[0]), rotation(k * np.radians(knot["rotvec_deg"]))
 
 
-def test_the_books_trajectory_is_tracked_at_1_kHz_far_from_any_hop():
+def test_the_books_trajectory_is_tracked_at_1_kHz_without_a_jump():
     estimator = Estimator(PLATFORM, *HOME)
     worst = 0.0
     for k in range(1, 1001):
@@ -54,7 +54,7 @@ def test_the_books_trajectory_is_tracked_at_1_kHz_far_from_any_hop():
     assert worst < 0.05
 
 
-def test_twist_and_condition_are_those_of_the_book_states():
+def test_twist_and_condition_number_agree_with_the_books_states():
     for s in BOOK["states"]:
         R = rotation(s["rotvec"])
         estimator = Estimator(PLATFORM, s["p"], R)
@@ -64,7 +64,7 @@ def test_twist_and_condition_are_those_of_the_book_states():
 
 
 def continued(a, b, q0, q1, p, R, steps=400):
-    """The pose reached in many small steps of the lengths, or None where the path ends."""
+    """Pose reached in many small steps of the lengths, or None if the path ends."""
     for k in range(1, steps + 1):
         p, R, _, _, residual, _ = forward_kinematics_kernel(a, b, q0 + (q1 - q0) * k / steps, p, R, 1e-11, 20)
         if not np.isfinite(residual):
@@ -73,8 +73,8 @@ def continued(a, b, q0, q1, p, R, steps=400):
 
 
 @pytest.mark.parametrize("size", [1e-3, 1e-2, 5e-2, 0.1, 0.2])
-def test_no_silent_change_among_forty_assemblies(size):
-    """A pose other than the one that small steps of the lengths reach is reported and not adopted."""
+def test_a_change_of_assembly_mode_is_never_silent(size):
+    """A pose other than the one reached by small steps of the lengths is reported and not adopted."""
     a, b, q0 = FORTY.base_joints, FORTY.platform_joints, np.array(DIETMAIER["lengths"])
     rng = np.random.default_rng(5)
     reported = kept = 0
@@ -98,8 +98,8 @@ def test_no_silent_change_among_forty_assemblies(size):
     assert kept > 0
 
 
-def test_a_cold_start_in_the_wrong_assembly_is_reported():
-    """From home, Newton finds another assembly for about one pose in eight at 30 degrees on this geometry."""
+def test_a_cold_start_in_a_wrong_assembly_mode_is_reported():
+    """Newton's method from home finds another assembly mode for one pose in eight at 30 degrees here."""
     rng = np.random.default_rng(2)
     wrong = 0
     for _ in range(300):
@@ -112,7 +112,7 @@ def test_a_cold_start_in_the_wrong_assembly_is_reported():
     assert wrong > 10
 
 
-def test_acquire_follows_a_gap_and_reset_goes_back():
+def test_acquire_bridges_a_gap_and_reset_restores_the_start():
     p, R = book_pose(0.9)
     q = leg_lengths(PLATFORM, p, R)
     estimator = Estimator(PLATFORM, *HOME)
@@ -128,7 +128,7 @@ def test_acquire_follows_a_gap_and_reset_goes_back():
 
 
 @pytest.mark.parametrize("bad", [np.nan, -5.0, 50.0])
-def test_lengths_without_meaning_leave_the_last_pose(bad):
+def test_invalid_lengths_keep_the_last_pose(bad):
     estimator = Estimator(PLATFORM, *HOME)
     q = leg_lengths(PLATFORM, *HOME)
     q[3] = bad

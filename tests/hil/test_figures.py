@@ -1,4 +1,4 @@
-"""The figures of a run, each from rows that are made up for it."""
+"""Figures of a run, each from constructed rows."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def turned(*degrees):
     return Rotation.from_rotvec(degrees, degrees=True).as_matrix()
 
 
-def test_the_peak_force_is_of_pushes_and_pulls_in_all_modes():
+def test_peak_force_includes_push_and_pull_in_all_modes():
     tau = np.zeros((4, 6))
     tau[0, 0], tau[1, 2], tau[2, 5] = 950.0, 300.0, -900.0
     found = figures(rows_of(4, [Mode.LOADING, *[Mode.TRACKING] * 3], tau=tau))
@@ -42,7 +42,7 @@ def test_leg_errors_and_rates_count_in_both_directions(sign):
     assert tracking["peak_leg_rate_m_s"] == 0.5
 
 
-def test_errors_of_the_pose_are_a_distance_in_mm_and_an_angle_in_degrees():
+def test_pose_errors_are_a_distance_in_mm_and_an_angle_in_degrees():
     p_d, R_d = np.zeros((3, 3)), np.array([np.eye(3)] * 3)
     p_d[1], p_d[2], R_d[2] = [2e-3, -3e-3, 6e-3], [0.0, 5e-3, 0.0], turned(0.0, -2.5, 0.0)
     tracking = figures(rows_of(3, p_d=p_d, R_d=R_d))["tracking"]
@@ -50,7 +50,7 @@ def test_errors_of_the_pose_are_a_distance_in_mm_and_an_angle_in_degrees():
     assert tracking["peak_rotation_error_deg"] == pytest.approx(2.5)
 
 
-def test_errors_are_the_reference_less_the_measurement_axis_by_axis():
+def test_pose_errors_are_reference_minus_measurement_for_each_axis():
     rows = rows_of(
         3, p=[1.0, 2.0, 3.0], p_d=[1.001, 1.998, 3.0], R=turned(0.0, 0.0, 30.0), R_d=turned(0.0, 0.0, 31.0)
     )
@@ -59,7 +59,7 @@ def test_errors_are_the_reference_less_the_measurement_axis_by_axis():
     np.testing.assert_allclose(r_deg, [[0.0, 0.0, 1.0]] * 3, atol=1e-9)
 
 
-def test_each_limit_of_the_force_is_counted_by_the_ticks_in_which_it_acted():
+def test_ticks_are_counted_for_each_force_limit_that_acted():
     limits = [Warn.FORCE_LIMIT, Warn.FORCE_STEP, Warn.FORCE_WINDOW]
     rows = rows_of(7)
     for k, (limit, ticks) in enumerate(zip(limits, ([0, 1, 2], [2], [5, 6]), strict=True)):
@@ -72,13 +72,13 @@ def test_each_limit_of_the_force_is_counted_by_the_ticks_in_which_it_acted():
     ("alarms", "count"),
     [([0, 0, 0, 0], 0), ([1, 1, 0, 0], 1), ([0, 1, 1, 0], 1), ([1, 0, 1, 0], 2), ([0, 0, 0, 1], 1)],
 )
-def test_an_alarm_of_the_certificate_counts_once_from_its_first_tick_on(alarms, count):
+def test_certificate_alarm_of_several_ticks_counts_once(alarms, count):
     watched = {"lyapunov": 1.0, "lyapunov_bound": 4.0, "lyapunov_share": 0.5}
     rows = rows_of(4, **watched, warnings=int(Warn.CERTIFICATE) * np.array(alarms))
     assert certificate(rows)["alarms"] == count
 
 
-def test_the_certificate_has_the_bound_where_the_watched_energy_peaks():
+def test_certificate_bound_is_the_one_at_the_peak_of_watched_energy():
     rows = rows_of(
         3, lyapunov=[1.0, 3.0, 9.0], lyapunov_bound=[10.0, 20.0, 30.0], lyapunov_share=[0.2, 0.4, np.nan]
     )
@@ -99,26 +99,26 @@ POWERED = {
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_tick_without_feedback_of_a_leg_is_stale_while_powered(mode):
+def test_tick_without_feedback_of_a_leg_is_stale_while_powered(mode):
     rows = rows_of(8, mode)
     rows["age"][[1, 4, 7], [0, 3, 5]] = 1, 2, 9
     assert figures(rows)["stale_ticks"] == (3 if mode in POWERED else 0)
 
 
-def test_what_a_run_has_missed_is_summed_from_its_first_tick_on():
+def test_skipped_rejected_and_dropped_are_summed_from_the_first_tick():
     found = figures(rows_of(3, skipped=[50, 2, 3], rejected=[1, 0, 4], recorder_dropped=[0, 5, 6]))
     assert (found["skipped_ticks"], found["rejected_frames"], found["dropped_ticks"]) == (5, 5, 6)
 
 
-def test_delays_are_a_median_a_99th_percentile_and_a_maximum():
-    """The step time in the first row is of the tick before."""
+def test_delays_have_median_99th_percentile_and_maximum():
+    """The compute time in each row is that of the tick before."""
     late = np.arange(101)
     found = figures(rows_of(101, lateness_ns=1000 * late, compute_ns=2000 * np.roll(late, 1)))
     assert found["wake_up_us"] == pytest.approx({"p50": 50.0, "p99": 99.0, "max": 100.0})
     assert found["compute_us"] == pytest.approx({"p50": 99.0, "p99": 196.02, "max": 198.0})
 
 
-def test_a_state_of_the_bus_counts_where_a_better_one_was_before():
+def test_bus_state_counts_after_a_better_state():
     states = [BusState.UNKNOWN, BusState.ACTIVE, BusState.WARNING, BusState.WARNING, BusState.PASSIVE,
               BusState.WARNING, BusState.OFF, BusState.ACTIVE, BusState.OFF]  # fmt: skip
     found = figures(
@@ -138,7 +138,7 @@ def test_a_state_of_the_bus_counts_where_a_better_one_was_before():
     assert "bus" not in figures(rows_of(9, bus_state=int(BusState.ACTIVE)))
 
 
-def test_a_run_of_no_tick_has_empty_figures():
+def test_run_without_ticks_has_empty_figures():
     assert figures(rows_of(0)) == {
         "ticks": 0, "duration_s": 0.0, "final_mode": None, "faults": [], "tracking": {"ticks": 0}, "peak_force_N": 0.0,
         "limited_ticks": {"FORCE_LIMIT": 0, "FORCE_STEP": 0, "FORCE_WINDOW": 0}, "pushes": None, "wake_up_us": {}, "compute_us": {},
@@ -146,7 +146,7 @@ def test_a_run_of_no_tick_has_empty_figures():
     }  # fmt: skip
 
 
-def test_a_run_ends_in_its_last_mode_and_times_count_from_its_first_tick():
+def test_final_mode_is_the_last_and_times_start_at_the_first_tick():
     rows = rows_of(4, [Mode.IDLE, Mode.TRACKING, Mode.TRACKING, Mode.HELD])
     rows["t_ns"] += 3 * 86_400 * 10**9
     found = figures(rows)
@@ -157,7 +157,7 @@ def test_a_run_ends_in_its_last_mode_and_times_count_from_its_first_tick():
     assert still["tracking"] == {"ticks": 0}
 
 
-def test_a_fault_that_was_reset_is_among_those_of_the_run():
+def test_faults_of_a_run_include_reset_ones():
     faults = [Fault.NONE, Fault.STALE | Fault.SPEED, Fault.NONE, Fault.BUS, Fault.NONE]
     found = figures(rows_of(5, faults=[int(each) for each in faults]))
     assert sorted(found["faults"]) == ["BUS", "SPEED", "STALE"]
@@ -165,7 +165,7 @@ def test_a_fault_that_was_reset_is_among_those_of_the_run():
 
 
 @pytest.mark.parametrize(("taken", "refused"), [(0, 0), (3, 0), (0, 2), (3, 2)])
-def test_set_points_are_counted_with_the_reasons_of_refusals(taken, refused):
+def test_set_points_are_counted_with_the_reasons_for_refusal(taken, refused):
     rows = rows_of(5, setpoints_taken=[0, 0, 0, 0, taken], setpoints_refused=[0, 0, 0, 0, refused])
     assert ("setpoints" in figures(rows)) is bool(taken or refused)
     rows["setpoints_taken"][-1] = 7
@@ -174,6 +174,6 @@ def test_set_points_are_counted_with_the_reasons_of_refusals(taken, refused):
     assert figures(rows)["setpoints"]["why"] == f"{REASONS[Refusal.FORCE]}; {REASONS[Refusal.SPEED]}"
 
 
-def test_a_run_becomes_a_picture(tmp_path):
+def test_run_is_drawn_as_a_png_picture(tmp_path):
     path = picture(rows_of(4, [Mode.APPROACH, *[Mode.TRACKING] * 3], tau=1.0), tmp_path / "a.png", "a run")
     assert path.read_bytes().startswith(b"\x89PNG")

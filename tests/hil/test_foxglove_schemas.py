@@ -1,4 +1,4 @@
-"""The foxglove messages of a log are those of Foxglove's own SDK: names, numbers, types and values of enums."""
+"""Foxglove messages of a log agree with Foxglove's own SDK: names, numbers, types and enum values."""
 
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool
@@ -13,7 +13,7 @@ OURS = {schema.name.removeprefix("foxglove."): schema.descriptors for _, schema,
 
 
 def described(name, data):
-    """All messages and enums that a message is made of: full name -> fields or values."""
+    """All messages and enums that a message consists of: full name -> fields or values."""
     pool = descriptor_pool.DescriptorPool()
     for file in descriptor_pb2.FileDescriptorSet.FromString(data).file:
         pool.Add(file)
@@ -37,7 +37,7 @@ def described(name, data):
 
 
 @pytest.mark.parametrize("name", sorted(OURS))
-def test_a_foxglove_message_is_the_one_of_the_sdk(name):
+def test_foxglove_message_agrees_with_the_sdk(name):
     theirs = getattr(messages, name).get_schema()
     assert (theirs.name, theirs.encoding) == (f"foxglove.{name}", "protobuf")
     expected = described(name, theirs.data)

@@ -1,4 +1,4 @@
-"""Frames that the controller hears and should not, or hears twice: which fault follows, and what it sends."""
+"""Unexpected or duplicate frames for the controller: the resulting fault, and the frames it sends."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ CONTROLLERS = {
 
 
 def heard(bench: Bench, *frames: Frame) -> tuple[Received, ...]:
-    """Return what the next tick gives, and frames of others behind it."""
+    """Frames received in the next tick, followed by the given ones."""
     t_ns = (bench.tick + 1) * PERIOD_NS + 300_000
     return (*bench.drives.feedback(bench.tick + 1), *(Received(t_ns, frame) for frame in frames))
 
@@ -51,7 +51,7 @@ def bench() -> Bench:
 
 
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, *POWERED])
-def test_any_frame_of_a_controller_that_is_heard_is_a_second_one(mode):
+def test_received_controller_frame_means_a_second_controller(mode):
     for name, (frame, kind) in CONTROLLERS.items():
         bench = Bench()
         bench.until(mode)
@@ -66,7 +66,7 @@ def test_any_frame_of_a_controller_that_is_heard_is_a_second_one(mode):
 
 
 @pytest.mark.parametrize("mode", [Mode.WAITING, Mode.IDLE, *POWERED])
-def test_an_emergency_stop_of_another_node_is_ours_too(mode):
+def test_emergency_stop_of_another_node_stops_this_controller(mode):
     bench = Bench()
     bench.until(mode)
     out = bench.step(frames=heard(bench, Frame(0x001, b"\x07")))
@@ -74,7 +74,7 @@ def test_an_emergency_stop_of_another_node_is_ours_too(mode):
     assert estops(out.frames) == 1
 
 
-def test_an_emergency_stop_is_repeated_until_the_last_drive_confirms_it_and_no_longer(bench):
+def test_emergency_stop_is_repeated_until_the_last_drive_confirms(bench):
     bench.until(Mode.APPROACH)
 
     def told(leg: int, fault: DriveFault) -> tuple[Frame, ...]:
@@ -99,7 +99,7 @@ def test_an_emergency_stop_is_repeated_until_the_last_drive_confirms_it_and_no_l
 
 @pytest.mark.parametrize("late", [False, True])
 @pytest.mark.parametrize("change", ["length", "rate", "force", "state", "invalid"])
-def test_two_different_answers_of_a_node_to_one_sync_are_two_nodes(bench, late, change):
+def test_two_different_answers_to_one_sync_mean_a_duplicate_node(bench, late, change):
     bench.until(Mode.APPROACH)
     number = bench.tick + 1
     said = {"length": bench.drives.length[2], "rate": 0.0, "force": 0.0, "state": int(DriveState.RUN)}
@@ -117,11 +117,11 @@ def test_two_different_answers_of_a_node_to_one_sync_are_two_nodes(bench, late, 
     assert bench.cycle.faults == Fault.DUPLICATE_NODE
     assert out.row["doubled"] == 1 << 2
     assert out.row["q"][2] == pytest.approx(bench.drives.length[2], abs=1e-7), "the first answer counts"
-    assert "from the node of leg 2" in fault_text(bench.cycle)
+    assert "the node number of leg 2" in fault_text(bench.cycle)
     assert estops(out.frames) == 0
 
 
-def test_the_same_answer_twice_is_what_a_bus_may_do(bench):
+def test_repeated_identical_answer_is_accepted(bench):
     bench.until(Mode.APPROACH)
     for _ in range(40):
         frames = bench.drives.feedback(bench.tick + 1)
@@ -159,7 +159,7 @@ def test_refused_frames_in_eight_of_32_ticks_are_a_fault(bench, every):
 
 
 @pytest.mark.parametrize("mode", [Mode.IDLE, *POWERED])
-def test_a_drive_that_reports_another_set_up_is_a_fault_once_it_was_ours(mode):
+def test_drive_that_changes_its_confirmed_set_up_is_a_fault(mode):
     bench = Bench()
     bench.until(mode)
     other = Configure(4, 4000.0, Reaction.ZERO)
@@ -174,13 +174,13 @@ def test_a_drive_that_reports_another_set_up_is_a_fault_once_it_was_ours(mode):
     ("wrong", "lacks"),
     [
         ("none", "reports no set-up"),
-        ("watchdog", "another than the CONFIG sent"),
-        ("reaction", "another than the CONFIG sent"),
+        ("watchdog", "other than the one sent"),
+        ("reaction", "other than the one sent"),
         ("rated force", "drives.force_limit_N"),
-        ("silent", "no status"),
+        ("silent", "not confirmed"),
     ],
 )
-def test_a_drive_that_does_not_confirm_its_set_up_keeps_the_run_from_starting(wrong, lacks):
+def test_run_does_not_start_until_every_drive_confirms_its_set_up(wrong, lacks):
     bench = Bench()
     obey = bench.drives.obey
     speaks = LegsProtocol("fd", OURS.nodes, 3e3) if wrong == "rated force" else bench.drives.protocol

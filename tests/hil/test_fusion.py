@@ -1,4 +1,4 @@
-"""The filter against a plain NumPy one and its own statistics: late samples, wrong encoders, an IMU, forces."""
+"""Fusion filter against a plain one and its own statistics: late samples, encoder errors, IMU, forces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from drivers.config import ImuSettings
 from hil.config.estimation import FusionSettings
 from hil.estimation.fusion_kernels import bend
-from tests.hil.fused import (
+from tests.hil.fusion_bench import (
     LEGS,
     LOOSE,
     LOOSE_LEGS,
@@ -33,11 +33,11 @@ from tests.hil.fused import (
     state_of,
     update,
 )
-from tests.sensed import Readings, Sample
+from tests.sensor_samples import Readings, Sample
 
 
 class Plain:
-    """An extended Kalman filter with numerical derivatives, batch updates and inverses, second order in lengths."""
+    """Plain extended Kalman filter: numerical derivatives, batch updates, second order in lengths."""
 
     def __init__(self, truth: Truth) -> None:
         self.p, self.R, self.twist = truth.p, truth.R, ZERO
@@ -102,7 +102,7 @@ class Plain:
         self.p, self.R, self.twist = self.moved(d)
 
 
-def test_it_is_the_plain_filter_with_a_leg_lost_and_a_tracker_between_ticks():
+def test_filter_agrees_with_a_plain_one_with_a_lost_leg_and_a_tracker():
     truth = Truth(1)
     plain, found = Plain(truth), estimator(start=truth)
     for tick in range(1, 121):
@@ -150,10 +150,10 @@ IMU = ImuSettings(rate_Hz=1000.0)
 @pytest.mark.parametrize(
     ("lost", "imu"), [((4,), None), ((), IMU), pytest.param((), None, marks=pytest.mark.long)]
 )
-def test_its_errors_are_as_large_as_it_says(lost, imu):
-    """Mean of e^T P^-1 e / n over independent runs: 1, within five standard deviations of that mean.
+def test_errors_of_the_filter_agree_with_its_covariance(lost, imu):
+    """Mean of e^T P^-1 e / n over independent runs is 1, within five standard deviations of that mean.
 
-    Biases of an IMU are drawn from what the filter believes of them at first.
+    Biases of an IMU are drawn from the filter's initial covariance.
     """
     runs, ticks = 20, 150
     nees = []
@@ -176,8 +176,8 @@ def test_its_errors_are_as_large_as_it_says(lost, imu):
 
 
 @pytest.mark.parametrize("imu", [None, IMU], ids=["alone", "beside an IMU"])
-def test_a_late_sample_leaves_the_filter_as_if_it_had_been_in_time(imu):
-    """Samples of every third tick come together in every seventh tick."""
+def test_late_sample_gives_the_same_state_as_a_prompt_one(imu):
+    """Samples of every third tick arrive together in every seventh tick."""
     truth = Truth(3)
     prompt, tardy = (estimator(start=truth, imu=imu) for _ in range(2))
     waiting: list[Sample] = []
@@ -198,7 +198,7 @@ def test_a_late_sample_leaves_the_filter_as_if_it_had_been_in_time(imu):
     assert all(np.array_equal(x, y) for x, y in zip(state_of(prompt), state_of(tardy), strict=True))
 
 
-def test_a_sample_older_than_the_memory_or_stamped_ahead_is_passed_over():
+def test_sample_too_old_or_from_the_future_is_ignored():
     truth = Truth(5)
     found, without = estimator(start=truth), estimator(start=truth)
     for tick in range(1, 60):
@@ -214,7 +214,7 @@ def test_a_sample_older_than_the_memory_or_stamped_ahead_is_passed_over():
     assert a.health.missed, "no sample of use for five periods"
 
 
-def test_missed_ticks_and_a_late_loop_are_taken_into_account():
+def test_filter_accounts_for_skipped_ticks_and_a_late_loop():
     truth = Truth(6, LOOSE.model_copy(update={"acceleration_noise_m_s2_sqrtHz": 1e-9}))
     truth.twist = np.array([0.5, 0.2, 0, 0, 0, 0])
     tight = LOOSE.model_copy(update={"gate_std": 6.0})
@@ -234,7 +234,7 @@ def test_missed_ticks_and_a_late_loop_are_taken_into_account():
             assert np.abs(fused["innovation_q"]).max() < 1e-7
 
 
-def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
+def test_filter_finds_imu_biases_and_its_pose_improves():
     truth = Truth(8)
     found = estimator(start=truth, imu=IMU)
     biases = np.array([0.02, -0.01, 0.03, 0.1, 0.2, -0.1])
@@ -254,7 +254,7 @@ def test_it_finds_the_biases_of_an_imu_and_carries_the_pose_on_with_it():
 FORCED = LEGS._replace(force_std_N=500.0)
 
 
-def test_a_force_along_a_leg_that_nobody_reports_is_found():
+def test_filter_finds_an_unreported_force_along_a_leg():
     truth = Driven([0, 0, 400.0, 0, 0, -250.0])
     found = estimator(FusionSettings(), FORCED, start=truth)
     for tick in range(1, 60):
@@ -273,7 +273,7 @@ def test_a_force_along_a_leg_that_nobody_reports_is_found():
     ("off", "stated"),
     [({"skew_s": 50e-6}, {"rate_skew_std_s": 50e-6}), ({"scale": 1.01}, {"rate_scale_std": 0.01})],
 )
-def test_a_rate_that_is_wrong_by_what_is_stated_is_believed_for_what_it_is(off, stated):
+def test_stated_rate_errors_are_in_the_covariance(off, stated):
     """A leg pushes with 10 kN for 60 ms. Noise of the rates: 10 um/s, in both filters."""
     quiet = LEGS._replace(rate_std_m_s=1e-5)
     beyond = []
@@ -294,8 +294,8 @@ def test_a_rate_that_is_wrong_by_what_is_stated_is_believed_for_what_it_is(off, 
     assert beyond[1] > 20
 
 
-def test_the_bend_of_a_length_is_that_of_drawn_poses():
-    """Mean and variance of length less tangent over 400,000 poses, half a millimetre and milliradian wide."""
+def test_second_order_terms_of_a_length_agree_with_random_poses():
+    """Mean and variance of length minus tangent over 400,000 poses within 0.5 mm and 0.5 mrad."""
     truth = Truth(0)
     chance = np.random.default_rng(2)
     L = 5e-4 * chance.uniform(-1, 1, (6, 6))

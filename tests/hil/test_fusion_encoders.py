@@ -1,4 +1,4 @@
-"""What the filter leaves out and what it believes: encoders, the tracker, single words of both."""
+"""Outlier rejection of the filter: encoders, the tracker, and single components of both."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hil.contracts.records import altered
 from hil.estimation.fusion import FusedEstimator
 from hil.estimation.fusion_tick import LEFT_OUT_TICKS, SLIP_TICKS
 from hil.robot.dynamics import Model
-from tests import sensed
-from tests.hil.fused import (
+from tests import sensor_samples
+from tests.hil.fusion_bench import (
     LEGS,
     MS,
     PLATFORM,
@@ -29,12 +29,12 @@ from tests.hil.fused import (
     state_of,
     update,
 )
-from tests.sensed import Readings, Sample
+from tests.sensor_samples import Readings, Sample
 
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_an_encoder_that_slips_by_2_mm_is_left_out_and_reported_at_once(leg, sign):
+def test_encoder_slip_of_2_mm_is_rejected_and_reported_at_once(leg, sign):
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     q[leg] += sign * 2e-3
@@ -49,7 +49,7 @@ def test_an_encoder_that_slips_by_2_mm_is_left_out_and_reported_at_once(leg, sig
 @pytest.mark.parametrize(
     ("axis", "speed"), [(2, 1.0), *((axis, sign * 0.02) for axis in range(6) for sign in (1, -1))]
 )
-def test_a_push_that_moves_all_legs_is_no_slip_and_is_followed(axis, speed):
+def test_motion_of_all_legs_is_followed_and_not_taken_for_a_slip(axis, speed):
     found, truth = settled()
     truth.twist = speed * (np.arange(6) == axis)
     for tick in range(100, 130):
@@ -61,7 +61,7 @@ def test_a_push_that_moves_all_legs_is_no_slip_and_is_followed(axis, speed):
         assert np.abs(error(fused, truth)[:6]).max() < 2e-5
 
 
-def test_single_outliers_are_no_slip_however_many_there_are():
+def test_single_outliers_are_never_reported_as_a_slip():
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     off = q + 2e-3 * (np.arange(6) == 3)
@@ -73,7 +73,7 @@ def test_single_outliers_are_no_slip_however_many_there_are():
     assert used == [tick % SLIP_TICKS == 0 for tick in range(100, 100 + 4 * SLIP_TICKS)]
 
 
-def test_a_leg_that_is_off_by_less_than_a_slip_is_believed_in_the_end():
+def test_leg_with_an_error_below_a_slip_is_accepted_after_a_while():
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     q[1] += 0.1e-3
@@ -83,7 +83,7 @@ def test_a_leg_that_is_off_by_less_than_a_slip_is_believed_in_the_end():
     assert not found.record["slipped"].any()
 
 
-def test_a_silent_and_a_blind_leg_are_lost_and_come_back():
+def test_silent_leg_and_blind_leg_are_lost_and_recover():
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     for tick in range(100, 110):
@@ -98,7 +98,7 @@ def test_a_silent_and_a_blind_leg_are_lost_and_come_back():
     assert not any(fused.health.lost)
 
 
-def test_the_age_of_a_leg_that_may_be_lost_does_not_count():
+def test_age_of_a_leg_that_may_be_lost_does_not_count():
     settings = FusionSettings(may_lose_legs=[2])
     truth = Truth(7)
     found = FusedEstimator(PLATFORM, Model(PLATFORM), settings, LEGS, TRACKER, None, T)
@@ -110,12 +110,12 @@ def test_the_age_of_a_leg_that_may_be_lost_does_not_count():
         (4, (), [0] * 6, 0),
     ):
         record = altered(measurement(*legs(truth.p, truth.R, ZERO), lost=lost), tick=tick)
-        sensed.update(found, record, tick * MS, Readings(), ZERO, ZERO)
+        sensor_samples.update(found, record, tick * MS, Readings(), ZERO, ZERO)
         assert record["counted_age"].tolist() == ages
         assert record["unseen"] == unseen
 
 
-def test_the_tracker_alone_bounds_what_a_lost_leg_leaves_open():
+def test_tracker_bounds_the_uncertainty_with_a_lost_leg():
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     for tick in range(100, 3000):
@@ -129,7 +129,7 @@ def test_the_tracker_alone_bounds_what_a_lost_leg_leaves_open():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize("word", range(6))
-def test_a_tracker_sample_of_which_one_word_is_far_off_is_refused(word, sign):
+def test_tracker_sample_with_one_outlier_component_is_rejected(word, sign):
     found, truth = settled()
     off = sign * 0.05 * (np.arange(6) == word)
     R = Rotation.from_rotvec(off[3:]) * truth.R
@@ -142,8 +142,8 @@ def test_a_tracker_sample_of_which_one_word_is_far_off_is_refused(word, sign):
     assert update(found, 101, m, [right])["tracker"] == 1
 
 
-def test_what_the_estimate_writes_into_a_tick_belongs_together():
-    """One leg is off and left out."""
+def test_columns_of_the_estimate_are_consistent():
+    """One leg is an outlier and rejected."""
     found, truth = settled()
     q, dq = legs(truth.p, truth.R, ZERO)
     q[3] += 2e-3
@@ -163,7 +163,7 @@ def test_what_the_estimate_writes_into_a_tick_belongs_together():
 
 @pytest.fixture(scope="module")
 def pushed():
-    """A platform that its drives push upward from rest: where it is in the end, and what is measured."""
+    """A platform pushed upward from rest by its drives: its final state, and the measurements."""
     truth = Driven(ZERO)
     tau = truth.hold + 2000.0
     ticks = []
@@ -175,7 +175,7 @@ def pushed():
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("share", [0.0, -1.0], ids=["dead", "of the wrong sign"])
-def test_a_leg_whose_rate_alone_is_wrong_is_left_out(pushed, leg, share):
+def test_leg_with_a_wrong_rate_is_rejected(pushed, leg, share):
     found = estimator(FusionSettings(), LEGS)
     scale = np.where(np.arange(6) == leg, share, 1.0)
     truth, ticks = pushed

@@ -1,4 +1,4 @@
-"""Intervals of the filter: when samples and forces count, which sensors it misses, what it warns about."""
+"""Intervals of the filter: times of samples and forces, missing sensors, and warnings."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from hil.estimation.fusion import SILENT_SAMPLES, FusedEstimator
 from hil.estimation.fusion_kernels import fill_estimate
 from hil.estimation.fusion_layout import FUSION, KEPT, STEP, LegErrors
 from hil.robot.dynamics import Model
-from tests import sensed
-from tests.hil.fused import (
+from tests import sensor_samples
+from tests.hil.fusion_bench import (
     LEGS,
     LOOSE,
     LOOSE_LEGS,
@@ -37,16 +37,16 @@ from tests.hil.fused import (
     legs,
     measurement,
 )
-from tests.sensed import Readings, Sample
+from tests.sensor_samples import Readings, Sample
 
 PATIENCE = round(SILENT_SAMPLES / TRACKER.rate_Hz / T)
-"""Ticks without a sample of use until the tracker is missed."""
+"""Ticks without a usable sample until the tracker is reported as missing."""
 
 
 @pytest.mark.parametrize("stamped", [3, 4, 5, 6, 7])
 @pytest.mark.parametrize("offset_s", [-4e-4, 0.0, 4e-4])
-def test_a_sample_of_a_tick_that_the_loop_skipped_counts_at_its_own_instant(stamped, offset_s):
-    """A platform that moves at 1 m/s, and ticks 4 to 6 are left out."""
+def test_sample_of_a_skipped_tick_is_used_at_its_own_instant(stamped, offset_s):
+    """A platform with a speed above 1 m/s; ticks 4 to 6 are skipped."""
     start = Truth(4)
     velocity = np.array([1.0, -0.5, 0.25])
     found = estimator(LOOSE, LOOSE_LEGS, start)
@@ -63,7 +63,7 @@ def test_a_sample_of_a_tick_that_the_loop_skipped_counts_at_its_own_instant(stam
 
 
 def tracked(off_m: float) -> Any:
-    """Samples of a tracker every 5 ms that is off by so much."""
+    """Samples of a tracker every 5 ms with this error."""
     return lambda tick, truth: (Sample(tick - 1, 0.0, (*(truth.p + off_m), *truth.R.as_rotvec())),)
 
 
@@ -87,7 +87,7 @@ def silent(_tick: int, _truth: Truth) -> tuple[Sample, ...]:
         (tracked(0.0), still, True, False),
     ],
 )
-def test_a_sensor_that_is_silent_or_refused_is_missed(tracker, imu, heard, missed):
+def test_silent_or_rejected_sensor_is_reported_as_missing(tracker, imu, heard, missed):
     truth = Truth(7)
     both = FusedEstimator(
         PLATFORM, Model(PLATFORM), FusionSettings(), LEGS, TRACKER, ImuSettings(rate_Hz=200.0), T
@@ -102,7 +102,7 @@ def test_a_sensor_that_is_silent_or_refused_is_missed(tracker, imu, heard, misse
 
 
 def force(found):
-    """The forces (6,) N from which the acceleration of the last interval was found; None: it was not."""
+    """Forces (6,) N behind the acceleration of the last interval; None if it used none."""
     now = int(found.record["newest"])
     u, x = found._steps[now], found._steps[now - 1]["x"]
     if not u["influence"].any():
@@ -117,38 +117,38 @@ def driven(forces: Any, ages: Any = 0, blind: Any = 0) -> Any:
     return altered(m, drive_force=forces, drive_state=[DriveState.RUN] * 6, age=ages, blind=blind)
 
 
-def test_an_interval_has_the_mean_of_the_forces_at_its_ends():
+def test_interval_uses_the_mean_of_the_forces_at_its_ends():
     found = estimator()
     forces = []
     said = [np.arange(6.0), -2.0 * np.arange(6.0), np.full(6, 10.0)]
     for tick, tau in enumerate(said, 1):
-        sensed.update(found, altered(driven(tau), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+        sensor_samples.update(found, altered(driven(tau), tick=tick), tick * MS, Readings(), ZERO, ZERO)
         forces.append(force(found))
     expected = [said[0], -0.5 * np.arange(6.0), 5.0 - np.arange(6.0)]
     np.testing.assert_allclose(forces, expected, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_blind_drive_reports_its_force_and_a_silent_one_has_its_command(leg):
+def test_force_of_a_blind_drive_is_reported_and_of_a_silent_one_commanded(leg):
     found = estimator()
     other = (leg + 1) % 6
     ages = [7 * (i in {leg, other}) for i in range(6)]
     blind = [int(i == leg) for i in range(6)]
     tick = altered(driven(np.arange(6.0) + 1.0, ages, blind), tick=1)
-    sensed.update(found, tick, MS, Readings(), np.full(6, 50.0), ZERO)
+    sensor_samples.update(found, tick, MS, Readings(), np.full(6, 50.0), ZERO)
     expected = [50.0 if i == other else i + 1.0 for i in range(6)]
     np.testing.assert_allclose(force(found), expected, rtol=0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("state", [DriveState.READY, DriveState.OFF, DriveState.FAULT])
-def test_behind_one_shut_brake_no_force_carries_the_pose_on(leg, state):
-    """A shut brake takes what the model would make of the forces, and the mean of them begins anew."""
+def test_forces_are_ignored_while_one_brake_is_closed(leg, state):
+    """A closed brake balances the forces, and afterwards their mean starts again."""
     found, forces = estimator(), []
     states = [state if i == leg else DriveState.RUN for i in range(6)]
     for number, drives in enumerate(([DriveState.RUN] * 6, states, [DriveState.RUN] * 6), 1):
         tick = altered(driven(np.full(6, 10.0 * number)), tick=number, drive_state=drives)
-        sensed.update(found, tick, number * MS, Readings(), ZERO, ZERO)
+        sensor_samples.update(found, tick, number * MS, Readings(), ZERO, ZERO)
         interval = found._steps[found.record["newest"]]
         shut = drives is states
         assert (interval["used"] == (KEPT if shut else 1)).all()
@@ -160,25 +160,27 @@ def test_behind_one_shut_brake_no_force_carries_the_pose_on(leg, state):
 
 @pytest.mark.parametrize("odd", ["", "brake", "leg", "leg that is silent"])
 @pytest.mark.parametrize("leg", [0, 5])
-def test_a_platform_on_shut_brakes_has_lost_its_speed(odd, leg):
-    """5 mm/s of one leg that is heard is a motion; what was read last of a silent one is none."""
+def test_speed_is_zero_while_all_brakes_are_closed(odd, leg):
+    """5 mm/s of a leg with fresh feedback is motion; the last reading of a silent leg is not."""
     found, at = estimator(), np.arange(6) == leg
     twist = np.array([0.1, -0.2, 0.3, -0.4, 0.5, -0.6])
     found._steps[found.record["newest"]]["x"][12:18] = twist
     states = np.where(at & (odd == "brake"), int(DriveState.RUN), int(DriveState.READY))
     rates, ages = 5e-3 * (at & ("leg" in odd)), 1 * (at & ("silent" in odd))
     tick = altered(driven(np.zeros(6)), tick=1, drive_state=states, rate=rates, age=ages)
-    sensed.update(found, tick, MS, Readings(), ZERO, ZERO)
+    sensor_samples.update(found, tick, MS, Readings(), ZERO, ZERO)
     stands = odd in {"", "leg that is silent"}
     lost = found._steps[found.record["newest"]]["dtwist"] * T
     np.testing.assert_allclose(lost, -twist if stands else np.zeros(6), rtol=1e-12)
     assert force(found) is None
 
 
-def test_a_filter_that_begins_again_forgets_slips_forces_and_the_last_attitude():
+def test_restart_of_the_filter_clears_slips_forces_and_attitude():
     found, fresh, truth = estimator(), estimator(), Truth(5)
     for tick in range(1, 4):
-        sensed.update(found, altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO)
+        sensor_samples.update(
+            found, altered(driven(np.ones(6)), tick=tick), tick * MS, Readings(), ZERO, ZERO
+        )
     for name, leg in (("slipped", 2), ("against", 1), ("left_out", 4)):
         found.record[name][leg] = 2
     for each in (found, fresh):
@@ -191,7 +193,7 @@ def test_a_filter_that_begins_again_forgets_slips_forces_and_the_last_attitude()
 
 
 @pytest.mark.parametrize(("rate_Hz", "period_s"), [(100.0, 1e-3), (1000.0, 1e-3), (400.0, 4e-3)])
-def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(rate_Hz, period_s):
+def test_wrench_sensor_is_late_after_missing_samples_at_its_own_rate(rate_Hz, period_s):
     wrench = ExternalWrench(None, rate_Hz, period_s)
     wrench._record["read_at"] = 10
     late = []
@@ -201,7 +203,7 @@ def test_a_wrench_sensor_is_late_once_it_has_left_out_samples_of_its_own_rate(ra
     assert late == [tick - 10 > patience + 1e-9 for tick in range(10, 60)]
 
 
-def test_each_setting_of_the_filter_makes_its_own_constant():
+def test_each_setting_of_the_filter_sets_its_own_constant():
     settings = FusionSettings(
         acceleration_noise_m_s2_sqrtHz=2.0,
         angular_acceleration_noise_rad_s2_sqrtHz=3.0,
@@ -228,7 +230,7 @@ def test_each_setting_of_the_filter_makes_its_own_constant():
 fill = kernel(record(FUSION), record(STEP), MATRIX, record(TICK, *part("estimate", "fusion")))(fill_estimate)
 
 
-def test_a_state_that_is_no_number_has_no_residual():
+def test_state_with_nan_has_a_nan_residual():
     s = np.zeros((), STEP)
     s["x"][0:3], s["x"][3:12] = np.nan, np.eye(3).ravel()
     s["used"] = 1

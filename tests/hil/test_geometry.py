@@ -1,4 +1,4 @@
-"""Platforms, joints and inertia: round trips, closed forms of circles and solids, and what is refused."""
+"""Platforms, joints and inertia: round trips, closed forms of circles and solids, and refusals."""
 
 import copy
 import json
@@ -29,7 +29,7 @@ def changed(path, value):
 
 
 @pytest.mark.parametrize("name", GEOMETRIES)
-def test_a_platform_survives_the_round_trip(name):
+def test_platform_survives_the_round_trip(name):
     platform = Platform.from_dict(GEOMETRIES[name])
     again = Platform.from_dict(json.loads(json.dumps(platform.to_dict())))
     assert again.to_dict() == platform.to_dict()
@@ -65,7 +65,7 @@ def test_arrays_are_private_and_read_only():
         ("universal_joint_base_axes", [[0.0, 0.0, 0.0]] * 6),
     ],
 )
-def test_an_impossible_platform_is_refused_with_key_and_value(path, value):
+def test_impossible_platform_is_refused_with_key_and_value(path, value):
     with pytest.raises(GeometryError) as caught:
         Platform.from_dict(changed(path, value))
     assert isinstance(caught.value, ModelError)
@@ -95,18 +95,18 @@ def test_missing_and_unknown_keys_are_listed():
             Platform.from_dict(given)
 
 
-def test_the_books_base_is_a_hexagon_of_radius_two():
+def test_book_base_is_a_hexagon_of_radius_two():
     base = joints.on_circle(2.0, [0, 60, 120, 180, 240, 300])
     assert base == pytest.approx(np.array(BOOK["base_joints"]), abs=2e-15)
 
 
-def test_the_books_platform_is_a_triangle_with_two_legs_a_corner():
+def test_book_platform_is_a_triangle_with_two_legs_at_each_corner():
     expected = np.array(BOOK["platform_joints"])
     assert joints.in_pairs(1.0, [30, 150, 270], 0.0) == pytest.approx(expected, abs=2e-15)
     assert joints.on_circle(1.0, [30, 30, 150, 150, 270, 270]) == pytest.approx(expected, abs=2e-15)
 
 
-def test_pairs_by_half_angle_stand_at_their_angles():
+def test_pairs_by_half_angle_are_at_their_angles():
     spacing = joints.chord(0.75, 10.0)
     assert spacing == pytest.approx(2 * 0.75 * np.sin(np.deg2rad(10)), abs=1e-15)
     found = joints.in_pairs(0.75, [0, 120, 240], spacing, -0.1)
@@ -130,8 +130,8 @@ SLANTED = Rotation.from_rotvec([0.0, 0.0, np.pi / 4]).as_matrix() @ WALL
 @pytest.mark.parametrize(
     "turn", [np.eye(3), WALL, SIDE, SLANTED, Rotation.from_rotvec([1, 2, -1]).as_matrix()]
 )
-def test_a_ring_is_gone_round_in_its_own_plane_whichever_that_is(turn, wide):
-    """Leg order mixed up; a ring has no first corner and no direction."""
+def test_joints_of_a_ring_are_ordered_in_any_plane(turn, wide):
+    """The legs are shuffled; first corner and direction are arbitrary."""
     ring = joints.on_circle(2.0, [10, 50, 120, 170, 240, 290]) * [1.0, wide, 1.0]
     mixed = np.array([3, 0, 5, 1, 4, 2])
     order = mixed[around(ring[mixed] @ turn.T + [3.0, -1.0, 2.0])]
@@ -139,7 +139,7 @@ def test_a_ring_is_gone_round_in_its_own_plane_whichever_that_is(turn, wide):
     assert steps.tolist() in ([1] * 6, [5] * 6)
 
 
-def test_a_level_ring_is_gone_round_from_x_towards_y():
+def test_joints_of_a_level_ring_are_ordered_from_x_towards_y():
     ring = joints.on_circle(2.0, [170, 10, -120, 50, 120, -70])
     assert around(ring).tolist() == [2, 5, 1, 3, 4, 0]
 
@@ -147,7 +147,7 @@ def test_a_level_ring_is_gone_round_from_x_towards_y():
 DIAGONAL = Rotation.from_rotvec([0.4, -1.1, 0.7]).as_matrix()
 
 
-def test_a_box_about_a_corner_is_the_closed_form():
+def test_inertia_of_a_box_about_a_corner_has_the_closed_form():
     size, mass = np.array([0.6, 0.4, 0.2]), 7.0
     corner = inertia.box(mass, size) + inertia.steiner(mass, size / 2)
     # about a corner: m/3 (b^2 + c^2), products m/4 a b with the minus sign
@@ -158,7 +158,7 @@ def test_a_box_about_a_corner_is_the_closed_form():
     assert corner[0, 1] == pytest.approx(-mass / 4 * a * b)
 
 
-def test_a_cylinder_about_its_end_and_a_tube_are_the_closed_forms():
+def test_inertia_of_a_cylinder_and_of_a_tube_has_the_closed_form():
     m, r, h = 3.0, 0.2, 0.9
     end = inertia.cylinder(m, r, h) + inertia.steiner(m, [0, 0, h / 2])
     assert np.diag(end) == pytest.approx([m * r**2 / 4 + m * h**2 / 3] * 2 + [m * r**2 / 2])
@@ -171,13 +171,13 @@ def test_a_cylinder_about_its_end_and_a_tube_are_the_closed_forms():
     )
 
 
-def test_a_sphere_about_a_tangent_is_seven_fifths():
+def test_inertia_of_a_sphere_about_a_tangent_is_seven_fifths():
     m, r = 2.0, 0.3
     I = inertia.sphere(m, r) + inertia.steiner(m, [r, 0, 0])
     assert np.diag(I) == pytest.approx([0.4 * m * r**2, 1.4 * m * r**2, 1.4 * m * r**2])
 
 
-def test_uneven_boxes_that_are_turned_together_are_one_turned_box():
+def test_two_rotated_boxes_combine_to_one_rotated_box():
     density, R = 800.0, DIAGONAL
     parts = []
     for low, high in ((-0.5, -0.2), (-0.2, 0.5)):
@@ -194,7 +194,7 @@ def test_uneven_boxes_that_are_turned_together_are_one_turned_box():
     assert both.inertia == pytest.approx(R @ np.diag(principal) @ R.T)
 
 
-def test_a_dumbbell_shows_the_sign_of_the_products():
+def test_products_of_inertia_of_a_dumbbell_have_the_right_sign():
     # Two points of 1 kg at +-(1, 1, 0): I_xy = -integral of x y dm = -2.
     ends = [Body(1.0, np.array([s, s, 0.0]), np.zeros((3, 3))) for s in (1.0, -1.0)]
     I = inertia.combine(ends).inertia
@@ -213,11 +213,11 @@ def test_a_dumbbell_shows_the_sign_of_the_products():
         ((0, 0, 1), False),
     ],
 )
-def test_the_triangle_inequality_decides_what_is_a_body(moments, is_body):
+def test_moments_of_a_body_satisfy_the_triangle_inequality(moments, is_body):
     assert inertia.physical(DIAGONAL @ np.diag(np.array(moments, float)) @ DIAGONAL.T) is is_body
 
 
-def test_a_tensor_about_another_point_comes_home():
+def test_tensor_about_another_point_is_moved_to_the_centre_of_mass():
     m, com, point = 12.0, np.array([0.1, -0.2, 0.4]), np.array([-0.3, 0.1, 0.0])
     own = DIAGONAL @ np.diag([0.5, 0.6, 0.8]) @ DIAGONAL.T
     x, y, z = com - point
@@ -229,7 +229,7 @@ def test_a_tensor_about_another_point_comes_home():
 
 
 ROD = np.eye(3) - np.ones((3, 3)) / 3
-"""A thin rod along (1, 1, 1), I = m l^2/12 (1 - n n^T): with flipped products it is no body."""
+"""A thin rod along (1, 1, 1), I = m l^2/12 (1 - n n^T); not physical with flipped products."""
 
 
 @pytest.mark.parametrize(
@@ -241,7 +241,7 @@ ROD = np.eye(3) - np.ones((3, 3)) / 3
     ],
     ids=["moved twice", "wrong sign of products", "unsymmetric"],
 )
-def test_a_tensor_of_no_body_is_refused_with_the_reason(com, tensor, point, reason):
+def test_unphysical_tensor_is_refused_with_the_reason(com, tensor, point, reason):
     assert inertia.physical(ROD)
     with pytest.raises(GeometryError, match=reason) as caught:
         inertia.about_centre_of_mass("I", 12.0, com, tensor, point)

@@ -1,4 +1,4 @@
-"""Turns that drives forget at power-off: found from where the legs were parked, or refused."""
+"""Turns that drives forget at power-off: restored from the parked lengths, or refused."""
 
 import numpy as np
 import pytest
@@ -15,12 +15,12 @@ SIGN = np.array([1.0, -1.0, 1.0, -1.0, 1.0, 1.0])
 PARKED = np.array([0.301, 0.312, 0.323, 0.334, 0.345, 0.356])
 LIMIT = 2e-4
 TURNS = np.array([7, -3, 12, 0, -1, 100])
-"""How many whole turns each drive has forgotten."""
+"""Whole turns that each drive has forgotten."""
 PERIOD_S = 0.0025
 
 
 class Leg:
-    """Six drives that report `reported`, tick by tick."""
+    """Six drives that report given lengths, tick by tick."""
 
     def __init__(self, stroke=None, **changes):
         pose = LastPose(
@@ -32,11 +32,11 @@ class Leg:
         self.last["age"] = NEVER
         self.number = -1
         self.seen = np.zeros(6)
-        """(6,) m, what the decoder saw of the last tick."""
+        """(6,) m, lengths of the last tick in the decoder."""
         self.homing.record["decode"], self._reading = of_python(self._read, *[INTEGER] * 6)
 
     def _read(self, _codec, _frames, _count, _since_ns, last, tick):
-        """Decode: a silent leg keeps the length that it reported last."""
+        """Decode: a silent leg keeps its last reported length."""
         self.seen = tick_at(last)["length"].copy()
         quiet = list(self.silent)
         tick_at(tick)["length"][quiet] = self.seen[quiet]
@@ -65,7 +65,7 @@ def only(leg):
     return 1.0 * (np.arange(6) == leg)
 
 
-def test_whole_turns_are_added_to_the_length_that_is_read():
+def test_whole_turns_are_added_to_the_reported_length():
     legs = Leg()
     here = PARKED + 0.9 * LIMIT * np.array([1, -1, 1, -1, 1, -1])
     np.testing.assert_allclose(legs.hear(forgotten(here)), here, atol=1e-12)
@@ -89,7 +89,7 @@ def test_turns_of_a_geared_motor_are_reported_as_fractions():
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_leg_beyond_its_limit_is_refused_with_its_lengths_until_it_comes_back(leg, side):
+def test_leg_beyond_its_limit_is_refused_until_it_is_back(leg, side):
     legs = Leg()
     here = PARKED + 1.1 * side * LIMIT * only(leg)
     legs.hear(forgotten(here))
@@ -120,18 +120,18 @@ def test_each_leg_has_its_own_limit(leg, side):
 @pytest.mark.parametrize(
     ("low", "high", "known"), [(0.25, 0.5, True), (0.2501, 0.5, False), (0.25, 0.4999, False)]
 )
-def test_a_drive_whose_position_ends_inside_the_stroke_is_refused(leg, low, high, known):
+def test_drive_with_a_position_range_inside_the_stroke_is_refused(leg, low, high, known):
     ends = np.where(only(leg), low, 0.0), np.where(only(leg), high, 1.0)
     legs = Leg(Stroke(0.25, 0.5, ends))
     legs.hear(PARKED)
     assert legs.homing.known is known
     assert (
-        f"leg {leg}: its drive was switched on where its position ends" in legs.homing.refusal
+        f"leg {leg}: its drive was switched on where its position field" in legs.homing.refusal
     ) is not known
 
 
 @pytest.mark.parametrize(("old", "known"), [(1, True), (2, False)])
-def test_a_first_reading_gives_the_turn_if_it_is_a_tick_old_at_most(old, known):
+def test_first_reading_gives_the_turn_if_at_most_one_tick_old(old, known):
     legs = Leg()
     legs.hear(forgotten(PARKED), late=(3,), by=old)
     assert legs.homing.known is known
@@ -140,7 +140,7 @@ def test_a_first_reading_gives_the_turn_if_it_is_a_tick_old_at_most(old, known):
 
 
 @pytest.mark.parametrize(("share", "known"), [(0.49, True), (-0.49, True), (0.5, False), (-0.51, False)])
-def test_half_a_turn_within_a_tick_is_a_leap(share, known):
+def test_jump_of_half_a_turn_in_a_tick_means_a_drive_restart(share, known):
     legs = Leg(length=np.full(6, 0.25), step_m=np.full(6, 2.0**-8))
     for part in (0.0, share):
         legs.hear(0.25 + part * 2.0**-8 * only(2), braked=False)
@@ -160,8 +160,8 @@ def test_half_a_turn_within_a_tick_is_a_leap(share, known):
     ],
     ids=["heard", "silent", "silent and late", "one skipped", "four skipped"],
 )
-def test_a_moving_leg_is_followed_by_its_rate_since_its_last_reading(legs_that, ticks):
-    """0.7 of a turn a tick, each leg as fast as its step is long."""
+def test_turns_of_a_moving_leg_follow_from_its_last_rate(legs_that, ticks):
+    """0.7 of a turn in each tick, for every leg."""
     legs, speed, moved = Leg(), 0.7 * STEP / PERIOD_S, PARKED.copy()
     these = np.isin(np.arange(6), legs_that)
     legs.hear(forgotten(moved), braked=False, rate=speed)
@@ -177,8 +177,8 @@ def test_a_moving_leg_is_followed_by_its_rate_since_its_last_reading(legs_that, 
 
 
 @pytest.mark.parametrize("silent_ticks", [0, SILENT_TICKS + 1])
-def test_a_drive_that_was_switched_off_behind_its_brake_is_found_again(silent_ticks):
-    """Where it was last, and not where it was parked."""
+def test_drive_restarted_with_its_brake_closed_is_restored(silent_ticks):
+    """Restored to its last length, not to its parked length."""
     legs, moved = Leg(), PARKED.copy()
     legs.hear(forgotten(moved), braked=False)
     for _ in range(3):
@@ -191,7 +191,7 @@ def test_a_drive_that_was_switched_off_behind_its_brake_is_found_again(silent_ti
 
 
 @pytest.mark.parametrize("silent_ticks", [1, SILENT_TICKS + 2])
-def test_a_drive_that_was_switched_off_with_its_brake_open_is_lost_for_good(silent_ticks):
+def test_drive_restarted_with_its_brake_open_stays_unknown(silent_ticks):
     legs = Leg()
     legs.hear(forgotten(PARKED))
     for _ in range(silent_ticks):
@@ -206,7 +206,7 @@ def test_a_drive_that_was_switched_off_with_its_brake_open_is_lost_for_good(sile
 
 
 @pytest.mark.parametrize(("ticks", "known"), [(SILENT_TICKS, True), (SILENT_TICKS + 1, False)])
-def test_a_drive_silent_for_too_long_with_its_brake_open_is_not_trusted(ticks, known):
+def test_drive_silent_too_long_with_its_brake_open_is_not_trusted(ticks, known):
     legs = Leg()
     legs.hear(forgotten(PARKED))
     for _ in range(ticks):
@@ -218,7 +218,7 @@ def test_a_drive_silent_for_too_long_with_its_brake_open_is_not_trusted(ticks, k
 
 @pytest.mark.parametrize("leg", range(6))
 @pytest.mark.parametrize("ticks", [1, 3 * SILENT_TICKS])
-def test_a_drive_heard_later_is_found_where_its_leg_was_parked(leg, ticks):
+def test_drive_that_answers_later_is_restored_to_its_parked_length(leg, ticks):
     legs = Leg()
     for _ in range(ticks):
         legs.hear(forgotten(PARKED), silent=(leg,))
@@ -230,7 +230,7 @@ def test_a_drive_heard_later_is_found_where_its_leg_was_parked(leg, ticks):
 
 @pytest.mark.parametrize("leg", [0, 3])
 @pytest.mark.parametrize("silent", range(6))
-def test_a_drive_switched_off_before_another_one_was_ever_heard_is_found_again(leg, silent):
+def test_drive_restarted_before_all_have_answered_is_restored(leg, silent):
     legs, others = Leg(), {silent} - {leg}
     legs.hear(forgotten(PARKED), silent=others)
     reads = forgotten(PARKED) + 4 * STEP * only(leg)
@@ -241,7 +241,7 @@ def test_a_drive_switched_off_before_another_one_was_ever_heard_is_found_again(l
     assert legs.homing.known
 
 
-def test_brakes_that_have_been_open_once_count_as_open_until_a_reset():
+def test_brakes_once_open_count_as_open_until_a_reset():
     legs = Leg()
     legs.hear(forgotten(PARKED))
     assert not legs.homing.opened
@@ -253,7 +253,7 @@ def test_brakes_that_have_been_open_once_count_as_open_until_a_reset():
     assert not legs.homing.opened
 
 
-def test_a_reset_forgets_whose_turn_was_lost():
+def test_reset_clears_the_drive_with_unknown_turns():
     legs = Leg()
     legs.hear(forgotten(PARKED), braked=False)
     for _ in range(SILENT_TICKS + 2):

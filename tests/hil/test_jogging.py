@@ -1,4 +1,4 @@
-"""A jog: what it follows, its speed, the stop before a limit, and what ends or refuses it."""
+"""Jogging: path, speed, the stop before a limit, and reasons for its end or refusal."""
 
 from dataclasses import replace
 
@@ -35,7 +35,7 @@ PLATFORM = replace(
     base_joints=PLATFORM.base_joints + OFFSETS[0],
     platform_joints=PLATFORM.platform_joints + OFFSETS[1],
 )
-"""No symmetry left that could hide which leg is which."""
+"""A pose without symmetry, which could hide a wrong leg order."""
 HOME_P, HOME_R = pose_arrays(LAB.home)
 TURNED = Rotation.from_rotvec([0.1, -0.05, 0.08]).as_matrix() @ HOME_R
 HERE = PoseSample(HOME_P + np.array([0.02, -0.01, 0.03]), TURNED, np.zeros(6), np.zeros(6))
@@ -50,7 +50,7 @@ Q = lengths(HERE.p, HERE.R)
 
 
 class Box:
-    """Refuses poses at which a leg is outside low .. high, m; notes what it was asked."""
+    """Refuses poses with a leg outside low .. high, m; counts its calls."""
 
     def __init__(self, room=0.02):
         self.low, self.high = Q.min() - room, Q.max() + room
@@ -63,7 +63,7 @@ class Box:
 
 
 class Held:
-    """A platform on hold at HERE, and what operating makes of orders."""
+    """A platform on hold at HERE, with the operating state that executes orders."""
 
     def __init__(self, admission, rate_Hz=1000.0, too_sudden=lambda *_: False, **settings):
         self.settings = OperatorSettings(
@@ -79,14 +79,14 @@ class Held:
         self.motion.settle(0, 0.0)
 
     def say(self, *orders):
-        """One tick; the answers and the sample."""
+        """Run one tick; return the answers and the sample."""
         self.operating.step(orders, self.tick, Mode.TRACKING, self.motion)
         sample = self.motion.sample(self.tick)
         self.tick += 1
         return self.operating.answers, sample
 
     def run(self, ticks, *orders, every=20):
-        """Orders every so many ticks; the samples, and the answers that are none to the key."""
+        """Give orders every `every` ticks; return the answers and the samples."""
         answers, samples = [], []
         for k in range(ticks):
             answer, sample = self.say(*(orders if k % every == 0 else ()))
@@ -107,7 +107,7 @@ def speed(samples):
 @pytest.mark.parametrize(
     "name", broad(sorted(JOG_NAMES, key=lambda n: n not in ("x", "rz", "leg4")), quick=3)
 )
-def test_each_way_stops_smoothly_just_inside_the_limit_and_says_why(name, fraction):
+def test_jog_stops_smoothly_just_inside_the_limit_with_a_reason(name, fraction):
     box = Box(0.015)
     held = Held(box)
     answers, samples = held.run(6000, jog(name, fraction))
@@ -117,7 +117,7 @@ def test_each_way_stops_smoothly_just_inside_the_limit_and_says_why(name, fracti
     assert min(q[-1].min() - box.low, box.high - q[-1].max()) < 3e-4, "it uses what room there is"
     assert not samples[-1].twist.any()
     assert answers[0] == ""
-    assert f"jog {name}: it stops, since beyond, a leg would be outside" in answers[-1]
+    assert f"jog {name}: stopped, since farther on a leg would be outside" in answers[-1]
     refused = [why != "" for why in answers]
     assert refused == sorted(refused), "it does not take the same way again while its words keep coming"
     v = np.array([s.twist for s in samples])
@@ -134,8 +134,8 @@ def test_each_way_stops_smoothly_just_inside_the_limit_and_says_why(name, fracti
 @pytest.mark.parametrize(
     ("rate_Hz", "seconds", "ticks"), [(1000.0, 1, 100), (250.0, 1, 25), (20.0, 3, 2), (5.0, 3, 1)]
 )
-def test_a_jog_whose_words_cease_brakes_100_ms_after_the_last_one(rate_Hz, seconds, ticks):
-    """In a loop that is slower than that after a tick."""
+def test_jog_brakes_100_ms_after_its_last_command(rate_Hz, seconds, ticks):
+    """In a loop with a longer period, after one tick."""
     held = Held(Box(1.0), rate_Hz)
     held.run(int(seconds * rate_Hz), jog("y"), every=1)
     last = held.tick - 1
@@ -145,7 +145,7 @@ def test_a_jog_whose_words_cease_brakes_100_ms_after_the_last_one(rate_Hz, secon
     assert not samples[-1].twist.any()
 
 
-def test_without_the_key_a_jog_is_refused_and_a_key_that_is_let_go_of_ends_it():
+def test_jog_without_the_key_is_refused_and_releasing_the_key_ends_it():
     held = Held(Box(1.0), deadman_s=0.05)
     assert held.say(jog("x"))[0] == [NO_KEY]
     held.run(600, KEY, jog("x"))
@@ -154,7 +154,7 @@ def test_without_the_key_a_jog_is_refused_and_a_key_that_is_let_go_of_ends_it():
     assert not samples[-1].twist.any()
 
 
-def test_a_jog_is_refused_in_motion_without_hold_and_with_a_live_reference():
+def test_jog_is_refused_in_motion_and_with_a_live_reference():
     held = Held(Box(1.0))
     held.say(START)
     assert held.say(jog("x"))[0] == [ON_HOLD]
@@ -165,7 +165,7 @@ def test_a_jog_is_refused_in_motion_without_hold_and_with_a_live_reference():
     assert held.operating.answers == [ON_HOLD]
 
 
-def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_or_stops():
+def test_jog_with_too_large_force_changes_is_refused_or_stopped():
     everywhere = Held(Box(1.0), too_sudden=lambda *_: True)
     answers, samples = everywhere.run(600, jog("x"))
     assert not np.array([s.twist for s in samples]).any()
@@ -178,7 +178,7 @@ def test_a_jog_that_changes_forces_too_suddenly_does_not_begin_or_stops():
 
 
 @pytest.mark.parametrize("command", [Operator.START, Operator.PARK, Operator.HOLD])
-def test_start_and_park_let_a_jog_come_to_rest_and_hold_does_not(command):
+def test_start_and_park_stop_a_jog_and_hold_does_not(command):
     held = Held(Box(1.0))
     _, samples = held.run(600, jog("x"), every=1)
     held.say(jog("x"), Order(command))
@@ -200,7 +200,7 @@ def test_start_and_park_let_a_jog_come_to_rest_and_hold_does_not(command):
 
 
 SPEEDS = 0.04, 0.3
-"""Of set-up, m/s, rad/s."""
+"""Set-up speeds, m/s, rad/s."""
 
 
 def rates(path, t, h=1e-4):
@@ -212,7 +212,7 @@ def rates(path, t, h=1e-4):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_leg_jog_keeps_five_lengths_and_its_rates_are_those_of_its_poses(leg):
+def test_leg_jog_keeps_five_lengths_and_its_twist_fits_its_poses(leg):
     rate = np.zeros(6)
     rate[leg] = 0.05
     path = LegJog(PLATFORM, HERE, rate)
@@ -227,7 +227,7 @@ def test_a_leg_jog_keeps_five_lengths_and_its_rates_are_those_of_its_poses(leg):
         np.testing.assert_allclose(sample.dtwist, dtwist, atol=1e-4 * np.abs(dtwist).max() + 1e-8)
 
 
-def test_lengths_of_no_pose_leave_a_leg_jog_where_it_is():
+def test_leg_jog_stays_at_the_last_pose_if_the_lengths_are_impossible():
     path = LegJog(PLATFORM, HERE, np.array([1.0, 0, 0, 0, 0, 0]))
     last = path.sample(0.01)
     assert path.ahead(50.0) is None
@@ -236,7 +236,7 @@ def test_lengths_of_no_pose_leave_a_leg_jog_where_it_is():
 
 @pytest.mark.parametrize("axis", range(6))
 @pytest.mark.parametrize("way", [1.0, -0.2])
-def test_an_axis_jog_goes_along_or_about_an_axis_of_the_base_at_its_set_up_speed(axis, way):
+def test_axis_jog_moves_along_or_about_a_base_axis_at_set_up_speed(axis, way):
     rate = np.sign(way) * np.where(np.arange(6) < 3, 0.04, 0.3) * (np.arange(6) == axis)
     path = jog_path(PLATFORM, HERE, axis, SPEEDS, way)
     assert path.duration_s is None

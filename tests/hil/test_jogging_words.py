@@ -1,4 +1,4 @@
-"""The words of a jog: answers, how long one lasts, what is kept of it, and the way on which a limit stops it."""
+"""Jog commands: answers, their duration, memory of a refusal, and the braking path to a limit."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ WORD = jog("y", 0.5)
 
 
 def made(admission=lambda _: 0, too_sudden=lambda *_: False, **settings):
-    """A jogging of 1000 Hz, whose words last 100 ticks, and a motion at rest on its path."""
+    """Jogging at 1000 Hz, with commands that last 100 ticks, and a motion at rest on its path."""
     jogging = Jogging(OperatorSettings(**settings), 1000.0, PLATFORM, admission, too_sudden)
     motion = Motion(1e-3, HERE.p, HERE.R, STOP_S)
     motion.start(GeodesicMove(HERE.p, HERE.R, HERE.p + np.array([0.0, 0.0, 0.1]), HERE.R, 60.0), 0)
@@ -40,7 +40,7 @@ def step(both, first, last, key=True):
 
 
 @pytest.mark.parametrize(("heard", "answered"), [(99, True), (100, False)])
-def test_a_word_counts_again_on_the_way_of_a_limit_once_it_has_been_silent_for_100_ms(heard, answered):
+def test_jog_towards_a_limit_is_tried_again_after_a_pause_of_100_ms(heard, answered):
     both = made(lambda _: int(Refusal.STROKE))
     take(both, WORD, 7)
     step(both, 7, 8)
@@ -49,7 +49,7 @@ def test_a_word_counts_again_on_the_way_of_a_limit_once_it_has_been_silent_for_1
 
 @pytest.mark.parametrize("left_s", [0.0, 20.0])
 @pytest.mark.parametrize(("name", "deg_s"), [("x", 5.0), ("ry", 5.0), ("leg4", 0.7), ("-leg4", 0.7)])
-def test_the_judged_pose_is_the_one_to_which_braking_from_the_next_tick_leads(name, deg_s, left_s):
+def test_checked_pose_is_the_one_reached_by_braking_from_the_next_tick(name, deg_s, left_s):
     judged = []
 
     def note(chi):

@@ -1,4 +1,4 @@
-"""Lengths, J and its rate against the engines; Newton against 40 known assemblies."""
+"""Lengths, J and its rate against physics engines; Newton's method against 40 known assemblies."""
 
 import json
 from pathlib import Path
@@ -35,7 +35,7 @@ def rotation(r):
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_a_state_agrees_with_the_rigid_body_engines(case):
+def test_state_agrees_with_the_rigid_body_engines(case):
     platform = PLATFORMS[case["geometry"]]
     p, R, twist, dtwist, *_ = state_of(case)
     e = case["expected"]
@@ -61,7 +61,7 @@ def test_forward_kinematics_finds_the_pose_from_the_given_guess(case):
     assert pose.iterations <= e["fk_newton_iterations"] + 1
 
 
-def test_the_books_lengths_and_condition():
+def test_lengths_and_condition_agree_with_the_book():
     for s in BOOK["states"]:
         R = rotation(s["rotvec"])
         assert relative(leg_lengths(PLATFORM, s["p"], R), s["length"]) <= 1e-9
@@ -70,7 +70,7 @@ def test_the_books_lengths_and_condition():
 
 
 @pytest.mark.parametrize("number", range(40))
-def test_each_of_dietmaiers_forty_assemblies_attracts_its_neighbourhood(number):
+def test_newton_converges_to_each_nearby_assembly_of_dietmaier(number):
     a, b = np.array(DIETMAIER["base"]), np.array(DIETMAIER["platform"])
     solution = DIETMAIER["solutions"][number]
     p, R = np.array(solution["p"]), np.array(solution["R"])
@@ -87,7 +87,7 @@ def test_each_of_dietmaiers_forty_assemblies_attracts_its_neighbourhood(number):
 
 
 def study(a, b, home, tilt, count=300):
-    """Mean and largest number of iterations at criterion 1e-9, started 0.05 % and 0.1 degrees away."""
+    """Mean and largest number of iterations to 1e-9, from starts 0.05 % and 0.1 degrees away."""
     rng = np.random.default_rng(1)
     size = np.abs(home).max()
     iterations = []
@@ -131,7 +131,7 @@ def test_jacobian_is_the_derivative_of_the_lengths(x, twist):
 
 @given(SMALL, SMALL)
 @settings(max_examples=100)
-def test_forward_kinematics_undoes_inverse_kinematics(x, guess):
+def test_forward_kinematics_inverts_inverse_kinematics(x, guess):
     p, R = HOME[0] + x[:3], rotation(x[3:])
     start = p + 0.1 * guess[:3], rotation(0.1 * guess[3:]) @ R
     pose = forward_kinematics(PLATFORM, leg_lengths(PLATFORM, p, R), *start)
@@ -140,7 +140,7 @@ def test_forward_kinematics_undoes_inverse_kinematics(x, guess):
     assert np.abs(pose.R.T @ pose.R - np.eye(3)).max() <= 1e-15
 
 
-def test_ten_thousand_ticks_do_not_spoil_the_rotation():
+def test_rotation_stays_orthogonal_over_ten_thousand_ticks():
     p, R = HOME
     q = [leg_lengths(PLATFORM, HOME[0] + d, rotation([d, -d, d])) for d in (0.0, 0.01)]
     a, b = PLATFORM.base_joints, PLATFORM.platform_joints
@@ -149,7 +149,7 @@ def test_ten_thousand_ticks_do_not_spoil_the_rotation():
     assert np.abs(R.T @ R - np.eye(3)).max() <= 1e-15
 
 
-def test_a_cold_start_by_continuation_ends_where_small_steps_end():
+def test_continuation_from_a_cold_start_agrees_with_small_steps():
     rng = np.random.default_rng(3)
     for _ in range(30):
         p, R = HOME[0] + rng.uniform(-0.2, 0.2, 3), rotation(np.radians(rng.uniform(-20, 20, 3)))

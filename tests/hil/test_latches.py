@@ -1,4 +1,4 @@
-"""When the drives latched: by the bus, and by the answers where the clock was read too late."""
+"""Sampling instants of the drives: from the bus, and from the answers after a late clock reading."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def checked(family, opening, sent_ns, answers, *times):
 
 
 SYNC, ANSWER = Frame(0x80, b""), 111_000
-"""ns of a TPDO of 8 bytes at 1 Mbit/s without stuff bits, and of the three bits before it."""
+"""Duration in ns of a TPDO of 8 bytes at 1 Mbit/s without stuff bits, and of the three bits before it."""
 TPDO = [Frame(0x181 + leg, b"\x50\x02" + bytes(6)) for leg in range(6)]
 
 
@@ -48,15 +48,15 @@ def protocol(name):
         ("desktop", [1_001, 1_002, 1_003, 1_004, 1_005, 1_006], (1, 2, 3, 4, 5, 6)),
     ],
 )
-def test_a_sync_is_that_of_its_bus_and_a_poll_that_of_its_leg(name, sent_ns, latches):
+def test_sampling_instant_is_the_sync_of_the_bus_or_the_poll_of_the_leg(name, sent_ns, latches):
     family = protocol(name)
     syncs = {"virtual-cia402": [SYNC], "two_buses": [SYNC, Frame(0x80, b"", BUS)]}
     assert latch_ns(family, syncs.get(name) or opening(family, 0), sent_ns, 1_000) == latches
 
 
 @pytest.mark.parametrize("first", [0, 3, 5])
-def test_a_clock_that_was_read_late_is_set_right_by_the_first_answer(first):
-    """SYNC is written at 1 ms; a stall of 1.5 ms before the clock is read."""
+def test_first_answer_corrects_a_late_clock_reading(first):
+    """SYNC is written at 1 ms; the clock is read after a stall of 1.5 ms."""
     answers = [
         Received(1_000_000 + 190_000 + 135_000 * n, TPDO[leg])
         for n, leg in enumerate(np.roll(range(6), -first))
@@ -65,7 +65,7 @@ def test_a_clock_that_was_read_late_is_set_right_by_the_first_answer(first):
     assert found == [1_079_000]
 
 
-def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
+def test_only_newer_feedback_of_the_same_bus_corrects_the_clock():
     family, late_ns = protocol("virtual-cia402"), 2_500_000
     wrong = [
         Received(1_110_999, TPDO[0]),  # on the wire before SYNC was given to the bus
@@ -85,7 +85,7 @@ def test_nothing_but_younger_feedback_of_the_same_bus_sets_a_clock_right():
 
 
 def answer_of_two(tick):
-    """The feedback of leg 0 to the SYNC of a tick, 0.2 ms after it was given to the bus."""
+    """Feedback of leg 0 to the SYNC of a tick, 0.2 ms after the SYNC was given to the bus."""
     two = protocol("two_buses")
     end = drives_end(two)
     (sync,) = hear(end, opening(two, tick)[0])
@@ -94,8 +94,8 @@ def answer_of_two(tick):
     return Received(1_200_000, dict(reply(end, sync, reading_of(zeros, zeros, zeros, states)))[0])
 
 
-def test_an_answer_to_an_older_sync_or_a_damaged_one_sets_no_clock_right():
-    """A stall of 1.5 ms before SYNC, and what a drive still owed comes meanwhile."""
+def test_answer_to_an_older_sync_or_a_damaged_one_is_not_used():
+    """After a stall of 1.5 ms before SYNC, the pending answer of a drive arrives."""
     two, late_ns, opening = protocol("two_buses"), 2_500_000, [SYNC, Frame(0x80, b"", BUS)]
     for tick, answer, expected in [
         (5, answer_of_two(5), 1_089_000),
@@ -111,21 +111,21 @@ def test_an_answer_to_an_older_sync_or_a_damaged_one_sets_no_clock_right():
 
 
 def flipped(answer):
-    """An answer with one bit of its last byte the other way round."""
+    """Answer with one flipped bit in its last byte."""
     t_ns, (identifier, data, flags) = answer
     return Received(t_ns, Frame(identifier, data[:-1] + bytes((data[-1] ^ 1,)), flags))
 
 
 @pytest.mark.parametrize("given_ns", [1_000_090, 1_000_900])
-def test_without_a_wire_the_first_answer_may_come_before_the_clock_is_read(given_ns):
-    """On vcan it is there at once: it was taken for one to an older SYNC, and its leg for stale."""
+def test_answer_on_vcan_may_arrive_before_the_clock_is_read(given_ns):
+    """Such an answer must not count as one to an older SYNC, which would make its leg stale."""
     answers = [Received(1_000_050 + leg, TPDO[leg]) for leg in range(6)]
     found = checked(protocol("virtual-cia402"), [SYNC], [given_ns], answers, 0, 1_000_000, given_ns, 0)
     assert found == [1_000_050]
 
 
 @pytest.mark.parametrize(("given_ns", "answer_ns"), [(1_100_000, ANSWER), (1_050_000, 50_000)])
-def test_a_send_that_took_as_long_as_an_answer_or_100_us_is_corrected_by_its_answers(given_ns, answer_ns):
+def test_slow_send_is_corrected_by_its_answers(given_ns, answer_ns):
     answers = [Received(1_000_000 + answer_ns, TPDO[0])]
     late, prompt = (
         checked(protocol("virtual-cia402"), [SYNC], [sent_ns], answers, 0, 1_000_000, sent_ns, answer_ns)
@@ -135,7 +135,7 @@ def test_a_send_that_took_as_long_as_an_answer_or_100_us_is_corrected_by_its_ans
 
 
 class Plain:
-    """A family whose frames are named by a leg; all that came since may be an answer."""
+    """Family with leg numbers as identifiers; every later frame may be an answer."""
 
     def __init__(self, unasked_s: float) -> None:
         self.traits = SimpleNamespace(unasked_s=unasked_s, feedback_ids=frozenset())
@@ -151,8 +151,8 @@ class Plain:
 
 
 @pytest.mark.parametrize(("unasked_s", "expected"), [(0.0, [1_300, 1_200]), (0.01, [1_700, 1_200])])
-def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_counts(unasked_s, expected):
-    """A feedback takes 200 ns."""
+def test_only_the_last_answer_counts_of_a_drive_with_unrequested_frames(unasked_s, expected):
+    """A feedback frame takes 200 ns."""
     family: Any = Plain(unasked_s)
     polls = [Frame(4, b""), Frame(5, b"")]
     answers = [Received(t_ns, Frame(leg, b"")) for t_ns, leg in ((1_500, 4), (1_400, 5), (1_900, 4))]
@@ -160,5 +160,5 @@ def test_of_a_drive_that_also_speaks_unasked_only_the_last_answer_counts(unasked
 
 
 @pytest.mark.parametrize(("name", "answer_ns"), [("virtual-cia402", ANSWER), ("two_buses", 54_800)])
-def test_the_shortest_answer_is_a_feedback_without_stuff_bits_on_the_fastest_bus(name, answer_ns):
+def test_shortest_answer_is_unstuffed_feedback_on_the_fastest_bus(name, answer_ns):
     assert shortest_answer_ns(load(name).bus, protocol(name)) == answer_ns

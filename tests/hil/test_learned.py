@@ -1,4 +1,4 @@
-"""When learned forces act, and that they come and go without a bump."""
+"""Learned forces: when they act, and their bumpless fading."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ from hil.trajectory.piecewise import PiecewisePolynomial
 T, FADE_S, STOP_S = 1e-3, 0.05, 0.2
 HERE, EYE = np.zeros(3), np.eye(3)
 WAY, START = 500, 100
-"""Ticks of the approach, and the tick at which it begins."""
+"""Ticks of the approach, and the tick of its start."""
 BEGINS = START + WAY
 PEAK = 800.0
 
@@ -26,14 +26,14 @@ def reference() -> PiecewisePolynomial:
 
 
 def table(tick: float) -> Any:
-    """Return the forces at a tick of the run: a line of its own for each leg."""
+    """Forces at a tick of the run: another line for each leg."""
     return PEAK + 0.01 * np.arange(6) * (tick - BEGINS + 400)
 
 
 def learned_at(
     learned: Learned, tick: int, mode: Mode, mode_tick: int, motion: Motion, *, faulty: bool
 ) -> Any:
-    """Return the forces (6,) N of a tick; zero where none act."""
+    """Forces (6,) N of a tick; zero without learned forces."""
     tau, moves = np.empty(6), (motion.record, motion.override.record)
     along = int(learned.along(mode, motion))
     acts = step(learned._record, *moves, tick, int(mode), mode_tick, along, int(faulty), data_at(tau))
@@ -63,7 +63,7 @@ class Run:
             self.motion.start(self.follow, tick)
 
     def go(self, ticks: int, *, speed: float | None = None) -> Any:
-        """Return the forces (ticks, 6) of so many ticks, aiming at a speed."""
+        """Run some ticks towards a speed; return their forces (ticks, 6)."""
         found = []
         for _ in range(ticks):
             self.tick += 1
@@ -78,7 +78,7 @@ class Run:
         return np.array(found)
 
     def tracking(self, ticks: int) -> "Run":
-        """Go so far along the reference."""
+        """Follow the reference for some ticks."""
         self.enter(Mode.APPROACH)
         self.go(WAY)
         self.enter(Mode.TRACKING)
@@ -90,10 +90,10 @@ class Run:
 
 
 BUMPLESS = 1.05 * 1.875 * PEAK * T / FADE_S
-"""The steepest step of a fade, N a tick."""
+"""Steepest step of a fade, N a tick."""
 
 
-def test_learned_forces_begin_in_the_approach_and_follow_the_clock_of_the_reference() -> None:
+def test_learned_forces_start_in_the_approach_and_follow_path_time() -> None:
     run = Run().tracking(900)
     forces = np.array(run.seen)
     assert not forces[: WAY - 400].any(), "nothing was learned of what is before"
@@ -104,7 +104,7 @@ def test_learned_forces_begin_in_the_approach_and_follow_the_clock_of_the_refere
 
 
 @pytest.mark.parametrize("speed", [0.0, 0.5])
-def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_again(speed: float) -> None:
+def test_hold_or_other_speed_fades_them_out_until_the_next_start(speed: float) -> None:
     run = Run().tracking(300)
     assert run.go(60, speed=speed)[-1] == pytest.approx(np.zeros(6))
     assert not run.go(300, speed=1.0).any(), "not in the middle of the way"
@@ -116,7 +116,7 @@ def test_a_hold_or_another_speed_fades_them_out_until_the_reference_begins_again
 
 
 @pytest.mark.parametrize("where", ["in the approach", "at the start"])
-def test_a_hold_before_the_reference_begins_fades_them_out_and_in_again(where: str) -> None:
+def test_hold_before_the_reference_fades_them_out_and_in_again(where: str) -> None:
     run = Run()
     run.enter(Mode.APPROACH)
     assert run.go(WAY if where == "at the start" else WAY - 300)[-1].all()
@@ -128,8 +128,8 @@ def test_a_hold_before_the_reference_begins_fades_them_out_and_in_again(where: s
     assert run.largest_step() < BUMPLESS
 
 
-def test_they_join_only_when_what_was_there_has_gone() -> None:
-    """The speed rises sooner than they fade; meanwhile the table goes on by 4 N a tick."""
+def test_forces_fade_in_only_after_the_earlier_ones_have_faded_out() -> None:
+    """The speed rises faster than the forces fade; meanwhile the table changes by 4 N a tick."""
     run = Run()
     rows = np.repeat(4.0 * np.arange(1400.0)[:, None], 6, axis=1)
     run.learned = Learned(LearnedForces(rows, -0.4, T, 1.0), run.path, T)
@@ -143,12 +143,12 @@ def test_they_join_only_when_what_was_there_has_gone() -> None:
     assert run.largest_step() < 1.05 * (4.0 + 1.875 * rows.max() * T / 1.0)
 
 
-def test_on_another_path_no_learned_force_acts() -> None:
+def test_no_learned_force_acts_on_another_path() -> None:
     run = Run(path=reference()).tracking(300)
     assert not np.array(run.seen).any()
 
 
-def test_the_first_fault_switches_them_off_for_every_way_that_follows() -> None:
+def test_first_fault_disables_learned_forces_until_a_reset() -> None:
     run = Run().tracking(300)
     run.faulty = True
     run.mode, run.mode_tick = Mode.STOPPING, run.tick + 1
@@ -160,7 +160,7 @@ def test_the_first_fault_switches_them_off_for_every_way_that_follows() -> None:
     assert run.tracking(100).go(1).all()
 
 
-def test_at_the_end_the_last_one_stays_until_the_brakes_are_shut() -> None:
+def test_last_force_is_kept_until_the_brakes_are_closed() -> None:
     run = Run().tracking(1001)
     last = run.seen[-1]
     run.mode, run.mode_tick = Mode.PARKING, run.tick + 1

@@ -1,4 +1,4 @@
-"""The live status line of a run."""
+"""Live status line of a run."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def rows(count, **columns):
 
 
 class Out(io.StringIO):
-    """A terminal or none, which may be broken."""
+    """Output stream that may be a terminal and may be broken."""
 
     def __init__(self, terminal=False, broken=False):
         super().__init__()
@@ -43,7 +43,7 @@ class Out(io.StringIO):
 
 @pytest.fixture
 def now(monkeypatch):
-    """The clock of the view, as one number in a list."""
+    """Clock of the view, as one number in a list."""
     clock = [0.0]
     monkeypatch.setattr(time, "monotonic", lambda: clock[0])
     return clock
@@ -58,7 +58,7 @@ def now(monkeypatch):
         (12.34, None, "  12.3 s"),
     ],
 )
-def test_tracking_shows_progress_error_force_and_what_was_missed(done_s, of_s, progress):
+def test_tracking_shows_progress_error_force_stale_and_skipped(done_s, of_s, progress):
     out = Out()
     given = rows(2, mode=Mode.TRACKING, reference_time_s=done_s, skipped=1, lateness_ns=[41_000, 0])
     given["warnings"] = [int(Warn.STALE | Warn.FORCE_LIMIT), int(Warn.FORCE_LIMIT)]
@@ -71,7 +71,7 @@ def test_tracking_shows_progress_error_force_and_what_was_missed(done_s, of_s, p
 
 
 @pytest.mark.parametrize(("terminal", "apart_s"), [(True, 0.2), (False, 5.0)])
-def test_lines_come_every_0_2_s_on_a_terminal_and_every_5_s_elsewhere(now, terminal, apart_s):
+def test_line_is_drawn_every_0_2_s_on_a_terminal_and_else_every_5_s(now, terminal, apart_s):
     out = Out(terminal)
     view = LiveView(out, None)
     drawn = []
@@ -85,7 +85,7 @@ def test_lines_come_every_0_2_s_on_a_terminal_and_every_5_s_elsewhere(now, termi
 
 
 @pytest.mark.parametrize("columns", [40, 80])
-def test_a_line_stays_in_one_row_of_the_terminal(columns):
+def test_line_fits_in_one_row_of_the_terminal(columns):
     ours, theirs = os.openpty()
     with os.fdopen(theirs, "w", encoding="utf-8") as out:
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
@@ -96,7 +96,7 @@ def test_a_line_stays_in_one_row_of_the_terminal(columns):
     os.close(ours)
 
 
-def test_a_broken_terminal_does_not_stop_the_recorder(now):
+def test_broken_terminal_does_not_stop_the_recorder(now):
     out = Out(broken=True)
     view = LiveView(out, None)
     for now[0] in (0.0, 1e6, 2e6):
@@ -105,7 +105,7 @@ def test_a_broken_terminal_does_not_stop_the_recorder(now):
 
 
 @pytest.mark.parametrize("terminal", [True, False])
-def test_the_end_clears_the_line_on_a_terminal_alone(terminal):
+def test_end_clears_the_line_on_a_terminal_only(terminal):
     out = Out(terminal)
     view = LiveView(out, None)
     view.show(rows(1))

@@ -1,4 +1,4 @@
-"""A whole log gives back what was recorded; a cut, moved or foreign one is refused or read as far as it goes."""
+"""A complete log restores the recorded data; a cut, reordered or foreign one is refused or read partially."""
 
 import struct
 import tracemalloc
@@ -41,7 +41,7 @@ def path(tmp_path_factory):
     return path
 
 
-def test_configuration_metadata_attachments_events_and_summary(path):
+def test_configuration_metadata_attachments_events_and_summary_are_read(path):
     log = Log.open(path)
     assert log.configuration == CONFIGURATION
     assert log.attachments["legs.dbc"] == b"VERSION"
@@ -70,8 +70,8 @@ def test_configuration_metadata_attachments_events_and_summary(path):
     ],
     ids=str,
 )
-def test_ticks_and_rows_come_back_bit_for_bit_whoever_wrote_them(path, tmp_path, options):
-    """None: as our recorder wrote them; else by the mcap library's own writer."""
+def test_ticks_and_rows_are_restored_to_the_bit_from_any_writer(path, tmp_path, options):
+    """options: None for a log of our recorder, else for the writer of the mcap library."""
     log = Log.open(path)
     if options is not None:
         rewrite_log(path, tmp_path / "b.mcap", **options)
@@ -87,7 +87,7 @@ def test_ticks_and_rows_come_back_bit_for_bit_whoever_wrote_them(path, tmp_path,
     assert log.configuration == CONFIGURATION
 
 
-def test_all_frames_come_in_the_order_of_their_times(path):
+def test_frames_are_sorted_by_time(path):
     expected = []
     for tick in TICKS:
         expected += [(t_ns, False, frame) for t_ns, frame in tick.received]
@@ -98,7 +98,7 @@ def test_all_frames_come_in_the_order_of_their_times(path):
     ]
 
 
-def test_reading_in_pieces_takes_memory_for_a_piece_only(tmp_path):
+def test_reading_in_blocks_needs_memory_for_one_block_only(tmp_path):
     count = 10_000
     with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
         for row in random_rows(count):
@@ -114,7 +114,7 @@ def test_reading_in_pieces_takes_memory_for_a_piece_only(tmp_path):
 
 
 @pytest.mark.parametrize("fraction", [0.15, 0.5, 0.98])
-def test_a_cut_log_gives_what_a_salvage_gives(path, tmp_path, fraction):
+def test_cut_log_gives_the_same_data_as_its_salvage(path, tmp_path, fraction):
     size = int(path.stat().st_size * fraction)
     bad = tmp_path / "cut.mcap"
     bad.write_bytes(path.read_bytes()[:size])
@@ -168,7 +168,7 @@ def test_missing_empty_foreign_and_cut_files_are_refused(path, tmp_path):
         Log.open(bad)
 
 
-def test_a_damaged_chunk_is_reported_with_its_place(path, tmp_path):
+def test_damaged_chunk_is_reported_with_its_place(path, tmp_path):
     index = mcap_summary(path).chunk_indexes[1]
     content = bytearray(path.read_bytes())
     content[index.chunk_start_offset + index.chunk_length // 2] ^= 0x10
@@ -181,11 +181,11 @@ def test_a_damaged_chunk_is_reported_with_its_place(path, tmp_path):
 
 PIECES = 300
 TIMES = (1_999_999_999, 2_000_000_000, 3_000_000_000, 2_000_000_000, 3_000_000_000, 3_500_000_000)
-"""t_ns of the frames that tick 0 has received, in the order of the log."""
+"""t_ns of the frames received in tick 0, in the order of the log."""
 
 
 class Parts:
-    """A log taken apart: what stands before its messages and behind them, its rows and its frames."""
+    """Parts of a log: records before and after its messages, its rows and its frames."""
 
     def __init__(self, path):
         parts = container.split(path.read_bytes())
@@ -208,7 +208,7 @@ class Parts:
         )
 
     def write(self, path, *records):
-        """Write a whole log of these records between head and tail; return its path."""
+        """Write a complete log with these records between head and tail; return its path."""
         path.write_bytes(container.whole([*self.head, *records, *self.tail]))
         return path
 
@@ -216,7 +216,7 @@ class Parts:
         return container.CHUNK, container.packed(self.chunk, container.joined(messages))
 
     def cut(self, path, messages, left_out):
-        """Write a log that is cut `left_out` bytes before the end of a chunk without compression."""
+        """Write a log cut `left_out` bytes before the end of an uncompressed chunk."""
         inside = container.joined(messages)
         content = struct.pack("<QQQIIQ", 0, 1, len(inside), 0, 0, len(inside)) + inside
         whole = MAGIC + container.joined([*self.head, (container.CHUNK, content)])
@@ -226,7 +226,7 @@ class Parts:
 
 @pytest.fixture(scope="module")
 def parts(tmp_path_factory):
-    """Of a log whose every tick has sent one frame, its identifier one more than the number of the tick."""
+    """Parts of a log with one sent frame in each tick; its identifier is the tick number plus 1."""
     rows = random_rows(PIECES)
     ticks = [Tick(row, (), (Frame(k + 1, b"", 0),), (), (), ()) for k, row in enumerate(rows)]
     return Parts(log_of(ticks, tmp_path_factory))
@@ -234,7 +234,7 @@ def parts(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def received(tmp_path_factory):
-    """Of a log whose first tick has received frames at TIMES, its second one none."""
+    """Parts of a log of two ticks; the first has received frames at TIMES, the second none."""
     first, second = random_rows(2)
     frames = tuple(Received(t_ns, Frame(k, b"", 0)) for k, t_ns in enumerate(TIMES))
     ticks = [Tick(first, frames, (), (), (), ()), Tick(second, (), (), (), (), ())]
@@ -247,7 +247,7 @@ def chunked(parts, tmp_path):
     return lambda *groups: Log(parts.write(tmp_path / "a.mcap", *map(parts.packed, groups)))
 
 
-def test_a_tick_may_go_on_in_the_next_chunk(parts, chunked):
+def test_tick_may_continue_in_the_next_chunk(parts, chunked):
     rows, frames = parts.rows, parts.frames
     log = chunked([rows[0], frames[0], rows[1]], [], [frames[1], rows[2]], [frames[2]])
     assert [frame.id for tick in log.ticks() for frame in tick.sent] == [1, 2, 3]
@@ -272,8 +272,8 @@ READERS = {
     ],
     ids=" | ".join,
 )  # fmt: skip
-def test_a_log_out_of_order_is_refused_alike_by_everything_that_reads_it(parts, chunked, order, read):
-    """r0: the row of tick 0, f0: its frame; one chunk each."""
+def test_log_out_of_order_is_refused_by_every_reader(parts, chunked, order, read):
+    """r0: the row of tick 0, f0: its frame; each group is a chunk."""
     kinds = {"r": parts.rows, "f": parts.frames}
     log = chunked(*([kinds[each[0]][int(each[1])] for each in chunk.split()] for chunk in order))
     with pytest.raises(
@@ -282,14 +282,14 @@ def test_a_log_out_of_order_is_refused_alike_by_everything_that_reads_it(parts, 
         read(log)
 
 
-def test_a_log_sorted_by_time_is_refused(path, tmp_path):
+def test_log_sorted_by_time_is_refused(path, tmp_path):
     rewrite_log(path, tmp_path / "b.mcap", log_time_order=True)
     with pytest.raises(LogError, match="not in the order of a recorder"):
         Log.open(tmp_path / "b.mcap")
 
 
-def test_a_second_attachment_of_a_name_is_passed_over(path, tmp_path):
-    """`mcap add attachment` puts it behind the messages."""
+def test_second_attachment_of_the_same_name_is_ignored(path, tmp_path):
+    """`mcap add attachment` puts it after the messages."""
     records = container.split(path.read_bytes())
     at = [kind for kind, _ in records].index(container.DATA_END)
     other = Attachment(log_time=0, create_time=0, name="config.yaml", media_type="", data=b"other: 1")
@@ -299,8 +299,8 @@ def test_a_second_attachment_of_a_name_is_passed_over(path, tmp_path):
 
 
 @pytest.mark.parametrize("first", [0, 40])
-def test_a_span_is_measured_from_the_first_row_of_the_log(parts, chunked, first):
-    """The first row of all is at 12 345 ns; there is one each ms."""
+def test_span_is_measured_from_the_first_row_of_the_log(parts, chunked, first):
+    """The first recorded row is at 12 345 ns; one row each ms."""
     log = chunked(parts.rows[first : first + 9], parts.rows[first + 9 : first + 12])
     for span, ticks in (
         ({"start_s": 1e-5}, range(first + 1, first + 12)),
@@ -314,7 +314,7 @@ def test_a_span_is_measured_from_the_first_row_of_the_log(parts, chunked, first)
         assert [int(t) for block in log.blocks("tick", **span) for t in block["tick"]] == list(ticks)
 
 
-def test_frames_of_several_chunks_come_by_time_then_by_place(received, tmp_path):
+def test_frames_of_several_chunks_are_sorted_by_time_then_place(received, tmp_path):
     groups = (received.rows[:1] + received.frames[:3], received.frames[3:] + received.rows[1:])
     log = Log(received.write(tmp_path / "a.mcap", *map(received.packed, groups)))
     found = [(frame.t_ns, frame.id) for frame in log.can_frames()]
@@ -322,8 +322,8 @@ def test_frames_of_several_chunks_come_by_time_then_by_place(received, tmp_path)
 
 
 @pytest.mark.parametrize(("left_out", "ticks"), [(1, 4), (60, 4), (400, 3)])
-def test_a_cut_chunk_gives_every_tick_but_the_last_begun(parts, tmp_path, left_out, ticks):
-    """The frame of the fifth tick is cut off, or some of its row."""
+def test_cut_chunk_gives_all_ticks_but_the_last_incomplete_one(parts, tmp_path, left_out, ticks):
+    """The frame of the fifth tick is cut off, or a part of its row."""
     inside = [each for pair in zip(parts.rows[:5], parts.frames[:5], strict=True) for each in pair]
     log = Log(parts.cut(tmp_path / "a.mcap", inside, left_out))
     found = list(log.ticks())

@@ -1,4 +1,4 @@
-"""A log as a table: every component by name and unit, and the plant's rows beside the ticks of the same run."""
+"""A log as a table: each component by name and unit, with the plant's rows of the same run."""
 
 import sys
 from enum import IntEnum, IntFlag
@@ -24,7 +24,7 @@ TICKS = random_ticks(COUNT, seed=21)
 ROWS = np.array([tick.row for tick in TICKS])
 MS = 1_000_000
 CLOCK_NS = 10_000_000_000
-"""The clocks of one run start at most so far apart."""
+"""Largest difference between the start times of two logs of one run."""
 EPOCH = 946_684_800_000_000_000
 
 
@@ -43,7 +43,7 @@ def written(path, rows, configuration="", **options):
 # -- columns ---------------------------------------------------------------------------------------------------
 
 
-def test_every_number_of_a_row_is_a_column_with_a_unit_and_a_meaning(path):
+def test_each_number_of_a_row_is_a_column_with_unit_and_meaning(path):
     frame = Log(path).frame(numbers=True)
     assert frame.shape == (COUNT, ROW.itemsize // 8)
     assert frame.columns.is_unique
@@ -57,7 +57,7 @@ def test_every_number_of_a_row_is_a_column_with_a_unit_and_a_meaning(path):
             assert frame[label].to_numpy().tobytes() == np.ascontiguousarray(column[:, k]).tobytes(), label
 
 
-def test_a_component_has_its_own_unit(path):
+def test_each_component_has_its_own_unit(path):
     units = {
         "t_ns": "ns", "q.leg_0": "m", "tau.leg_5": "N", "R.xy": "1", "age.leg_2": "ticks", "twist.vz": "m/s",
         "twist.wx": "rad/s", "wrench.fz": "N", "wrench.mx": "N m", "dtwist_d.vx": "m/s^2",
@@ -66,7 +66,7 @@ def test_a_component_has_its_own_unit(path):
     assert Log(path).frame(*units).attrs["units"] == units
 
 
-def test_the_index_is_the_time_from_the_first_row_in_seconds(path):
+def test_index_is_the_time_since_the_first_row_in_seconds(path):
     index = Log(path).frame("tick").index
     assert index.name == "t_s"
     np.testing.assert_allclose(index, np.arange(COUNT) * 1e-3, atol=1e-12)
@@ -75,7 +75,7 @@ def test_the_index_is_the_time_from_the_first_row_in_seconds(path):
     assert part["tick"].tolist() == list(range(300, 401))
 
 
-def test_enumerations_and_flags_stand_by_name(tmp_path):
+def test_enumerations_and_flags_are_shown_by_name(tmp_path):
     rows = np.zeros(4, ROW)
     rows["tick"] = np.arange(4)
     rows["mode"] = [5, 10, 77, 0]
@@ -91,7 +91,7 @@ def test_enumerations_and_flags_stand_by_name(tmp_path):
     assert (columns["mode"].names["TRACKING"], columns["faults"].names["ESTOP"]) == (5, 1024)
 
 
-def test_columns_are_chosen_by_name_and_wrong_names_get_near_ones(path):
+def test_columns_are_selected_by_name_and_typos_get_suggestions(path):
     log = Log(path)
     assert list(log.frame("p", "tau.leg_3", "p.z").columns) == ["p.x", "p.y", "p.z", "tau.leg_3"]
     with pytest.raises(LogError, match=r"no column 'tau.leg_6'; did you mean tau.leg_\d"):
@@ -103,7 +103,7 @@ def test_columns_are_chosen_by_name_and_wrong_names_get_near_ones(path):
 
 
 @pytest.mark.parametrize("names", [("q", "t_ns", "tick"), ("t_ns", "tick"), ("q", "tick", "q")])
-def test_columns_come_once_in_the_order_requested_with_their_values(path, names):
+def test_columns_appear_once_and_in_the_requested_order(path, names):
     found = Log(path).rows(*names)
     assert found.dtype.names == tuple(dict.fromkeys(names))
     for name in names:
@@ -125,18 +125,18 @@ FLAGS = {
 
 
 @pytest.mark.parametrize(("kind", "names"), [(KIND, {0: "NONE", 4: "FAST", 2: "2", -1: "-1"}), (BITS, FLAGS)])
-def test_a_number_has_the_name_that_its_log_gives_it_or_stands_as_itself(kind, names):
+def test_number_has_its_name_in_the_log_or_is_shown_as_a_number(kind, names):
     column = Column("output", "x", kind, "", "")
     assert {number: name_of(column, number) for number in names} == names
 
 
-def test_without_pandas_the_message_says_how_to_install_it(path, monkeypatch):
+def test_message_without_pandas_explains_its_installation(path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     with pytest.raises(LogError, match=r'pip install "hexapod-hil\[analysis\]"'):
         Log(path).frame()
 
 
-def test_a_log_without_a_row_is_an_empty_table_with_all_its_columns(tmp_path):
+def test_log_without_rows_is_an_empty_table_with_all_columns(tmp_path):
     log = Log(written(tmp_path / "a.mcap", []))
     assert log.frame().shape == (0, ROW.itemsize // 8)
     assert (log.origin_ns, len(log.rows("q")), list(log.blocks()), list(log.can_frames())) == (0, 0, [], [])
@@ -187,7 +187,7 @@ PLACES = {
 
 
 @pytest.mark.parametrize(("ticks", "late", "times", "syncs", "places"), PLACES.values(), ids=PLACES)
-def test_a_tick_has_the_row_of_its_own_sync_or_none(ticks, late, times, syncs, places):
+def test_tick_gets_the_plant_row_of_its_own_sync_or_none(ticks, late, times, syncs, places):
     assert plant_rows_of(tick_rows(ticks, late), plant_rows(times, syncs), MS).tolist() == places
 
 
@@ -195,14 +195,14 @@ def test_a_tick_has_the_row_of_its_own_sync_or_none(ticks, late, times, syncs, p
     ("rate_Hz", "found"),
     [("1000.0", [0.0, np.nan]), ("500.0", [0.0, 1.0]), ("0", [0.0, 1.0]), ("fast", [0.0, 1.0])],
 )
-def test_half_a_period_is_that_of_the_rate_in_the_log(tmp_path, rate_Hz, found):
-    """Without a rate each tick has its nearest row."""
+def test_largest_time_difference_is_half_a_period_of_the_logged_rate(tmp_path, rate_Hz, found):
+    """Without a rate each tick gets the nearest row."""
     ticks = written(tmp_path / "a.mcap", tick_rows([0, 2 * MS]), metadata={"rate_Hz": rate_Hz})
     written(tmp_path / "a-plant.mcap", plant_rows([500_000, 2_500_001], [1, 2]), table=PLANT)
     np.testing.assert_array_equal(Log(ticks).frame("plant.p.z")["plant.p.z"], found)
 
 
-def test_the_truth_stands_beside_the_ticks(tmp_path):
+def test_true_state_is_in_the_table_of_the_ticks(tmp_path):
     written(tmp_path / "a.mcap", tick_rows([0, MS, 2 * MS]), metadata={"rate_Hz": 1000.0})
     written(tmp_path / "a-plant.mcap", plant_rows([50_000, 2_050_000], [1, 2]), table=PLANT)
     log = Log(tmp_path / "a.mcap")
@@ -230,7 +230,7 @@ def test_the_truth_stands_beside_the_ticks(tmp_path):
 def described(
     path, *, epoch_ns=EPOCH, lockstep=True, configuration: bytes | None = b"x: 1\n", run: str | None = "7"
 ):
-    """What of a log says which run it is of."""
+    """The fields of a log that identify its run."""
     made: Any = SimpleNamespace(
         path=path, epoch_ns=epoch_ns, lockstep=lockstep,
         attachments={CONFIGURATION: configuration} if configuration else {},
@@ -240,7 +240,7 @@ def described(
 
 
 LIVE: dict[str, Any] = {"lockstep": False, "run": None}
-NO_TICK, OTHER, INPUTS = "no tick of a.mcap is in it", "its configuration", "set-points, commands or faults"
+NO_TICK, OTHER, INPUTS = "it has no tick of a.mcap", "its configuration", "set-points, commands or faults"
 
 
 @pytest.mark.parametrize(
@@ -264,17 +264,17 @@ NO_TICK, OTHER, INPUTS = "no tick of a.mcap is in it", "its configuration", "set
         ({}, {"run": "8"}, [0, 1], INPUTS),
     ],
 )
-def test_logs_of_two_runs_are_refused_with_what_differs(log, plant, places, why):
-    """In real time the plant may have a file of its own; a log of an earlier version names no run."""
+def test_logs_of_different_runs_are_refused_with_the_difference(log, plant, places, why):
+    """In real time the plant may have its own file; logs of earlier versions have no run identity."""
     both = described("a.mcap", **log), described("b.mcap", **plant), np.array(places, int)
     if not why:
         require_one_run(*both)
         return
-    with pytest.raises(LogError, match=f"b.mcap is of another run: {why}"):
+    with pytest.raises(LogError, match=f"b.mcap belongs to another run: {why}"):
         require_one_run(*both)
 
 
-def test_a_plant_of_another_run_and_a_missing_one_are_refused(tmp_path):
+def test_plant_log_of_another_run_or_missing_is_refused(tmp_path):
     for name, text, t_ns in (("a", "a: 1\n", 0), ("b", "a: 2\n", 0), ("c", "a: 1\n", 9_000_000_000)):
         written(tmp_path / f"{name}.mcap", tick_rows([0, MS]), text, metadata={"rate_Hz": 1000.0})
         if name != "a":
@@ -285,12 +285,12 @@ def test_a_plant_of_another_run_and_a_missing_one_are_refused(tmp_path):
         Log(a).frame("plant.p")
     with pytest.raises(LogError, match="allowed: a log of a plant"):
         _ = Log(a, plant=a).plant
-    for other, why in (("b", "its configuration"), ("c", "no tick")):
-        with pytest.raises(LogError, match=rf"{other}-plant\.mcap is of another run: {why}"):
+    for other, why in (("b", "its configuration"), ("c", "it has no tick")):
+        with pytest.raises(LogError, match=rf"{other}-plant\.mcap belongs to another run: {why}"):
             Log(a, plant=tmp_path / f"{other}-plant.mcap").frame("plant.p")
 
 
-def test_a_plants_log_has_a_table_but_no_figures(tmp_path):
+def test_plant_log_has_a_table_but_no_figures(tmp_path):
     log = Log(written(tmp_path / "p.mcap", plant_rows([0, MS], [1, 2]), table=PLANT))
     assert log.frame("length", "wrench.mz").attrs["units"]["wrench.mz"] == "N m"
     with pytest.raises(LogError, match="no figures"):

@@ -1,4 +1,4 @@
-"""Untrusted logs: every damage is a LogError with its place, and salvage goes on behind it."""
+"""Untrusted logs: every damage is a LogError with its place, and salvage continues after it."""
 
 import json
 import struct
@@ -32,7 +32,7 @@ def chunks(path):
 
 @pytest.fixture
 def damaged(path, tmp_path):
-    """Write the log with some bytes replaced, checksums left as they are; return its path."""
+    """Write the log with some bytes replaced and the checksums unchanged; return its path."""
 
     def write(at, data):
         content = bytearray(path.read_bytes())
@@ -45,7 +45,7 @@ def damaged(path, tmp_path):
 
 @pytest.fixture
 def remade(path, tmp_path):
-    """Write the log with other records, the checksums of data section and index right; return its path."""
+    """Write the log with other records and valid checksums of data section and index; return its path."""
 
     def write(change):
         records = change(container.split(path.read_bytes()))
@@ -56,7 +56,7 @@ def remade(path, tmp_path):
 
 
 def replaced(records, opcode, content, number=0):
-    """Return records with one of a kind changed."""
+    """Records with one of a kind changed."""
     k = [k for k, (kind, _) in enumerate(records) if kind == opcode][number]
     return [*records[:k], (opcode, content(records[k][1])), *records[k + 1 :]]
 
@@ -86,14 +86,14 @@ FOOTER = struct.pack("<BQQQI", container.FOOTER, 20, 0, 0, 0)
         (MAGIC + FOOTER + MAGIC, "damaged at byte 37: no record"),
     ],
 )
-def test_a_file_that_is_too_short_is_cut_or_no_log(tmp_path, content, says):
+def test_too_short_file_is_reported_as_cut_or_as_not_a_log(tmp_path, content, says):
     (tmp_path / "a.mcap").write_bytes(content)
     with pytest.raises(LogError, match=says):
         Log(tmp_path / "a.mcap")
 
 
 @pytest.mark.parametrize("head", [(0, 5), (container.METADATA, 1 << 40), (container.DATA_END, (1 << 64) - 1)])
-def test_what_is_no_record_in_a_whole_file_is_damage_with_its_place(path, damaged, head):
+def test_invalid_record_in_a_complete_file_is_reported_with_its_place(path, damaged, head):
     end = path.read_bytes().rindex(struct.pack("<BQ", container.DATA_END, 4))
     says = f"bad.mcap: damaged at byte {end}: no record.*; run `hil replay --salvage`"
     with pytest.raises(LogError, match=says):
@@ -102,7 +102,7 @@ def test_what_is_no_record_in_a_whole_file_is_damage_with_its_place(path, damage
 
 @pytest.mark.parametrize("there", [0, 5, 9, 10, 12, 13, 14, 20])
 @pytest.mark.parametrize("within", ["summary", "end of the data"])
-def test_a_log_cut_within_its_last_records_gives_all_its_ticks(path, tmp_path, within, there):
+def test_log_cut_within_its_last_records_gives_all_its_ticks(path, tmp_path, within, there):
     data = path.read_bytes()
     end = data.index(struct.pack("<I", 7) + b"summary") - 9
     if within != "summary":
@@ -121,7 +121,7 @@ def test_a_log_cut_within_its_last_records_gives_all_its_ticks(path, tmp_path, w
 # -- checksums -------------------------------------------------------------------------------------------------
 
 
-def test_a_changed_figure_in_the_attached_configuration_is_found(path, damaged, remade):
+def test_change_in_the_attached_configuration_is_found(path, damaged, remade):
     at = path.read_bytes().index(b"wn_rad_s: 20") + 10
     with pytest.raises(LogError, match=r"damaged at byte \d+: .* attachment 'config.yaml' .* --salvage"):
         Log(damaged(at, b"30"))
@@ -129,7 +129,7 @@ def test_a_changed_figure_in_the_attached_configuration_is_found(path, damaged, 
     assert Log.open(unchecked).configuration, "its writer may have made no checksum"
 
 
-def test_changed_metadata_are_found_by_the_checksum_of_the_data_section(path, damaged):
+def test_changed_metadata_are_found_by_the_data_section_checksum(path, damaged):
     bad = damaged(path.read_bytes().index(b"can0") + 3, b"1")
     assert Log(bad).can_channel == "can1"
     for read in (lambda: Log.open(bad), lambda: Log(bad).rows()):
@@ -180,7 +180,7 @@ LONG = "x" * 4096
         "no type",
     ],
 )
-def test_what_no_recorder_says_of_a_run_is_refused(described, changed):
+def test_invalid_metadata_of_a_run_are_refused(described, changed):
     with pytest.raises(LogError, match="metadata record 'hil' cannot be read") as refused:
         Log(described(**changed))
     assert len(str(refused.value)) < 500
@@ -189,18 +189,18 @@ def test_what_no_recorder_says_of_a_run_is_refused(described, changed):
 @pytest.mark.parametrize(
     ("dropped", "found"), [("44", 44), ("9" * 18, 10**18 - 1), ("9" * 19, 0), ("x", 0), ("-1", 0), ("", 0)]
 )
-def test_dropped_ticks_are_those_of_the_summary_in_plain_digits(remade, dropped, found):
+def test_dropped_ticks_are_read_from_plain_digits_of_the_summary(remade, dropped, found):
     end = record_bytes(Metadata(name="summary", metadata={"closed": "clean", "dropped": dropped}))
     log = Log(remade(lambda r: replaced(r, container.METADATA, lambda _: end[9:], -1)))
     assert (log.summary.dropped, log.summary.closed, log.summary.ticks) == (found, "clean", COUNT)
 
 
-def test_without_a_summary_nobody_knows_how_a_log_was_closed(remade):
+def test_log_without_a_summary_was_closed_in_an_unknown_way(remade):
     log = Log(remade(lambda r: [p for p in r if p[0] != container.METADATA or b"summary" not in p[1][:11]]))
     assert (log.summary.ticks, log.summary.dropped, log.summary.closed) == (COUNT, 0, "unknown")
 
 
-def test_a_missing_configuration_or_one_that_is_no_text_is_refused(remade):
+def test_missing_or_binary_configuration_is_refused(remade):
     log = Log(remade(lambda r: [part for part in r if part[0] != container.ATTACHMENT]))
     assert len(log.rows("tick")) == COUNT
     with pytest.raises(LogError, match=r"no attachment config\.yaml"):
@@ -209,7 +209,7 @@ def test_a_missing_configuration_or_one_that_is_no_text_is_refused(remade):
         Attachment(log_time=0, create_time=0, name="config.yaml", media_type="", data=b"a: \xff")
     )
     log = Log(remade(lambda r: replaced(r, container.ATTACHMENT, lambda _: other[9:])))
-    with pytest.raises(LogError, match=r"attachment config\.yaml is no text"):
+    with pytest.raises(LogError, match=r"attachment config\.yaml is not text"):
         _ = log.configuration
 
 
@@ -222,7 +222,9 @@ def test_a_missing_configuration_or_one_that_is_no_text_is_refused(remade):
         (Operator.SPEED, 2, 0, 1),
     ],
 )
-def test_a_command_with_other_numbers_is_refused(tmp_path_factory, tmp_path, command, tick, count, allowed):
+def test_command_with_a_wrong_number_of_values_is_refused(
+    tmp_path_factory, tmp_path, command, tick, count, allowed
+):
     first, second, third = random_rows(3)
     orders = Order(Operator.SPEED, (0.5,)), Order(Operator.HOLD)
     ticks = [
@@ -253,7 +255,7 @@ def whole_again(bad, tmp_path):
     return report, Log.open(tmp_path / "out.mcap")
 
 
-def test_a_flipped_bit_in_the_name_of_a_schema_loses_nothing(path, damaged, tmp_path):
+def test_salvage_loses_nothing_by_a_flipped_bit_in_a_schema_name(path, damaged, tmp_path):
     bad = damaged(path.read_bytes().index(FRAME.encode()), bytes([FRAME.encode()[0] ^ 0x80]))
     with pytest.raises(LogError, match="checksum of the data section differs"):
         Log.open(bad)
@@ -265,7 +267,7 @@ def test_a_flipped_bit_in_the_name_of_a_schema_loses_nothing(path, damaged, tmp_
 
 
 @pytest.mark.parametrize("length", [1 << 40, 10_000_000, 150_000, 5000])
-def test_a_damaged_length_of_a_chunk_loses_this_chunk_alone(damaged, chunks, tmp_path, length):
+def test_damaged_length_of_a_chunk_loses_this_chunk_only(damaged, chunks, tmp_path, length):
     bad = damaged(chunks[1].chunk_start_offset + 1, struct.pack("<Q", length))
     with pytest.raises(LogError, match=r"damaged at byte \d+: .*--salvage"):
         Log(bad).rows()

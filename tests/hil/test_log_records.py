@@ -1,4 +1,4 @@
-"""Records, chunks, messages and the index of a log as they are read: their borders, checksums and sizes."""
+"""Reading of records, chunks, messages and the index of a log: bounds, checksums and sizes."""
 
 import struct
 import tracemalloc
@@ -30,8 +30,8 @@ def found_in(path, *skip, cut=False):
 # -- where records end -----------------------------------------------------------------------------------------
 
 
-def test_of_a_cut_file_the_last_record_is_given_as_far_as_it_goes(tmp_path):
-    """Fewer bytes than a head has are no record."""
+def test_last_record_of_a_cut_file_is_read_as_far_as_it_goes(tmp_path):
+    """Without a complete head it is not a record."""
     last = metadata("b", k="value")
     file, starts = placed(tmp_path, metadata("a"), last)
     data = file.read_bytes()
@@ -44,7 +44,7 @@ def test_of_a_cut_file_the_last_record_is_given_as_far_as_it_goes(tmp_path):
 
 
 @pytest.mark.parametrize("opcode", [0x00, 0x10, 0x80, 0xFF])
-def test_reading_ends_at_unknown_bytes_and_gives_their_place(tmp_path, opcode):
+def test_reading_stops_at_unknown_bytes_and_reports_their_place(tmp_path, opcode):
     file, starts = placed(tmp_path, metadata("a"), metadata("b"), raw(opcode, b"1"), metadata("c"))
     for skip in ((), (0x0C,)):
         with pytest.raises(LogError, match=f"damaged at byte {starts[2]}: no record"):
@@ -52,7 +52,7 @@ def test_reading_ends_at_unknown_bytes_and_gives_their_place(tmp_path, opcode):
     assert len(found_in(file, cut=True)) == 2
 
 
-def test_nothing_comes_behind_the_end_of_the_data(tmp_path):
+def test_no_record_is_read_after_the_end_of_the_data(tmp_path):
     for behind in (metadata("b"), b""):
         file, starts = placed(tmp_path, metadata("a"), record_bytes(DataEnd(0)), behind)
         assert [each[1] for each in found_in(file)] == starts[:1]
@@ -61,7 +61,7 @@ def test_nothing_comes_behind_the_end_of_the_data(tmp_path):
 @pytest.mark.parametrize(
     "parts", [[], [metadata("a")], [metadata("a"), raw(0x0B, b""), metadata("b", k="v")]]
 )
-def test_the_checksum_of_the_data_covers_all_before_its_end(tmp_path, parts):
+def test_data_checksum_covers_everything_before_the_data_end(tmp_path, parts):
     crc = zlib.crc32(MAGIC + b"".join(parts))
     file, starts = placed(tmp_path, *parts, record_bytes(DataEnd(crc)))
     assert [each[1] for each in found_in(file)] == starts[: len(parts)]
@@ -72,7 +72,7 @@ def test_the_checksum_of_the_data_covers_all_before_its_end(tmp_path, parts):
         assert found_in(bad, 0x0B, 0x0C) == [], "where kinds are passed over it is not compared"
 
 
-def test_a_field_that_reaches_past_its_record_and_a_text_that_is_none_are_refused():
+def test_field_beyond_its_record_and_invalid_text_are_refused():
     assert Record(4, 77, 0, channel(6, "/t")[9:]).parse().topic == "/t"
     assert Record(0x0D, 77, 0, b"").parse() is None
     for content in (b"", b"1", channel(6, "/t")[9:-1], channel(6, "/t")[9:].replace(b"/t", b"\xff\xff")):
@@ -84,7 +84,7 @@ def test_a_field_that_reaches_past_its_record_and_a_text_that_is_none_are_refuse
 
 
 @pytest.mark.parametrize(("opcode", "most"), [(0x06, 40 + 1024), (0x0C, 70), (0x01, 70)])
-def test_a_record_may_be_as_large_as_its_kind_and_no_larger(tmp_path, monkeypatch, opcode, most):
+def test_record_above_the_size_limit_of_its_kind_is_refused(tmp_path, monkeypatch, opcode, most):
     monkeypatch.setattr(mcap_read, "MAX_CHUNK", 40)
     monkeypatch.setattr(mcap_read, "MAX_RECORD", 70)
     end = record_bytes(DataEnd(0))
@@ -98,7 +98,7 @@ def test_a_record_may_be_as_large_as_its_kind_and_no_larger(tmp_path, monkeypatc
     assert found_in(file, cut=True) == [(opcode, starts[0], b"x" * most, False)], "nor more than allowed"
 
 
-def test_an_attachment_larger_than_any_of_ours_is_passed_over(tmp_path, monkeypatch):
+def test_attachment_above_the_size_limit_is_skipped(tmp_path, monkeypatch):
     monkeypatch.setattr(mcap_read, "MAX_RECORD", 70)
     file, starts = placed(
         tmp_path, metadata("a"), raw(0x09, bytes(71)), metadata("b"), record_bytes(DataEnd(5))
@@ -106,7 +106,7 @@ def test_an_attachment_larger_than_any_of_ours_is_passed_over(tmp_path, monkeypa
     assert [each[1] for each in found_in(file)] == [starts[0], starts[2]]
 
 
-def test_a_log_unpacks_to_so_much_more_for_each_byte_of_its_file():
+def test_unpacked_size_is_limited_by_the_size_of_the_file():
     for size, most in ((0, 256 * MiB), (1000, 256 * MiB + 40_000)):
         allowance = Allowance(size)
         allowance.spend(most)
@@ -147,13 +147,13 @@ def unpacked(content, *, complete=True, allowance=None):
 
 
 def split(data, *, complete=True, allowance=None):
-    """The messages of an uncompressed chunk, of a cut one those that are whole."""
+    """Messages of an uncompressed chunk; for a cut chunk the complete ones."""
     _, table, channels = unpacked(chunk("", data, size=len(data)), complete=complete, allowance=allowance)
     return table, channels
 
 
 @pytest.mark.parametrize("name", PACK)
-def test_a_chunk_is_unpacked_and_its_size_and_checksum_compared(name):
+def test_chunk_is_unpacked_and_its_size_and_checksum_are_verified(name):
     packed = PACK[name](DATA)
     for crc in (0, zlib.crc32(DATA)):
         assert unpacked(chunk(name, packed, crc=crc))[0] == DATA
@@ -167,13 +167,13 @@ def test_a_chunk_is_unpacked_and_its_size_and_checksum_compared(name):
             unpacked(chunk(name, DATA))
 
 
-def test_a_chunk_of_an_unknown_compression_is_refused():
+def test_chunk_with_an_unknown_compression_is_refused():
     with pytest.raises(LogError, match="allowed: zstd, lz4 and none"):
         unpacked(chunk("ZSTD", zstandard.compress(DATA)))
 
 
 @pytest.mark.parametrize("name", ["zstd", "lz4"])
-def test_a_chunk_that_unpacks_to_too_much_is_refused_before(name):
+def test_chunk_above_the_unpacked_limit_is_refused_before_unpacking(name):
     bomb = PACK[name](bytes(50_000_000))
     with pytest.raises(LogError, match=f"allowed: {MAX_CHUNK}"):
         unpacked(chunk(name, bomb, size=MAX_CHUNK + 1))
@@ -190,7 +190,7 @@ def test_a_chunk_that_unpacks_to_too_much_is_refused_before(name):
 
 
 @pytest.mark.parametrize("name", ["zstd", ""])
-def test_a_cut_chunk_gives_the_messages_that_are_whole(name):
+def test_cut_chunk_gives_its_complete_messages(name):
     random = np.random.default_rng(3).bytes(200_000)  # zstd packs 128 KiB at once
     data = DATA + raw(5, struct.pack("<HIQQ", 7, 0, 7, 88) + random)
     content = chunk(name, PACK[name](data), size=len(data), crc=zlib.crc32(data))
@@ -207,7 +207,7 @@ def test_a_cut_chunk_gives_the_messages_that_are_whole(name):
 # -- messages --------------------------------------------------------------------------------------------------
 
 
-def test_a_message_has_22_bytes_at_least():
+def test_message_of_less_than_22_bytes_is_refused():
     for size in (0, 13, 14, 21):
         short = raw(5, bytes(size))
         for data in (message(1, 5, 0) + short, short + message(1, 5, 0)):
@@ -216,7 +216,7 @@ def test_a_message_has_22_bytes_at_least():
 
 
 @pytest.mark.parametrize("left", [1, 8, 9, 15, 22, 23, 30])
-def test_a_chunk_ends_with_a_whole_record_unless_it_is_cut(left):
+def test_incomplete_last_record_is_refused_unless_the_chunk_is_cut(left):
     data = message(3, 9, 0) + message(3, 9, 0)[:left]
     with pytest.raises(LogError, match=f"the last {left} bytes of a chunk are no record"):
         split(data)
@@ -226,14 +226,14 @@ def test_a_chunk_ends_with_a_whole_record_unless_it_is_cut(left):
 
 @pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("time", [2**63, 2**64 - 1])
-def test_a_time_after_the_year_2262_is_refused(place, time):
+def test_time_after_the_year_2262_is_refused(place, time):
     found = [message(1, 5, 0), message(1, 6, 0)]
     found.insert(place, message(1, time, 0))
     with pytest.raises(LogError, match="2262"):
         split(b"".join(found))
 
 
-def test_channels_may_stand_between_messages_and_schemas_are_passed_over():
+def test_channels_between_messages_are_read_and_schemas_skipped():
     schema = record_bytes(Schema(id=9, name="", encoding="", data=b""))
     assert len(schema) == 23
     table, (found,) = split(schema + message(1, 5, 2) + channel(6, "/t") + message(6, 8, 0))
@@ -244,7 +244,7 @@ def test_channels_may_stand_between_messages_and_schemas_are_passed_over():
 
 
 @pytest.mark.parametrize("opcode", [0, 1, 2, 6, 7, 8, 0x0C, 0x0F, 0x80])
-def test_a_record_of_another_kind_in_a_chunk_is_refused(opcode):
+def test_record_of_another_kind_in_a_chunk_is_refused(opcode):
     for size in (22, 50):
         with pytest.raises(LogError, match="no message, schema or channel"):
             split(message(1, 5, 0) + raw(opcode, bytes(size)))

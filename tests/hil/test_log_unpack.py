@@ -1,4 +1,4 @@
-"""What is taken out of a chunk is what the mcap library and protobuf find in it."""
+"""Data read from a chunk agree with the mcap library and protobuf."""
 
 import struct
 from collections import defaultdict
@@ -32,7 +32,7 @@ from tests.hil.samples import assert_same, packed_rows, random_rows, random_tick
 BUSES = ["can0", "the_second_can"]
 RECORDED = random_ticks(120, seed=31)
 ITEM = struct.Struct("<qIBBH64s")
-"""A frame in the ring."""
+"""Frame in the ring."""
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def log(path):
 
 @pytest.fixture(scope="module")
 def messages(path):
-    """By topic what protobuf reads of the messages that the library finds."""
+    """Messages by topic, found by the library and decoded by protobuf."""
     found = defaultdict(list)
     with path.open("rb") as file:
         for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages(
@@ -63,7 +63,7 @@ def messages(path):
     return found
 
 
-def test_a_chunk_has_the_messages_that_the_library_finds(path):
+def test_messages_of_a_chunk_agree_with_the_mcap_library(path):
     with path.open("rb") as file:
         chunks = [each for each in StreamReader(file, emit_chunks=True).records if isinstance(each, Chunk)]
     for chunk in chunks:
@@ -80,7 +80,7 @@ def test_a_chunk_has_the_messages_that_the_library_finds(path):
     assert len(chunks) > 1
 
 
-def test_rows_are_those_that_protobuf_reads(log, messages):
+def test_rows_agree_with_protobuf(log, messages):
     for column in log.columns:
         name = f"{column.name}_number" if column.names else column.name
         found = [getattr(message, name) for message in messages["/tick"]]
@@ -91,7 +91,7 @@ def test_rows_are_those_that_protobuf_reads(log, messages):
     assert log.rows().tobytes() == np.array([tick.row for tick in RECORDED]).tobytes()
 
 
-def test_frames_are_those_that_protobuf_reads(log, messages):
+def test_frames_agree_with_protobuf(log, messages):
     flags = {"is_extended": EXTENDED, "fdf": FD, "brs": BRS, "esi": ESI, "is_rtr": REMOTE, "is_error": ERROR}
     expected = []
     for message in messages["/can"]:
@@ -103,7 +103,7 @@ def test_frames_are_those_that_protobuf_reads(log, messages):
     assert list(log.can_frames()) == sorted(expected, key=lambda each: each[0])
 
 
-def test_ticks_have_their_frames_as_items_and_as_tuples(log, messages):
+def test_frames_of_a_tick_as_items_agree_with_its_tuples(log, messages):
     assert_same(log.ticks(), RECORDED)
     sent_at = defaultdict(list)
     for message in messages["/can"]:
@@ -122,7 +122,7 @@ def test_ticks_have_their_frames_as_items_and_as_tuples(log, messages):
             assert items.flags.c_contiguous
 
 
-def test_a_tick_made_of_tuples_has_items_and_takes_changes():
+def test_tick_made_of_tuples_has_items_and_can_be_changed():
     tick = RECORDED[5]
     frame = Frame(0x123, b"\x01\x02", FD | 3 * BUS)
     other = tick._replace(received=(Received(7, frame),), sent=(frame,))
@@ -136,7 +136,7 @@ def test_a_tick_made_of_tuples_has_items_and_takes_changes():
 
 
 @pytest.mark.parametrize("length", [0, 8, 64])
-def test_a_frame_with_a_changed_constant_byte_is_refused(length):
+def test_frame_with_a_changed_constant_byte_is_refused(length):
     layout, table = frame_table([b"can0"])
     _, _, data, *places = table[0].tolist()
     template, mask = (np.insert(each, [data] * length, 0) for each in layout)
@@ -154,7 +154,7 @@ def test_a_frame_with_a_changed_constant_byte_is_refused(length):
         assert not taken(record), at
 
 
-def test_a_row_with_a_changed_constant_byte_is_refused():
+def test_row_with_a_changed_constant_byte_is_refused():
     codec = RowCodec(TICKS.columns)
     rows = random_rows(3)
     records = np.array([[0] * 31 + list(payload) for payload in packed_rows(TICKS, rows)], np.uint8)
@@ -173,13 +173,13 @@ WHOLE = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
 @pytest.mark.parametrize(
     "count", [13, 23, 31, 1 << 31, 1 << 32, (1 << 63) - 1, 1 << 63, (1 << 64) - 9, (1 << 64) - 1]
 )
-def test_a_message_that_reaches_past_the_end_is_not_taken(count):
+def test_message_beyond_the_end_of_the_data_is_not_read(count):
     starts, end = scan(WHOLE + struct.pack("<BQHIQQ", 5, count, 1, 0, 0, 0))
     assert (starts.tolist(), end) == ([0], 31)
 
 
 @pytest.mark.parametrize("size", range(32))
-def test_a_rest_behind_the_last_message_is_not_read(size):
+def test_incomplete_rest_after_the_last_message_is_not_read(size):
     starts, end = scan(WHOLE + WHOLE[:size])
     assert (starts.tolist(), end) == (([0, 31], 62) if size == 31 else ([0], 31))
 
@@ -195,7 +195,7 @@ def test_a_rest_behind_the_last_message_is_not_read(size):
         ("/events", b"\xff"),
     ],
 )
-def test_a_message_in_another_layout_is_refused_with_its_topic(path, tmp_path, topic, payload):
+def test_message_with_another_layout_is_refused_with_its_topic(path, tmp_path, topic, payload):
     changed: list[str] = []
 
     def edit(kind, data, _):
@@ -213,14 +213,14 @@ def test_a_message_in_another_layout_is_refused_with_its_topic(path, tmp_path, t
 
 
 @pytest.mark.parametrize("topic", ["/tick", "/can"])
-def test_a_row_or_frame_whose_tick_is_not_that_of_its_message_is_refused(path, tmp_path, topic):
+def test_tick_number_that_differs_from_its_message_is_refused(path, tmp_path, topic):
     rewrite_log(path, tmp_path / "a.mcap", sequence=lambda kind, tick: tick + (kind == topic and tick == 50))
     with pytest.raises(LogError, match="not in the order of a recorder, near tick"):
         Log(tmp_path / "a.mcap").rows()
 
 
 def items_of(*entries):
-    """Items in the order given: tick, direction, index; their identifiers count from 1."""
+    """Items in the given order: tick, direction, index; their identifiers count from 1."""
     items = np.zeros(len(entries), PLACED)
     for k, (tick, direction, index) in enumerate(entries):
         items[k]["tick"], items[k]["index"] = tick, index
@@ -229,7 +229,7 @@ def items_of(*entries):
     return items
 
 
-def test_frames_of_a_tick_stand_in_the_order_of_their_index():
+def test_frames_of_a_tick_are_sorted_by_index():
     items = items_of((0, 2, 9), (0, 1, 5), (0, 2, 1), (0, 1, 2), (0, 1, 7))
     frames = items["frame"]
     frames["length"], frames["bus"] = [1, 2, 3, 64, 0], [0, 5, 1, 0, 255]
@@ -244,7 +244,7 @@ def test_frames_of_a_tick_stand_in_the_order_of_their_index():
     assert tick.sent == (Frame(3, data[2], BUS), Frame(1, data[0], 0))
 
 
-def test_commands_of_a_tick_stand_in_the_order_of_their_index():
+def test_commands_of_a_tick_are_sorted_by_index():
     pose = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
     given: list[tuple[int, Operator, tuple[float, ...]]] = [
         (9, Operator.HOLD, ()),

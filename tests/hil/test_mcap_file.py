@@ -1,4 +1,4 @@
-"""The file that the recorder writes: its index as the mcap library reads it, and its end wherever the disk is full."""
+"""The MCAP file of the recorder: its index as the mcap library reads it, and its end on a full disk."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def with_chunks(path: Path, chunks: int) -> McapFile:
 
 
 def read(path: Path) -> tuple[list[int], int]:
-    """Return the values of all messages, found by the index, and the number of chunks in it; all CRCs hold."""
+    """Values of all messages, found by the index, and its number of chunks; every CRC is checked."""
     with path.open("rb") as stream:
         for _ in StreamReader(stream, validate_crcs=True).records:
             pass
@@ -76,7 +76,7 @@ def test_the_library_finds_every_message_by_the_index(tmp_path):
 
 
 @pytest.mark.parametrize("end", [McapFile.finish, McapFile.close])
-def test_a_file_is_known_to_be_written_until_its_end(end, tmp_path):
+def test_a_file_counts_as_being_written_until_its_end(end, tmp_path):
     path = tmp_path / "a.mcap"
     file = with_chunks(path, 2)
     with path.open("rb") as reader:
@@ -88,8 +88,8 @@ def test_a_file_is_known_to_be_written_until_its_end(end, tmp_path):
     assert not being_written(path)
 
 
-def test_a_finished_file_is_on_the_disk_to_its_last_byte(tmp_path, monkeypatch):
-    """A power failure after it loses nothing of it."""
+def test_a_finished_file_is_flushed_to_the_disk_completely(tmp_path, monkeypatch):
+    """A later power failure loses no byte of it."""
     path, synced = tmp_path / "a.mcap", []
     for name in ("fsync", "fdatasync"):
         monkeypatch.setattr(os, name, lambda fd: synced.append(os.fstat(fd).st_size))
@@ -102,7 +102,7 @@ def test_a_finished_file_is_on_the_disk_to_its_last_byte(tmp_path, monkeypatch):
     assert synced[1:] == [path.stat().st_size]
 
 
-def test_an_existing_file_is_kept_and_a_discarded_one_removed(tmp_path, monkeypatch):
+def test_an_existing_file_is_kept_and_a_discarded_file_removed(tmp_path, monkeypatch):
     path = tmp_path / "a.mcap"
     path.write_bytes(b"another one")
     with pytest.raises(FileExistsError):
@@ -115,8 +115,8 @@ def test_an_existing_file_is_kept_and_a_discarded_one_removed(tmp_path, monkeypa
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_the_index_has_times_sizes_places_and_counts(tmp_path):
-    """The messages of a chunk are in no order of time or channel."""
+def test_the_index_has_times_sizes_offsets_and_counts(tmp_path):
+    """Messages of a chunk are neither in time order nor in channel order."""
     file = with_chunks(tmp_path / "a.mcap", 0)
     file.add(Channel(id=300, topic="/b", message_encoding="raw", metadata={}, schema_id=1))
     for channels, times in (([300, 1, 300, 1], [420, 500, 910, 440]), ([1], [310]), ([300, 1], [330, 305])):
@@ -179,7 +179,7 @@ def test_the_index_has_times_sizes_places_and_counts(tmp_path):
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4, 0.8, 0.999])
-def test_a_disk_that_is_full_anywhere_in_the_end_keeps_the_first_chunks(share, tmp_path, monkeypatch):
+def test_a_full_disk_at_the_end_of_a_file_keeps_its_first_chunks(share, tmp_path, monkeypatch):
     whole = with_chunks(tmp_path / "whole.mcap", 12)
     data = whole.position
     whole.add_metadata("end", {"why": "done"})

@@ -1,4 +1,4 @@
-"""Numbers of a run, against what can be counted by hand."""
+"""Metrics of a run against values calculated by hand."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,7 @@ from hil.trajectory.path import PoseSample
 from hil.trajectory.waypoints import waypoint_trajectory
 
 
-def test_peak_and_rms_of_a_sine_and_of_nothing():
+def test_peak_and_rms_of_a_sine_and_of_no_rows():
     t = np.linspace(0.0, 1.0, 4000, endpoint=False)
     x = np.column_stack([3.0 * np.sin(2 * np.pi * t), -2.0 * np.ones_like(t)])
     assert peak(x) == pytest.approx([3.0, 2.0], rel=1e-6)
@@ -26,7 +26,7 @@ def test_peak_and_rms_of_a_sine_and_of_nothing():
     assert np.isnan(rms(np.zeros((0, 6)))).tolist() == [True] * 6
 
 
-def test_rotation_errors_are_the_rotation_vectors_of_scipy():
+def test_rotation_errors_agree_with_scipy():
     random = np.random.default_rng(3)
     a, b = Rotation.random(50, random_state=random), Rotation.random(50, random_state=random)
     found = rotation_errors(a.as_matrix(), b.as_matrix().reshape(-1, 9))
@@ -51,7 +51,7 @@ def second_order(t: Any, zeta: float, wn: float = WN) -> Any:
 
 
 @pytest.mark.parametrize("zeta", [0.3, 0.5, 0.7])
-def test_overshoot_is_that_of_a_second_order_loop(zeta):
+def test_overshoot_of_a_second_order_loop_is_exact(zeta):
     found = step_response(T, 5.0 + 0.25 * second_order(T, zeta), 5.0)
     assert found.overshoot == pytest.approx(np.exp(-np.pi * zeta / np.sqrt(1 - zeta**2)), rel=2e-3)
     assert (found.initial, found.final) == pytest.approx((5.0, 5.25), abs=1e-5)
@@ -59,14 +59,14 @@ def test_overshoot_is_that_of_a_second_order_loop(zeta):
 
 
 @pytest.mark.parametrize("zeta", [0.5, 1.0])
-def test_rise_time_is_that_of_a_second_order_loop(zeta):
+def test_rise_time_of_a_second_order_loop_is_exact(zeta):
     ends = [brentq(lambda t, level=level: second_order(t, zeta) - level, 0.0, 0.25) for level in (0.1, 0.9)]
     found = step_response(T, -second_order(T, zeta), 0.0)
     assert found.rise_s == pytest.approx(ends[1] - ends[0], rel=1e-3)
 
 
 @pytest.mark.parametrize("zeta", [0.3, 0.7, 1.0])
-def test_bandwidth_is_that_of_a_second_order_loop(zeta):
+def test_bandwidth_of_a_second_order_loop_is_exact(zeta):
     """|G(j w)|^2 = 1/2 at w^2 = wn^2 (1 - 2 zeta^2 + sqrt(1 + (1 - 2 zeta^2)^2))."""
     a = 1 - 2 * zeta**2
     expected = WN / (2 * np.pi) * np.sqrt(a + np.sqrt(1 + a**2))
@@ -74,7 +74,7 @@ def test_bandwidth_is_that_of_a_second_order_loop(zeta):
 
 
 @pytest.mark.parametrize(("tau", "period_s", "count"), [(0.05, 1e-3, 2000), (5.0, 1e-2, 6000)])
-def test_a_first_order_loop_has_its_corner_as_bandwidth_and_ln_9_as_rise(tau, period_s, count):
+def test_bandwidth_and_rise_time_of_a_first_order_loop_are_exact(tau, period_s, count):
     t: Any = np.arange(count) * period_s
     y = 1 - np.exp(-t / tau)
     assert bandwidth_Hz(t, y, 0.0) == pytest.approx(1 / (2 * np.pi * tau), rel=2e-3)
@@ -93,12 +93,12 @@ def test_a_first_order_loop_has_its_corner_as_bandwidth_and_ln_9_as_rise(tau, pe
     ],
     ids=["at once", "waits at 10 and 90 %", "a number is missing", "no answer"],
 )
-def test_the_rise_ends_where_each_level_is_first_reached(y, rise_s):
+def test_rise_time_uses_the_first_crossing_of_each_level(y, rise_s):
     found = step_response(np.arange(20.0) + 3.0, np.array(y), 0.0)
     assert found.rise_s == pytest.approx(rise_s, nan_ok=True)
 
 
-def test_what_does_not_answer_or_come_to_rest_has_not_settled():
+def test_a_signal_without_response_or_rest_has_not_settled():
     still = np.full_like(T, 2.0)
     assert not step_response(T, still, 2.0).settled
     assert not step_response(T, np.sin(2 * np.pi * 3 * T) + T, 0.0).settled
@@ -108,15 +108,15 @@ def test_what_does_not_answer_or_come_to_rest_has_not_settled():
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 @pytest.mark.parametrize(("by", "settled"), [(0.019, True), (0.021, False)])
-def test_an_answer_has_settled_within_two_per_cent_of_its_way(by, settled, sign):
-    """Nine of ten samples lie a little on the other side of their mean."""
+def test_a_response_has_settled_within_two_per_cent_of_its_step(by, settled, sign):
+    """Nine of ten samples lie slightly on the other side of their mean."""
     t, y = np.linspace(0.0, 0.1, 100), np.ones(100)
     y[-10:] = 1.0 - sign * by / 9
     y[-4] = 1.0 + sign * by
     assert step_response(t, 7.0 + 5.0 * y, 7.0).settled is settled
 
 
-def test_the_bandwidth_is_where_the_gain_first_falls():
+def test_bandwidth_is_the_first_frequency_at_which_the_gain_falls():
     """Two equal steps a time D apart: |G| = |cos(pi f D)|, which is 1 / sqrt(2) at f D = 1 / 4, 3 / 4 and so on."""
     y = np.where(T < 0.1, 0.5, 1.0)
     assert bandwidth_Hz(T, y, 0.0) == pytest.approx(2.5, rel=1e-9)
@@ -135,8 +135,8 @@ def book():
     return Model(platform), waypoint_trajectory(path)
 
 
-def test_on_the_books_path_H_is_small_and_the_rate_of_the_jacobian_not(book):
-    """Figures found independently: H at most 0.51 % of the force, (dJ/dt) twist 15.7 %, 1188 N."""
+def test_on_the_books_path_H_is_small_and_the_jacobian_rate_is_not(book):
+    """Independent figures: H at most 0.51 % of the force, (dJ/dt) twist 15.7 %, 1188 N."""
     model, path = book
     shares = force_shares(model, [path.sample(t) for t in np.linspace(0, 2 - 1e-12, 2001)])
     assert shares["H"].share == pytest.approx(0.0051, abs=5e-5)
@@ -144,7 +144,7 @@ def test_on_the_books_path_H_is_small_and_the_rate_of_the_jacobian_not(book):
     assert shares["J_dot"].force_N == pytest.approx(1188, abs=1)
 
 
-def test_at_rest_gravity_is_the_whole_force_hanging_or_standing(book):
+def test_at_rest_gravity_is_the_whole_force_in_either_position(book):
     model, path = book
     p, R, *rest = path.sample(-1.0)
     for pose in (p, -p):

@@ -1,4 +1,4 @@
-"""The newest tick in shared memory: never torn, only this user's, of today's layout, and the log does not notice it."""
+"""Mirror of the newest tick: never torn, private to its user, bound to its version, harmless to the log."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def newest(reader):
 
 
 def hammer(path, seconds):
-    """Write pieces all of whose numbers are one, some thousands a second."""
+    """Write thousands of pieces a second, each filled with a single number."""
     mirror = Mirror(path, ABOUT)
     row, figures = np.zeros((), ROW), np.zeros((), FIGURES)
     end, k = time.monotonic() + seconds, 0
@@ -50,7 +50,7 @@ def hammer(path, seconds):
         time.sleep(1e-4)
 
 
-def test_a_reader_beside_a_fast_writer_sees_whole_pieces(tmp_path):
+def test_a_reader_of_a_fast_writer_sees_only_whole_pieces(tmp_path):
     path = tmp_path / "m"
     writer = multiprocessing.get_context("spawn").Process(target=hammer, args=(path, 1.0))
     writer.start()
@@ -82,7 +82,7 @@ def show(mirror, number, events=b"[]"):
     mirror.write(row, figures, events)
 
 
-def test_pieces_are_read_as_they_were_written_and_never_half(tmp_path):
+def test_pieces_are_read_as_written_and_never_partially(tmp_path):
     path = tmp_path / "m"
     mirror = Mirror(path, ABOUT | {"name": "täst", "columns": describe(SMALL)})
     reader = MirrorReader(path)
@@ -104,7 +104,7 @@ def test_pieces_are_read_as_they_were_written_and_never_half(tmp_path):
 
 
 @pytest.mark.parametrize("data", [b"", b"x", bytes(64), b"\3" + bytes(7) + b"[1]", b"\2" + bytes(7) + b"{}"])
-def test_another_file_or_version_is_refused(tmp_path, data):
+def test_foreign_files_and_other_versions_are_refused(tmp_path, data):
     (tmp_path / "m").write_bytes(data + bytes(1))
     with pytest.raises(LogError, match="another version"):
         MirrorReader(tmp_path / "m")
@@ -113,7 +113,7 @@ def test_another_file_or_version_is_refused(tmp_path, data):
         MirrorReader(tmp_path / "m")
 
 
-def test_the_file_is_of_this_user_alone_and_is_removed_with_the_run(tmp_path):
+def test_the_file_is_private_to_its_user_and_removed_with_the_run(tmp_path):
     path = tmp_path / "m"
     mirror = Mirror(path, ABOUT)
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
@@ -129,7 +129,7 @@ def test_the_file_is_of_this_user_alone_and_is_removed_with_the_run(tmp_path):
         MirrorReader(path)
 
 
-def test_a_run_that_follows_keeps_its_file_when_the_one_before_closes_late(tmp_path):
+def test_a_new_run_keeps_its_file_if_the_previous_run_closes_late(tmp_path):
     path = tmp_path / "m"
     first, second = Mirror(path, ABOUT), Mirror(path, {**ABOUT, "name": "second"})
     first.close()
@@ -138,7 +138,7 @@ def test_a_run_that_follows_keeps_its_file_when_the_one_before_closes_late(tmp_p
     assert not path.exists()
 
 
-def test_the_recorder_shows_the_newest_row_fifty_times_a_second(tmp_path):
+def test_the_recorder_updates_the_newest_row_fifty_times_a_second(tmp_path):
     path, shown = tmp_path / "a.mcap", tmp_path / "m"
     rows = random_rows(1500, seed=5)
     rows["skipped"] = 0
@@ -177,7 +177,7 @@ def test_the_recorder_shows_the_newest_row_fifty_times_a_second(tmp_path):
     assert 20 <= len(numbers) / seconds <= 51, "every 20 ms on a machine that is not too busy"
 
 
-def test_a_mirror_that_cannot_be_made_costs_the_picture_and_not_the_log(tmp_path, capfd):
+def test_a_mirror_that_cannot_be_created_does_not_stop_the_log(tmp_path, capfd):
     path = tmp_path / "a.mcap"
     with Recording.start(path, configuration="", mirror=(tmp_path / "no" / "m", {})) as recording:
         for row in random_rows(20):
@@ -186,7 +186,7 @@ def test_a_mirror_that_cannot_be_made_costs_the_picture_and_not_the_log(tmp_path
     assert "cannot see this run" in capfd.readouterr().err
 
 
-def test_a_killed_recorder_leaves_what_was_shown_last(tmp_path):
+def test_a_killed_recorder_leaves_its_last_piece_readable(tmp_path):
     shown = tmp_path / "m"
     recording = Recording.start(tmp_path / "a.mcap", configuration="", mirror=(shown, {}))
     recording.tick(random_rows(1)[0], (), ())

@@ -108,7 +108,7 @@ TRANSITIONS = [
 
 
 @pytest.mark.parametrize(("mode", "facts", "expected"), TRANSITIONS)
-def test_state_words_and_time_lead_from_mode_to_mode(mode, facts, expected):
+def test_drive_states_commands_and_time_change_the_mode(mode, facts, expected):
     assert after(mode, **facts) is expected
 
 
@@ -129,24 +129,24 @@ STOPPED = {
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_stop_leads_to_rest_from_everywhere(mode):
+def test_a_stop_leads_to_rest_from_every_mode(mode):
     assert after(mode, operator=(Operator.STOP,)) is STOPPED[mode]
     assert after(mode, stop=True) is STOPPED[mode]
 
 
-def test_a_drive_is_waited_for_one_second_to_the_last_bit_and_no_longer():
+def test_a_mode_waits_exactly_one_extra_second_for_a_drive():
     even = Durations(load=0.25, release=0.5, close=0.125)
     for mode, least in ((Mode.LOADING, 0.5), (Mode.RELEASING, 0.5), (Mode.PARKING, 0.125)):
         assert not overdue(mode, least + 1.0, even)
         assert overdue(mode, math.nextafter(least + 1.0, 2.0), even)
 
 
-def test_other_modes_wait_for_no_drive():
+def test_other_modes_never_wait_for_a_drive():
     waiting = {Mode.LOADING, Mode.RELEASING, Mode.PARKING}
     assert not any(overdue(mode, 1e6, DURATIONS) for mode in Mode if mode not in waiting)
 
 
-def test_a_held_platform_is_let_go_of_by_the_operators_release_and_nothing_else():
+def test_only_the_operators_release_ends_the_held_mode():
     for operator in Operator:
         expected = Mode.FAULT if operator is Operator.RELEASE else Mode.HELD
         assert after(Mode.HELD, operator=(operator,), stop=True, finished=True, elapsed=1e6) is expected
@@ -159,12 +159,12 @@ UNSEEN = (
     *(Fault.STALE, Fault.ENCODER, Fault.UNCERTAIN, Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION),
     *(Fault.NOT_FINITE, Fault.LAW, Fault.DUPLICATE_NODE),
 )
-"""Where a leg is not measured, or no law can be evaluated, no brake is seen to hold."""
+"""Without measurement of a leg, or without a law, no brake can be proven."""
 FOLLOW = (
     *(Fault.KINEMATICS, Fault.ASSEMBLY, Fault.CONDITION, Fault.STROKE, Fault.SPEED, Fault.FOLLOWING),
     *(Fault.NOT_FINITE, Fault.UNCERTAIN, Fault.ENCODER),
 )
-"""Faults that follow by themselves where a leg is not measured."""
+"""Faults that follow by themselves if a leg is not measured."""
 DEFAULT = ReactionSettings()
 
 
@@ -174,7 +174,7 @@ def leads(mode, fault, reactions=DEFAULT, *, located=True, heard=True):
 
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
-def test_each_fault_decides_who_obeys_what_is_measured_and_what_is_proven(
+def test_each_fault_belongs_to_the_right_fault_groups(
     fault,
 ):
     assert bool(fault & NOBODY_OBEYS) == (fault in NOBODY)
@@ -186,7 +186,7 @@ def test_each_fault_decides_who_obeys_what_is_measured_and_what_is_proven(
 
 @pytest.mark.parametrize("fault", [fault for fault in Fault if fault])
 @pytest.mark.parametrize("mode", Mode)
-def test_a_fault_leaves_the_force_on_where_it_alone_may_hold_the_platform(mode, fault):
+def test_a_fault_keeps_a_force_that_alone_may_carry_the_platform(mode, fault):
     match mode:
         case _ if fault in NOBODY or mode is Mode.FAULT:
             expected = Mode.FAULT
@@ -220,13 +220,13 @@ def test_of_several_faults_the_strongest_reaction_counts():
 
 @pytest.mark.parametrize("mode", Mode)
 @pytest.mark.parametrize("name", ["speed", "following", "drive"])
-def test_a_fault_whose_reaction_is_sto_takes_the_torque_off_in_every_mode(mode, name):
+def test_a_fault_with_reaction_sto_removes_the_force_in_every_mode(mode, name):
     off, fault = ReactionSettings.model_validate({name: "sto"}), Fault[name.upper()]
     assert leads(mode, fault, off) is Mode.FAULT
     assert leads(mode, fault | Fault.STALE | Fault.BRAKE, off) is Mode.FAULT, "whatever else has struck"
 
 
-def test_every_fault_has_a_reaction_or_none_that_could_be_chosen():
+def test_every_fault_has_a_reaction_unless_it_is_fixed():
     assert Fault.STALE in DEFAULT.led_to("sbc")
     assert Fault.CERTIFICATE in DEFAULT.led_to("ss1")
     assert DEFAULT.led_to("sto") is Fault.NONE
@@ -236,7 +236,7 @@ def test_every_fault_has_a_reaction_or_none_that_could_be_chosen():
         ReactionSettings.model_validate({"stale": "ss1"})
 
 
-def test_where_the_pose_was_never_found_no_force_comes_back():
+def test_without_a_known_pose_no_force_is_restored():
     assert leads(Mode.PARKED, Fault.BRAKE, located=False) is Mode.FAULT
     assert leads(Mode.UNLOADING, Fault.BRAKE, located=False) is Mode.HELD, "its force is known"
 
@@ -262,7 +262,7 @@ OPEN = {Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING}
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_each_mode_decides_what_carries_the_platform_and_what_ends_it(mode):
+def test_each_mode_belongs_to_the_right_mode_groups(mode):
     assert (mode in MOVING) == (mode in OPEN)
     assert (mode in CONTROLLED) == (mode in {*OPEN, Mode.PARKING, Mode.HELD})
     assert (mode in BRAKED) == (mode in {Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED})

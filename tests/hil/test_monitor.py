@@ -1,4 +1,4 @@
-"""The certificate that is watched: its numbers, and what it allows."""
+"""Certificate monitor: its constants, and the motions that it allows."""
 
 import math
 from math import ceil
@@ -41,7 +41,7 @@ def platform():
     return build_platform(load("virtual").platform)
 
 
-def test_the_constants_of_a_critically_damped_law(platform):
+def test_watch_constants_of_a_critically_damped_law(platform):
     """alpha = wn / 4 = 5, V = 600 ((de + 5 e)^2 + 225 e^2)."""
     table, ticks = build_watch(MonitorSettings(action="fault"), PLAIN, platform, HOME, T)
     rows = {0: 400, 1: 40, 2: 150e3, 3: 3e3, 4: 600, 5: 8, 7: math.sqrt(600) * T, 8: math.exp(-0.01)}
@@ -56,7 +56,7 @@ def test_the_constants_of_a_critically_damped_law(platform):
     assert polled.ticks == 3 + ceil(3 * 3.2)
 
 
-def test_noise_of_the_legs_reaches_the_pose_through_the_jacobian(platform):
+def test_leg_noise_is_mapped_to_the_pose_by_the_jacobian(platform):
     settings = MonitorSettings(length_noise_m=1e-3, rate_noise_m_s=0.0, disturbance_rad_s2=3.0)
     law = PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)
     table, _ = build_watch(settings, law, platform, HOME, T)
@@ -66,7 +66,7 @@ def test_noise_of_the_legs_reaches_the_pose_through_the_jacobian(platform):
     assert table[11, 0] == 1.0
 
 
-def test_robust_laws_are_watched_with_the_gains_of_their_layers(platform):
+def test_watch_of_robust_laws_uses_the_gains_of_their_layers(platform):
     """k = 10 and phi = k / 50 = 0.2: two poles at 50 rad/s. rho / epsilon = 9 sqrt(6) / 0.5."""
     table, _ = build_watch(MonitorSettings(), SLIDING, platform, HOME, T)
     np.testing.assert_allclose(table[[0, 1, 9, 10], 3], [2500, 100, 50, 50])
@@ -91,8 +91,8 @@ def test_a_law_has_a_certificate_or_a_reason(platform):
     }
 
 
-def test_the_error_of_the_pose_and_its_exact_rate():
-    """Of a platform that turns at 0.3 rad off its reference: differences over a microsecond."""
+def test_pose_error_rate_agrees_with_finite_differences():
+    """Platform that rotates 0.3 rad off its reference; differences over a microsecond."""
 
     def poses(t):
         R_d = rotation_from_vector(np.array([0.2, -0.1, 0.4])) @ rotation_from_vector(t * w_d)
@@ -132,9 +132,9 @@ class Axes:
         self.command = np.zeros(6)
 
     def tick(self, d, *, late_ns=0, off=0.0, **columns):
-        """The figures and whether the watch alarms; then one period under d.
+        """Figures of the watch and its alarm; then one period under d.
 
-        late_ns: the encoders are read so late; off: the error of leg 0 seems so much more.
+        late_ns: delay of the encoder sample; off: additional apparent error of leg 0.
         """
         self.x[:, 3] = d
         self.x[:, 4] = self.command
@@ -154,14 +154,14 @@ class Axes:
 
 @pytest.fixture(scope="module")
 def exact(platform):
-    """A watch that allows for no noise and asks once."""
+    """Watch without noise allowance that alarms at the first violation."""
     settings = MonitorSettings(action="warn", confirm_ticks=1, length_noise_m=0.0, rate_noise_m_s=0.0)
     return build_watch(settings, PLAIN, platform, HOME, T)
 
 
 @pytest.mark.parametrize("kind", ["worst", "steps", "noise"])
 def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
-    """Whatever the six do within 8 m/s^2, the one that always pushes outwards included."""
+    """Any disturbance of the six axes within 8 m/s^2, also one that always pushes outwards."""
     random = np.random.default_rng(7)
     axes = Axes(exact)
     largest = 0.0
@@ -180,15 +180,15 @@ def test_no_disturbance_within_the_bound_breaks_the_certificate(exact, kind):
 
 
 def test_late_ticks_do_not_break_the_certificate(exact):
-    """What pushes outwards from rest has a fifth more time to do so until a tick that is late."""
+    """A disturbance that pushes outwards from rest has a fifth more time until a late tick."""
     axes = Axes(exact)
     axes.tick(0.0)
     axes.tick(0.0)
     assert not any(axes.tick(8.0, late_ns=190_000 * (k % 3 > 0))[1] for k in range(200))
 
 
-def test_an_estimated_length_does_not_count_for_the_certificate(exact):
-    """A length carried on, or estimated without its encoder, may be off, and jumps when it is heard again."""
+def test_an_estimated_length_does_not_break_the_certificate(exact):
+    """An extrapolated or estimated length may be wrong, and jumps when the encoder reports again."""
     one_old = {"age": [1, 0, 0, 0, 0, 0], "counted_age": [1, 0, 0, 0, 0, 0]}
     for unseen in (one_old, {"legs_used": 0b111110, "legs_lost": 1, "unseen": 1}):
         axes = Axes(exact)
@@ -205,8 +205,8 @@ def test_an_estimated_length_does_not_count_for_the_certificate(exact):
     assert seen.tick(0.0, off=1e-3, legs_used=0b111111)[1], "a measured one does"
 
 
-def test_the_disturbance_of_a_law_that_looks_ahead_grows_with_its_horizon(platform):
-    """Over h = 1.8 ms, 8 m/s^2 move de by 8 h and e by 8 h^2 / 2, which the gains answer that much too late."""
+def test_disturbance_of_a_predicting_law_grows_with_its_horizon(platform):
+    """Over h = 1.8 ms, 8 m/s^2 change de by 8 h and e by 8 h^2 / 2; the gains respond that much later."""
     delay = DelayCompensation(bus_ms=0.5, drive_lag_ms=0.8, hold_ms=0.5)
     law = InverseDynamicsSettings(law="inverse_dynamics", wn_rad_s=90.0, delay_compensation=delay)
     table, _ = build_watch(MonitorSettings(), law, platform, HOME, T)

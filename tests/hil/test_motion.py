@@ -1,4 +1,4 @@
-"""The present trajectory: its time, its end, what follows it, the path that was left, and the look ahead."""
+"""Motion along a trajectory: its time, its end, its successor, the path that was left, and the look-ahead."""
 
 from math import isnan
 from typing import Any
@@ -14,17 +14,17 @@ from hil.trajectory.move import GeodesicMove
 from hil.trajectory.override import OVERRIDE
 from hil.trajectory.path import SAMPLE, PoseSample, of_record
 from hil.trajectory.piecewise import PiecewisePolynomial
-from tests.judged import ANYWHERE
+from tests.pose_judges import ANYWHERE
 
 T, LONG = 1e-3, 0.25
-"""s: with the longer period whole ticks are exact."""
+"""Period, s; its long value makes whole ticks exact."""
 HERE, THERE = np.zeros(3), np.array([0.1, 0.0, 0.0])
 EYE = np.eye(3)
 AHEAD = 1.8e-3
 
 
 def next_path():
-    """x = 0.1 + 2 t^2 for 1 s: it begins with an acceleration of 4 m/s^2."""
+    """x = 0.1 + 2 t^2 for 1 s: a path that begins with an acceleration of 4 m/s^2."""
     coefficients = np.zeros((1, 6, 6))
     coefficients[0, 0, 0], coefficients[0, 2, 0] = 0.1, 2.0
     return PiecewisePolynomial(np.array([0.0, 1.0]), coefficients)
@@ -35,7 +35,7 @@ def move(duration_s=1.0):
 
 
 class Turn:
-    """About z at 0.5 rad/s, for a while or for ever."""
+    """Rotation about z at 0.5 rad/s, for a while or for ever."""
 
     def __init__(self, duration_s: float | None) -> None:
         self.duration_s = duration_s
@@ -47,7 +47,7 @@ class Turn:
 
 
 def along(trajectory, tick=0, then=None, period_s=LONG):
-    """Return a motion along a trajectory since a tick."""
+    """Motion along a trajectory that began at a tick."""
     motion = Motion(period_s, HERE, EYE, 0.5)
     motion.start(trajectory, tick, then=then)
     return motion
@@ -58,14 +58,14 @@ _ahead = kernel(record(MOTION), record(OVERRIDE), INTEGER, REAL, record(SAMPLE))
 
 
 def before(motion: Motion, tick: int, path: Any) -> float | None:
-    """Return the time before a path begins that comes next, s; None where nobody knows when it does."""
+    """Time, s, to the start of the next path (negative before it); None if unknown."""
     if motion.then is not path or not motion.override.full:
         return None
     return float(-_ticks_left(motion.record, motion.override.record, tick) * motion.override.record["period"])
 
 
 def ahead(motion: Motion, tick: int, s: float) -> tuple[PoseSample, float | None]:
-    """Return where the platform should be `s` seconds after a tick, and that time along what comes next."""
+    """Sample `s` seconds after a tick, and the time along the next path, None before it."""
     into = np.zeros((), SAMPLE)
     status, along = _ahead(motion.record, motion.override.record, tick, s, into)
     assert status == 0
@@ -75,7 +75,7 @@ def ahead(motion: Motion, tick: int, s: float) -> tuple[PoseSample, float | None
 # -- its time and its end
 
 
-def test_a_trajectory_counts_from_the_tick_at_which_it_begins():
+def test_trajectory_time_counts_from_the_tick_of_its_start():
     motion = Motion(LONG, THERE, EYE, 0.5)
     assert (motion.tick, motion.time(0), motion.time(3)) == (0, 0.0, 0.75)
     assert motion.left is None
@@ -92,7 +92,7 @@ def test_a_trajectory_counts_from_the_tick_at_which_it_begins():
 
 
 @pytest.mark.parametrize("patience_s", [0.0, 0.5])
-def test_a_motion_that_ended_just_as_long_ago_as_it_is_waited_for_is_not_overdue(patience_s):
+def test_a_motion_is_overdue_only_after_the_waiting_time(patience_s):
     waits = round(patience_s / LONG)
     motion = along(Turn(1.0))
     assert [motion.overdue(4 + waits + k, patience_s) for k in (0, 1)] == [False, True]
@@ -102,7 +102,7 @@ def test_a_motion_that_ended_just_as_long_ago_as_it_is_waited_for_is_not_overdue
 
 
 @pytest.mark.parametrize("stops", [0, 1, 50])
-def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
+def test_a_stop_at_rest_is_finished_exactly_at_its_own_tick(stops):
     motion = along(Turn(None), period_s=T)
     motion.settle(0, 0.0)
     assert not motion.finished(stops)
@@ -115,7 +115,7 @@ def test_a_stop_at_rest_is_finished_in_its_tick_and_not_before(stops):
 # -- a new one forgets the one before
 
 
-def test_a_new_trajectory_is_not_followed_by_what_was_to_follow_the_one_before():
+def test_a_new_trajectory_drops_the_successor_of_the_previous_one():
     path = next_path()
     motion = along(move(), then=path)
     assert before(motion, 1, path) == -0.75
@@ -134,7 +134,7 @@ def test_a_new_trajectory_is_not_followed_by_what_was_to_follow_the_one_before()
     ],
     ids=["start", "rest", "stop"],
 )
-def test_a_new_trajectory_resumes_no_path_that_the_one_before_had_left(change):
+def test_a_new_trajectory_drops_the_path_that_was_left(change):
     motion = along(next_path())
     motion.leave(move(), 3)
     assert motion.away
@@ -143,7 +143,7 @@ def test_a_new_trajectory_resumes_no_path_that_the_one_before_had_left(change):
     assert motion.left is None
 
 
-def test_a_path_that_is_left_twice_is_resumed_at_rest_where_it_was_left_first():
+def test_a_path_left_twice_is_resumed_where_it_was_left_first():
     path = next_path()
     motion = along(path, 1)
     motion.leave(move(), 3)
@@ -182,8 +182,10 @@ def test_the_look_ahead_crosses_the_end_of_the_approach(duration):
     assert first.p[0] - seen[begins - 1][0].p[0] == pytest.approx(2 * (AHEAD**2 - (AHEAD - T) ** 2))
 
 
-def test_a_hold_on_the_approach_puts_off_what_comes_next():
-    """Held at 0.1 s for half a second; at full speed again the next path begins where the approach ends."""
+def test_a_hold_on_the_approach_delays_the_next_path():
+    """Held at 0.1 s for half a second; later at full speed the next path begins at the end of the
+    approach.
+    """
     motion, path = Motion(T, HERE, EYE, 0.2), next_path()
     motion.start(move(), 0, then=path)
     seen, tick = {}, 0
@@ -202,7 +204,7 @@ def test_a_hold_on_the_approach_puts_off_what_comes_next():
     assert seen[begins - 1][1] == pytest.approx(AHEAD - T)
 
 
-def test_the_time_before_the_next_one_is_zero_at_the_end_and_unknown_when_slow():
+def test_time_to_the_next_path_is_zero_at_its_start_and_unknown_if_slow():
     path = next_path()
     motion = along(move(), then=path)
     assert [before(motion, tick, path) for tick in (0, 3, 4, 5, 9)] == [-1.0, -0.25, 0.0, 0.0, 0.0]
@@ -235,7 +237,7 @@ def goes(live, first, last):
     return live.sample(0.0).twist[0]
 
 
-def test_a_live_trajectory_takes_the_share_of_its_speed_and_a_hold_from_the_operator():
+def test_a_live_trajectory_obeys_the_operators_speed_and_hold():
     motion, live = lives()
     motion.aim(0, 0.5, go=True)
     assert goes(live, 1, 500) == pytest.approx(0.15)

@@ -1,4 +1,4 @@
-"""What feeds the cycle multiplies without BLAS: its kernels round differently from CPU to CPU."""
+"""Code that feeds the cycle multiplies without BLAS, whose kernels round differently on each CPU type."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_no_matrix_product_of_numpy_feeds_the_cycle(path):
     assert products(path) <= ALLOWED.get(path.name, set())
 
 
-def test_the_constants_of_the_model_are_packed_without_one():
+def test_model_constants_are_packed_without_a_numpy_matrix_product():
     tree = ast.parse((HIL / "robot/dynamics.py").read_text())
     pack = next(n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef) and n.name == "pack_constants")
     assert not any(isinstance(n, ast.MatMult) for n in ast.walk(pack))

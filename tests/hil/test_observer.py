@@ -1,4 +1,4 @@
-"""The wrench observer on motions that scipy has integrated: a first-order filter of the wrench."""
+"""Wrench observer on motions integrated by scipy: it is a first-order filter of the wrench."""
 
 import json
 from math import exp, pi
@@ -24,12 +24,12 @@ T, BANDWIDTH = 1e-3, 20.0
 WRENCH = np.array([800.0, -500.0, 300.0, 100.0, -80.0, 60.0])
 RUN, READY, OFF = [DriveState.RUN] * 6, [DriveState.READY] * 6, [DriveState.OFF] * 6
 HOLDING = np.full(6, 3618.625746)
-"""N, static leg force at home, confirmed by independent engines."""
+"""Static leg force at home, N, confirmed by independent engines."""
 PUSH = np.array([300.0, -200.0, 500.0, 100.0, -400.0, 250.0])
 
 
 def moved(model, wrench, count=60):
-    """The states every T under forces that change every T, and those forces."""
+    """States every T under forces that change every T, and these forces."""
     forces = [HOLDING + PUSH * np.sin(0.05 * k) for k in range(count)]
     x = np.concatenate([HOME, np.eye(3).ravel(), np.zeros(6)])
     states = [x]
@@ -74,27 +74,27 @@ def pushed():
     return moved(Model(PLATFORM), WRENCH)
 
 
-def test_a_constant_wrench_is_seen_through_a_first_order_filter(pushed):
+def test_estimate_of_a_constant_wrench_rises_like_a_first_order_lag(pushed):
     found = follow(observer(), *pushed)
     assert not found[0].any(), "it begins at the momentum it finds"
     for k in (1, 5, 20, 60):
         np.testing.assert_allclose(found[k], WRENCH * (1 - exp(-2 * pi * BANDWIDTH * k * T)), atol=0.05)
 
 
-def test_no_wrench_no_estimate_however_it_moves():
+def test_motion_without_a_wrench_gives_no_estimate():
     states, forces = moved(Model(PLATFORM), np.zeros(6))
     assert np.abs(states[-1]["twist"]).max() > 0.005, "it moves"
     assert np.abs(follow(observer(), states, forces)).max() < 0.05
 
 
-def test_friction_of_the_model_is_not_external_and_that_beyond_it_is():
+def test_only_friction_outside_the_model_counts_as_external():
     states, forces = moved(Model(PLATFORM, viscous=5000.0), np.zeros(6))
     assert np.abs(follow(observer(Model(PLATFORM, viscous=5000.0)), states, forces)).max() < 0.1
     assert np.abs(follow(observer(), states, forces)).max() > 10.0
 
 
-def test_a_skipped_tick_is_bridged():
-    """The drives went on with the last force: here it does not change."""
+def test_the_observer_bridges_a_skipped_tick():
+    """The drives kept the last force, which is constant here."""
     model = Model(PLATFORM)
     still = state_of(np.concatenate([HOME, np.eye(3).ravel(), np.zeros(6)]))
     one, other = observer(model), observer(model)
@@ -108,7 +108,7 @@ def test_a_skipped_tick_is_bridged():
     np.testing.assert_allclose(observe(other, 15, still), observe(one, 15, still), rtol=1e-9)
 
 
-def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed):
+def test_estimate_is_kept_on_closed_brakes_and_reset_without_force(pushed):
     states, forces = pushed
     each = observer()
     seen = follow(each, states, forces)[-1]
@@ -125,8 +125,8 @@ def test_it_waits_while_a_brake_is_shut_and_forgets_when_the_force_is_off(pushed
     assert follow(each, *pushed)[-1].tobytes() == seen.tobytes()
 
 
-def test_a_direction_that_is_not_seen_leaves_the_estimate_as_it_was(pushed):
-    """It goes on from the first tick that is seen again."""
+def test_ticks_without_a_measured_pose_leave_the_estimate_unchanged(pushed):
+    """The estimate continues at the first measured tick."""
     states, forces = pushed
     each, kept = observer(), np.zeros(6)
     for k, state in enumerate(states):

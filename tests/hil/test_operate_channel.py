@@ -1,4 +1,4 @@
-"""The operator channel, both ends: what it reads, what it answers, and what no sender can do to it."""
+"""Both ends of the operator channel: parsing, answers, and protection against bad senders."""
 
 import math
 import os
@@ -13,13 +13,13 @@ import pytest
 from drivers.errors import RunError
 from hil.operate.channel import AT_MOST, Heard, OperatorChannel
 from hil.operate.client import OperatorClient, socket_path
-from hil.operate.words import Said, parse
+from hil.operate.commands import ParsedLine, parse
 from hil.signals import Operator, Order, SetPoint
 
 
 @pytest.fixture
 def runtime(monkeypatch):
-    """A runtime folder whose name is short: a socket's path has some 100 characters at most."""
+    """Runtime folder with a short name: a socket path has at most about 100 characters."""
     with tempfile.TemporaryDirectory(prefix="op") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         yield folder
@@ -32,7 +32,7 @@ def channel(runtime):
 
 
 class Loop:
-    """Ticks a channel in a thread and takes everything; `refuse` says why not."""
+    """Thread that ticks a channel and accepts everything; `refuse` is a reason to refuse instead."""
 
     def __init__(self, channel, refuse=""):
         self.channel, self.refuse, self.heard = channel, refuse, []
@@ -67,23 +67,23 @@ ORDERS = [(each.name.lower(), each) for each in (Operator.START, Operator.HOLD, 
 @pytest.mark.parametrize(
     ("line", "said"),
     [
-        *((word, Said(operator=each)) for word, each in WORDS),
-        *((word, Said(order=Order(each))) for word, each in ORDERS),
-        ("speed 40", Said(order=Order(Operator.SPEED, (0.4,)))),
-        ("speed 100%", Said(order=Order(Operator.SPEED, (1.0,)))),
-        ("jog x 1", Said(order=Order(Operator.JOG, (0.0, 1.0)))),
-        ("jog rz -0.5", Said(order=Order(Operator.JOG, (5.0, -0.5)))),
-        ("jog leg0 0", Said(order=Order(Operator.JOG, (6.0, 0.0)))),
-        ("jog leg5 1e-1", Said(order=Order(Operator.JOG, (11.0, 0.1)))),
-        ("setpoint 0.1,-0.2,1e0", Said(setpoint=SetPoint(0.1, -0.2, 1.0, 0, 0, 0))),
+        *((word, ParsedLine(operator=each)) for word, each in WORDS),
+        *((word, ParsedLine(order=Order(each))) for word, each in ORDERS),
+        ("speed 40", ParsedLine(order=Order(Operator.SPEED, (0.4,)))),
+        ("speed 100%", ParsedLine(order=Order(Operator.SPEED, (1.0,)))),
+        ("jog x 1", ParsedLine(order=Order(Operator.JOG, (0.0, 1.0)))),
+        ("jog rz -0.5", ParsedLine(order=Order(Operator.JOG, (5.0, -0.5)))),
+        ("jog leg0 0", ParsedLine(order=Order(Operator.JOG, (6.0, 0.0)))),
+        ("jog leg5 1e-1", ParsedLine(order=Order(Operator.JOG, (11.0, 0.1)))),
+        ("setpoint 0.1,-0.2,1e0", ParsedLine(setpoint=SetPoint(0.1, -0.2, 1.0, 0, 0, 0))),
         (
             "setpoint 0.1 -0.2 1 10 20 -30",
-            Said(setpoint=SetPoint(0.1, -0.2, 1.0, math.pi / 18, math.pi / 9, -math.pi / 6)),
+            ParsedLine(setpoint=SetPoint(0.1, -0.2, 1.0, math.pi / 18, math.pi / 9, -math.pi / 6)),
         ),
-        ("status", Said()),
+        ("status", ParsedLine()),
     ],
 )
-def test_a_line_means(line, said):
+def test_a_valid_line_is_parsed_into_its_command(line, said):
     assert parse(line) == said
 
 
@@ -92,7 +92,7 @@ def test_a_line_means(line, said):
     [
         ("", "allowed: arm, stop"),
         ("ARM", "'ARM'"),
-        ("hold now", "no further words"),
+        ("hold now", "no arguments"),
         ("hold".ljust(513), "512 bytes"),
         ("speed", "0 words"),
         ("speed 100.0001", "0 .. 100"),
@@ -108,12 +108,12 @@ def test_a_line_means(line, said):
         ("setpoint 1 2 3 4 5 inf", "not finite"),
     ],
 )
-def test_an_unknown_or_wrong_word_is_refused_with_what_is_allowed(line, complaint):
+def test_an_invalid_line_is_refused_and_names_the_allowed_values(line, complaint):
     with pytest.raises(ValueError, match=complaint):
         parse(line)
 
 
-def test_each_method_of_the_client_sends_its_word_and_gets_the_answer(channel):
+def test_each_client_method_sends_its_command_and_gets_the_answer(channel):
     with Loop(channel) as loop, OperatorClient("localcan", "hil/0") as client:
         plain = (client.arm, client.stop, client.reset, client.estop, client.release, client.end)
         orders = (client.start, client.hold, client.park)
@@ -139,13 +139,13 @@ def test_each_method_of_the_client_sends_its_word_and_gets_the_answer(channel):
     assert [each for one in heard for each in one.setpoints] == [SetPoint(0.1, 0, 1, 0, 0, math.pi / 2)]
 
 
-def test_a_refusal_comes_back_with_its_reason(channel):
+def test_a_refused_command_is_answered_with_the_reason(channel):
     with Loop(channel, "not now") as loop, OperatorClient("localcan", "hil/0") as client:
         answer = client.hold()
         assert not answer
         assert answer.why == "not now"
         answer = client.say("jump 3")
-        assert answer.why.startswith("'jump' is no word of the operator; allowed: arm")
+        assert answer.why.startswith("'jump' is not an operator command; allowed: arm")
     assert channel.malformed == 1
     assert len(loop.heard) == 1
 
@@ -159,7 +159,7 @@ def test_a_stream_sends_at_its_rate_and_counts_the_answers(channel):
     assert [each.z for one in loop.heard for each in one.setpoints] == [z for _, _, z in poses]
 
 
-def test_set_points_that_are_refused_or_never_answered_are_counted_apart(channel, monkeypatch):
+def test_refused_and_unanswered_set_points_are_counted_separately(channel, monkeypatch):
     poses = [(0.0, 0.0, 1.0)] * 4
     with Loop(channel, "out of reach"), OperatorClient("localcan", "hil/0") as client:
         found = client.stream(poses, 500.0)
@@ -177,7 +177,7 @@ MALFORMED = (
 )
 
 
-def test_malformed_lines_are_counted_answered_and_come_to_nothing(channel):
+def test_malformed_lines_are_counted_refused_and_have_no_effect(channel):
     with OperatorClient("localcan", "hil/0") as client:
         for n, data in enumerate(MALFORMED, 1):
             client._socket.send(data)
@@ -186,7 +186,7 @@ def test_malformed_lines_are_counted_answered_and_come_to_nothing(channel):
             assert b"refused: " in client._socket.recv(4096)
 
 
-def test_one_tick_reads_a_few_and_leaves_the_rest_for_the_next(channel):
+def test_one_tick_reads_a_limited_number_of_lines(channel):
     with OperatorClient("localcan", "hil/0") as client:
         for _ in range(AT_MOST + 2):
             client._socket.send(b"hold")
@@ -194,8 +194,8 @@ def test_one_tick_reads_a_few_and_leaves_the_rest_for_the_next(channel):
         assert len(channel.take().orders) == 2
 
 
-def test_a_client_that_never_reads_is_dropped_and_costs_no_other_an_answer(channel):
-    """A datagram socket of the loop would be full of it: nobody else would be answered."""
+def test_a_client_that_never_reads_is_dropped_without_harm_to_others(channel):
+    """Its answers would fill a datagram socket of the loop, and no other client would get an answer."""
     with OperatorClient("localcan", "hil/0") as other, OperatorClient("localcan", "hil/0") as silent:
         with suppress(OSError):
             for _ in range(3000):
@@ -210,7 +210,7 @@ def test_a_client_that_never_reads_is_dropped_and_costs_no_other_an_answer(chann
         assert other._socket.recv(4096) == b"#1 refused: no"
 
 
-def test_a_client_that_floods_delays_the_line_of_no_other(channel):
+def test_a_flooding_client_does_not_delay_other_clients(channel):
     with OperatorClient("localcan", "hil/0") as flood, OperatorClient("localcan", "hil/0") as client:
         for _ in range(50):
             flood._socket.send(b"hold")
@@ -218,7 +218,7 @@ def test_a_client_that_floods_delays_the_line_of_no_other(channel):
         assert channel.take().operator == (Operator.ESTOP,)
 
 
-def test_the_socket_is_its_owners_alone_and_goes_with_it(channel):
+def test_the_socket_is_private_to_its_owner_and_removed_at_the_end(channel):
     assert stat.S_IMODE(channel.path.stat().st_mode) == 0o600
     assert stat.S_IMODE(channel.path.parent.stat().st_mode) == 0o700
     assert channel.path.stat().st_uid == os.getuid()
@@ -227,7 +227,7 @@ def test_the_socket_is_its_owners_alone_and_goes_with_it(channel):
 
 
 @pytest.mark.usefixtures("runtime")
-def test_without_a_controller_the_client_says_so():
+def test_a_client_without_a_controller_raises_an_error():
     with pytest.raises(RunError, match="no controller runs on bus localcan:hil/0"):
         OperatorClient("localcan", "hil/0")
     socket_path("localcan", "hil/0").touch()
@@ -235,7 +235,7 @@ def test_without_a_controller_the_client_says_so():
         OperatorClient("localcan", "hil/0")
 
 
-def test_a_controller_that_ends_is_reported(runtime):
+def test_a_client_reports_that_the_controller_has_ended(runtime):
     with OperatorChannel("localcan", "hil/0"):
         client = OperatorClient("localcan", "hil/0")
     with client, pytest.raises(RunError, match="does not listen any more: has it ended"):

@@ -1,4 +1,4 @@
-"""What the operator lets the platform do: orders, the key, and where each counts."""
+"""Operator commands that move the platform: orders, the held key, and the modes in which they apply."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def no_jogging(rate_Hz):
 
 
 def free(name, move):
-    """Return a way on which nothing is refused."""
+    """Inspection of a path on which no pose is refused."""
     return Inspection(build_platform(load("lab").platform), lambda _: 0, name, move)
 
 
@@ -39,7 +39,7 @@ def made(rate_Hz=1000.0, **settings):
 
 
 def run(both, ticks, orders, mode=Mode.TRACKING):
-    """Sigma of each tick, with orders by tick."""
+    """Sigma (speed factor) at each tick, with orders by tick."""
     operating, motion = both
     found = []
     for tick in range(ticks):
@@ -48,7 +48,7 @@ def run(both, ticks, orders, mode=Mode.TRACKING):
     return np.array(found)
 
 
-def test_hold_start_and_speed():
+def test_hold_start_and_speed_change_the_speed_along_the_path():
     slower = Order(Operator.SPEED, (0.4,))
     sigma = run(made(), 3000, {100: [HOLD], 1000: [START], 1700: [slower], 2500: [HOLD, START]})
     assert (sigma[:101] == 1.0).all()
@@ -58,7 +58,7 @@ def test_hold_start_and_speed():
     np.testing.assert_array_equal(sigma[2200:], 0.4)
 
 
-def test_a_speed_that_is_set_on_hold_counts_from_the_start():
+def test_a_speed_set_on_hold_applies_from_the_start():
     sigma = run(made(), 2000, {0: [HOLD], 900: [Order(Operator.SPEED, (0.3,))], 1000: [START]})
     assert (sigma[700:1001] == 0.0).all()
     assert sigma[-1] == 0.3
@@ -68,7 +68,7 @@ def test_a_speed_that_is_set_on_hold_counts_from_the_start():
 
 
 @pytest.mark.parametrize(("rate_Hz", "deadman_s", "ticks"), [(1000.0, 0.1, 100), (250.0, 0.05, 12)])
-def test_the_stop_begins_that_many_ticks_after_the_last_key_frame(rate_Hz, deadman_s, ticks):
+def test_the_platform_stops_deadman_s_after_the_last_key_frame(rate_Hz, deadman_s, ticks):
     operating, motion = made(rate_Hz, deadman_s=deadman_s)
     sigma = run((operating, motion), 400, {tick: [KEY] for tick in range(0, 101, 10)})
     slower = int(np.flatnonzero(sigma < 1.0)[0])
@@ -80,14 +80,14 @@ def test_the_stop_begins_that_many_ticks_after_the_last_key_frame(rate_Hz, deadm
     ("deadman_s", "ticks"),
     [(0.0004, 1), (0.0019, 1), (0.002, 2), (0.1, 100), (0.0289999999995, 29), (0.0289999999985, 28)],
 )
-def test_a_key_counts_as_held_for_the_whole_ticks_of_its_time_and_one_at_least(deadman_s, ticks):
+def test_a_key_is_valid_for_whole_ticks_and_for_at_least_one(deadman_s, ticks):
     operating, motion = made(deadman_s=deadman_s)
     assert not operating.holds_key(0)
     operating.step([KEY], 7, Mode.TRACKING, motion)
     assert [operating.holds_key(7 + n) for n in (0, ticks - 1, ticks)] == [True, True, False]
 
 
-def test_keys_that_come_again_move_nothing_without_a_new_start():
+def test_a_key_that_returns_moves_nothing_without_a_new_start():
     operating, motion = made(deadman_s=0.05)
     orders = {tick: [KEY] for tick in [0, *range(700, 2000, 20)]}
     assert (run((operating, motion), 2000, orders)[600:] == 0.0).all()
@@ -97,7 +97,7 @@ def test_keys_that_come_again_move_nothing_without_a_new_start():
 
 
 @pytest.mark.parametrize("order", [START, PARK])
-def test_without_the_key_start_and_park_are_refused_and_move_nothing(order):
+def test_start_and_park_without_the_key_are_refused(order):
     operating, motion = made(deadman_s=0.05)
     run((operating, motion), 700, {0: [KEY]})
     operating.step([order], 700, Mode.TRACKING, motion)
@@ -109,7 +109,7 @@ def test_without_the_key_start_and_park_are_refused_and_move_nothing(order):
 
 
 @pytest.mark.parametrize("mode", [Mode.APPROACH, Mode.TRACKING, Mode.STOPPING])
-def test_a_key_that_is_let_go_of_holds_a_platform_that_is_to_park(mode):
+def test_releasing_the_key_holds_a_platform_that_is_to_park(mode):
     operating, motion = made(deadman_s=0.05)
     operating.step([KEY, PARK], 10, Mode.TRACKING, motion)
     held = []
@@ -125,7 +125,7 @@ def test_a_key_that_is_let_go_of_holds_a_platform_that_is_to_park(mode):
 
 
 @pytest.mark.parametrize("mode", sorted(set(Mode) - {Mode.APPROACH, Mode.TRACKING}))
-def test_where_nothing_moves_there_is_nothing_to_start_hold_or_park(mode):
+def test_start_hold_and_park_are_refused_in_modes_without_motion(mode):
     operating, motion = made()
     operating.step([START, HOLD, PARK], 0, mode, motion)
     assert [mode.name in answer for answer in operating.answers] == [True] * 3
@@ -133,7 +133,7 @@ def test_where_nothing_moves_there_is_nothing_to_start_hold_or_park(mode):
     assert not operating.parks
 
 
-def test_a_controlled_stop_is_not_the_operators_to_hold_up():
+def test_the_operator_cannot_delay_a_controlled_stop():
     operating, motion = made(deadman_s=0.05)
     operating.key_tick = 0
     motion.stop(10, 0.5)
@@ -143,7 +143,7 @@ def test_a_controlled_stop_is_not_the_operators_to_hold_up():
 
 
 @pytest.mark.parametrize("order", [HOLD, START])
-def test_park_waits_for_rest_and_hold_or_start_takes_it_back(order):
+def test_park_waits_for_rest_and_is_cancelled_by_hold_or_start(order):
     operating, motion = made()
     run((operating, motion), 700, {100: [PARK]})
     assert operating.parks
@@ -154,7 +154,7 @@ def test_park_waits_for_rest_and_hold_or_start_takes_it_back(order):
 
 
 @pytest.mark.parametrize(("order", "go"), [(START, True), (HOLD, False)])
-def test_on_the_way_to_the_first_pose_it_is_held_and_started_and_parks_all_the_same(order, go):
+def test_hold_and_start_on_the_way_to_the_first_pose_keep_the_park(order, go):
     operating, motion = made()
     operating.go, operating.parks = not go, True
     operating.step([order], 9, Mode.STOPPING, motion)
@@ -165,7 +165,7 @@ def test_on_the_way_to_the_first_pose_it_is_held_and_started_and_parks_all_the_s
 @pytest.mark.parametrize("parks", [False, True])
 @pytest.mark.parametrize("go", [False, True])
 @pytest.mark.parametrize("mode", Mode)
-def test_mode_and_park_decide_where_the_operator_moves_and_brakes_stay_open_at_the_end(mode, go, parks):
+def test_mode_and_park_decide_on_operator_motion_and_open_brakes(mode, go, parks):
     operating = made()[0]
     operating.go, operating.parks = go, parks
     back = mode is Mode.STOPPING and parks

@@ -1,4 +1,4 @@
-"""The speed along a path: its bounds, its continuity, path time as its integral, and what it keeps."""
+"""Speed along a path: its bounds, its continuity, path time as its integral, and the state that it keeps."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ T, CHANGE = 1e-3, 0.5
 
 
 def course(targets, ticks):
-    """Path time, sigma and its rate (n, 3) of each tick; targets by tick."""
+    """Path time, sigma and its rate (n, 3) at each tick; targets by tick."""
     override, found = Override(T, CHANGE), []
     for tick in range(ticks):
         override.advance(tick)
@@ -21,8 +21,8 @@ def course(targets, ticks):
     return np.array(found)
 
 
-def test_a_hold_is_a_trapezoid_of_the_time_of_a_controlled_stop():
-    """A rate that falls in T/3, stays for T/3 and rises in T/3: sigma(T/3) = 1 - 4.5 (T/3)^2/(2 T^2) = 3/4."""
+def test_a_hold_has_a_trapezoidal_rate_and_the_time_of_a_stop():
+    """The rate falls in T/3, stays for T/3 and rises in T/3: sigma(T/3) = 1 - 4.5 (T/3)^2/(2 T^2) = 3/4."""
     s, sigma, dsigma = course({100: 0.0}, 700).T
     rests = int(np.flatnonzero(sigma == 0.0)[0])
     assert rests - 100 == pytest.approx(CHANGE / T, abs=1)
@@ -33,7 +33,7 @@ def test_a_hold_is_a_trapezoid_of_the_time_of_a_controlled_stop():
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_whatever_is_set_the_bounds_hold_and_each_is_the_integral_of_the_next(seed):
+def test_any_targets_keep_the_bounds_and_integrate_exactly(seed):
     rng = np.random.default_rng(seed)
     targets = {int(t): float(rng.choice([0.0, 1.0, rng.random()])) for t in rng.integers(0, 3000, 25)}
     s, sigma, dsigma = course(targets, 4000).T
@@ -48,7 +48,7 @@ def test_whatever_is_set_the_bounds_hold_and_each_is_the_integral_of_the_next(se
     assert sigma[-1] == targets[max(targets)]
 
 
-def test_skipped_ticks_are_made_up_for():
+def test_skipped_ticks_give_the_same_path_time_as_all_ticks():
     override = Override(T, CHANGE)
     override.aim(10, 0.3)
     override.advance(777)
@@ -56,20 +56,20 @@ def test_skipped_ticks_are_made_up_for():
     assert (override.time(777), override.sigma, override.dsigma) == tuple(whole)
 
 
-def test_at_full_speed_path_time_is_that_of_the_clock_to_the_bit():
+def test_at_full_speed_path_time_equals_the_clock_to_the_bit():
     override = Override(T, CHANGE)
     override.begin(1208)
     assert all(override.time(tick) == (tick - 1208) * T for tick in range(1208, 30_000, 7))
 
 
 def wave():
-    """x = 0.2 t^3 - 0.05 t^4 for 3 s: nothing about it is constant."""
+    """x = 0.2 t^3 - 0.05 t^4 for 3 s: a path without a constant derivative."""
     coefficients = np.zeros((1, 6, 6))
     coefficients[0, 3, 0], coefficients[0, 4, 0] = 0.2 * 27, -0.05 * 81
     return PiecewisePolynomial(np.array([0.0, 3.0]), coefficients)
 
 
-def test_the_motion_is_that_of_the_slowed_path_by_finite_differences():
+def test_motion_of_a_slowed_path_agrees_with_finite_differences():
     motion = Motion(T, np.zeros(3), np.eye(3), CHANGE)
     motion.start(wave(), 0)
     speeds = {300: (0.0, True), 900: (0.4, True), 1300: (1.0, True), 1450: (1.0, False), 1600: (0.7, True)}
@@ -104,7 +104,7 @@ def times(override, *ticks):
 
 
 @pytest.mark.parametrize("sigma", [0.0, 0.5, 1.0])
-def test_a_speed_that_is_set_at_once_goes_on_from_where_path_time_is(sigma):
+def test_a_speed_set_at_once_continues_from_the_present_path_time(sigma):
     override = Override(LONG, SLOWLY)
     assert times(override, 0, 4) == [0.0, 1.0]
     override.begin(2)
@@ -118,7 +118,7 @@ def test_a_speed_that_is_set_at_once_goes_on_from_where_path_time_is(sigma):
 
 @pytest.mark.parametrize("target", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("ticks", [0, 1, 6])
-def test_path_time_at_rest_is_where_one_more_tick_and_then_braking_lead_to(target, ticks):
+def test_predicted_rest_is_reached_by_braking_after_one_more_tick(target, ticks):
     override = Override(LONG, SLOWLY)
     override.settle(0, 0.5)
     override.aim(0, 1.0)
@@ -142,9 +142,7 @@ def test_path_time_at_rest_is_where_one_more_tick_and_then_braking_lead_to(targe
         (1.0, 0.0, 2.0, 1.0, 2.0),
     ],
 )
-def test_the_look_ahead_goes_on_at_the_present_rate_up_to_full_speed_and_down_to_rest(
-    sigma, dsigma, h, ends, advance
-):
+def test_the_look_ahead_extrapolates_the_rate_up_to_its_limits(sigma, dsigma, h, ends, advance):
     override = Override(LONG, SLOWLY)
     override.place(4, 3.0)
     override.sigma, override.dsigma = sigma, dsigma

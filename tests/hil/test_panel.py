@@ -1,4 +1,4 @@
-"""The signals that ask for an end: stop first, then emergency stop, and their owners afterwards."""
+"""Signals that request an end: first a stop, then an emergency stop; later they return to their owners."""
 
 import os
 import signal
@@ -17,7 +17,7 @@ def _earlier(*_):
 
 @pytest.fixture(autouse=True)
 def _usual():
-    """Somebody has these signals already; afterwards they are as before."""
+    """Install earlier signal handlers, and restore the original ones afterwards."""
     before = {each: signal.signal(each, _earlier) for each in SIGNALS}
     yield
     for each, handler in before.items():
@@ -25,7 +25,7 @@ def _usual():
 
 
 @pytest.mark.parametrize("asked", SIGNALS)
-def test_a_signal_stops_a_run_first_and_then_at_once(asked):
+def test_the_first_signal_stops_a_run_and_the_second_is_an_estop(asked):
     panel = OperatorPanel()
     with panel.attached():
         panel.running()
@@ -41,14 +41,14 @@ def test_a_signal_stops_a_run_first_and_then_at_once(asked):
 
 
 @pytest.mark.parametrize("asked", SIGNALS)
-def test_before_the_loop_a_signal_ends_the_start(asked):
+def test_a_signal_before_the_loop_interrupts_the_start(asked):
     panel = OperatorPanel()
     with panel.attached(), pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), asked)
 
 
 @pytest.mark.parametrize("error", [OSError, KeyboardInterrupt])
-def test_a_run_that_fails_gives_each_signal_back_to_its_owner(error):
+def test_a_failed_run_restores_the_earlier_signal_handlers(error):
     theirs: list[object] = []
 
     def fails():

@@ -1,4 +1,4 @@
-"""Forces on their way to the legs, and the state that they lead to, against equations integrated by scipy."""
+"""Forces in transit to the legs, and the predicted state, against equations integrated by scipy."""
 
 import json
 from math import exp
@@ -23,7 +23,7 @@ COMMANDS = np.random.default_rng(3).normal(0.0, 1e4, (12, 6))
 
 
 def exact_mean(transport, lag, k):
-    """Mean force from k T to (k + 1) T, command n acting from n T + transport on, on a grid of 1 us."""
+    """Mean force from k T to (k + 1) T on a grid of 1 us; command n acts from n T + transport on."""
     fine = 1000
     steps = fine * (k + 1)
     t = (np.arange(steps) + 0.5) * T / fine
@@ -37,7 +37,7 @@ def exact_mean(transport, lag, k):
 
 @pytest.mark.parametrize("lag", [0.0, 0.8e-3, 3e-3])
 @pytest.mark.parametrize("transport", [0.0, 0.5e-3, 1e-3, 1.7e-3, 2.25e-3])
-def test_mean_force_between_two_measurements(transport, lag):
+def test_mean_force_between_two_measurements_is_exact(transport, lag):
     path = ForcePath(T, transport, lag)
     path.advance()
     for k, command in enumerate(COMMANDS):
@@ -47,7 +47,7 @@ def test_mean_force_between_two_measurements(transport, lag):
 
 
 def test_lag_is_exact_over_a_hold():
-    """A step of 100 N after 0.4 ms through a lag of 0.5 ms: mean over the first ms by quadrature."""
+    """Step of 100 N after 0.4 ms through a lag of 0.5 ms: mean over the first ms by quadrature."""
     path = ForcePath(T, 0.4e-3, 0.5e-3)
     path.send(np.full(6, 100.0))
     expected = quad(lambda t: 100.0 * (1.0 - exp(-(t - 0.4e-3) / 0.5e-3)), 0.4e-3, T)[0] / T
@@ -69,7 +69,7 @@ def test_skipped_periods_hold_the_last_command():
     np.testing.assert_allclose(skipping.force, sending.force, rtol=1e-12)
 
 
-def test_the_horizon_is_cut_by_the_commands_that_act():
+def test_the_horizon_is_split_at_the_arrival_of_commands():
     path = ForcePath(T, 1.6e-3, 0.0)
     cut = path.segments(2.1e-3)
     assert [s.sent for s in cut] == [1, 0], "the command to come is taken to be as the last one"
@@ -78,7 +78,7 @@ def test_the_horizon_is_cut_by_the_commands_that_act():
     assert path.segments(0.0) == ()
 
 
-def test_decay_is_the_exponential():
+def test_decay_agrees_with_the_exponential():
     for x in (0.0, 1e-9, 0.05, 0.3, 1.0, 7.0, 40.0):
         assert decay(x) == pytest.approx(exp(-x), rel=1e-13)
     assert decay(1e30) == 0.0, "of a lag that vanishes"
@@ -102,7 +102,7 @@ def state_of(case):
 
 
 def predictor_at(state, force, change):
-    """A predictor that has seen `force` for long, then one command with `change` on top."""
+    """Predictor after a long `force`, then one command with `change` added."""
     predictor = Predictor(MODEL, ForcePath(T, BUS, LAG), HOLD)
     for tick in range(30):
         moved(predictor, tick, state, free=False)
@@ -111,14 +111,14 @@ def predictor_at(state, force, change):
 
 
 def moved(predictor, tick, state, *, free=True):
-    """The record of a tick with the state as the predictor moves it on."""
+    """Record of a tick with the state predicted by the predictor."""
     record = altered(state, tick=tick)
     ahead(predictor.record, int(free), record)
     return record
 
 
 def integrated(state, force, command):
-    """p, R, twist after the horizon; T df/dt = command - f from `force` on."""
+    """p, R, twist after the horizon; T df/dt = command - f, starting at `force`."""
 
     def derivative(_, x):
         R, twist, f = x[3:12].reshape(3, 3), x[12:18], x[18:]
@@ -132,7 +132,7 @@ def integrated(state, force, command):
 
 
 @pytest.mark.parametrize("case", MOVING, ids=lambda c: f"t={c['t']:.2f}")
-def test_prediction_is_the_motion_under_the_forces_on_their_way(case):
+def test_prediction_agrees_with_integration_of_forces_in_transit(case):
     state, force = state_of(case), np.array(case["force"])
     found = moved(predictor_at(state, force, CHANGE), 30, state)
     arrived = force + CHANGE * (1.0 - exp(-(T - BUS) / LAG))
@@ -148,8 +148,8 @@ def test_prediction_is_the_motion_under_the_forces_on_their_way(case):
 
 
 @pytest.mark.parametrize("skipped", [1, 5])
-def test_commands_under_way_grow_older_over_skipped_periods(skipped):
-    """The drives go on with the last command; what it becomes is not there yet after one period."""
+def test_commands_in_transit_age_over_skipped_periods(skipped):
+    """The drives keep the last command, whose full effect arrives later than one period."""
     state, force = state_of(MOVING[0]), np.array(MOVING[0]["force"])
     bridged, told = (predictor_at(state, force, CHANGE) for _ in range(2))
     for tick in range(30, 30 + skipped):
@@ -162,7 +162,7 @@ def test_commands_under_way_grow_older_over_skipped_periods(skipped):
     assert np.abs(too_young["twist"] - expected["twist"]).max() > 1e-4
 
 
-def test_behind_closed_brakes_nothing_moves():
+def test_the_predictor_moves_nothing_on_closed_brakes():
     state = state_of(MOVING[0])
     found = moved(predictor_at(state, CHANGE, CHANGE), 30, state, free=False)
     assert found.tobytes() == altered(state, tick=30).tobytes()

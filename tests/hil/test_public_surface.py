@@ -1,4 +1,4 @@
-"""What `hil` offers: the list is stable, nothing of it compiles, and type checkers see it."""
+"""Public names of `hil`: a stable list, without compilation, typed."""
 
 import subprocess
 import sys
@@ -16,13 +16,13 @@ STABLE = [
 ]  # fmt: skip
 
 
-def test_the_stable_surface_is_this_list():
+def test_the_public_names_are_this_list():
     assert hil.__all__ == STABLE
     assert set(STABLE) <= set(dir(hil))
 
 
 @pytest.mark.parametrize("name", STABLE)
-def test_each_name_is_documented_and_of_that_name(name):
+def test_each_public_object_is_documented_and_has_its_own_name(name):
     thing = getattr(hil, name)
     assert thing.__name__ == name
     assert thing.__doc__
@@ -40,7 +40,7 @@ def test_each_package_is_marked_as_typed():
             assert file.read() == ""
 
 
-def test_nothing_is_compiled_to_read_a_log(tmp_path):
+def test_reading_a_log_needs_no_compilation(tmp_path):
     with Recording.start(tmp_path / "a.mcap", configuration="", lockstep=True) as recording:
         record(recording, random_ticks(300))
     script = """

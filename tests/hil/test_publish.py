@@ -1,4 +1,4 @@
-"""What the recorder shows of a run: the newest row, counts and delays, the last events, and the end."""
+"""Live mirror of the recorder: newest row, counts and delays, last events, and the end."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.record.row import TICKS
 
 
 class Shown:
-    """A mirror that keeps what was written last, and whether it was closed after that."""
+    """Mirror that keeps the last written piece, and whether it was closed afterwards."""
 
     def __init__(self) -> None:
         self.tick, self.closed = -1, False
@@ -37,7 +37,7 @@ class Shown:
 
 
 class Bench:
-    """Both ends of a ring, a publisher between them."""
+    """Both ends of a ring, with a publisher between them."""
 
     def __init__(self) -> None:
         self.ring = Ring.create(TICKS.dtype, 256)
@@ -62,7 +62,7 @@ class Bench:
         self.ring.release(batch)
 
     def publish(self, *names, log_bytes=0):
-        """Publish; return the tick shown and these figures."""
+        """Publish, and give the newest tick and these figures."""
         self.publisher.publish(log_bytes)
         return self.shown.tick, *(self.shown.figures[name] for name in names)
 
@@ -75,7 +75,7 @@ def bench():
     return Bench()
 
 
-def test_ticks_wait_from_their_recording_until_they_are_written(bench):
+def test_recorded_ticks_count_as_waiting_until_they_are_written(bench):
     bench.run(7)
     assert bench.publish("waiting") == (6, 7)
     bench.drain(3)
@@ -87,7 +87,7 @@ def test_ticks_wait_from_their_recording_until_they_are_written(bench):
 
 
 @pytest.mark.parametrize("look", [[], [1], [3], [1, 3, 4], [5]], ids=str)
-def test_every_tick_is_counted_once_whenever_it_was_looked_at(bench, look):
+def test_every_tick_is_counted_once_at_any_publishing_times(bench, look):
     for k, lateness_ns in enumerate([4_000, 9_000, 2_000, 3_000, 1_000], start=1):
         bench.run(1, warnings=Warn.STALE, skipped=k, lateness_ns=lateness_ns, compute_ns=10 * lateness_ns)
         if k in look:
@@ -104,7 +104,7 @@ def test_every_tick_is_counted_once_whenever_it_was_looked_at(bench, look):
     )
 
 
-def test_lost_ticks_are_counted_and_the_newest_row_is_shown(bench):
+def test_dropped_ticks_are_counted_and_the_newest_row_is_shown(bench):
     bench.run(256)
     bench.drain(200)
     bench.run(200)
@@ -115,7 +115,7 @@ def test_lost_ticks_are_counted_and_the_newest_row_is_shown(bench):
     assert (bench.shown.figures["log_bytes"], bench.shown.closed) == (10, True)
 
 
-def test_the_largest_delays_are_those_of_the_last_one_to_two_seconds(bench, monkeypatch):
+def test_the_largest_delays_cover_the_last_one_to_two_seconds(bench, monkeypatch):
     now = [50 * 10**9]
     monkeypatch.setattr(time, "monotonic_ns", lambda: now[0])
     s = 10**9
@@ -131,7 +131,7 @@ def test_the_largest_delays_are_those_of_the_last_one_to_two_seconds(bench, monk
     assert found == [(0, 0), (9, 5), (9, 7), (9, 7), (9, 7), (3, 8), (2, 8), (2, 3), (0, 0)]
 
 
-def test_of_many_events_the_last_40_are_shown(bench):
+def test_only_the_last_40_events_are_shown(bench):
     for k in range(65):
         bench.recording.event(k, "info", f"event {k}")
         bench.run(1)
@@ -142,7 +142,7 @@ def test_of_many_events_the_last_40_are_shown(bench):
     assert bench.texts() == [(k + 1, f"event {k}") for k in range(25, 65)]
 
 
-def test_an_event_is_shown_with_time_level_and_600_characters_of_its_text(bench):
+def test_an_event_is_shown_with_at_most_600_characters_of_its_text(bench):
     levels = ["debug", "info", "warning", "error"]
     for k, level in enumerate(levels):
         bench.recording.event(1000 + k, level, "é" * (599 + k))
@@ -156,7 +156,7 @@ def test_an_event_is_shown_with_time_level_and_600_characters_of_its_text(bench)
     ]
 
 
-def test_the_end_of_a_run_is_shown_before_the_mirror_is_closed(bench):
+def test_the_last_row_and_events_are_shown_before_the_mirror_closes(bench):
     bench.run(3)
     bench.publish()
     bench.run(2)

@@ -1,4 +1,4 @@
-"""Recordings by a real recorder process: what protobuf and the mcap library read, and what is left after each end."""
+"""Recordings by a real recorder process: logs read by protobuf and the mcap library, and each way to end."""
 
 import os
 import resource
@@ -48,7 +48,7 @@ def decoded(path):
 # -- what other programs read ----------------------------------------------------------------------------------
 
 
-def test_the_mcap_library_accepts_file_index_and_both_checksums(path):
+def test_the_mcap_library_accepts_the_file_its_index_and_checksums(path):
     files = [("legs.dbc", b"VERSION"), ("plant.fmu", bytes(300_000))]
     with Recording.start(path, configuration="a: 1\n", attachments=files, lockstep=True) as recording:
         record(recording, random_ticks(700))
@@ -72,7 +72,7 @@ def test_the_mcap_library_accepts_file_index_and_both_checksums(path):
     assert summary.complete
 
 
-def test_a_viewer_finds_names_of_modes_flags_legs_and_axes_and_the_units(path):
+def test_a_viewer_gets_names_of_modes_flags_and_legs_and_the_units(path):
     rows = np.zeros(3, ROW)
     rows["tick"] = range(3)
     rows["mode"] = [Mode.TRACKING, 99, -1]
@@ -112,7 +112,7 @@ def test_a_viewer_finds_names_of_modes_flags_legs_and_axes_and_the_units(path):
 # -- no tick is lost in lockstep, none unnoticed in real time --------------------------------------------------
 
 
-def test_two_lockstep_recordings_are_equal_byte_for_byte_up_to_the_summary(tmp_path, capfd):
+def test_lockstep_recordings_are_byte_equal_up_to_the_summary(tmp_path, capfd):
     contents = []
     for name in "ab":
         path = tmp_path / f"{name}.mcap"
@@ -133,7 +133,7 @@ def test_two_lockstep_recordings_are_equal_byte_for_byte_up_to_the_summary(tmp_p
     assert recording._process.returncode == 0
 
 
-def test_lockstep_does_not_stall_when_frames_fill_the_ring_before_rows_do(path):
+def test_lockstep_does_not_stall_if_frames_fill_the_ring_first(path):
     burst = tuple(Received(k, Frame(k, bytes([k % 256]))) for k in range(700))
     with Recording.start(path, configuration="", lockstep=True, ring_ticks=256) as recording:
         for row in random_rows(60):
@@ -146,7 +146,7 @@ def test_lockstep_does_not_stall_when_frames_fill_the_ring_before_rows_do(path):
 
 
 @pytest.mark.parametrize("frames", [0, 1, 33, 700])
-def test_many_ticks_at_once_pass_through_the_smallest_ring_as_one_by_one(tmp_path, frames):
+def test_ticks_recorded_in_blocks_or_singly_give_the_same_log(tmp_path, frames):
     rows = random_rows(512)
     burst = received_array([Received(k, Frame(k, bytes([k % 256]))) for k in range(frames)])
     logs = [tmp_path / f"{name}.mcap" for name in "ab"]
@@ -162,7 +162,7 @@ def test_many_ticks_at_once_pass_through_the_smallest_ring_as_one_by_one(tmp_pat
     assert together == alone
 
 
-def test_real_time_drops_and_counts_when_the_recorder_does_not_keep_up(path):
+def test_real_time_drops_and_counts_ticks_if_the_recorder_is_slow(path):
     recording = Recording.start(path, configuration="", ring_ticks=256)
     os.kill(recording._process.pid, signal.SIGSTOP)
     ticks = random_ticks(300)
@@ -184,7 +184,7 @@ def test_real_time_drops_and_counts_when_the_recorder_does_not_keep_up(path):
 # -- killed ----------------------------------------------------------------------------------------------------
 
 
-def test_the_recorder_ignores_ctrl_c_and_termination(path):
+def test_the_recorder_ignores_ctrl_c_and_termination_signals(path):
     recording = Recording.start(path, configuration="")
     record(recording, random_ticks(10))
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -229,7 +229,7 @@ def wait_closed(path, seconds=20.0):
             time.sleep(0.05)
 
 
-def test_a_killed_producer_leaves_a_drained_ring_and_a_closed_log(path):
+def test_a_killed_producer_leaves_a_complete_and_closed_log(path):
     child = producer(path, 2500)
     child.communicate(timeout=60)
     assert child.returncode == -signal.SIGKILL
@@ -241,7 +241,7 @@ def test_a_killed_producer_leaves_a_drained_ring_and_a_closed_log(path):
 
 
 @pytest.mark.realtime
-def test_when_all_is_killed_at_once_at_most_a_quarter_second_is_lost(path, tmp_path):
+def test_killing_all_processes_at_once_loses_at_most_0_25_s(path, tmp_path):
     child = producer(path, 5000, pace=0.001)
     recorder = int(child.stdout.readline())
     time.sleep(1.35)
@@ -254,7 +254,7 @@ def test_when_all_is_killed_at_once_at_most_a_quarter_second_is_lost(path, tmp_p
     assert_same(Log.open(tmp_path / "b.mcap").ticks(), random_ticks(5000)[: report.ticks])
 
 
-def test_without_its_recorder_a_real_time_run_goes_on_and_counts(path):
+def test_a_real_time_run_continues_without_its_recorder(path):
     recording = Recording.start(path, configuration="", ring_ticks=256)
     record(recording, random_ticks(50))
     assert recording.alive
@@ -271,7 +271,7 @@ def test_without_its_recorder_a_real_time_run_goes_on_and_counts(path):
     assert summary.dropped >= 144
 
 
-def test_without_its_recorder_a_lockstep_run_fails(path):
+def test_a_lockstep_run_fails_without_its_recorder(path):
     recording = Recording.start(path, configuration="", lockstep=True, ring_ticks=256)
     os.kill(recording._process.pid, signal.SIGKILL)
     with pytest.raises(LogError, match="the recorder died"):
@@ -282,15 +282,15 @@ def test_without_its_recorder_a_lockstep_run_fails(path):
 # -- a full disk ---------------------------------------------------------------------------------------------
 
 ROOM = 900_000
-"""Bytes that the recorder may write."""
+"""Bytes that the recorder is allowed to write."""
 
 
 def lessen(recording, room=ROOM):
-    """Let the recorder's files grow no further: to it that is a full disk."""
+    """Limit the size of the recorder's files, which acts like a full disk."""
     resource.prlimit(recording._process.pid, resource.RLIMIT_FSIZE, (room, room))
 
 
-def test_a_full_disk_closes_the_log_with_what_fits(tmp_path):
+def test_a_full_disk_closes_the_log_with_the_ticks_that_fit(tmp_path):
     path = tmp_path / "a.mcap"
     recording = Recording.start(path, configuration="kept: true\n")
     lessen(recording)
@@ -335,7 +335,7 @@ def test_a_simulation_on_a_full_disk_fails_and_its_log_replays(tmp_path, monkeyp
 # -- the file --------------------------------------------------------------------------------------------------
 
 
-def test_a_log_that_cannot_be_opened_is_refused_with_the_reason(path, tmp_path):
+def test_a_log_that_cannot_be_created_is_refused_with_the_reason(path, tmp_path):
     path.write_bytes(b"precious")
     with pytest.raises(LogError, match=r"a\.mcap exists and is never overwritten"):
         Recording.start(path, configuration="")
@@ -347,7 +347,7 @@ def test_a_log_that_cannot_be_opened_is_refused_with_the_reason(path, tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_a_run_without_a_tick_gives_a_valid_log_of_the_umasks_mode(path):
+def test_a_run_without_ticks_gives_a_valid_log_that_obeys_the_umask(path):
     before = os.umask(0o027)
     try:
         Recording.start(path, configuration="x: 1\n").close()

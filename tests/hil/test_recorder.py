@@ -1,4 +1,4 @@
-"""The recorder in one process: the beginning and the end of its log, its batches and chunks."""
+"""Recorder in one process: beginning and end of its log, its batches and chunks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FILES = [
 
 
 class Bench:
-    """Both ends of a ring, a recorder in this process."""
+    """Both ends of a ring, with a recorder in this process."""
 
     def __init__(self, folder):
         self.ring = Ring.create(TICKS.dtype, 256)
@@ -58,7 +58,7 @@ class Bench:
 
 
 def read(path):
-    """Return header, summary, metadata by name and attachments of a log."""
+    """Header, summary, metadata by name and attachments of a log."""
     with path.open("rb") as file:
         reader = make_reader(file)
         metadata = {m.name: m.metadata for m in reader.iter_metadata()}
@@ -68,7 +68,7 @@ def read(path):
 # -- beginning and end -----------------------------------------------------------------------------------------
 
 
-def test_a_log_begins_with_run_machine_attachments_and_channels(tmp_path, monkeypatch):
+def test_a_log_begins_with_metadata_attachments_and_channels(tmp_path, monkeypatch):
     synced = []
     monkeypatch.setattr(McapFile, "sync", lambda file: synced.append(file.position))
     bench = Bench(tmp_path)
@@ -90,7 +90,7 @@ def test_a_log_begins_with_run_machine_attachments_and_channels(tmp_path, monkey
         assert (there.name, there.data) == (schema.name, schema.descriptors)
 
 
-def test_the_end_of_a_log_has_the_producers_entries_and_the_counts(tmp_path):
+def test_the_end_of_a_log_has_the_producers_summary_and_the_counts(tmp_path):
     bench = Bench(tmp_path)
     bench.tick(0, 1, 5)
     bench.producer.event(0, "info", "behind them")
@@ -106,8 +106,8 @@ def test_the_end_of_a_log_has_the_producers_entries_and_the_counts(tmp_path):
 
 
 @pytest.mark.parametrize("number", [errno.EDQUOT, errno.EIO])
-def test_only_a_disk_without_room_closes_the_log_with_what_fits(tmp_path, monkeypatch, number):
-    """A disk that fails is no full one; without a message there is nothing to close."""
+def test_only_a_full_disk_closes_the_log_with_the_ticks_that_fit(tmp_path, monkeypatch, number):
+    """A failing disk is not a full disk; without a message there is nothing to close."""
 
     def refuse(*_):
         raise OSError(number, "it says")
@@ -132,7 +132,7 @@ def test_only_a_disk_without_room_closes_the_log_with_what_fits(tmp_path, monkey
 # -- batches and chunks ----------------------------------------------------------------------------------------
 
 
-def test_what_is_drained_is_written_before_its_room_is_given_back(tmp_path):
+def test_a_batch_is_written_before_its_room_is_released(tmp_path):
     bench = Bench(tmp_path)
     recorder: Any = bench.recorder
     did: list[tuple[str, int]] = []
@@ -159,9 +159,9 @@ def test_what_is_drained_is_written_before_its_room_is_given_back(tmp_path):
 
 
 def chunks_of(lengths: list[list[int]]) -> list[list[tuple[int, int]]]:
-    """Write messages of these lengths, tick by tick; return tick and number of those of each chunk.
+    """Write messages of these lengths, tick by tick: tick and number of the messages in each chunk.
 
-    What the file is given for each message is compared with the message on the way.
+    The arguments for each message are compared with the message on the way.
     """
     found: list[list[tuple[int, int]]] = []
     ticks = [(tick, size) for tick, sizes in enumerate(lengths) for size in sizes]
@@ -199,7 +199,7 @@ LARGE = CHUNK_SIZE // 8
     ],
     ids=["few", "one", "a little more than one", "row and frames", "many", "equal", "unlike"],
 )
-def test_chunks_end_between_ticks_and_are_no_more_than_needed(lengths):
+def test_chunks_end_between_ticks_and_are_as_few_as_possible(lengths):
     found = chunks_of(lengths)
     sizes = [sum(sum(lengths[tick]) for tick in {tick for tick, _ in chunk}) for chunk in found]
     assert sum(sizes) == sum(map(sum, lengths)), "no tick is in two chunks"
@@ -207,7 +207,7 @@ def test_chunks_end_between_ticks_and_are_no_more_than_needed(lengths):
     assert len(found) <= np.ceil(sum(sizes) / CHUNK_SIZE)
 
 
-def test_a_tick_that_is_larger_than_a_chunk_is_a_chunk():
+def test_a_tick_larger_than_a_chunk_gets_a_chunk_of_its_own():
     large = [CHUNK_SIZE, CHUNK_SIZE, 40]
     (chunk,) = [each for each in chunks_of([[40, 40], large, [40], [40]]) if 1 in {tick for tick, _ in each}]
     assert sum(tick == 1 for tick, _ in chunk) == 3
@@ -219,8 +219,8 @@ def test_a_tick_that_is_larger_than_a_chunk_is_a_chunk():
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_in_real_time_there_is_a_chunk_every_0_1_s_and_a_sync_every_second(monkeypatch, lockstep):
-    """Half of what may be lost when all is killed at once. A simulation writes whole batches and waits for no disk."""
+def test_real_time_writes_a_chunk_every_0_1_s_and_flushes_every_second(monkeypatch, lockstep):
+    """0.1 s is half of the possible loss. A simulation writes whole batches and never flushes."""
     now, filled = [0.0], [7.13, 9.5]
     did: dict[str, list[float]] = {"show": [], "drain": [], "sync": []}
     monkeypatch.setattr(module, "time", SimpleNamespace(monotonic=lambda: now[0]))
@@ -258,12 +258,12 @@ def test_in_real_time_there_is_a_chunk_every_0_1_s_and_a_sync_every_second(monke
 
 
 LONG_S = 10.0
-"""More than a killed process takes to be gone."""
+"""Longer than a killed process needs to end."""
 
 
 @pytest.fixture
 def held():
-    """Both ends of a pipe: the one that is written to stays open, as in a child that outlives its parent."""
+    """Both ends of a pipe; the write end stays open, as in a child that outlives its parent."""
     reads, writes = os.pipe()
     with os.fdopen(reads, "rb") as pipe:
         yield pipe, writes
@@ -273,14 +273,14 @@ def held():
 
 @pytest.fixture
 def producer(monkeypatch):
-    """A process that waits, in the place of the parent."""
+    """A waiting process in the place of the parent."""
     with subprocess.Popen(["cat"], stdin=subprocess.PIPE) as process:
         monkeypatch.setattr(os, "getppid", lambda: process.pid)
         yield process
         process.kill()
 
 
-def test_a_killed_producer_has_ended_although_a_child_of_it_holds_the_pipe(held, producer, monkeypatch):
+def test_a_killed_producer_is_noticed_although_a_child_holds_the_pipe(held, producer, monkeypatch):
     control = _Control(held[0], producer.pid)
     assert not control.ended(0.0)
     producer.kill()
@@ -299,7 +299,7 @@ WHOLE = pickle.dumps({"ending": "PARKED"})
     [(WHOLE, False, {"ending": "PARKED"}), (WHOLE[:-5], True, None), (b"", True, None)],
     ids=["whole", "cut", "none"],
 )
-def test_a_producer_that_lives_ends_with_its_summary_or_its_pipe(held, producer, sent, closed, summary):
+def test_a_living_producer_ends_with_its_summary_or_its_pipe(held, producer, sent, closed, summary):
     control = _Control(held[0], producer.pid)
     assert not control.ended(0.0)
     os.write(held[1], sent)
@@ -317,7 +317,7 @@ READY = pickle.dumps({"ready": True})
     [(READY, False, {"ready": True}), (READY[:-4], True, {}), (b"", True, {}), (b"", False, None)],
     ids=["one", "half of one", "nothing and dead", "nothing"],
 )
-def test_the_recorders_answer_is_the_first_complete_one_within_its_time(answered, ends, found):
+def test_the_first_complete_answer_within_the_timeout_counts(answered, ends, found):
     reads, writes = os.pipe()
     with os.fdopen(reads, "rb") as pipe, os.fdopen(writes, "wb", buffering=0) as out:
         out.write(answered)

@@ -1,4 +1,4 @@
-"""The messages of a batch: their content, their times and their order in the file; schemas for other programs."""
+"""Messages of a batch: content, times and order in the file; schemas for other programs."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from hil.record.row import TICKS
 from hil.record.schema import message_class
 
 HEADER = struct.Struct("<BQHIQQ")
-"""Of an MCAP Message record: opcode, bytes that follow, channel, sequence, log time, publish time."""
+"""Header of an MCAP Message record: opcode, bytes that follow, channel, sequence, log time, publish time."""
 EPOCH = 1_700_000_000_123_456_789
 S = 1_000_000_000
 TICK, T_NS = 2**32 + 7, 2 * S - 1
-"""Of the first row; each further one is a tick and a second later."""
+"""Tick and time of the first row; each further row is a tick and a second later."""
 
 
 class Message(NamedTuple):
@@ -37,7 +37,7 @@ def encoder(**options):
 
 
 def batch(rows, *items):
-    """Return a batch of so many rows, nothing to draw in them; an item: its row and its fields."""
+    """Batch of empty rows with items; an item: its row and its fields."""
     made = np.zeros(rows, TICKS.dtype)
     made["tick"] += TICK + np.arange(rows)
     made["t_ns"] += T_NS + S * np.arange(rows)
@@ -50,7 +50,7 @@ def batch(rows, *items):
 
 
 def encoded(by, of):
-    """Return the messages of a batch; what the index is told of each is compared with it on the way."""
+    """Messages of a batch; the values for the index are compared with each message."""
     made = by.encode(of)
     found = []
     classes: dict[int, Any] = {}
@@ -73,11 +73,11 @@ ITEMS = (
     (1, 14, 3, SENT, b"xyz", ERROR, 1),
     (1, 5 * S + 16, 5, SENT, b"0123456789ab", FD | ESI, 2),
 )
-"""Frames of two ticks; those of a bus without a name have that of the last one."""
+"""Frames of two ticks; a frame of a bus without a name gets the name of the last bus."""
 
 
 def test_frames_of_several_buses_keep_their_order_and_times():
-    """Their content is compared with protobuf's in `test_row`."""
+    """`test_row` compares their content with protobuf's."""
     found, ticks = encoded(encoder(can_channels=["front", "rear bus"]), batch(2, *ITEMS))
     assert [m.topic for m in found] == ["/tick", *["/can"] * 3, "/tick", *["/can"] * 2]
     assert ticks == [0] * 4 + [1] * 3
@@ -98,7 +98,7 @@ def test_frames_of_several_buses_keep_their_order_and_times():
         assert (m.publish_time, m.sequence) == (EPOCH + T_NS + S * row, 7 + row)
 
 
-def test_commands_and_events_stand_among_the_frames_of_their_tick():
+def test_commands_and_events_keep_their_place_among_the_frames():
     words = (
         (0, 11, 1, SENT, b"", 0, 0),
         (0, S + 12, 5, OPERATOR, struct.pack("<2d", 0.25, -3.0), 0, 0),
@@ -146,7 +146,7 @@ def test_an_event_between_two_batches_belongs_to_the_next_tick(rows):
 
 
 @pytest.mark.parametrize("length", [64, 65, 576, 577, 4000])
-def test_an_event_of_any_length_has_all_of_its_text(length):
+def test_an_event_of_any_length_keeps_its_whole_text(length):
     text = ("0123456789" * 400)[:length].encode()
     pieces = [text[k : k + 64] for k in range(0, length, 64)]
     items = [(0, 11, len(pieces) - 1 - k, EVENT, piece, 2, 0) for k, piece in enumerate(pieces)]
@@ -154,7 +154,7 @@ def test_an_event_of_any_length_has_all_of_its_text(length):
     assert message.content.message == text.decode()
 
 
-def test_the_text_of_an_event_ends_where_its_pieces_end():
+def test_the_text_of_an_event_has_only_its_own_pieces():
     pieces = [(EVENT, 0, b"before"), (EVENT, 2, b"a"), (EVENT, 1, b"b"), (EVENT, 0, b"c"), (OPERATOR, 1, b"x"),
               (EVENT, 1, b"d"), (EVENT, 0, b"e")]  # fmt: skip
     items = batch(0, *((0, 0, number, kind, data, 0, 0) for kind, number, data in pieces)).items
@@ -164,7 +164,7 @@ def test_the_text_of_an_event_ends_where_its_pieces_end():
 
 
 @pytest.mark.parametrize(("scene", "every"), [(None, 33), (3, 3)])
-def test_views_stand_behind_all_else_of_their_tick(scene, every):
+def test_views_are_the_last_messages_of_their_tick(scene, every):
     corners = [[1.0, k, 0.0] for k in range(6)]
     by = encoder(scene=Scene(corners, corners, every=scene) if scene else None)
     at = [every - 1, every, every + 1, 2 * every, 2 * every + 1]
@@ -186,7 +186,7 @@ def test_views_stand_behind_all_else_of_their_tick(scene, every):
 
 
 @pytest.mark.parametrize(("names", "channel"), [(("front",), "front"), (("front", "rear"), "front, rear")])
-def test_each_topic_has_its_channel_and_that_of_frames_its_buses(names, channel):
+def test_each_topic_has_a_channel_and_the_frame_channel_lists_its_buses(names, channel):
     channels = encoder(can_channels=names).channels
     assert {number: (topic, schema.name, about) for number, (topic, schema, about) in channels.items()} == {
         1: ("/tick", "hil.Tick", {}),

@@ -1,4 +1,4 @@
-"""The loop's end of a recording: what it puts into the ring, when it waits or drops, and what it reports at the end."""
+"""The loop's end of a recording: content of the ring, waiting, dropping, and the final report."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from hil.signals import Operator, Order, SetPoint
 
 
 class Process:
-    """A recorder's process; it drains the ring at the third look whether it lives, if it is told of one."""
+    """Fake recorder process; with `drains` it drains the ring at the third check of its life."""
 
     ring: Ring
 
@@ -56,8 +56,8 @@ def content(items):
     return [(*(int(i[name]) for name in names), bytes(i["data"][: i["length"]])) for i in items]
 
 
-def test_a_tick_goes_into_the_ring_in_order_however_far_that_has_turned():
-    """Frames as tuples and as arrays alike."""
+def test_a_tick_enters_the_ring_in_order_also_after_wrap_round():
+    """Frames as tuples and as arrays give the same content."""
     one, other = recording_of(), recording_of()
     received = [Received(7, Frame(1, b"\1" * 64, 0)), Received(8, Frame(2, b"", 3 * BUS + FD))]
     sent = [Frame(3, b"\2" * 64, EXTENDED), Frame(4, b"34", BUS)]
@@ -84,13 +84,13 @@ def test_a_tick_goes_into_the_ring_in_order_however_far_that_has_turned():
             ring.release(batch)
 
 
-def test_an_event_may_name_a_file_whose_name_is_no_text():
+def test_an_event_may_contain_a_file_name_that_is_not_utf_8():
     recording = recording_of()
     recording.event(0, "info", "a\udc80b")
     assert content(recording._ring.take(1).items) == [(0, 0, 3, 2, 0, b"a?b")]
 
 
-def test_an_event_for_which_there_is_no_room_is_left_out_whole():
+def test_an_event_without_room_is_left_out_completely():
     recording = recording_of()
     for text in ("a" * 64 * 255, "b" * 65, "c" * 64, ""):
         recording.event(0, "info", text)
@@ -109,7 +109,7 @@ ONE = {
 
 
 @pytest.mark.parametrize("kind", ONE)
-def test_a_tick_with_more_of_any_kind_than_there_is_room_is_dropped_whole(kind):
+def test_a_tick_with_too_many_items_is_dropped_completely(kind):
     recording = recording_of()
     for number, count in enumerate((250, 7, 6)):
         recording.tick(row_of(number), **{"received": (), "sent": (), kind: [ONE[kind]] * count})
@@ -146,7 +146,7 @@ def test_in_lockstep_a_tick_larger_than_the_ring_is_refused():
     recording = recording_of(lockstep=True, process=Process())
     recording.tick(row_of(0), (), (), [1] * 256)
     recording._ring.release(recording._ring.take(1))
-    with pytest.raises(LogError, match="257 frames: the ring holds 256"):
+    with pytest.raises(LogError, match="257 frames, but the ring holds 256"):
         recording.tick(row_of(1), (), (), [1] * 257)
 
 
@@ -155,15 +155,15 @@ EPOCH_2000 = 946_684_800_000_000_000  # date -u -d 2000-01-01 +%s
 
 
 class At:
-    """A clock that stands."""
+    """A stopped clock."""
 
     def now(self):
         return 1_200
 
 
 @pytest.mark.parametrize("lockstep", [False, True])
-def test_the_log_has_its_clock_its_buses_and_its_run(monkeypatch, tmp_path, lockstep):
-    """In real time the instant 0 is that of the clock; in lockstep it is the year 2000."""
+def test_the_set_up_has_clock_buses_and_metadata_of_the_run(monkeypatch, tmp_path, lockstep):
+    """t_ns = 0 is the zero of the clock in real time, and the year 2000 in lockstep."""
     found: list[Any] = []
     monkeypatch.setattr(module, "_start", lambda ring, setup: found.append(setup))
     monkeypatch.setattr(time, "time_ns", lambda: 5_000)
@@ -191,7 +191,9 @@ CLEAN = {"closed": "clean", "ticks": 3, "messages": 11, "size_bytes": 4096, "rec
 
 @pytest.fixture
 def ended(monkeypatch, tmp_path):
-    """A function that makes a recording of three ticks, two of them read, whose recorder answers this at the end."""
+    """Function that makes a recording of three ticks, two of them read, with this final reply of the
+    recorder.
+    """
 
     def make(reply, *, ended=True, broken=False):
         did: list[Any] = []
@@ -218,7 +220,7 @@ def ended(monkeypatch, tmp_path):
     return make
 
 
-def test_the_end_is_requested_once_and_tells_what_became_of_the_log(ended, tmp_path):
+def test_the_end_is_requested_once_and_the_result_describes_the_log(ended, tmp_path):
     recording, did = ended(CLEAN)
     summary = recording.close({"ending": "PARKED", "late": {"p99": 1.5}}, timeout_s=7.0)
     assert summary == (tmp_path / "a.mcap", 3, 11, 0, 0, 4096, 0.25, True, "", False)

@@ -1,4 +1,4 @@
-"""The reference in leg lengths and the approach to it, against the book's platform and finite differences."""
+"""Reference in leg lengths, and the approach to it, against the book's platform and finite differences."""
 
 import json
 from pathlib import Path
@@ -37,14 +37,14 @@ TRAJECTORY = build_trajectory(
 )
 
 
-def test_lengths_and_rates_are_the_books():
+def test_leg_lengths_and_rates_agree_with_the_book():
     for state in BOOK["states"]:
         reference = referred(PLATFORM, TRAJECTORY.sample(state["t"]))
         np.testing.assert_allclose(reference["q_d"], state["length"], rtol=0, atol=1e-9)
         np.testing.assert_allclose(reference["dq_d"], state["rate"], rtol=0, atol=1e-9)
 
 
-def test_leg_acceleration_is_the_derivative_of_the_rate():
+def test_leg_acceleration_agrees_with_finite_differences_of_the_rate():
     h = 1e-3
     for t in np.linspace(0.05, 0.95, 19):
         ddq = referred(PLATFORM, TRAJECTORY.sample(t))["ddq_d"]
@@ -79,7 +79,7 @@ def approach_to(start: PoseSample, here: PoseSample, blend_s: float = BLEND_S) -
 
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("back", [False, True])
-def test_the_leg_that_goes_farthest_does_so_at_the_speed_of_the_approach(way: str, back: bool) -> None:
+def test_the_leg_with_the_longest_travel_has_the_approach_speed(way: str, back: bool) -> None:
     ends = at(HOME), at(*WAYS[way])
     here, there = ends[::-1] if back else ends
     change = leg_lengths(PLATFORM, there.p, there.R) - leg_lengths(PLATFORM, here.p, here.R)
@@ -93,7 +93,7 @@ def test_the_leg_that_goes_farthest_does_so_at_the_speed_of_the_approach(way: st
 
 
 @pytest.mark.parametrize(("blend_s", "takes_s"), [(BLEND_S, BLEND_S), (0.0, PERIOD_S)])
-def test_a_short_approach_takes_the_blend_and_without_one_a_period(blend_s: float, takes_s: float) -> None:
+def test_a_short_approach_takes_the_blend_time_or_one_period(blend_s: float, takes_s: float) -> None:
     assert approach_to(at(HOME), at(HOME), blend_s).duration_s == takes_s
 
 
@@ -107,7 +107,7 @@ def test_a_short_approach_takes_the_blend_and_without_one_a_period(blend_s: floa
         ([0.03, -0.04, 0.12], 40.0, 9.5, 9.5),
     ],
 )
-def test_a_move_at_set_up_speed_is_as_fast_as_way_and_turn_allow(
+def test_a_move_at_set_up_speed_obeys_both_speed_limits(
     by_m: list[float], turn_deg: float, least_s: float, takes_s: float
 ) -> None:
     settings: Any = SimpleNamespace(setup_speed_m_s=0.05, setup_speed_deg_s=10.0)

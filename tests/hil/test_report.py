@@ -1,4 +1,4 @@
-"""What six drives report together: each leg counts, in either direction."""
+"""Common state of six drives: each leg counts, in either direction."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ ON_EACH_LEG = pytest.mark.parametrize("leg", range(LEGS))
 
 
 def one(leg, value, others):
-    """Return six values, that of one leg different."""
+    """Six values with a different one for one leg."""
     return np.where(np.arange(LEGS) == leg, value, others)
 
 
@@ -21,14 +21,14 @@ def reported(leg, state, others, **columns):
 
 
 @ON_EACH_LEG
-def test_one_powered_drive_is_enough(leg):
+def test_one_powered_drive_counts_as_powered(leg):
     for state in (DriveState.READY, DriveState.RUN):
         assert any_powered(reported(leg, state, DriveState.OFF))
     assert not any_powered(reported(leg, DriveState.FAULT, DriveState.OFF))
 
 
 @ON_EACH_LEG
-def test_a_drive_that_failed_for_another_reason_has_not_confirmed_the_emergency_stop(leg):
+def test_another_drive_fault_does_not_confirm_the_emergency_stop(leg):
     stopped = record_of(drive_state=DriveState.FAULT, drive_fault=DriveFault.ESTOP)
     assert confirmed(stopped, latches=True)
     for other in set(DriveFault) - {DriveFault.ESTOP}:
@@ -43,7 +43,7 @@ def test_a_drive_that_failed_for_another_reason_has_not_confirmed_the_emergency_
 
 
 @ON_EACH_LEG
-def test_a_leg_that_moves_or_is_not_heard_or_not_believed_is_not_at_rest(leg):
+def test_a_moving_silent_or_doubted_leg_is_not_at_rest(leg):
     assert measured_at_rest(record_of(age=0, rate=0.0))
     for way in (1.0, -1.0):
         assert measured_at_rest(record_of(age=0, rate=one(leg, way * 0.9 * REST_m_s, 0.0)))
@@ -53,7 +53,7 @@ def test_a_leg_that_moves_or_is_not_heard_or_not_believed_is_not_at_rest(leg):
 
 
 @ON_EACH_LEG
-def test_drives_are_ready_when_all_six_are_heard_and_set_up(leg):
+def test_drives_are_ready_when_all_six_report_and_are_set_up(leg):
     waiting, every, but_one = Mode.WAITING, [True] * LEGS, [k != leg for k in range(LEGS)]
     assert ready(record_of(age=one(leg, 1, 0)), waiting, every, located=True)
     assert not ready(record_of(age=one(leg, 1, 0)), waiting, every, located=False)

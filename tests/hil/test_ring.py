@@ -1,4 +1,6 @@
-"""The ring between loop and recorder: rows and items come out once, in order, whole; each end orders its counters."""
+"""Ring between loop and recorder: rows and items come out once, in order, whole; fences order the
+counters.
+"""
 
 import random
 from pathlib import Path
@@ -57,7 +59,7 @@ def writer(ring):
     return Writer(ring)
 
 
-def test_rows_and_their_items_come_out_once_and_in_order_over_many_turns(ring, writer):
+def test_rows_and_items_come_out_once_and_in_order_after_wrap_rounds(ring, writer):
     rng = random.Random(3)
     counts, ticks, owners = [], [], []
     while writer.rows < 3000:
@@ -75,7 +77,7 @@ def test_rows_and_their_items_come_out_once_and_in_order_over_many_turns(ring, w
     assert owners == [tick for tick in ticks for _ in range(counts[tick])]
 
 
-def test_a_tick_that_is_not_published_is_not_seen(ring, writer):
+def test_an_unpublished_tick_is_invisible(ring, writer):
     writer.row(2)
     writer.row(3, publish=False)
     batch = ring.take(100)
@@ -84,7 +86,7 @@ def test_a_tick_that_is_not_published_is_not_seen(ring, writer):
 
 @pytest.mark.parametrize("rows", [0, 1, 3])
 @pytest.mark.parametrize("events", [1, 2, 5])
-def test_events_come_with_the_last_tick_before_them(ring, writer, rows, events):
+def test_events_come_out_after_the_tick_before_them(ring, writer, rows, events):
     for _ in range(rows):
         writer.row(2)
     writer.events(*range(70, 70 + events))
@@ -101,7 +103,7 @@ def test_events_come_with_the_last_tick_before_them(ring, writer, rows, events):
     assert batch.tick.tolist() == [0, 0]
 
 
-def test_a_batch_that_leaves_rows_behind_leaves_their_events_too(ring, writer):
+def test_a_batch_leaves_events_behind_together_with_their_rows(ring, writer):
     for _ in range(3):
         writer.row(1)
     writer.events(77)
@@ -113,7 +115,7 @@ def test_a_batch_that_leaves_rows_behind_leaves_their_events_too(ring, writer):
     assert batch.tick.tolist() == [0, 1]
 
 
-def test_a_batch_ends_with_the_row_whose_items_fill_a_quarter_of_the_room(ring, writer):
+def test_a_batch_ends_when_items_fill_a_quarter_of_the_room(ring, writer):
     for items in (1100, 1, 1022, 1, 1):
         writer.row(items)
     sizes = []
@@ -168,7 +170,7 @@ NAMES = {WRITTEN: "rows", EVENTS: "events", READ: "rows read", READ_ITEMS: "item
 
 
 class Watched:
-    """The counters of a ring; what is done to them is noted, and so is each fence."""
+    """Counters of a ring that note each access and each fence."""
 
     def __init__(self, ring, noted, monkeypatch):
         self.counters, self.noted = ring.counters, noted
@@ -186,7 +188,7 @@ class Watched:
 
 
 def test_each_end_orders_its_counters_and_data_by_fences(monkeypatch):
-    """The producer stores a counter behind its data; the consumer reads data behind their counter."""
+    """The producer stores a counter after its data; the consumer reads data after their counter."""
     noted: list[str] = []
     ring, nobody = Ring.create(ROW, 256), cast("Any", None)
     ring.close_fd()

@@ -1,4 +1,4 @@
-"""The table of columns of a log: what it may describe; and its rows and frames as bytes that protobuf reads."""
+"""Table of columns of a log: its allowed content; rows and frames as bytes that protobuf reads."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ NUMBER, TIME = column("tick"), column("t_ns")
 
 @pytest.mark.parametrize(("name", "other"), [("tick", TIME), ("t_ns", NUMBER)])
 @pytest.mark.parametrize("instead", ["nothing", "another", "floats", "several"])
-def test_a_row_without_number_or_time_of_its_tick_is_refused(name, other, instead):
+def test_a_row_without_a_tick_or_t_ns_column_is_refused(name, other, instead):
     there: dict[str, list[Column]] = {
         "nothing": [],
         "another": [column("count")],
@@ -51,8 +51,8 @@ def test_a_row_without_number_or_time_of_its_tick_is_refused(name, other, instea
     assert columns_of(describe((other, column(name)))) == (other, column(name))
 
 
-def test_a_described_table_is_read_back_and_our_rows_have_one_type():
-    """NumPy copies a row at once only where both types are one object: 12 us a tick instead of 120."""
+def test_a_described_table_is_read_back_and_our_row_type_is_one_object():
+    """NumPy copies a row at once only if both types are one object: 12 us per tick instead of 120."""
     columns = columns_of(describe(RECORDED))
     assert [c._replace(part="output", type=int) for c in RECORDED] == [c._replace(type=int) for c in columns]
     for ours, read in zip(RECORDED, columns, strict=True):
@@ -70,13 +70,13 @@ ONE = {
 
 
 def read_with(*more, **changes):
-    """Return the last of three columns as it is read, some entries of its description changed."""
+    """Last of three columns as read, with some changed entries of its description."""
     entries = [{**ONE, "name": "tick"}, {**ONE, "name": "t_ns"}, {**ONE, **changes}, *more]
     return columns_of(json.dumps(entries))[2]
 
 
 @pytest.mark.parametrize("key", ["name", "unit", "meaning", "type", "element"])
-def test_each_text_of_a_column_is_printable_and_has_500_characters_at_most(key):
+def test_texts_of_a_column_are_printable_and_at_most_500_characters(key):
     def taken(text):
         if key == "type":
             return read_with(type=text, names={"A": 0}).type.__name__
@@ -93,7 +93,7 @@ def test_each_text_of_a_column_is_printable_and_has_500_characters_at_most(key):
 
 
 @pytest.mark.parametrize("flags", [False, True])
-def test_values_have_plain_names_and_numbers_from_0_on(flags):
+def test_enumeration_values_need_plain_names_and_numbers_from_0_on(flags):
     for name in ("A", "z9_Z", "b" * 100):
         for number in (1, 126):
             kind = read_with(type="Kind", flags=flags, names={"NONE": 0, name: number}).type
@@ -102,7 +102,7 @@ def test_values_have_plain_names_and_numbers_from_0_on(flags):
     wrong: list[tuple[str, Any]] = [("9", 1), ("_a", 1), ("a-b", 1), ("b" * 101, 1), ("", 1), ("A\n", 1)]
     wrong += [("A", number) for number in (-1, 1 << 63, True, 1.0, "1", None)]
     for name, number in wrong:
-        with pytest.raises(ValueError, match=r"allowed: a (plain name|whole number)"):
+        with pytest.raises(ValueError, match=r"allowed: a (name of letters|whole number)"):
             read_with(type="Kind", flags=flags, names={"NONE": 0, name: number})
 
 
@@ -121,11 +121,11 @@ REFUSED: list[dict[str, Any]] = [
     *({"type": "Kind", "names": names} for names in ({"A": 1}, {"NONE": 0, "A": 127})),
     *({"shape": shape} for shape in ([8191], [65537], [1] * 5, [0], [-1], [True], [2.0], ["2"], [91, 91])),
 ]
-"""Two columns of eight bytes stand in front: a row has 64 KiB at most."""
+"""Refused columns, after two columns of eight bytes: a row has at most 64 KiB."""
 
 
 @pytest.mark.parametrize("changes", TAKEN)
-def test_a_column_may_be_as_large_as_this(changes):
+def test_a_column_of_the_largest_size_is_accepted(changes):
     found = read_with(**changes)
     assert found.shape == tuple(changes.get("shape", ()))
     assert found.elements == tuple(changes.get("elements", ()))
@@ -138,7 +138,7 @@ def test_a_column_beyond_its_limits_is_refused(changes):
         read_with(**changes)
 
 
-def test_all_columns_together_have_64_KiB_and_flags_63_bits():
+def test_rows_have_at_most_64_KiB_and_flags_at_most_63_bits():
     last = {**ONE, "name": "y"}
     assert read_with(last, shape=[8189]).shape == (8189,)
     with pytest.raises(ValueError, match=r"column y .*: allowed: rows of 65536 bytes"):
@@ -156,7 +156,7 @@ LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
 
 
 def messages_of(encoder, batch, channel):
-    """Return the messages on a channel, serialised again by protobuf."""
+    """Messages on a channel, serialised again by protobuf."""
     made = encoder.encode(batch)
     kind = message_class(encoder.channels[channel][1])
     parsed = [kind.FromString(bytes(r[RECORD_HEADER:])) for r in made.records() if r[9] == channel]
@@ -164,7 +164,7 @@ def messages_of(encoder, batch, channel):
 
 
 def row_message(kind, table, row):
-    """Return the message of a row, filled in field by field."""
+    """Message of a row, filled field by field."""
     message = kind()
     for c in table.columns:
         numbers = row[c.name].reshape(-1).tolist()
@@ -191,7 +191,7 @@ def row_message(kind, table, row):
 
 
 def frame_message(kind, names, tick, index, t_ns, received, frame):
-    """Return the message of a frame, filled in field by field."""
+    """Message of a frame, filled field by field."""
     message, bus = kind(), frame.flags // BUS
     message.header.stamp.seconds, message.header.stamp.nanos = divmod(EPOCH + t_ns, S)
     message.id, message.data, message.dlc = frame.id, frame.data, LENGTHS.index(len(frame.data))
@@ -204,7 +204,7 @@ def frame_message(kind, names, tick, index, t_ns, received, frame):
 
 
 @pytest.mark.parametrize("names", [("can0",), ("front", "the rear bus " * 9)])
-def test_rows_and_frames_are_those_recorded_over_turns_of_the_ring(names):
+def test_encoded_rows_and_frames_equal_the_recorded_ones(names):
     ring = Ring.create(TICKS.dtype, 32)
     ring.close_fd()
     recording = Recording(ring, cast("Any", None), Path("a.mcap"), lockstep=True)
@@ -246,7 +246,7 @@ TABLES = (
 
 
 @pytest.mark.parametrize("columns", TABLES, ids=["numbers", "names", "named elements"])
-def test_one_kernel_packs_whatever_columns_a_table_has(columns):
+def test_one_kernel_packs_any_table_of_columns(columns):
     table = Table("/tick", (columns[0], column("t_ns"), *columns[1:], column("tick")))
     table.check()
     rows = random_rows(50, dtype=table.dtype)
@@ -279,7 +279,7 @@ print(hashlib.sha256(encoder.encode(batch).data).hexdigest(), "numba" in sys.mod
 
 
 @pytest.mark.parametrize("plain", [False, True], ids=["machine code", "plain Python"])
-def test_machine_code_alone_and_plain_python_pack_the_same(plain):
+def test_machine_code_and_plain_python_pack_the_same_bytes(plain):
     rows = random_rows(5)
     items = np.frombuffer(np.random.default_rng(1).bytes(5 * FRAME.itemsize), FRAME).copy()
     items["kind"], items["length"], items["bus"] = [0, 1, 0, 1, 0], [0, 8, 64, 3, 12], 0

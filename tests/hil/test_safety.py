@@ -1,4 +1,4 @@
-"""The rules put together: which fault and which warning come out of a tick, in which mode."""
+"""Combined safety rules: the faults and warnings of a tick, by mode."""
 
 import numpy as np
 import pytest
@@ -61,7 +61,7 @@ ALWAYS_FAULTS = {
 
 
 @pytest.mark.parametrize("reason", ALWAYS_FAULTS)
-def test_guard_faults_for_this_reason_alone_while_powered_and_never_else(reason):
+def test_guard_faults_for_one_reason_only_while_powered(reason):
     fault, changes = ALWAYS_FAULTS[reason]
     for mode in POWERED:
         assert Bench().tick(mode, **changes).faults == fault
@@ -84,25 +84,25 @@ NEARLY = {
 
 
 @pytest.mark.parametrize("reason", NEARLY)
-def test_guard_lets_pass_what_is_just_inside_the_limits(reason):
+def test_guard_accepts_values_just_inside_the_limits(reason):
     for mode in POWERED:
         assert Bench().tick(mode, **NEARLY[reason]).faults == Fault.NONE
 
 
-def test_guard_lets_buses_be_a_tenth_of_a_period_apart_or_as_configured():
+def test_guard_allows_a_sync_skew_of_a_tenth_period_or_as_configured():
     for given_us, limit_ns in ((None, 100_000), (37.5, 37_500)):
         limits = LIMITS.model_copy(update={"sync_skew_us": given_us})
         assert Bench(limits, rate_Hz=1000.0).safety.limits["sync_skew_ns"] == limit_ns
 
 
-def test_guard_two_reasons_are_two_faults():
+def test_guard_reports_one_fault_per_reason():
     changes = {"hop": 2.0, "condition": 60.0, "bus_off": True, "tau": np.nan}
     verdict = Bench().tick(Mode.TRACKING, **changes)
     assert verdict.faults == Fault.ASSEMBLY | Fault.CONDITION | Fault.BUS | Fault.LAW
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_watches_the_following_error_until_the_brakes_are_closed(mode):
+def test_guard_checks_the_following_error_until_the_brakes_close(mode):
     for q_d, dq_d in ((5.26, 0.0), (4.74, 0.0), (6.26, 2.0)):
         verdict = Bench().tick(mode, q_d=leg(q_d, 5.0), dq_d=leg(dq_d))
         assert verdict.faults == (Fault.FOLLOWING if mode in FOLLOWING else Fault.NONE)
@@ -114,7 +114,7 @@ def moved_legs(bench, mode, **columns):
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_watches_legs_on_closed_brakes_and_names_the_one_that_moves(mode):
+def test_guard_faults_with_the_leg_that_moves_on_its_closed_brake(mode):
     bench = Bench()
     assert moved_legs(bench, mode) == (Fault.NONE, 0)
     assert moved_legs(bench, mode, length=leg(5.125, 5.0)) == (Fault.NONE, 0)
@@ -125,7 +125,7 @@ def test_guard_watches_legs_on_closed_brakes_and_names_the_one_that_moves(mode):
 
 
 @pytest.mark.parametrize("mode", CLOSED)
-def test_guard_lets_legs_stand_elsewhere_after_they_were_free(mode):
+def test_guard_accepts_a_new_rest_position_after_free_motion(mode):
     for between, kept in (
         (Mode.LOADING, True),
         (Mode.PARKED, True),
@@ -141,7 +141,7 @@ def test_guard_lets_legs_stand_elsewhere_after_they_were_free(mode):
     assert bench.tick(mode, length=7.0).faults == Fault.NONE
 
 
-def test_guard_watches_legs_after_a_fault_once_they_rested_for_a_fifth_of_a_second():
+def test_guard_checks_standstill_after_a_fault_and_0_2_s_at_rest():
     bench = Bench()
     for _ in range(8):  # 0.2 s
         assert bench.tick(Mode.FAULT, length=5.0).faults == Fault.NONE
@@ -154,7 +154,7 @@ def test_guard_watches_legs_after_a_fault_once_they_rested_for_a_fifth_of_a_seco
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_warns_of_stale_legs_once_drives_should_talk(mode):
+def test_guard_warns_about_stale_legs_after_idle(mode):
     for age, warns in ((1, False), (2, True), (4, True)):
         verdict = Bench().tick(mode, age=leg(age, 0, np.int64))
         expected = warns and mode not in {Mode.WAITING, Mode.IDLE}
@@ -163,7 +163,7 @@ def test_guard_warns_of_stale_legs_once_drives_should_talk(mode):
 
 
 @pytest.mark.parametrize("mode", MOVING)
-def test_guard_faults_when_a_drive_leaves_run_but_not_while_drives_come_up(mode):
+def test_guard_faults_when_a_drive_leaves_run_but_not_before_run(mode):
     bench = Bench()
     ready = leg(DriveState.READY, DriveState.RUN, np.int64)
     assert bench.tick(mode, drive_state=ready).faults == Fault.NONE
@@ -175,7 +175,7 @@ def test_guard_faults_when_a_drive_leaves_run_but_not_while_drives_come_up(mode)
     assert bench.tick(mode, drive_state=ready).faults == Fault.NONE
 
 
-def test_guard_forgets_running_drives_on_reset_and_with_closed_brakes():
+def test_guard_expects_no_run_after_a_reset_or_closed_brakes():
     ready = np.full(6, int(DriveState.READY))
     for mode in (Mode.LOADING, Mode.PARKING, Mode.IDLE, Mode.FAULT):
         bench = Bench()
@@ -188,7 +188,7 @@ def test_guard_forgets_running_drives_on_reset_and_with_closed_brakes():
     assert bench.tick(Mode.RELEASING, drive_state=ready).faults == Fault.NONE
 
 
-def test_guard_takes_five_refusals_in_a_row_or_eight_in_32_ticks_for_a_dead_bus():
+def test_guard_faults_bus_after_5_refusals_in_a_row_or_8_in_32_ticks():
     bench = Bench()
     faults = [bench.tick(sends_failed=n % 2).faults for n in range(16)]
     assert faults == [Fault.NONE] * 15 + [Fault.BUS]
@@ -211,8 +211,8 @@ def test_guard_faults_for_another_controller_in_every_mode(mode):
 
 
 @pytest.mark.parametrize("mode", POWERED)
-def test_guard_takes_no_estimate_of_a_leg_where_its_brake_is_tested(mode):
-    """The filter stands in for a leg that may be lost; on shut brakes it believes that all stand."""
+def test_guard_accepts_no_estimated_leg_during_brake_tests(mode):
+    """The filter replaces a leg that may be lost; on closed brakes it assumes that all legs stand still."""
     tested = mode in {Mode.LOADING, Mode.UNLOADING}
     for age, of_the_leg in ((4, Fault.NONE), (5, Fault.STALE)):
         verdict = Bench().tick(mode, age=leg(age, 0, np.int64), counted_age=leg(0, 0, np.int64))
@@ -224,7 +224,7 @@ def test_guard_takes_no_estimate_of_a_leg_where_its_brake_is_tested(mode):
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_faults_for_a_doubled_node_and_another_set_up_once_the_drives_are_set_up(mode):
+def test_guard_faults_for_duplicate_nodes_and_changed_set_up(mode):
     judged = mode is Mode.IDLE or mode in POWERED
     for bits in (1, 1 << 5, 0b111111):
         assert Bench().tick(mode, doubled=bits).faults == (Fault.DUPLICATE_NODE if judged else Fault.NONE)
@@ -232,7 +232,7 @@ def test_guard_faults_for_a_doubled_node_and_another_set_up_once_the_drives_are_
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_faults_for_refused_frames_of_the_drives_in_eight_ticks_of_32(mode):
+def test_guard_faults_for_refused_drive_frames_in_8_of_32_ticks(mode):
     bench = Bench()
     faults = [bench.tick(mode, rejected=2 * (n % 2)).faults for n in range(16)]
     assert faults == [Fault.NONE] * 15 + [Fault.REFUSED_FRAMES if mode in POWERED else Fault.NONE]
@@ -247,7 +247,7 @@ def test_guard_faults_for_refused_frames_of_the_drives_in_eight_ticks_of_32(mode
     assert verdict.faults == (Fault.REFUSED_FRAMES if mode in POWERED else Fault.NONE)
 
 
-def test_guard_stops_a_bench_whose_time_stood_still_for_more_than_its_share():
+def test_guard_stops_a_bench_that_stalls_for_more_than_its_share():
     stood = 10_000_000
     for tick, allowed in ((0, 50), (4000, 550)):  # half a second, and 5 % of 4000 periods of 25 ms
         bench = Bench()
@@ -261,14 +261,14 @@ def test_guard_stops_a_bench_whose_time_stood_still_for_more_than_its_share():
     assert bench.tick(tick=0).stop is Stop.STRETCHED
 
 
-def test_guard_does_not_count_short_stretches_however_many():
+def test_guard_ignores_any_number_of_short_stalls():
     bench = Bench()
     assert not any(bench.tick(stretched_ns=3_999_999).stop for _ in range(1000))
     stops = [bench.tick(tick=0, stretched_ns=4_000_000).stop for _ in range(126)]
     assert stops == [Stop.NONE] * 125 + [Stop.STRETCHED]
 
 
-def test_guard_pushes_a_leg_that_stands_still_and_faults_for_one_that_is_held_fast():
+def test_guard_probes_a_still_leg_and_faults_if_it_does_not_move():
     limits = NONE._replace(watched_legs=63, length_noise_m=0.01, push_N=np.full(6, 8.0), push_ticks=2)
     bench = Bench(encoders=limits)
     astray, ready = leg(5.2, 5.0), leg(DriveState.READY, DriveState.RUN, np.int64)
@@ -280,7 +280,7 @@ def test_guard_pushes_a_leg_that_stands_still_and_faults_for_one_that_is_held_fa
     assert [v.faults for v in verdicts] == [Fault.NONE] * 5 + [Fault.ENCODER]
 
 
-def test_guard_warns_of_a_noisy_bus_and_of_rejected_frames():
+def test_guard_warns_about_bus_errors_and_rejected_frames():
     bench = Bench()
     for cause in ("bus_errors", "bus_overflow", "sends_failed"):
         assert bench.tick(**{cause: 1}).warnings == Warn.BUS
@@ -289,7 +289,7 @@ def test_guard_warns_of_a_noisy_bus_and_of_rejected_frames():
         assert Bench().tick(mode, rejected=1).warnings == Warn.REJECTED
 
 
-def test_guard_warns_of_late_ticks_and_of_eight_in_32():
+def test_guard_warns_about_late_ticks_and_about_8_in_32():
     bench = Bench()
     late, on_time, apart = PERIOD_NS // 5 + 1, PERIOD_NS // 5, PERIOD_NS // 10
     assert bench.tick(lateness_ns=on_time).warnings == Warn.NONE
@@ -308,7 +308,7 @@ def test_guard_warns_of_late_ticks_and_of_eight_in_32():
 
 
 @pytest.mark.parametrize(("skipped", "degraded"), [(7, 0), (8, 24), (31, 24), (10**9, 24)])
-def test_guard_counts_skipped_periods_as_late_ticks_until_32_later_ones(skipped, degraded):
+def test_guard_counts_skipped_periods_as_late_for_32_ticks(skipped, degraded):
     bench = Bench()
     bench.tick(skipped=31)
     for _ in range(32):
@@ -317,7 +317,7 @@ def test_guard_counts_skipped_periods_as_late_ticks_until_32_later_ones(skipped,
     assert found == [Warn.DEGRADED] * degraded + [Warn.NONE] * (31 - degraded)
 
 
-def test_guard_asks_for_a_stop_after_as_many_missed_periods_as_configured():
+def test_guard_requests_a_stop_after_the_set_number_of_missed_periods():
     bench = Bench()
     no, missed = Stop.NONE, Stop.MISSED
     assert [bench.tick(skipped=n).stop for n in (4, 0, 4, 1, 0, 5)] == [no, no, no, missed, no, missed]
@@ -331,7 +331,7 @@ def test_guard_asks_for_a_stop_after_as_many_missed_periods_as_configured():
     assert [bench.tick(skipped=n).stop for n in (6, 0, 5, 2)] == [0, 0, 0, Stop.MISSED]
 
 
-def test_guard_warns_of_a_lossy_recorder_and_stops_without_one_if_so_configured():
+def test_guard_warns_about_recorder_loss_and_stops_if_configured():
     bench = Bench(on_recorder_loss="continue")
     dropped = [bench.tick(recorder_dropped=n).warnings for n in (0, 3, 3, 4)]
     assert dropped == [Warn.NONE, Warn.RECORDER, Warn.NONE, Warn.RECORDER]
@@ -354,7 +354,7 @@ UNSURE = {"fusion_warnings": Warn.ENCODER, "fusion_faults": Fault.UNCERTAIN}
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_passes_on_warnings_of_the_filter_and_faults_while_powered(mode):
+def test_guard_warns_and_while_powered_faults_for_the_filter(mode):
     verdict = Bench().tick(mode, **UNSURE, condition=60.0, bus_errors=1)
     assert verdict.warnings == Warn.ENCODER | Warn.BUS
     assert verdict.faults == (Fault.UNCERTAIN | Fault.CONDITION if mode in POWERED else Fault.NONE)

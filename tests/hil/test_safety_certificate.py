@@ -1,4 +1,4 @@
-"""The watch of the certificate among the rules: when it watches, what it allows, and what breaks it."""
+"""Certificate watch among the safety rules: when it is active, what it allows, and what breaks it."""
 
 import numpy as np
 import pytest
@@ -27,14 +27,14 @@ def broken(bench, **changes):
     return bool(figures(bench, **changes).warnings & Warn.CERTIFICATE)
 
 
-def test_guard_watches_nothing_without_a_certificate():
+def test_guard_has_no_figures_for_a_law_without_a_certificate():
     bench = Bench()
     for mode in Mode:
         np.testing.assert_array_equal(figures(bench, mode).certificate, CLEAN)
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_guard_watches_the_certificate_while_the_law_moves_the_platform(mode):
+def test_guard_watches_the_certificate_only_in_moving_modes(mode):
     bench = certified()
     first, second = (figures(bench, mode, de=de) for de in (0.5, 0.25))
     if mode in MOVING:
@@ -56,7 +56,7 @@ def test_guard_watches_the_certificate_while_the_law_moves_the_platform(mode):
         (FAULT, Warn.CERTIFICATE, Fault.CERTIFICATE),
     ],
 )
-def test_guard_warns_or_faults_where_the_certificate_is_broken(action, warning, fault):
+def test_guard_warns_or_faults_for_a_broken_certificate(action, warning, fault):
     bench = certified(action)
     for de, told in ((0.5, False), (0.4, False), (0.6, True), (0.3, False)):
         verdict = figures(bench, de=de, bus_errors=1, condition=60.0)
@@ -65,7 +65,7 @@ def test_guard_warns_or_faults_where_the_certificate_is_broken(action, warning, 
     assert not figures(certified(action), bus_off=True).faults & Fault.CERTIFICATE
 
 
-def test_guard_watches_no_platform_on_its_brakes():
+def test_guard_does_not_watch_a_platform_on_its_brakes():
     ready = np.full(6, int(DriveState.READY))
     bench = certified()
     for de in (0.0, 0.5):
@@ -89,7 +89,7 @@ def test_guard_watches_no_platform_on_its_brakes():
     ],
     ids=["stale", "unused", "skipped", "late", "jump"],
 )
-def test_guard_watches_the_certificate_anew_after_a_disturbed_tick(changes):
+def test_guard_restarts_the_watch_after_a_disturbed_tick(changes):
     bench = certified()
     assert not broken(bench)
     assert not broken(bench, de=0.5, **changes)
@@ -100,15 +100,15 @@ def test_guard_watches_the_certificate_anew_after_a_disturbed_tick(changes):
         assert broken(bench, de=0.5, **all_used)
 
 
-def test_guard_takes_the_time_of_skipped_ticks_into_the_rate_of_V():
+def test_guard_divides_the_rate_of_V_by_the_time_of_skipped_ticks():
     bench = certified()
     figures(bench)
     assert figures(bench, de=0.5, skipped=3).certificate[1] == pytest.approx(1.0 * RATE_HZ / 4)
 
 
 @pytest.mark.parametrize("late_ns", [-4_000_000, 4_000_000])
-def test_guard_allows_a_certificate_what_a_late_tick_makes_of_motion(late_ns):
-    """2 m/s and up to 100 m/s^2 for 4 ms are 8 mm and 0.4 m/s, W = 2 (e + de)."""
+def test_guard_adds_the_motion_of_a_late_tick_to_the_bound(late_ns):
+    """2 m/s and up to 100 m/s^2 for 4 ms give 8 mm and 0.4 m/s; W = 2 (e + de)."""
     moving = {"dq_d": leg(2.0), "lateness_ns": late_ns}
     bench = certified(disturbance=100.0)
     figures(bench, de=-2.0, dq_d=leg(2.0))
@@ -118,7 +118,7 @@ def test_guard_allows_a_certificate_what_a_late_tick_makes_of_motion(late_ns):
 
 
 @pytest.mark.parametrize("changes", [{"age": leg(1, 0, np.int64)}, UNUSED])
-def test_guard_compares_no_error_to_one_that_was_an_estimate(changes):
+def test_guard_does_not_compare_an_error_with_an_estimated_one(changes):
     bench = certified()
     figures(bench)
     figures(bench, **changes)
@@ -127,7 +127,7 @@ def test_guard_compares_no_error_to_one_that_was_an_estimate(changes):
     assert broken(bench, de=0.8)
 
 
-def test_guard_waits_for_the_forces_of_the_law_also_where_a_leg_is_stale():
+def test_guard_waits_for_the_laws_forces_despite_a_stale_leg():
     bench = certified(ticks=4)
     figures(bench)
     figures(bench, tau=leg(1000.0))
@@ -136,7 +136,7 @@ def test_guard_waits_for_the_forces_of_the_law_also_where_a_leg_is_stale():
     assert judged == [False] * 4 + [True] * 2
 
 
-def test_guard_does_not_judge_the_law_by_forces_that_a_limit_changed():
+def test_guard_does_not_judge_the_law_after_limited_forces():
     bench = certified(ticks=3)
     figures(bench)
     assert not broken(bench, tau=0.0)
@@ -153,7 +153,7 @@ def test_guard_does_not_judge_the_law_by_forces_that_a_limit_changed():
     assert broken(bench, de=0.8), "a reset forgets it"
 
 
-def test_guard_takes_the_errors_of_the_pose_for_a_law_in_pose_space():
+def test_guard_uses_pose_errors_for_a_law_in_pose_space():
     bench = certified(pose=1.0)
     pushed = {"p_d": np.array([0.0, 0.0, 0.5]), "q": leg(5.1, 5.0)}
     assert bench.tick(**pushed).certificate[0] == pytest.approx(4 * 0.25)
@@ -164,7 +164,7 @@ def test_guard_takes_the_errors_of_the_pose_for_a_law_in_pose_space():
     assert not Bench().safety.watches_pose
 
 
-def test_guard_names_the_axes_that_break_the_certificate_for_as_long_as_is_asked():
+def test_guard_lists_the_axes_that_break_the_certificate_long_enough():
     assert Bench().safety.broken_axes() == ()
     bench = certified(confirm=2.0)
     named = []

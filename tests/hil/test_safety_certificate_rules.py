@@ -1,4 +1,4 @@
-"""The rule on the certificate at its limits: the mutation test runs these against changed copies of its file."""
+"""Certificate rule at its limits; the mutation test runs these tests against changed copies of its file."""
 
 import math
 from types import SimpleNamespace
@@ -17,11 +17,11 @@ CRITICAL = {
     "K_P": 400.0, "K_D": 40.0, "P_11": 150e3, "P_12": 3e3, "P_22": 600.0, "disturbance": 8.0,
     "noise": 0.25, "rise": 0.0245, "decay": 0.99, "layer": 1.0, "confirm": 2.0, "period": 0.001,
 }  # fmt: skip
-"""wn = 20 rad/s, alpha = 5 1/s."""
+"""Critically damped: wn = 20 rad/s, alpha = 5 1/s."""
 
 
 def watched(**changes):
-    """The constants of a watch, rows and scalars by their names."""
+    """Constants of a watch: rows and scalars by name."""
     table = np.zeros((12, 6))
     for name, value in {**CRITICAL, **changes}.items():
         if name in ROWS:
@@ -31,8 +31,8 @@ def watched(**changes):
     return table
 
 
-def test_certificate_nothing_is_watched_by_default_and_W_grows_by_the_disturbance():
-    """Near zero by it, and further out towards it."""
+def test_certificate_default_has_no_axes_and_W_grows_by_the_disturbance():
+    """Near zero W grows by the disturbance; farther out it tends towards the disturbance."""
     assert certificate.NO_WATCH.constants.shape == (0, 6)
     assert certificate.NO_WATCH.ticks == 0
     assert certificate.grown(0.5, 8.0, 0.0245, 0.75) == 0.5 + 0.0245 * 8.0
@@ -56,7 +56,7 @@ def asked_for(table, e, de, feed):
 
 
 @ON_ONE_LEG
-def test_certificate_the_law_asks_for_what_its_gains_say_inside_its_layer(leg):
+def test_certificate_demand_inside_the_layer_follows_the_gains(leg):
     table = watched(K_P=[4, 5, 6, 7, 8, 9], K_D=[1, 2, 3, 1, 2, 3], slope=2.0, steepness=16.0, layer=0.75)
     linear, asked = asked_for(table, six(0.25, leg), six(0.25, leg), np.arange(3.0, 9.0))
     expected = np.arange(3.0, 9.0)
@@ -66,14 +66,14 @@ def test_certificate_the_law_asks_for_what_its_gains_say_inside_its_layer(leg):
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_certificate_beyond_the_layer_of_a_leg_the_law_asks_for_less(sign):
+def test_certificate_demand_beyond_the_layer_of_a_leg_is_smaller(sign):
     table = watched(K_P=4.0, K_D=2.0, slope=2.0, steepness=16.0, layer=0.5)
     linear, asked = asked_for(table, six(0.25 * sign, 1), six(0.5 * sign, 1), 0.0)
     np.testing.assert_array_equal(linear, six(2.0 * sign, 1))
     np.testing.assert_array_equal(asked, six((2.0 - 16.0 * 0.5) * sign, 1), "|de + 2 e| is 1, the layer 0.5")
 
 
-def test_certificate_a_shared_layer_is_of_all_legs():
+def test_certificate_a_shared_layer_uses_the_norm_of_all_legs():
     table = watched(K_P=0.0, K_D=0.0, slope=1.0, steepness=16.0, layer=1.0, shared=1.0)
     e, de = np.array([0, 1.0, 0, 0, 0, 0]), np.array([0, 0.5, 0, -2.0, 0, 0])
     _, asked = asked_for(table, e, de, 0.0)
@@ -97,7 +97,7 @@ def moved(q_d=0.0, dq_d=0.0, ddq_d=0.0, q_0=0.0, dq_0=0.0, ddq_0=0.0, leg=3):
 
 
 @ON_ONE_LEG
-def test_certificate_a_reference_jumps_where_its_rates_do_not_explain_it(leg):
+def test_certificate_reference_change_beyond_its_rates_is_a_jump(leg):
     assert not moved(q_d=0.5, leg=leg)
     assert moved(q_d=0.6, leg=leg)
     assert moved(q_d=-0.6, leg=leg)
@@ -106,7 +106,7 @@ def test_certificate_a_reference_jumps_where_its_rates_do_not_explain_it(leg):
     assert moved(dq_d=-2.1, q_d=-0.25, leg=leg)
 
 
-def test_certificate_a_reference_that_moves_by_its_own_rates_does_not_jump():
+def test_certificate_reference_change_by_its_own_rates_is_no_jump():
     assert not moved(q_0=10.0, dq_0=4.0, q_d=11.0, dq_d=4.0)
     assert not moved(dq_0=-4.0, ddq_0=16.0, q_d=-0.5, dq_d=0.0, ddq_d=16.0)
     assert not moved(dq_d=16.0 * 0.25 * 0.5, q_d=0.25, ddq_d=0.0)
@@ -117,7 +117,7 @@ def test_certificate_a_reference_that_moves_by_its_own_rates_does_not_jump():
     assert moved(ddq_d=16.1)
 
 
-def test_certificate_the_spread_is_to_the_farthest_of_what_still_acts():
+def test_certificate_spread_is_the_distance_to_the_farthest_acting_demand():
     memory = np.full((9, 6), 99.0)
     memory[6:, 2] = [1.0, -3.0, 2.0]
     assert certificate.spread(memory, 2, 0.5) == 3.5
@@ -126,7 +126,7 @@ def test_certificate_the_spread_is_to_the_farthest_of_what_still_acts():
     assert certificate.spread(memory, 2, 4.0) == 0.0
 
 
-def test_certificate_remembers_the_reference_and_what_was_asked_for_until_it_forgets():
+def test_certificate_remembers_reference_and_demands_until_reset():
     memory = np.arange(54.0).reshape(9, 6)
     certificate.remember_reference(memory, six(1.0), six(2.0), six(3.0))
     np.testing.assert_array_equal(memory[3:6, 4], [1.0, 2.0, 3.0])
@@ -145,7 +145,7 @@ def test_certificate_remembers_the_reference_and_what_was_asked_for_until_it_for
     np.testing.assert_array_equal(memory[3:], np.full((5, 6), 9.0))
 
 
-def test_certificate_forces_are_the_law_s_again_once_the_limited_ones_are_forgotten():
+def test_certificate_limited_forces_count_for_their_acting_ticks():
     memory = np.full((9, 6), 9.0)
     certificate.settle(memory, True)
     left = [memory[2, 1]]
@@ -156,7 +156,7 @@ def test_certificate_forces_are_the_law_s_again_once_the_limited_ones_are_forgot
     assert (memory == 9.0).sum() == 9 * 6 - 1
 
 
-def test_certificate_an_estimate_counts_in_its_own_tick_and_the_next():
+def test_certificate_an_estimate_disturbs_its_own_tick_and_the_next():
     for before, left in ((0.0, [1.0, 0.0]), (4.0, [3.0, 2.0])):
         memory = np.full((9, 6), 9.0)
         memory[2, 1] = before
@@ -168,7 +168,7 @@ def test_certificate_an_estimate_counts_in_its_own_tick_and_the_next():
 
 
 class Watched:
-    """A watch of two efforts that act at once, and what becomes of rates de of one axis."""
+    """Watch with two efforts that act at once, driven by rates de of one axis."""
 
     def __init__(self, **changes):
         self.table = watched(**changes)
@@ -183,7 +183,7 @@ class Watched:
 
     @property
     def figures(self):
-        """V, its rate, the largest V that is allowed, the largest W / (bound + noise)."""
+        """V, its rate, the largest allowed V, the largest W / (bound + noise)."""
         names = ("lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share")
         return np.array([getattr(self.judged, name) for name in names])
 
@@ -192,8 +192,8 @@ G = math.sqrt(600.0)
 
 
 @ON_ONE_LEG
-def test_certificate_is_broken_where_V_grows_by_more_than_the_disturbance_for_two_ticks(leg):
-    """Of each axis |de| may grow by 8 T = 0.008 m/s a tick, 40 de x 2 T of the delay, and noise."""
+def test_certificate_is_broken_if_V_grows_too_fast_for_two_ticks(leg):
+    """On each axis |de| may grow by 8 T = 0.008 m/s a tick, 40 de x 2 T of the delay, and noise."""
     for step, broken in ((0.007, False), (0.05, True)):
         watch = Watched(noise=0.0)
         told = [watch.tick(k * step, leg) for k in range(8)]
@@ -207,8 +207,8 @@ def test_certificate_is_broken_where_V_grows_by_more_than_the_disturbance_for_tw
         assert told == [n >= confirm for n in range(4)]
 
 
-def test_certificate_figures_by_hand():
-    """Two ticks: V, its rate, what is allowed, the share of it that is used."""
+def test_certificate_figures_agree_with_hand_calculation():
+    """Two ticks: V, its rate, the allowed V, and the share of it in use."""
     watch = Watched(P_12=0.0, K_P=0.0)
     watch.tick(0.02, 3, e=0.01)
     V_0 = 150e3 * 1e-4 + 600.0 * 4e-4
@@ -232,7 +232,7 @@ def test_certificate_figures_by_hand():
     np.testing.assert_allclose(watch.figures[1], (V_0 - V_1) / 4e-3)
 
 
-def test_certificate_the_level_is_the_smallest_that_any_tick_allows():
+def test_certificate_level_is_the_smallest_of_all_ticks():
     watch = Watched(noise=0.0, P_12=0.0)
     watch.tick(1.0)
     for _ in range(5):
@@ -245,8 +245,10 @@ def test_certificate_the_level_is_the_smallest_that_any_tick_allows():
     assert watch.memory[1, 3] == 0.0
 
 
-def test_certificate_noise_and_lateness_are_no_growth():
-    """Read 0.1 ms late at 2 m/s, 30 m/s^2 and a disturbance of 8, a length is off by 0.2 mm, a rate by 3.8 mm/s."""
+def test_certificate_noise_and_lateness_do_not_count_as_growth():
+    """Sampled 0.1 ms late at 2 m/s, 30 m/s^2 and a disturbance of 8: error 0.2 mm of length, 3.8 mm/s of
+    rate.
+    """
     late = math.sqrt(150e3) * 2e-4 + G * 3.8e-3
     for rate, feed in ((2.0, 30.0), (-2.0, -30.0)):
         watch = Watched(rise=0.0, decay=1.0, confirm=1.0, K_D=0.0, P_12=0.0)
@@ -264,7 +266,7 @@ def test_certificate_noise_and_lateness_are_no_growth():
     assert not watch.tick(0.5), "at the bound"
 
 
-def test_certificate_the_watch_starts_anew_where_something_else_happened():
+def test_certificate_watch_restarts_after_a_disturbed_tick():
     watch = Watched(confirm=1.0)
     watch.tick(0.0)
     assert not watch.tick(1.0, whole=False)
@@ -284,7 +286,7 @@ def test_certificate_the_watch_starts_anew_where_something_else_happened():
     )
 
 
-def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_or_did_not_ask_for():
+def test_certificate_bound_beyond_the_layer_allows_the_missing_demand():
     watch = Watched(noise=0.0, K_P=0.0, P_12=0.0, slope=0.0, steepness=30.0, layer=0.5)
     watch.tick(1.0)
     watch.tick(1.0)
@@ -300,8 +302,8 @@ def test_certificate_a_law_beyond_its_layer_is_allowed_what_it_does_or_did_not_a
     np.testing.assert_allclose(watch.figures[2], allowed + 5 * (0.0245 * 8) ** 2)
 
 
-def test_certificate_a_watch_that_starts_takes_the_error_as_it_is_and_breaks_nothing():
-    """A period later W = 24.5 would have to be 24.4 or less."""
+def test_certificate_first_tick_of_a_watch_accepts_any_error():
+    """One period later W = 24.5 breaks it, as at most 24.4 is allowed."""
     watch = Watched(noise=0.0, confirm=1.0, K_D=0.0, P_12=0.0)
     for whole in (True, False):
         assert not watch.tick(1.0, whole=whole)

@@ -1,4 +1,4 @@
-"""What the limits leave of the force: size, step, and window, in which mode."""
+"""Force limits of safety: size, step and window, by mode."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from tests.hil.safety_bench import (
 )
 
 
-def test_guard_lets_a_force_come_back_at_once_and_limits_its_changes_from_there():
+def test_guard_resumes_a_force_at_once_and_then_limits_its_changes():
     bench = Bench()
     for _ in range(12):
         bench.tick(Mode.UNLOADING, 0.0)
@@ -27,7 +27,7 @@ def test_guard_lets_a_force_come_back_at_once_and_limits_its_changes_from_there(
     assert low.tau[0] == 10.0, "the window of ten ticks begins at the force that came back"
 
 
-def test_guard_limits_the_step_from_the_last_force_sent():
+def test_guard_limits_the_step_relative_to_the_last_sent_force():
     bench = Bench()
     for asked, sent in ((60.0, 50.0), (55.0, 55.0), (0.0, 5.0), (-45.0, -25.0)):  # the last one by the window
         verdict = bench.tick(tau=leg(asked))
@@ -35,7 +35,7 @@ def test_guard_limits_the_step_from_the_last_force_sent():
         assert bool(verdict.warnings & Warn.FORCE_STEP) == (asked in {60.0, 0.0})
 
 
-def test_guard_warns_of_each_limit_by_name():
+def test_guard_warns_about_each_force_limit_by_name():
     wide = {"force_N": 100.0, "force_step_N": 1e6, "force_window_N": 1e6}
     for name, warn in (
         ("force_N", Warn.FORCE_LIMIT),
@@ -51,7 +51,7 @@ def test_guard_warns_of_each_limit_by_name():
         np.testing.assert_array_equal(verdict.tau, leg(-100.0))
 
 
-def test_guard_asks_no_more_than_the_drives_can_give():
+def test_guard_limits_the_force_to_the_drives_force():
     bench = Bench(drive_force_limit=30.0)
     verdict = bench.tick(tau=leg(31.0))
     assert verdict.warnings == Warn.FORCE_LIMIT
@@ -65,11 +65,11 @@ def test_guard_asks_no_more_than_the_drives_can_give():
 
 
 def climb(bench, sign=1.0):
-    """Ask for 100 N from zero and return the forces sent; the window allows 80 N."""
+    """Demand 100 N from zero and give the forces sent; the window allows 80 N."""
     return [float(bench.tick(tau=leg(sign * 100.0)).tau[3]) for _ in range(13)]
 
 
-def test_guard_window_is_250_ms_long_up_and_down_and_one_tick_at_least():
+def test_guard_window_lasts_250_ms_and_at_least_one_tick():
     bench = Bench()
     # from the zero before the first tick: 50 by the step, then 80 until that zero is ten ticks old and gone
     assert climb(bench) == [50.0] + [80.0] * 9 + [100.0] * 3
@@ -78,7 +78,7 @@ def test_guard_window_is_250_ms_long_up_and_down_and_one_tick_at_least():
     assert climb(Bench(rate_Hz=1.0))[:3] == [50.0, 100.0, 100.0]
 
 
-def test_guard_window_runs_on_through_skipped_periods_at_the_force_held():
+def test_guard_window_continues_over_skipped_periods():
     bench = Bench()
     bench.tick(tau=leg(50.0))
     assert bench.tick(tau=leg(100.0), skipped=8).tau[3] == 80.0
@@ -95,7 +95,7 @@ def test_guard_window_runs_on_through_skipped_periods_at_the_force_held():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_guard_window_starts_anew_in_every_part_of_it(sign):
+def test_guard_window_is_empty_after_idle(sign):
     bench = Bench(rate_Hz=160.0)
     for _ in range(15):
         bench.tick(tau=leg(sign * 30.0))
@@ -104,13 +104,13 @@ def test_guard_window_starts_anew_in_every_part_of_it(sign):
     assert sent == [50.0] + [80.0] * 29
 
 
-def test_guard_window_counts_the_last_tick():
+def test_guard_window_includes_the_last_tick():
     bench = Bench(LIMITS.model_copy(update={"force_step_N": 1e6}), drive_force_limit=1e6)
     assert [float(bench.tick(tau=leg(a)).tau[3]) for a in (70.0, -30.0, -30.0)] == [70.0, -10.0, -10.0]
 
 
 @pytest.mark.parametrize("mode", OFF)
-def test_guard_starts_from_zero_force_after_the_drives_were_off(mode):
+def test_guard_starts_from_zero_force_after_the_drives_are_off(mode):
     bench = Bench()
     for before, sign in ((1.0, 1.0), (1.0, -1.0), (-1.0, 1.0), (-1.0, -1.0)):
         climb(bench, before)
@@ -124,7 +124,7 @@ def test_guard_starts_from_zero_force_after_the_drives_were_off(mode):
         assert bench.tick(tau=leg(-sign * 100.0), skipped=3).tau[3] == -sign * 80.0
 
 
-def test_guard_sends_no_force_when_the_law_fails_and_what_was_asked_stays_as_it_was():
+def test_guard_sends_no_force_for_a_nan_law_and_keeps_the_demand():
     bench = Bench()
     bench.tick(tau=leg(40.0))
     verdict = bench.tick(tau=leg(np.nan, 40.0))

@@ -1,4 +1,6 @@
-"""Safety judges each leg by its own values, the certificate by weights, and remembers what was before."""
+"""Safety checks each leg by its own values and the certificate by its weights, and remembers earlier
+ticks.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ LAST_N = np.array([10.0, -20.0, 30.0, -40.0, 50.0, -60.0])
 
 @BOTH_SIGNS
 @pytest.mark.parametrize("limit", ["force_step_N", "force_window_N"])
-def test_a_force_may_move_a_step_and_within_the_window_from_those_of_its_own_leg(limit, sign):
+def test_step_and_window_limits_use_the_forces_of_the_same_leg(limit, sign):
     wide = {"force_N": 1e6, "force_step_N": 1e6, "force_window_N": 1e6}
     bench = Bench()
     bench.safety = Safety(LIMITS.model_copy(update={**wide, limit: 2.0}), 1.0, 9.0, RATE_HZ, 1e6)
@@ -31,7 +33,7 @@ def test_a_force_may_move_a_step_and_within_the_window_from_those_of_its_own_leg
 
 
 @ON_EACH_LEG
-def test_a_leg_beyond_a_hard_end_or_a_drive_out_of_run_is_found_wherever_it_is(leg):
+def test_a_leg_beyond_a_hard_end_or_a_drive_out_of_run_faults_on_any_leg(leg):
     for q, fault in ((1.0, Fault.NONE), (0.999, Fault.STROKE), (9.0, Fault.NONE), (9.001, Fault.STROKE)):
         lengths = np.where(np.arange(6) == leg, q, 5.0)
         assert Bench().tick(q=lengths, q_d=lengths).faults == fault
@@ -49,13 +51,13 @@ def test_a_leg_beyond_a_hard_end_or_a_drive_out_of_run_is_found_wherever_it_is(l
 
 T = 1.0 / RATE_HZ
 LATE_s = 4e-3
-"""Late enough to count as motion, and too little to make a tick a late one."""
+"""Late enough to count as motion, but not enough for a late tick."""
 
 
 def watching(disturbance):
-    """Return a bench whose V is 9 e^2 + 4 e de + 4 de^2, and whose level neither grows nor decays.
+    """Bench with V = 9 e^2 + 4 e de + 4 de^2 and a level that neither grows nor decays.
 
-    The law asks for an acceleration that no reference has.
+    The law demands an acceleration that no reference has.
     """
     table = np.zeros((12, 6))
     table[0] = 1e3
@@ -66,7 +68,7 @@ def watching(disturbance):
     return Bench(watch=Watch(table, 3))
 
 
-def test_an_error_of_length_and_one_of_rate_count_by_their_own_weights():
+def test_errors_of_length_and_of_rate_have_their_own_weights():
     bench = watching(disturbance=1e3)
     assert bench.tick(q=on_leg_3(4.5, 5.0), dq=on_leg_3(-0.25)).certificate[0] == pytest.approx(
         2.25 + 0.5 + 0.25
@@ -77,7 +79,7 @@ def test_an_error_of_length_and_one_of_rate_count_by_their_own_weights():
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_late_reading_counts_by_the_weights_of_speed_and_of_acceleration(sign):
+def test_lateness_is_weighted_by_speed_and_by_acceleration(sign):
     """sqrt(P_11) = 3 times 2 m/s, sqrt(P_22) = 2 times 3 m/s^2 and a disturbance of 50 m/s^2."""
     bench = watching(disturbance=on_leg_3(50.0, 1e3))
     moving = {"dq_d": on_leg_3(sign * 2.0), "dq": on_leg_3(sign * 1.5), "ddq_d": on_leg_3(sign * -3.0)}
@@ -87,7 +89,7 @@ def test_a_late_reading_counts_by_the_weights_of_speed_and_of_acceleration(sign)
 
 
 def accelerated(tick):
-    """Return the reference after so many ticks at 40 m/s^2 from 2 m/s on: a rate of 1 m/s more in each."""
+    """Reference after some ticks at 40 m/s^2, from 2 m/s on: its rate grows by 1 m/s per tick."""
     s = tick * T
     return {
         "q_d": on_leg_3(5.0 + 2.0 * s + 20.0 * s**2, 5.0),
@@ -99,7 +101,7 @@ def accelerated(tick):
 @pytest.mark.parametrize(
     ("changed", "by"), [("q_d", 0.99), ("q_d", 1.01), ("q_d", -1.01), ("dq_d", 0.99), ("dq_d", 1.01)]
 )
-def test_a_reference_is_compared_with_where_its_own_rates_bring_it_from_the_last_tick(changed, by):
+def test_a_reference_jump_is_measured_against_its_own_rates(changed, by):
     """A disturbance of 8 m/s^2 allows 0.2 m/s within a tick, and 5 mm."""
     bench = watching(disturbance=8.0)
     for tick in range(3):
@@ -121,7 +123,7 @@ ON_EACH_OFF = pytest.mark.parametrize("mode", OFF)
 
 
 @ON_EACH_OFF
-def test_a_bus_that_refused_frames_before_the_drives_were_powered_is_dead_then(mode):
+def test_refused_frames_before_power_up_count_for_the_bus_fault(mode):
     bench = Bench()
     for _ in range(4):
         verdict = bench.tick(mode, sends_failed=1)
@@ -130,7 +132,7 @@ def test_a_bus_that_refused_frames_before_the_drives_were_powered_is_dead_then(m
 
 
 @ON_EACH_OFF
-def test_periods_missed_and_ticks_late_before_the_drives_were_powered_count(mode):
+def test_missed_periods_and_late_ticks_before_power_up_count(mode):
     bench = Bench()
     assert bench.tick(mode, skipped=4).stop is Stop.NONE
     assert bench.tick(Mode.LOADING, skipped=1).stop is Stop.MISSED
@@ -141,7 +143,7 @@ def test_periods_missed_and_ticks_late_before_the_drives_were_powered_count(mode
 
 
 @ON_EACH_OFF
-def test_what_the_recorder_lost_before_the_drives_were_powered_is_no_news_later(mode):
+def test_recorder_loss_before_power_up_does_not_count_later(mode):
     bench = Bench(on_recorder_loss="stop")
     bench.tick(mode, recorder_dropped=2)
     lost = bench.tick(mode, recorder_dropped=5)
@@ -161,7 +163,7 @@ SETTLED = round(0.2 * RATE_HZ)
     "mode",
     [Mode.WAITING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.HELD],
 )
-def test_legs_that_rested_without_a_brake_may_move_on_and_rest_again_after_a_fault(mode):
+def test_legs_at_rest_without_brakes_may_move_again_after_a_fault(mode):
     benches = Bench(), Bench()
     for bench in benches:
         for _ in range(3 * SETTLED):
@@ -182,7 +184,7 @@ WITHIN = np.array([100.0, -100.0, 99.0, -99.0, 100.0, 0.0])
 
 
 @pytest.mark.parametrize("mode", [Mode.HELD, Mode.PARKING])
-def test_a_force_beyond_the_limit_comes_back_as_the_limit_and_steps_count_from_there(mode):
+def test_a_resumed_force_beyond_the_limit_becomes_the_limit(mode):
     bench = Bench()
     bench.tick(mode, 0.0)
     bench.safety.resume(BACK)
@@ -198,7 +200,7 @@ def test_a_force_beyond_the_limit_comes_back_as_the_limit_and_steps_count_from_t
     assert verdict.warnings & Warn.FORCE_STEP
 
 
-def test_a_force_comes_back_at_once_where_the_window_of_forces_is_a_single_tick_too():
+def test_a_force_is_resumed_at_once_with_a_window_of_one_tick():
     bench = Bench(rate_Hz=1.0)
     bench.safety.resume(WITHIN)
     verdict = bench.tick(Mode.HELD, WITHIN)

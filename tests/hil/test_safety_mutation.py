@@ -1,7 +1,7 @@
-"""Every safety rule's own tests notice when the rule is changed.
+"""The tests of every safety rule notice any change of the rule.
 
-Each file of the package is read, one operator, number, call or statement in it is changed, and the tests of
-that file run against the copy, without compilation. A change that no test notices fails here.
+One operator, number, call or statement in a file of the package is changed, and the tests of that file run
+against the changed copy, without compilation. A change that no test notices fails here.
 """
 
 import ast
@@ -34,12 +34,13 @@ OPERATORS = {
     **dict.fromkeys(("doubled", "halved"), "[.e]"),
     "statement deleted": r"^\S+ [-+*/|&]= ",
 }
-"""Changes that are tried, of what begins so or has that in it; `make mutants` draws others at random."""
+"""Operators of the tried changes, each with a pattern of the code to change; `make mutants` draws others
+at random."""
 Mutants = list[tuple[Mutant, ast.Module]]
 
 
 def plain(source: str) -> ast.Module:
-    """Return the module's tree without decorators, docstrings and annotations: nothing is compiled."""
+    """Syntax tree of a module without decorators, docstrings and annotations: nothing is compiled."""
     tree = ast.parse(source)
     for node in ast.walk(tree):
         if isinstance(node, ast.FunctionDef):
@@ -56,7 +57,7 @@ def plain(source: str) -> ast.Module:
 
 
 def mutants_of(name: str) -> Mutants:
-    """Return what may be changed in a file of the package, each change with the tree that has it."""
+    """Possible changes of a file of the package, each with the changed syntax tree."""
     file, text = f"hil/safety/{name}.py", (PACKAGE / f"{name}.py").read_text()
     known = equivalents()
     found = [m for m in mutants(file, text) if m.operator in OPERATORS and m.place not in known]
@@ -65,7 +66,7 @@ def mutants_of(name: str) -> Mutants:
 
 
 def load(name: str, tree: ast.Module, links: dict[str, Any]) -> ModuleType:
-    """Run a tree as a module in which imported names that are in `links` are those."""
+    """Run a syntax tree as a module; imported names in `links` are replaced."""
     module = ModuleType(name)
     exec(compile(tree, name, "exec"), vars(module))
     own = {node.name for node in tree.body if isinstance(node, ast.FunctionDef | ast.ClassDef)}
@@ -80,7 +81,7 @@ def source_of(name: str) -> ast.Module:
 
 
 def plain_links() -> dict[str, Any]:
-    """Return every function of the package in its uncompiled form, and the modules that guard imports."""
+    """Every function of the package in uncompiled form, and the modules that guard imports."""
     links: dict[str, Any] = {"error_axes": error_axes}
     for name in [*FAMILIES, "residuals", "encoder_kernels", "kernels"]:
         module = load(name, source_of(name), links)
@@ -90,17 +91,17 @@ def plain_links() -> dict[str, Any]:
 
 
 def by_name(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Return an uncompiled kernel that takes records and returns integers."""
+    """Uncompiled kernel that takes records and returns integers."""
     return lambda *given: tuple(map(int, function(*(Columns(x) if x.dtype.names else x for x in given))))
 
 
 def entries(links: Mapping[str, Any]) -> dict[str, Callable[..., Any]]:
-    """Return the two entries of the kernels, uncompiled."""
+    """The two entry functions of the kernels, uncompiled."""
     return {name: by_name(links[name]) for name in ("judge", "limit")}
 
 
 def claims(path: str) -> ModuleType:
-    """Return a fresh copy of a test file, whose modules under test can be exchanged."""
+    """Fresh copy of a test file whose modules under test can be replaced."""
     file = Path(__file__).with_name(path)
     spec = importlib.util.spec_from_file_location(f"claims_{file.stem}", file)
     assert spec
@@ -111,7 +112,7 @@ def claims(path: str) -> ModuleType:
 
 
 def cases(function: Callable[..., None]) -> Iterator[dict[str, Any]]:
-    """Yield the arguments that the marks of a parametrised test ask for."""
+    """Arguments of each case of a parametrised test."""
     axes = []
     for mark in getattr(function, "pytestmark", []):
         names = (
@@ -126,13 +127,13 @@ Test = tuple[Callable[..., None], dict[str, Any]]
 
 
 def claimed(module: ModuleType, prefix: str) -> list[Test]:
-    """Return the module's tests with that prefix, each with the arguments of one case."""
+    """Tests of a module with a prefix, each with the arguments of one case."""
     named = [function for name, function in vars(module).items() if name.startswith(prefix)]
     return [(function, arguments) for function in named for arguments in cases(function)]
 
 
 def noticed(tests: list[Test]) -> bool:
-    """Tell whether one of the tests fails, and put it first: what notices one change notices the next."""
+    """True if a test fails; it moves to the front, since it is likely to notice the next change, too."""
     for place, (function, arguments) in enumerate(tests):
         try:
             function(**arguments)
@@ -166,13 +167,13 @@ def survivors(
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_the_tests_of_a_rule_notice_every_change_of_it(family):
+def test_rule_tests_notice_every_change_of_their_rule(family):
     module = claims("test_safety_certificate_rules.py" if family == "certificate" else "test_safety_rules.py")
     left = survivors(family, module, lambda m: setattr(module, family, m), f"test_{family}_")
     assert not left, "\n".join(left)
 
 
-def test_the_tests_of_encoders_notice_every_change_of_a_rule():
+def test_encoder_tests_notice_every_change_of_the_residual_rule():
     rules, steps = claims("test_encoder_rules.py"), claims("test_encoder_steps.py")
     vars(rules).update({k: v for k, v in vars(steps).items() if k.startswith("test_residuals_")})
 
@@ -184,7 +185,9 @@ def test_the_tests_of_encoders_notice_every_change_of_a_rule():
 
 
 def whole() -> ModuleType:
-    """Return the tests of the rules put together; those of forces notice what makes others run for ever."""
+    """Tests of the combined rules; the force tests come first, as they notice changes that make other
+    tests endless.
+    """
     module = claims("test_safety_force.py")
     for path in ("test_safety_certificate.py", "test_safety.py"):
         vars(module).update({k: v for k, v in vars(claims(path)).items() if k.startswith("test_guard_")})
@@ -192,7 +195,7 @@ def whole() -> ModuleType:
 
 
 @pytest.mark.long
-def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules(monkeypatch):
+def test_guard_tests_notice_every_change_of_the_combined_kernels(monkeypatch):
     links = plain_links()
 
     def exchange(kernels: ModuleType) -> None:
@@ -204,7 +207,7 @@ def test_the_tests_of_the_whole_notice_every_change_of_the_fused_rules(monkeypat
 
 
 @pytest.mark.long
-def test_the_tests_of_encoders_notice_every_change_of_their_fused_rules(monkeypatch):
+def test_encoder_tests_notice_every_change_of_the_encoder_kernels(monkeypatch):
     doubts, motion = claims("test_encoder_kernels.py"), claims("test_encoder_motion.py")
     for other in (motion, claims("test_encoder_answers.py")):
         vars(doubts).update({k: v for k, v in vars(other).items() if k.startswith("test_encoders_")})
@@ -222,6 +225,6 @@ def test_the_tests_of_encoders_notice_every_change_of_their_fused_rules(monkeypa
 
 
 @pytest.mark.long
-def test_the_tests_of_the_whole_notice_every_change_of_its_state(monkeypatch):
+def test_guard_tests_notice_every_change_of_the_guards_state(monkeypatch):
     left = survivors("guard", whole(), lambda m: monkeypatch.setattr(safety_bench, "guard", m), "test_guard_")
     assert not left, "\n".join(left)

@@ -1,6 +1,7 @@
 """Every safety rule at its limit, on both sides of it.
 
-A test is named after the file of the rule: the mutation test runs those of a file against changed copies of it.
+A test name begins with the file of its rule: the mutation test runs the tests of a file against changed
+copies.
 """
 
 import math
@@ -34,7 +35,7 @@ def ints(value, leg, other):
 
 @pytest.mark.parametrize("shape", [(6,), (3,), (3, 3), (6, 6)])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_signals_finite_finds_one_bad_number_anywhere(shape, bad):
+def test_signals_one_number_that_is_not_finite_is_found_anywhere(shape, bad):
     x = np.full(shape, -1e300)
     assert signals.all_finite(x)
     for index in np.ndindex(shape):
@@ -43,7 +44,7 @@ def test_signals_finite_finds_one_bad_number_anywhere(shape, bad):
         assert not signals.all_finite(y)
 
 
-def test_signals_history_notes_in_which_of_the_last_32_ticks_something_happened():
+def test_signals_history_has_one_bit_for_each_of_32_ticks():
     for bits in (0, 1, 2, 3, 4, 0b1011, 1 << 31, (1 << 32) - 1):
         assert signals.ones(bits) == bits.bit_count()
     assert signals.ones((1 << 40) - 1) == 32
@@ -72,7 +73,7 @@ def test_signals_legs_are_stale_from_the_limit_on(leg):
 # -- bus
 
 
-def test_signals_bus_is_down_when_off_or_refusing_in_a_row_or_often():
+def test_signals_bus_is_down_if_off_or_after_repeated_refusals():
     # real drives allow 10 ms; a stretch of 4 ms is near to what would have ended their run
     assert (signals.DEGRADED_AT, signals.UNRELIABLE) == (8, 8)
     assert (signals.HARMFUL_STRETCH_NS, signals.STRETCH_FREE_NS) == (4_000_000, 500_000_000)
@@ -91,7 +92,7 @@ def test_signals_bus_is_down_when_off_or_refusing_in_a_row_or_often():
 # -- stroke
 
 
-def test_motion_stroke_cap_is_the_square_root_of_two_a_d_and_never_below_creep():
+def test_motion_stroke_cap_is_sqrt_2ad_and_at_least_the_creep_speed():
     assert motion.speed_cap(1.0, 2.0) == 2.0
     assert motion.speed_cap(0.25, 8.0) == 2.0
     assert motion.speed_cap(4.0, 8.0) == 8.0
@@ -100,7 +101,7 @@ def test_motion_stroke_cap_is_the_square_root_of_two_a_d_and_never_below_creep()
 
 
 @ON_ONE_LEG
-def test_motion_stroke_speed_towards_a_soft_end_is_capped_and_away_from_it_is_not(leg):
+def test_motion_stroke_speed_is_capped_only_towards_a_soft_end(leg):
     def fast(q, dq):
         return motion.too_fast_for_end(six(q, leg, 5.0), six(dq, leg), 2.0, 8.0, 2.0)
 
@@ -118,7 +119,7 @@ def test_motion_stroke_speed_towards_a_soft_end_is_capped_and_away_from_it_is_no
 
 
 @ON_ONE_LEG
-def test_motion_stroke_speed_limit_holds_both_ways(leg):
+def test_motion_stroke_speed_limit_applies_in_both_directions(leg):
     for dq, expected in ((0.5, False), (-0.5, False), (0.501, True), (-0.501, True)):
         assert motion.overspeed(six(dq, leg), 0.5) == expected
 
@@ -128,7 +129,7 @@ def test_motion_stroke_speed_limit_holds_both_ways(leg):
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_motion_following_error_is_allowed_to_grow_with_the_commanded_speed(leg, sign):
+def test_motion_following_error_limit_grows_with_the_commanded_speed(leg, sign):
     def lags(error, dq_d, per_speed):
         return motion.lagging(LENGTHS, LENGTHS + six(sign * error, leg), six(dq_d, leg), 0.25, per_speed)
 
@@ -144,7 +145,7 @@ def test_motion_following_error_is_allowed_to_grow_with_the_commanded_speed(leg,
 
 
 @ON_ONE_LEG
-def test_force_limits_bring_the_force_of_one_leg_between_its_ends(leg):
+def test_force_limits_clamp_the_force_of_one_leg(leg):
     for asked, sent in ((4.0, 4.0), (4.5, 4.0), (2.0, 2.0), (-1.0, -1.0), (-1.5, -1.0)):
         tau = six(asked, leg, 9.0)
         assert force_limits.clamp(tau, leg, -1.0, 4.0) == (asked != sent)
@@ -168,7 +169,7 @@ def test_force_limits_window_has_the_extremes_of_all_its_rows():
 
 
 @ON_ONE_LEG
-def test_force_limits_window_forgets_a_force_with_its_row(leg):
+def test_force_limits_window_drops_a_force_with_its_row(leg):
     window = window_of(40)
     for tick in range(120):
         force_limits.remember(six(7.0 if tick == 50 else 0.0, leg), tick % 40, window, 40)
@@ -182,7 +183,7 @@ def test_force_limits_window_forgets_a_force_with_its_row(leg):
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1, -1])
-def test_motion_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign):
+def test_motion_standstill_checks_the_rate_of_every_reporting_leg(leg, sign):
     assert (motion.REST_m_s, motion.HOP) == (0.02, 1.0), "those of the page on faults"
     heard, silent = np.zeros(6, np.int64), ints(1, leg, 0)
     assert motion.at_rest(six(sign * 0.49, leg), heard, 0.5)
@@ -193,7 +194,7 @@ def test_motion_standstill_counts_the_rate_of_every_leg_that_is_heard(leg, sign)
 
 @ON_ONE_LEG
 @pytest.mark.parametrize("sign", [1, -1])
-def test_motion_standstill_names_the_leg_that_is_too_far_from_where_it_stood(leg, sign):
+def test_motion_standstill_reports_the_leg_that_has_moved_too_far(leg, sign):
     heard, still = np.zeros(6, np.int64), six(np.nan)
     assert motion.moved_legs(LENGTHS, heard, still, 0.25) == 0
     np.testing.assert_array_equal(still, LENGTHS)
@@ -204,7 +205,7 @@ def test_motion_standstill_names_the_leg_that_is_too_far_from_where_it_stood(leg
 
 
 @ON_ONE_LEG
-def test_motion_standstill_of_a_leg_that_is_not_heard_begins_when_it_is(leg):
+def test_motion_standstill_of_a_silent_leg_begins_at_its_next_feedback(leg):
     still = six(np.nan)
     silent = ints(1, leg, 0)
     assert motion.moved_legs(six(0.0, leg, 5.0), silent, still, 0.25) == 0

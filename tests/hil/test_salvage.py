@@ -1,4 +1,4 @@
-"""Salvage of a cut or damaged log: what it recovers, what it counts as lost, and what the new log reports."""
+"""Salvage of a truncated or damaged log: recovered content, counted losses, and entries of the new log."""
 
 import pytest
 from mcap.reader import make_reader
@@ -46,7 +46,7 @@ def flipped(path, tmp_path, *places):
 
 
 def inserted(path, tmp_path, *records, at=None):
-    """The log with bytes before its first chunk, or at a place, and where the first of them begins."""
+    """Log with bytes inserted before its first chunk, or at an offset, and that offset."""
     data = path.read_bytes()
     at = mcap_summary(path).chunk_indexes[0].chunk_start_offset if at is None else at
     file = tmp_path / "inserted.mcap"
@@ -66,7 +66,7 @@ def ticks_before(path, offset):
 
 
 @pytest.mark.parametrize("fraction", [0.15, 0.5, 0.9])
-def test_a_log_cut_anywhere_gives_every_whole_chunk_and_valid_ticks(path, chunks, tmp_path, out, fraction):
+def test_a_log_truncated_anywhere_keeps_every_whole_chunk(path, chunks, tmp_path, out, fraction):
     size = int(path.stat().st_size * fraction)
     bad = cut(path, tmp_path, size)
     before = bad.read_bytes()
@@ -84,7 +84,7 @@ def test_a_log_cut_anywhere_gives_every_whole_chunk_and_valid_ticks(path, chunks
         assert sum(1 for _ in reader.iter_messages("/tick")) == report.ticks
 
 
-def test_every_byte_around_the_borders_of_records_can_be_the_last(path, chunks, tmp_path):
+def test_a_log_may_be_truncated_at_any_byte_near_a_record_border(path, chunks, tmp_path):
     middle, end = chunks[2].chunk_start_offset, chunks[2].chunk_start_offset + chunks[2].chunk_length
     two, three = ticks_before(path, middle), ticks_before(path, end)
     for size in [*range(middle - 3, middle + 60, 3), *range(end - 20, end + 40, 5)]:
@@ -99,13 +99,13 @@ def test_every_byte_around_the_borders_of_records_can_be_the_last(path, chunks, 
             assert Log.open(out).metadata[SALVAGE]["bytes_lost"] == str(size - middle)
 
 
-def test_without_its_index_alone_nothing_is_lost(path, tmp_path, out):
+def test_a_log_without_its_index_loses_nothing(path, tmp_path, out):
     report = salvage(cut(path, tmp_path, path.stat().st_size - 30), out)
     assert (report.ticks, report.bytes_lost, report.remarks) == (COUNT, 0, ())
     assert Log.open(out).summary.closed == CLEAN
 
 
-def test_zeros_at_the_end_as_a_file_system_leaves_them_are_passed_over(path, chunks, tmp_path, out):
+def test_zeros_at_the_end_of_a_log_are_skipped(path, chunks, tmp_path, out):
     report = salvage(cut(path, tmp_path, chunks[1].chunk_start_offset, bytes(5000)), out)
     assert report.bytes_lost == 5000
     assert len(mcap_summary(out).chunk_indexes) == 1
@@ -116,7 +116,7 @@ def test_zeros_at_the_end_as_a_file_system_leaves_them_are_passed_over(path, chu
 
 
 @pytest.mark.parametrize("damaged", [1, 2])
-def test_a_damaged_chunk_is_left_out_and_its_ticks_counted(path, chunks, tmp_path, out, damaged):
+def test_a_damaged_chunk_is_left_out_and_its_ticks_are_counted(path, chunks, tmp_path, out, damaged):
     chunk = chunks[damaged]
     report = salvage(flipped(path, tmp_path, chunk.chunk_start_offset + chunk.chunk_length // 2), out)
     assert report.ticks + report.ticks_lost == COUNT
@@ -129,7 +129,7 @@ def test_a_damaged_chunk_is_left_out_and_its_ticks_counted(path, chunks, tmp_pat
     assert len(list(log.ticks())) == report.ticks
 
 
-def test_damage_is_reported_with_its_place(path, chunks, tmp_path, out):
+def test_damage_is_reported_with_its_offset(path, chunks, tmp_path, out):
     attachment, chunk = mcap_summary(path).attachment_indexes[0], chunks[0]
     checked = attachment.offset + attachment.length - 5  # the last byte before its checksum
     bad = flipped(path, tmp_path, checked, chunk.chunk_start_offset + chunk.chunk_length - 3)
@@ -144,12 +144,12 @@ def test_damage_is_reported_with_its_place(path, chunks, tmp_path, out):
 def test_a_damaged_table_of_columns_is_refused(path, tmp_path, out):
     bad = tmp_path / "bad.mcap"
     bad.write_bytes(path.read_bytes().replace(b'"type"', b'"tipe"', 1))
-    with pytest.raises(LogError, match="what it says of its run is damaged"):
+    with pytest.raises(LogError, match="the description of its run is damaged"):
         salvage(bad, out)
     assert not out.exists()
 
 
-def test_a_flipped_bit_that_only_the_whole_checksum_covers_is_reported(path, tmp_path, out):
+def test_a_flipped_bit_outside_the_chunks_is_reported(path, tmp_path, out):
     index = mcap_summary(path).metadata_indexes[0]
     report = salvage(flipped(path, tmp_path, index.offset + index.length - 1), out)
     assert report.ticks == COUNT
@@ -157,15 +157,15 @@ def test_a_flipped_bit_that_only_the_whole_checksum_covers_is_reported(path, tmp
 
 
 BROKEN = record_bytes(Attachment(log_time=0, create_time=0, name="x", media_type="", data=b"1"))[:-1] + b"?"
-"""An attachment whose checksum differs."""
+"""An attachment with a wrong checksum."""
 
 
 @pytest.mark.parametrize("places", [20, 21, 27])
-def test_of_many_damaged_places_20_are_reported_and_the_number_of_others(path, tmp_path, out, places):
+def test_at_most_20_damaged_places_are_listed_and_the_rest_is_counted(path, tmp_path, out, places):
     bad, at = inserted(path, tmp_path, *[BROKEN] * places)
     report = salvage(bad, out)
     assert (report.bytes_lost, report.ticks) == (len(BROKEN) * places, COUNT)
-    more = (f"and {places - 20} places more",) if places > 20 else ()
+    more = (f"and {places - 20} more places",) if places > 20 else ()
     assert report.remarks[20:] == more
     assert all(f"damaged at byte {at + k * len(BROKEN)}" in report.remarks[k] for k in range(20))
     log = Log.open(out)
@@ -175,9 +175,7 @@ def test_of_many_damaged_places_20_are_reported_and_the_number_of_others(path, t
 
 @pytest.mark.parametrize("kind", ["unknown kind", "length"])
 @pytest.mark.parametrize("record", ["header", "attachment", "index"])
-def test_damage_of_a_head_costs_what_stands_before_the_next_chunk_or_the_run(
-    path, chunks, tmp_path, out, kind, record
-):
+def test_a_damaged_record_header_loses_bytes_up_to_the_next_chunk(path, chunks, tmp_path, out, kind, record):
     first, second = (chunk.chunk_start_offset for chunk in chunks[:2])
     attachment = mcap_summary(path).attachment_indexes[0].offset
     start, stop = {
@@ -192,8 +190,8 @@ def test_damage_of_a_head_costs_what_stands_before_the_next_chunk_or_the_run(
 
 
 @pytest.mark.parametrize("crc", [True, False])
-def test_behind_damage_a_chunk_counts_where_its_own_checksum_holds(path, chunks, tmp_path, out, crc):
-    """A damaged one that stands in the way is passed over."""
+def test_after_damage_a_chunk_counts_if_its_checksum_holds(path, chunks, tmp_path, out, crc):
+    """A damaged chunk in between is skipped."""
     data, first, second = path.read_bytes(), *(chunk.chunk_start_offset for chunk in chunks[:2])
     bad = bytearray(data[first : first + chunks[0].chunk_length])
     if not crc:
@@ -205,7 +203,7 @@ def test_behind_damage_a_chunk_counts_where_its_own_checksum_holds(path, chunks,
 
 
 @pytest.mark.parametrize("closed", [PRODUCER_DIED, DISK_FULL])
-def test_a_damaged_log_that_did_not_end_well_keeps_how_it_ended(path, tmp_path, out, closed):
+def test_a_damaged_log_keeps_the_reason_why_it_was_closed(path, tmp_path, out, closed):
     at = mcap_summary(path).metadata_indexes[-1].offset
     end = BROKEN + metadata("summary", closed=closed, ticks=str(COUNT))
     salvage(cut(path, tmp_path, at, end), out)
@@ -215,13 +213,13 @@ def test_a_damaged_log_that_did_not_end_well_keeps_how_it_ended(path, tmp_path, 
 # -- what comes along ------------------------------------------------------------------------------------------
 
 
-def test_the_new_log_says_which_one_it_was_made_of(path, out):
+def test_the_new_log_contains_the_name_and_size_of_the_original(path, out):
     assert salvage(path, out).bytes_lost == 0
     entry = Log.open(out).metadata[SALVAGE]
     assert (entry["original"], entry["original_bytes"]) == (path.name, str(path.stat().st_size))
 
 
-def test_metadata_and_attachments_come_along_and_those_of_the_run_once(path, tmp_path, out):
+def test_metadata_and_attachments_are_copied_and_the_runs_only_once(path, tmp_path, out):
     more = Attachment(log_time=5, create_time=5, name="more.csv", media_type="text/csv", data=b"1")
     foreign = metadata("theirs", a="1"), metadata("hil", topic="/other"), record_bytes(more)
     salvage(inserted(path, tmp_path, *foreign, at=mcap_summary(path).metadata_indexes[1].offset)[0], out)
@@ -243,13 +241,13 @@ def test_metadata_and_attachments_come_along_and_those_of_the_run_once(path, tmp
     assert kept == [("more.csv", "text/csv", 5, 5, b"1"), *attached]
 
 
-def test_a_log_whose_beginning_is_missing_loses_nothing_else(path, tmp_path, out):
+def test_a_log_that_begins_with_a_message_index_loses_nothing(path, tmp_path, out):
     index = record_bytes(MessageIndex(channel_id=1, records=[(1, 2)]))
     report = salvage(inserted(path, tmp_path, index, at=len(MAGIC))[0], out)
     assert (report.ticks, report.ticks_lost, report.bytes_lost) == (COUNT, 0, 0)
 
 
-def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path, out):
+def test_existing_files_are_kept_and_unusable_sources_are_refused(path, tmp_path, out):
     out.write_bytes(b"precious")
     with pytest.raises(LogError, match="never overwritten"):
         salvage(path, out)
@@ -259,7 +257,7 @@ def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path, out)
         (tmp_path / "nothing.mcap", "cannot be read"),
         (cut(path, tmp_path, 100), "nothing to salvage"),
         (out, "not an MCAP"),
-        (foreign, "no log of this product"),
+        (foreign, "not a log of this product"),
     ]:
         with pytest.raises(LogError, match=word):
             salvage(source, tmp_path / "b.mcap")
@@ -267,7 +265,7 @@ def test_nothing_is_overwritten_and_nothing_made_of_nothing(path, tmp_path, out)
 
 
 @pytest.mark.parametrize("fails", ["finish", "add_metadata", "add_chunk"])
-def test_a_salvage_on_a_full_disk_leaves_nothing(path, tmp_path, out, monkeypatch, fails):
+def test_a_salvage_on_a_full_disk_leaves_no_file(path, tmp_path, out, monkeypatch, fails):
     def full(*_):
         raise OSError(28, "No space left on device")
 

@@ -1,4 +1,4 @@
-"""What 3D viewers draw of a row: both poses, and each leg from its base joint to its platform joint."""
+"""3D view of a row: both poses, and each leg from its base joint to its platform joint."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def xyz(vector):
 
 
 def drawn(base, platform, row, stamp=Timestamp()):  # noqa: B008 - not changed
-    """Return the entities that are drawn of a row."""
+    """Drawn entities of a row."""
     data = SceneDrawer(Scene(base.tolist(), platform.tolist())).update(row, stamp)
     assert data is not None
     return {e.id: e for e in SceneUpdate.FromString(data).entities}
@@ -42,7 +42,7 @@ def frames_of(row):
     return [FrameTransform.FromString(each).child_frame_id for each in transforms(row, Timestamp())]
 
 
-def test_platform_and_reference_stand_each_at_its_own_pose(row):
+def test_platform_and_reference_are_drawn_at_their_own_poses(row):
     found = {t.child_frame_id: t for t in map(FrameTransform.FromString, transforms(row, Timestamp()))}
     assert list(found) == ["platform", "reference"]
     for name, p, R in (("platform", row["p"], HERE), ("reference", row["p_d"], THERE)):
@@ -53,7 +53,7 @@ def test_platform_and_reference_stand_each_at_its_own_pose(row):
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_a_pose_with_a_number_that_is_not_finite_is_not_drawn(row, wrong):
+def test_a_pose_that_is_not_finite_is_not_drawn(row, wrong):
     drawer = SceneDrawer(Scene(BASE.tolist(), PLATFORM.tolist()))
     places = [(name, k) for name in ("p", "R", "p_d", "R_d") for k in range(row[name].size)]
     for name, k in places:
@@ -70,8 +70,8 @@ def test_a_pose_of_zeros_is_not_drawn(row, R, other):
     assert frames_of(row) == [other]
 
 
-def test_all_that_is_drawn_stands_in_the_frame_of_the_base(row):
-    """Viewers move with it what is locked to a frame."""
+def test_all_entities_are_locked_to_the_base_frame(row):
+    """Viewers move locked entities with their frame."""
     stamp = Timestamp(seconds=7, nanos=5)
     entities = drawn(BASE, PLATFORM, row, stamp)
     found = [(name, e.frame_id, e.frame_locked, e.timestamp) for name, e in entities.items()]

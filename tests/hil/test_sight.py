@@ -1,4 +1,4 @@
-"""What is heard of sensors in a tick, and from which pose the legs go on alone."""
+"""Sensor samples in a tick, and the pose from which the legs continue alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from tests.hil.cycle_bench import VIRTUAL
 
 ALL = 0b111111
 KEPT: list[Any] = []
-"""Callbacks that a test has made."""
+"""Callbacks made by a test."""
 TURNED = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 
 
@@ -41,7 +41,7 @@ def parts() -> Any:
 
 
 def observe_in(cycle: Cycle, tick: Any, frames: Any = NO_FRAMES, last: Any = None) -> None:
-    """Let the compiled pass of a cycle whose pose is found see a tick."""
+    """Run the compiled pass of a cycle with a known pose on a tick."""
     cycle.sight.located = True
     cycle.sight.fusing = cycle.parts.fusion is not None
     cycle.control.settle()
@@ -49,7 +49,7 @@ def observe_in(cycle: Cycle, tick: Any, frames: Any = NO_FRAMES, last: Any = Non
 
 
 def see(sight: Sight, tick: Any) -> None:
-    """Fill the estimate of a tick before which the pose was not found, or from the legs alone."""
+    """Fill the estimate of a tick, before the pose is known or from the legs alone."""
     tick["q"], tick["dq"] = tick["length"], tick["rate"]
     if sight.located:
         sight.update(tick)
@@ -63,7 +63,7 @@ LOAD = (100.0, -200.0, 300.0, 10.0, -20.0, 30.0)
 
 
 def load_frames(*samples: tuple[float, float]) -> Any:
-    """Return frames of the wrench sensor: share of LOAD, and when it was taken behind the SYNC of tick 4."""
+    """Frames of the wrench sensor: share of LOAD, and its sample time after the SYNC of tick 4."""
     return received_array(
         [
             Received(0, P.encode("wrench", [share * x for x in LOAD], 4, offset_s, k))
@@ -72,7 +72,7 @@ def load_frames(*samples: tuple[float, float]) -> Any:
     )
 
 
-def test_refused_frames_of_sensors_count_with_those_of_drives_and_apart(parts):
+def test_refused_sensor_frames_count_in_total_and_separately(parts):
     good = load_frames((1.0, 0.0))
     bad = good.copy()
     bad["data"][:, 0] ^= 1
@@ -82,7 +82,7 @@ def test_refused_frames_of_sensors_count_with_those_of_drives_and_apart(parts):
 
 
 @pytest.mark.parametrize("fusing", [True, False])
-def test_the_newest_sample_of_the_load_counts_turned_by_the_last_pose(parts, fusing):
+def test_the_newest_load_sample_is_rotated_by_the_last_pose(parts, fusing):
     wrench = ExternalWrench(None, 500.0, 1e-3)
     cycle = Cycle(replace(parts, wrench=wrench, sensors=P, fusion=fused(parts) if fusing else None))
     seen = cycle.parts.fusion if fusing else cycle.sight.estimator
@@ -101,7 +101,7 @@ def fused(parts: Any) -> FusedEstimator:
 
 
 def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
-    """Return a cycle whose filter finds what it is told: its R, p, legs used and residual; and its calls."""
+    """Cycle with a filter of given legs used and residual at R, p; and the list of its calls."""
     called: list[Any] = []
 
     def fuse(_filter: int, _sensors: int, command: int, wrench: int, at: int) -> int:
@@ -125,7 +125,7 @@ def seen_by_filter(parts: Any, **different: Any) -> tuple[Cycle, list[Any]]:
     ("legs", "residual", "agreed"),
     [(ALL, 0.999 * AGREED_m, True), (ALL, AGREED_m, False), (0b111101, 0.0, False)],
 )
-def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, legs, residual, agreed):
+def test_the_legs_continue_alone_only_from_a_pose_of_all_six_legs(parts, legs, residual, agreed):
     cycle, called = seen_by_filter(parts, legs=legs, residual=residual)
     tick = record_of(tick=5, age=0, length=1.5)
     observe_in(cycle, tick, last=record_of(tau=[1.0, 2.0, 3.0, 4.0, 5.0, 6.0]))
@@ -136,7 +136,7 @@ def test_the_legs_go_on_alone_only_from_a_pose_that_all_six_agreed_on(parts, leg
     np.testing.assert_array_equal(tick["p"], [0.1, 0.2, 0.9])
 
 
-def test_a_repeated_sample_of_a_sensor_does_not_count_until_a_reset(parts):
+def test_a_repeated_sensor_sample_counts_only_after_a_reset(parts):
     cycle = Cycle(replace(parts, sensors=P))
     for heard in (1, 0):
         observe_in(cycle, record_of(tick=5), load_frames((1.0, 0.0)))
@@ -150,7 +150,7 @@ def test_a_repeated_sample_of_a_sensor_does_not_count_until_a_reset(parts):
 
 
 class Looking:
-    """An estimator that finds the pose when it is told to. State: which lengths it was asked about."""
+    """Estimator that finds the pose on demand. State: the first length of each search."""
 
     def __init__(self, sight: Sight) -> None:
         self.p, self.R, self.finds = sight.estimator.p, sight.estimator.R, False
@@ -174,7 +174,7 @@ def looking(parts: Any, rate_Hz: float = 1000.0) -> tuple[Sight, Looking]:
 
 
 @pytest.mark.parametrize(("rate_Hz", "every"), [(1000.0, 20), (400.0, 8), (100.0, 6)])
-def test_the_first_pose_is_looked_for_every_20_ms_and_at_most_every_sixth_tick(parts, rate_Hz, every):
+def test_the_first_pose_is_searched_every_20_ms_or_sixth_tick(parts, rate_Hz, every):
     sight, looks = looking(parts, rate_Hz)
     for number in range(1, 4 * every + 1):
         see(sight, record_of(tick=number, age=0, length=float(number)))
@@ -182,7 +182,7 @@ def test_the_first_pose_is_looked_for_every_20_ms_and_at_most_every_sixth_tick(p
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_a_look_that_is_due_waits_for_a_tick_in_which_all_six_were_heard(parts, leg):
+def test_a_due_search_waits_for_feedback_of_all_six_legs(parts, leg):
     sight, looks = looking(parts)
     late = 1 * (np.arange(6) == leg)
     for number in range(15, 31):
@@ -196,7 +196,7 @@ def test_a_look_that_is_due_waits_for_a_tick_in_which_all_six_were_heard(parts, 
     assert looks.asked == [27]
 
 
-def test_a_pose_that_was_found_is_followed_from_that_tick_on_and_looked_for_no_more(parts):
+def test_a_found_pose_is_tracked_and_never_searched_again(parts):
     sight, looks = looking(parts)
     for number in range(40, 100):
         looks.finds = number >= 60
@@ -207,7 +207,7 @@ def test_a_pose_that_was_found_is_followed_from_that_tick_on_and_looked_for_no_m
     assert len(looks.asked) == 2
 
 
-def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_age(parts):
+def test_a_silent_leg_is_extrapolated_at_its_last_rate(parts):
     sight, _ = looking(parts)
     sight.located = True
     rates, ages = 0.1 * (1.0 + np.arange(6)), np.array([0, 1, 2, 3, 0, 9])
@@ -218,7 +218,7 @@ def test_a_leg_that_was_not_heard_is_carried_on_at_its_last_rate_over_its_own_ag
     np.testing.assert_array_equal(tick["length"], np.full(6, 1.5))
 
 
-def test_forgotten_it_looks_from_the_last_pose_and_after_a_reset_from_home(parts):
+def test_search_starts_at_the_last_pose_and_after_a_reset_at_home(parts):
     sight = Sight(parts)
     p = parts.home_p + 0.1
     for back, stays in ((sight.forget, True), (sight.reset, False)):

@@ -1,9 +1,9 @@
-"""Each stage of a tick reads and fills the columns that are its own, and no others.
+"""Each stage of a tick reads and fills only its own columns.
 
-A stage runs twice from the same state: on a tick as it is, and on one in which every column that it may not
-read is poison. Both must come out the same to the bit, in what the stage owns and in what it returns, and
-all else must be as it was. Red for a law that takes tau for its last force, a safety that looks at tau_law,
-a filter that takes q for the measured length, a decoder that leaves the age of a silent leg as it found it.
+A stage runs twice from the same state: on a tick as it is, and on one with poison in every column that it may
+not read. Own columns and results must agree to the bit, and all other columns must stay unchanged. This fails
+for a law that takes tau for its last force, a safety that reads tau_law, a filter that takes q for the
+measured length, or a decoder that leaves the age of a silent leg unchanged.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from hil.robot.dynamics import Model
 from hil.robot.force_path import ForcePath
 from hil.safety import Safety
 from hil.safety.certificate import Watch
-from tests import sensed
+from tests import sensor_samples
 from tests.drivers.legs_frames import SETUP, one_feedback
 from tests.hil.control.test_laws import BOOK, PLATFORM, SETTINGS, make, sample
-from tests.sensed import Readings, Sample
+from tests.sensor_samples import Readings, Sample
 
 ODD = 0x5EED_5EED_5EED_5EED | 1
 MS = 1_000_000
@@ -60,7 +60,7 @@ LYAPUNOV = ("lyapunov", "lyapunov_rate", "lyapunov_bound", "lyapunov_share")
 
 
 def poisoned(tick: Record, *kept: str) -> Record:
-    """The tick with nan, or a large odd number, in all columns but those kept."""
+    """Tick with nan, or a large odd number, in all columns except those kept."""
     poison = {name: np.nan if c.type is float else ODD for name, c in COLUMNS.items() if name not in kept}
     return altered(tick, **poison)
 
@@ -75,7 +75,7 @@ Stage = Callable[[Record], Any]
 def follow(
     make_stage: Callable[[], Stage], ticks: list[Record], reads: tuple[str, ...], owns: tuple[str, ...]
 ):
-    """Run a fresh stage through the ticks, and another one through them with poison; compare."""
+    """Run one stage through the ticks and another one through poisoned ticks, and compare."""
     plain, blind = make_stage(), make_stage()
     seen = set()
     for tick in ticks:
@@ -92,7 +92,7 @@ def follow(
 
 
 def moving(**columns: Any) -> list[Record]:
-    """Ticks along the book's path, a little off it, with something in every column that a stage may read."""
+    """Ticks close to the book's path, with a value in every column that a stage may read."""
     chance, ticks = np.random.default_rng(11), []
     for k, case in enumerate(BOOK["states"][4:12]):
         tick = arrived(PLATFORM, sample(case), 1e-3 * k, tick=k, t_ns=k * MS, lateness_ns=k, recorder_alive=1)
@@ -110,7 +110,7 @@ def moving(**columns: Any) -> list[Record]:
 
 
 @pytest.mark.parametrize("layout", ["classic", "fd", "ideal"])
-def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layout):
+def test_the_decoder_needs_only_frames_and_the_last_measurement(layout):
     protocol = LegsProtocol(layout, (1, 2, 3, 4, 5, 6))
     frames = [
         one_feedback(protocol, leg, 1.5 + 0.1 * leg, 0.25, 100.0 * leg, DriveState.RUN, 8) for leg in range(4)
@@ -126,7 +126,7 @@ def test_the_decoder_fills_the_measurement_from_the_frames_and_the_last_one(layo
     follow(lambda: next(stages), [record_of(tick=8)], ("tick",), part("measurement"))
 
 
-def test_the_estimator_fills_the_pose_from_lengths_and_rates():
+def test_the_estimator_needs_only_lengths_and_rates():
     ticks, first = moving(), sample(BOOK["states"][4])
     owns = (*POSE, "J", "fk_iterations", "fk_residual", "hop", "condition")
     follow(lambda: Estimator(PLATFORM, first.p, first.R).update, ticks, ("q", "dq"), owns)
@@ -135,7 +135,7 @@ def test_the_estimator_fills_the_pose_from_lengths_and_rates():
 
 
 def fusion():
-    """A filter with a tracker that has begun on the book's path."""
+    """Filter with a tracker, started on the book's path."""
     settings = FusionSettings(may_lose_legs=[5])
     first, tracker = sample(BOOK["states"][4]), TrackerSettings()
     errors = LegErrors(length_std_m=3e-7, rate_std_m_s=1e-3)
@@ -144,14 +144,16 @@ def fusion():
     return found
 
 
-def test_the_filter_fills_estimate_and_fusion_from_the_measurement():
+def test_the_filter_needs_only_the_measurement():
     def make_stage():
         found = fusion()
 
         def run(tick):
             number = int(tick["tick"])
             samples = (Sample(number - 1, 0.3e-3, (0.1, 0.2, 1.1, 0.0, 0.0, 0.0)),) if number % 2 else ()
-            sensed.update(found, tick, None, Readings(tracker=samples), np.full(6, 3600.0), np.zeros(6))
+            sensor_samples.update(
+                found, tick, None, Readings(tracker=samples), np.full(6, 3600.0), np.zeros(6)
+            )
 
         return run
 
@@ -163,19 +165,19 @@ def test_the_filter_fills_estimate_and_fusion_from_the_measurement():
     follow(make_stage, moving(), (*reads, "innovation_tracker", "tracker"), owns)
 
 
-def test_the_reference_is_filled_from_the_sample_alone():
+def test_the_reference_needs_only_the_sample():
     owns = ("p_d", "R_d", "twist_d", "dtwist_d", "q_d", "dq_d", "ddq_d")
     there = sample(BOOK["states"][20])
     follow(lambda: lambda tick: fill_reference(PLATFORM, there, tick), moving(), (), owns)
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_a_law_fills_its_force_from_estimate_reference_and_shortfall(name):
+def test_a_law_needs_only_estimate_reference_and_shortfall(name):
     follow(lambda: make(name).effort, moving(), LAWS_READ, ("tau_law",))
 
 
 @pytest.mark.parametrize("pose", [0.0, 1.0])
-def test_safety_fills_force_and_certificate_and_reads_neither_law_nor_sent_force(pose):
+def test_safety_reads_neither_the_laws_force_nor_the_sent_force(pose):
     table = np.zeros((12, 6))
     table[2:5], table[5], table[6], table[8] = 4.0, 1e3, 1e-6, 1.0
     table[11] = [pose, 0.0, 1.0, 2.0, 1.0, 1e-3]
@@ -193,7 +195,7 @@ def test_safety_fills_force_and_certificate_and_reads_neither_law_nor_sent_force
     follow(make_stage, moving() + off[:2] + moving(), SAFETY_READS, ("tau", *MOVED_OR_DOUBTED, *LYAPUNOV))
 
 
-def test_the_predictor_moves_the_state_on_and_reads_nothing_else_but_the_load():
+def test_the_predictor_reads_only_the_state_and_the_load():
     def make_stage():
         predictor = Predictor(Model(PLATFORM), ForcePath(1e-3, 0.5e-3, 0.8e-3), 0.5e-3)
 
@@ -207,7 +209,7 @@ def test_the_predictor_moves_the_state_on_and_reads_nothing_else_but_the_load():
 
 
 @pytest.mark.parametrize("fusing", [False, True])
-def test_the_observer_fills_the_load_from_pose_twist_and_the_drives(fusing):
+def test_the_observer_needs_only_pose_twist_and_drives(fusing):
     def make_stage():
         observer = WrenchObserver(Model(PLATFORM), ForcePath(1e-3, 0.0, 0.8e-3), 20.0)
         wrench = ExternalWrench(observer, None, 1e-3)

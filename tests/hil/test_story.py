@@ -1,4 +1,4 @@
-"""A fault's story: leg, value and limit of its tick, an advice, and a section of the glossary."""
+"""Report of a fault: leg, value and limit of its tick, advice, and a section of the glossary."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.signals import Doubt, DriveFault, DriveState, Fault, Foreign, Mode,
 from hil.contracts.records import altered
 from hil.loop.story.faults import FAULTS
 from hil.loop.story.narrator import Narrator
-from hil.loop.story.told import DONE, GLOSSARY, Finding, Story
+from hil.loop.story.story import DONE, GLOSSARY, Finding, Story
 from hil.safety.certificate import CONFIRM, COUNT, POSE, SCALARS
 from tests.hil.cycle_bench import VIRTUAL, Bench
 
@@ -29,7 +29,7 @@ NUMBER = re.compile(r"(?<![\w.])[-+]?(?:nan|inf|\d+(?:\.\d+)?(?:e[-+]?\d+)?)(?![
 
 def test_every_fault_mode_warning_and_stop_has_its_row_and_section():
     assert sorted(row.fault for row in FAULTS) == sorted(Fault)
-    assert all(len(row.mend) > 10 for row in FAULTS)
+    assert all(len(row.advice) > 10 for row in FAULTS)
     assert set(DONE) == set(Mode)
     named: list[Any] = [*Fault, *Warn, *(stop for stop in Stop if stop)]
     kinds: dict[Any, str] = {Fault: "Fault", Warn: "Warning", Stop: "Stop"}
@@ -44,23 +44,23 @@ def test_every_fault_mode_warning_and_stop_has_its_row_and_section():
 
 
 class Case(NamedTuple):
-    """A fault, what its tick shows, and what has to be reported of it."""
+    """A fault, the columns of its tick, and the expected report."""
 
     fault: Fault
     columns: dict[str, Any]
     told: list[tuple[int | None, Any, Any]]
-    """Leg, value, limit: SI."""
+    """Leg, value, limit in SI units."""
     words: tuple[str, ...] = ()
     memory: dict[str, Any] = {}
 
 
 def legs(usual: float, **others: float) -> list[float]:
-    """Return six values; others as leg_3=1.5."""
+    """Six equal values with exceptions such as leg_3=1.5."""
     return [others.get(f"leg_{leg}", usual) for leg in range(6)]
 
 
 def doubted(doubt: Doubt, **columns: Any) -> dict[str, Any]:
-    """Return a tick in which leg 3 is doubted by 30 um beyond 20."""
+    """Columns of a tick in which leg 3 is doubted: 30 um with a limit of 20 um."""
     shown = {"legs_doubted": 8, "doubt": int(doubt), "doubt_value": 3e-5, "doubt_limit": 2e-5}
     return {**shown, **columns}
 
@@ -132,7 +132,7 @@ CASES = [
 
 
 def strike(bench: Bench, case: Case) -> tuple[Narrator, list[str]]:
-    """Let a fault strike in the next tick with these columns; return the narrator, and the events."""
+    """Cause a fault in the next tick with these columns; the result is the narrator and the events."""
     events: list[str] = []
     narrator = Narrator(bench.cycle, lambda _t_ns, level, text: events.append(f"{level} {text}"))
     narrator.look()
@@ -160,7 +160,7 @@ def under_way() -> Bench:
 
 @pytest.fixture
 def moving(under_way: Bench) -> Iterator[Bench]:
-    """A bench in the approach without a fault; afterwards it is as it was."""
+    """Bench in the approach without a fault; its state is restored afterwards."""
     cycle = under_way.cycle
     safety = cycle.parts.safety
     kept = cycle.tick, cycle.parts, cycle.mode_tick
@@ -199,7 +199,7 @@ def test_a_fault_is_reported_with_leg_value_and_limit_of_its_tick(moving, case):
 
 
 def assert_says(finding: Finding, value: float) -> None:
-    """Assert that the text has the number, in SI, thousandths or millionths, to the digits that it shows."""
+    """Check that the text has the number, in SI units or thousandths, to the digits shown."""
     shown = [float(text) for text in NUMBER.findall(finding.text)]
     wanted = [scale * abs(value) for scale in (1.0, 1e3)]
     close = any(abs(abs(n) - w) <= 0.006 * max(w, 1e-3) for n in shown for w in wanted)
@@ -207,7 +207,7 @@ def assert_says(finding: Finding, value: float) -> None:
 
 
 def assert_events(events: list[str], story: Story) -> None:
-    """Assert that each finding was an event: its line, and its fields as JSON."""
+    """Check that each finding was an event: its line, and its fields as JSON."""
     assert len(events) == len(story.findings)
     for event, finding in zip(events, story.findings, strict=True):
         words, _, fields = event.partition("\n")
@@ -215,7 +215,7 @@ def assert_events(events: list[str], story: Story) -> None:
         assert json.loads(fields) == finding.fields()
 
 
-def test_every_fault_is_among_the_cases_or_has_a_test_of_its_own():
+def test_every_fault_has_a_case_or_its_own_test():
     others = {Fault.SET_UP, Fault.UNCERTAIN, Fault.CERTIFICATE}
     assert {case.fault for case in CASES} | others == set(Fault)
 
@@ -259,7 +259,7 @@ def test_a_slipped_encoder_and_an_uncertain_pose_are_reported_with_their_limits(
         assert text in story.short
 
 
-def test_several_faults_of_one_tick_are_all_reported_causes_first(moving):
+def test_all_faults_of_one_tick_are_reported_with_causes_first(moving):
     every = Fault.FOLLOWING | Fault.STALE | Fault.SPEED | Fault.BUS
     columns = {"bus_off": 1, "counted_age": legs(0, leg_1=5), "dq": legs(0.0, leg_3=2.0), "q_d": 9.0}
     story = told(strike(moving, Case(every, columns, []))[0])
@@ -267,5 +267,5 @@ def test_several_faults_of_one_tick_are_all_reported_causes_first(moving):
     assert len(story.next) == 4
 
 
-def test_a_fault_that_its_tick_does_not_show_has_its_name(moving):
+def test_a_fault_without_evidence_in_its_tick_is_reported_by_name(moving):
     assert strike(moving, Case(Fault.SPEED, {"dq": 0.0}, []))[0].short == "latched fault SPEED"

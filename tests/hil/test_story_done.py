@@ -1,4 +1,4 @@
-"""What a fault's story reports of the drives: who has switched off, braked, confirmed a stop, and when."""
+"""Report of the drives after a fault: which are off, braked, or have confirmed a stop, and when."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.contracts.drives_end import reports
 from hil.contracts.messages import Configure, Status
 from hil.contracts.records import altered
 from hil.loop.story.narrator import Narrator
-from hil.loop.story.told import DONE
+from hil.loop.story.story import DONE
 from hil.signals import Operator
 from tests.hil.cycle_bench import Bench
 from tests.hil.test_frames import OURS
@@ -37,7 +37,7 @@ def go_on(bench: Bench, narrator: Narrator, ticks: int, operator: tuple[Operator
 
 
 def confirm(bench: Bench, *deaf: int) -> None:
-    """Let all drives but the deaf latch the emergency stop and say so."""
+    """Let all drives except the deaf ones latch and report the emergency stop."""
     for leg in set(range(6)) - set(deaf):
         bench.drives.state[leg] = DriveState.FAULT
         holds = Configure(leg, 0.01, Reaction.BRAKE)
@@ -47,7 +47,7 @@ def confirm(bench: Bench, *deaf: int) -> None:
 # -- on six drives
 
 
-def test_drives_on_a_bus_that_takes_nothing_are_not_said_to_be_switched_off(bench):
+def test_drives_on_a_dead_bus_are_not_reported_as_switched_off(bench):
     narrator = Narrator(bench.cycle)
     story = go_on(bench, narrator, 40, frames=(), bus_off=True, sends_failed=2)
     assert "could not be told" in story.done_text
@@ -70,11 +70,11 @@ def test_a_drive_that_does_not_confirm_is_listed_with_its_last_state(bench):
     bench.drives.silent, bench.drives.rate = set(), -0.05
     assert "leg 3 at -0.050 m/s" in go_on(bench, narrator, 1).at_end
     bench.drives.silent = set(range(6))
-    assert go_on(bench, narrator, 1).at_end.startswith("no leg is heard")
+    assert go_on(bench, narrator, 1).at_end.startswith("no leg reports")
 
 
 @pytest.mark.parametrize("deaf", [(), (0, 4)])
-def test_an_emergency_stop_is_reported_with_who_confirmed_it(bench, deaf):
+def test_an_emergency_stop_is_reported_with_its_confirmations(bench, deaf):
     narrator = Narrator(bench.cycle)
     go_on(bench, narrator, 1, (Operator.ESTOP,))
     confirm(bench, *deaf)
@@ -82,7 +82,7 @@ def test_an_emergency_stop_is_reported_with_who_confirmed_it(bench, deaf):
     assert ("sent; not confirmed by drive 0, 4" if deaf else "sent; all six drives confirmed it") in text
 
 
-def test_a_reset_ends_the_story_and_the_next_fault_has_its_own(bench):
+def test_a_reset_ends_the_report_and_the_next_fault_starts_a_new_one(bench):
     narrator = Narrator(bench.cycle)
     go_on(bench, narrator, 1, (Operator.ESTOP,))
     bench.step((Operator.RESET,))
@@ -98,7 +98,7 @@ def test_a_reset_ends_the_story_and_the_next_fault_has_its_own(bench):
 
 
 class Watched:
-    """A cycle with a fault that goes from mode to mode, and its narrator."""
+    """A cycle with a fault that passes through modes, and its narrator."""
 
     def __init__(self, bench: Bench) -> None:
         self.cycle = bench.cycle
@@ -109,7 +109,7 @@ class Watched:
         self.cycle.faults = Fault.REFUSED_FRAMES
 
     def look(self, mode: Mode, drives: Any, *operator: Operator, silent: dict[int, int] | None = None) -> str:
-        """One tick in a mode; silent: since how many ticks which drives are not heard. What was done so far."""
+        """Text of the completed steps after one tick in a mode; silent: age in ticks by silent leg."""
         self.number += 1
         self.cycle.mode = mode
         age = [(silent or {}).get(leg, 0) for leg in range(6)]
@@ -134,12 +134,12 @@ def watched(moving: Bench) -> Iterator[Watched]:
 
 
 def but(leg: int, state: int, others: int) -> list[int]:
-    """Return six states, that of one leg different."""
+    """Six states with a different one for one leg."""
     return [state if each == leg else others for each in range(6)]
 
 
-def test_the_modes_that_followed_are_what_was_done(watched):
-    """Whatever the reaction is: each mode that was entered is one step, in its tick."""
+def test_each_mode_entered_after_a_fault_is_one_reported_step(watched):
+    """For any reaction, each entered mode is one step, in its tick."""
     entered = [Mode.STOPPING, Mode.PARKING, Mode.UNLOADING, Mode.PARKED]
     for mode in entered:
         watched.cycle.proven = mode is Mode.PARKED
@@ -151,11 +151,11 @@ def test_the_modes_that_followed_are_what_was_done(watched):
     assert [step.tick - done[0].tick for step in done] == [0, 2, 4, 6]
     assert [step.text for step in done[:3]] == [DONE[mode] for mode in entered[:3]]
     assert "all six in OFF 2 ms later" in done[3].text
-    assert done[3].text.endswith("the brakes had passed their test")
+    assert done[3].text.endswith("the brakes passed their test")
 
 
-def test_drives_that_are_switched_off_a_second_time_confirm_it_again(watched):
-    """Parked, then held as a brake slips, then released."""
+def test_drives_confirm_a_second_switch_off_again(watched):
+    """Parked, then held because a brake slips, then released."""
     watched.look(Mode.PARKED, READY)
     assert "all six in OFF 1 ms later" in watched.look(Mode.PARKED, OFF)
     watched.look(Mode.HELD, READY)
@@ -168,7 +168,7 @@ def test_drives_that_are_switched_off_a_second_time_confirm_it_again(watched):
 
 @pytest.mark.parametrize("leg", [0, 5])
 @pytest.mark.parametrize("state", [READY, OFF])
-def test_a_drive_last_heard_before_the_platform_was_held_has_not_confirmed_its_brake(watched, leg, state):
+def test_old_feedback_does_not_confirm_the_brake_of_a_held_platform(watched, leg, state):
     drives = but(leg, state, READY)
     watched.look(Mode.HELD, drives, silent={leg: 3})
     for age in (4, 5, 6, 4):  # the last one: in the tick in which it was held
@@ -180,7 +180,7 @@ def test_a_drive_last_heard_before_the_platform_was_held_has_not_confirmed_its_b
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_a_drive_last_heard_before_it_was_told_to_switch_off_has_confirmed_nothing(watched, leg):
+def test_old_feedback_does_not_confirm_a_switch_off(watched, leg):
     watched.look(Mode.FAULT, OFF, silent={leg: 2})
     for age in (3, 4, 5, 4):  # the last one: in the tick in which it was told
         text = watched.look(Mode.FAULT, OFF, silent={leg: age})
@@ -190,7 +190,7 @@ def test_a_drive_last_heard_before_it_was_told_to_switch_off_has_confirmed_nothi
 
 
 @pytest.mark.parametrize("operator", [(), (Operator.STOP,), (Operator.RELEASE,)])
-def test_a_platform_is_reported_as_released_only_where_somebody_asked_for_it(watched, operator):
+def test_a_platform_is_reported_as_released_only_on_request(watched, operator):
     watched.look(Mode.HELD, READY)
     assert any("--release" in advice for advice in told(watched.narrator).next)
     text = watched.look(Mode.FAULT, OFF, *operator)

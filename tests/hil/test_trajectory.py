@@ -122,13 +122,13 @@ def richardson(f, t, h):
 
 
 def turned_from(trajectory, R):
-    """Rotation vector (3,), base frame, of the turn from R to the trajectory's attitude, as a function of time."""
+    """Rotation vector (3,), base frame, from R to the trajectory's attitude, as a function of time."""
     back = Rotation.from_matrix(R).inv()
     return lambda t: (Rotation.from_matrix(trajectory.sample(t).R) * back).as_rotvec()
 
 
 def jerk_jumps(trajectory, t, h):
-    """Whether the third derivative changes between t - 2 h and t + 2 h."""
+    """True if the third derivative changes between t - 2 h and t + 2 h."""
     a = np.array([trajectory.sample(t + k * h).dtwist[:3] for k in (-2, -1, 0, 1, 2)])
     return np.abs(np.diff(a, n=2, axis=0)).max() > 1e-9
 
@@ -152,7 +152,7 @@ def test_the_books_trajectory_is_reproduced_at_all_41_states():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_twist_and_its_rate_are_the_derivatives_of_the_pose(kind):
+def test_twist_and_its_rate_agree_with_derivatives_of_the_pose(kind):
     trajectory: Trajectory = KINDS[kind]()
     h = 1e-3
     end = trajectory.duration_s or 2.0
@@ -266,12 +266,12 @@ def knots(index, **change):
         (lambda: sampled(folder=None), "reference.path: path.csv"),
     ],
 )
-def test_settings_that_make_no_path_are_refused(build, words):
+def test_settings_without_a_valid_path_are_refused(build, words):
     with pytest.raises((ConfigurationError, ValidationError), match=words):
         build()
 
 
-def test_settings_at_the_border_of_what_is_refused_are_taken():
+def test_settings_just_inside_the_limits_are_accepted():
     assert sinusoids(ramp_s=1.0, duration_s=2.0).duration_s == 2.0
     assert sinusoids(parts=[("ry_deg", -14.9, 1.0, 0.0)], centre=TURNED).duration_s == 5.0
     assert waypoints(periods=2, knots=knots(2, p=[0, 0, KNOTS[0]["p"][2] + 9e-10])).duration_s == 4.0
@@ -296,7 +296,7 @@ def test_sinusoids_follow_the_closed_form_between_their_ramps():
         np.testing.assert_allclose(eased.sample(t).dtwist, 0, atol=1e-12)
 
 
-def test_a_move_goes_from_pose_to_pose_by_the_shortest_turn():
+def test_a_move_goes_from_pose_to_pose_by_the_shortest_rotation():
     m = move()
     p, R, twist, _ = m.sample(0.85)
     np.testing.assert_allclose(p, [0.1, 0.0, 1.05], rtol=0, atol=1e-15)
@@ -312,7 +312,7 @@ def test_a_move_goes_from_pose_to_pose_by_the_shortest_turn():
     assert m.travel_m(0.7) == pytest.approx(0.3 + 0.7 * np.linalg.norm(turn))
 
 
-def test_a_stop_joins_without_a_jump_stays_on_the_path_and_rests():
+def test_a_stop_is_continuous_stays_on_the_path_and_comes_to_rest():
     path = waypoints("quintic", None)
     stop = StoppingTrajectory(path, 0.4, 0.9)
     assert stop.duration_s == pytest.approx(1.3)

@@ -1,4 +1,4 @@
-"""References by their address: ours, and one in plain Python, which may fail."""
+"""Paths called by address: compiled ones, and one in plain Python, which may fail."""
 
 import numpy as np
 import pytest
@@ -9,14 +9,14 @@ from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.move import GeodesicMove
 from hil.trajectory.path import SAMPLE, HoldTrajectory, callee_of, sampled_by
 from hil.trajectory.stopping import StoppingTrajectory
-from tests.judged import ANYWHERE
+from tests.pose_judges import ANYWHERE
 
 T, HERE, THERE, EYE = 0.25, np.array([0.0, 0.0, 1.0]), np.array([0.1, -0.1, 1.1]), np.eye(3)
 MOVE = GeodesicMove(HERE, EYE, THERE, EYE, 2.0)
 
 
 class Plain:
-    """The move in plain Python, which fails from `bad_s` on."""
+    """The move in plain Python; it fails from `bad_s` on."""
 
     duration_s = 2.0
 
@@ -34,14 +34,14 @@ def same(one, other):
 
 
 @pytest.mark.parametrize("wrapped", [lambda path: path, lambda path: StoppingTrajectory(path, 0.5, 1.0)])
-def test_a_path_in_plain_python_gives_the_bits_of_ours(wrapped):
+def test_a_plain_python_path_equals_the_compiled_one_to_the_bit(wrapped):
     ours, plain = wrapped(MOVE), wrapped(Plain())
     for t in (-1.0, 0.0, 0.7, 1.3, 5.0):
         assert same(sampled_by(callee_of(plain), t), ours.sample(t))
 
 
 @pytest.mark.parametrize("wrapped", [lambda path: path, lambda path: StoppingTrajectory(path, 5.0, 1.0)])
-def test_an_error_of_a_path_in_plain_python_is_raised_by_the_motion(wrapped):
+def test_the_motion_raises_the_error_of_a_plain_python_path(wrapped):
     path, motion, into = Plain(), Motion(T, HERE, EYE, 0.5), np.zeros((), SAMPLE)
     motion.start(wrapped(path), 0)
     motion.sample(3)
@@ -53,7 +53,7 @@ def test_an_error_of_a_path_in_plain_python_is_raised_by_the_motion(wrapped):
     assert same(motion.sample(4), MOVE.sample(1.0))
 
 
-def test_a_sample_is_not_altered_by_the_next_one():
+def test_a_sample_is_not_changed_by_the_next_one():
     live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), 1e-3)
     for path in (MOVE, HoldTrajectory(HERE, EYE), live):
         first = path.sample(0.5)
@@ -65,7 +65,7 @@ def test_a_sample_is_not_altered_by_the_next_one():
         assert [each.tobytes() for each in first] == before
 
 
-def test_the_record_of_a_motion_is_that_of_its_path_after_every_change():
+def test_the_record_of_a_motion_follows_every_change_of_its_path():
     motion = Motion(T, HERE, EYE, 0.5)
     live = LiveTrajectory(np.zeros(6), np.ones((3, 6)), T)
 

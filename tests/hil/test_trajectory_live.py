@@ -1,4 +1,4 @@
-"""Live set-points: limits on every axis whatever is asked for, exact landing, a way that stays good."""
+"""Live set-points: limits on every axis for any target, exact arrival, and a path that stays allowed."""
 
 import numpy as np
 import pytest
@@ -6,8 +6,8 @@ from scipy.spatial.transform import Rotation
 
 from drivers.errors import ConfigurationError
 from hil.trajectory.live import LiveTrajectory
-from tests.judged import ANYWHERE
-from tests.judged import judged as by_address
+from tests.pose_judges import ANYWHERE
+from tests.pose_judges import judged as by_address
 
 PERIOD = 1e-3
 V, A, J = 0.3, 1.0, 10.0
@@ -16,7 +16,7 @@ START = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def off(*words):
-    """Start, moved by six words."""
+    """Start pose, displaced by six numbers."""
     return START + np.array(words)
 
 
@@ -25,7 +25,7 @@ def live(limits=LIMITS, period=PERIOD, start=START):
 
 
 def run(trajectory, script, ticks, admit=ANYWHERE):
-    """Aim at script[tick]; return the six words (n, 6) at each tick, the first at time zero, and what was found."""
+    """Aim at script[tick]: six coordinates (n, 6) at each tick, the first at time zero, and the refusals."""
     samples, found = [], []
     for k in range(ticks):
         if k in script:
@@ -42,14 +42,14 @@ def six_words(samples):
 
 
 def within_limits(words):
-    """Check that means over a tick keep the limits of acceleration and jerk on every axis."""
+    """Check acceleration and jerk limits on every axis, with means over a tick."""
     a = np.diff(words, n=2, axis=0) / PERIOD**2
     assert np.abs(a).max() <= A * (1 + 1e-6)
     assert np.abs(np.diff(a, axis=0) / PERIOD).max() <= J * (1 + 1e-3)
 
 
 def recording(answer=lambda judged: 0):
-    """A judge and the list of the poses that it was given; `answer` says what it finds."""
+    """Judge of poses, and the list of the poses that it was given; `answer` gives its refusal."""
     judged: list[np.ndarray] = []
 
     @by_address
@@ -73,7 +73,7 @@ def seeded_script(seed, every=150, count=30):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_no_set_points_lead_beyond_the_limits_of_an_axis(seed):
+def test_any_set_points_keep_the_limits_of_every_axis(seed):
     limits = np.array([[0.3, 0.2, 0.1, 0.3, 0.5, 0.2], [1, 2, 0.5, 1, 3, 0.7], [10, 30, 4, 20, 25, 9]])
     script = seeded_script(seed)
     words, _ = run(live(limits), script, max(script) + 6500)
@@ -88,7 +88,7 @@ def test_no_set_points_lead_beyond_the_limits_of_an_axis(seed):
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_lower_speed_is_come_down_to_within_the_limits_in_either_direction(way):
+def test_a_lower_speed_is_reached_within_the_limits_in_both_directions(way):
     trajectory = live()
     trajectory.aim(START + way * np.array([1.0, 0.5, 0.0, 0.0, 0.3, 0.0]))
     samples, share = [], {700: 0.25, 1600: 1.0}
@@ -106,7 +106,7 @@ def test_a_lower_speed_is_come_down_to_within_the_limits_in_either_direction(way
     assert v[2400, 0] == pytest.approx(V)
 
 
-def test_twist_and_its_rate_are_the_derivatives_of_the_pose():
+def test_twist_and_its_rate_agree_with_derivatives_of_the_pose():
     trajectory = live()
     samples = []
     for k in range(2500):
@@ -147,7 +147,7 @@ def test_a_move_takes_the_time_of_the_closed_form_and_lands_exactly(distance, se
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
 @pytest.mark.parametrize("moment", [1, 80, 300, 600, 900])
-def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
+def test_a_stop_comes_to_rest_within_the_limits_at_its_stated_time(moment, way):
     trajectory = live()
     goal = off(0.25 * way, 0, 0, 0.2 * way, 0, 0)
     before, _ = run(trajectory, {0: goal}, moment + 1)
@@ -165,7 +165,7 @@ def test_a_stop_ends_at_rest_within_the_limits_at_the_time_it_says(moment, way):
     within_limits(after)
 
 
-def test_it_brakes_before_a_place_that_is_not_good_and_stays_there():
+def test_a_live_trajectory_brakes_before_a_refused_place_and_stays():
     trajectory = live()
     words, found = run(
         trajectory, {0: off(0.25, 0, 0, 0, 0, 0)}, 2500, admit=by_address(lambda chi: 7 * (chi[0] > 0.1))
@@ -181,7 +181,7 @@ UNLIKE = np.array([[0.3, 0.2, 0.1, 0.3, 0.5, 0.2], [1, 2, 0.5, 1, 3, 0.7], [10, 
 
 
 @pytest.mark.parametrize("moment", [3, 150, 420, 600, 1100])
-def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
+def test_the_judged_poses_are_those_of_the_braking_path(moment):
     trajectory = live(UNLIKE)
     script = {0: off(0.2, -0.1, 0.1, 0.1, 0, 0.2), 400: off(-0.2, 0.1, 0.1, 0, -0.2, 0.1), 900: START}
     before, _ = run(trajectory, script, moment)
@@ -203,11 +203,11 @@ def test_the_way_that_is_judged_is_the_one_that_braking_takes(moment):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_axes_that_rest_one_after_the_other_stay_in_the_good_places(seed):
-    """A place with an inner corner: x and z may each be large, but not both.
+def test_axes_that_stop_one_after_another_stay_in_allowed_places(seed):
+    """Allowed region with an inner corner: x or z may be large, but not both.
 
-    Judging the ends of braking alone lets it 20 mm into the corner; between the instants that are judged, some
-    80 ms apart here, it may still graze it.
+    A judgement of the ends of braking alone would let it 20 mm into the corner. Between the judged instants,
+    about 80 ms apart here, it may still graze the corner.
     """
 
     def depth(chi):
@@ -226,7 +226,7 @@ def test_axes_that_rest_one_after_the_other_stay_in_the_good_places(seed):
     assert (np.ptp(words[:, [0, 2]], axis=0) > 0.15).all()
 
 
-def test_ticks_that_were_skipped_are_made_up_for():
+def test_skipped_ticks_give_the_same_bits_as_all_ticks():
     steady, skipping = live(), live()
     for trajectory in (steady, skipping):
         trajectory.aim(START + 0.1)
@@ -248,7 +248,7 @@ def test_a_jerk_too_small_for_its_acceleration_is_refused_on_any_axis(word):
     np.testing.assert_array_equal(live(limits).sample(0.0).p, START[:3])
 
 
-def test_after_a_reset_the_same_set_points_give_the_same_bits():
+def test_equal_set_points_after_a_reset_give_equal_bits():
     script = seeded_script(9)
     one, _ = run(live(), script, 2000)
     for end in (LiveTrajectory.brake, LiveTrajectory.halt):
@@ -268,7 +268,7 @@ def test_after_a_reset_the_same_set_points_give_the_same_bits():
 FAR = off(2.0, -1.0, 1.5, 0.4, 0, 0.3)
 
 
-def test_a_halt_comes_to_rest_to_the_bit_and_another_target_ends_it():
+def test_a_halt_comes_to_exact_rest_and_ends_with_a_new_target():
     trajectory = live()
     trajectory.aim(FAR)
     goes(trajectory, 1, 500)
@@ -283,7 +283,7 @@ def test_a_halt_comes_to_rest_to_the_bit_and_another_target_ends_it():
     assert not trajectory.resting
 
 
-def test_the_way_to_rest_is_judged_from_its_end_until_something_is_found():
+def test_the_braking_path_is_judged_from_its_end_to_the_first_refusal():
     trajectory = live()
     trajectory.aim(START)
     at_rest, nothing = recording()
@@ -301,8 +301,8 @@ def test_the_way_to_rest_is_judged_from_its_end_until_something_is_found():
 
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
 @pytest.mark.parametrize("ticks", [1, 6])
-def test_a_refused_way_is_left_for_the_rest_that_was_good_a_tick_ago(share, ticks):
-    """Only the first of the ticks that are made up for finds anything: after it the way is the one to rest."""
+def test_a_refused_path_is_replaced_by_the_braking_path_of_a_tick_ago(share, ticks):
+    """Only the first of the skipped ticks is refused; after it the path is the one to rest."""
     trajectory, braked = live(), live()
     for each in (trajectory, braked):
         each.aim(FAR)

@@ -1,4 +1,4 @@
-"""Multisines: their spectrum, their peak, lines of their own for each axis."""
+"""Multisines: their spectrum, their peak, and separate lines for each axis."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def lines(axis="x_m", band=(0.5, 5.0), count=10, amplitude=0.05, **more):
 
 
 def period(trajectory, n=0):
-    """One whole period of x, y, z (m), less the centre."""
+    """One whole period of x, y, z (m), minus the centre."""
     t = RAMP + PERIOD * (n + np.arange(int(PERIOD * RATE)) / (PERIOD * RATE))
     return np.array([trajectory.sample(float(s)).p for s in t]) - HOME.position_m
 
@@ -34,7 +34,7 @@ def spectrum(x):
 
 
 @pytest.mark.parametrize("phases", ["schroeder", "random"])
-def test_the_lines_are_equal_and_lie_in_the_band_on_multiples_of_the_period(phases):
+def test_lines_are_equal_and_lie_in_the_band_at_multiples_of_1_period(phases):
     found = spectrum(period(build(lines(phases=phases)))[:, 0])
     at = np.flatnonzero(found > 1e-9)
     assert at.tolist() == [5, 10, 15, 20, 25, 30, 35, 40, 45, 50]  # 0.5 to 5 Hz in steps of 0.5
@@ -47,7 +47,7 @@ def test_the_amplitude_is_the_largest_deviation():
         assert 0.05 * 0.99 < np.abs(x).max() <= 0.05
 
 
-def test_schroeders_phases_are_those_of_the_paper():
+def test_schroeder_phases_agree_with_the_paper():
     """x(t) = sum of a sin(2 pi k t / T - pi n (n - 1) / N), from the end of the ramp on."""
     x = period(build(lines(count=4, band=(0.2, 0.5))))[:, 0]
     t = np.arange(len(x)) / RATE
@@ -65,7 +65,7 @@ def test_random_phases_are_the_same_on_every_machine():
     assert np.abs(one - other).max() > 0.01
 
 
-def test_whole_periods_repeat_and_the_ends_are_at_rest_at_the_centre():
+def test_whole_periods_repeat_and_both_ends_rest_at_the_centre():
     trajectory = build(lines(), lines("y_m", amplitude=0.02))
     assert trajectory.duration_s == 2 * RAMP + 2 * PERIOD
     np.testing.assert_allclose(period(trajectory, 0), period(trajectory, 1), rtol=0, atol=1e-13)
@@ -94,13 +94,15 @@ TURNED = {"position_m": (0.0, 0.0, 1.0), "rotation_vector_deg": (0.0, 170.0, 0.0
         ([lines("ry_deg", (0.5, 2), 3, 5), lines("ry_deg", (2.1, 4), 3, 6)], {"centre": TURNED}, "181 deg"),
     ],
 )
-def test_what_is_no_multisine_is_refused(axes, more, complaint):
+def test_an_invalid_multisine_is_refused(axes, more, complaint):
     with pytest.raises(ConfigurationError, match=complaint):
         build(*axes, **more)
 
 
-def test_a_turn_is_refused_by_its_peak_and_not_by_the_sum_of_its_lines():
-    """200 lines of a peak of 12 deg are 0.7 deg each, 145 deg in all: on three axes that is above half a turn."""
+def test_a_rotation_is_refused_by_its_peak_not_by_its_sum_of_lines():
+    """200 lines with a peak of 12 deg have 0.7 deg each, 145 deg in all: on three axes more than half a
+    turn.
+    """
     axes = [lines(axis, (5.0, 90.0), 200, 12.0) for axis in ("rx_deg", "ry_deg", "rz_deg")]
     assert build(*axes).duration_s == pytest.approx(24.0)
     with pytest.raises(ConfigurationError, match=r"reaches 183\.8\d* deg"):

@@ -1,4 +1,4 @@
-"""Splines: minimum jerk and CSV files against SciPy, and what is wrong in a CSV file by its line."""
+"""Splines: minimum jerk and CSV files against SciPy, and errors of a CSV file with their lines."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ ROWS = "0,0,0,1,0,0,0\n1,0.1,0,1,0,0,5\n2,0,0,1,0,0,0\n"
 
 
 def build(folder, text=None, periods=1):
-    """The path of a CSV file in a folder."""
+    """Path of a CSV file in a folder."""
     if text is not None:
         (folder / "path.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
     return build_trajectory(SampledReference(type="sampled", path="path.csv", periods=periods), HOME, folder)
@@ -33,7 +33,7 @@ def is_the_spline(trajectory, spline, end):
             np.testing.assert_allclose(part, spline(t, order)[:3], rtol=0, atol=1e-13 * 10**order)
 
 
-def test_a_minimum_jerk_path_is_scipys_quintic_spline_at_rest_at_both_ends():
+def test_a_minimum_jerk_path_agrees_with_scipys_quintic_spline():
     points = [
         {"t_s": s, "position_m": chi[:3], "rotation_vector_deg": np.rad2deg(chi[3:])}
         for s, chi in zip(T.tolist(), Y.tolist(), strict=True)
@@ -44,19 +44,19 @@ def test_a_minimum_jerk_path_is_scipys_quintic_spline_at_rest_at_both_ends():
     is_the_spline(path, make_interp_spline(T, Y, k=5, bc_type=(rest, rest)), 4.0)
 
 
-def test_a_sampled_path_is_scipys_clamped_cubic_spline():
+def test_a_sampled_path_agrees_with_scipys_clamped_cubic_spline():
     table = np.loadtxt(DATA / "path.csv", delimiter=",", skiprows=1)
     path = build(DATA)
     assert path.duration_s == table[-1, 0]
     is_the_spline(path, CubicSpline(table[:, 0], table[:, 1:4], bc_type="clamped"), path.duration_s)
 
 
-def test_two_rows_are_one_segment_from_rest_to_rest(tmp_path):
+def test_two_rows_give_one_segment_from_rest_to_rest(tmp_path):
     sample = build(tmp_path, HEADER + "0,0,0,1,0,0,0\n2,1,0,1,0,0,0\n").sample(1.0)
     assert (sample.p[0], sample.twist[0]) == pytest.approx((0.5, 0.75))
 
 
-def test_time_counts_from_the_first_row_and_blank_lines_do_not_matter(tmp_path):
+def test_time_starts_at_the_first_row_and_blank_lines_are_ignored(tmp_path):
     plain = build(tmp_path, HEADER + ROWS)
     for first in (5, -3):
         rows = f"{first},0,0,1,0,0,0\n\n{first + 1},0.1,0,1,0,0,5\n{first + 2},0,0,1,0,0,0\n\n"
@@ -71,7 +71,7 @@ def test_a_path_may_last_a_day(tmp_path):
     assert build(tmp_path, HEADER + rows).duration_s == 86_400.0
 
 
-def test_periods_repeat_a_closed_path_and_refuse_an_open_one(tmp_path):
+def test_periods_repeat_a_closed_path_and_an_open_one_is_refused(tmp_path):
     twice = build(tmp_path, HEADER + ROWS, periods=2)
     assert twice.duration_s == 4.0
     np.testing.assert_allclose(twice.sample(3.0).p, [0.1, 0, 1], rtol=0, atol=1e-15)
@@ -95,7 +95,7 @@ REST = "0,0,0,1,0,0,0\n"
         (HEADER + REST + "1,0,1_0,1,0,0,0\n", r":3: y_m must be a finite number"),
         (HEADER + "0,0,0,nan,0,0,0\n" + ROWS, r":2: z_m must be a finite number"),
         (HEADER + "0,0,0,1,0,0,inf\n" + ROWS, r":2: rz_deg must be a finite number"),
-        (HEADER + REST + "1,1e308,0,1,0,0,0\n", r":3: x_m must be in size"),
+        (HEADER + REST + "1,1e308,0,1,0,0,0\n", r":3: x_m must have a magnitude"),
         (HEADER + REST + REST, r":3: t_s 0 is not after 0"),
         (HEADER + "0,0,0,1,181,0,0\n1,0,0,1,0,0,0\n", r": the rotation vector reaches 181 deg"),
         (HEADER + REST + "86401,0,0,1,0,0,0\n", r": t_s goes from 0 to 86401, .* 86400 s"),
@@ -108,7 +108,7 @@ def test_a_bad_file_is_refused_with_file_and_line(tmp_path, text, complaint):
         build(tmp_path, text)
 
 
-def test_all_bad_lines_are_listed_by_their_number_in_the_file(tmp_path):
+def test_all_invalid_lines_are_listed_by_line_number(tmp_path):
     text = HEADER + "\n0,0,0,x,0,0,0\n\n1,0,0,1,0,0,0\n1,0,0,1,0,0,0\n2,0\r\n3,0,0,1,0,0,0\n"
     with pytest.raises(ConfigurationError) as caught:
         build(tmp_path, text)

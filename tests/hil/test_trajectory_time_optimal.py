@@ -1,4 +1,4 @@
-"""Time-optimal moves: durations in closed form, limits touched and never exceeded, straight lines, replay."""
+"""Time-optimal moves: durations in closed form, limits reached but never exceeded, straight lines, replay."""
 
 import io
 from itertools import pairwise
@@ -42,7 +42,7 @@ def build(*what, recorded=None, **how):
 
 
 def six_words(trajectory, t):
-    """The six words at instants t, by rotation vectors from the rotation matrices."""
+    """Six coordinates at times t; rotation vectors from the rotation matrices."""
     samples = [trajectory.sample(float(s)) for s in t]
     return np.array([[*s.p, *Rotation.from_matrix(s.R).as_rotvec()] for s in samples])
 
@@ -67,7 +67,7 @@ def test_a_symmetric_move_takes_the_time_of_the_closed_form(d, V, duration):
     np.testing.assert_allclose(trajectory.sample(duration).p, [d, 0, 1], rtol=0, atol=1e-15)
 
 
-def test_limits_are_touched_and_never_exceeded():
+def test_limits_are_reached_and_never_exceeded():
     trajectory = build()
     h = 2.5e-4
     t = np.arange(0.0, trajectory.duration_s, h)
@@ -90,8 +90,8 @@ def test_limits_are_touched_and_never_exceeded():
         assert share[2] > 0.999, "a time-optimal move always starts with the largest jerk"
 
 
-def test_axes_that_cannot_go_in_proportion_arrive_together():
-    """x needs 10 s at its velocity; y on the same line would need 2 m/s^2, and has 0.05 m/s^2."""
+def test_axes_without_a_straight_line_still_arrive_together():
+    """x needs 10 s at its velocity limit; y on the same line would need 2 m/s^2, but has 0.05 m/s^2."""
     V, A, J = [0.1, 5.0, 3.0], [2.0, 0.05, 1.0], [20.0, 2.0, 5.0]
     start, end = [0.0, 0.0, 1.0], [1.0, 0.9, 1.02]
     ask, answer = InputParameter(3), Trajectory(3)

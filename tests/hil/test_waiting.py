@@ -1,4 +1,4 @@
-"""What a controller reports that it waits for, which legs move, and what drives do that hear nothing more."""
+"""Text on what a controller waits for, the legs that move, and the drives without commands."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ import pytest
 from drivers.protocol import DriveSetup
 from drivers.signals import Mode, Reaction
 from hil.contracts.records import record_of
-from hil.loop.report import KEPT, moving_text, not_confirmed, not_told, waiting_text
+from hil.loop.report import KEPT, moving_text, not_confirmed, off_not_sent, waiting_text
 from hil.safety.motion import REST_m_s
 from tests.hil.cycle_bench import Bench
 
 
 class Late(Bench):
-    """A bench on which some legs answer each SYNC a tick late, as on a bus that is too slow for its rate."""
+    """Bench on which some legs answer each SYNC a tick late, as on a bus too slow for its rate."""
 
     def step_late(self, *legs: int) -> str:
-        """Do a tick, and return what is lacking."""
+        """Step once, and give the text on what is missing."""
         drives, tick = self.drives, self.tick + 1
         answers = drives.feedback(tick)
         booting = len(answers) - 6
@@ -30,7 +30,7 @@ class Late(Bench):
         return waiting_text(self.cycle)
 
 
-def test_drives_that_answer_late_are_listed_and_one_tick_with_all_six_legs_is_enough():
+def test_late_drives_are_listed_until_all_six_legs_report_in_one_tick():
     bench = Late()
     for _ in range(7):
         bench.step_late(1)
@@ -47,7 +47,7 @@ def test_drives_that_answer_late_are_listed_and_one_tick_with_all_six_legs_is_en
     assert bench.cycle.mode is Mode.IDLE
 
 
-def test_lengths_of_one_tick_that_fit_no_pose_are_blamed_on_the_home():
+def test_lengths_without_a_pose_are_reported_with_platform_home():
     bench = Late()
     bench.drives.length = bench.drives.length + 0.6 * (-1.0) ** bench.drives.length.argsort()
     for _ in range(500):
@@ -57,7 +57,7 @@ def test_lengths_of_one_tick_that_fit_no_pose_are_blamed_on_the_home():
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_a_drive_that_is_not_heard_any_more_is_silent_from_the_second_tick_on(leg):
+def test_a_drive_is_reported_silent_from_the_second_missing_tick_on(leg):
     bench = Late()
     for _ in range(60):
         bench.step()
@@ -69,7 +69,7 @@ def test_a_drive_that_is_not_heard_any_more_is_silent_from_the_second_tick_on(le
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_a_leg_moves_by_a_rate_of_this_tick_alone(leg):
+def test_only_a_fresh_rate_counts_as_motion_of_a_leg(leg):
     rate = np.where(np.arange(6) == leg, -REST_m_s, 0.9 * REST_m_s)
     cycle: Any = SimpleNamespace(tick=record_of(age=0, rate=rate))
     assert moving_text(cycle) == f"leg {leg} at -0.020 m/s"
@@ -77,8 +77,8 @@ def test_a_leg_moves_by_a_rate_of_this_tick_alone(leg):
     assert moving_text(cycle) == ""
 
 
-@pytest.mark.parametrize("says", [not_told, not_confirmed])
-def test_a_watchdog_is_promised_where_drives_have_one_and_nowhere_else(says: Any) -> None:
+@pytest.mark.parametrize("says", [off_not_sent, not_confirmed])
+def test_the_watchdog_is_mentioned_only_if_the_drives_have_one(says: Any) -> None:
     setup = DriveSetup(0.0125, Reaction.BRAKE, 1000.0)
     with_one, without = (
         says(

@@ -1,4 +1,4 @@
-"""The straight ways to the first pose and back to the path: judged before they are followed, and reported."""
+"""Straight paths to the first pose and back to the path: judged before they are followed, and reported."""
 
 from dataclasses import replace
 from typing import Any
@@ -26,7 +26,7 @@ def way_of(metres, seconds=4.0):
     ("way_m", "poses"),
     [(1e-3, 17), (0.075, 17), (0.0831, 18), (0.1, 21), (0.4999, 101), (40.0, 1001)],
 )
-def test_a_way_has_a_pose_every_5_mm_two_a_tick_and_17_to_1001_in_all(way_m, poses):
+def test_a_path_is_judged_every_5_mm_with_17_to_1001_poses(way_m, poses):
     seen: list[float] = []
     inspection = Inspection(PLATFORM, lambda s: seen.append(s.p[0]) or 0, "park", way_of(way_m))  # type: ignore[func-returns-value]
     ticks = 1
@@ -42,8 +42,8 @@ def test_a_way_has_a_pose_every_5_mm_two_a_tick_and_17_to_1001_in_all(way_m, pos
     assert len(seen) == poses, "none is judged twice"
 
 
-def test_no_joint_moves_far_between_two_judged_poses_of_a_way_that_turns():
-    """One joint is nearer to the origin of the platform than the others, one farther out."""
+def test_joints_move_little_between_judged_poses_of_a_rotating_path():
+    """One joint is closer to the origin of the platform than the others, one is farther out."""
     joints = PLATFORM.platform_joints * np.array([[0.2], *[[1.0]] * 4, [1.5]])
     turn = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     seen: list[Any] = []
@@ -61,7 +61,7 @@ def test_no_joint_moves_far_between_two_judged_poses_of_a_way_that_turns():
 
 
 @pytest.mark.parametrize(("bad", "at"), [(0, 0), (1, 6), (8, 50), (16, 100)])
-def test_the_first_pose_that_is_refused_ends_the_judgement_and_is_named_by_its_share(bad, at):
+def test_the_first_refused_pose_ends_the_judgement_with_its_share(bad, at):
     seen: list[int] = []
 
     def judge(_sample):
@@ -74,7 +74,7 @@ def test_the_first_pose_that_is_refused_ends_the_judgement_and_is_named_by_its_s
         assert inspection.refusal == ""
         ticks += 1
     assert ticks == bad // 2 + 1
-    assert inspection.refusal.startswith(f"park: not followed, since {at} % along it ")
+    assert inspection.refusal.startswith(f"park: refused, since at {at} % of it ")
     assert inspection.step()
     assert len(seen) == bad + 1
 
@@ -87,13 +87,13 @@ def refusing(name, move):
 
 
 def judging(judged):
-    """Return the operator's word that has ways judged so, and a motion."""
+    """Operating state with this judge of paths, and a motion."""
     operating, motion = made()
     return Operating(operating.settings, 1000.0, 0.5, no_jogging(1000.0), judged), motion
 
 
 def parked(judged):
-    """On the path at 0.1 m along x, asked to park; what it is after a while."""
+    """State after a park command at 0.1 m along x of the path."""
     operating, motion = judging(judged)
     motion.start(GeodesicMove(np.array([0.1, 0.0, 0.0]), EYE, np.array([0.2, 0.0, 0.0]), EYE, 60.0), 0)
     first, moves = motion.sample(0)._replace(p=HERE), []
@@ -106,12 +106,12 @@ def parked(judged):
     return operating, motion, moves
 
 
-def test_a_way_that_cannot_be_followed_leaves_the_platform_on_hold_and_says_why():
+def test_a_refused_path_leaves_the_platform_on_hold_with_a_reason():
     operating, motion, moves = parked(refusing)
     assert moves
     assert all(move is None for move in moves)
     assert (operating.go, operating.parks, motion.resting) == (False, False, True)
-    assert operating.trouble.startswith("park: not followed, since ")
+    assert operating.trouble.startswith("park: refused, since ")
     operating.step([Order(Operator.KEY), Order(Operator.SPEED, (0.5,))], 1501, Mode.TRACKING, motion)
     assert operating.trouble, "neither leads elsewhere"
     operating.step([START], 1502, Mode.TRACKING, motion)
@@ -119,14 +119,14 @@ def test_a_way_that_cannot_be_followed_leaves_the_platform_on_hold_and_says_why(
     assert not operating.trouble
 
 
-def test_a_way_that_is_free_is_followed_from_the_start():
+def test_an_allowed_path_is_followed_from_its_start():
     _, motion, moves = parked(lambda name, move: Inspection(PLATFORM, lambda _: 0, name, move))
     assert all(move is None for move in moves[:-1])
     np.testing.assert_array_equal(moves[-1].sample(0.0).p, motion.sample(1500).p)
     np.testing.assert_allclose(moves[-1].sample(moves[-1].duration_s).p, HERE, atol=1e-15)
 
 
-def test_after_an_order_or_a_new_motion_the_way_is_judged_again():
+def test_the_path_is_judged_again_after_an_order_or_a_new_motion():
     judged: list[Any] = []
 
     def noted(name, move):

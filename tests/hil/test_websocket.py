@@ -1,4 +1,4 @@
-"""The log's messages over a websocket: a viewer reads every tick, and no client costs the log one."""
+"""Log messages over a websocket: a viewer reads every tick, and no client makes the log lose one."""
 
 import base64
 import os
@@ -35,7 +35,7 @@ def free_port():
 
 
 def run(recording, count=COUNT):
-    """Record `count` ticks at about 1 kHz, as the loop would."""
+    """Record `count` ticks at about 1 kHz, like the loop."""
     due = time.monotonic()
     for tick in range(count):
         sample = SAMPLES[tick % len(SAMPLES)]
@@ -53,7 +53,7 @@ def port():
 
 
 @pytest.mark.long
-def test_a_client_reads_every_tick_beside_others_that_never_read(tmp_path, port):
+def test_a_client_reads_every_tick_although_others_never_read(tmp_path, port):
     with Recording.start(
         tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port))
     ) as recording:
@@ -89,16 +89,16 @@ def test_a_client_reads_every_tick_beside_others_that_never_read(tmp_path, port)
 
 
 @pytest.mark.long
-def test_a_port_that_is_taken_is_refused_before_there_is_a_log(tmp_path, port):
+def test_an_occupied_port_is_refused_before_the_log_is_created(tmp_path, port):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", port))
         taken.listen()
-        with pytest.raises(LogError, match=rf"recording.websocket: 127.0.0.1:{port}.*name another port"):
+        with pytest.raises(LogError, match=rf"recording.websocket: 127.0.0.1:{port}.*set another port"):
             Recording.start(tmp_path / "a.mcap", configuration="", live=Live(websocket=("127.0.0.1", port)))
     assert not list(tmp_path.iterdir())
 
 
-def test_without_the_extra_the_message_says_what_to_install(monkeypatch):
+def test_a_missing_extra_is_reported_with_the_install_command(monkeypatch):
     monkeypatch.setitem(sys.modules, "foxglove", None)
     channels = Encoder(TICKS, epoch_ns=0, can_channels=["can0"], scene=None).channels
     with pytest.raises(LogError, match=r'pip install "hexapod-hil\[viewers\]"'):
@@ -109,7 +109,7 @@ def test_without_the_extra_the_message_says_what_to_install(monkeypatch):
     ("asks", "lockstep", "where"),
     [(True, False, ("127.0.0.1", 9123)), (True, True, None), (False, False, None)],
 )
-def test_it_listens_where_the_configuration_asks_and_time_is_real(
+def test_the_websocket_listens_only_in_real_time_and_as_configured(
     tmp_path, monkeypatch, asks, lockstep, where
 ):
     text = load("virtual").text

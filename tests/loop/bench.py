@@ -1,4 +1,4 @@
-"""Runs in lockstep, without a log, of configurations with changes: what a test claims of the loop alone."""
+"""Lockstep runs, without a log, of configurations with changes."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.plan import FaultPlan
 
 LAST = 20_000
-"""No mode is waited for longer, in ticks."""
+"""Longest wait for a mode, in ticks."""
 
 
 def changed(base: str | Configuration, **sections: Any) -> Configuration:
-    """Return a shipped configuration, or any, with changes as `hil.sim` takes them: section=keys to change."""
+    """A configuration, shipped or given, with changes as for `hil.sim`: section=keys to change."""
     c = load(base) if isinstance(base, str) else base
     return loads(with_changes(c.text, sections), c.source, c.folder)
 
 
 def new_cycle(c: Configuration) -> Cycle:
-    """Return the controller of a configuration."""
+    """The controller of a configuration."""
     return build_cycle(c, c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)
 
 
@@ -42,9 +42,9 @@ class Ran(NamedTuple):
 
     ending: Ending
     rows: Any
-    """Every tick."""
+    """One row per tick."""
     true: Any
-    """(n, 6) m, the plant's own lengths at each tick."""
+    """(n, 6) m, the plant's true leg lengths at each tick."""
     cycle: Cycle
 
     @property
@@ -67,16 +67,16 @@ class Ran(NamedTuple):
         return int(np.argmax(self.rows["mode"] == mode))
 
     def within(self, mode: Mode, share: float = 0.0) -> float:
-        """Return a time within a mode of a run at 1 kHz, s."""
+        """A time within a mode of a run at 1 kHz, s."""
         ticks = np.flatnonzero(self.rows["mode"] == mode)
         return float(1e-3 * (ticks[0] + round(share * len(ticks))))
 
     def modes(self, since: int = 0) -> list[Mode]:
-        """Return the modes from a row on, each once."""
+        """Modes from a row on, each once."""
         return [Mode(mode) for mode in dict.fromkeys(self.rows["mode"][since:].tolist())]
 
     def moved(self, since: int) -> float:
-        """Return how far the farthest leg was from its place at a row, m."""
+        """Largest distance of a leg from its length at a row, m."""
         return float(np.abs(self.true[since:] - self.true[since]).max())
 
 
@@ -101,7 +101,7 @@ def run(
     plant_of: Configuration | None = None,
     watch: Callable[[Lockstep, TickInput, Any], None] = lambda *_: None,
 ) -> Ran:
-    """Run to the end, or to a stop; `watch` is called after each tick with both ends, its input and its row."""
+    """Run to the end, or to a stop; `watch` gets both ends, the input and the row of each tick."""
     rows: list[Any] = []
     true: list[Any] = []
     with bench(c, *faults, seed=seed, plant_of=plant_of) as lockstep, collector_paused():
@@ -116,7 +116,7 @@ def run(
 
 
 def succeeded(c: Configuration, *faults: PlantFault, plant_of: Configuration | None = None) -> Ran:
-    """Run to a good end at which no limit of the force has acted."""
+    """Run to a success in which no force limit acts."""
     ran = run(c, *faults, plant_of=plant_of)
     assert ran.ending.success, ran.ending
     assert not any(ran.summary["limited_ticks"].values()), ran.summary["limited_ticks"]
@@ -124,7 +124,7 @@ def succeeded(c: Configuration, *faults: PlantFault, plant_of: Configuration | N
 
 
 def until(lockstep: Lockstep, mode: Mode, course: Course | None = None) -> Any:
-    """Step until the controller is in a mode, engaged on the way; return the row of its first tick."""
+    """Step until the controller is in a mode, engaging on the way; return the row of its first tick."""
     operator: tuple[Operator, ...] = (Operator.RESET,)
     for _ in range(LAST):
         row = lockstep.step(course.commands(lockstep.tick + 1) if course else operator)[2].row

@@ -1,4 +1,4 @@
-"""A bench in lockstep whose controller stalls: asleep, before SYNC, between two buses, before its command."""
+"""A lockstep bench whose controller stalls: asleep, before SYNC, between two buses, before its command."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from hil.app.configuration.configuration import Configuration
 from hil.loop.cycle import Cycle
 from hil.signals import Operator, Order, SetPoint, TickInput, TickOutput
 from plant_fmu.drives.nodes import Nodes
-from tests.loop.by_hand import ByHand
+from tests.loop.stepwise import Stepwise
 
 PLACES = ("asleep", "before SYNC", "before the command", "between the SYNCs of two buses")
 
 
 @dataclass
-class Stalling(ByHand):
+class Stalling(Stepwise):
     """A controller whose machine takes the processor away now and then, and wakes it late.
 
-    It stalls where it sleeps, between the clock and SYNC, and between the feedbacks and the command, each
-    `every_s` on average and up to `longest_ns`; of several buses between the sends of the first and the
-    others, too. Periods that are over are skipped.
+    It stalls in its sleep, between the clock and SYNC, and between the feedbacks and the command, each every
+    `every_s` on average and for up to `longest_ns`. With several buses it also stalls between the sends of
+    the first bus and the others. Missed periods are skipped.
 
-    Mutable state: `Lockstep`'s, how late the next tick begins, and what was skipped before it.
+    Mutable state: `Lockstep`'s, the lateness of the next tick, and the periods skipped before it.
     """
 
     generator: np.random.Generator = field(default_factory=np.random.default_rng)
     every_s: float = 0.5
     longest_ns: int = 0
     timetable: dict[int, tuple[int, int]] = field(default_factory=dict)
-    """Place and length, ns, of the stall in a tick, beside those of chance."""
+    """Place and length, ns, of the stall in a tick, in addition to random ones."""
     jitter_ns: int = 30_000
     stalls: int = 0
     _skipped: int = 0
@@ -80,7 +80,7 @@ class Stalling(ByHand):
         return inp, opening, out
 
     def _stall(self) -> list[int]:
-        """Return how long this tick is held up in each of the PLACES, ns."""
+        """Delay of this tick at each of the PLACES, ns."""
         stall = [int(self.generator.integers(self.jitter_ns)), 0, 0, 0]
         place, known_ns = self.timetable.get(self.tick, (0, 0))
         stall[place] += known_ns
@@ -92,6 +92,6 @@ class Stalling(ByHand):
 
 
 def build_stalling(c: Configuration, nodes: Nodes, cycle: Cycle, **stalls: Any) -> Stalling:
-    """Return a bench that stalls, on as many wires as the configuration has buses."""
+    """A stalling bench, with one wire per bus of the configuration."""
     timings = [None if c.bus.layout == "ideal" else BitTiming.of(each) for each in c.bus.buses]
     return Stalling(cycle, nodes, timings, c.loop.window_s(c.loop.rate_Hz), **stalls)

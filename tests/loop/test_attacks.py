@@ -1,4 +1,4 @@
-"""A second controller on the bus of a whole run: it is held and named, and the platform goes nowhere."""
+"""A second controller on the bus during a whole run: it is detected and reported, and moves nothing."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from hil.app.configuration.configuration import load
 from hil.signals import Operator
 from tests.drivers.legs_frames import command_frames, opening
 from tests.loop.bench import new_cycle, until
-from tests.loop.by_hand import ByHand
+from tests.loop.stepwise import Stepwise
 
 FALL_m_s2 = 12.0
-"""A leg accelerates by less without any force."""
+"""Upper bound of a leg's acceleration without any force."""
 Attack = Callable[[int], tuple[Frame, ...]]
 
 
 @dataclass
-class Attacked(ByHand):
-    """A lockstep with a third node, which sends after the feedback and before our command."""
+class Attacked(Stepwise):
+    """A lockstep with a third node, which sends after the feedback and before the controller's command."""
 
     attack: Attack = field(default=lambda _tick: ())
     audible: bool = True
-    """Whether the controller hears it: behind a gateway it does not."""
+    """True if the controller receives its frames; behind a gateway it does not."""
 
     def exchange(self, t_ns, opening):
         feedback, w = super().exchange(t_ns, opening), self.wires.record
@@ -73,7 +73,7 @@ ATTACKS: dict[str, Callable[[Attacked], Attack]] = {
 
 @pytest.mark.parametrize("mode", [Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING])
 @pytest.mark.parametrize("name", ATTACKS)
-def test_forged_commands_are_held_and_named_and_move_nothing(virtual, mode, name):
+def test_forged_commands_are_reported_and_move_nothing(virtual, mode, name):
     bench = begin(virtual, mode)
     for _ in range(100 if mode is Mode.TRACKING else 20):
         bench.step()
@@ -96,7 +96,7 @@ def test_forged_commands_are_held_and_named_and_move_nothing(virtual, mode, name
 
 
 @pytest.mark.parametrize("audible", [True, False])
-def test_a_config_of_somebody_else_is_noticed_before_the_drives_are_powered(virtual, audible):
+def test_a_foreign_config_is_detected_before_the_drives_are_powered(virtual, audible):
     bench = begin(virtual, Mode.IDLE)
     config = bench.cycle.parts.protocol.configure(4000.0, Reaction.ZERO)  # type: ignore[attr-defined]
     bench.attack, bench.audible = lambda _tick: config, audible
@@ -110,7 +110,7 @@ def test_a_config_of_somebody_else_is_noticed_before_the_drives_are_powered(virt
     assert set(bench.nodes.snapshot().state.tolist()) == {DriveState.OFF}
 
 
-def test_an_emergency_stop_reaches_drives_that_miss_the_first_ones(virtual):
+def test_an_emergency_stop_is_repeated_until_it_reaches_the_drives(virtual):
     bench = begin(virtual, Mode.APPROACH)
     estop = bench.cycle.parts.protocol.traits.emergency_stop[0]
     hear, lost = bench.nodes._end.hear, [0]

@@ -1,8 +1,9 @@
 """Every row of the book's closed loops: each law on the ideal path, compared field by field.
 
-Expected errors: tests/data/book_closed_loop.json, simulated by others from the book's parameters. Both ends
-run in lockstep over the ideal bus; a row in continuous time is run at 10 kHz. The two rows that are rounding
-cannot be met by any hold: their law is integrated with the accelerations of the plant's FMU.
+Expected errors: tests/data/book_closed_loop.json, simulated independently from the book's parameters. Both
+ends run in lockstep over the ideal bus; a row in continuous time is run at 10 kHz. Two rows contain rounding
+errors only, which no zero-order hold can reach: their law is integrated with the accelerations of the plant's
+FMU.
 """
 
 from __future__ import annotations
@@ -71,20 +72,20 @@ SMALL_MOTION = {
     "duration_s": 5,
     "components": [{"axis": a, "amplitude": by, "frequency_Hz": 1, "phase_rad": at} for a, by, at in AXES],
 }
-"""The data file's note; it fades out in the fifth second, which is not looked at."""
+"""Motion from the note in the data file; it fades out in the fifth second, which is not compared."""
 
 
 def ideal(
     law: dict[str, Any], *, rate_Hz: int = 1000, small: bool = False, gravity: float = 9.81
 ) -> Configuration:
-    """The ideal bench under another law."""
+    """The ideal bench under a given law."""
     sections = {"reference": SMALL_MOTION} if small else {}
     gravity_m_s2 = {"gravity_m_s2": [0, 0, -gravity]}
     return changed("ideal", controller=law, loop={"rate_Hz": rate_Hz}, platform=gravity_m_s2, **sections)
 
 
 def track(configuration, seconds, *faults, prepare=None):
-    """Both ends in lockstep until `seconds` of the reference are tracked, or a fault; return those rows.
+    """Run both ends in lockstep until `seconds` of the reference are tracked, or a fault; return those rows.
 
     prepare(cycle, plant) changes parts before the first tick, or returns another cycle.
     """
@@ -109,7 +110,9 @@ def track(configuration, seconds, *faults, prepare=None):
 
 
 def figures_of(p, R, p_d, R_d, q, q_d, tau):
-    """The fields of the data file: errors are reference less actual, rotations log(R_d R^T) in the base frame."""
+    """The fields of the data file: errors are reference minus actual, rotations log(R_d R^T) in the base
+    frame.
+    """
     e = 1e3 * (p_d - p)
     r = np.degrees(Rotation.from_matrix(R_d @ R.transpose(0, 2, 1)).as_rotvec())
     l = 1e3 * (q_d - q)
@@ -134,7 +137,9 @@ def figures(rows):
 
 
 def deviations(found, row):
-    """Relative deviations from a row of the data file, the worst component of each field; finals by the peaks."""
+    """Relative deviations from a row of the data file, the worst component of each field; finals relative to
+    peaks.
+    """
     worst = {}
     for field, expected in ROWS[row].items():
         scale = np.abs(ROWS[row][field.replace("final", "peak")])
@@ -158,7 +163,7 @@ HELD = {
 
 
 @pytest.mark.parametrize("row", broad(HELD, quick=4))
-def test_rows_at_1_kHz_are_met_in_every_field(row):
+def test_rows_at_1_kHz_match_in_every_field(row):
     law, small = HELD[row]
     found = figures(track(ideal(law, small=small), 4.0 if small else 2.0))
     worst = deviations(found, row)
@@ -168,7 +173,7 @@ def test_rows_at_1_kHz_are_met_in_every_field(row):
         assert found["peak_pos_mm"].max() <= 0.7
 
 
-def test_the_row_of_a_load_from_half_a_second_on():
+def test_the_row_with_a_load_step_at_half_a_second_matches():
     """10 kN along x, y and z at the platform's origin, unknown to feed-forward and PD."""
     first_tick_s = 0.009
     step = WrenchStep(at_s=first_tick_s + 0.5, force_N=(1e4, 1e4, 1e4), moment_N_m=(0.0, 0.0, 0.0))
@@ -192,7 +197,7 @@ CONTINUOUS: dict[str, tuple[dict[str, Any], float]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("row", CONTINUOUS)
-def test_rows_in_continuous_time_are_met_at_10_kHz_in_every_field(row):
+def test_continuous_time_rows_match_at_10_kHz_in_every_field(row):
     law, gravity = CONTINUOUS[row]
     worst = deviations(figures(track(ideal(law, rate_Hz=10_000, gravity=gravity), 2.0)), row)
     assert max(worst.values()) < 0.01, worst
@@ -205,11 +210,11 @@ BOUNDLESS = (
     *("consistency_m", "condition", "length_max_m", "deceleration_m_s2", "speed_m_s", "following_error_m"),
     *("standstill_m", "force_N", "force_step_N", "force_window_N"),
 )
-"""Limits without which safety lets every force through and never faults."""
+"""Limits to disable so that safety passes every force and never faults."""
 
 
 class Follow:
-    """A filter that is told the true pose, through the singularity, too."""
+    """A filter that reports the true pose, even through the singularity."""
 
     def __init__(self, platform, plant):
         self.platform, self.plant = platform, plant
@@ -240,14 +245,14 @@ def let_pass_and_follow(cycle, plant):
 
 
 @pytest.mark.long
-def test_constant_dynamics_without_safety_end_in_the_assembly_of_the_row():
+def test_constant_dynamics_without_safety_end_in_the_same_assembly():
     rows = track(ideal(idc(20, "constant"), rate_Hz=10_000), 2.0, prepare=let_pass_and_follow)
     worst = deviations(figures(rows), CONSTANT)
     assert max(worst.values()) < 0.01, worst
 
 
-def test_constant_dynamics_with_safety_end_in_a_latched_fault_before_the_singularity():
-    """1.011 s: when the row's motion crosses it."""
+def test_constant_dynamics_fault_before_the_singularity():
+    """The row's motion crosses the singularity at 1.011 s."""
     configuration = ideal(idc(20, "constant"))
     rows = track(configuration, 2.0)
     assert rows["mode"][-1] == Mode.HELD, "it has no brake test that could prove its brakes"
@@ -294,7 +299,9 @@ class Accelerations:
 
 
 def integrate(configuration, law, accelerations, dt=2e-3, seconds=2.0):
-    """Runge and Kutta's fourth order on p, twist and the rotation vector of each step; return the fields."""
+    """Integrate p, twist and the rotation vector of each step with fourth-order Runge-Kutta; return the
+    fields.
+    """
     platform = build_platform(configuration.platform)
     trajectory = build_trajectory(configuration.reference, configuration.platform.home, Path())
     p, R = pose_arrays(configuration.platform.home)
@@ -344,12 +351,12 @@ ROUNDING = [
 
 
 @pytest.mark.parametrize(("row", "law"), broad(ROUNDING, quick=1))
-def test_rows_of_rounding_are_rounding(row, law, tmp_path):
+def test_rows_without_hold_have_rounding_errors_only(row, law, tmp_path):
     configuration = ideal(law)
     found = integrate(configuration, law_of(configuration), Accelerations(configuration, tmp_path))
     assert max(found["peak_leg_err_mm"], *found["peak_pos_mm"]) < 1e-4
     assert found["peak_leg_force_N"] == pytest.approx(ROWS[row]["peak_leg_force_N"], rel=1e-6)
 
 
-def test_no_row_is_left_out():
+def test_every_row_of_the_data_file_has_a_test():
     assert {*HELD, *CONTINUOUS, *(row for row, _ in ROUNDING), LOADED, CONSTANT} == set(ROWS)

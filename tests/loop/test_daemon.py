@@ -1,4 +1,6 @@
-"""The real-time loop: it ends as the lockstep does, and what the step gets of bus, clock, recorder and operator."""
+"""The real-time loop: same endings as the lockstep, and the step's inputs from bus, clock, recorder and
+operator.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +50,7 @@ TICKS = 6
         quick=5,
     ),
 )
-def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, seconds):
+def test_daemon_and_lockstep_end_the_same_way_under_the_same_faults(faults, mode, seconds):
     stop_s = None if mode is Mode.WAITING else 1.4
     nodes, plant = build_nodes(IDEAL, FaultPlan(faults))
     rows: list[Any] = []
@@ -69,13 +71,13 @@ def test_the_same_faults_end_the_daemon_and_the_lockstep_alike(faults, mode, sec
 
 
 class Stamped(Wire):
-    """Each SYNC is out 123 us after the wake-up."""
+    """A wire on which each SYNC is sent 123 us after the wake-up."""
 
     def sent_ns(self) -> list[int]:
         return [self.now() + OUT_NS]
 
 
-def test_when_each_drive_latched_is_recorded():
+def test_the_latch_time_of_each_drive_is_recorded():
     latched: list[list[int]] = []
 
     def tick(row: Any, *_: Any, **__: Any) -> None:
@@ -91,9 +93,9 @@ def test_when_each_drive_latched_is_recorded():
 
 
 class Busy(Stamped):
-    """A bus and a clock with something to report in every tick, and frames that are refused.
+    """A bus and a clock that report something in every tick, and refuse some frames.
 
-    State: how often frames were called back, and in which tick which frames are refused.
+    State: ticks in which frames were flushed, and the refused frames by tick.
     """
 
     def __init__(self, nodes: Any, refused: dict[tuple[int, str], int] | None = None) -> None:
@@ -159,7 +161,7 @@ def looped(
     return inputs[:TICKS], wire
 
 
-def test_the_step_gets_what_was_late_lost_and_skewed_in_its_tick():
+def test_the_step_gets_lateness_losses_and_skew_of_its_tick():
     window_ns = PERIOD_NS // 4
     inputs, wire = looped(window_ns=window_ns)
     for tick, inp in enumerate(inputs):
@@ -174,13 +176,13 @@ def test_the_step_gets_what_was_late_lost_and_skewed_in_its_tick():
     )
 
 
-def test_frames_that_the_bus_refused_are_reported_once_each_in_the_next_step():
+def test_each_refused_frame_is_reported_once_in_the_next_step():
     inputs, _ = looped({(1, "command"): 2, (2, "opening"): 1, (4, "opening"): 3})
     assert [inp.sends_failed for inp in inputs] == [0, 0, 3, 0, 3, 0]
 
 
 @pytest.mark.parametrize(("operator", "tries"), [(Operator.RESET, 1), (Operator.STOP, 0)])
-def test_a_reset_calls_the_frames_of_a_dead_bus_back(operator, tries):
+def test_a_reset_flushes_the_frames_of_a_dead_bus(operator, tries):
     _, wire = looped(commands={3: (operator,)})
     assert wire.flushed.count(3) == tries
 
@@ -189,7 +191,7 @@ def test_a_reset_calls_the_frames_of_a_dead_bus_back(operator, tries):
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit])
-def test_whatever_leaves_the_loop_the_drives_are_commanded_off_behind_all_that_waited(error):
+def test_any_exception_commands_the_drives_off_behind_queued_frames(error):
     wires: list[Busy] = []
 
     def kind(nodes: Any) -> Busy:
@@ -215,7 +217,7 @@ def test_whatever_leaves_the_loop_the_drives_are_commanded_off_behind_all_that_w
 
 
 class Refusing:
-    """A bus that takes the commands of some turns, and none once it could not be flushed."""
+    """A bus that accepts commands in given turns, and none after a failed flush."""
 
     def __init__(self, taken: list[int], *, off: bool, flushes: bool = True) -> None:
         self.taken, self.off, self.flushes, self.done = taken, off, flushes, list[str]()
@@ -251,7 +253,7 @@ SENT, REFUSED = ["sent"] * 5, ["refused"] * 5
         (Refusing(list(range(6, 99)), off=True), True, [*REFUSED, "flush", *SENT]),
     ],
 )
-def test_one_whole_command_tells_the_drives_and_a_bus_that_took_none_gets_them_again(bus, told, done):
+def test_off_commands_are_repeated_on_a_bus_that_accepted_none(bus, told, done):
     deadlines: Any = SimpleNamespace(tick=7, period_ns=1_000)
     assert switch_off(new_cycle(IDEAL), bus, deadlines) is told
     assert bus.done == done
@@ -261,7 +263,7 @@ def test_one_whole_command_tells_the_drives_and_a_bus_that_took_none_gets_them_a
 
 
 class Tail:
-    """A protocol whose answers name no SYNC: what came before it was asked for is an answer to the one before."""
+    """A protocol whose answers carry no SYNC counter: an answer before the SYNC belongs to the SYNC before."""
 
     context, wanted = 0, (1, 2)
 
@@ -276,7 +278,7 @@ class Tail:
 
 
 def heard_by(shared: bool, now: Any, next_one: Any, window_ns: int, wake: Wake) -> Rows:
-    """Return what a tick hears on such a bus."""
+    """Frames that a tick receives on such a bus."""
     bus: Any = SimpleNamespace(
         clock=SimpleNamespace(now=now), drain_now=lambda: NO_FRAMES, send=lambda _: 0, sent_ns=list,
         **{"wait" if shared else "drain": next_one},
@@ -289,7 +291,7 @@ def heard_by(shared: bool, now: Any, next_one: Any, window_ns: int, wake: Wake) 
 
 @pytest.mark.parametrize(("window_ns", "last"), [(145, 150), (140, 140), (141, 150)])
 @pytest.mark.parametrize("shared", [False, True])
-def test_the_window_ends_at_its_time_however_many_frames_of_others_come(shared, window_ns, last):
+def test_the_feedback_window_ends_in_time_under_a_flood_of_foreign_frames(shared, window_ns, last):
     clock, looks = [100], list[int]()
 
     def next_one(_deadline_ns: int, _wanted: Any = None) -> Rows:

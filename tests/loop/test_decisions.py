@@ -1,4 +1,4 @@
-"""Python decides in few ticks: in the others the step of the controller is compiled but for its shell."""
+"""Python decides in few ticks: in the others the controller's step runs compiled, except its shell."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ SHELL = {
     "Lockstep.advance", "Lockstep._look_at_nodes", "Nodes.address", "TickRow.go", "_looking.<locals>.call",
     "Cycle.pass_on", "Ticks.record",
 }  # fmt: skip
-"""What a call for many ticks enters."""
+"""Functions that a call for many ticks enters."""
 MEMORY = {"TickRow._turn_over", "TickRow._hold", "Ticks.__init__", "data_at"}
-"""What it enters besides where memory is used up."""
+"""Functions that it also enters when memory is used up."""
 DECISIONS = {"Cycle.decide", "Cycle.end_tick"}
 CHANGES = 9
-"""Changes of the mode from IDLE to PARKED, in a tick each: 0.5 % of 1800 ticks."""
+"""Mode changes from IDLE to PARKED, one tick each: 0.5 % of 1800 ticks."""
 OBSERVED: dict[str, Any] = {
     "estimation": {"wrench": {"source": "observer", "bandwidth_Hz": 5, "bus_ms": 0.5, "drive_lag_ms": 0.8}}
 }
@@ -45,7 +45,7 @@ FUSED: dict[str, Any] = {"sensors": {"tracker": {"rate_Hz": 200}}, "estimation":
 
 
 class Watch:
-    """Notes which functions of the project are entered. State: these."""
+    """Records which functions of the project are entered. State: these."""
 
     def __init__(self) -> None:
         self.entered: set[str] = set()
@@ -56,7 +56,7 @@ class Watch:
             self.entered.add(code.co_qualname)
 
     def over(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function that is watched."""
+        """The function, with its calls recorded."""
 
         def watched(*arguments: Any) -> Any:
             before = sys.getprofile()
@@ -99,15 +99,15 @@ QUICK = [
 
 
 @pytest.mark.parametrize("name", broad([*QUICK, *(name for name in CASES if name not in QUICK)], len(QUICK)))
-def test_python_decides_only_where_a_mode_changes(name):
-    """At both ends and on the bus; with sensors in the cycle, as their samples are drawn in Python."""
+def test_python_decides_only_when_a_mode_changes(name):
+    """At both ends and on the bus; with sensors only in the cycle, as Python draws their samples."""
     c = CASES[name]()
     watch = Watch()
     modes: list[Mode] = []
     decided = 0
 
     def take(ticks: Ticks, new: slice, _given: Given) -> None:
-        """Count the calls in which Python decides: at most the last tick of a call does."""
+        """Count the calls in which Python decides: at most in the last tick of a call."""
         nonlocal decided
         found = ticks.recorded(new)[0]["mode"].tolist()
         moved = [Mode(mode) for mode in found if mode not in {Mode.WAITING, Mode.FAULT}]
@@ -173,7 +173,7 @@ print(*dict.fromkeys(seen))
 MODES = "WAITING IDLE LOADING RELEASING APPROACH TRACKING STOPPING PARKING UNLOADING PARKED"
 
 
-def test_a_cold_process_compiles_nothing_and_looks_up_no_type_twice():
+def test_the_loop_of_a_new_process_compiles_nothing():
     modes = subprocess.run(
         [sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=False, timeout=250
     )

@@ -1,4 +1,6 @@
-"""The desktop hexapod with each family of drives that can be bought, in lockstep, beside our own protocol."""
+"""The desktop hexapod with each commercial drive family, in lockstep, compared with the project's own
+protocol.
+"""
 
 from __future__ import annotations
 
@@ -23,7 +25,7 @@ from tools.drive_families import FAMILIES, Changes, merged
 OTHERS = sorted(
     (name for name in FAMILIES if not name.startswith(("legs", "cia402"))), key=lambda name: name != "moteus"
 )
-"""Families that can be bought; the first one runs every day."""
+"""Commercial families; the first one runs every day."""
 WITHOUT_WATCHDOG = ("mit, cubemars AK80-9", "mit, mini_cheetah", "mit, robstride rs-02")
 
 
@@ -37,7 +39,7 @@ def ran(family: str) -> Ran:
 
 
 @pytest.mark.parametrize("family", broad(OTHERS, quick=1))
-def test_a_family_errs_as_our_own_protocol_does_because_friction_decides(family):
+def test_each_family_tracks_as_well_as_the_projects_own_protocol(family):
     found = ran(family)
     assert found.ending.success, found.ending
     assert found.summary["rejected_frames"] == 0
@@ -51,22 +53,26 @@ def test_a_family_errs_as_our_own_protocol_does_because_friction_decides(family)
 REFUSED: list[tuple[str, dict[str, Any], str]] = [
     ("mit, damiao DM4310", {"loop": {"rate_Hz": 500}}, "12 x classic  8 byte: 135 bit = 135.0 us each"),
     ("moteus", {"loop": {"rate_Hz": 1000}}, "6 x CAN FD  48 byte: 57 bit + 519 fast bit = 160.8 us"),
-    ("mit, damiao DM4310", {"reactions": {"silence": "damp"}}, "reactions.silence: not what these drives do"),
+    (
+        "mit, damiao DM4310",
+        {"reactions": {"silence": "damp"}},
+        "reactions.silence: no reaction of these drives",
+    ),
     # 12.5 rad x 5 mm = 62.5 mm on each side of 325 mm
     ("mit, damiao DM4310", {"drives": {"transmission": {"pulley_radius_m": 0.005}}}, "0.2625 and 0.3875 m"),
 ]
 
 
 @pytest.mark.parametrize(("family", "sections", "said"), REFUSED)
-def test_what_the_drives_or_their_bus_cannot_do_is_refused(family, sections, said):
+def test_settings_beyond_the_drives_or_their_bus_are_refused(family, sections, said):
     with pytest.raises(ConfigurationError) as caught:
         desktop(family, **sections)
     assert said in str(caught.value)
 
 
 @pytest.mark.parametrize("family", broad((*WITHOUT_WATCHDOG, "mit, damiao DM4310"), quick=1))
-def test_drives_without_a_watchdog_are_not_said_to_have_stopped_on_a_dead_bus(family):
-    """The plant decides: a leg whose brake has closed stands, one that has kept its torque does not."""
+def test_drives_without_watchdog_are_not_reported_as_stopped_on_a_dead_bus(family):
+    """The plant shows it: a leg with a closed brake stands, a leg with its last torque does not."""
     found = run(desktop(family), BusOff(mode="TRACKING", at_s=0.6), stop_s=5.0)
     assert found.ending.mode is Mode.FAULT
     stopped = np.abs(found.true[-1] - found.true[-5]).max() < 1e-9
@@ -80,7 +86,7 @@ def test_drives_without_a_watchdog_are_not_said_to_have_stopped_on_a_dead_bus(fa
 
 ESTIMATES = 0x09
 RELEASED_TICKS = 40
-"""From the release of the brakes on: more than a heartbeat of 0.1 s at 312.5 Hz."""
+"""Duration after the release of the brakes: more than a heartbeat of 0.1 s, at 312.5 Hz."""
 
 
 class Started(NamedTuple):
@@ -88,9 +94,9 @@ class Started(NamedTuple):
     axes: list[Snapshot]
     """The drives and the plant at the end of each tick."""
     released: int
-    """Row in which the brakes are told to open."""
+    """Row in which the brakes are commanded to open."""
     estimates: Any
-    """How many each tick has heard, and how many of them since it began."""
+    """Numbers of estimates received in each tick, and of those among them that came after its start."""
 
 
 @pytest.fixture(scope="module")
@@ -107,7 +113,7 @@ def started() -> Started:
     return Started(ran.rows, axes, ran.first(Mode.RELEASING), np.array(estimates))
 
 
-def test_the_brakes_open_with_the_holding_force_on_and_no_leg_sinks(started):
+def test_brakes_open_under_the_holding_force_and_no_leg_sinks(started):
     k = started.released
     opening = started.axes[k + 1 : k + RELEASED_TICKS]
     enabled = [np.array(each.state) == DriveState.RUN for each in opening]
@@ -121,7 +127,7 @@ def test_the_brakes_open_with_the_holding_force_on_and_no_leg_sinks(started):
     assert np.abs(released - released[0]).max() < 1e-5
 
 
-def test_the_start_goes_on_once_the_last_heartbeat_has_told_and_the_run_meets_no_limit(started):
+def test_the_start_continues_after_the_last_heartbeat_without_a_fault(started):
     rows, k = started.rows, started.released
     approach = int(np.argmax(rows["mode"] == Mode.APPROACH))
     told = rows["drive_state"][k:approach] == DriveState.RUN
@@ -136,7 +142,7 @@ def test_the_start_goes_on_once_the_last_heartbeat_has_told_and_the_run_meets_no
     assert error < 0.5 * desktop("odrive").limits.following_error_m
 
 
-def test_the_brakes_are_not_believed_shut_before_each_axis_has_told_it(started):
+def test_brakes_count_as_shut_only_after_each_axis_has_reported_it(started):
     rows = started.rows
     parking, unloading = (int(np.argmax(rows["mode"] == mode)) for mode in (Mode.PARKING, Mode.UNLOADING))
     assert (rows["drive_state"][parking + 1] == DriveState.RUN).any(), "a heartbeat as quick as a change"

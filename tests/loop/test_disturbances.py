@@ -1,10 +1,11 @@
-"""Printed bounds against disturbances within what was stated, on the bus path: none may exceed, none be far.
+"""Printed bounds against disturbances within the stated ones, on the bus path: none is exceeded, none is far
+off.
 
-Of every law a force of at most `FORCE_N` at the platform's origin is stated, in any direction, at any time. The
-hardest for one leg turns with the sign of its reversed impulse response, along its row of J M^-1 (of a loop
-that leaves its layer: of that along the run, found by repetition); others are square waves around the resonance,
-ramps, or drawn. One follows the other in one run: what is printed holds for
-all of it.
+For every law the stated disturbance is a force of at most `FORCE_N` at the platform's origin, in any
+direction, at any time. The hardest one for a leg switches with the sign of its reversed impulse response,
+along its row of J M^-1. For a loop that leaves its layer, the response along the run is used, found by
+repetition. Others are square waves around the resonance, ramps, or random. They follow one another in one
+run: the printed bound applies to all of it.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from tests.loop.bench import changed, succeeded
 
 FORCE_N = 5000.0
 BEGINS_s = 2.5
-"""After power-up; tracking has begun."""
+"""Time after power-up at which tracking has begun."""
 COMMAND_ID = 0x110
-"""Of layout `fd`."""
+"""Identifier in layout `fd`."""
 COMMANDS_LATE_ms = 0.35
-"""By which a gateway delays commands: they then arrive just before the next SYNC, the worst that is allowed for."""
+"""Delay of commands in a gateway: they then arrive just before the next SYNC, the worst allowed case."""
 LOOKAHEAD = {"delay_compensation": {"bus_ms": 0.62, "drive_lag_ms": 0.796, "hold_ms": 0.5}}
 LINEAR = {"inverse_dynamics", "pose_inverse_dynamics", "partial_linearisation"}
 REDESIGN = {"law": "robust_inverse_dynamics", "wn_rad_s": 60}
@@ -48,7 +49,7 @@ REDESIGN = {"law": "robust_inverse_dynamics", "wn_rad_s": 60}
 class Case(NamedTuple):
     law: dict[str, Any]
     stated: bool = True
-    """Whether `hil stability` is told of the force; else section uncertainty says it."""
+    """True if `hil stability` gets the force as an option; otherwise section uncertainty states it."""
     rest: bool = True
 
 
@@ -81,7 +82,7 @@ CASES = {
 @pytest.mark.parametrize(
     ("name", "count"), broad([("wn 20", 15), *((n, 30 if n == "lightly damped" else 100) for n in CASES)], 1)
 )
-def test_no_disturbance_within_what_is_stated_exceeds_what_is_printed(name, count):
+def test_no_stated_disturbance_exceeds_the_printed_bound(name, count):
     case = CASES[name]
     mobility = _mobility()
     D = float(FORCE_N * np.linalg.norm(mobility[:, :3], axis=1).max())
@@ -104,7 +105,7 @@ def test_no_disturbance_within_what_is_stated_exceeds_what_is_printed(name, coun
 
 
 def forces(c: Configuration, mobility: Array, count: int) -> Iterator[WrenchStep]:
-    """Yield `count` disturbances, one after the other, as steps of the force."""
+    """Yield `count` disturbances, one after the other, as force steps."""
     law = c.controller
     dynamics = law.error_dynamics()
     assert isinstance(dynamics, ErrorDynamics)
@@ -142,7 +143,7 @@ def forces(c: Configuration, mobility: Array, count: int) -> Iterator[WrenchStep
 
 
 def hardest(c: Configuration, loop: Sampled, d: float, ticks: int) -> Array:
-    """Return the signs (ticks,) of an acceleration d, m/s^2, that drive the loop's last |e| up."""
+    """Signs (ticks,) of an acceleration d, m/s^2, that maximise the loop's last |e|."""
     h = loop.impulse_responses()[:, 0]
     pattern = np.sign(np.resize(np.append(h[:ticks], np.zeros(max(0, ticks - len(h)))), ticks)[::-1])
     law = c.controller
@@ -172,7 +173,7 @@ def hardest(c: Configuration, loop: Sampled, d: float, ticks: int) -> Array:
 
 
 def configured(case: Case, D: float, lasts_s: float) -> Configuration:
-    """`D`: the largest acceleration of a leg by the force."""
+    """`D`: the largest acceleration of a leg under the force."""
     uncertain = {} if case.law["law"] in LINEAR else {"uncertainty": {"disturbance_m_s2": D}}
     hold = {"type": "hold", "duration_s": lasts_s}
     return changed(
@@ -185,7 +186,7 @@ def configured(case: Case, D: float, lasts_s: float) -> Configuration:
 
 
 def _mobility() -> Array:
-    """Return J M^-1 at home (6, 6): accelerations of the legs per wrench."""
+    """J M^-1 at home (6, 6): accelerations of the legs per wrench."""
     c = load("virtual")
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)

@@ -1,4 +1,4 @@
-"""An encoder that fails: who notices, when, by the plant's own lengths, and what must not alarm."""
+"""Encoder failures: which rule finds them, when, by the plant's true lengths, and cases that must not alarm."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from tests.broad import broad
 from tests.loop.bench import Ran, changed, run
 
 BOUND_m, BOUND_TICKS = 2e-3, 20
-"""A failure is found within one of the two."""
+"""A failure must be found within one of the two."""
 MOVED_m = 1e-4
-"""True motion from which a frozen encoder is counted."""
+"""True motion from which the time of a frozen encoder counts."""
 POWERED = (
     Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.UNLOADING,
 )  # fmt: skip
 NAMES, LEGS = ("virtual", "lab"), range(6)
 STOP_S = {"virtual": 2.5, "lab": 4.5}
-"""When the runs are stopped: in mid-motion."""
+"""Time of the stop: in mid-motion."""
 PUSH_N = {"virtual": 3000.0, "lab": 600.0}
-"""On a platform at hold; on `lab`, ten times the friction of a leg."""
+"""Push on a platform at hold; on `lab`, ten times the friction of a leg."""
 
 
 def at_hold(name: str) -> Configuration:
-    """Return a shipped configuration whose reference stays at home."""
+    """A shipped configuration whose reference stays at home."""
     return changed(name, reference={"type": "hold", "duration_s": 60})
 
 
@@ -50,7 +50,7 @@ def good(name: str) -> Ran:
 
 
 def found(ran: Ran, leg: int) -> int:
-    """Return the tick of the fault, which names the leg and nothing else."""
+    """Tick of the fault; asserts that it reports this leg only."""
     row = ran.rows[ran.struck]
     assert row["faults"] & Fault.ENCODER, ran.ending
     assert row["legs_doubted"] == 1 << leg
@@ -60,7 +60,7 @@ def found(ran: Ran, leg: int) -> int:
 
 
 def assert_in_time(ran: Ran, leg: int, since: int) -> None:
-    """Assert that the fault came within the bounds of the leg's first true motion after a tick."""
+    """Assert that the fault came within the bounds after the leg's first true motion since a tick."""
     tick = found(ran, leg)
     moved = np.abs(ran.true[:, leg] - ran.true[since, leg])
     begins = since + int(np.argmax(moved[since:] > MOVED_m))
@@ -69,9 +69,9 @@ def assert_in_time(ran: Ran, leg: int, since: int) -> None:
 
 
 def pairwise(*factors: Sequence[Any]) -> list[tuple[Any, ...]]:
-    """Return fewer cases than all, always the same ones, in which every two values of any two factors meet.
+    """Reduced set of cases, always the same, in which every two values of any two factors meet.
 
-    Each next one has the most pairs that none before has.
+    Each next case covers the most pairs that are not yet covered.
     """
 
     def pairs(case: tuple[int, ...]) -> set[Any]:
@@ -88,7 +88,7 @@ def pairwise(*factors: Sequence[Any]) -> list[tuple[Any, ...]]:
 
 
 JUMPS = [(0, 0.5e-3), (3, -9.5e-3)]
-"""In turn from mode to mode."""
+"""Used alternately from mode to mode."""
 EVERY_JUMP = [
     *((NAMES[n % 2], mode, *JUMPS[n // 2 % 2]) for n, mode in enumerate(POWERED)),
     *pairwise(NAMES, POWERED, LEGS, (0.5e-3, -0.5e-3, 1e-3, -5e-3, 9.5e-3, -9.5e-3)),
@@ -96,7 +96,7 @@ EVERY_JUMP = [
 
 
 @pytest.mark.parametrize(("name", "mode", "leg", "by"), broad(EVERY_JUMP, quick=len(POWERED)))
-def test_a_jump_is_found_in_its_tick_in_every_mode(name, mode, leg, by):
+def test_a_jump_is_found_in_its_tick_in_every_mode_with_power(name, mode, leg, by):
     """Six lengths always fit some pose."""
     at = good(name).within(mode, 0.37)
     jumped = run(load(name), EncoderJump(leg=leg, by_m=by, at_s=at), stop_s=STOP_S[name])
@@ -135,21 +135,21 @@ def test_a_frozen_encoder_at_hold_is_found_when_a_load_moves_the_platform(name, 
 
 
 @pytest.mark.parametrize(("name", "leg"), broad([(NAMES[leg % 2 - 1], leg) for leg in LEGS], quick=2))
-def test_a_brake_that_does_not_open_is_found_before_a_leg_has_moved_by_10_mm(name, leg):
+def test_a_brake_that_stays_shut_is_found_before_a_leg_moves_10_mm(name, leg):
     shut = run(load(name), BrakeStuckClosed(leg=leg), stop_s=STOP_S[name])
     found(shut, leg)
     assert np.abs(shut.true - shut.true[0]).max() < 10e-3
 
 
 @pytest.mark.parametrize("leg", broad([0, 2, 5], quick=1))
-def test_a_frozen_encoder_without_a_load_is_found_when_the_leg_drifts_away(leg):
-    """Nothing controls that leg: it leaves its place slowly, and moves the others by a few per cent of that."""
+def test_a_frozen_encoder_without_load_is_found_when_the_leg_drifts(leg):
+    """No control acts on that leg: it drifts slowly, and moves the others by a few per cent of that."""
     frozen = run(at_hold("virtual"), EncoderFreeze(leg=leg, at_s=2.0), stop_s=6.0)
     assert_in_time(frozen, leg, 2000)
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_an_encoder_that_freezes_on_closed_brakes_is_not_observable_and_leaves_no_error(name):
+def test_an_encoder_that_freezes_on_closed_brakes_leaves_no_error(name):
     at_s = good(name).within(Mode.UNLOADING, 0.37)
     frozen = run(load(name), EncoderFreeze(leg=4, at_s=at_s), stop_s=STOP_S[name])
     assert frozen.ending.success
@@ -157,7 +157,7 @@ def test_an_encoder_that_freezes_on_closed_brakes_is_not_observable_and_leaves_n
 
 
 def loads_up_to(c: Configuration, seed: int, end_s: float) -> list[PlantFault]:
-    """Return short wrench steps, the largest acceleration of a leg at home being the stated disturbance."""
+    """Short wrench steps whose largest acceleration of a leg at home equals the stated disturbance."""
     generator = np.random.default_rng(seed)
     platform = build_platform(c.platform)
     home = pose_arrays(c.platform.home)
@@ -183,7 +183,7 @@ CALM = [(name, still, lost) for lost in (0.03, 0.0) for still in (True, False) f
     ("name", "still", "lost", "seed", "stop_s"),
     broad([(*CALM[0], 0, 5.0), *((*case, seed, 60.0) for seed, case in enumerate(CALM, 1))], quick=1),
 )
-def test_loads_up_to_the_stated_disturbance_and_lost_frames_alarm_nobody(name, still, lost, seed, stop_s):
+def test_stated_disturbances_and_lost_frames_raise_no_alarm(name, still, lost, seed, stop_s):
     c = at_hold(name) if still else load(name)
     faults = loads_up_to(c, seed, stop_s)
     if lost:
@@ -194,7 +194,7 @@ def test_loads_up_to_the_stated_disturbance_and_lost_frames_alarm_nobody(name, s
 
 
 @pytest.mark.parametrize("name", broad(["ideal", "vcan50", "bench"], quick=2))
-def test_the_other_shipped_configurations_alarm_nobody(name):
+def test_other_shipped_configurations_raise_no_encoder_alarm(name):
     ran = run(load(name), stop_s=5.0)
     assert ran.ending.success, ran.ending
     assert not ran.rows["legs_doubted"].any()
@@ -206,13 +206,13 @@ def test_the_other_shipped_configurations_alarm_nobody(name):
 T = 2.5e-3
 COUNT_m = 0.02 / 131072
 SKEW_s = 50e-6
-"""monitor.rate_skew_us, by default."""
+"""Default of monitor.rate_skew_us."""
 LATE = 0.3
-"""Periods by which a latch may be late unseen: 6 v d / T is the largest leap that this makes of a rate v."""
+"""Undetected delay of a latch, in periods: 6 v d / T is the largest leap that it causes at a rate v."""
 BACK = 9
-"""Ticks of force that may still act: transport, three time constants of the drives, and the two of a slope."""
+"""Ticks of force that may still act: transport, three time constants of the drives, and two of a slope."""
 LATER = 40
-"""Ticks after a jump within which three tenths of it alarm nobody."""
+"""Ticks after a jump of three tenths within which no alarm may come."""
 
 
 def bench_of(name: str, *, still: bool) -> Configuration:
@@ -225,10 +225,11 @@ def calm(name: str, still: bool, tick: int) -> Ran:
 
 
 def smallest_jump_m(c: Configuration, ran: Ran, tick: int, leg: int) -> float:
-    """Return the jump that shows as a leap beyond what force, disturbance and noise explain, m.
+    """Smallest jump, m, whose leap exceeds what force, disturbance and noise explain.
 
     A slope through three lengths leaps by 1.5 J / T. The acceleration may vary by a, which changes the leap
-    by a T, and by 4/3 a T as slopes lag. What a late SYNC would explain, and no other leg contradicts, is time.
+    by a T, and by 4/3 a T as slopes lag. A leap that a late SYNC explains, and that no other leg contradicts,
+    counts as time.
     """
     home = pose_arrays(c.platform.home)
     platform = build_platform(c.platform)
@@ -255,10 +256,12 @@ CASES = [
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "still", "tick", "leg", "least_m", "most_m", "sign"), CASES)
-def test_twice_the_smallest_jump_is_found_at_once_and_three_tenths_alarm_nobody(
+def test_twice_the_smallest_jump_is_found_and_three_tenths_are_not(
     name, still, tick, leg, least_m, most_m, sign
 ):
-    """Half may be found one tick later: the slope comes back then, and leaps by 3.5 J / T for 1.5 J / T."""
+    """Half the jump may be found one tick later: the slope then returns, and leaps by 3.5 J / T instead of
+    1.5 J / T.
+    """
     c = bench_of(name, still=still)
     jump_m = smallest_jump_m(c, calm(name, still, tick), tick, leg)
     assert least_m < jump_m < most_m
@@ -280,15 +283,15 @@ def test_twice_the_smallest_jump_is_found_at_once_and_three_tenths_alarm_nobody(
 
 
 @pytest.mark.parametrize("leg", broad(range(6), quick=1))
-def test_a_jump_of_a_leg_at_rest_is_not_taken_for_time(leg):
-    """Its rate, made of the jump itself, would make any jump the way of a latch that was late."""
+def test_a_jump_of_a_leg_at_rest_is_not_mistaken_for_a_late_latch(leg):
+    """Its rate, computed from the jump itself, would explain any jump as the motion during a late latch."""
     c = bench_of("virtual-cia402", still=True)
     found = run(c, EncoderJump(leg=leg, by_m=1e-3, at_s=660 * T), stop_s=664 * T)
     row = found.rows[found.struck]
     assert (row["tick"] - 660, row["doubt"]) == (0, Doubt.LEAP), found.ending
 
 
-def test_what_is_printed_is_the_smallest_jump_of_legs_at_rest():
+def test_the_printed_jump_is_the_smallest_detectable_one_at_rest():
     """a = 16 m/s^2: (16 x 2.5e-3 x 7/3 + 4 x (1.22e-4 + 50e-6 x 16)) x 2.5e-3 / 1.5 = 0.162 mm."""
     report = Report(looked_at(load("virtual-cia402")))
     sensing.encoders(report)

@@ -1,4 +1,6 @@
-"""From rest into motion and back to rest: without a bump from any pose, under any law, stopped at any moment."""
+"""From rest into motion and back to rest: without a bump, from any pose, under any law, with a stop in any
+mode.
+"""
 
 import itertools
 from pathlib import Path
@@ -42,7 +44,7 @@ OTHER_LAWS: dict[str, dict[str, Any]] = {
         "law": "state_space", "controller_file": Path(__file__).parents[1] / "data" / "controller.yaml"
     },
 }  # fmt: skip
-"""From one pose only; what a law does at entry depends little on the pose."""
+"""From one pose only: the entry of a law depends little on the pose."""
 POSES = {
     "home": ([0.0, 0.0, 1.0], [0.0, 0.0, 0.0]),
     "10 cm aside, 8 degrees about y": ([0.1, 0.0, 1.0], [0.0, 8.0, 0.0]),
@@ -73,10 +75,10 @@ def engaged(request: pytest.FixtureRequest) -> Ran:
     return ran
 
 
-def test_no_force_jumps_from_the_first_newton_to_the_last(engaged):
-    """The steepest change is the ramp's own, to which encoder steps and the motion's own forces add a little.
+def test_the_force_is_continuous_from_the_first_newton_to_the_last(engaged):
+    """The steepest change is the ramp's own; encoder steps and the motion's forces add a little.
 
-    While the brakes close the law still acts: they end the last mm/s at once, which 5e4 N s/m sees.
+    While the brakes close the law still acts: they end the last mm/s at once, to which 5e4 N s/m reacts.
     """
     rows = engaged.rows
     holding = np.abs(rows["tau"][rows["mode"] == Mode.RELEASING]).max()
@@ -98,7 +100,7 @@ def test_no_leg_moves_while_the_brakes_open_and_close(engaged):
     assert np.abs(closing["q"] - closing["q"][0]).max() < 50e-6
 
 
-def test_the_approach_starts_at_the_measured_pose_and_ends_at_the_references_first(engaged):
+def test_the_approach_leads_from_the_measured_pose_to_the_reference(engaged):
     rows = engaged.rows
     approach = rows[rows["mode"] == Mode.APPROACH]
     measured = rows["p"][rows["mode"] == Mode.LOADING][0]
@@ -109,8 +111,10 @@ def test_the_approach_starts_at_the_measured_pose_and_ends_at_the_references_fir
     assert np.abs(np.diff(rows["q_d"][moving], axis=0)).max() < 0.5e-3
 
 
-def test_pd_enters_at_the_holding_force_and_gives_it_up_slowly():
-    """A law without gravity feed-forward asks for nothing at zero error: the entry offset carries the platform."""
+def test_pd_starts_at_the_holding_force_and_fades_it_out():
+    """A law without gravity feed-forward asks for no force at zero error: the entry offset carries the
+    platform.
+    """
     with bench(at("pd")) as lockstep:
         rows = [until(lockstep, Mode.APPROACH)]
         rows += [lockstep.step()[2].row for _ in range(700)]
@@ -134,7 +138,7 @@ STOPS = {
     Mode.PARKING: 100,
     Mode.UNLOADING: 400,
 }
-"""How many ticks each mode takes."""
+"""Duration of each mode in ticks."""
 MOMENTS = [("inverse dynamics", mode, 0.5) for mode in STOPS]
 MOMENTS += [
     (("inverse dynamics", "pd")[n % 2], mode, (0.02, 0.9)[n // 2 % 2]) for n, mode in enumerate(STOPS)
@@ -145,7 +149,7 @@ MOMENTS += [
 
 
 @pytest.mark.parametrize(("law", "mode", "share"), broad(MOMENTS, quick=len(STOPS)))
-def test_a_stop_in_any_mode_parks_and_the_platform_stays_where_it_is(law, mode, share):
+def test_a_stop_in_any_mode_parks_the_platform_at_its_pose(law, mode, share):
     with bench(at(law, "10 cm aside, 8 degrees about y")) as lockstep:
         row = until(lockstep, Mode.TRACKING if mode is Mode.STOPPING else mode)
         if mode is Mode.STOPPING:

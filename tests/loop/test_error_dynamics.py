@@ -1,8 +1,8 @@
-"""What becomes of an initial error: each law's own linear equation, solved here in closed form or by scipy.
+"""Decay of an initial error: each law's own linear equation, solved here in closed form or by scipy.
 
-The plant starts 20 mm and 5 degrees (feed-forward with PD: 1 mm and 0.25 degrees) away from where the reference
-does, on the ideal path; without a force ramp the law acts at once, so no approach hides the error. What is left
-over is the zero-order hold's: it halves with the period.
+The plant starts 20 mm and 5 degrees (feed-forward with PD: 1 mm and 0.25 degrees) away from the reference, on
+the ideal path. Without a force ramp the law acts at once, so no approach hides the error. The remaining
+difference comes from the zero-order hold: it halves with the period.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ PLATFORM = build_platform(load("ideal").platform)
 
 
 def track(law, direction, *, metres=0.02, degrees=5.0, rate_Hz=1000, **sections):
-    """Return the rows of the tracking and the pose p (3,), R (3, 3) at which the plant started."""
+    """Rows of the tracking, and the pose p (3,), R (3, 3) at which the plant started."""
     along, about = (np.array(v) for v in DIRECTIONS[direction])
     p, vector_deg = HOME_m + metres * along, degrees * about
     start = {"initial_position_m": p, "initial_rotation_vector_deg": vector_deg}
@@ -59,7 +59,7 @@ INVERSE_DYNAMICS = {"law": "inverse_dynamics", "wn_rad_s": W_N}
 
 
 @directions
-def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direction):
+def test_exact_inverse_dynamics_gives_each_leg_its_linear_equation(direction):
     rows, p, R = track(INVERSE_DYNAMICS, direction)
     expected = critically_damped(leg_errors(p, R), rows["reference_time_s"])
     assert 0.04 < np.abs(expected[0]).max() < 0.11
@@ -67,7 +67,7 @@ def test_under_exact_inverse_dynamics_every_leg_obeys_the_linear_equation(direct
 
 
 @directions
-def test_under_feed_forward_with_pd_the_legs_couple_through_the_inertia(direction):
+def test_feed_forward_with_pd_couples_the_legs_through_the_inertia(direction):
     """M e'' + Kv e' + Kp e = 0 with the leg-space inertia M at home, by the matrix exponential."""
     kp, kv = 2.0e6, 5.0e4
     law = {"law": "feedforward_pd", "kp_N_m": kp, "kv_N_s_m": kv}

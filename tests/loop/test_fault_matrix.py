@@ -1,4 +1,4 @@
-"""Faults on demand in whole runs, and the matrix that judges them: a slice here, the rest in `make long`."""
+"""Injected faults in whole runs, and the matrix that judges them: some cases here, the rest in `make long`."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ BOUNDS = Bounds(stopping_m=0.163, controlled_m=0.283, harmless_m=0.01, harmless_
 KINDS = [name for name in FAULTS if not name.startswith("process")]
 
 
-def test_the_matrix_has_each_kind_at_each_moment_and_a_leg_for_each_that_is_asked_for():
+def test_the_matrix_has_each_kind_at_each_moment_for_each_given_leg():
     c = load("virtual")
     found = cases(c)
     assert sorted(case.name for case in found) == sorted(f"{k}/{m}" for k in KINDS for m in MATRIX)
@@ -39,13 +39,13 @@ def test_the_matrix_has_each_kind_at_each_moment_and_a_leg_for_each_that_is_aske
     found = cases(c, ["drive_silence", "drive_saturation/HOLD", "bus_off"], legs=[0, 5])
     legs = [getattr(case.fault, "leg", None) for case in found]
     assert legs == [*(0, 5) * len(MATRIX), 0, 5, *[None] * len(MATRIX)]
-    with pytest.raises(ConfigurationError, match="--legs: 6 is no leg"):
+    with pytest.raises(ConfigurationError, match="--legs: unknown leg 6"):
         cases(c, legs=[6])
     with pytest.raises(ConfigurationError, match="waits for set-points"):
         cases(changed(c, reference=LIVE_REFERENCE))
 
 
-def test_a_seed_draws_leg_size_and_sign_and_words_repeat_the_fault():
+def test_a_seed_draws_leg_size_and_sign_and_text_repeats_the_fault():
     c = load("virtual")
     drawn: list[Any] = [
         case.fault for seed in range(40) for case in cases(c, ["encoder_jump/HOLD"], seed=seed)
@@ -79,7 +79,7 @@ def one(pattern: str, configuration: str = "virtual") -> dict[str, Any]:
         pytest.param("bus_flood/HOLD", "FAULT", ["STALE"], [], marks=pytest.mark.long),
     ],
 )
-def test_a_case_of_the_matrix_ends_as_its_kind_does_and_names_the_leg(pattern, ended, faults, legs):
+def test_a_case_ends_as_expected_for_its_kind_and_reports_the_leg(pattern, ended, faults, legs):
     found = one(pattern)
     assert found["faults"] == faults
     assert ended in {None, found["ended"]}
@@ -90,33 +90,35 @@ def test_a_case_of_the_matrix_ends_as_its_kind_does_and_names_the_leg(pattern, e
 
 @pytest.mark.parametrize("moment", broad(["PARKING", "TRACKING"], quick=1))
 def test_swapped_wires_do_not_drive_a_leg_through_its_brake(moment):
-    """Where it is fastest, and where the law still holds while the brakes close: it went 0.68 and 0.87 m."""
+    """Where it is fastest, and where the law still acts while the brakes close: without the rule it moved
+    0.68 and 0.87 m.
+    """
     found = one(f"drive_sign/{moment}")
     assert found["ended"] in {"PARKED", "HELD"}
     assert "DRIVE" in found["faults"]
     assert f"drive {LEG} does not obey" in found["reason"]
 
 
-def test_what_no_encoder_can_see_is_said_to_be_so():
+def test_an_unobservable_fault_gets_the_verdict_not_observable():
     found = one("encoder_scale/HOLD")
     assert (found["ended"], found["faults"]) == ("PARKED", [])
     assert found["verdict"].startswith("not observable with these sensors")
 
 
-def test_a_case_is_the_same_each_time():
+def test_a_case_is_reproducible():
     first, second = (one("frames_loss/LOADING") for _ in range(2))
     assert {**first, "wall_s": 0} == {**second, "wall_s": 0}
 
 
 @pytest.mark.long
-def test_a_case_whose_brake_tests_never_end_is_held_and_judged_within_half_a_minute():
-    """Lost frames: the platform stands on closed brakes, and the force that holds it never goes."""
+def test_a_case_with_endless_brake_tests_is_judged_in_half_a_minute():
+    """Lost frames: the platform stands on closed brakes, and its holding force stays on."""
     found = one("frames_loss/TRACKING", "desktop")
     assert (found["ended"], found["faults"]) == ("HELD", ["STALE"])
 
 
 @pytest.mark.parametrize("mode", [Mode.LOADING, Mode.APPROACH, Mode.TRACKING, Mode.PARKING])
-def test_a_fault_of_a_mode_begins_in_it_and_counts_from_there(mode):
+def test_the_time_of_a_fault_with_a_mode_counts_from_its_entry(mode):
     words = f"encoder_noise leg=0 sigma=0 mode={mode.name} at=0.02"
     fault = read_fault(words)
     with bench(with_faults(load("virtual"), [words])) as lockstep:
@@ -131,8 +133,8 @@ def test_a_fault_of_a_mode_begins_in_it_and_counts_from_there(mode):
         assert 1e-9 * begins_ns(fault) - 1e-3 * entered == pytest.approx(0.02, abs=1e-3)
 
 
-def test_a_run_says_which_faults_struck_and_which_were_not_reached(tmp_path):
-    """The shipped path never stands still."""
+def test_the_summary_lists_injected_faults_and_those_not_reached(tmp_path):
+    """The shipped path never stands still, so the HOLD moment is not reached."""
     faults = ("freeze leg=0 mode=HOLD", "noise leg=1 sigma=1e-6 at=1", "jump leg=2 at=99 by=1e-3")
     words = [word for fault in faults for word in ("--fault", f"encoder_{fault}")]
     files = ["--log", str(tmp_path / "a.mcap"), "--json", str(tmp_path / "a.json")]
@@ -163,7 +165,7 @@ def test_the_command_prints_a_table_and_writes_json_and_junit(tmp_path):
 
 BENCHES = ("virtual", "lab", "bench")
 SHARES: dict[str, list[str]] = {name: [] for name in BENCHES}
-"""Every kind at every moment on one of the benches that have it, in turn; each bench has each of its kinds."""
+"""Every kind at every moment, alternating over the benches that have it; each bench gets each of its kinds."""
 for _n, _kind in enumerate(KINDS):
     _fit = BENCHES if _kind.startswith(("drive_", "frames_")) else BENCHES[:2]
     for _m, _moment in enumerate(MATRIX):
@@ -173,7 +175,7 @@ for _n, _kind in enumerate(KINDS):
 @pytest.mark.long
 @pytest.mark.parametrize("name", BENCHES)
 def test_every_fault_at_every_moment_is_within_its_bound(name):
-    """Each ends held, or with the printed words."""
+    """Each case ends held, or with its printed verdict."""
     found = run_matrix(load(name), only=SHARES[name])["matrix"]
     assert len(found) == len(SHARES[name])
     assert not {f"{case['kind']}/{case['when']}": case["verdict"] for case in found if not case["success"]}

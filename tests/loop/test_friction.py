@@ -1,4 +1,4 @@
-"""Friction and reflected mass of the drives in the controller's model, and what a high gear does to the legs."""
+"""Friction and reflected mass of the drives in the controller's model, and the effect of a high gear ratio."""
 
 from __future__ import annotations
 
@@ -28,21 +28,22 @@ DRY = {"coulomb_friction_N": 200}
         ({}, DRY, 1.5, 2.0),  # 1.79
     ],
 )
-def test_the_error_is_that_of_sampling_if_the_model_knows_the_drives(model, plant, least_mm, most_mm):
-    """The plant's friction is written on its own."""
+def test_with_a_model_of_the_drives_only_the_sampling_error_remains(model, plant, least_mm, most_mm):
+    """The plant's friction code is independent of the controller's."""
     ran = succeeded(changed("ideal", controller={"model": model}, plant={"model": plant}))
     assert least_mm < ran.summary["tracking"]["peak_leg_error_mm"] < most_mm
 
 
 W_N, SHARE_kg = 20.0, 1000.0
 GEAR_kg = 0.019 * (2 * pi / 0.005) ** 2
-"""0.019 kg m^2 of motor and screw at 5 mm lead: 30 t along each leg, beside which 1 t is its mean share."""
+"""0.019 kg m^2 of motor and screw at 5 mm lead: 30 t along each leg, compared with 1 t of the platform's
+share."""
 WIDE = 1_000_000
-"""Newton: 148 kN accelerate 30 t."""
+"""Force that accelerates 30 t: 148 kN."""
 
 
 def geared(reflected_kg):
-    """The ideal bench with geared legs under PD that feeds the acceleration of each leg forward."""
+    """The ideal bench with geared legs under PD with feed-forward of each leg's acceleration."""
     m = reflected_kg + SHARE_kg
     law = {"law": "pd", "kp_N_m": W_N**2 * m, "kv_N_s_m": 2 * W_N * m, "feedforward_mass_kg": m}
     return changed(
@@ -67,7 +68,7 @@ def slowest_and_fastest(reflected_kg):
     return sqrt(Kp / np.max(found)), sqrt(Kp / np.min(found))
 
 
-def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
+def test_a_gear_keeps_the_natural_frequency_nearly_constant():
     slowest, fastest = slowest_and_fastest(0.0)
     assert fastest / slowest == pytest.approx(5.5, rel=0.02)
     slowest, fastest = slowest_and_fastest(GEAR_kg)
@@ -75,16 +76,16 @@ def test_a_gear_holds_the_natural_frequency_that_varies_five_fold_without():
     assert slowest < W_N < fastest
 
 
-def test_the_error_of_a_decentralised_law_falls_as_the_inertia_of_the_motors_rises():
-    """The platform's changing inertia drowns in theirs."""
+def test_the_error_of_a_decentralised_law_falls_with_motor_inertia():
+    """The motors' inertia dominates the platform's changing inertia."""
     factors = np.array([0.5, 1.0, 2.0])
     peaks = [succeeded(geared(by * GEAR_kg)).summary["tracking"]["peak_leg_error_mm"] for by in factors]
     assert peaks[1] == pytest.approx(1.32, rel=0.10)
     assert factors * peaks == pytest.approx((factors * peaks).mean(), rel=0.03)
 
 
-def test_without_a_gear_safety_stops_before_the_platform_falls_through_a_singularity():
-    """Legs 37 mm short of the far point have no pose on this side of it."""
+def test_without_a_gear_safety_stops_before_a_singularity():
+    """With legs 37 mm short of the far point there is no pose on this side of the singularity."""
     summary = run(geared(0.0)).summary
     assert summary["faults"] == ["CONDITION"]
     assert 30.0 < summary["tracking"]["peak_leg_error_mm"] < 50.9

@@ -1,4 +1,4 @@
-"""Legs that friction holds where they turn round: no push where it is known, and a frozen encoder is found.
+"""Legs that friction holds at reversal: no push if the friction is known, and a frozen encoder is found.
 
 A hexapod on racks, of 10 or 38 kg, with `legs` or `odrive` drives and 3 to 30 N of dry friction a leg.
 """
@@ -20,7 +20,7 @@ HEAVY: dict[str, Any] = {
 ODRIVE: dict[str, Any] = {"drives": {"protocol": "odrive", "options": None}, "loop": {"rate_Hz": 312.5}}
 LEGS: dict[str, Any] = {"drives": {"protocol": "legs", "options": None, "transmission": None}}
 FOUND_m = 4e-3
-"""True error of a leg by which its frozen encoder is found."""
+"""True error of a leg within which its frozen encoder must be found."""
 
 
 def moved(friction_N: float, drives: dict[str, Any], **more: Any) -> hil.Run:
@@ -39,7 +39,7 @@ FRICTIONS = [(10.0, ODRIVE), (3.0, LEGS), (30.0, ODRIVE), (10.0, LEGS), (3.0, OD
 
 
 @pytest.mark.parametrize(("friction_N", "drives"), broad(FRICTIONS, quick=1))
-def test_no_leg_is_pushed_that_known_friction_holds(friction_N, drives):
+def test_a_leg_held_by_known_friction_is_not_pushed(friction_N, drives):
     run = moved(friction_N, drives)
     assert run.success, run.summary["trouble"]
     stands = np.abs(np.diff(run.log.frame("plant.length").to_numpy(), axis=0)) < 1e-7
@@ -63,7 +63,7 @@ def test_a_frozen_encoder_is_found_before_its_leg_is_far_off(friction_N, drives,
     assert abs(true.iloc[-1] - true.iloc[0]) < FOUND_m
 
 
-def test_a_push_for_friction_that_nobody_stated_is_seen_in_column_event_and_summary():
+def test_a_push_against_unstated_friction_shows_in_column_and_summary():
     run = moved(10.0, LEGS, monitor={"friction_N": 5.0})
     force = run.log.frame("probe_force").to_numpy()
     pushes = int(((force[1:] != 0.0) & (force[:-1] == 0.0)).sum())
@@ -90,7 +90,7 @@ def test_a_push_for_friction_that_nobody_stated_is_seen_in_column_event_and_summ
         quick=1,
     ),
 )  # fmt: skip
-def test_an_observer_takes_no_leg_that_stands_for_a_load(fault, drives):
+def test_an_observer_does_not_mistake_a_standing_leg_for_a_load(fault, drives):
     observer = {"wrench": {"source": "observer"}}
     run = moved(10.0, drives, estimation=observer, faults=[fault])
     (finding, *_) = run.summary["story"]["findings"]

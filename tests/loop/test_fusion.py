@@ -1,7 +1,7 @@
-"""The fused pose in the loop against the plant's own pose at the instant at which the drives latch.
+"""The fused pose in the loop, compared with the plant's true pose at the instant of latching.
 
-With e the error of pose and twist and P its covariance, e^T P^-1 e / 12 has the mean 1 where P is right (NEES;
-Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4).
+With e the error of pose and twist and P its covariance, e^T P^-1 e / 12 has the mean 1 where P is right
+(NEES; Bar-Shalom, Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, 5.4).
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from plant_fmu.faults.kinds import DriveSilence, EncoderFreeze, EncoderJump, Enc
 from plant_fmu.faults.plan import FaultPlan
 from tests.broad import broad
 from tests.loop.bench import bench, changed, until
-from tests.loop.fused import ANY_LEG, SOON, TRACKER, UNPROVEN, Tracked, fused, seen, track
+from tests.loop.fusion_runs import ANY_LEG, SOON, TRACKER, UNPROVEN, Tracked, fused, seen, track
 
 PUSH = WrenchStep(at_s=0.8, force_N=(1500.0, -1000.0, -2000.0), moment_N_m=(0.0, 300.0, 0.0))
 MOVING_S = 0.5
-"""By then it is on its path."""
+"""By this tick the platform is on its path."""
 NO_LEG = {"pose": "fused"}
 WIDE = {"max_load_percent": 90}
 """Section bus with room for a wrench sensor."""
 
 
 def assert_near(found: Tracked) -> None:
-    """Assert that the pose is as good as the tracker and the model allow without one leg."""
+    """Assert that without one leg the pose is as good as tracker and model allow."""
     assert found.rms_mm < 0.4
     assert found.position_mm.max() < 1.5
 
@@ -54,8 +54,8 @@ def test_a_coarse_tracker_does_not_spoil_precise_legs(good):
     assert good.warned == 0
 
 
-def test_the_tracker_comes_late_and_lossy_and_is_used_at_its_own_instant(good):
-    """At up to 1.1 m/s a sample taken for 5 ms younger than it is would be off by 5 mm."""
+def test_late_tracker_samples_are_used_at_their_own_instant(good):
+    """At up to 1.1 m/s a sample dated 5 ms too late would be off by 5 mm."""
     came = good.rows["tracker"] != 0
     assert 0.15 < came.mean() < 0.2
     assert np.all(good.rows["tracker"][came] == 1)
@@ -67,7 +67,7 @@ def test_the_tracker_comes_late_and_lossy_and_is_used_at_its_own_instant(good):
 
 
 @pytest.mark.parametrize("leg", broad([3, 0], quick=1))
-def test_an_encoder_that_slips_by_2_mm_is_named_and_left_out(leg):
+def test_an_encoder_that_slips_by_2_mm_is_reported_and_left_out(leg):
     found = track(fused(), EncoderJump(leg=leg, at_s=MOVING_S, by_m=2e-3))
     assert found.end == UNPROVEN
     slipped = found.rows["legs_slipped"]
@@ -79,15 +79,15 @@ def test_an_encoder_that_slips_by_2_mm_is_named_and_left_out(leg):
     assert_near(found)
 
 
-def test_a_slip_where_no_encoder_may_be_lost_is_a_fault_that_names_the_leg():
+def test_a_slip_is_a_fault_if_no_encoder_may_be_lost():
     found = track(fused(estimation=NO_LEG), EncoderJump(leg=2, at_s=MOVING_S, by_m=2e-3))
     assert found.ending.mode is Mode.HELD
     assert Fault.ENCODER in found.faults
     assert "encoder of leg 2" in found.ending.reason
 
 
-def test_on_shut_brakes_the_pose_stays_and_no_further_encoder_is_blamed():
-    """A slip in motion faults; the brakes stop the platform from 1 m/s with one leg not heard."""
+def test_on_shut_brakes_the_pose_stays_and_no_other_leg_is_doubted():
+    """A slip in motion faults; the brakes stop the platform from 1 m/s with one leg missing."""
     with bench(fused(estimation=NO_LEG), EncoderJump(leg=2, at_s=MOVING_S, by_m=2e-3), seed=1) as lockstep:
         until(lockstep, Mode.HELD)
         for _ in range(600):
@@ -100,7 +100,7 @@ def test_on_shut_brakes_the_pose_stays_and_no_further_encoder_is_blamed():
 
 
 @pytest.mark.long
-def test_one_lost_encoder_whichever_leg_it_is():
+def test_the_loss_of_any_single_encoder_is_survived():
     """The pose stays within 0.4 mm RMS and 1.5 mm, and the loop stays closed on it."""
     errors, beside = [], []
     for seed in range(12):
@@ -133,13 +133,13 @@ def test_a_frozen_encoder_and_a_silent_drive_are_survived_in_motion(fault, end):
         (ANY_LEG, [EncoderLost(leg=4, at_s=MOVING_S), DriveSilence(leg=1, at_s=MOVING_S)]),
     ],
 )
-def test_a_leg_that_may_not_be_lost_and_a_second_one_fault_after_five_stale_ticks(fusion, faults):
+def test_a_loss_that_is_not_allowed_faults_after_five_stale_ticks(fusion, faults):
     found = track(fused(estimation={"pose": "fused", "fusion": fusion}), *faults)
     assert (found.ending.mode, found.faults & Fault.STALE) == UNPROVEN
     assert found.rows["age"][-1].max() == 4, "the tick after is no longer tracking"
 
 
-def test_without_the_tracker_a_lost_leg_ends_in_a_fault_and_not_in_a_guess():
+def test_a_lost_leg_without_tracker_ends_in_a_fault():
     blind = changed(fused(), plant={"sensors": {"tracker": {"lost_percent": 100}}})
     found = track(blind, EncoderLost(leg=4, at_s=MOVING_S))
     assert found.ending.mode is Mode.HELD
@@ -148,7 +148,7 @@ def test_without_the_tracker_a_lost_leg_ends_in_a_fault_and_not_in_a_guess():
     assert found.position_mm.max() < 1.5
 
 
-def test_a_push_on_the_platform_is_no_slip():
+def test_a_push_on_the_platform_is_not_taken_for_a_slip():
     found = track(fused(), PUSH)
     assert found.ending.mode is Mode.PARKED
     assert found.rows["legs_slipped"].max() == 0
@@ -156,8 +156,8 @@ def test_a_push_on_the_platform_is_no_slip():
 
 
 @pytest.mark.long
-def test_the_observer_does_not_learn_from_a_pose_that_its_own_estimate_carries_on():
-    """In the direction that no leg sees, filter and observer would confirm each other."""
+def test_the_observer_does_not_learn_from_its_own_prediction():
+    """In the direction that no leg measures, filter and observer would confirm each other."""
     observer = {"source": "observer", "bus_ms": 0.5, "drive_lag_ms": 0.796}
     c = changed(fused(), estimation={"wrench": observer})
     found = track(c, EncoderLost(leg=4, at_s=MOVING_S))
@@ -169,7 +169,7 @@ def test_the_observer_does_not_learn_from_a_pose_that_its_own_estimate_carries_o
 
 
 @pytest.mark.long
-def test_a_load_that_the_filter_does_not_know_moves_the_pose_where_no_leg_sees_it():
+def test_an_unknown_load_shifts_the_pose_in_the_unmeasured_direction():
     lost = EncoderLost(leg=1, at_s=0.3)
     small = track(fused(), lost, WrenchStep(at_s=0.8, force_N=(0.0, 0.0, -300.0), moment_N_m=(0.0, 0.0, 0.0)))
     assert small.end == UNPROVEN
@@ -199,12 +199,12 @@ def test_a_fused_run_with_a_lost_leg_replays_to_the_bit(tmp_path):
 
 CLASSIC = {"layout": "classic"}
 REFUSED: list[tuple[dict[str, Any], str]] = [
-    ({"sensors": None}, r"may_lose_legs: five legs alone do not hold the pose"),
+    ({"sensors": None}, r"may_lose_legs: five legs alone do not determine the pose"),
     ({"estimation": {"pose": None, "fusion": {"may_lose_legs": [1]}}}, r"may_lose_legs: .* allowed: none"),
     ({"estimation": {"pose": "fused", "fusion": {"may_lose_legs": [1, 1]}}}, r"a leg twice"),
     (
         {"sensors": {"tracker": {"node_id": 6}}},
-        r"tracker\.node_id: 6, allowed: one that drives\.node_ids does not have",
+        r"tracker\.node_id: 6 is also in drives\.node_ids, allowed: an unused number",
     ),
     ({"sensors": {"tracker": {"rate_Hz": 2000}}}, r"more than one sample a tick"),
     ({"sensors": {"tracker": {"latency_max_ms": 500}}}, r"latency_max_ms: older than"),
@@ -215,7 +215,7 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
 
 
 @pytest.mark.parametrize(("sections", "message"), REFUSED, ids=str)
-def test_what_cannot_work_is_refused_with_a_reason(sections, message):
+def test_impossible_fusion_settings_are_refused_with_a_reason(sections, message):
     with pytest.raises(ConfigurationError, match=message):
         changed(fused() if "estimation" not in sections else fused(estimation=None), **sections)
 
@@ -225,7 +225,7 @@ def test_what_cannot_work_is_refused_with_a_reason(sections, message):
 
 SHORT: dict[str, dict[str, Any]] = {"virtual": {"periods": 1}, "lab": {"duration_s": 6}}
 RMS_MM = {"virtual": 0.36e-3, "lab": 0.12e-3}
-"""On `virtual` that of the legs alone, whose encoders have steps of 1 um; on `lab` the steps are 0.15 um."""
+"""On `virtual` that of the legs alone, whose encoder steps are 1 um; on `lab` the steps are 0.15 um."""
 
 
 def stated(name: str, fusion: dict[str, Any] | None = None, **sections: Any) -> Any:
@@ -239,12 +239,12 @@ def covariance(lockstep: Lockstep) -> Array:
 
 
 def used(found: Tracked) -> Any:
-    """Return (n, 6) which legs were used."""
+    """Flags (n, 6) of the used legs."""
     return found.rows["legs_used"][:, None] >> np.arange(LEGS) & 1
 
 
 def assert_consistent(found: Tracked, rms_mm: float) -> None:
-    """Overconfident is what no leg and no limit survives: not over 1.5 even for pose and twist alone."""
+    """No case may be overconfident: not over 1.5 even for pose and twist alone."""
     assert found.end == (Mode.PARKED, Fault.NONE)
     assert 0.5 < found.nees().mean() < 1.5
     assert np.quantile(found.nees(), 0.99) < 3
@@ -265,15 +265,17 @@ RUNS: list[tuple[str, int, dict[str, Any] | None, dict[str, Any]]] = [
 
 
 @pytest.mark.parametrize(("name", "seed", "fusion", "sections"), broad(RUNS, quick=1))
-def test_its_errors_are_as_large_as_it_says_and_no_good_leg_is_left_out(name, seed, fusion, sections):
+def test_errors_match_the_covariance_and_no_good_leg_is_left_out(name, seed, fusion, sections):
     found = track(stated(name, fusion, **sections), seed=seed, covariance=covariance)
     assert_consistent(found, RMS_MM[name])
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("leg", [4, 1])
-def test_with_friction_a_lost_encoder_is_survived_and_the_filter_knows_how_unsure_it_is(leg):
-    """Where no leg sees, only the tracker of 1 mm stands against friction: the lengths bend within that."""
+def test_a_lost_encoder_under_friction_is_survived_with_honest_covariance(leg):
+    """In the direction that no leg measures, only the tracker of 1 mm acts against friction: within 1 mm the
+    lengths are nonlinear.
+    """
     found = track(stated("lab", ANY_LEG), EncoderLost(leg=leg, at_s=3.0), covariance=covariance)
     assert found.end == UNPROVEN
     assert found.rms_mm < 0.4
@@ -286,7 +288,7 @@ def test_with_friction_a_lost_encoder_is_survived_and_the_filter_knows_how_unsur
     assert 0.5 < np.mean((off / said)[lost]) < 2.5
 
 
-def test_noise_and_force_follow_from_encoders_friction_and_the_monitor():
+def test_leg_errors_follow_from_encoders_friction_and_monitor():
     found = leg_errors(stated("lab"))
     steps = np.random.default_rng(1).uniform(-0.5, 0.5, (2, 200_000)) * [[1.5e-7], [1e-7]]
     assert found.length_std_m == pytest.approx(steps.sum(axis=0).std(), rel=0.01)

@@ -1,9 +1,9 @@
-"""The linearised axes of the virtual bench, identified from a run, against their closed form.
+"""The linearised axes of the virtual bench, identified from a run and compared with their closed form.
 
-configs/virtual.yaml: encoders of 1 um, leg rates in the feedback frames, bus time, drives of 200 Hz, 1 kHz. Its
-plant counts in 0.1 ms: rates are latched at 0.1 ms after the tick and forces act at 0.6 ms, 0.5 ms later. The
-encoders are latched with SYNC, 0.075 ms after the tick, so that from position to force there is 0.025 ms more
-than in the closed form; 0.4 degrees at 30 Hz.
+configs/virtual.yaml: encoders of 1 um, leg rates in the feedback frames, bus time, drives of 200 Hz, 1 kHz.
+Its plant has a time grid of 0.1 ms: rates are latched at 0.1 ms after the tick and forces act at 0.6 ms, 0.5
+ms later. The encoders are latched with SYNC, 0.075 ms after the tick, so the delay from position to force is
+0.025 ms longer than in the closed form; 0.4 degrees at 30 Hz.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TOTAL_MS = 1.80
 
 
 def truth(f):
-    """Return the hold, transport, lag and double integrator of the bench."""
+    """Frequency response of the bench: hold, transport, lag and double integrator."""
     s = 2j * pi * np.asarray(f)
     return (1 - np.exp(-s * T)) / (s * T) * np.exp(-TRANSPORT_S * s) / (1 + s * LAG_S) / s**2
 
@@ -59,7 +59,7 @@ def measured(axis):
     return np.array(axis.frequency_Hz), G, np.array(axis.coherence)
 
 
-def test_all_six_axes_are_within_two_percent_and_two_degrees_of_the_truth(made):
+def test_all_six_axes_match_the_truth_within_2_percent_and_2_degrees(made):
     for axis in made.model.measured:
         f, G, coherence = measured(axis)
         judged = (f <= 30.0) & (coherence > 0.9)
@@ -71,8 +71,8 @@ def test_all_six_axes_are_within_two_percent_and_two_degrees_of_the_truth(made):
     assert not any(made.summary["limited_ticks"].values())
 
 
-def test_the_slope_of_the_phase_is_the_total_delay_of_transport_and_lag(made):
-    """By a straight line through the measured phases, and as the fit has it."""
+def test_the_slope_of_the_phase_is_the_total_delay(made):
+    """By a straight line through the measured phases, and by the fit."""
     turned = [measured(axis) for axis in made.model.measured]
     f = np.concatenate([f for f, _, _ in turned])
     phase = np.angle(-np.concatenate([G for _, G, _ in turned]))
@@ -87,8 +87,8 @@ def test_the_slope_of_the_phase_is_the_total_delay_of_transport_and_lag(made):
         assert 2 * made.fit.delays.total_std_s < 0.02e-3
 
 
-def test_the_bound_covers_the_truth(made):
-    """The closed form less 0.025 ms is not the nominal one; the bound says how far it can be."""
+def test_the_uncertainty_bound_covers_the_truth(made):
+    """The closed form with 0.025 ms more delay is not the nominal one; the bound must cover the difference."""
     nominal, profile = made.model.nominal, made.model.uncertainty
     f = np.array(profile.frequency_Hz)
     s = 2j * pi * f

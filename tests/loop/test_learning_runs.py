@@ -1,4 +1,4 @@
-"""Learning in lockstep: run, learn, run again; and logs that cannot teach."""
+"""Learning in lockstep: run, learn, repeat; and logs that cannot be learned from."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_the_error_falls_from_run_to_run_down_to_the_floor(made):
     assert found.steps[3].peak_mm == pytest.approx(np.abs(e).max(), rel=1e-9)
 
 
-def test_the_log_has_what_acted_and_its_replay_needs_nothing_from_the_disk(made, tmp_path):
+def test_the_log_contains_the_learned_forces_and_replays_by_itself(made, tmp_path):
     folder, _ = made
     alone = tmp_path / "alone.mcap"
     shutil.copy(log(folder, 2), alone)
@@ -102,7 +102,7 @@ def test_the_log_has_what_acted_and_its_replay_needs_nothing_from_the_disk(made,
     assert np.abs(unloading["tau"][0] - moving["tau"][-1]).max() < 1.0, "it goes with the holding force"
 
 
-def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(made, tmp_path):
+def test_learning_from_one_log_gives_the_same_forces_as_the_series(made, tmp_path):
     folder, _ = made
     out = tmp_path / "next.csv"
     result = told(log(folder, 0), "-o", out)
@@ -117,7 +117,7 @@ def test_the_first_log_teaches_the_second_run_what_the_series_was_taught(made, t
 
 
 def spoiled(rows: Any, **columns: Any) -> Any:
-    """Return rows with columns changed from half a way along the reference on."""
+    """Rows with columns changed from half of the reference on."""
     other = rows.copy()
     along = np.flatnonzero(other["mode"] == Mode.TRACKING)
     for name, value in columns.items():
@@ -130,11 +130,11 @@ def spoiled(rows: Any, **columns: Any) -> Any:
     [
         ({"faults": int(Fault.FOLLOWING)}, r"ended in a fault \(FOLLOWING\)"),
         ({"mode": int(Mode.STOPPING)}, "250 of 500 ticks along the reference"),
-        ({"reference_time_s": 0.25}, "not the clock's"),
+        ({"reference_time_s": 0.25}, "differs from the clock's"),
         ({"warnings": int(Warn.FORCE_STEP)}, r"limits cut the forces at 250 ticks"),
     ],
 )
-def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(made, columns, said, monkeypatch):
+def test_a_run_with_a_fault_stop_hold_or_limit_is_refused_for_learning(made, columns, said, monkeypatch):
     path = log(made[0], 0)
     recorded = recorded_run(path)
     along = recorded.rows[: np.flatnonzero(recorded.rows["mode"] == Mode.TRACKING)[499] + 1]
@@ -144,8 +144,8 @@ def test_a_run_with_a_fault_a_stop_a_hold_or_a_limit_teaches_nothing(made, colum
 
 
 @pytest.mark.long
-def test_ten_runs_of_the_books_path_leave_less_than_a_twentieth_of_the_error(tmp_path):
-    """The book's path on the bus, the law's masses 0.9 of the robot's."""
+def test_ten_learning_runs_reduce_the_error_twentyfold(tmp_path):
+    """The book's path on the bus, with masses of the law at 0.9 of the robot's."""
     found = rehearse(with_scale(load("virtual"), 0.9), 10, Knowledge(), tmp_path, lambda _: None)
     assert not found.trouble
     first, last = found.steps[0], found.steps[-1]
@@ -159,7 +159,7 @@ def test_ten_runs_of_the_books_path_leave_less_than_a_twentieth_of_the_error(tmp
 
 
 @pytest.mark.long
-def test_what_was_learned_goes_where_a_hold_interrupts_the_run(made, tmp_path):
+def test_learned_forces_fade_out_when_a_hold_interrupts_the_run(made, tmp_path):
     folder, _ = made
     c = Log.open(log(folder, 2)).configuration
     (tmp_path / "c.yaml").write_text(c)
@@ -170,5 +170,5 @@ def test_what_was_learned_goes_where_a_hold_interrupts_the_run(made, tmp_path):
     assert not rows["tau_learned"][late].any()
     assert np.abs(rows["tau_learned"]).max() > 100.0
     assert np.abs(np.diff(rows["tau_learned"], axis=0)).max() < 60.0
-    with pytest.raises(LogError, match="not the clock's"):
+    with pytest.raises(LogError, match="differs from the clock's"):
         learn([tmp_path / "held.mcap"], Knowledge())

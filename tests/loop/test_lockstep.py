@@ -23,11 +23,11 @@ from hil.app.sim.lockstep import Lockstep
 from hil.loop.run_end import Ending
 from hil.record.log import Log
 from hil.signals import Operator
-from tests.drivers.arbitrated import arbitrate
+from tests.drivers.arbitration_queue import arbitrate
 from tests.golden.cases import CASES
 from tests.golden.runner import configured
 from tests.loop.bench import changed, new_cycle
-from tests.loop.operated import modes
+from tests.loop.operator_runs import modes
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def recorded(virtual, tmp_path_factory):
     return simulate(virtual, log=path, duration_s=ONE_PASS_S), Log.open(path)
 
 
-def test_a_run_over_a_real_bus_is_bumpless_and_tracks_the_book_within_half_a_millimetre(recorded):
+def test_a_run_on_the_bus_has_no_bump_and_tracks_within_half_a_mm(recorded):
     summary, log = recorded
     rows = log.rows()
     assert summary["success"], summary
@@ -57,7 +57,7 @@ def test_a_run_over_a_real_bus_is_bumpless_and_tracks_the_book_within_half_a_mil
     assert np.abs(entry["q"] - rows["q"][rows["mode"] == Mode.LOADING][0]).max() < 20e-6
 
 
-def test_twice_the_same_run_gives_the_same_bytes(virtual, recorded, tmp_path):
+def test_two_equal_runs_give_equal_bytes(virtual, recorded, tmp_path):
     again = tmp_path / "again.mcap"
     simulate(virtual, log=again, duration_s=ONE_PASS_S, check_replay=False)
     first, second = recorded[1], Log.open(again)
@@ -67,15 +67,17 @@ def test_twice_the_same_run_gives_the_same_bytes(virtual, recorded, tmp_path):
 
 
 @pytest.mark.parametrize("duration_s", [0.002, 0.05, 0.35])
-def test_a_stop_before_the_drives_are_ready_ends_the_simulation_too(virtual, tmp_path, duration_s):
+def test_a_stop_before_the_drives_are_ready_ends_the_simulation(virtual, tmp_path, duration_s):
     summary = simulate(virtual, log=tmp_path / "short.mcap", duration_s=duration_s)
     assert summary["final_mode"] == "PARKED"
     assert summary["duration_s"] < 1.5
 
 
 @pytest.mark.parametrize("layout", ["fd", "classic"])
-def test_the_frames_of_a_tick_end_when_arbitration_says_so(virtual, layout, monkeypatch):
-    """SYNC, six answers and the commands, in ticks without a status; identifiers not in the order of legs."""
+def test_the_frames_of_a_tick_end_at_their_arbitration_times(virtual, layout, monkeypatch):
+    """SYNC, six answers and the commands, in ticks without a status frame; identifiers not in the order of
+    legs.
+    """
     c = changed(
         virtual,
         drives={"node_ids": [3, 1, 6, 2, 5, 4], "watchdog_ms": 25},
@@ -136,7 +138,7 @@ NAMES = (
 
 
 class Kept:
-    """All ticks of a run: rows, frames, and how many calls it took. State: these."""
+    """All ticks of a run: rows, frames, and the number of calls. State: these."""
 
     def __init__(self) -> None:
         self.rows: list[bytes] = []
@@ -144,7 +146,7 @@ class Kept:
         self.calls = 0
 
     def observe(self, inp: Any, opening: Any, out: Any) -> None:
-        """Take one tick."""
+        """Add one tick."""
         self.calls += 1
         sent = np.concatenate((opening, out.frames))
         sent["t_ns"] = inp.t_ns
@@ -152,7 +154,7 @@ class Kept:
         self.frames += [each.tobytes() for each in (*inp.frames, *sent)]
 
     def take(self, ticks: Any, new: slice, _given: Any) -> None:
-        """Take many."""
+        """Add many ticks."""
         self.calls += 1
         rows, frames, _ends = ticks.recorded(new)
         self.rows += [row.tobytes() for row in rows]
@@ -181,7 +183,7 @@ def kept_of(name: str, *, at_once: bool) -> tuple[Kept, Ending]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_many_ticks_in_one_call_are_those_of_one_call_each(name):
+def test_many_ticks_in_one_call_equal_single_calls(name):
     (alone, one), (together, many) = kept_of(name, at_once=False), kept_of(name, at_once=True)
     assert together.rows == alone.rows
     assert together.frames == alone.frames

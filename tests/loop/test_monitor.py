@@ -1,6 +1,7 @@
-"""The certificate watched in the loop: a drive that pulls instead of pushing, and nothing else, alarms.
+"""The certificate watched in the loop: it alarms for a drive with a wrong sign, and for nothing else.
 
-The book's platform, path and bus. Tracking begins at 0.95 s; the far point of the path is one second on.
+The book's platform, path and bus. Tracking begins at 0.95 s; the far point of the path follows one second
+later.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ AHEAD = {
     "delay_compensation": {"bus_ms": 0.5, "drive_lag_ms": 0.8, "hold_ms": 0.5},
 }  # fmt: skip
 LOAD = WrenchStep(at_s=2.2, force_N=(-1.12e3, -6.46e3, 7.55e3), moment_N_m=(0.0, 0.0, 0.0))
-"""10 kN where they move leg 1 most: J M^-1 wrench is 7.7 m/s^2."""
+"""10 kN in the direction that moves leg 1 most: J M^-1 wrench is 7.7 m/s^2."""
 
 
 def watched(action: str, disturbance: float = 8.0, name: str = "virtual", **sections: Any) -> Configuration:
@@ -40,7 +41,7 @@ def watched(action: str, disturbance: float = 8.0, name: str = "virtual", **sect
 
 
 def run(c: Configuration, *faults: Fault, until_s: float) -> Any:
-    """Return the rows up to an instant, or to a fault."""
+    """Rows up to an instant, or to a fault."""
     rows: list[Any] = []
     with bench(c, *faults) as lockstep:
         course = Course(lockstep.cycle)
@@ -58,7 +59,7 @@ FLIPS = [(1.05, (3,)), (1.25, (1,)), (1.5, (2,)), (1.75, (0,)), (2.25, (4, 5))]
 
 
 @pytest.mark.parametrize(("start_s", "leg"), broad([(t, leg) for t, legs in FLIPS for leg in legs], quick=2))
-def test_a_flipped_gain_ends_the_run_within_20_ms_while_the_leg_carries_force(start_s, leg):
+def test_a_flipped_sign_on_a_loaded_leg_ends_the_run_within_20_ms(start_s, leg):
     rows = run(watched("fault"), DriveSign(leg=leg, at_s=start_s), until_s=start_s + 0.05)
     before = rows[np.searchsorted(rows["t_ns"], 1e9 * start_s) - 1]
     assert abs(before["tau"][leg]) > 1000.0
@@ -68,7 +69,7 @@ def test_a_flipped_gain_ends_the_run_within_20_ms_while_the_leg_carries_force(st
 
 
 @pytest.mark.parametrize("controller", [SLIDING, POSE], ids=["sliding mode", "pose"])
-def test_it_does_so_under_other_certified_laws(controller):
+def test_a_flipped_sign_is_found_under_other_certified_laws(controller):
     rows = run(watched("fault", controller=controller), DriveSign(leg=5, at_s=1.75), until_s=1.8)
     assert rows["faults"][-1] == Faults.CERTIFICATE
     assert 1e-9 * rows["t_ns"][-1] - 1.75 <= 0.020
@@ -84,7 +85,7 @@ def nominal(tmp_path_factory):
     return summary, Log.open(path).rows()
 
 
-def test_the_nominal_run_stays_far_from_its_bound_and_replays_to_the_bit(nominal):
+def test_the_nominal_run_stays_far_from_its_bound_and_replays(nominal):
     summary, rows = nominal
     assert summary["success"], summary
     assert summary["replay"]["different_ticks"] == 0
@@ -98,7 +99,7 @@ def test_the_nominal_run_stays_far_from_its_bound_and_replays_to_the_bit(nominal
         assert np.isnan(rows[column][rows["mode"] > Mode.STOPPING]).all(), column
 
 
-def test_V_is_that_of_the_smallest_reachable_ellipsoid_and_its_rate_a_difference(nominal):
+def test_V_belongs_to_the_smallest_reachable_ellipsoid(nominal):
     """At critical damping V = 3/2 wn^2 ((de + wn e / 4)^2 + 9/16 wn^2 e^2), wn = 20 rad/s."""
     _, rows = nominal
     rows = rows[rows["mode"] == Mode.TRACKING]
@@ -109,22 +110,22 @@ def test_V_is_that_of_the_smallest_reachable_ellipsoid_and_its_rate_a_difference
 
 
 @pytest.mark.parametrize(("disturbance", "alarmed"), [(8.0, False), (6.0, True)])
-def test_an_untold_load_alarms_where_it_is_more_than_what_is_stated(disturbance, alarmed):
+def test_a_load_alarms_only_above_the_stated_disturbance(disturbance, alarmed):
     rows = run(watched("warn", disturbance, limits={"following_error_m": 0.1}), LOAD, until_s=2.45)
     assert bool(alarms(rows)) == alarmed
     assert not rows["faults"].any(), "it only warns"
     assert np.sqrt(rows["lyapunov"].max(where=np.isfinite(rows["lyapunov"]), initial=0.0)) > 8.0
 
 
-def test_a_law_that_looks_ahead_is_not_alarmed_either():
-    """It does not see the load coming: 7.7 m/s^2 on a leg act like 10.2."""
+def test_a_predicting_law_raises_no_alarm_under_the_stated_load():
+    """The law does not predict the load: 7.7 m/s^2 on a leg act like 10.2."""
     rows = run(watched("warn", controller=AHEAD), LOAD, until_s=2.4)
     assert alarms(rows) == 0
     assert rows["lyapunov_share"][-100:].max() > 0.9
 
 
 @pytest.mark.parametrize(("name", "until_s"), broad([("lab", 2.1), ("vcan50", 3.5), ("ideal", 1.3)], quick=2))
-def test_other_shipped_configurations_do_not_alarm(name, until_s):
+def test_other_shipped_configurations_raise_no_certificate_alarm(name, until_s):
     rows = run(watched("warn", name=name), until_s=until_s)
     assert np.isfinite(rows["lyapunov_share"]).sum() > 0.3 * len(rows)
     assert alarms(rows) == 0

@@ -1,4 +1,4 @@
-"""Loads up to the stated disturbance, on a machine that stalls now and then: nothing faults, nobody is doubted."""
+"""Loads up to the stated disturbance, on a machine that stalls now and then: no fault, and no doubted leg."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from tests.loop.stalling import build_stalling
 SHIPPED = sorted(path.stem for path in Path(str(configs.__file__)).parent.glob("*.yaml"))
 VIRTUAL = [name for name in SHIPPED if load(name).plant is not None]
 FOLLOWS = 0.4
-"""Share of the allowed following error that a load may cause: the path and friction take theirs, too."""
+"""Share of the allowed tracking error that a load may cause; the path and friction need the rest."""
 ANSWERS = 0.25
-"""Share of the allowed change of force that the law may need to answer a load, anywhere on the path."""
+"""Share of the allowed change of force that the law may need against a load, anywhere on the path."""
 
 
 def longest_stall_s(c: Configuration) -> float:
-    """What makes no feedback stale and leaves the watchdog of the drives calm.
+    """Longest stall without a stale feedback and without a watchdog reaction of the drives.
 
-    Three ticks go for the answers to what was sent before and after the stall, one behind the other.
+    Three ticks are reserved for the answers to frames sent before and after the stall, one behind the other.
     """
     return min((c.limits.stale_fault_ticks - 3) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3 / 3.0)
 
 
 def follows(c: Configuration, wn: float, at_s: float, for_s: float) -> float:
-    """Acceleration of a leg, m/s^2, that leaves it within its following error.
+    """Acceleration of a leg, m/s^2, that keeps it within its tracking error.
 
     e'' + 2 wn e' + wn^2 e = a peaks at a / wn^2, and after a short a of T s at a T / (wn 2.718). Before the
-    law has taken over, a leg goes on at a T.
+    law has taken over, a leg moves on at a T.
     """
     engaged_s = 0.1 + c.engage.force_ramp_s + c.engage.brake_release_s + c.engage.blend_s
     peak_s2 = min(1.0 / wn**2, for_s / (wn * e))
@@ -59,10 +59,10 @@ def follows(c: Configuration, wn: float, at_s: float, for_s: float) -> float:
 def loads_of(
     c: Configuration, path: Trajectory, generator: np.random.Generator, end_s: float
 ) -> list[WrenchStep | PayloadStep]:
-    """Steps of any time, direction and size, which accelerate a leg at home by no more than stated.
+    """Steps of any time, direction and size that accelerate a leg at home by at most the stated disturbance.
 
-    The longer one lasts, the smaller it has to be: where the law cannot answer it within its limits the
-    platform does not follow, and that is no false alarm. The law answers a T at first with 2 wn a T.
+    A longer step must be smaller: if the law cannot compensate it within its limits, the platform does not
+    follow, and that is not a false alarm. The law answers a T at first with 2 wn a T.
     """
     assert isinstance(c.controller, InverseDynamicsSettings)
     wn = float(np.max(c.controller.wn_rad_s))
@@ -88,7 +88,7 @@ def loads_of(
 
 
 def _unit_load(generator: np.random.Generator, J: Array) -> WrenchStep | PayloadStep:
-    """Return 1 kg somewhere on the platform, or a wrench along an axis, or one like any forces of the legs."""
+    """1 kg somewhere on the platform, or a wrench along an axis, or one equivalent to random leg forces."""
     kind = generator.integers(3)
     if kind == 0:
         x, y = generator.uniform(-0.3, 0.3, 2)
@@ -100,7 +100,7 @@ def _unit_load(generator: np.random.Generator, J: Array) -> WrenchStep | Payload
 
 
 def _wrench(load: WrenchStep | PayloadStep) -> Array:
-    """Return the wrench (6,) N, N m of a load at home, base frame."""
+    """Wrench (6,) N, N m of a load at home, base frame."""
     if isinstance(load, WrenchStep):
         return np.array([*load.force_N, *load.moment_N_m])
     weight = load.mass_kg * np.array(STANDARD_GRAVITY)
@@ -110,7 +110,7 @@ def _wrench(load: WrenchStep | PayloadStep) -> Array:
 def _scaled(
     load: WrenchStep | PayloadStep, size: float, at_s: float, for_s: float
 ) -> WrenchStep | PayloadStep:
-    """Return a load so many times as large, for some time."""
+    """The load times `size`, for some time."""
     when: dict[str, Any] = {"at_s": at_s, "for_s": for_s}
     if isinstance(load, WrenchStep):
         w = size * _wrench(load)
@@ -119,7 +119,9 @@ def _scaled(
 
 
 def run(name: str, seed: int, end_s: float | None) -> tuple[Ending, int]:
-    """Run a shipped configuration with loads and stalls to its end, or a stop; return that and the stalls."""
+    """Run a shipped configuration with loads and stalls to its end, or a stop; return the ending and the
+    stalls.
+    """
     c, generator = load(name), np.random.default_rng([seed, SHIPPED.index(name)])
     rate = c.loop.rate_Hz
     moves = c.plant is not None and isinstance(c.plant.model, StewartPlant)
@@ -139,7 +141,7 @@ def run(name: str, seed: int, end_s: float | None) -> tuple[Ending, int]:
 
 
 def assert_calm(name: str, seed: int, _inp: object, _opening: object, out: Any) -> None:
-    """Assert that a tick neither faults nor doubts a leg."""
+    """Assert that a tick has neither a fault nor a doubted leg."""
     row = out.row
     if row["legs_doubted"] or row["faults"]:
         keys = ("tick", "mode", "faults", "legs_doubted", "doubt", "doubt_value", "doubt_limit")
@@ -163,7 +165,7 @@ WHILES = [
 
 
 @pytest.mark.parametrize(("name", "seed", "end_s", "least"), broad(WHILES, quick=2))
-def test_loads_and_stalls_alarm_nobody_for_a_while(name, seed, end_s, least):
+def test_loads_and_stalls_raise_no_alarm_in_a_short_run(name, seed, end_s, least):
     ending, stalls = run(name, seed, end_s)
     assert ending.success, ending
     assert stalls > least
@@ -171,8 +173,8 @@ def test_loads_and_stalls_alarm_nobody_for_a_while(name, seed, end_s, least):
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", VIRTUAL)
-def test_loads_and_stalls_alarm_nobody_for_two_minutes(name):
-    """One run after the other, with engaging and parking, until the minutes are over."""
+def test_loads_and_stalls_raise_no_alarm_for_two_minutes(name):
+    """Runs in sequence, with engaging and parking, for two minutes."""
     ticks, seed = 0, 1000
     while ticks < 120.0 * load(name).loop.rate_Hz:
         ending, _ = run(name, seed, None)

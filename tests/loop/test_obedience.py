@@ -1,4 +1,6 @@
-"""A drive that does not obey, on made-up ticks of the book's platform at home: both sides of each limit."""
+"""Detection of a drive that does not obey, on synthetic ticks of the book's platform: both sides of each
+limit.
+"""
 
 import numpy as np
 import pytest
@@ -45,7 +47,7 @@ def only(leg, value):
 
 
 def of_force(home, leg, faster):
-    """Return rates of all legs after a force along one of them has made that one faster, m/s."""
+    """Rates of all legs, m/s, after a force along one leg has made that leg faster by `faster`."""
     model, p, R, J = home
     twist = np.linalg.solve(model.mass_matrix(p, R), J[leg])
     return J @ twist * faster / (J @ twist)[leg]
@@ -54,16 +56,14 @@ def of_force(home, leg, faster):
 @LEGS
 @SIGNS
 @pytest.mark.parametrize(("faster", "refused"), [(0.099, False), (0.101, True)])
-def test_a_leg_that_gets_faster_against_its_force_by_that_alone_gets_none(
-    watch, home, leg, sign, faster, refused
-):
+def test_a_leg_that_accelerates_against_its_force_loses_its_force(watch, home, leg, sign, faster, refused):
     start = np.full(6, sign)
     assert not watch(start, -start)
     assert watch(start + of_force(home, leg, sign * faster), -start) is refused
     assert watch.obedience.refused == (leg if refused else None)
 
 
-def test_a_push_on_the_platform_refuses_nobody(watch, home):
+def test_a_push_on_the_platform_refuses_no_leg(watch, home):
     model, p, R, J = home
     twist = np.linalg.solve(model.mass_matrix(p, R), [0, 0, -20e3, 0, 0, 0])
     watch(np.zeros(6), np.zeros(6))
@@ -73,7 +73,7 @@ def test_a_push_on_the_platform_refuses_nobody(watch, home):
 
 
 @SIGNS
-def test_it_counts_what_has_changed_within_20_ms(watch, sign):
+def test_the_change_of_rates_within_20_ms_counts(watch, sign):
     tau = only(3, -sign)
     for speed in np.arange(0.0, 0.4, 0.0052):
         assert not watch(only(3, sign * speed), tau)
@@ -83,14 +83,14 @@ def test_it_counts_what_has_changed_within_20_ms(watch, sign):
     assert watch.obedience.refused == 3
 
 
-def test_a_leg_that_moves_with_its_force_without_one_or_is_not_heard_is_no_sign(watch):
+def test_only_measured_motion_against_the_force_counts(watch):
     for speed in (0.1, 0.5, 0.9):
         assert not watch(only(1, speed), only(1, 1.0))
         assert not watch(only(1, speed), np.zeros(6))
         assert not watch(only(4, speed), only(4, -1.0), age=(4,))
 
 
-def test_one_is_refused_until_a_reset(watch):
+def test_only_one_leg_is_refused_until_a_reset(watch):
     watch(only(2, 0.1), only(2, -1.0))
     assert watch(only(2, 0.3), only(2, -1.0))
     assert not watch(only(5, 0.9), only(5, -1.0)), "one cause is the sparsest"
@@ -100,7 +100,7 @@ def test_one_is_refused_until_a_reset(watch):
 
 
 @pytest.mark.parametrize("begin", [Obedience.forget, Obedience.reset])
-def test_what_was_before_a_fault_or_a_reset_does_not_count(watch, begin):
+def test_rates_before_a_fault_or_a_reset_do_not_count(watch, begin):
     watch(only(5, 0.1), only(5, -1.0))
     begin(watch.obedience)
     assert not watch(only(5, 0.9), only(5, -1.0))
@@ -108,7 +108,7 @@ def test_what_was_before_a_fault_or_a_reset_does_not_count(watch, begin):
 
 
 @LEGS
-def test_alone_on_closed_brakes_a_leg_may_get_faster_by_a_tenth_of_a_metre_per_second(home, leg):
+def test_a_single_leg_on_closed_brakes_may_gain_a_tenth_of_a_m_per_s(home, leg):
     for faster, refused in ((0.1, False), (np.nextafter(0.1, 1.0), True)):
         watch = Watch(home)
         watch(np.zeros(6), only(leg, -1.0))
@@ -116,8 +116,8 @@ def test_alone_on_closed_brakes_a_leg_may_get_faster_by_a_tenth_of_a_metre_per_s
 
 
 @LEGS
-def test_of_the_change_of_all_rates_three_tenths_may_be_others_to_the_last_bit(home, leg):
-    """Beside 91 of the leg, 25, 13 and 5 of others: 819 of 9100 in squares, which is 0.3^2."""
+def test_the_residual_of_other_legs_may_be_three_tenths_to_the_bit(home, leg):
+    """Next to 91 of the leg, 25, 13 and 5 of others: 819 of 9100 in squares, which is 0.3^2."""
     for one_more, refused in ((0.0, True), (1e-9, False)):
         watch = Watch(home)
         change = np.roll([91.0, 25.0 + one_more, 13.0, 5.0, 0.0, 0.0], leg) / 512.0
@@ -126,7 +126,7 @@ def test_of_the_change_of_all_rates_three_tenths_may_be_others_to_the_last_bit(h
 
 
 @pytest.mark.parametrize("rate_Hz", [20.0, 50.0, 100.0])
-def test_in_a_slow_loop_a_leg_is_held_against_the_tick_before(home, rate_Hz):
+def test_a_slow_loop_compares_a_leg_with_the_tick_before(home, rate_Hz):
     watch = Watch(home, rate_Hz)
     tau = only(3, -1.0)
     for speed in (0.0, 0.09, 0.18, 0.27):
@@ -135,7 +135,7 @@ def test_in_a_slow_loop_a_leg_is_held_against_the_tick_before(home, rate_Hz):
 
 
 @LEGS
-def test_a_tick_in_which_one_leg_is_not_heard_is_none_to_compare_with(watch, leg):
+def test_a_tick_with_a_missing_leg_is_not_used_for_comparison(watch, leg):
     tau = only(3, -1.0)
     assert not watch(only(3, 0.0), tau)
     assert not watch(only(3, 0.5), tau, age=(leg,))

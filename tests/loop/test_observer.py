@@ -1,7 +1,7 @@
 """The wrench observer in the closed loop, on the bus of configs/virtual.yaml.
 
-The error that a load leaves without it is its share of the error dynamics: M J^-1 wn^2 e = J^T-transformed
-load, so e = J M^-1 wrench / wn^2.
+Without it, the error under a load follows from the error dynamics: M J^-1 wn^2 e = J^T-transformed load, so e
+= J M^-1 wrench / wn^2.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from tests.loop.bench import changed, succeeded
 HOLD = {"type": "hold", "duration_s": 1.25}
 LOAD = (1000.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 START_S = 1.5
-"""A quarter of a second after tracking begins: there is nothing to be seen before."""
+"""A quarter of a second after tracking begins; before, the estimate must be zero."""
 STEP = WrenchStep(at_s=START_S, force_N=LOAD[:3], moment_N_m=LOAD[3:])
 
 
@@ -53,7 +53,7 @@ def held() -> dict[str, Any]:
     return {source: succeeded(bench(source=source), STEP).rows for source in ("observer", "sensor", "none")}
 
 
-def test_a_step_of_1_kN_is_seen_within_5_percent_after_50_ms(held):
+def test_a_step_of_1_kN_is_estimated_within_5_percent_after_50_ms(held):
     rows = held["observer"]
     t = rows["t_ns"] * 1e-9
     wrench = rows["wrench"]
@@ -64,8 +64,8 @@ def test_a_step_of_1_kN_is_seen_within_5_percent_after_50_ms(held):
     assert np.abs(wrench[after, 1:]).max() < 50.0
 
 
-def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_they_do():
-    """The force is built up to what holds platform and load, by statics."""
+def test_a_load_sensed_before_the_brakes_open_makes_no_bump():
+    """The ramp ends at the static force that holds platform and load."""
     first = WrenchStep(at_s=0.0, force_N=LOAD[:3], moment_N_m=LOAD[3:])
     loaded = succeeded(bench(source="sensor"), first).rows
     last = loaded[loaded["mode"] == Mode.LOADING][-1]
@@ -80,7 +80,7 @@ def test_a_load_that_a_sensor_knows_before_the_brakes_open_makes_no_bump_when_th
 
 
 @pytest.mark.parametrize("source", ["observer", "sensor"])
-def test_fed_back_it_removes_the_static_error(held, source):
+def test_feedback_of_the_wrench_removes_the_static_error(held, source):
     without, fed_back = final_error(held["none"]), final_error(held[source])
     c = load("virtual")
     platform = build_platform(c.platform)
@@ -94,7 +94,7 @@ def test_fed_back_it_removes_the_static_error(held, source):
 BOOK = {"periods": 1}
 
 
-def test_a_delay_that_it_does_not_know_is_seen_as_a_load():
+def test_an_unknown_delay_appears_as_a_load():
     rows = succeeded(bench(BOOK, bus_ms=0.0, drive_lag_ms=0.0)).rows
     assert np.abs(rows["wrench"]).max() > 50.0
 
@@ -103,8 +103,8 @@ def test_a_delay_that_it_does_not_know_is_seen_as_a_load():
     ("bandwidth_Hz", "scale", "known"),
     broad([(100.0, 1.6, True), (100.0, 1.0, False), (15.0, 0.6, True)], quick=1),
 )
-def test_fed_back_it_is_stable_with_wrong_masses_and_unknown_delays(bandwidth_Hz, scale, known):
-    """Masses of 0.6 to 1.6 times the true ones in law and observer, or no delay told, up to 100 Hz."""
+def test_wrench_feedback_is_stable_with_wrong_masses_and_delays(bandwidth_Hz, scale, known):
+    """Masses of 0.6 to 1.6 times the true ones in law and observer, or unconfigured delays, up to 100 Hz."""
     delays: dict[str, Any] = {} if known else {"bus_ms": 0.0, "drive_lag_ms": 0.0}
     rows = succeeded(bench(scale=scale, bandwidth_Hz=bandwidth_Hz, **delays), STEP).rows
     last = rows[rows["mode"] == Mode.TRACKING][-200:]
@@ -114,7 +114,7 @@ def test_fed_back_it_is_stable_with_wrong_masses_and_unknown_delays(bandwidth_Hz
     assert np.abs(entry["q_d"] - entry["q"]).max() < 20e-6, "wrong masses make no bump at the entry"
 
 
-def test_the_load_is_carried_until_the_brakes_are_shut_and_then_forgotten(held):
+def test_the_load_estimate_lasts_until_the_brakes_are_shut(held):
     rows = held["observer"]
     parking, powered = rows["mode"] == Mode.PARKING, np.isin(rows["mode"], [Mode.PARKING, Mode.UNLOADING])
     assert np.abs(np.diff(rows["tau"][parking], axis=0)).max() < 10.0

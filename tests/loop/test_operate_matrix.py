@@ -1,4 +1,4 @@
-"""The operator's words in every order that is asked for by accident: each run ends parked, and replays to the bit."""
+"""Operator commands in orders that may happen by accident: each run ends parked, and replays to the bit."""
 
 from typing import Any
 
@@ -35,7 +35,7 @@ LAWS: dict[str, tuple[str, dict[str, Any]]] = {
 
 
 def all_jogs():
-    """Every axis and leg both ways from hold, most of them as far as a limit."""
+    """Every axis and leg in both directions from hold, most of them up to a limit."""
     said, t = [(2.0, "hold")], 3.0
     for name in JOG_NAMES:
         for way in (1, -1):
@@ -45,7 +45,7 @@ def all_jogs():
 
 
 def key_lost(until_s):
-    """The key is let go then, and held again; start and park follow."""
+    """The key is released then, and pressed again; start and park follow."""
     again = until_s + 0.8
     return [
         (0.0, f"key for {until_s}"), (again, "key for 12"), (again + 0.1, "start"), (again + 2.5, "park"),
@@ -102,8 +102,8 @@ def check(run, script):
     return rows
 
 
-def test_words_of_two_clients_at_once_are_one_order_after_the_other(tmp_path):
-    """The last word of a tick counts; a jog of one is not led astray by another's."""
+def test_simultaneous_commands_of_two_clients_act_in_sequence(tmp_path):
+    """The last command of a tick counts; a jog of one client is not disturbed by another's."""
     rows = check(operated(tmp_path, "lab", "two clients"), "two clients")
     assert np.abs(rows["twist_d"][3100:3500]).max() == 0.0, "hold came last"
     jog = rows["twist_d"][3500:4100]
@@ -113,10 +113,10 @@ def test_words_of_two_clients_at_once_are_one_order_after_the_other(tmp_path):
 SOME = [
     (law, script) for n, script in enumerate(SCRIPTS) for k, law in enumerate(LAWS) if (k - n) % 5 in {0, 2}
 ]
-"""Each script under two laws, each law with four scripts."""
+"""Each script with two laws, each law with four scripts."""
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("law", "script"), SOME)
-def test_the_operator_may_say_anything_at_any_time(tmp_path, law, script):
+def test_any_operator_command_at_any_time_ends_parked(tmp_path, law, script):
     check(operated(tmp_path, law, script), script)

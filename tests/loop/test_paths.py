@@ -1,9 +1,10 @@
-"""The same law over an ideal and over a real path, with and without delay compensation, and references met.
+"""The same law over an ideal and a real path, with and without delay compensation, and precise references.
 
-What a delay costs: with exact inverse dynamics a force that is late by T disturbs e'' + 2 wn e' + wn^2 e by
+The cost of a delay: with exact inverse dynamics a force that is late by T disturbs e'' + 2 wn e' + wn^2 e by
 T times the jerk of the reference, so the error is proportional to T. The ideal path is late by half a period,
-the hold's, and its error is known from outside; the others follow from their delays. On `virtual` SYNC to force
-takes 0.5 ms (rates are latched at 0.1 ms, force at 0.6 ms), the drives' force loop of 200 Hz lags 0.796 ms.
+due to the hold, and its error is known from other sources; the others follow from their delays. On `virtual`
+SYNC to force takes 0.5 ms (rates are latched at 0.1 ms, force at 0.6 ms), the drives' force loop of 200 Hz
+lags 0.796 ms.
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ def test_the_error_grows_with_the_delay():
         assert peak == pytest.approx(ZOH_IDEAL_MM * delay_s / HOLD_S, rel=0.05)
 
 
-def test_a_held_pose_is_held_within_encoder_steps():
+def test_a_pose_is_held_within_encoder_steps():
     pose = {"position_m": [0.05, -0.05, 1.02]}
     rows = succeeded(changed("virtual", reference={"type": "hold", "pose": pose, "duration_s": 1})).tracking
     error = np.abs(rows["p"] - pose["position_m"]).max(axis=1)
@@ -60,7 +61,7 @@ def test_a_held_pose_is_held_within_encoder_steps():
     assert error[rows["reference_time_s"] > 0.8].max() < 2e-6, "two steps of the encoder"
 
 
-def test_quintic_way_points_are_met():
+def test_quintic_way_points_are_reached():
     points = [(0, [0, 0, 1]), (1.0, [0.1, -0.1, 1.05]), (2.2, [-0.1, 0.05, 0.95]), (3.0, [0, 0, 1])]
     reference = {
         "interpolation": "quintic",
@@ -129,15 +130,17 @@ def peak_mm(found: Any) -> float:
 
 
 @pytest.mark.long
-def test_compensation_leaves_a_third_of_the_error_of_the_bus():
+def test_compensation_reduces_the_error_of_the_bus_to_a_third():
     without, compensated = peak_mm(rows("bus")), peak_mm(rows("bus, compensated"))
     assert without <= 0.15
     assert compensated <= min(0.05, without / 3)
 
 
 @pytest.mark.long
-def test_what_is_left_comes_from_the_jump_of_the_acceleration():
-    """It falls between two ticks. Where the path is smooth, from 0.6 s to 1.1 s, an eighth is left."""
+def test_the_remaining_error_comes_from_the_jump_of_the_acceleration():
+    """The jump falls between two ticks. Where the path is smooth, from 0.6 s to 1.1 s, an eighth of the error
+    remains.
+    """
 
     def smooth_mm(name: str) -> float:
         t = rows(name)["reference_time_s"]
@@ -149,13 +152,13 @@ def test_what_is_left_comes_from_the_jump_of_the_acceleration():
 
 
 @pytest.mark.long
-def test_twice_the_delay_is_worse_than_none_and_than_the_true_one():
+def test_compensating_twice_the_delay_is_worse_than_none():
     wrong = peak_mm(rows("bus, twice the delay"))
     assert wrong > peak_mm(rows("bus"))
     assert wrong > 3 * peak_mm(rows("bus, compensated"))
 
 
-def test_safety_and_the_log_keep_the_present_state_and_reference():
+def test_safety_and_log_use_the_present_state_and_reference():
     """The same path in both runs, tick by tick, and the recorded pose is the measured one."""
     a, b = rows("bus"), rows("bus, compensated")
     np.testing.assert_array_equal(a["tick"], b["tick"])
@@ -165,8 +168,8 @@ def test_safety_and_the_log_keep_the_present_state_and_reference():
     assert np.abs(a["q"][moving] - b["q"][moving]).max() < 0.2e-3
 
 
-def test_entry_and_exit_have_no_bump_and_the_path_begins_before_its_time_by_the_delay():
-    """The jump of the first acceleration, 2.5 kN, is commanded a tick early: 1.8 ms ahead is in the path."""
+def test_entry_and_exit_have_no_bump_with_delay_compensation():
+    """The jump of the first acceleration, 2.5 kN, is commanded a tick early: 1.8 ms ahead lies on the path."""
     ran = run(bench("virtual", TRUE, hold_s=0.0), stop_s=2.2)
     assert ran.ending.success, ran.ending
     mode, steps = ran.rows["mode"], np.abs(np.diff(ran.rows["tau"], axis=0)).max(axis=1)

@@ -1,7 +1,7 @@
-"""Payload and friction that the controller does not know, found in the logs of its runs on the bus path.
+"""Payload and friction unknown to the controller, identified from logs of its runs on the bus path.
 
 configs/virtual.yaml carries 230 kg at (0.5, 0.3, 0.5) m, encoders of 1 um; configs/lab.yaml has friction and
-motor inertia that its controller's model lacks. The plant's physics is code of its own.
+motor inertia that its controller's model lacks. The plant's physics code is independent.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hil.lab.identify.payload import identify_payload
 from hil.lab.identify.payload_report import block
 from hil.record.log import Log
 from plant_fmu.faults.kinds import EncoderNoise
-from tests.loop import laden
+from tests.loop import loaded_plant
 
 AXES = {
     "x_m": (0.08, 0.5),
@@ -36,27 +36,27 @@ MOTION = {
     "ramp_s": 2,
     "components": [{"axis": k, "amplitude": a, "frequency_Hz": f} for k, (a, f) in AXES.items()],
 }
-"""All six axes, each at a frequency of its own; small enough for a law that is 20 % off."""
+"""All six axes, each at its own frequency; small enough for a law that is 20 % off."""
 MASS, COM, SIZE_m = 230.0, np.array([0.5, 0.3, 0.5]), np.array([0.4, 0.6, 0.5])
 PAYLOAD = {"mass_kg": MASS, "com_m": COM.tolist(), "shape": {"type": "box", "size_m": SIZE_m.tolist()}}
 LADEN = {"platform": {"platform": {"payload": [PAYLOAD]}}}
 
 
 def truth():
-    """Return inertia (3, 3) of platform and payload about the platform's origin, from the book and a box."""
+    """Inertia (3, 3) of platform and payload about the platform's origin, from the book and a box."""
     a, b, c = SIZE_m**2
     box = MASS / 12.0 * np.diag([b + c, a + c, a + b])
     return np.diag([570.0, 285.0, 285.0]) + box + MASS * (COM @ COM * np.eye(3) - np.outer(COM, COM))
 
 
 def virtual():
-    """Return the bench with that motion; the law that knows no payload may stray by 0.1 m."""
-    return laden.changed(load("virtual"), reference=MOTION, limits={"following_error_m": 0.1})
+    """The bench with that motion; a law without the payload may have a tracking error of 0.1 m."""
+    return loaded_plant.changed(load("virtual"), reference=MOTION, limits={"following_error_m": 0.1})
 
 
 def lab():
-    """Return the shipped bench with friction, half as long."""
-    return laden.changed(load("lab"), reference={"duration_s": 10})
+    """The shipped bench with friction, half as long."""
+    return loaded_plant.changed(load("lab"), reference={"duration_s": 10})
 
 
 def identify(*arguments):
@@ -65,16 +65,16 @@ def identify(*arguments):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The log a.mcap, with the payload."""
+    """Folder with the log a.mcap, with the payload."""
     made = tmp_path_factory.mktemp("payload")
-    laden.run(virtual(), laden.changed(virtual(), **LADEN), made / "a.mcap")
+    loaded_plant.run(virtual(), loaded_plant.changed(virtual(), **LADEN), made / "a.mcap")
     return made
 
 
 @pytest.fixture(scope="module")
 def more(folder):
-    """The logs free.mcap, without a payload, and lab.mcap, too."""
-    laden.run(virtual(), virtual(), folder / "free.mcap")
+    """The folder, also with the logs free.mcap, without a payload, and lab.mcap."""
+    loaded_plant.run(virtual(), virtual(), folder / "free.mcap")
     assert simulate(lab(), log=folder / "lab.mcap", check_replay=False)["success"]
     return folder
 
@@ -89,7 +89,7 @@ def tensor(theta):
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-def test_mass_place_and_inertia_of_an_unknown_payload(found):
+def test_mass_centre_and_inertia_of_an_unknown_payload_are_identified(found):
     mass, moment = found.theta[0] - 1150.0, found.theta[1:4]
     off = np.abs(tensor(found.theta) - truth()).max() / truth().max()
     assert mass == pytest.approx(MASS, rel=0.005)
@@ -98,7 +98,7 @@ def test_mass_place_and_inertia_of_an_unknown_payload(found):
     assert np.abs(tensor(found.theta) / truth() - 1.0).max() < 0.1
 
 
-def test_reflected_mass_that_is_given_is_no_unknown(found, folder):
+def test_a_given_reflected_mass_is_not_estimated(found, folder):
     summary = folder / "given.json"
     result = identify(folder / "a.mcap", "--reflected", 2, "--json", summary)
     assert result.exit_code == 0, result.output
@@ -112,26 +112,26 @@ def test_reflected_mass_that_is_given_is_no_unknown(found, folder):
 
 
 @pytest.mark.long
-def test_the_block_brings_the_error_back_to_that_of_the_empty_platform(found, tmp_path):
-    """On the book's path: inverse dynamics that knows the identified payload, against the one without payload."""
-    book = laden.changed(load("virtual"), reference={"periods": 1})
-    heavy = laden.changed(book, **LADEN)
+def test_the_printed_block_restores_the_error_of_the_empty_platform(found, tmp_path):
+    """On the book's path: inverse dynamics with the identified payload, compared with a run without payload."""
+    book = loaded_plant.changed(load("virtual"), reference={"periods": 1})
+    heavy = loaded_plant.changed(book, **LADEN)
 
     def peak_mm(controller, plant, name):
-        laden.run(controller, plant, tmp_path / name)
+        loaded_plant.run(controller, plant, tmp_path / name)
         rows = Log.open(tmp_path / name).rows()
         rows = rows[rows["mode"] == Mode.TRACKING]
         return 1e3 * float(np.abs(rows["q_d"] - rows["q"]).max())
 
     empty = peak_mm(book, book, "empty.mcap")
-    fed = peak_mm(laden.changed(book, **block(found)), heavy, "fed.mcap")
-    unknown = peak_mm(laden.changed(book, limits={"following_error_m": 0.1}), heavy, "unknown.mcap")
+    fed = peak_mm(loaded_plant.changed(book, **block(found)), heavy, "fed.mcap")
+    unknown = peak_mm(loaded_plant.changed(book, limits={"following_error_m": 0.1}), heavy, "unknown.mcap")
     assert fed <= 1.3 * empty
     assert unknown > 20.0 * empty
 
 
 @pytest.mark.long
-def test_friction_of_every_leg_of_the_lab_bench(more):
+def test_the_friction_of_every_leg_of_lab_is_identified(more):
     summary = more / "lab.json"
     result = identify(more / "lab.mcap", "--json", summary)
     assert result.exit_code == 0, result.output
@@ -150,10 +150,11 @@ def test_friction_of_every_leg_of_the_lab_bench(more):
     assert given["block"]["controller"]["model"]["reflected_mass_kg"] == [9.9] * 6
 
 
-def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder, monkeypatch):
-    """Layout classic has no room for them. The bound of the delay, 1 ms, is 0.5 ms too long, and is found out.
+def test_unreported_forces_are_computed_from_the_commands(folder, monkeypatch):
+    """Layout classic does not contain them. The configured delay, 1 ms, is 0.5 ms too long, which the fit
+    finds.
 
-    Encoders are latched 0.025 ms before the grid on which rates and forces are.
+    Encoders are latched 0.025 ms before the time grid of rates and forces.
     """
     rows = Log.rows
 
@@ -172,15 +173,15 @@ def test_forces_that_the_drives_do_not_report_are_taken_from_the_commands(folder
 
 
 @pytest.mark.long
-def test_standard_errors_are_the_spread_over_seeds_of_noise_in_the_loop(tmp_path):
+def test_standard_errors_match_the_spread_over_noise_seeds(tmp_path):
     """White noise of 2 um on every encoder, in the closed loop, 16 seeds."""
-    c = laden.changed(virtual(), reference={**MOTION, "duration_s": 14})
-    plant = laden.changed(c, **LADEN)
+    c = loaded_plant.changed(virtual(), reference={**MOTION, "duration_s": 14})
+    plant = loaded_plant.changed(c, **LADEN)
     theta, std = [], []
     for seed in range(12):
         noise = [EncoderNoise(leg=leg, at_s=0.0, sigma_m=2e-6, seed=6 * seed + leg) for leg in range(6)]
         path = tmp_path / f"{seed}.mcap"
-        laden.run(c, plant, path, *noise)
+        loaded_plant.run(c, plant, path, *noise)
         found = identify_payload([path])
         theta.append(found.theta)
         std.append(found.estimate.std)

@@ -1,4 +1,4 @@
-"""The mu controller under payloads that it does not know: coupled axes, inside and outside the stated box."""
+"""The mu controller under unknown payloads: coupled axes, inside and outside the stated box."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from tests.loop.bench import changed, run
 BOX_kg, BOX_m = (0.0, 120.0), ((-0.2, 0.3), (-0.3, 0.2), (0.0, 0.3))
 OUTSIDE_kg, OUTSIDE_m = (900.0, 2500.0), ((0.5, 0.9), (0.5, 0.9), (0.4, 0.9))
 INERTIA = 0.2
-"""By which the inertia may be off: what the shipped design states."""
+"""Relative uncertainty of the inertia that the shipped design states."""
 
 
 def robot(**payload):
-    """Return the virtual bench under the mu controller, with this payload in the model."""
+    """The virtual bench under the mu controller, with this payload in the model."""
     body = {"payload": [payload | {"shape": {"type": "point"}}]}
     law = {"law": "state_space", "controller_file": "mu"}
     return changed("virtual", controller=law, platform={"platform": body}, reference={"periods": 1})
@@ -37,7 +37,7 @@ def drawn(count, kg, places, seed):
 
 
 @pytest.mark.long
-def test_inside_the_box_the_coupled_loop_is_stable_and_stays_within_what_is_printed():
+def test_inside_the_box_the_loop_is_stable_and_within_its_bound():
     c = boxed(BOX_kg, BOX_m)
     verdict = judge(c)
     assert verdict.figures["coupled_axes_covered"]
@@ -51,7 +51,7 @@ def test_inside_the_box_the_coupled_loop_is_stable_and_stays_within_what_is_prin
 
 
 @pytest.mark.long
-def test_outside_the_box_it_is_said_before_anything_moves():
+def test_outside_the_box_the_verdict_is_not_proven():
     for mass, at in drawn(20, OUTSIDE_kg, OUTSIDE_m, 6):
         least = np.linalg.eigvals(gamma(mass, at)).real.min()
         assert least < 1 / (1 + INERTIA)

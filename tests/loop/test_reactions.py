@@ -1,4 +1,4 @@
-"""What is done about faults that strike in motion, seen from the plant: who moves how far, and what holds."""
+"""Reactions to faults in motion, measured at the plant: the motion of each leg, and the holding force."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from tests.broad import broad
 from tests.loop.bench import changed, run
 
 AT_s = 2.5
-"""On the book's path, in mid-motion: up to 1.1 m/s in a leg."""
+"""Time of the fault: on the book's path, in mid-motion, up to 1.1 m/s in a leg."""
 END_s = 3.5
 PUSH = WrenchStep(at_s=AT_s, force_N=(0, 0, -20_000), moment_N_m=(0, 0, 0))
 
 
 @pytest.fixture(scope="module")
 def bound_m():
-    """The printed worst case: how far a leg travels until its brake acts."""
+    """The printed worst case: travel of a leg until its brake acts."""
     return inspect(load("virtual")).figures["reference"]["until_braked_m"]
 
 
@@ -39,7 +39,7 @@ def at_rest_with_the_brakes_commanded_shut(ran):
 @pytest.mark.parametrize(
     ("fault", "found"), [(PUSH, Fault.FOLLOWING), (DriveSign(leg=2, at_s=AT_s), Fault.DRIVE)]
 )
-def test_a_platform_that_does_not_follow_is_braked_with_its_force_on(fault, found, bound_m):
+def test_a_platform_off_its_reference_is_braked_with_the_force_on(fault, found, bound_m):
     ran = run(load("virtual"), fault, stop_s=END_s)
     assert ran.ending.mode is Mode.PARKED, ran.ending
     assert ran.ending.faults & found
@@ -55,7 +55,7 @@ def test_a_platform_that_does_not_follow_is_braked_with_its_force_on(fault, foun
     assert ran.moved(ran.struck) < bound_m
 
 
-def test_swapped_wires_and_a_brake_that_does_not_close_at_once_are_still_held(bound_m):
+def test_swapped_wires_and_an_open_brake_together_are_still_held(bound_m):
     faults = DriveSign(leg=2, at_s=AT_s), BrakeStuckOpen(leg=4, at_s=AT_s)
     ran = run(load("virtual"), *faults, stop_s=END_s)
     assert ran.ending.mode is Mode.HELD, ran.ending
@@ -68,7 +68,7 @@ def test_swapped_wires_and_a_brake_that_does_not_close_at_once_are_still_held(bo
 @pytest.mark.parametrize(
     "fault", broad([EncoderLost(leg=0, at_s=AT_s), DriveSilence(leg=1, at_s=AT_s)], quick=1)
 )
-def test_a_leg_that_is_not_measured_is_braked_and_its_force_stays(fault, bound_m):
+def test_an_unmeasured_leg_is_braked_and_keeps_its_force(fault, bound_m):
     ran = run(load("virtual"), fault, stop_s=END_s)
     assert ran.ending.mode is Mode.HELD, ran.ending
     assert f"leg {fault.leg}" in ran.ending.reason
@@ -77,7 +77,7 @@ def test_a_leg_that_is_not_measured_is_braked_and_its_force_stays(fault, bound_m
     assert np.abs(ran.rows["tau"][-1]).min() > 0
 
 
-def test_a_leg_that_is_heard_again_has_its_brake_tested_and_the_run_ends_parked(bound_m):
+def test_a_run_parks_after_the_brake_test_of_a_leg_that_returns(bound_m):
     ran = run(load("virtual"), DriveSilence(leg=1, at_s=AT_s, for_s=0.3), stop_s=END_s)
     assert ran.ending.mode is Mode.PARKED, ran.ending
     assert not ran.ending.success
@@ -87,8 +87,8 @@ def test_a_leg_that_is_heard_again_has_its_brake_tested_and_the_run_ends_parked(
     assert ran.moved(ran.struck) < bound_m
 
 
-def test_the_table_of_reactions_decides():
-    """The same push: no force at once, or a stop under control."""
+def test_the_reaction_table_decides_between_sto_and_ss1():
+    """The same push: no force at once, or a controlled stop."""
     off = run(changed("virtual", reactions={"following": "sto"}), PUSH, stop_s=END_s)
     assert off.ending.mode is Mode.FAULT
     assert not off.rows["tau"][off.rows["mode"] == Mode.FAULT].any()
@@ -97,8 +97,8 @@ def test_the_table_of_reactions_decides():
     assert Mode.STOPPING in soft.modes()
 
 
-def test_a_stop_under_control_stays_on_the_path_and_parks():
-    """A certificate that is broken is no reason to brake hard."""
+def test_a_controlled_stop_stays_on_the_path_and_parks():
+    """A violated certificate is no reason to brake hard."""
     c = changed(
         "virtual",
         monitor={"action": "fault", "disturbance_m_s2": 0.05},
@@ -115,8 +115,8 @@ def test_a_stop_under_control_stays_on_the_path_and_parks():
 
 
 @pytest.mark.parametrize(("leg", "fast_m_s"), [(2, 1.0), (4, 0.7)])
-def test_a_brake_that_closes_in_motion_leaves_the_path_little(leg, fast_m_s, bound_m):
-    """What moves far is the platform that was fast, on its path and while five brakes close: 30 ms."""
+def test_a_brake_that_closes_in_motion_keeps_the_legs_near_the_path(leg, fast_m_s, bound_m):
+    """Most of the motion comes from the speed of the platform on its path, while five brakes close: 30 ms."""
     at_s, close_s = 1.69, 0.03
     ran = run(load("virtual"), BrakeStuckClosed(leg=leg, at_s=at_s), stop_s=END_s)
     begun, struck = round(1e3 * at_s), ran.struck

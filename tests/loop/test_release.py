@@ -1,4 +1,4 @@
-"""A held platform and its operator: what Ctrl-C does not do, and what lets go."""
+"""A held platform and its operator: Ctrl-C does not release it; release and emergency stop do."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def asked(panel: OperatorPanel, signals: int, *, held: bool) -> tuple[Operator, 
     return panel.take(held=held)
 
 
-def test_every_further_signal_is_an_emergency_stop_but_not_while_only_force_holds_the_platform():
+def test_a_second_signal_is_an_emergency_stop_except_while_held():
     panel = OperatorPanel()
     panel.running()
     assert asked(panel, 1, held=False) == (Operator.STOP,)
@@ -48,7 +48,7 @@ def test_every_further_signal_is_an_emergency_stop_but_not_while_only_force_hold
 
 
 class Held:
-    """A console whose platform is held, or not; its recorder hears nothing."""
+    """A console with a platform that is held or not, and a recorder that discards all events."""
 
     def __init__(self, channel: OperatorChannel) -> None:
         self.cycle: Any = SimpleNamespace(
@@ -67,7 +67,7 @@ class Held:
         return Operator.RELEASE in heard.operator
 
 
-def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
+def test_a_release_sent_before_the_platform_was_held_is_refused(bus):
     with OperatorChannel(*bus) as channel, OperatorClient(*bus) as client:
         held = Held(channel)
         client._socket.send(b"release")
@@ -82,8 +82,8 @@ def test_a_word_from_before_the_platform_was_held_releases_nothing(bus):
         assert client._socket.recv(100) == b"taken"
 
 
-def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus):
-    """Lines read in one tick are few, in that one, too: those of before are left for the next."""
+def test_a_flood_of_early_releases_does_not_release_a_held_platform(bus):
+    """A tick reads few lines, also the first one in HELD: earlier lines remain for the next."""
     with OperatorChannel(*bus) as channel, socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as flood:
         held = Held(channel)
         flood.setblocking(False)
@@ -98,8 +98,8 @@ def test_no_flood_of_words_from_before_releases_a_platform_that_is_held_now(bus)
 
 @pytest.mark.parametrize("known", [True, False], ids=["known", "still to be let in"])
 @pytest.mark.parametrize("stays", [True, False])
-def test_a_word_from_before_that_is_read_late_releases_nothing_whoever_sent_it(bus, known, stays):
-    """Others talk in between, and its sender may be new, or have gone."""
+def test_an_early_release_that_is_read_late_is_refused_for_any_sender(bus, known, stays):
+    """Other clients send in between, and the sender may be new, or may have disconnected."""
     with OperatorChannel(*bus) as channel, contextlib.ExitStack() as opened:
         held = Held(channel)
 
@@ -125,8 +125,8 @@ def test_a_word_from_before_that_is_read_late_releases_nothing_whoever_sent_it(b
         assert [held.tick(Mode.HELD) for _ in range(2)].count(True) == 1
 
 
-def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
-    """Theory's layout, in the daemon itself; a brake that does not close when it parks."""
+def test_the_daemon_holds_through_each_ctrl_c_and_ends_after_release():
+    """The ideal configuration, in the daemon itself, with a brake that does not close when it parks."""
     panel, held, leaving = OperatorPanel(), [0], iter(range(2000))
     said: list[str] = []
     forces: list[float] = []
@@ -138,8 +138,8 @@ def test_the_daemon_holds_through_every_ctrl_c_and_ends_after_release():
             if held[0] in {100, 200, 300}:
                 panel.interrupt(2, None)
 
-    def take(*, anew: bool) -> Heard:
-        del anew
+    def take(*, mark_old: bool) -> Heard:
+        del mark_old
         return Heard((Operator.RELEASE,) if held[0] >= 3000 else ())
 
     def course(cycle: Cycle) -> Any:

@@ -1,8 +1,9 @@
-"""Robust and designed laws against a model that is 10 % too light and a load that nobody measures, on the bus path.
+"""Robust and designed laws with a model that is 10 % too light and an unmeasured load, on the bus path.
 
-The book's platform and path; one second on its way, at the far point, 10 kN act on the platform along each axis
-of the base at once. The robust laws are compared with inverse dynamics of wn 20 rad/s, and with inverse
-dynamics of the very gains that they have inside their boundary layers; the designed ones with one of equal crossover.
+The book's platform and path; one second on its way, at the far point, 10 kN act on the platform along each
+axis of the base at once. The robust laws are compared with inverse dynamics of wn 20 rad/s, and with inverse
+dynamics of the same gains that they have inside their boundary layers; the designed ones with inverse
+dynamics of equal crossover.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ def crossover(controller: str) -> float:
 
 
 def of_crossover(w_c: float) -> dict[str, Any]:
-    """Critically damped PD that crosses over there: |(2 wn j w + wn^2) / w^2| = 1."""
+    """Critically damped PD with crossover w_c: |(2 wn j w + wn^2) / w^2| = 1."""
     wn = w_c / sqrt(2.0 + sqrt(5.0))
     return linear(wn**2, 2.0 * wn)
 
@@ -88,7 +89,7 @@ def bench(law: dict[str, Any], scale: float = 0.9, **limits: float) -> Configura
 
 
 class Tracked(NamedTuple):
-    """The samples of the tracking."""
+    """Rows of the tracking."""
 
     rows: Any
     limited: bool
@@ -107,7 +108,7 @@ class Tracked(NamedTuple):
 
     @property
     def lasting_mm(self) -> float:
-        """The largest error from 0.3 s after the load on."""
+        """The largest error later than 0.3 s after the load step."""
         after = self.rows["tick"] * 1e-3 >= LOAD_S + 0.3
         assert after.sum() > 600
         return 1e3 * float(np.abs(self.e[after]).max())
@@ -126,7 +127,7 @@ def loaded(name: str, scale: float = 0.9) -> Tracked:
 
 
 @pytest.mark.parametrize("name", ["sliding", "redesign", "hinf", "mu"])
-def test_a_robust_law_stays_within_two_millimetres_at_a_calm_force(name):
+def test_a_robust_law_stays_within_2_mm_without_chattering(name):
     plain = loaded("plain")
     assert plain.peak_mm == pytest.approx(34.0, abs=0.5)
     assert loaded(name).peak_mm <= 2.0
@@ -135,7 +136,7 @@ def test_a_robust_law_stays_within_two_millimetres_at_a_calm_force(name):
     assert name in {"sliding", "redesign"} or loaded(name).lasting_mm <= 0.05
 
 
-def test_the_sliding_variable_never_leaves_its_layer_nor_the_error_what_follows_from_it():
+def test_the_sliding_variable_and_the_error_stay_within_their_bounds():
     found = loaded("sliding")
     assert np.abs(found.de + LAMBDA * found.e).max() <= PHI
     assert np.abs(found.e).max() <= PHI / LAMBDA
@@ -143,14 +144,14 @@ def test_the_sliding_variable_never_leaves_its_layer_nor_the_error_what_follows_
     assert DISTURBANCE + ERROR * (ACCELERATION + part + K) < K, "an error of the model acts on all of ddq*"
 
 
-def test_the_lyapunov_layer_is_never_left_nor_the_error_what_follows_from_it():
+def test_the_redesign_stays_in_its_layer_and_error_bound():
     found = loaded("redesign")
     assert np.linalg.norm(found.de + W_N * found.e, axis=1).max() <= EPSILON
     assert np.abs(found.e).max() <= EPSILON / W_N
 
 
 @pytest.mark.parametrize("name", ["sliding", "redesign"])
-def test_inside_its_layer_a_robust_law_is_no_better_than_inverse_dynamics_of_equal_gains(name):
+def test_in_its_layer_a_robust_law_equals_a_linear_one_of_equal_gains(name):
     found, twin = loaded(name), loaded(f"{name}'s gains")
     assert found.peak_mm == pytest.approx(twin.peak_mm, rel=1e-3)
     assert found.variation == pytest.approx(twin.variation, rel=1e-2)
@@ -165,7 +166,7 @@ def test_without_a_layer_the_force_chatters():
 
 
 @pytest.mark.long
-def test_at_equal_crossover_the_peak_is_alike_and_the_lasting_error_is_not():
+def test_at_equal_crossover_hinf_reduces_only_the_lasting_error():
     hinf, equal = loaded("hinf"), loaded("hinf's crossover")
     assert hinf.peak_mm == pytest.approx(0.83, abs=0.02)
     assert equal.peak_mm == pytest.approx(0.95, abs=0.02)
@@ -173,14 +174,12 @@ def test_at_equal_crossover_the_peak_is_alike_and_the_lasting_error_is_not():
 
 
 AXES = {"x_m": 0.0, "y_m": 1.0, "z_m": 2.0, "rx_deg": 0.5, "ry_deg": 1.5, "rz_deg": 2.5}
-"""Six axes at once, so that no leg rests, and their phases."""
+"""Six axes at once, so that no leg rests, with their phases."""
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("frequency_Hz", "amplitude_m", "smaller"), [(3.0, 0.01, 2.0), (1.0, 0.03, 4.0)])
-def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
-    frequency_Hz, amplitude_m, smaller
-):
+def test_hinf_beats_pd_of_equal_crossover_with_constant_dynamics(frequency_Hz, amplitude_m, smaller):
     w_c, rms = crossover("constant_hinf"), []
     assert w_c >= 120.0
     motion = [
@@ -204,8 +203,8 @@ def test_constant_dynamics_gain_by_h_infinity_against_pd_of_equal_crossover(
 
 
 @pytest.mark.parametrize("scale", [1.0, 0.9])
-def test_the_bound_is_above_the_simulated_peak_and_at_most_half_as_much_again(scale):
-    """Asked for a load of that size in any direction, at any time."""
+def test_the_bound_exceeds_the_simulated_peak_by_at_most_half(scale):
+    """For a load of that size in any direction, at any time."""
     proof = assess(bench(LAWS["plain"], scale), force_N=FORCE_N)
     bound, peak = np.array(proof["figures"]["ultimate_bound"]), np.abs(loaded("plain", scale).e).max(axis=0)
     assert proof["status"] == "conditional"

@@ -1,4 +1,4 @@
-"""How a run begins and ends: the rule of both loops, on a cycle that is made up tick by tick."""
+"""Start and end of a run: the rules of both loops, on a synthetic cycle."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def change(now, tick, changes):
 
 
 class Commands(NamedTuple):
-    """A course, its modes by tick, what the operator says by tick, and what is given until tick 200."""
+    """A course, its modes by tick, the operator's commands by tick, and the expected commands until tick 200."""
 
     course: dict[str, Any]
     modes: dict[int, Mode]
@@ -91,29 +91,33 @@ I, W, L, T = Mode.IDLE, Mode.WAITING, Mode.LOADING, Mode.TRACKING
 HALF = {"duration_s": 0.5}
 ASKED = HALF | {"armed": False}
 AGAIN = {0: I, 1: W, 2: I, 3: L, 4: W, 5: I}
-"""The cycle goes back to WAITING in the tick of the consent, and again, parked, by a reset."""
+"""The cycle returns to WAITING in the tick of the consent, and again, parked, by a reset."""
 COMMANDS = {
     "engages once idle and never twice": Commands({}, {0: W, 1: I}, NONE, {1: E}),
-    "a consent in the tick of a drive that was switched off": Commands({}, AGAIN, NONE, {0: E, 2: E}),
-    "the same by the operator": Commands({"armed": False}, AGAIN, {0: E, 2: E}, {0: E, 2: E}),
+    "engages again after a drive was switched off in that tick": Commands({}, AGAIN, NONE, {0: E, 2: E}),
+    "the operator arms again after a drive was switched off in that tick": Commands(
+        {"armed": False}, AGAIN, {0: E, 2: E}, {0: E, 2: E}
+    ),
     "a fault before any motion takes the consent back": Commands(
         {}, {0: Mode.FAULT, 1: W, 2: I}, {0: R, 9: E}, {0: R, 9: E}
     ),
-    "a reset while drives are waited for does not": Commands({}, {0: W, 1: I}, {0: R}, {0: R, 1: E}),
+    "a reset in WAITING keeps the consent": Commands({}, {0: W, 1: I}, {0: R}, {0: R, 1: E}),
     "resets in the first tick on request": Commands({"reset": True}, {0: W}, NONE, {0: R}),
-    "own words come first": Commands(
+    "the run's own commands come first": Commands(
         {"duration_s": 0.01, "reset": True}, {1: I}, {1: X}, {1: (*R, *E, *S, *X)}, first=1
     ),
     "a duration counts from the first consent": Commands(ASKED, {0: I}, {7: E, 20: E}, {7: E, 20: E, 57: S}),
-    "a consent that has to be given again": Commands(
+    "a duration counts from the second consent": Commands(
         ASKED, {0: I, 1: W, 2: I}, {0: E, 40: E}, {0: E, 40: E, 90: S}
     ),
-    "after the end of the first": Commands(ASKED, {0: I, 1: W, 2: I}, {0: E, 80: E}, {0: E, 80: E, 130: S}),
-    "and leaves the end of the run where it was": Commands(
+    "a second consent after the end of the first duration": Commands(
+        ASKED, {0: I, 1: W, 2: I}, {0: E, 80: E}, {0: E, 80: E, 130: S}
+    ),
+    "a withdrawn consent keeps the end of the run": Commands(
         HALF, {0: Mode.FAULT, 10: I, 11: W}, {10: E}, {10: E, 50: S}
     ),
-    "stops no run a second time": Commands(HALF, {0: W, 60: I, 61: W}, NONE, {50: S, 60: E}),
-    "one that ends is not stopped at its duration": Commands(
+    "a stopped run is not stopped again": Commands(HALF, {0: W, 60: I, 61: W}, NONE, {50: S, 60: E}),
+    "a run after END is not stopped at its duration": Commands(
         HALF, {0: T}, {10: (Operator.END,)}, {10: (*S, Operator.END)}
     ),
     **{
@@ -126,7 +130,7 @@ COMMANDS = {
 
 
 @pytest.mark.parametrize("case", COMMANDS.values(), ids=COMMANDS)
-def test_a_run_gives_its_own_word_once_and_its_end_once(case):
+def test_a_run_engages_once_and_stops_once(case):
     now = cycle(W, faults=Fault.NONE)
     course, given = Course(now, **case.course), {}
     for tick in range(case.first, 200):
@@ -136,13 +140,13 @@ def test_a_run_gives_its_own_word_once_and_its_end_once(case):
     assert {tick: commands for tick, commands in given.items() if commands} == case.given
 
 
-def test_a_run_stops_once_at_its_duration_also_where_that_tick_is_skipped():
+def test_a_run_stops_once_at_its_duration_even_if_that_tick_is_skipped():
     course = Course(cycle(T), 0.5)
     assert [course.commands(tick) for tick in (49, 53, 54)] == [(), S, ()]
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_only_a_run_that_is_ready_waits_for_consent_and_none_that_arms_itself(mode):
+def test_only_a_ready_run_that_is_not_armed_waits_for_consent(mode):
     assert Course(cycle(mode), armed=False).waits_for_consent == (mode is I)
     assert not Course(cycle(mode)).waits_for_consent
 
@@ -151,7 +155,9 @@ def test_only_a_run_that_is_ready_waits_for_consent_and_none_that_arms_itself(mo
 
 
 class End(NamedTuple):
-    """A cycle, a course, what changes and what is said by tick, and the ending: its tick and words of it."""
+    """A cycle, a course, changes and commands by tick, and the expected ending: its tick and part of its
+    text.
+    """
 
     now: dict[str, Any]
     course: dict[str, Any]
@@ -171,7 +177,7 @@ F, H, P = Mode.FAULT, Mode.HELD, Mode.PARKED
 ONE_HEARD = np.where(np.arange(6) == 4, 0, FIRST["age"])
 STAYS, GOES_ON = {"stays": True}, {"goes_on": True}
 ON_BRAKES = {n: {"mode": (H, Mode.UNLOADING)[n // 20 % 2]} for n in range(0, 3000, 20)}
-"""Where frames are lost no brake test comes to its end; 0.2 s of each in turn."""
+"""With lost frames no brake test comes to its end; the modes alternate every 0.2 s."""
 ENDS = {
     # parked
     "parked, proven, all off": End(at(P, 7), {}, 7),
@@ -180,23 +186,23 @@ ENDS = {
     "proven later": End(at(P, proven=False), {}, 10, "", {10: {"proven": True}}),
     "off later": End(at(P, 7, drive_state=states(DriveState.BOOT)), {}, 9, "", {9: {"drive_state": states()}}),
     "parked, but stays": End(at(P), GOES_ON, None),
-    "until it is to end": End(at(P), GOES_ON | {"armed": False}, 1000, "", NONE, {1000: (Operator.END,)}),
+    "parked, but stays until END": End(at(P), GOES_ON | {"armed": False}, 1000, "", NONE, {1000: (Operator.END,)}),
     # after a fault
     **{f"a fault in tick {n}": End(at(F, n), {}, n + 25, fault_tick=n) for n in range(4)},
     "a slow loop commands OFF five times": End(at(F, rate_Hz=5.0), {}, 5),
     "a leg moves": End(at(F, 40, rate=MOVES), {}, 1040, "still moving: leg 2 at"),
     "a leg moves, stays": End(at(F, rate=MOVES), STAYS, None, "", NONE, {30: S}),
-    "left by an emergency stop": End(at(F, rate=MOVES), STAYS, 31, "still moving: leg 2", NONE, {30: S, 31: X}),
-    "at rest, left by one": End(at(F, 40), STAYS, 41, "!still moving", NONE, {41: X}),
+    "a leg moves, ended by an emergency stop": End(at(F, rate=MOVES), STAYS, 31, "still moving: leg 2", NONE, {30: S, 31: X}),
+    "at rest, ended by an emergency stop": End(at(F, 40), STAYS, 41, "!still moving", NONE, {41: X}),
     "a fault, but goes on": End(at(F), GOES_ON, None),
-    "a fault, to the end": End(at(F), GOES_ON | {"armed": False}, 1000, "", NONE, {1000: (Operator.END,)}),
+    "a fault, but goes on until END": End(at(F), GOES_ON | {"armed": False}, 1000, "", NONE, {1000: (Operator.END,)}),
     **{
-        f"an emergency stop in {mode.name} does not leave it": End(
+        f"an emergency stop in {mode.name} does not end it": End(
             at(mode, rate=MOVES), STAYS, 524, "", {10: at(F), 500: {"rate": 0.0}}, {10: X}
         )
         for mode in (Mode.APPROACH, T, Mode.STOPPING, H)
     },
-    "a second one does": End(at(T, rate=MOVES), STAYS, 11, "", {10: at(F)}, {10: X, 11: X}),
+    "a second emergency stop ends it": End(at(T, rate=MOVES), STAYS, 11, "", {10: at(F)}, {10: X, 11: X}),
     "all faults, the first tick": End(
         at(F, 40), {}, 65, "latched fault ESTOP, BUS", {45: {"faults": Fault.ESTOP | Fault.BUS}}, fault_tick=40
     ),
@@ -211,7 +217,7 @@ ENDS = {
     "held, moves, a fault follows": End(at(H, rate=MOVES), {}, 1000, "", {600: {"faults": Fault.BUS | Fault.ESTOP}}),
     "held later": End(at(Mode.PARKING, rate=MOVES, faults=Fault.ESTOP), {}, 1500, "", {500: at(H)}),
     "held and on brakes in turn": End(at(H), {}, 1000, "", ON_BRAKES),
-    "in turn, stays": End(at(H), STAYS, None, "", ON_BRAKES),
+    "held and on brakes in turn, stays": End(at(H), STAYS, None, "", ON_BRAKES),
     "held again": End(at(H, rate=MOVES), {}, 1600, "", {800: at(T), 1500: at(H, rate=0.0)}),
     "held again, moves": End(at(H, rate=MOVES), {}, 2500, "", {800: at(T), 1500: at(H)}),
     # waiting
@@ -226,13 +232,13 @@ ENDS = {
         for n in range(6)
     },
     "turns are not known": End(at(W, 5, homing=SimpleNamespace(refusal="turn it home")), {}, 205, "turn it home"),
-    "drives that were there before": End(
+    "drives that were ready before": End(
         at(I), GOES_ON, 2900, "", {1: at(L), 2: at(W, age=NEVER)}, {2900: (Operator.END,)}
     ),
     "over before the drives were ready": End(
         at(W, age=NEVER, stop_requested=Stop.MISSED), {"duration_s": 1.0}, 100, "drive 0 never answered", {100: at(P)}
     ),
-    "and an end later does not make it good": End(
+    "over before ready, a later END is no success": End(
         at(W, age=NEVER), GOES_ON | {"duration_s": 1.0}, 125, "drive 0 never answered",
         {100: at(P, drive_state=states(DriveState.READY))}, {101: (*S, Operator.END)},
     ),
@@ -242,7 +248,7 @@ ENDS = {
 
 
 @pytest.mark.parametrize("case", ENDS.values(), ids=ENDS)
-def test_a_run_ends_when_it_should_and_says_why(case):
+def test_a_run_ends_in_the_right_tick_with_its_reason(case):
     now = cycle(case.now["mode"], case.now["mode_tick"], case.now["faults"])
     more = {key: value for key, value in case.now.items() if key not in {"mode", "mode_tick", "faults"}}
     now.parts.rate_Hz = more.pop("rate_Hz", RATE_Hz)

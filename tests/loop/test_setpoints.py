@@ -1,4 +1,4 @@
-"""Live set-points in the closed loop: followed, refused, recorded, replayed; and the stop on the way."""
+"""Live set-points in the closed loop: motion, refusal, recording, replay, and a stop on the way."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def run(tmp_path_factory):
     return summary, Log.open(folder / "a.mcap")
 
 
-def test_the_platform_goes_where_it_is_sent_and_parks(run):
+def test_the_platform_reaches_its_set_points_and_parks(run):
     summary, log = run
     assert summary["success"], summary
     assert summary["faults"] == []
@@ -47,7 +47,7 @@ def test_the_platform_goes_where_it_is_sent_and_parks(run):
     assert summary["tracking"]["peak_leg_error_mm"] < 0.5
 
 
-def test_the_reference_stays_within_its_limits_through_every_change(run):
+def test_the_reference_stays_within_its_limits_at_every_change(run):
     _, log = run
     rows = log.rows()
     moving = rows[(rows["mode"] == Mode.TRACKING) | (rows["mode"] == Mode.STOPPING)]
@@ -57,7 +57,7 @@ def test_the_reference_stays_within_its_limits_through_every_change(run):
     assert np.abs(np.diff(a[:, :3], axis=0)).max() <= 10 * 1e-3 * (1 + 1e-9)
 
 
-def test_a_set_point_out_of_reach_is_refused_counted_and_said(run):
+def test_a_set_point_out_of_reach_is_refused_counted_and_reported(run):
     summary, log = run
     assert summary["setpoints"] == {
         "taken": 3,
@@ -71,7 +71,7 @@ def test_a_set_point_out_of_reach_is_refused_counted_and_said(run):
     assert rows["reference_time_s"][tick] == pytest.approx(0.5, abs=2e-3)
 
 
-def test_the_log_has_the_set_points_and_replays_them_to_the_bit(run):
+def test_the_log_contains_the_set_points_and_replays_to_the_bit(run):
     _, log = run
     given = [setpoint for tick in log.ticks() for setpoint in tick.setpoints]
     assert [s.z for s in given] == [1.05, 1.0, 3.0, 0.95]
@@ -81,7 +81,7 @@ def test_the_log_has_the_set_points_and_replays_them_to_the_bit(run):
 
 
 class Changed:
-    """A log in which one set-point is another."""
+    """A log with one changed set-point."""
 
     def __init__(self, log, change):
         self.log, self.change = log, change
@@ -92,7 +92,7 @@ class Changed:
 
 @pytest.mark.long
 @pytest.mark.parametrize("word", [5, 1])
-def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
+def test_a_replay_detects_a_set_point_changed_by_a_nanometre(run, word):
     _, log = run
     first: list[int] = []
 
@@ -109,7 +109,7 @@ def test_a_replay_notices_a_set_point_that_is_another_by_a_nanometre(run, word):
     assert first[0] <= verdict.first[0].tick <= first[0] + 1000
 
 
-def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
+def test_a_stop_in_motion_ends_at_rest_within_the_limits(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES.splitlines()[0] + "\n0,0.3,0,1.1,0,0,8\n9,0,0,1,0,0,0\n")
     summary = simulate(
         LIVE, log=tmp_path / "a.mcap", duration_s=2.0, setpoints=tmp_path / "poses.csv", check_replay=False
@@ -126,7 +126,7 @@ def test_a_stop_while_it_moves_ends_at_rest_within_the_limits(tmp_path):
     assert stopping["p_d"][-1, 0] < 0.3
 
 
-def test_set_points_where_none_can_be_followed_are_refused(tmp_path):
+def test_set_points_that_cannot_be_followed_are_refused(tmp_path):
     (tmp_path / "poses.csv").write_text(POSES)
     with pytest.raises(ConfigurationError, match="--duration"):
         simulate(LIVE, log=tmp_path / "a.mcap")

@@ -44,7 +44,7 @@ def split(legs: str) -> dict[str, Any]:
 
 
 def two(*changes: Changes, which: int = 1, **bus: Any) -> Configuration:
-    """Return `two_buses` with changes, and keys of one of its buses."""
+    """`two_buses` with changes, and with other keys of one of its buses."""
     lines = [{"channel": "two0", "legs": [0, 1, 2]}, {"channel": "two1", "legs": [3, 4, 5]}]
     lines[which] = lines[which] | bus
     return changed("two_buses", **merged({"bus": {"channels": lines}}, *changes))
@@ -53,7 +53,7 @@ def two(*changes: Changes, which: int = 1, **bus: Any) -> Configuration:
 # -- budget ----------------------------------------------------------------------------------------------------
 
 
-def test_2_kHz_take_68_percent_of_each_of_two_buses_by_the_sum_of_the_frames():
+def test_2_kHz_load_each_of_two_buses_by_68_percent():
     c = load("two_buses")
     found = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     # SYNC 75 bit; 16 bytes 34 bit at 1 Mbit/s and 193 at 5; 12 bytes 34 and 153, three times
@@ -68,7 +68,7 @@ def test_2_kHz_take_68_percent_of_each_of_two_buses_by_the_sum_of_the_frames():
 # -- runs ------------------------------------------------------------------------------------------------------
 
 
-def test_two_buses_at_2_kHz_carry_the_robot_and_log_export_and_report_name_the_bus_of_every_frame(tmp_path):
+def test_two_buses_run_at_2_kHz_and_every_frame_has_its_bus(tmp_path):
     c = two(SHORT)
     found = simulate(c, log=tmp_path / "run.mcap", duration_s=0.1)
     log = Log.open(tmp_path / "run.mcap")
@@ -96,7 +96,7 @@ SPLIT_RUNS = [("mit, damiao DM4310", "3x2"), *zip(FAMILIES, [*SPLITS] * 3, stric
 
 
 @pytest.mark.parametrize(("family", "legs"), broad(SPLIT_RUNS, quick=1))
-def test_every_family_runs_to_parked_on_several_buses(family, legs):
+def test_every_drive_family_runs_on_several_buses(family, legs):
     stop_s = 1.0 if family.startswith("cia402") else 0.1
     ran = run(changed("desktop", **merged(FAMILIES[family], split(legs))), stop_s=stop_s)
     assert ran.ending.success, ran.ending
@@ -106,7 +106,7 @@ def test_every_family_runs_to_parked_on_several_buses(family, legs):
 # -- skew ------------------------------------------------------------------------------------------------------
 
 
-def test_the_skew_is_the_time_between_the_ends_of_sync_and_the_legs_are_read_at_their_own():
+def test_the_skew_is_the_time_between_the_ends_of_the_syncs():
     with bench(two(SLOWLY, bitrate_bit_s=500000)) as lockstep:
         lockstep.step()
         inp, _, out = lockstep.step()
@@ -117,7 +117,7 @@ def test_the_skew_is_the_time_between_the_ends_of_sync_and_the_legs_are_read_at_
 
 
 @pytest.mark.parametrize(("limit_us", "late"), [(74.9, True), (75.0, False)])
-def test_buses_that_are_farther_apart_than_the_limit_make_a_late_tick(limit_us, late):
+def test_a_skew_above_the_limit_makes_a_late_tick(limit_us, late):
     with bench(two(SLOWLY, {"limits": {"sync_skew_us": limit_us}}, bitrate_bit_s=500000)) as lockstep:
         row = lockstep.step()[2].row
     assert bool(row["warnings"] & Warn.LATE) == late
@@ -128,7 +128,7 @@ def test_buses_that_are_farther_apart_than_the_limit_make_a_late_tick(limit_us, 
 # -- faults ----------------------------------------------------------------------------------------------------
 
 
-def test_a_bus_that_is_cut_silences_its_own_legs_and_is_named():
+def test_a_cut_bus_silences_its_own_legs_and_is_reported():
     c = changed(
         "two_buses", plant={"faults": [{"kind": "bus_off", "bus": 1, "mode": "LOADING", "at_s": 0.1}]}
     )
@@ -150,19 +150,21 @@ def test_a_bus_that_is_cut_silences_its_own_legs_and_is_named():
     assert "bus two1 (legs 3, 4, 5) is off" in story.short
 
 
-def test_a_flood_of_one_bus_leaves_the_other_alone():
+def test_a_flood_on_one_bus_does_not_disturb_the_other():
     with bench(load("two_buses"), BusFlood(bus=1, rate_Hz=20000, at_s=0.05)) as lockstep:
         rows = [lockstep.step()[2].row.copy() for _ in range(130)]
     assert max(row["age"][:3].max() for row in rows[5:]) == 0
     assert rows[-1]["age"][3:].min() > 10
 
 
-@pytest.mark.parametrize(("name", "allowed"), [("two_buses", "0 to 1"), ("desktop", "0, there is one bus")])
-def test_a_fault_of_a_bus_that_there_is_not_is_refused(name, allowed):
+@pytest.mark.parametrize(
+    ("name", "allowed"), [("two_buses", "0 to 1"), ("desktop", "0, as there is one bus")]
+)
+def test_a_fault_of_an_unknown_bus_is_refused(name, allowed):
     with pytest.raises(
-        ConfigurationError, match=rf"plant\.faults\[0\]\.bus: no such bus, allowed: {allowed}"
+        ConfigurationError, match=rf"plant\.faults\[0\]\.bus: unknown bus, allowed: {allowed}"
     ):
         changed(name, plant={"faults": [{"kind": "bus_flood", "bus": 2}]})
     done = CliRunner().invoke(main, ["sim", name, "--fault", "bus_off bus=3 at_s=0.5"])
     assert done.exit_code == 2
-    assert "bus_off: no such bus" in done.output
+    assert "bus_off: unknown bus" in done.output

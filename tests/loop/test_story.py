@@ -1,4 +1,4 @@
-"""Faults of a whole simulated run: the story's leg, value and limit are the plant's own, and the log has it."""
+"""Faults in whole simulated runs: leg, value and limit of the story match the plant, and the log contains it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hil.app.replay import replay_log
 from hil.app.sim.command import simulate
 from hil.control.inverse_dynamics import JointInverseDynamics
 from hil.loop.run_end import Course
-from hil.loop.story.told import Story
+from hil.loop.story.story import Story
 from hil.record.log import Log
 from plant_fmu.faults.fault import Fault as PlantFault
 from plant_fmu.faults.kinds import (
@@ -44,12 +44,12 @@ def story_of(ran: Ran) -> Story:
 
 
 def told(*faults: PlantFault, **sections: Any) -> tuple[Ran, Story]:
-    """Run into faults; return that and its story."""
+    """Run with faults; return the run and its story."""
     ran = run(changed("virtual", **sections), *faults, stop_s=STOP_S)
     return ran, story_of(ran)
 
 
-def test_a_leg_whose_wires_are_swapped_is_named_with_its_distance_from_the_reference():
+def test_swapped_wires_are_reported_with_leg_and_tracking_error():
     ran, story = told(SWAPPED)
     finding, cause = story.findings
     assert (cause.fault, cause.leg) == ("DRIVE", 3)
@@ -66,7 +66,7 @@ def test_a_leg_whose_wires_are_swapped_is_named_with_its_distance_from_the_refer
 
 
 @pytest.mark.parametrize("leg", broad((4, 1, 0, 2, 3, 5), quick=1))
-def test_a_silent_drive_is_named_with_the_ticks_since_it_was_heard(leg):
+def test_a_silent_drive_is_reported_with_the_ticks_since_its_last_frame(leg):
     ran, story = told(DriveSilence(leg=leg, at_s=1.4))
     (finding,) = story.findings
     assert (finding.fault, finding.value, finding.limit, finding.leg, finding.tick) == (
@@ -83,7 +83,7 @@ def test_a_silent_drive_is_named_with_the_ticks_since_it_was_heard(leg):
     ("fault", "leg", "unconfirmed"),
     [(EncoderLost(leg=1, at_s=1.4), 1, False), (FramesLoss(at_s=1.4), None, True)],
 )
-def test_a_stale_leg_whose_drive_still_confirms_is_told_from_lost_frames(fault, leg, unconfirmed):
+def test_a_lost_encoder_is_distinguished_from_lost_frames(fault, leg, unconfirmed):
     _, story = told(fault)
     (finding,) = story.findings
     assert (finding.fault, finding.leg) == ("STALE", leg)
@@ -91,8 +91,8 @@ def test_a_stale_leg_whose_drive_still_confirms_is_told_from_lost_frames(fault, 
     assert "all six" not in story.done_text or not unconfirmed
 
 
-def test_drives_that_a_forged_command_switched_off_are_named():
-    """Our controller does not hear it, behind a gateway."""
+def test_drives_switched_off_by_a_forged_command_are_reported():
+    """Behind a gateway the controller does not receive the forged command."""
     c = load("virtual")
     nodes, plant = build_nodes(c)
     attacked = Attacked(new_cycle(c), nodes, (BitTiming.of(c.bus),), c.loop.window_s(1000.0))
@@ -109,12 +109,12 @@ def test_drives_that_a_forged_command_switched_off_are_named():
     assert ending.story is not None
     found = [(each.fault, each.leg, each.value) for each in ending.story.findings]
     assert found == [("DRIVE", leg, "OFF") for leg in range(6)]
-    assert "drive 0, 1, 2, 3, 4, 5 in OFF where RUN was asked for" in ending.reason
+    assert "drive 0, 1, 2, 3, 4, 5 in OFF instead of RUN" in ending.reason
 
 
 @pytest.mark.long
-def test_the_log_the_summary_and_the_replay_tell_the_same(tmp_path):
-    """With leg and value in fields that a program reads, in the tick of the fault and at the end."""
+def test_log_summary_and_replay_contain_the_same_story(tmp_path):
+    """With leg and value in machine-readable fields, in the tick of the fault and at the end."""
     path = tmp_path / "fault.mcap"
     summary = simulate(load("virtual"), log=path, faults=FaultPlan([SWAPPED]))
     story = summary["story"]
@@ -137,13 +137,13 @@ def test_the_log_the_summary_and_the_replay_tell_the_same(tmp_path):
 
 PLANT_FAILS = [
     (PlantCrash(at_s=1.6), "the plant crashed"),
-    (PlantNaN(at_s=1.6), "the plant gave what is no measurement"),
+    (PlantNaN(at_s=1.6), "the plant gave no valid measurement"),
 ]
 
 
 @pytest.mark.parametrize("before", [False, True])
 @pytest.mark.parametrize(("fault", "words"), PLANT_FAILS)
-def test_a_plant_that_fails_ends_the_simulation_and_hides_no_fault_before_it(fault, words, before, tmp_path):
+def test_a_plant_failure_ends_the_run_and_hides_no_earlier_fault(fault, words, before, tmp_path):
     path = tmp_path / "plant.mcap"
     faults = [DriveSilence(leg=2, at_s=1.55), fault] if before else [fault]
     summary = simulate(load("virtual"), log=path, faults=FaultPlan(faults))
@@ -177,17 +177,17 @@ SWINGING: dict[str, Any] = {
     "engage": {"stop_s": 0.02},
     "limits": {"speed_m_s": 3, "following_error_m": 0.2},
 }
-"""Legs on springs that are stopped within 20 ms and hardly damped, each at a frequency of its own."""
+"""Legs on springs with little damping, stopped within 20 ms, each with its own frequency."""
 
 
 class Real(NamedTuple):
-    """What makes a fault happen, and what the log's columns say of each leg that is named."""
+    """Conditions that cause a fault, and the log columns of each reported leg."""
 
     fault: Fault
     sections: dict[str, Any]
     duration_s: float
     value: Callable[[Any], Any]
-    """Of the row: (6,) per leg, or one number; the rules' own definition."""
+    """From the row, as the rule defines it: (6,) per leg, or one number."""
     limit: Callable[[Any], Any]
     name: str = "virtual"
 
@@ -228,7 +228,7 @@ REAL = {
 
 
 @pytest.mark.parametrize("real", broad(map(pytest.param, REAL.values()), quick=5), ids=REAL)
-def test_a_fault_of_the_motion_is_told_with_the_legs_values_and_limits_of_the_log(real):
+def test_a_motion_fault_is_reported_with_logged_values_and_limits(real):
     ran = run(changed(real.name, **real.sections), stop_s=real.duration_s)
     found = [each for each in story_of(ran).findings if each.fault == real.fault.name]
     row, before = (ran.rows[found[0].tick - n] for n in (0, 1))
@@ -250,10 +250,10 @@ def test_a_fault_of_the_motion_is_told_with_the_legs_values_and_limits_of_the_lo
     ("begins", "speed", "raises"),
     [(0, -1.0, True), (1400, -1.0, True), (1400, 0.1, True), (1400, -1.0, False)],
 )
-def test_a_law_that_raises_or_gives_no_number_is_a_latched_fault_with_its_place(
-    monkeypatch, begins, speed, raises
-):
-    """From the start, from a tick on, and in motion alone: not where it is asked what holds the platform."""
+def test_a_defective_law_is_a_latched_fault_with_its_place(monkeypatch, begins, speed, raises):
+    """From the start, from a tick on, and only in motion: not when the law is evaluated for the holding
+    force.
+    """
     effort = JointInverseDynamics.effort
 
     def defective(self, tick):

@@ -1,4 +1,4 @@
-"""The ideal bus of a lockstep behind the calls that the daemon makes, and runs of the daemon on it."""
+"""The ideal bus of a lockstep with the interface that the daemon uses, and runs of the daemon on it."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PERIOD_NS = round(1e9 / IDEAL.loop.rate_Hz)
 
 
 class Wire:
-    """Bus, clock and deadlines of a daemon. State: the tick, and what is on its way."""
+    """Bus, clock and deadlines of a daemon. State: the tick, and the frames under way."""
 
     def __init__(self, nodes: Any, period_ns: int = PERIOD_NS) -> None:
         self.nodes, self.period_ns, self.tick = nodes, period_ns, -1
@@ -64,7 +64,7 @@ class Wire:
         return received_array(late)
 
     def drain(self, _deadline_ns: int, wanted: Any) -> Any:
-        """Return the feedbacks; a status loses the arbitration against the last of them, and is late."""
+        """The feedbacks; a status frame loses arbitration against the last of them, and is late."""
         answers = [answer for answer in self.answers if answer is not None]
         self.answers = [None]
         self.late += [answer for answer in answers if answer.frame.id not in wanted]
@@ -81,7 +81,7 @@ def daemon(
     tick: Callable[..., None] = lambda *_, **__: None,
     **shell: Any,
 ) -> tuple[Ending, Any]:
-    """Run the daemon on theory's layout; return how it ended, and its wire. `tick` takes each row."""
+    """Run the daemon on the ideal configuration; return its ending and its wire. `tick` receives each row."""
     nodes, plant = build_nodes(IDEAL, FaultPlan(faults))
     wire = kind(nodes)
     recording: Any = SimpleNamespace(alive=True, dropped=5, tick_of_items=tick, event=lambda *_: None)

@@ -1,4 +1,4 @@
-"""From nothing to `.venv`: the locks, the search for Python, and what a failure leaves behind."""
+"""Setup of `.venv`: the lock files, the search for Python, and the state after a failure."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
 
 
 def requirements(lock: str) -> list[str]:
-    """The lock's requirements, continuation lines joined."""
+    """Requirements of a lock, continuation lines joined."""
     text = (ROOT / lock).read_text().replace("\\\n", " ")
     return [line for line in text.splitlines() if line and not line.startswith("#")]
 
@@ -51,14 +51,14 @@ def assert_locked(wanted: list[str], versions: dict[str, set[str]]) -> None:
         assert all(requirement.specifier.contains(version) for version in there), text
 
 
-def test_everything_that_the_project_asks_for_is_locked():
+def test_every_requirement_of_the_project_is_locked():
     wanted = [*PROJECT["project"]["dependencies"], *PROJECT["build-system"]["requires"]]
     for group in PROJECT["dependency-groups"].values():
         wanted += group
     assert_locked(wanted, locked("requirements.lock"))
 
 
-def test_the_viewers_are_locked_and_change_no_package_of_the_environment():
+def test_viewers_are_locked_at_the_versions_of_the_environment():
     viewers, installed = locked("requirements-viewers.lock"), locked("requirements.lock")
     assert_locked(PROJECT["project"]["optional-dependencies"]["viewers"], viewers)
     both = viewers.keys() & installed.keys()
@@ -66,13 +66,13 @@ def test_the_viewers_are_locked_and_change_no_package_of_the_environment():
     assert {name: viewers[name] for name in both} == {name: installed[name] for name in both}
 
 
-def test_the_searched_python_is_the_one_that_the_project_requires():
+def test_searched_python_versions_are_those_required():
     limits = dict(re.findall(r"(oldest|newest)=(\d+)", (ROOT / "tools/find-python").read_text()))
     required = f">=3.{limits['oldest']},<3.{int(limits['newest']) + 1}"
     assert PROJECT["project"]["requires-python"] == required
 
 
-def test_without_any_python_the_message_names_what_to_install(tmp_path):
+def test_message_without_python_names_the_package_to_install(tmp_path):
     shell = shutil.which("sh") or "/bin/sh"
     done = subprocess.run(
         [shell, ROOT / "tools/find-python"],
@@ -87,7 +87,7 @@ def test_without_any_python_the_message_names_what_to_install(tmp_path):
 
 
 @pytest.mark.long
-def test_a_failed_setup_leaves_no_half_made_environment(tmp_path):
+def test_failed_setup_leaves_no_partial_environment(tmp_path):
     for name in ("pyproject.toml", *LOCKS):
         shutil.copy(ROOT / name, tmp_path)
     shutil.copytree(ROOT / "tools", tmp_path / "tools")

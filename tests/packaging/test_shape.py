@@ -1,4 +1,4 @@
-"""The shape of the source: short files, short functions, few parameters, few files in the hall."""
+"""Size limits of the source: length of files and functions, number of parameters."""
 
 import ast
 from pathlib import Path
@@ -13,7 +13,7 @@ FILES = sorted(
 
 
 def functions(root=ROOT):
-    """Each function of the packages: where it is, its lines, and the names of its parameters."""
+    """Each function of the packages: its place, its lines, and the names of its parameters."""
     for path in sorted(path for package in PACKAGES for path in (root / package).rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text())):
             if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):

@@ -1,4 +1,4 @@
-"""The wheel carries what the product needs, and works away from the repository."""
+"""The wheel contains all files of the product, and works outside the repository."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def wheel(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def installed(wheel, tmp_path_factory):
-    """A folder with the wheel's content: for a pure wheel that is its installation."""
+    """A folder with the wheel's content, which for a pure wheel is its installation."""
     target = tmp_path_factory.mktemp("target")
     with zipfile.ZipFile(wheel) as archive:
         (description,) = (name for name in archive.namelist() if name.endswith(".dist-info/WHEEL"))
@@ -38,9 +38,9 @@ def installed(wheel, tmp_path_factory):
 
 
 def outside(installed, tmp_path, *arguments):
-    """Run Python in a folder outside the repository, the wheel's content before everything else.
+    """Run Python in a folder outside the repository, with the wheel's content first on the path.
 
-    What is compiled comes from the cache of this suite where the wheel's sources are the same to the byte.
+    Compiled code comes from this suite's cache if the wheel's sources are identical.
     """
     environment = {name: value for name, value in os.environ.items() if not name.startswith("PYTEST_")}
     environment |= {"PYTHONPATH": str(installed), "PYTHONSAFEPATH": "1"}
@@ -68,7 +68,7 @@ def test_every_file_of_the_packages_is_in_the_wheel(wheel):
     assert [name for name, content in kept.items() if inside[name] != content] == []
 
 
-def test_data_is_inside_and_tests_and_tools_are_outside(wheel):
+def test_wheel_contains_data_but_no_tests_and_tools(wheel):
     with zipfile.ZipFile(wheel) as archive:
         names = archive.namelist()
     for pattern in ("*/py.typed", "drivers/legs/legs.dbc", "configs/*.yaml", "plant_fmu/stewart/sources/*.c"):
@@ -77,7 +77,7 @@ def test_data_is_inside_and_tests_and_tools_are_outside(wheel):
     assert {top for top in tops if not top.endswith(".dist-info")} == set(PACKAGES)
 
 
-def test_the_packages_come_from_the_wheel_and_not_from_the_repository(installed, tmp_path):
+def test_packages_are_imported_from_the_wheel(installed, tmp_path):
     script = f"import importlib, json; print(json.dumps([importlib.import_module(n).__file__ for n in {PACKAGES!r}]))"
     done = outside(installed, tmp_path, "-c", script)
     assert done.returncode == 0, done.stderr

@@ -7,5 +7,5 @@ from plant_fmu.drives.drive import Drives
 
 
 def enter(drives: Drives, leg: int, state: int, reason: int) -> None:
-    """Move one drive to a state."""
+    """Change the state of one drive."""
     kernels.enter(drives.seen, leg, state, reason)

@@ -76,7 +76,7 @@ def unpacked(tmp_path_factory):
 
 @pytest.fixture
 def direct(unpacked):
-    """A factory of instances; all are freed at the end."""
+    """Factory of instances; all are freed at the end."""
     made = []
 
     def make():

@@ -27,7 +27,7 @@ REST = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
 
 
 class Masses:
-    """m ddq = f + wrench; an engaged brake holds. Exact for constant inputs, whatever the step."""
+    """m ddq = f + wrench; an engaged brake holds. Exact for constant inputs at any step."""
 
     internal_step_s = 1e-4
 
@@ -54,11 +54,11 @@ class Masses:
         return None
 
     def close(self) -> None:
-        """Nothing to free."""
+        """Do nothing: there is nothing to free."""
 
 
 class Rig:
-    """Controller's end: sends, collects, decodes."""
+    """The controller's end: sends, collects, decodes."""
 
     def __init__(
         self,
@@ -80,7 +80,7 @@ class Rig:
         self.measurement = new_record()
 
     def at(self, t_ns: int, *frames: Frame) -> list[tuple[int, Frame]]:
-        """Live until t0 + t_ns, with frames arriving at that instant."""
+        """Advance to t0 + t_ns, with frames arriving at that instant."""
         t = self.t0 + t_ns
         return self.nodes.step(t, [Received(t, frame) for frame in frames])
 
@@ -103,7 +103,7 @@ class Rig:
         self.at(0, *self.protocol.configure(watchdog_s, self.reaction))
 
     def run(self, force: float | Sequence[float] = 0.0) -> None:
-        """From boot to RUN at t = 0."""
+        """Take the drives from boot to RUN at t = 0."""
         self.configure()
         self.command(0, DriveMode.READY)
         self.command(0, DriveMode.RUN, force)
@@ -118,12 +118,12 @@ class Rig:
 
 
 def push(newton: float, **when: Any) -> WrenchStep:
-    """Push every mass, as gravity does."""
+    """Push every mass with a constant force, as gravity does."""
     return WrenchStep(force_N=(newton,) * 3, moment_N_m=(newton,) * 3, **when)
 
 
 def starve(reaction: Reaction, *, seconds: float, load: float = 0.0) -> tuple[Rig, float]:
-    """Accelerate for 10 ms at 10 m/s^2, then silence: 0.1 m/s at the fault."""
+    """Accelerate for 10 ms at 10 m/s^2, then send nothing: 0.1 m/s at the fault."""
     rig = Rig(reaction=reaction, faults=[push(load, at_s=0.01)] if load else [])
     rig.run(10.0 * MASS)
     rig.at(10 * MS + 1)

@@ -1,4 +1,4 @@
-"""Frames that are old, doubled or forged, at the drives' end: they are refused, counted, and feed no watchdog."""
+"""Old, repeated or forged frames at the drives' end: they are rejected and counted, and feed no watchdog."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def sync(rig: Rig, tick: int) -> Frame:
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_two_old_commands_in_turn_do_not_keep_the_drives_in_run(layout):
+def test_alternating_old_commands_do_not_keep_the_drives_in_run(layout):
     rig = Rig(layout)
     rig.run()
     old = [commands(rig, rig.tick - 1, 3e3), commands(rig, rig.tick - 2, 4e3)]
@@ -41,7 +41,7 @@ def test_two_old_commands_in_turn_do_not_keep_the_drives_in_run(layout):
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("ahead", [-8, -1, 1, 2, 7])
-def test_a_command_for_another_sync_changes_nothing(layout, ahead):
+def test_a_command_that_belongs_to_another_sync_is_rejected(layout, ahead):
     rig = Rig(layout)
     rig.run(100.0)
     before = rig.nodes.snapshot()
@@ -52,7 +52,7 @@ def test_a_command_for_another_sync_changes_nothing(layout, ahead):
     assert after.rejected - before.rejected == (2 if layout == "classic" else 1)
 
 
-def test_of_two_commands_to_one_sync_the_first_counts():
+def test_the_second_command_after_one_sync_has_no_effect():
     rig = Rig()
     rig.run()
     rig.tick += 1
@@ -63,7 +63,7 @@ def test_of_two_commands_to_one_sync_the_first_counts():
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_without_a_sync_no_command_counts(layout):
+def test_commands_without_a_sync_have_no_effect(layout):
     rig = Rig(layout)
     rig.configure()
     for tick in range(256):
@@ -72,7 +72,7 @@ def test_without_a_sync_no_command_counts(layout):
     assert rig.nodes.snapshot().commands == 0
 
 
-def test_any_flipped_bit_of_a_sync_is_refused():
+def test_a_sync_with_any_flipped_bit_is_rejected():
     rig = Rig()
     rig.run()
     good = sync(rig, rig.tick + 1)
@@ -91,7 +91,7 @@ def test_any_flipped_bit_of_a_sync_is_refused():
     assert rig.nodes.snapshot().command.tolist() == [77.0] * 6
 
 
-def test_a_repeated_sync_is_answered_once():
+def test_drives_answer_a_repeated_sync_only_once():
     rig = Rig()
     frame = sync(rig, 9)
     answers = [f for _, f in rig.at(1 * MS, frame, frame) if f.id in rig.protocol.traits.feedback_ids]
@@ -101,7 +101,7 @@ def test_a_repeated_sync_is_answered_once():
 
 @pytest.mark.parametrize("data", [b"", b"\xff", b"\x55" * 8])
 @pytest.mark.parametrize("state", [DriveState.BOOT, DriveState.OFF, DriveState.RUN])
-def test_an_emergency_stop_acts_whatever_its_data_and_is_confirmed(data, state):
+def test_an_emergency_stop_with_any_payload_acts_and_is_confirmed(data, state):
     rig = Rig()
     if state is DriveState.OFF:
         rig.configure()
@@ -114,7 +114,7 @@ def test_an_emergency_stop_acts_whatever_its_data_and_is_confirmed(data, state):
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_every_set_up_is_echoed_at_once():
+def test_drives_confirm_every_set_up_at_once_with_their_settings():
     rig = Rig()
     rig.at(0)  # the first heartbeat
     ours = rig.at(1 * MS, *rig.protocol.configure(0.01, Reaction.BRAKE))

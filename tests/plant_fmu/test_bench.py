@@ -1,4 +1,4 @@
-"""The bench against closed forms."""
+"""The bench against closed-form solutions."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ def bench(**values):
     return Bench(BenchPlant(type="bench", **values))
 
 
-def test_without_damping_and_cubic_spring_it_is_the_harmonic_oscillator():
+def test_a_leg_with_a_linear_spring_alone_is_a_harmonic_oscillator():
     plant = bench(damping_N_s2_m2=0.0, stiffness_N_m3=0.0, mass_kg=200.0, stiffness_N_m=5000.0)
     f = np.array([100.0, -100.0, 50.0, 0.0, 10.0, 200.0])
     w = np.sqrt(5000.0 / 200.0)
@@ -22,18 +22,18 @@ def test_without_damping_and_cubic_spring_it_is_the_harmonic_oscillator():
     assert dq == pytest.approx(f / 5000.0 * w * np.sin(w * 0.7), abs=1e-12)
 
 
-def test_it_comes_to_rest_where_the_cubic_spring_balances_the_force():
+def test_a_leg_comes_to_rest_where_its_springs_balance_the_force():
     plant = bench(damping_N_s2_m2=50_000.0)
     x = 0.2
     f = np.full(6, 5000.0 * x + 20_000.0 * x**3)
     for _ in range(400):
         q, _ = plant.step(f, OPEN, CALM, 0.05)
-    # damping with v|v| fades near rest: the amplitude falls as 1/t
+    # quadratic damping vanishes near rest: the amplitude decreases as 1/t
     assert q - 1.6 == pytest.approx(np.full(6, x), abs=5e-3)
 
 
-def test_quadratic_damping_alone_slows_as_one_over_time():
-    # m v' = -b v|v|  =>  v = v0 / (1 + b v0 t / m)
+def test_quadratic_damping_limits_the_speed_to_sqrt_of_f_over_b():
+    # almost without damping: v = f t / m
     plant = bench(stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=100.0, damping_N_s2_m2=1e-9)
     _, dq = plant.step(np.full(6, 100.0), OPEN, CALM, 1.0)
     assert dq == pytest.approx(np.ones(6), rel=1e-9)
@@ -43,7 +43,7 @@ def test_quadratic_damping_alone_slows_as_one_over_time():
     assert dq == pytest.approx(np.full(6, 2.0), rel=1e-6)
 
 
-def test_a_brake_stops_with_its_bounded_force_and_then_holds():
+def test_a_brake_stops_a_leg_with_its_largest_force_and_then_holds():
     plant = bench(damping_N_s2_m2=0.0, stiffness_N_m=0.0, stiffness_N_m3=0.0, mass_kg=200.0)
     plant.step(np.full(6, 2000.0), OPEN, CALM, 0.1)  # v = 1 m/s
     q0, _ = plant.step(OPEN, OPEN, CALM, 1e-4)
@@ -56,8 +56,8 @@ def test_a_brake_stops_with_its_bounded_force_and_then_holds():
     assert (q3 > q2 + 1e-4).all()
 
 
-def test_under_the_opposite_force_it_moves_the_opposite_way():
-    """Damping and springs are odd: there, back through the rest length, and at the brake."""
+def test_the_opposite_force_gives_the_opposite_motion():
+    """Damping and springs are odd functions: forced, springing back, and with brakes engaged."""
     force = np.array([500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16_000.0])
     ahead, back = bench(), bench()
     for k in range(100):
@@ -71,8 +71,8 @@ def test_under_the_opposite_force_it_moves_the_opposite_way():
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_an_engaged_brake_stops_a_leg_and_holds_it_against_its_springs(side):
-    """6 N of the cubic spring at 0.3 m and 60 N of the other: 0.2 % of what the brake holds."""
+def test_an_engaged_brake_holds_a_leg_against_its_springs(side):
+    """At 0.3 m the cubic spring gives 6 N and the linear one 60 N: 0.3 % of the brake's largest force."""
     plant = bench(stiffness_N_m=200.0, stiffness_N_m3=220.0, damping_N_s2_m2=5000.0)
     plant.step(np.full(6, side * 2000.0), OPEN, CALM, 1.0)
     q, _ = plant.step(OPEN, np.ones(6), CALM, 0.05)

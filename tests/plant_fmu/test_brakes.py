@@ -1,4 +1,4 @@
-"""Watchdogs, reactions, emergency stop, and brakes that take their time: what holds each leg."""
+"""Watchdogs, reactions, emergency stop, and brakes that take time to open and close."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tests.plant_fmu.rig import MASS, MS, REST, US, Rig, push, starve
 
 
 @pytest.mark.parametrize("last_us", [0, 3000, 4049, 7777])
-def test_watchdog_reacts_within_its_time_and_one_grid_step(last_us):
+def test_the_watchdog_reacts_within_one_grid_step_of_its_timeout(last_us):
     rig = Rig()
     rig.run(100.0)
     if last_us:
         rig.command(last_us * US, DriveMode.RUN, 100.0)
     rig.plant.calls.clear()
-    started = round(last_us / 100) * 100  # us, the grid point at which the plant stands
+    started = round(last_us / 100) * 100  # us, present grid point of the plant
     sent = rig.at(30 * MS)
     free = sum(dt for dt, _, brake in rig.plant.calls if brake[0] == 0.0)
     stopped_us = started + free * 1e6
@@ -54,7 +54,7 @@ def test_each_drive_has_its_own_watchdog_and_reaction():
                 assert told[0x701 + leg] == bytes([DriveState.FAULT, DriveFault.WATCHDOG])
 
 
-def test_a_command_at_the_last_instant_is_in_time():
+def test_a_command_at_the_instant_of_the_timeout_is_in_time():
     rig = Rig()
     rig.run()
     rig.command(10 * MS, DriveMode.RUN)
@@ -63,7 +63,7 @@ def test_a_command_at_the_last_instant_is_in_time():
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_watchdog_runs_in_ready_and_not_in_off():
+def test_the_watchdog_runs_in_ready_but_not_in_off():
     rig = Rig()
     rig.configure()
     rig.at(100 * MS)
@@ -77,7 +77,7 @@ def test_watchdog_runs_in_ready_and_not_in_off():
     assert rig.states == [DriveState.FAULT] * 6
 
 
-def test_damaged_commands_do_not_feed_the_watchdog():
+def test_corrupted_commands_do_not_feed_the_watchdog():
     rig = Rig(faults=[FramesCorrupt(identifier=0x110, at_s=0.5e-3)])
     rig.run()
     for k in range(1, 15):
@@ -86,7 +86,7 @@ def test_damaged_commands_do_not_feed_the_watchdog():
     assert rig.nodes.snapshot().rejected == 14
 
 
-def test_one_lost_command_frame_of_the_classic_layout_stops_its_three_legs():
+def test_loss_of_one_classic_command_frame_stops_its_three_legs():
     rig = Rig("classic", faults=[FramesLoss(identifier=0x101, at_s=0.5e-3)])
     rig.run()
     for k in range(1, 15):
@@ -94,7 +94,7 @@ def test_one_lost_command_frame_of_the_classic_layout_stops_its_three_legs():
     assert rig.states == [DriveState.RUN] * 3 + [DriveState.FAULT] * 3
 
 
-def test_brake_stops_zero_coasts_and_damp_slows_exponentially():
+def test_reaction_brake_stops_zero_coasts_and_damp_slows_exponentially():
     stopped, travelled = starve(Reaction.BRAKE, seconds=0.1, load=-2000.0)
     coasting, _ = starve(Reaction.ZERO, seconds=3.0)
     damped, _ = starve(Reaction.DAMP, seconds=0.02)
@@ -110,7 +110,7 @@ def test_brake_stops_zero_coasts_and_damp_slows_exponentially():
     assert snapshot.brake.tolist() == [0.0] * 6
 
 
-def test_hold_reaction_returns_to_the_length_of_the_fault_less_the_sag():
+def test_reaction_hold_returns_to_the_length_at_the_fault_minus_the_sag():
     rig, travelled = starve(Reaction.HOLD, seconds=1.0, load=-2000.0)
     snapshot = rig.nodes.snapshot()
     sag = 2000.0 / 2e6
@@ -121,7 +121,7 @@ def test_hold_reaction_returns_to_the_length_of_the_fault_less_the_sag():
 
 @pytest.mark.parametrize("mode", [DriveMode.READY, DriveMode.RUN])
 @pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
-def test_a_reaction_goes_on_under_commands_other_than_off_and_reset(reaction, mode):
+def test_commands_other_than_off_and_reset_do_not_end_a_reaction(reaction, mode):
     rig, _ = starve(reaction, seconds=0.005)
     other, _ = starve(reaction, seconds=0.005)
     for t_ms in (16, 17, 18):
@@ -136,7 +136,7 @@ def test_a_reaction_goes_on_under_commands_other_than_off_and_reset(reaction, mo
 
 
 @pytest.mark.parametrize("reaction", list(Reaction))
-def test_an_emergency_stop_brakes_in_every_state_whatever_the_reaction(reaction):
+def test_an_emergency_stop_brakes_in_every_state_with_any_reaction(reaction):
     for path in ([], [DriveMode.READY], [DriveMode.READY, DriveMode.RUN]):
         rig = Rig(reaction=reaction, faults=[push(-2000.0)])
         rig.configure()
@@ -154,7 +154,7 @@ def test_an_emergency_stop_brakes_in_every_state_whatever_the_reaction(reaction)
 
 
 @pytest.mark.parametrize("reaction", [Reaction.ZERO, Reaction.DAMP, Reaction.HOLD])
-def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
+def test_emergency_stop_and_off_brake_a_drive_during_its_reaction(reaction):
     for stop in ("estop", "off"):
         rig, _ = starve(reaction, seconds=0.01)
         assert rig.nodes.snapshot().brake.tolist() == [0.0] * 6
@@ -169,12 +169,12 @@ def test_emergency_stop_and_off_brake_a_drive_that_reacts_already(reaction):
         assert not snapshot.force.any()
 
 
-# brakes that take their time
+# brakes with closing times
 
 OPEN_MS, CLOSE_MS = 50, 30
 SLOW = DriveEmulation(encoder_resolution_m=0.0, brake_open_ms=OPEN_MS, brake_close_ms=CLOSE_MS)
 LOAD = 2000.0
-"""N, as gravity: it takes so much force to hold each mass."""
+"""Force that holds each mass against its load, N."""
 
 
 def rig(*faults: Fault, reaction: Reaction = Reaction.BRAKE) -> Rig:
@@ -182,7 +182,7 @@ def rig(*faults: Fault, reaction: Reaction = Reaction.BRAKE) -> Rig:
 
 
 def feed(rig: Rig, first_ms: int, last_ms: int, mode: DriveMode, force: float = LOAD) -> None:
-    """Give a command every 5 ms, from the first to the last."""
+    """Send a command every 5 ms, from the first to the last instant."""
     for t in range(first_ms, last_ms + 1, 5):
         rig.command(t * MS, mode, force)
 
@@ -194,11 +194,11 @@ def running(rig: Rig, until_ms: int = 100, force: float = LOAD) -> None:
 
 
 def free_ms(rig: Rig, leg: int = 0) -> float:
-    """Return how long a leg's brake was open since the calls of the plant were cleared, ms."""
+    """Time for which a leg's brake was open since the calls of the plant were cleared, ms."""
     return 1e3 * sum(dt for dt, _, brake in rig.plant.calls if brake[leg] == 0.0)
 
 
-def test_a_brake_is_open_until_it_has_closed_and_the_drive_obeys_meanwhile():
+def test_a_drive_follows_force_commands_while_its_brake_closes():
     a = rig()
     running(a)
     a.plant.calls.clear()
@@ -236,8 +236,8 @@ def test_a_drive_keeps_its_last_force_until_its_brake_has_closed(end):
     assert free_ms(a) == pytest.approx(begun - 100 + CLOSE_MS)
 
 
-def test_a_drive_whose_brake_does_not_close_lets_go_when_it_should_have():
-    """It knows its brake by the time alone."""
+def test_a_drive_drops_its_force_on_time_even_if_its_brake_stays_open():
+    """The drive has no sensor for its brake, only a timer."""
     a = rig(BrakeStuckOpen(leg=2))
     running(a)
     a.command(105 * MS, DriveMode.OFF)
@@ -247,7 +247,7 @@ def test_a_drive_whose_brake_does_not_close_lets_go_when_it_should_have():
     np.testing.assert_allclose(a.nodes.snapshot().rate, expected, atol=1e-12)
 
 
-def test_a_brake_that_is_called_back_has_not_moved():
+def test_a_brake_stays_open_if_it_is_commanded_open_before_it_has_closed():
     a = rig()
     running(a)
     a.plant.calls.clear()
@@ -255,13 +255,13 @@ def test_a_brake_that_is_called_back_has_not_moved():
     feed(a, 130, 200, DriveMode.RUN)
     assert free_ms(a) == pytest.approx(100.0), "25 ms of closing are not enough"
     feed(a, 205, 260, DriveMode.READY)
-    assert a.brakes == [1.0] * 6, "the next time it takes its whole time anew"
+    assert a.brakes == [1.0] * 6, "the next closing takes the whole time again"
     assert free_ms(a) == pytest.approx(105.0 + CLOSE_MS)
 
 
 @pytest.mark.parametrize("reaction", [Reaction.DAMP, Reaction.HOLD])
-def test_damping_and_holding_end_in_the_brake_after_the_stated_time(reaction):
-    """drives.brake_after_ms, 1 s: from the watchdog's fault at 110 ms to 1110 ms, and the brake's own time."""
+def test_damp_and_hold_end_in_the_brake_after_brake_after_ms(reaction):
+    """brake_after_ms is 1 s: from the watchdog's fault at 110 ms to 1110 ms, plus the closing time."""
     a = rig(reaction=reaction)
     running(a)
     a.at(1110 * MS)

@@ -1,4 +1,4 @@
-"""What every plant owes its callers, whatever stands behind it."""
+"""Contract of every plant, whatever its implementation."""
 
 from pathlib import Path
 
@@ -30,7 +30,7 @@ def stewart(version, isolation):
 
 
 def mapped(version, isolation):
-    """Our FMU as one of somebody else: nothing but a path and names."""
+    """Our FMU opened like a foreign one, by path and variable names."""
 
     def make():
         settings = {"type": "fmu", "path": str(build(version)), "isolation": isolation, "step_us": 100.0}
@@ -61,7 +61,7 @@ def run(plant, n=30, dt=1e-3):
     return [plant.step(FORCE, OPEN, CALM, dt) for _ in range(n)]
 
 
-def test_reset_gives_lengths_at_rest_that_the_caller_may_keep(plant):
+def test_reset_returns_lengths_at_rest_that_later_steps_do_not_change(plant):
     q, dq = plant.reset()
     kept = q.copy()
     assert q.shape == dq.shape == (6,)
@@ -71,7 +71,7 @@ def test_reset_gives_lengths_at_rest_that_the_caller_may_keep(plant):
     assert (q == kept).all()
 
 
-def test_reset_brings_back_the_same_motion_to_the_bit(plant):
+def test_after_a_reset_the_motion_is_the_same_to_the_bit(plant):
     plant.reset()
     first = run(plant)
     plant.reset()
@@ -80,7 +80,7 @@ def test_reset_brings_back_the_same_motion_to_the_bit(plant):
         assert (dq1 == dq2).all()
 
 
-def test_one_long_step_is_many_short_ones(plant):
+def test_one_long_step_equals_many_short_steps(plant):
     plant.reset()
     for _ in range(20):
         short = plant.step(FORCE, OPEN, CALM, 1e-3)
@@ -97,7 +97,7 @@ def test_a_larger_force_makes_a_leg_longer(plant):
     assert (more > few).all()
 
 
-def test_engaged_brakes_hold(plant):
+def test_engaged_brakes_hold_the_legs(plant):
     q0, _ = plant.reset()
     for _ in range(100):
         q, dq = plant.step(FORCE, SHUT, CALM, 1e-3)
@@ -115,7 +115,7 @@ def test_rates_are_the_derivatives_of_lengths(plant):
 
 
 @pytest.mark.parametrize("dt", [1.05e-4, 0.0, -1e-3, np.nan, np.inf])
-def test_a_step_that_is_not_a_multiple_is_refused(plant, dt):
+def test_a_step_that_is_no_multiple_of_the_internal_step_is_refused(plant, dt):
     plant.reset()
     with pytest.raises(PlantError, match="multiple"):
         plant.step(FORCE, OPEN, CALM, dt)
@@ -133,10 +133,10 @@ def test_an_input_that_is_not_finite_is_refused(plant, value, place):
     plant.step(FORCE, OPEN, CALM, 1e-3)
 
 
-def test_truth_agrees_with_the_lengths_where_there_is_one(plant):
+def test_pose_and_forces_of_the_truth_agree_with_lengths_and_inputs(plant):
     q, _ = plant.reset()
     q, _ = plant.step(FORCE, OPEN, CALM, 0.02)
-    applied = plant.applied_force()  # before it was asked for the truth
+    applied = plant.applied_force()  # before the truth was requested
     truth = plant.truth()
     if truth is None:
         assert applied is None
@@ -148,7 +148,7 @@ def test_truth_agrees_with_the_lengths_where_there_is_one(plant):
     assert applied.tobytes() == truth.applied_force.tobytes()
 
 
-def test_all_faces_and_isolations_of_our_fmu_give_the_same_bits():
+def test_both_fmi_versions_and_isolations_of_our_fmu_give_the_same_bits():
     ends = []
     for version in ("2.0", "3.0"):
         for isolation in ("in_process", "child_process"):
@@ -158,7 +158,7 @@ def test_all_faces_and_isolations_of_our_fmu_give_the_same_bits():
     assert len(set(ends)) == 1
 
 
-def test_a_wrench_lifts(plant):
+def test_an_upward_wrench_lifts_the_platform(plant):
     if isinstance(plant, Bench):
         return
     plant.reset()
@@ -178,12 +178,12 @@ def test_a_step_is_a_whole_number_of_internal_steps_within_1e_9(step_s):
         for off in (2e-9, -2e-9, 0.4 / n, -0.4 / n):
             with pytest.raises(PlantError, match="multiple"):
                 whole_steps(n * step_s * (1.0 + off), step_s)
-    for n in (0, 10**9, 2 * 10**9):  # of so many any length would be a multiple
+    for n in (0, 10**9, 2 * 10**9):  # with so many steps, any length would be a multiple
         with pytest.raises(PlantError, match="multiple"):
             whole_steps(n * step_s, step_s)
 
 
-def test_the_true_twist_is_the_motion_of_the_true_pose(plant):
+def test_the_true_twist_is_the_derivative_of_the_true_pose(plant):
     """Over 0.2 ms about the middle: p' = v, R' R^T = [omega] in the base frame."""
     plant.reset()
     plant.step(FORCE + 500.0, OPEN, np.array([300.0, 0, 0, 100.0, 200.0, 300.0]), 0.02)

@@ -1,4 +1,4 @@
-"""Both descriptions of our FMU: valid, alike, and true of what the binary does."""
+"""Both descriptions of our FMU: valid, equivalent, and in agreement with the binary."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def described(version: str) -> Any:
 
 
 @VERSIONS
-def test_fmpy_finds_no_problem(version):
+def test_fmpy_finds_no_problem_in_our_fmu(version):
     assert validate_fmu(str(build(version))) == []
 
 
@@ -66,7 +66,7 @@ def test_the_build_description_follows_its_schema():
 
 
 def elements(version: str) -> list[tuple[Any, ...]]:
-    """Causality, first value and unit of each element; FMI 3 has those of its arrays."""
+    """Name, causality, start value and unit of each element; in FMI 3 those of its array."""
     found = []
     for v in described(version).modelVariables:
         count = int(np.prod(v.shape)) if v.shape else 1
@@ -80,7 +80,7 @@ def elements(version: str) -> list[tuple[Any, ...]]:
 
 def test_both_descriptions_state_the_same_values_and_units():
     two, three = elements("2.0"), elements("3.0")
-    # of two units each, which FMI 3 cannot state
+    # arrays of two units each, which FMI 3 cannot state
     mixed = {"initial_twist", "wrench", "twist", "acceleration"}
     assert [each[:3] for each in two] == [each[:3] for each in three]
     assert [each for each in two if each[0] not in mixed] == [each for each in three if each[0] not in mixed]
@@ -93,7 +93,7 @@ def test_both_descriptions_state_the_same_values_and_units():
         assert {u.variable.name.split("[")[0] for u in described(version).outputs} == outputs
 
 
-def test_the_binary_has_the_first_values_that_are_described(direct):
+def test_the_binary_has_the_start_values_of_its_description(direct):
     plant = direct()
     for v in described("3.0").modelVariables:
         if v.causality in {"parameter", "input"} and v.type == "Float64":
@@ -108,7 +108,7 @@ def test_units_have_the_exponents_of_their_names(version):
     assert all((unit.factor, unit.offset) == (1.0, 0.0) for unit in found.values())
 
 
-def test_direct_feedthrough_is_stated_where_it_exists():
+def test_the_description_lists_the_direct_feedthrough_of_each_output():
     depends = {u.variable.name: {d.name for d in u.dependencies} for u in described("3.0").outputs}
     assert depends["acceleration"] == {"force", "brake", "wrench"}
     assert depends["applied_force"] == {"force"}

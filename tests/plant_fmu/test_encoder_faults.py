@@ -1,4 +1,4 @@
-"""Encoders with faults: what they read of legs that move in closed form."""
+"""Encoder faults: readings of legs whose motion is known in closed form."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ DRIFTS = (EncoderDrift(leg=2, by_m_s=0.5), EncoderDrift(leg=2, by_m_s=0.25, at_s
 JUMP = EncoderJump(leg=2, by_m=3e-3)
 
 
-def test_a_drifting_encoder_creeps_at_its_rate_and_recovers():
+def test_an_encoder_drifts_at_the_given_rate_until_the_fault_ends():
     rig = accelerating(EncoderDrift(leg=2, by_m_s=0.5, at_s=2e-3, for_s=4e-3))
     for t_ms, drifted, rate in ((1, 0, 0), (2, 0, 0.5), (4, 1e-3, 0.5), (5, 1.5e-3, 0.5), (7, 0, 0)):
         l, dl = motion(t_ms)
@@ -47,7 +47,7 @@ SCALE, SIGN = partial(EncoderScale, leg=2, factor=1.5), partial(EncoderSign, leg
         ((SIGN, SIGN), -1.0, -1.0),
     ],
 )
-def test_a_second_scale_goes_on_from_what_the_encoder_reads(kinds, first, second, swapped):
+def test_a_second_scale_error_continues_from_the_current_reading(kinds, first, second, swapped):
     faults = [kinds[0](at_s=2e-3), kinds[1](at_s=4e-3)]
     rig = accelerating(*(faults[::-1] if swapped else faults))
     begun, again = motion(2)[0], motion(4)[0]
@@ -73,13 +73,13 @@ def test_drifts_and_a_jump_of_one_encoder_add_up_in_any_order(faults):
 
 
 @pytest.mark.parametrize("lost_s", [2e-3, 3e-3])
-def test_an_encoder_that_freezes_while_lost_later_reads_that_length(lost_s):
+def test_an_encoder_frozen_while_lost_later_reads_its_length_of_then(lost_s):
     frozen, lost = EncoderFreeze(leg=3, at_s=3e-3), EncoderLost(leg=3, at_s=lost_s, for_s=5e-3 - lost_s)
     rig = accelerating(frozen, lost)
     assert read(rig, 6, leg=3) == pytest.approx((motion(3)[0], 0.0), abs=1e-9)
 
 
-def test_a_late_encoder_stands_still_and_then_is_late_by_its_time():
+def test_a_late_encoder_first_stands_still_and_then_is_delayed():
     rig = accelerating(EncoderLate(leg=2, by_ms=3.0, at_s=2e-3))
     seen = [read(rig, t_ms) for t_ms in range(1, 9)]
     assert seen[0] == pytest.approx(motion(1))
@@ -89,7 +89,7 @@ def test_a_late_encoder_stands_still_and_then_is_late_by_its_time():
         assert seen[t_ms - 1] == pytest.approx(motion(t_ms - 3))
 
 
-def test_encoders_are_late_each_by_its_own_time():
+def test_each_late_encoder_has_its_own_delay():
     rig = accelerating(EncoderLate(leg=2, by_ms=3.0), EncoderLate(leg=4, by_ms=1.0))
     for t_ms in range(7):
         found = rig.sync(t_ms * MS)
@@ -99,7 +99,7 @@ def test_encoders_are_late_each_by_its_own_time():
         assert found["rate"][leg] == pytest.approx(dl)
 
 
-def test_noise_is_white_of_its_size_and_repeats_with_its_seed():
+def test_noise_is_white_of_the_given_size_and_repeats_with_its_seed():
     def lengths(seed: int) -> Any:
         rig = Rig("ideal", faults=[EncoderNoise(leg=2, sigma_m=1e-3, seed=seed)])
         rig.configure()
@@ -115,7 +115,7 @@ def test_noise_is_white_of_its_size_and_repeats_with_its_seed():
     assert (noise != lengths(2)).all()
 
 
-def test_a_drive_that_lost_its_encoder_reports_it_and_still_obeys():
+def test_a_drive_reports_its_lost_encoder_and_still_follows_commands():
     rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)])
     rig.run(10 * MASS)
     measurement = rig.sync(8 * MS)
@@ -129,7 +129,7 @@ def test_a_drive_that_lost_its_encoder_reports_it_and_still_obeys():
 
 
 @pytest.mark.parametrize("reaction", [Reaction.HOLD, Reaction.DAMP])
-def test_a_drive_without_its_encoder_brakes_where_its_reaction_needs_one(reaction):
+def test_a_drive_with_a_lost_encoder_brakes_instead_of_damp_or_hold(reaction):
     rig = Rig("ideal", faults=[EncoderLost(leg=1, at_s=3e-3)], reaction=reaction)
     rig.run(10 * MASS)
     rig.at(50 * MS)
@@ -137,7 +137,7 @@ def test_a_drive_without_its_encoder_brakes_where_its_reaction_needs_one(reactio
     assert rig.nodes.snapshot().brake.tolist() == [0, 1, 0, 0, 0, 0]
 
 
-def test_a_drive_holds_where_it_stands_whatever_its_encoder_slip():
+def test_a_drive_holds_its_present_length_despite_an_encoder_slip():
     slips = [1e-3, -2e-3, 3e-3, -4e-3, 5e-3, -6e-3]
     rig = Rig(reaction=Reaction.HOLD, faults=[EncoderJump(leg=leg, by_m=by) for leg, by in enumerate(slips)])
     rig.run()

@@ -1,4 +1,4 @@
-"""The vocabulary of faults: what is refused, when faults are present, and how several join."""
+"""Settings of faults: invalid ones are refused, faults are present at their times, several faults combine."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_invalid_faults_are_refused(name, key, value):
         example(name, **{key: value})
 
 
-def test_each_kind_is_read_by_its_name():
+def test_each_kind_of_fault_is_selected_by_its_name():
     read = TypeAdapter(AnyFault)
     for name, kind in FAULTS.items():
         assert get_args(kind.model_fields["kind"].annotation) == (name,)
@@ -104,7 +104,7 @@ def test_each_kind_is_read_by_its_name():
 
 
 @pytest.mark.parametrize("name", [name for name in FAULTS if not name.startswith("process")])
-def test_every_fault_changes_a_run_without_faults(name):
+def test_every_kind_of_fault_has_an_effect(name):
     def outcome(*faults: Fault) -> str:
         plan = FaultPlan(faults)
         schedule = Schedule(plan, 0)
@@ -117,7 +117,7 @@ def test_every_fault_changes_a_run_without_faults(name):
     assert outcome(example(name)) != outcome()
 
 
-def test_a_fault_of_a_mode_waits_for_it_and_counts_from_there():
+def test_a_fault_with_a_mode_counts_its_time_from_the_first_entry():
     fault = EncoderFreeze(leg=0, mode="APPROACH", at_s=0.2, for_s=0.1)
     schedule = Schedule(FaultPlan([fault]), 0)
     assert schedule.starts_ns(fault) == NEVER_NS
@@ -151,7 +151,7 @@ TIMES = sorted(
 )
 
 
-def test_present_faults_do_not_depend_on_earlier_queries():
+def test_the_faults_at_an_instant_do_not_depend_on_earlier_queries():
     schedule = Schedule(FaultPlan(SCHEDULED), T0)
     for t_ns in itertools.chain(*itertools.product(TIMES, TIMES)):
         present = [SCHEDULED.index(own.fault) for own in schedule.active(t_ns)]
@@ -163,7 +163,7 @@ def test_present_faults_do_not_depend_on_earlier_queries():
     assert schedule.waiting == SCHEDULED[3:]
 
 
-def test_several_faults_of_one_leg_join_by_the_rule_of_their_kind():
+def test_several_faults_of_one_leg_combine_by_the_rule_of_their_kind():
     faults = [
         *[WrenchStep(force_N=(1.0, 2.0, 3.0), moment_N_m=(4.0, 5.0, 6.0))] * 2,
         *[EncoderJump(leg=3, by_m=by_m) for by_m in (1e-3, 2e-3)],
@@ -193,7 +193,7 @@ def test_several_faults_of_one_leg_join_by_the_rule_of_their_kind():
 
 
 @pytest.mark.parametrize("section", [DriveEmulation, partial(StewartPlant, type="stewart")])
-def test_a_force_loop_is_ideal_or_at_least_0_1_hz(section):
+def test_a_force_bandwidth_is_0_or_at_least_0_1_hz(section):
     for bandwidth_Hz in (0.0, 0.1, 1e6):
         section(force_bandwidth_Hz=bandwidth_Hz)
     for bandwidth_Hz in (0.0999, 1e-60, -1.0):

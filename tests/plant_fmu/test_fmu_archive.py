@@ -1,4 +1,4 @@
-"""A foreign archive: damaged, too large or ambiguous ones are refused, and extraction stays in its folder."""
+"""Foreign archives: damaged, too large or ambiguous ones are refused, and extraction stays in its folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GIB, MIB = 1 << 30, 1 << 20
 
 
 def directory(at: int, *values: int) -> bytes:
-    """An archive with these bytes at a place of its only directory entry."""
+    """Make an archive with these bytes at an offset in its only directory entry."""
     data = io.BytesIO()
     with zipfile.ZipFile(data, "w") as archive:
         archive.writestr("modelDescription.xml", b"<x/>")
@@ -36,21 +36,21 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("data", DAMAGED.values(), ids=DAMAGED)
-def test_damaged_archive_is_refused(tmp_path: Path, data: bytes) -> None:
+def test_a_damaged_archive_is_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "bad.fmu"
     path.write_bytes(data)
     with pytest.raises(PlantError, match=r"bad\.fmu: not an FMU"):
         open_archive(path)
 
 
-def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
-    for path, word in ((tmp_path / "none.fmu", "no such FMU"), (tmp_path, "no FMU: a folder")):
+def test_a_missing_file_or_a_folder_is_refused(tmp_path: Path) -> None:
+    for path, word in ((tmp_path / "none.fmu", "no such FMU"), (tmp_path, "not a file but a folder")):
         with pytest.raises(PlantError, match=word):
             open_archive(path)
 
 
 def members(*sizes: tuple[int, int], name: str = "resources/{}") -> list[zipfile.ZipInfo]:
-    """Members of these sizes, unpacked and packed."""
+    """Make members of these sizes, unpacked and packed."""
     found = []
     for k, (size, packed) in enumerate(sizes):
         member = zipfile.ZipInfo(name.format(k))
@@ -76,7 +76,7 @@ BORDERS = {
 
 
 @pytest.mark.parametrize(("allowed", "refused", "word"), BORDERS.values(), ids=BORDERS)
-def test_number_sizes_and_ratios_of_members_are_bounded(
+def test_number_sizes_and_ratios_of_members_have_limits(
     allowed: list[zipfile.ZipInfo], refused: list[zipfile.ZipInfo], word: str
 ) -> None:
     check_members(allowed, FMU)
@@ -85,7 +85,7 @@ def test_number_sizes_and_ratios_of_members_are_bounded(
 
 
 @pytest.mark.parametrize("second", ["resources/0", "resources/../0", "./Resources/0"])
-def test_a_name_may_occur_twice_only_with_the_same_content(second: str) -> None:
+def test_a_repeated_member_is_refused_if_its_content_differs(second: str) -> None:
     both = [*members((4, 4)), *members((4, 4))]
     both[1].filename = second
     check_members(both, FMU)
@@ -111,7 +111,7 @@ def test_extraction_stays_in_the_folder_and_links_become_text_files(tmp_path: Pa
 
 
 @pytest.mark.parametrize("size", [1, MIB, 2_500_000])
-def test_a_member_never_unpacks_beyond_its_announced_size(tmp_path: Path, size: int) -> None:
+def test_a_member_never_unpacks_beyond_the_size_in_its_header(tmp_path: Path, size: int) -> None:
     data = bytes(range(251)) * (size // 251 + 1)
     with zipfile.ZipFile(tmp_path / "a.fmu", "w") as archive:
         archive.writestr("resources/a", data)

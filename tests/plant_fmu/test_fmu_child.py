@@ -1,4 +1,4 @@
-"""FMUs that misbehave, in a child process: each becomes a PlantError that says what happened."""
+"""Misbehaving FMUs in a child process: each causes a PlantError that gives the reason."""
 
 import atexit
 import contextlib
@@ -37,7 +37,7 @@ FACE = "fmi3.c"
 
 @functools.cache
 def compiled():
-    """Return our FMU's sources, unpacked, and the objects of all that `altered` leaves as it is."""
+    """Compile the parts of our FMU that `altered` does not change; return their folder and objects."""
     folder = Path(tempfile.mkdtemp(prefix="hil-test-"))
     atexit.register(shutil.rmtree, folder)
     with zipfile.ZipFile(build("3.0")) as source:
@@ -48,13 +48,13 @@ def compiled():
 
 
 def compile_c(folder, *arguments):
-    """Compile in a folder as our FMU is compiled, but quickly."""
+    """Compile in a folder as our FMU is compiled, but faster."""
     flags = ["-std=gnu99", "-O0", "-fPIC", "-fvisibility=hidden"]
     subprocess.run([*find_compiler().command, *flags, *arguments], cwd=folder, check=True)
 
 
 def altered(folder, code, line=STEP_LINE):
-    """Our FMU, compiled with other C code in place of one line."""
+    """Compile our FMU with other C code in place of one line."""
     out = folder / "altered.fmu"
     ours, objects = compiled()
     text = (ours / "sources" / FACE).read_text()
@@ -80,14 +80,14 @@ def altered(folder, code, line=STEP_LINE):
         ("for (;;) usleep(1000);", "did not step within 0.5 s"),
     ],
 )
-def test_crash_exit_or_hang_of_an_fmu_becomes_an_error(tmp_path, monkeypatch, code, word):
+def test_crash_exit_or_hang_of_an_fmu_raises_a_lasting_plant_error(tmp_path, monkeypatch, code, word):
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     path = altered(tmp_path, f"{code} const Status status = OK;")
     host = ChildHost(spec(path))
     host.reset()
     with pytest.raises(PlantError, match=word):
         host.step(FORCE, OPEN, OPEN, 1e-3)
-    with pytest.raises(PlantError, match=word):  # and stays one
+    with pytest.raises(PlantError, match=word):  # and again
         host.step(FORCE, OPEN, OPEN, 1e-3)
     assert host._process.poll() is not None
     host.close()
@@ -99,11 +99,11 @@ GREEDY = "for (int k = 0; k < 4096; k++) { char *p = malloc(1 << 20); if (!p) %s
 
 
 @pytest.mark.parametrize("then", broad(["abort()", "return ERROR"], quick=1))
-def test_an_fmu_that_eats_memory_ends_at_its_limit(tmp_path, monkeypatch, then):
+def test_an_fmu_cannot_allocate_more_than_its_memory_limit(tmp_path, monkeypatch, then):
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 60)
     path = altered(tmp_path, f"{GREEDY % then} {STEP_LINE}")
     limited = spec(path).model_copy(update={"memory_GB": 1.0})
-    said = r"may have 1 GB of memory \(plant\.model\.memory_GB\)" if then == "abort()" else "refused to step"
+    said = r"memory limit is 1 GB \(plant\.model\.memory_GB\)" if then == "abort()" else "refused to step"
     with contextlib.closing(ChildHost(limited)) as host, pytest.raises(PlantError, match=said):
         host.step(FORCE, OPEN, OPEN, 1e-3)
 
@@ -133,7 +133,7 @@ API fmi3GetFloat64(void *c, const Ref vr[], size_t n, double values[], size_t n_
     ],
     ids=["NaN", "ends", "early", "refuses", "unknown status"],
 )
-def test_a_step_that_fails_is_reported(tmp_path, kind, line, code, word):
+def test_a_failed_step_is_reported_with_its_reason(tmp_path, kind, line, code, word):
     with contextlib.closing(kind(spec(altered(tmp_path, code, line)))) as host:
         host.reset()
         with pytest.raises(PlantError, match=word):
@@ -141,7 +141,7 @@ def test_a_step_that_fails_is_reported(tmp_path, kind, line, code, word):
 
 
 @pytest.mark.parametrize("kind", [FmuHost, ChildHost])
-def test_missing_fmi_function_is_named(tmp_path, kind):
+def test_the_error_names_a_missing_fmi_function(tmp_path, kind):
     path = altered(tmp_path, "API FMI(fmi3DoStepX)(", "API FMI(fmi3DoStep)(")
     with pytest.raises(PlantError, match="fmi3DoStep"):
         kind(spec(path))
@@ -159,14 +159,14 @@ def test_a_child_that_hangs_while_closing_is_killed(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["fmu"]
 
 
-def test_an_fmu_that_dies_while_loading_is_reported(tmp_path):
+def test_an_fmu_that_exits_while_loading_is_reported(tmp_path):
     line = "return instance_new(name, token"
     path = altered(tmp_path, f"_exit(7); {line}", line)
-    with pytest.raises(PlantError, match="exit code 7 when it was to load"):
+    with pytest.raises(PlantError, match="exit code 7 during load"):
         ChildHost(spec(path))
 
 
-def test_refusals_in_the_child_reach_the_caller():
+def test_errors_in_the_child_process_reach_the_caller():
     with pytest.raises(PlantError, match="no such FMU file"):
         ChildHost(spec("/nowhere/x.fmu"))
     host = ChildHost(spec(build("3.0")))
@@ -181,7 +181,7 @@ def test_refusals_in_the_child_reach_the_caller():
         host.step(FORCE, OPEN, OPEN, 1e-3)
 
 
-def test_a_killed_child_is_reported():
+def test_a_killed_child_process_is_reported():
     host = ChildHost(spec(build("3.0")))
     os.kill(host._process.pid, signal.SIGKILL)
     with pytest.raises(PlantError, match="died of SIGKILL"):
@@ -204,8 +204,8 @@ def on_one_processor():
     os.sched_setaffinity(0, before)
 
 
-def test_a_spinning_child_of_a_real_time_loop_is_stopped(tmp_path, monkeypatch, on_one_processor):
-    """It runs one priority below the loop that waits for it."""
+def test_a_child_in_an_endless_loop_is_stopped_by_the_real_time_loop(tmp_path, monkeypatch, on_one_processor):
+    """The child runs one priority below the loop that waits for it."""
     monkeypatch.setattr("plant_fmu.fmu.child.STEP_TIMEOUT_S", 0.5)
     host = ChildHost(spec(altered(tmp_path, f"if (time > 0.0005) for (;;); {STEP_LINE}")))
     child = host._process.pid
@@ -230,7 +230,7 @@ def alive(pid):
 
 
 @pytest.mark.parametrize("code", broad(["for (;;) usleep(1000);", ""], quick=1))
-def test_the_child_never_outlives_its_parent_and_leaves_no_files(tmp_path, code):
+def test_the_child_ends_with_its_parent_and_leaves_no_files(tmp_path, code):
     path = altered(tmp_path, f"{code} {STEP_LINE}")
     unpacked = tmp_path / "unpacked"
     unpacked.mkdir()
@@ -260,7 +260,7 @@ while True:
     assert list(unpacked.iterdir()) == []
 
 
-def test_ctrl_c_does_not_reach_the_child():
+def test_the_child_has_a_session_of_its_own_without_ctrl_c():
     with contextlib.closing(ChildHost(spec(build("3.0")))) as host:
         assert os.getsid(host._process.pid) == host._process.pid
         assert host.internal_step_s == 1e-3

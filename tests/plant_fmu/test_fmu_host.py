@@ -1,4 +1,4 @@
-"""Hosting: agreement with fmpy's own simulation, and FMUs that are not what they should be."""
+"""Hosting: agreement with fmpy's own simulation, and invalid FMUs."""
 
 import os
 import zipfile
@@ -26,7 +26,7 @@ def spec(path, **changes):
 
 @pytest.fixture
 def temporary(tmp_path, monkeypatch):
-    """The folder that FMUs are unpacked in."""
+    """Folder into which FMUs are unpacked."""
     folder = tmp_path / "tmp"
     folder.mkdir()
     monkeypatch.setattr("tempfile.tempdir", str(folder))
@@ -34,7 +34,7 @@ def temporary(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_fmpy_simulate_fmu_with_an_output_interval_agrees_to_1e_12(version):
+def test_fmpy_simulates_the_same_motion_within_1e_12(version):
     if version == "2.0":
         start = {f"force[{i + 1}]": FORCE[i] for i in range(6)} | {f"brake[{i + 1}]": 0.0 for i in range(6)}
         wanted = [f"length[{i}]" for i in range(1, 7)] + [f"rate[{i}]" for i in range(1, 7)]
@@ -57,7 +57,7 @@ def test_fmpy_simulate_fmu_with_an_output_interval_agrees_to_1e_12(version):
 
 
 def test_closing_removes_the_unpacked_files_and_can_be_repeated(tmp_path, temporary):
-    """They stay for as long as the FMU may read them."""
+    """The files stay while the FMU may read them."""
     host = FmuHost(spec(rewritten(build("3.0"), tmp_path / "reads.fmu", extra=[("resources/a", b"x")])))
     (folder,) = temporary.iterdir()
     assert (folder / XML).is_file()
@@ -69,8 +69,8 @@ def test_closing_removes_the_unpacked_files_and_can_be_repeated(tmp_path, tempor
         host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
 
 
-def test_our_fmu_leaves_no_file_if_its_process_is_killed(temporary):
-    """Its files are removed as soon as it is loaded."""
+def test_our_fmu_has_no_unpacked_files_once_it_is_loaded(temporary):
+    """A process that is killed leaves nothing behind."""
     host = FmuHost(spec(build("3.0"), truth=("position", "rotation", "twist", "applied_force")))
     assert list(temporary.iterdir()) == []
     moved = [host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)[0] for _ in range(2)]
@@ -81,7 +81,7 @@ def test_our_fmu_leaves_no_file_if_its_process_is_killed(temporary):
     np.testing.assert_array_equal(again, moved[0])
 
 
-def test_parameters_are_arrays_numbers_and_names_of_items():
+def test_parameters_can_be_arrays_numbers_and_names_of_items():
     free = FmuHost(spec(build("2.0"), parameters={"mass": 1150}))
     q = free.step(FORCE, np.zeros(6), np.zeros(6), 0.02)[0]
     free.close()
@@ -96,10 +96,10 @@ def test_parameters_are_arrays_numbers_and_names_of_items():
     ("parameters", "word"),
     [
         ({"weight": 1.0}, "no variable 'weight'"),
-        ({"mass": "heavy"}, "no value of it"),
+        ({"mass": "heavy"}, "not a valid value"),
         ({"gravity": [0.0, 1.0]}, "3 elements but 2"),
         ({"length": [0.0] * 6}, "only parameters"),
-        ({"leg_spin": "sometimes"}, "no value of it"),
+        ({"leg_spin": "sometimes"}, "not a valid value"),
         ({"mass": -1.0}, "refused parameter 'mass'.*outside"),
         ({"length_max": [1.5] * 6}, "stroke"),
     ],
@@ -122,13 +122,13 @@ def test_an_invalid_parameter_is_refused(version, parameters, word):
     ],
 )
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_map_that_does_not_fit_is_refused(version, changes, word):
+def test_a_map_to_unsuitable_variables_is_refused(version, changes, word):
     with pytest.raises(PlantError, match=word):
         FmuHost(spec(build(version), **changes))
 
 
 def rewritten(path, out, change=lambda name, data: data, extra=()):
-    """Copy an FMU, changing or dropping (None) members and adding extra ones."""
+    """Copy an FMU; `change` returns the new content of a member, None to drop it."""
     with zipfile.ZipFile(path) as source, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as target:
         for member in source.infolist():
             data = change(member.filename, source.read(member))
@@ -162,7 +162,7 @@ def edit(old, new):
         (edit(b'instantiationToken="{', b'instantiationToken="{0'), "different builds"),
     ],
 )
-def test_a_changed_fmu_is_refused(tmp_path, change, word):
+def test_an_fmu_with_an_invalid_change_is_refused(tmp_path, change, word):
     bad = rewritten(build("3.0"), tmp_path / "bad.fmu", change)
     with pytest.raises(PlantError, match=f"(?s)bad.fmu.*{word}"):
         FmuHost(spec(bad))
@@ -186,7 +186,7 @@ def test_a_damaged_member_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize(("version", "kind"), [("2.0", FMU2Slave), ("3.0", FMU3Slave)])
-def test_after_a_refused_reset_the_fmu_takes_no_step(monkeypatch, version, kind):
+def test_after_a_failed_reset_the_fmu_does_no_step(monkeypatch, version, kind):
     def refuse(fmu: object) -> None:
         raise RuntimeError("reset fails")
 

@@ -1,4 +1,4 @@
-"""A forged command and a second controller make drives of every family run, and are heard."""
+"""A forged command and a second controller act on drives of every family, and the controller detects them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from drivers.family import Family
 from drivers.frame_array import received_array
 from drivers.protocol import DriveSetup, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Foreign
-from hil.contracts.ends import PERIOD_NS, Ends, at_tick
+from hil.contracts.loopback import PERIOD_NS, Ends, at_tick
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import BusSecondController, FramesForgedCommand
 from tests.hil.lab.bringup.families import FAMILIES, family
 
 FORCE_N = 30.0
 BEGINS = 150
-"""Tick before which all families run."""
+"""Tick by which the drives of all families run."""
 KINDS: dict[str, Fault] = {
     "forger": FramesForgedCommand(force_N=FORCE_N, at_s=1e-9 * BEGINS * PERIOD_NS),
     "second": BusSecondController(force_N=FORCE_N, at_s=1e-9 * BEGINS * PERIOD_NS, rate_Hz=1e9 / PERIOD_NS),
@@ -30,7 +30,7 @@ ENABLED_BY_OWN_FRAME = {"damiao", "cubemars", "mini_cheetah", "robstride"}
 
 @cache
 def codec(name: str) -> Family:
-    """Return the family's codec, on pulleys with which all of them can say how long the legs are."""
+    """Codec of a family, with pulleys so large that every family can encode the leg lengths."""
     c = family(name)
     changes: dict[str, Any] = {"force_limit_N": 2.0 * FORCE_N}
     if c.drives.transmission is not None:
@@ -40,7 +40,7 @@ def codec(name: str) -> Family:
 
 
 def struck(name: str, kind: str, mode: DriveMode) -> tuple[Ends, list[Received]]:
-    """Return both ends after the first foreign frames to drives in a mode, and what is on the bus."""
+    """Send the first foreign frames to drives in a mode; return both ends and the frames on the bus."""
     protocol = codec(name)
     ends = Ends(protocol, KINDS[kind])
     ends.dialogue = ends.protocol.start(DriveSetup(0.05, protocol.traits.reactions[0], 1e9 / PERIOD_NS))
@@ -57,7 +57,7 @@ def struck(name: str, kind: str, mode: DriveMode) -> tuple[Ends, list[Received]]
 @pytest.mark.parametrize("name", sorted(FAMILIES))
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("mode", [DriveMode.RUN, DriveMode.READY])
-def test_drives_obey_a_foreign_command_and_the_controller_hears_it(name, kind, mode):
+def test_drives_follow_a_foreign_command_and_the_controller_detects_it(name, kind, mode):
     ends, heard = struck(name, kind, mode)
     snapshot = ends.nodes.snapshot()
     if mode == DriveMode.READY and name in ENABLED_BY_OWN_FRAME:

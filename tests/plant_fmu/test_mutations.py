@@ -1,4 +1,4 @@
-"""Mistakes in the plant's equations that others have made: each must be caught by the engines' numbers."""
+"""Typical mistakes in the plant's equations: comparison with physics engines must detect each."""
 
 import shutil
 import subprocess
@@ -43,7 +43,7 @@ def worst_error(plant, truth):
 
 
 @pytest.mark.parametrize("name", [None, *MUTATIONS])
-def test_the_engines_catch_every_mutation_and_pass_the_original(unpacked, truth, tmp_path, name):
+def test_the_reference_engines_detect_every_mutation_of_the_equations(unpacked, truth, tmp_path, name):
     folder, description = unpacked
     shutil.copytree(folder, tmp_path / "fmu")
     source = tmp_path / "fmu" / "sources" / "mechanics.c"

@@ -1,4 +1,4 @@
-"""FMUs of others: units that nobody stated, tools that are needed, proposed maps, single legs."""
+"""Foreign FMUs: undeclared units, required tools, proposed maps, uncoupled legs."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def spec(path, **changes):
 
 
 def show(path):
-    """The lines of `hil fmu show`, and the section that it proposes."""
+    """Run `hil fmu show`; return its output, and the section that it proposes."""
     done = CliRunner().invoke(main, ["fmu", "show", str(path)])
     assert done.exit_code == 0, done.output
     document = parse("plant:" + done.output.split("\nplant:")[1])
@@ -59,7 +59,7 @@ def show(path):
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_assumed_units_stand_in_for_unstated_ones(version, tmp_path):
+def test_assumed_units_replace_undeclared_ones(version, tmp_path):
     path = rewritten(version, tmp_path / "u.fmu", *UNITLESS)
     with pytest.raises(PlantError, match=r"declares no unit.*assume_unit: {force: N}"):
         FmuHost(spec(path))
@@ -74,7 +74,7 @@ SIX = ["a", "b", "c", "d", "e", "f"]
 
 
 @pytest.mark.parametrize("key", ["force", "length", "rate", "brake", "wrench"])
-def test_six_variables_or_one_array_are_mapped_each_once(key):
+def test_a_key_maps_six_different_variables_or_one_array(key):
     for names in (["a"], SIX, *([[]] if key in {"brake", "wrench"} else [])):
         assert getattr(FmuPlant.model_validate(SECTION | {key: names}), key) == names
     for names in (["a", "b"], SIX[:5], [*SIX, "g"], ["a", "f", "b", "b", "e", "f"]):
@@ -95,8 +95,8 @@ def test_an_invalid_section_is_refused(changes, word):
         FmuPlant.model_validate(SECTION | changes)
 
 
-def test_a_structural_parameter_is_neither_offered_nor_set(tmp_path):
-    """FMI 3.0 lets it be set in Configuration Mode alone."""
+def test_a_structural_parameter_is_not_listed_and_cannot_be_set(tmp_path):
+    """FMI 3.0 allows setting it only in Configuration Mode."""
     mass = rb'(name="mass"[^>]*causality=)"parameter"'
     path = rewritten("3.0", tmp_path / "p.fmu", (mass, rb'\1"structuralParameter"'))
     assert {"mass", "gravity"} & set(propose(path).parameters) == {"gravity"}
@@ -106,7 +106,7 @@ def test_a_structural_parameter_is_neither_offered_nor_set(tmp_path):
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("changes", [(), UNITLESS], ids=["units", "none"])
-def test_the_map_of_our_fmu_is_proposed_with_and_without_units(version, changes, tmp_path):
+def test_the_proposed_map_of_our_fmu_is_right_with_and_without_units(version, changes, tmp_path):
     found = propose(rewritten(version, tmp_path / "p.fmu", *changes))
     names = {"2.0": tuple(f"[{i}]" for i in range(1, 7)), "3.0": ("",)}[version]
     assert found.mapped == {key: tuple(key + name for name in names) for key in KEYS}
@@ -116,7 +116,7 @@ def test_the_map_of_our_fmu_is_proposed_with_and_without_units(version, changes,
 
 
 def platform_of_names(names):
-    """The description of our FMI 2.0 file with names of another maker; {} is the leg."""
+    """Changes of our FMI 2.0 description to the names of another tool; {} is the leg."""
     return [
         (
             re.escape(f'name="{key}[{i}]"').encode(),
@@ -136,7 +136,7 @@ def platform_of_names(names):
         ("u_{}", "l_{}", "Leg Velocity {}", "clamp{}"),
     ],
 )
-def test_names_with_the_leg_in_their_middle_are_proposed_in_leg_order(names, tmp_path):
+def test_names_with_a_leg_number_inside_are_proposed_in_leg_order(names, tmp_path):
     found = propose(rewritten("2.0", tmp_path / "p.fmu", *UNITLESS, *platform_of_names(names)))
     for key, name in zip(KEYS, names, strict=True):
         first = 0 if "{}_" in name else 1
@@ -146,7 +146,7 @@ def test_names_with_the_leg_in_their_middle_are_proposed_in_leg_order(names, tmp
 @pytest.mark.parametrize(
     ("name", "file"), [("a_long_name_of_the_{}_th_leg", "a: b.fmu"), ("no, {}: {{#1}}", "[a], 'b\".fmu")]
 )
-def test_the_proposed_section_can_be_copied_from_the_terminal(name, file, tmp_path):
+def test_the_proposed_section_is_valid_yaml_even_for_odd_names(name, file, tmp_path):
     names = [f"{name}_{word}" for word in KEYS]
     path = rewritten("2.0", tmp_path / file, *UNITLESS, *platform_of_names(names))
     _, model = show(path)
@@ -158,7 +158,7 @@ def test_the_proposed_section_can_be_copied_from_the_terminal(name, file, tmp_pa
 HOSTILE = "a&#10;hil: all is well &#155;2J \u202e".encode()
 
 
-def test_texts_of_the_description_control_no_terminal_and_add_no_line(tmp_path):
+def test_hostile_texts_of_the_description_are_escaped_in_the_output(tmp_path):
     named = (rb'generationTool="[^"]*"', b'generationTool="%b"' % HOSTILE)
     inputs = (rb'name="force"', b'name="%b_force"' % HOSTILE)
     path = rewritten("3.0", tmp_path / "p.fmu", named, inputs, NEEDED)
@@ -171,7 +171,7 @@ def test_texts_of_the_description_control_no_terminal_and_add_no_line(tmp_path):
     assert str(error.value).isprintable()
 
 
-def test_single_legs_are_distinguished_from_a_platform():
+def test_uncoupled_legs_are_distinguished_from_a_platform():
     single = probe(Bench(BenchPlant(type="bench", mass_kg=50.0)), 10.0, 1e-3)
     assert single.uncoupled is True
     np.testing.assert_allclose(np.diag(single.mobility), 1 / 50.0, rtol=1e-3)

@@ -1,4 +1,4 @@
-"""Pushing a plant: what each leg answers to each push, and whether the legs are single."""
+"""Pushing a plant: the response of each leg to each push, and whether the legs are coupled."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ DT = 0.5
 
 
 class Answers:
-    """Plant whose legs are accelerated by MOBILITY f and fall as well."""
+    """Plant whose legs have the acceleration MOBILITY f + FALL."""
 
     internal_step_s = DT
 
@@ -30,7 +30,7 @@ class Answers:
 
 
 @pytest.mark.parametrize("force_N", [2.0, -4.0])
-def test_each_leg_is_pushed_alone_from_the_start(force_N):
+def test_each_leg_is_pushed_alone_from_the_initial_state(force_N):
     plant = Answers()
     found = probe(plant, force_N, DT)  # type: ignore[arg-type]
     np.testing.assert_allclose(found.acceleration, FALL, rtol=0, atol=1e-12)
@@ -40,7 +40,7 @@ def test_each_leg_is_pushed_alone_from_the_start(force_N):
 
 @pytest.mark.parametrize("place", [(0, 5), (5, 0), (2, 3)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_single_legs_answer_to_others_less_than_a_thousandth(place, sign):
+def test_legs_are_uncoupled_if_they_move_others_by_less_than_a_thousandth(place, sign):
     own = np.array([0.02, -0.03, 0.01, 1.0, 2.0, 0.05])
     for share, single in ((0.9e-3, True), (1e-3, False), (1.1e-3, False), (1.0, False)):
         mobility = np.diag(own)
@@ -49,7 +49,7 @@ def test_single_legs_answer_to_others_less_than_a_thousandth(place, sign):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_without_an_answer_of_each_leg_nothing_is_known(leg):
+def test_coupling_is_unknown_unless_every_leg_responds(leg):
     for answer in (0.0, np.nan):
         own = np.ones(6)
         own[leg] = answer

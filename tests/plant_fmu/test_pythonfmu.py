@@ -1,4 +1,4 @@
-"""The recipe of the guide with PythonFMU itself; skipped where that is not installed."""
+"""The guide's recipe with PythonFMU itself; skipped if PythonFMU is not installed."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ def own(tmp_path_factory):
     return path
 
 
-def test_its_mobility_is_that_of_the_controllers_model(own):
-    """Two programs of one robot: M of the controller, the FMU's answer to one N in each leg."""
+def test_the_mobility_of_the_fmu_is_that_of_the_controllers_model(own):
+    """Two programs of one robot: the controller's mass matrix, and the FMU's response to 1 N in each leg."""
     import numpy as np  # noqa: PLC0415
 
     from hil.app.configuration.platform import platform_dict, pose_arrays  # noqa: PLC0415
@@ -58,7 +58,7 @@ def test_its_mobility_is_that_of_the_controllers_model(own):
 
 
 @pytest.mark.long
-def test_it_tracks_parks_and_replays(own, tmp_path):
+def test_a_run_with_the_fmu_tracks_parks_and_replays(own, tmp_path):
     summary = simulate(load(own), log=tmp_path / "run.mcap", duration_s=3.0)
     assert summary["success"]
     assert summary["replay"]["agrees"]

@@ -1,4 +1,4 @@
-"""The rehearsal bench: legs as its figures have them, and hands that read them within their errors."""
+"""The rehearsal bench: legs with the given figures, and readings of the operator within their errors."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ STAND = Stand(
 )
 DRAWS = 2000
 WITHIN = 5.0 / DRAWS**0.5
-"""Of standard deviations: where the mean of so many draws lies, and half as much where their spread does."""
+"""Tolerance of the mean and of the spread of DRAWS numbers, in standard deviations."""
 
 
 def bench(wiring: Wiring | None = None, stand: Stand = STAND, seed: int = 1) -> RehearsalBench:
@@ -44,7 +44,7 @@ def lengths(b: RehearsalBench) -> list[float]:
 
 
 def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[bool]:
-    """Tell which legs move under a force that is held for 10 ms."""
+    """True for legs that move under a force that is applied for 10 ms."""
     before = np.array(lengths(b))
     b.cables.step(force, brake, CALM, 0.01)
     return [bool(moved) for moved in np.abs(np.array(lengths(b)) - before) > 1e-9]
@@ -52,7 +52,7 @@ def gives_way(b: RehearsalBench, force: np.ndarray, brake: np.ndarray) -> list[b
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_brake_force_adds_to_the_friction_of_each_leg(side):
-    """6 N of friction, and 1 % of 1000 N a leg more from leg to leg; 200 N of brake."""
+    """Friction of 6 N, increased by 1 % of 1000 N from leg to leg; brakes of 200 N."""
     extra = tuple(0.01 * leg for leg in range(6))
     holds = 6.0 + 10.0 * np.arange(6)
     for brake, most in ((OPEN, holds), (SHUT, holds + 200.0), (0.5 * SHUT, holds + 100.0)):
@@ -62,7 +62,7 @@ def test_brake_force_adds_to_the_friction_of_each_leg(side):
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_a_placed_leg_goes_at_most_2_percent_beyond_its_ends(leg):
+def test_a_placed_leg_goes_at_most_2_percent_beyond_its_stroke(leg):
     shorter = tuple(0.1 if k == leg else 0.0 for k in range(6))
     for wiring, longest in ((Wiring(), 0.806), (Wiring(shorter=shorter), 0.776)):
         b = bench(wiring)
@@ -88,7 +88,7 @@ READINGS: dict[str, tuple[Callable[[RehearsalBench], float], float, float]] = {
     "a leg that holds": (lambda b: b.do("read_held", 5), 50.0, 0.15),
     "gauge": (lambda b: b.do("read_gauge"), 20.0, 0.06),
 }
-"""What is read -> how, its true value, and the standard deviation: 0.2 mm, else 0.3 % of it."""
+"""Name -> reading, its true value, and its standard deviation: 0.2 mm, or 0.3 % of the value."""
 
 
 def prepared(seed: int = 1) -> RehearsalBench:
@@ -96,12 +96,12 @@ def prepared(seed: int = 1) -> RehearsalBench:
     b.do("place", 3, 0.5)
     b.do("push", 5)
     b.do("clamp", 0)
-    b._legs.legs["x"][0] += 5e-5  # as far as the gauge gives way under 2 % of the rated force
+    b._legs.legs["x"][0] += 5e-5  # deflection of the gauge under 2 % of the rated force
     return b
 
 
 @pytest.mark.parametrize("name", READINGS)
-def test_readings_have_the_errors_of_tape_and_gauge(name):
+def test_readings_have_the_errors_of_tape_scales_and_gauge(name):
     take, true, sigma = READINGS[name]
     b = prepared()
     off = (drawn(lambda: take(b)) - true) / sigma
@@ -118,5 +118,5 @@ def test_readings_have_the_errors_of_tape_and_gauge(name):
         *[(1.0, 0.3, 0.0), (1.0, -0.3, 0.0)],
     ],
 )
-def test_weight_presses_or_pulls_along_the_legs(gravity, presses, way):
+def test_the_operator_reads_if_the_weight_compresses_or_pulls_the_legs(gravity, presses, way):
     assert bench(Wiring(gravity=gravity), STAND._replace(presses=presses)).do("read_way") == way

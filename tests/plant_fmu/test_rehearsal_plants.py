@@ -1,4 +1,4 @@
-"""Legs on trestles and the cables before them, by hand."""
+"""Legs on trestles, and the cables in front of them."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ MIDDLE = 0.5 + 0.01 * SIX
 
 
 class Legs(Masses):
-    """Plant that keeps what reached it, and is where it was put."""
+    """Plant that stores its inputs and stays where the test puts it."""
 
     length: Array = MIDDLE - 0.1
     rate: Array = CALM
@@ -38,13 +38,13 @@ def wired(wiring: Wiring) -> tuple[WiredPlant, Legs]:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("leg", range(6))
-def test_hand_follows_a_leg_at_its_rate_up_to_its_reach(side, leg):
+def test_a_hand_moves_a_leg_at_hand_speed_up_to_its_reach(side, leg):
     start = np.full(6, 0.5)
     legs = TrestleLegs(100.0, mass=20.0, friction=10.0, brake=1e4, shortest=0.2, longest=0.8, x=start)
     legs.push(leg, side * 500.0)
     rates = [legs.step(CALM, CALM, CALM, 1e-3)[1][leg] for _ in range(20)]
     assert max(side * np.array(rates)) == pytest.approx(HAND_m_s, rel=0.02)
-    for k in (1, 2):  # laid on again it begins where the leg is
+    for k in (1, 2):  # a repeated push begins where the leg is
         x, v = legs.step(CALM, CALM, CALM, 0.2)
         reached = start.copy()
         reached[leg] += k * side * HAND_M
@@ -53,7 +53,7 @@ def test_hand_follows_a_leg_at_its_rate_up_to_its_reach(side, leg):
         legs.push(leg, side * 500.0)
 
 
-def test_encoders_read_their_leg_with_their_own_errors():
+def test_each_encoder_reads_its_wired_leg_with_its_own_errors():
     wiring = Wiring(
         encoder=(1, 0, 2, 3, 4, 5),
         scale=(2.0, 1.0, -1.0, 1.0, 1.0, 1.0),
@@ -73,10 +73,10 @@ def test_encoders_read_their_leg_with_their_own_errors():
     np.testing.assert_allclose(reads[3:5], [0.53 - 0.02, 0.54 - 0.02], rtol=0, atol=1e-15)
     legs.length = MIDDLE - 0.03
     reads, _ = plant.reset()
-    assert reads[5] == pytest.approx(0.52, abs=1e-15)  # switched on anew, it froze here
+    assert reads[5] == pytest.approx(0.52, abs=1e-15)  # frozen at this power-up
 
 
-def test_an_encoder_with_play_follows_once_the_play_is_used_up():
+def test_an_encoder_with_play_follows_after_the_play_is_used_up():
     plant, legs = wired(Wiring(play_m=(0.005,) * 6))
     seen = []
     for by in (0.0, 0.003, 0.012, 0.009, 0.006):
@@ -85,7 +85,7 @@ def test_an_encoder_with_play_follows_once_the_play_is_used_up():
     np.testing.assert_allclose(seen, [0.0, 0.0, 0.007, 0.007, 0.006], atol=1e-15)
     legs.length = MIDDLE - 0.1 + 0.009
     reads, _ = plant.reset()
-    np.testing.assert_allclose(reads, legs.length, atol=1e-15)  # no play is used up at power-up
+    np.testing.assert_allclose(reads, legs.length, atol=1e-15)  # at power-up, the reading is the length
 
 
 def trestles(friction_N: Array = CALM, brake_N: float = 1000.0, start: float = 0.3) -> TrestleLegs:
@@ -100,7 +100,7 @@ def trestles(friction_N: Array = CALM, brake_N: float = 1000.0, start: float = 0
     )
 
 
-def test_free_legs_are_accelerated_by_force_over_mass_less_friction():
+def test_a_free_leg_accelerates_by_force_minus_friction_over_mass():
     legs = trestles(friction_N=2.0 + 0.1 * SIX)
     x, v = legs.step(np.full(6, 5.0), CALM, CALM, 0.01)
     left_N = 3.0 - 0.1 * SIX

@@ -1,4 +1,4 @@
-"""The plant's equations against MuJoCo (confirmed by Pinocchio), through the built FMU."""
+"""The plant's equations, through the built FMU, against MuJoCo (confirmed by Pinocchio)."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ def load(plant, g, state, leg_spin):
 
 
 @pytest.mark.parametrize(("leg_spin", "prefix"), SPINS)
-def test_all_30_states_agree_with_the_engines_to_1e_9(direct, truth, leg_spin, prefix):
+def test_all_30_states_agree_with_mujoco_within_1e_9(direct, truth, leg_spin, prefix):
     plant = direct()
     worst: dict[str, float] = {}
     for case in truth["cases"]:
@@ -40,7 +40,7 @@ def test_all_30_states_agree_with_the_engines_to_1e_9(direct, truth, leg_spin, p
     assert max(worst.values()) <= 1e-9, worst
 
 
-def test_the_two_spin_modes_differ_in_the_truth(truth):
+def test_the_two_modes_of_leg_spin_differ_in_the_reference_data(truth):
     differences = [
         relative(c["expected"]["ujoint_fd_alpha"], c["expected"]["fd_alpha"], 1.0) for c in truth["cases"]
     ]
@@ -64,7 +64,7 @@ def matrix(q):
 
 
 class Trajectory:
-    """A simulation of the truth: its force law, the FMU's acceleration at any state."""
+    """A reference simulation: its force law, with the FMU's acceleration at any state."""
 
     def __init__(self, plant, truth, sim, leg_spin):
         self.plant, self.sim, self.law = plant, sim, {k: np.array(v) for k, v in sim["force"].items()}
@@ -110,9 +110,7 @@ class Trajectory:
 
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize(("leg_spin", "prefix"), SPINS)
-def test_trajectories_agree_to_1e_7_m_under_an_outer_runge_kutta_method(
-    direct, truth, index, leg_spin, prefix
-):
+def test_trajectories_agree_within_1e_7_m_with_an_outer_runge_kutta(direct, truth, index, leg_spin, prefix):
     sim = truth["simulations"][index]
     x = Trajectory(direct(), truth, sim, leg_spin).integrate(1e-3)
     assert np.abs(x[:, :3] - np.array(sim["expected"][prefix + "p"])).max() <= 1e-7
@@ -121,7 +119,7 @@ def test_trajectories_agree_to_1e_7_m_under_an_outer_runge_kutta_method(
         assert np.abs(R - np.array(sim["expected"]["R"])).max() <= 1e-6
 
 
-def test_a_feedback_force_held_over_the_step_converges_at_first_order(direct, truth):
+def test_a_force_law_sampled_every_step_converges_at_first_order(direct, truth):
     sim = truth["simulations"][0]
     want = np.array(sim["expected"]["p"])
     errors = []

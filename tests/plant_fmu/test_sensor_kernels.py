@@ -1,4 +1,4 @@
-"""What a tracker sees, against SciPy's rotations: any attitude, and turns close to none and to half of one."""
+"""Kernels of the tracker against SciPy's rotations: any attitude, and angles near 0 and near 180 degrees."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from plant_fmu.drives.sensor_kernels import carried, seen_turned
+from plant_fmu.drives.sensor_kernels import carried, rotation_vector_of
 
 ANGLES = [0.0, 1e-12, 1e-9, 9.9e-5, 1.01e-4, 1e-2, 1.0, 2.0, 3.0, np.pi - 1e-6]
 
 
 @pytest.mark.parametrize("angle", ANGLES)
 @pytest.mark.parametrize("seed", range(20))
-def test_a_turn_of_any_angle_about_any_axis_is_seen_as_it_is(angle, seed):
+def test_the_rotation_vector_agrees_with_scipy_for_any_axis_and_angle(angle, seed):
     axis = np.random.default_rng(seed).standard_normal(3)
     r = angle * axis / np.linalg.norm(axis)
     other = 1e-3 * np.random.default_rng(seed + 100).standard_normal(3)
     expected = (Rotation.from_rotvec(other) * Rotation.from_rotvec(r)).as_rotvec()
-    found = seen_turned(other, Rotation.from_rotvec(r).as_matrix())
+    found = rotation_vector_of(other, Rotation.from_rotvec(r).as_matrix())
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 if angle < 3.1 else 1e-9)
 
 
 @pytest.mark.parametrize("seed", range(20))
 @pytest.mark.parametrize("dt_s", [0.0, 3e-5, 1e-3])
-def test_a_pose_is_carried_on_by_its_twist(dt_s, seed):
+def test_a_pose_is_extrapolated_with_its_twist(dt_s, seed):
     chance = np.random.default_rng(seed)
     p, twist = chance.standard_normal(3), 3.0 * chance.standard_normal(6)
     R = Rotation.from_rotvec(chance.standard_normal(3))

@@ -1,4 +1,4 @@
-"""Emulated sensors in front of a platform whose motion is known in closed form."""
+"""Emulated sensors on a platform whose motion is known in closed form."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from plant_fmu.faults.kinds import FramesCorrupt, FramesLoss, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Truth
 from tests.drivers.legs_frames import opening
-from tests.sensed import Readings, decode
+from tests.sensor_samples import Readings, decode
 
 MS, US = 1_000_000, 1_000
 G = (0.0, 0.0, -9.81)
@@ -56,7 +56,7 @@ def rotation(t):
 
 
 class Mover:
-    """A platform that moves as told, whatever the legs do."""
+    """A platform with a given motion, independent of its inputs."""
 
     internal_step_s = 1e-4
     blind = False
@@ -82,7 +82,7 @@ class Mover:
 
 
 def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=None):
-    """Return per kind the valid samples (receive time s, sample time s, values), and what was rejected."""
+    """Valid samples by kind, (receive time s, sample time s, values), and the number of rejected frames."""
     protocol = SensorProtocol(BusSettings(), settings)
     args = (plant or Mover(), DRIVES, DriveEmulation(), DriveSettings(), faults)
     nodes = SensedNodes(*args, protocol, noise, G)
@@ -103,7 +103,7 @@ def run(noise, settings=ALL, ticks=200, faults=None, sync_after_us=65, plant=Non
     return found, rejected
 
 
-def test_a_tracker_gives_the_true_pose_of_the_stamped_instant_later():
+def test_a_tracker_sends_the_true_pose_of_its_time_stamp_after_5_ms():
     found, rejected = run(EXACT)
     assert rejected == 0
     assert len(found["tracker"]) == pytest.approx(200 / 5, abs=2)
@@ -113,7 +113,7 @@ def test_a_tracker_gives_the_true_pose_of_the_stamped_instant_later():
         assert values[3:] == pytest.approx(AXIS * (0.2 + 0.7 * at), abs=1e-6)
 
 
-def test_an_imu_gives_rate_and_specific_force_in_the_platform_frame():
+def test_an_imu_measures_rate_and_specific_force_in_the_platform_frame():
     found, _ = run(EXACT)
     assert len(found["imu"]) == pytest.approx(100, abs=2)
     for _, at, values in found["imu"][5:]:
@@ -122,7 +122,7 @@ def test_an_imu_gives_rate_and_specific_force_in_the_platform_frame():
         assert values[3:] == pytest.approx(R.T @ np.subtract(acceleration(at), G), abs=2.5e-3)
 
 
-def test_a_wrench_sensor_gives_the_load_in_the_platform_frame():
+def test_a_wrench_sensor_measures_the_load_in_the_platform_frame():
     found, _ = run(
         EXACT, faults=FaultPlan([WrenchStep(at_s=0.05, force_N=WRENCH[:3], moment_N_m=WRENCH[3:])])
     )
@@ -183,7 +183,7 @@ def test_lost_samples_leave_gaps_and_a_seed_repeats_the_run():
     assert not np.array_equal(found["tracker"][0][2], other["tracker"][0][2])
 
 
-def test_faults_of_the_bus_strike_sensors_as_well():
+def test_faults_of_frames_affect_sensors_as_well():
     lost, _ = run(EXACT, faults=FaultPlan([FramesLoss(identifier=0x407)]))
     assert lost["tracker"] == []
     assert lost["imu"]
@@ -202,7 +202,7 @@ def test_faults_of_the_bus_strike_sensors_as_well():
         (Frame(0x110, b"\xa7\xc3"), False),
     ],
 )
-def test_only_an_intact_sync_stamps(frame, stamps):
+def test_only_an_intact_sync_is_used_for_time_stamps(frame, stamps):
     nodes = sensed(Mover(), SensorSettings(imu=ImuSettings()))
     nodes.start(0)
     sent = nodes.step(1 * MS, [Received(1 * MS, frame)]) + nodes.step(20 * MS, [])
@@ -211,7 +211,7 @@ def test_only_an_intact_sync_stamps(frame, stamps):
 
 
 @pytest.mark.parametrize("bus", [0, 1])
-def test_a_sensor_is_stamped_by_the_sync_of_its_own_bus(bus):
+def test_time_stamps_are_relative_to_the_sync_on_the_sensors_own_bus(bus):
     legs = [{"channel": "a", "legs": [0, 1, 2]}, {"channel": "b", "legs": [3, 4, 5]}]
     settings = SensorSettings(imu=ImuSettings(channel="b"))
     protocol = SensorProtocol(BusSettings.model_validate({"channels": legs}), settings)
@@ -224,7 +224,7 @@ def test_a_sensor_is_stamped_by_the_sync_of_its_own_bus(bus):
     assert bool(sensed) == (bus == 1), "it hears the SYNC of its own bus alone"
 
 
-def test_a_plant_without_a_pose_is_refused():
+def test_sensors_on_a_plant_without_a_pose_are_refused():
     plant = Mover()
     plant.blind = True
     with pytest.raises(PlantError, match="does not know its pose"):
@@ -238,7 +238,7 @@ def sensed(plant: Mover, settings: SensorSettings = ALL, noise: SensorEmulation 
 
 
 @pytest.mark.parametrize("t0_ns", [0, 1, 3 * MS])
-def test_at_each_start_an_imu_measures_its_weight_alone(t0_ns):
+def test_the_first_imu_sample_after_a_start_contains_gravity_alone(t0_ns):
     settings = SensorSettings(imu=ImuSettings())
     nodes, protocol = sensed(Mover(), settings), SensorProtocol(BusSettings(), settings)
     for _ in range(2):

@@ -1,4 +1,4 @@
-"""The plant as a machine: energy, brakes, friction, stops, lag, state."""
+"""The physics of our plant: energy, brakes, friction, stops, lag, state."""
 
 import numpy as np
 import pytest
@@ -11,14 +11,14 @@ def energy(plant, force):
     return plant.get("kinetic_energy")[0] + plant.get("potential_energy")[0] - force @ plant.get("length")
 
 
-def test_home_is_in_balance_under_the_known_static_force(direct):
+def test_the_home_pose_is_in_balance_at_the_known_static_force(direct):
     plant = direct()
     plant.start(force=np.full(6, HOME_FORCE), brake=np.zeros(6))
     assert np.abs(plant.get("acceleration")).max() < 1e-8
 
 
 @pytest.mark.parametrize("leg_spin", ["none", "universal"])
-def test_energy_is_kept_to_1e_10_of_its_peak_in_10_s_hanging(direct, leg_spin):
+def test_energy_of_a_swinging_platform_drifts_by_less_than_1e_10_in_10_s(direct, leg_spin):
     plant = direct()
     # gravity pulls away from the base: the platform hangs on its legs
     plant.set(gravity=[0, 0, 9.81], initial_twist=[0.5, -0.4, 0.45, 0.1, -0.2, 0.15], leg_spin=leg_spin)
@@ -34,16 +34,16 @@ def test_energy_is_kept_to_1e_10_of_its_peak_in_10_s_hanging(direct, leg_spin):
     assert drift < 1e-10 * peak
 
 
-def test_brakes_hold_the_book_platform_for_10_s_within_a_micrometre(direct):
+def test_brakes_hold_the_platform_for_10_s_within_a_micrometre(direct):
     plant = direct()
-    plant.start()  # brakes are engaged unless told otherwise
+    plant.start()  # brakes are engaged by default
     q0 = plant.get("length")
     plant.step(0.1, 100)
     assert np.abs(plant.get("length") - q0).max() < 1e-6
     assert np.abs(plant.get("rate")).max() < 1e-9
 
 
-def test_a_brake_that_is_too_weak_slips(direct):
+def test_a_brake_weaker_than_the_load_slips(direct):
     plant = direct()
     plant.set(brake_force=np.full(6, 0.9 * HOME_FORCE))
     plant.start()
@@ -51,7 +51,7 @@ def test_a_brake_that_is_too_weak_slips(direct):
     assert plant.get("position")[2] < 1.0 - 1e-3
 
 
-def test_brakes_stop_a_moving_platform_with_no_more_than_their_force(direct):
+def test_brakes_stop_a_moving_platform_within_their_largest_force(direct):
     plant = direct()
     plant.set(initial_twist=[0.3, -0.2, 0.6, 0.2, 0.1, -0.3], brake_force=np.full(6, 8000.0))
     plant.start()
@@ -67,13 +67,13 @@ def test_brakes_stop_a_moving_platform_with_no_more_than_their_force(direct):
             stopped = k
     assert stopped is not None
     assert np.abs(rates[-1]).max() < 1e-9
-    # the energy that is gone is friction's work: at most brake_force times travel, and most of it
+    # the lost energy is the work of friction: at most brake_force times travel, and more than half of it
     work = e0 - plant.get("kinetic_energy")[0] - plant.get("potential_energy")[0]
     assert 0.0 < work <= 8000.0 * travel.sum() * (1 + 1e-6)
     assert work > 0.5 * 8000.0 * travel.sum()
 
 
-def test_coulomb_friction_sticks_below_its_bound_and_slides_above(direct):
+def test_a_leg_sticks_below_its_coulomb_friction_and_slides_above(direct):
     plant = direct()
     plant.set(coulomb_friction=np.full(6, 100.0))
     plant.start(force=np.full(6, HOME_FORCE + 99.0), brake=np.zeros(6))
@@ -86,7 +86,7 @@ def test_coulomb_friction_sticks_below_its_bound_and_slides_above(direct):
     assert with_friction == pytest.approx(free.get("acceleration"), rel=1e-6, abs=1e-6)
 
 
-def test_viscous_friction_is_a_force_of_minus_b_times_the_rate(direct):
+def test_viscous_friction_is_minus_b_times_the_rate(direct):
     twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
     b = np.array([100.0, 200.0, 300.0, 400.0, 500.0, 600.0])
     damped, free = direct(), direct()
@@ -98,7 +98,7 @@ def test_viscous_friction_is_a_force_of_minus_b_times_the_rate(direct):
 
 
 @pytest.mark.parametrize("name", ["coulomb_friction", "brake_force"])
-def test_dry_friction_and_brake_of_each_leg_are_its_own(direct, name):
+def test_each_leg_has_its_own_dry_friction_and_brake(direct, name):
     twist = [0.1, 0.2, -0.3, 0.1, 0.0, 0.2]
     most = np.array([10.0, 20.0, 30.0, 40.0, 50.0, 60.0])
     rubbing, free = direct(), direct()
@@ -109,8 +109,8 @@ def test_dry_friction_and_brake_of_each_leg_are_its_own(direct, name):
     assert rubbing.get("acceleration") == pytest.approx(free.get("acceleration"), rel=1e-9)
 
 
-def test_reflected_mass_of_each_leg_is_its_own(direct):
-    """Of a leg that accelerates it takes m ddl of its force."""
+def test_each_leg_has_its_own_reflected_mass(direct):
+    """The reflected mass m of a leg takes m ddl of its force."""
     force, mass = HOME_FORCE + np.arange(6) * 50.0, np.arange(6) * 100.0
     heavy, light = direct(), direct()
     heavy.set(reflected_mass=mass)
@@ -123,7 +123,7 @@ def test_reflected_mass_of_each_leg_is_its_own(direct):
     assert there == pytest.approx(light.get("acceleration"), rel=1e-3, abs=1e-3)
 
 
-def test_end_stops_catch_the_falling_platform_and_let_it_rest(direct):
+def test_a_falling_platform_comes_to_rest_on_its_end_stops(direct):
     plant = direct()
     plant.set(length_min=np.full(6, 1.5))
     plant.start(brake=np.zeros(6))
@@ -131,7 +131,7 @@ def test_end_stops_catch_the_falling_platform_and_let_it_rest(direct):
     for _ in range(3000):
         plant.step(1e-3)
         lowest = min(lowest, plant.get("length").min())
-    # static: the leg force over the stiffness of 2e7 N/m; the fall of some centimetres presses deeper
+    # static: leg force divided by the stiffness of 2e7 N/m; the fall of some centimetres adds to it
     assert 1.5 - 0.01 < lowest < 1.5
     assert np.abs(plant.get("rate")).max() < 1e-6
     assert plant.get("length") == pytest.approx(np.full(6, 1.5), abs=5e-4)
@@ -153,7 +153,7 @@ def test_each_leg_has_its_own_end_stops(direct, leg):
         assert beyond.sum() >= 3
 
 
-def test_legs_that_cross_their_stroke_in_one_step_meet_both_stops(direct):
+def test_both_end_stops_act_if_a_leg_crosses_its_stroke_in_one_step(direct):
     plant, home = direct(), 1.592450434036
     plant.set(length_min=np.full(6, home - 1e-5), length_max=np.full(6, home + 1e-5))
     plant.set(coulomb_friction=np.full(6, 10.0), initial_twist=[0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
@@ -162,7 +162,7 @@ def test_legs_that_cross_their_stroke_in_one_step_meet_both_stops(direct):
     assert np.abs(plant.get("length") - home).max() < 1e-3
 
 
-def test_upper_stops_pull_back_and_never_stick(direct):
+def test_upper_end_stops_limit_the_legs_and_never_stick(direct):
     plant = direct()
     plant.set(length_max=np.full(6, 1.6))
     plant.start(force=np.full(6, 8000.0), brake=np.zeros(6))
@@ -173,7 +173,7 @@ def test_upper_stops_pull_back_and_never_stick(direct):
     assert (plant.get("length") < 1.595).all()
 
 
-def test_stops_stay_stable_however_stiff_they_are(direct):
+def test_very_stiff_end_stops_are_stable(direct):
     plant = direct()
     plant.set(length_min=np.full(6, 1.5), stop_stiffness=1e12, stop_damping=1e3)
     plant.start(brake=np.zeros(6))
@@ -181,7 +181,7 @@ def test_stops_stay_stable_however_stiff_they_are(direct):
     assert plant.get("length") == pytest.approx(np.full(6, 1.5), abs=1e-6)
 
 
-def test_the_force_lag_is_exact_at_any_step(direct):
+def test_the_force_lag_is_exact_at_any_internal_step(direct):
     coarse, fine = direct(), direct()
     for plant, h in ((coarse, 1e-3), (fine, 1e-4)):
         plant.set(force_bandwidth=50.0, internal_step=h)
@@ -192,7 +192,7 @@ def test_the_force_lag_is_exact_at_any_step(direct):
     assert fine.get("applied_force") == pytest.approx(want, rel=1e-13)
 
 
-def test_the_integrator_is_of_fourth_order(direct):
+def test_the_integrator_converges_at_fourth_order(direct):
     ends = []
     for h in (8e-3, 4e-3, 5e-4):
         plant = direct()
@@ -204,7 +204,7 @@ def test_the_integrator_is_of_fourth_order(direct):
     assert first / second == pytest.approx(16.0, rel=0.25)
 
 
-def test_state_can_be_saved_restored_and_serialised(direct):
+def test_the_state_can_be_saved_restored_and_serialised(direct):
     plant = direct()
     plant.set(force_bandwidth=100.0)
     plant.start(force=np.full(6, 3000.0), brake=np.zeros(6))
@@ -227,7 +227,7 @@ def test_state_can_be_saved_restored_and_serialised(direct):
 @pytest.mark.parametrize(
     ("t", "dt"), [(1e-3, 1.05e-4), (1e-3, 0.99999e-3), (1e-3, -1e-3), (1e-3, np.nan), (0.5, 1e-3)]
 )
-def test_a_step_of_another_length_or_from_another_time_changes_nothing(direct, t, dt):
+def test_a_step_of_invalid_length_or_start_is_refused_without_effect(direct, t, dt):
     plant = direct()
     plant.start(brake=np.zeros(6))
     plant.step(1e-3)
@@ -239,7 +239,7 @@ def test_a_step_of_another_length_or_from_another_time_changes_nothing(direct, t
     plant.fmu.doStep(1e-3, 1e-3)
 
 
-def test_time_does_not_drift(direct):
+def test_the_time_of_the_fmu_does_not_drift(direct):
     plant = direct()
     plant.start()
     for k in range(20_000):
@@ -263,7 +263,7 @@ def test_time_does_not_drift(direct):
         ({"platform_joints": np.zeros((6, 3)), "initial_position": [2.0, 0.0, 0.0]}, "no length"),
     ],
 )
-def test_an_impossible_machine_is_refused(direct, values, word):
+def test_physically_impossible_parameters_are_refused(direct, values, word):
     plant = direct()
     plant.set(**values)
     with pytest.raises(FMICallException):
@@ -271,7 +271,7 @@ def test_an_impossible_machine_is_refused(direct, values, word):
     assert word in plant.messages[-1]
 
 
-def test_values_are_refused_at_the_wrong_time(direct):
+def test_reading_and_setting_in_the_wrong_mode_is_refused(direct):
     plant = direct()
     for output in ("length", "potential_energy"):
         with pytest.raises(FMICallException):
@@ -300,7 +300,7 @@ LEAST_0 = (
         *(("force", 1e6, value) for value in (np.nan, np.inf, -np.inf)),
     ],
 )
-def test_a_value_outside_its_range_is_refused_by_name(direct, name, allowed, refused):
+def test_a_value_out_of_range_is_refused_with_the_variables_name(direct, name, allowed, refused):
     plant = direct()
     plant.set(**{name: np.full(plant.size[name], allowed)})
     for element in range(plant.size[name]):

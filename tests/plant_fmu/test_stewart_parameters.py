@@ -1,4 +1,4 @@
-"""What our FMU is told of a robot: each figure of it, unlike all others, under its own name."""
+"""Parameters of our FMU from a robot: each figure, different from all others, under its own name."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ SETTINGS = StewartPlant(
 )
 
 
-def test_each_figure_of_a_robot_reaches_the_parameter_of_its_name():
+def test_each_figure_of_a_robot_becomes_the_parameter_of_its_name():
     assert stewart_parameters(SETTINGS, ROBOT) == {
         "base_joints": [100.0 + k for k in range(18)],
         "platform_joints": [200.0 + k for k in range(18)],

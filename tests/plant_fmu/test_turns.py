@@ -1,4 +1,4 @@
-"""Encoders that forget at power-off how often their motors have turned."""
+"""Encoders that lose their count of motor turns at power-off."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def turns_of(length: np.ndarray) -> np.ndarray:
     return Transmission(GEAR).turns(length)
 
 
-def test_each_encoder_is_off_by_whole_multiples_of_what_it_forgets():
+def test_each_encoder_loses_a_whole_multiple_of_its_forgotten_turns():
     counted = turns_of(REST - forgotten_m(HOMING, Transmission(GEAR), REST))
     assert (np.abs(counted) <= FORGETS / 2 + 1e-9).all()
     forgotten = (turns_of(REST) - counted) / FORGETS
@@ -37,14 +37,14 @@ def test_each_encoder_is_off_by_whole_multiples_of_what_it_forgets():
 
 
 class Moving(Masses):
-    """Legs that extend by 0.1 m/s, whatever holds them."""
+    """Legs that extend by 0.1 m/s despite force and brake."""
 
     def step(self, force, brake, wrench, dt_s):
         self.q = self.q + 0.1 * dt_s
         return self.q, np.full(6, 0.1)
 
 
-def test_a_drive_restarted_in_motion_reports_the_turns_since_then():
+def test_a_drive_restarted_in_motion_loses_its_turns_up_to_then():
     protocol = LegsProtocol("ideal", (1, 2, 3, 4, 5, 6))
     settings = DriveSettings(transmission=GEAR, homing=HOMING)
     faults = FaultPlan([DriveReset(leg=4, at_s=0.5)])

@@ -1,4 +1,4 @@
-"""Drives of the rehearsal that have no power, another number or protocol, or a wrong watchdog."""
+"""Drives of the rehearsal without power, with another node number or protocol, or with a wrong watchdog."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ CROSSED = Wiring(
     present=(True, True, True, True, False, True),
     other_protocol=(False, False, False, False, False, True),
 )
-"""Two answer to number 3, nobody to 2; drives 4 and 5 are there in no way."""
+"""Two drives have number 3, none has 2; drive 4 has no power, drive 5 another protocol."""
 
 
 def wired(wiring: Wiring, protocol: Any, node_ids: Any = NODES) -> WiredNodes:
@@ -37,7 +37,7 @@ def wired(wiring: Wiring, protocol: Any, node_ids: Any = NODES) -> WiredNodes:
 
 
 class WiredRig(Rig):
-    """A rig whose drives are wired."""
+    """A rig with wired drives."""
 
     def __init__(self, wiring: Wiring, layout: str = "fd") -> None:
         super().__init__(layout)
@@ -45,8 +45,8 @@ class WiredRig(Rig):
 
 
 @pytest.mark.parametrize("mute", range(LEGS))
-def test_a_drive_as_delivered_sends_a_preoperational_heartbeat_alone(mute):
-    """CiA 301: heartbeat 0x7F."""
+def test_a_drive_with_factory_settings_sends_only_canopen_heartbeats(mute):
+    """CiA 301: heartbeat 0x7F, pre-operational."""
     other = tuple(leg == mute for leg in range(LEGS))
     protocol = LegsProtocol("fd", NODES)
     nodes = wired(Wiring(other_protocol=other), protocol, node_ids=(11, 12, 13, 14, 15, 16))
@@ -61,8 +61,8 @@ def test_a_drive_as_delivered_sends_a_preoperational_heartbeat_alone(mute):
 
 
 @pytest.mark.parametrize(("first", "second"), [(2, 3), (3, 2), (0, 5), (5, 0)])
-def test_two_drives_of_one_number_both_answer_their_own_length(first, second):
-    """`second` was given the number of `first`: both answer under it, with what each measures."""
+def test_two_drives_with_one_node_number_both_send_their_own_length(first, second):
+    """`second` has the number of `first`: both answer under it, each with its own measurement."""
     number = tuple(first if drive == second else drive for drive in range(LEGS))
     rig = WiredRig(Wiring(answers_as=number))
     sent = rig.at(0, *opening(rig.protocol, 1))
@@ -74,8 +74,8 @@ def test_two_drives_of_one_number_both_answer_their_own_length(first, second):
 
 
 @pytest.mark.parametrize("number", [(0, 1, 2, 3, 4, 5), (1, 0, 2, 5, 3, 4)])
-def test_a_wrong_watchdog_is_confirmed_as_it_was_set(number):
-    """inf: it never ends."""
+def test_a_wrong_watchdog_confirms_the_time_that_was_set(number):
+    """inf: the watchdog never ends."""
     factors = (1.0, 8.0, 0.3, inf, 2.5, 0.5)
     rig, right = WiredRig(Wiring(answers_as=number, watchdog=factors)), Rig()
     rig.at(0)
@@ -90,7 +90,7 @@ def test_a_wrong_watchdog_is_confirmed_as_it_was_set(number):
 
 
 @pytest.mark.parametrize("layout", ["classic", "fd"])
-def test_a_command_and_a_stop_reach_who_answers_to_the_number(layout):
+def test_commands_and_stops_reach_the_drives_with_the_node_number(layout):
     rig = WiredRig(CROSSED, layout)
     rig.configure()
     rig.command(0, DriveMode.READY, (100.0 * np.arange(6.0) - 250.0).tolist())

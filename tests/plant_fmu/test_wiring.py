@@ -1,4 +1,4 @@
-"""Mistakes of who wires a machine: each changes what it says, at the legs that it names, and nothing else."""
+"""Wiring mistakes: each changes its own field at its own legs, and nothing else."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 
 
 def changed(wiring: Wiring) -> dict[str, Any]:
-    """Return the fields that are not as they should be."""
+    """Fields that differ from a correct wiring."""
     right = Wiring()
     pairs = ((f.name, getattr(wiring, f.name), getattr(right, f.name)) for f in fields(Wiring))
     return {name: there for name, there, should in pairs if there != should}
@@ -27,12 +27,12 @@ def changed(wiring: Wiring) -> dict[str, Any]:
         ("none", (0,)),
     ],
 )
-def test_legs_that_do_not_exist_or_occur_twice_are_refused(name, legs):
+def test_unknown_mistakes_and_missing_or_repeated_legs_are_refused(name, legs):
     with pytest.raises(ValueError, match=r"different legs|unknown"):
         wired(Mistake(name, *legs))
 
 
-def test_several_mistakes_multiply_or_follow_one_another():
+def test_several_mistakes_combine_by_multiplication_or_in_sequence():
     both = wired(Mistake("encoder_scale", 1, value=3.0), Mistake("drive_reversed", 1))
     assert changed(both) == {
         "scale": (1.0, -3.0, 1.0, 1.0, 1.0, 1.0),

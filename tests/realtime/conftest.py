@@ -1,4 +1,4 @@
-"""Fixtures of the real-time tests: started processes and listeners end with their test."""
+"""Fixtures of the real-time tests; processes and listeners end with their test."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tests.realtime.rig import Listener, Process
 
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
-    """Start a `hil` command."""
+    """A function that starts a `hil` command."""
     with contextlib.ExitStack() as stack:
 
         def begin(*arguments: str, folder: Path = tmp_path, **options: Any) -> Process:
@@ -27,7 +27,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Process]]:
 
 @pytest.fixture
 def listen() -> Iterator[Callable[[Path], Listener]]:
-    """Listen on the bus of a configuration."""
+    """A function that listens on the bus of a configuration."""
     with contextlib.ExitStack() as stack:
 
         def begin(file: Path) -> Listener:

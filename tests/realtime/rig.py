@@ -1,7 +1,7 @@
-"""The rig of the real-time tests: processes over localcan, a listener on their bus, ends by exact number.
+"""Test rig for real time: processes over localcan, a listener on their bus, signals to single processes.
 
-Every test of a session uses the same channel. What a test leaves behind, killed as it may be, is what the
-next one has to start on without cleaning up.
+All tests of a session use the same channel. The next test must start on whatever a killed test left behind,
+without cleaning up.
 """
 
 from __future__ import annotations
@@ -25,38 +25,38 @@ from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.contracts.messages import DeviceCommand, Sync
 from hil.loop.clock import fifo_allowed
-from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import decode, parse
+from tests.drivers.received_frames import got
 
 ROOT = Path(__file__).resolve().parents[2]
 CHANNEL = "test-" + os.environ.get("PYTEST_XDIST_TESTRUNUID", str(os.getpid()))[:12]
 START_S = 120.0
-"""Starts may have to compile first."""
+"""Longest start, s, which may include compiling."""
 END_S = 60.0
 SHORT = """\
     - {t_s: 0, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 0]}
     - {t_s: 0.5, position_m: [0.0625, 0.125, 0.9375], rotation_vector_deg: [1.25, 2.5, 3.75]}
     - {t_s: 1, position_m: [0, 0, 1], rotation_vector_deg: [0, 0, 0]}
 """
-"""A quarter of the book's path in half its time: the same acceleration. One second."""
+"""A quarter of the book's path in half its time, with the same acceleration. One second."""
 PATIENT = {
     "rate_Hz: 1000": "rate_Hz: 500",
     "watchdog_ms: 10 ": "watchdog_ms: 150 ",
     "stale_fault_ticks: 5": "stretch_percent: 100\n  stale_fault_ticks: 60\n  missed_stop_ticks: 60",
 }
 LASTING = {"periods: 3": "periods: 1000"}
-"""A path that goes on until somebody ends it, however late this machine lets him."""
+"""A path that lasts until it is ended, however late that is."""
 FIFO = fifo_allowed(80)
 
 
 def configuration(
     folder: Path, changes: dict[str, str] | None = None, *, short: bool = False, patient: bool = True
 ) -> Path:
-    """Write configs/virtual.yaml with a channel and a log folder of the test's own, and `changes` of its text.
+    """Write configs/virtual.yaml with the test's own channel and log folder, and with text changes.
 
-    patient: a stall of a tenth of a second, as a loaded or a virtual machine has them, faults nothing: half
-    the rate, longer watchdog, higher limits of stale ticks and missed periods. Without it the timing is the
-    shipped one. Bench time may stand still for as long as this machine makes it.
+    patient: no fault from a stall of a tenth of a second, as occurs on a loaded or virtual machine: half the
+    rate, longer watchdog, higher limits for stale ticks and missed periods. Otherwise the timing is the
+    shipped one. Bench time may pause without limit.
     """
     text = (ROOT / "configs" / "virtual.yaml").read_text()
     if short:
@@ -81,7 +81,7 @@ def configuration(
 
 
 class Process:
-    """One `hil` command. State: the process and the descendants that were seen."""
+    """One `hil` command. State: the process, and its known descendants."""
 
     def __init__(
         self,
@@ -109,7 +109,7 @@ class Process:
         self.family: dict[str, int] = {}
 
     def find_family(self) -> dict[str, int]:
-        """Return the process numbers of `daemon`, its `recorder`, its `plant` and the `plant's recorder`."""
+        """Process ids of `daemon`, its `recorder`, its `plant` and the `plant's recorder`."""
         recorder, plant = _child(self.pid, "hil.record"), _child(self.pid, "hil.cli plant")
         self.family = {
             "daemon": self.pid,
@@ -120,7 +120,7 @@ class Process:
         return self.family
 
     def wait_for_child(self, words: str) -> int:
-        """Wait until it has a child whose command line has `words`; return its number."""
+        """Wait for a child process with `words` in its command line; return its id."""
         end = time.monotonic() + START_S
         while time.monotonic() < end:
             with contextlib.suppress(AssertionError):
@@ -130,22 +130,20 @@ class Process:
         raise AssertionError(self.errors)
 
     def wait(self, timeout_s: float = END_S) -> int:
-        """Return the exit code."""
+        """Wait for the end; return the exit code."""
         return self._process.wait(timeout_s)
 
     @property
     def errors(self) -> str:
-        """What it has said on standard error."""
         return self._errors.read_text()
 
     @property
     def messages(self) -> list[str]:
-        """Its lines on standard error, without the remark of a first start."""
+        """Lines on standard error, without the remark on compiling."""
         return [line for line in self.errors.splitlines() if not line.startswith("compiling the mathematics")]
 
     @property
     def summary(self) -> dict[str, Any]:
-        """Its --json summary."""
         summary: dict[str, Any] = json.loads(self.json.read_text())
         return summary
 
@@ -154,7 +152,7 @@ class Process:
         os.killpg(self.pid, signal.SIGINT)
 
     def clean_up(self) -> None:
-        """End what is left, by number."""
+        """Kill the remaining processes by their ids."""
         for pid in (self.pid, *self.family.values()):
             if not gone(pid):
                 with contextlib.suppress(ProcessLookupError):
@@ -163,7 +161,6 @@ class Process:
 
 
 def _child(parent: int, words: str) -> int:
-    """Return the child of `parent` whose command line has `words`."""
     for pid in Path(f"/proc/{parent}/task/{parent}/children").read_text().split():
         with contextlib.suppress(FileNotFoundError, ProcessLookupError):  # it has ended meanwhile
             if words in Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode():
@@ -172,7 +169,7 @@ def _child(parent: int, words: str) -> int:
 
 
 def gone(pid: int) -> bool:
-    """Tell whether a process has ended; a zombie has."""
+    """True if a process has ended, or is a zombie."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] == "Z"
     except (FileNotFoundError, ProcessLookupError):
@@ -180,7 +177,7 @@ def gone(pid: int) -> bool:
 
 
 def wait_until_gone(*pids: int, timeout_s: float = 20.0) -> None:
-    """Wait until all have ended by themselves."""
+    """Wait until all processes have ended by themselves."""
     end = time.monotonic() + timeout_s
     while not all(map(gone, pids)):
         assert time.monotonic() < end, f"still there: {[p for p in pids if not gone(p)]}"
@@ -188,7 +185,7 @@ def wait_until_gone(*pids: int, timeout_s: float = 20.0) -> None:
 
 
 class Listener:
-    """A third participant on the bus, which only listens. State: what it has heard."""
+    """A third participant on the bus that only listens. State: the last values received."""
 
     def __init__(self, file: Path) -> None:
         c = load(str(file))
@@ -201,7 +198,7 @@ class Listener:
         self.last_sync_ns = 0
 
     def look(self) -> None:
-        """Take what has come, wait for it 20 ms at most."""
+        """Receive pending frames; wait for them 20 ms at most."""
         for received in got(self._bus.wait(self._bus.clock.now() + 20_000_000)):
             match parse(self._protocol, received.frame):
                 case Sync(counter=counter):
@@ -213,12 +210,12 @@ class Listener:
                     self._rate = np.where(heard["age"] < NEVER, heard["rate"], self._rate)
 
     def now(self) -> int:
-        """Return bench time."""
+        """Bench time, ns."""
         return self._bus.clock.now()
 
     @property
     def speed(self) -> float:
-        """Largest leg rate now, m/s."""
+        """Current largest leg rate, m/s."""
         return float(np.abs(self._rate).max())
 
     def wait_for_motion(self, process: Process, speed: float) -> None:
@@ -230,5 +227,5 @@ class Listener:
             assert time.monotonic() < end, process.errors
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the bus."""
         self._bus.close()

@@ -1,4 +1,4 @@
-"""A bring-up at a bus: `hil bringup` and the bench of `hil plant` are two processes on localcan."""
+"""A bring-up on a bus: `hil bringup` and the bench of `hil plant` are two processes on localcan."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Start = Callable[..., Process]
 
 
 def begun(start: Start, file: Path, mistake: str = "") -> tuple[Process, Process]:
-    """Start a bench, with a mistake of its wiring, and a bring-up at it."""
+    """Start a bench, optionally with a wiring mistake, and a bring-up on it."""
     plant = start("plant", str(file), "--bench", *(["--mistake", mistake] if mistake else []))
     plant.wait_for_child("hil.record")
     return plant, start("bringup", str(file), "--yes")
 
 
 def ended(plant: Process, bringup: Process, code: int) -> list[list[str]]:
-    """Wait for both; return kind and legs of what the bring-up has found."""
+    """Wait for both to end; return kind and legs of the findings."""
     assert bringup.wait(120.0) == code, bringup.errors
     plant.interrupt()
     assert plant.wait() == 0, plant.errors
@@ -61,7 +61,7 @@ def test_watchdogs_of_damping_drives_are_proven_and_answers_are_in_time(tmp_path
 
 
 @pytest.mark.realtime(patient=True)
-def test_exchanged_drives_are_found_and_tested_again_when_fixed(tmp_path: Path, start: Start) -> None:
+def test_exchanged_drives_are_found_and_tested_again_after_the_fix(tmp_path: Path, start: Start) -> None:
     file = configuration(tmp_path)
     plant, bringup = begun(start, file, "ids_swapped leg=1 other=4")
     assert ended(plant, bringup, 1) == [["ids", " legs 1, 4"]]
@@ -76,11 +76,11 @@ def test_exchanged_drives_are_found_and_tested_again_when_fixed(tmp_path: Path, 
 
 
 @pytest.mark.realtime(patient=True)
-def test_a_good_machine_moves_at_the_end_although_its_bench_is_held_up(tmp_path: Path, start: Start) -> None:
+def test_good_machine_moves_at_the_end_although_its_bench_stalls(tmp_path: Path, start: Start) -> None:
     plant, bringup = begun(start, configuration(tmp_path, patient=False))
     end = time.monotonic() + 120.0
     while not (runs := [log for log in tmp_path.rglob("*.mcap") if not _of_others(log.stem)]):
-        assert time.monotonic() < end, "the six legs have not begun together"
+        assert time.monotonic() < end, "the first motion has not begun"
         time.sleep(0.05)
     time.sleep(2.0)
     hold_up(plant)
@@ -90,7 +90,7 @@ def test_a_good_machine_moves_at_the_end_although_its_bench_is_held_up(tmp_path:
 
 
 @pytest.mark.realtime(patient=True)
-def test_the_steps_outlast_a_bench_and_a_bring_up_that_are_held_up(tmp_path: Path, start: Start) -> None:
+def test_steps_succeed_although_bench_and_bring_up_stall(tmp_path: Path, start: Start) -> None:
     plant, bringup = begun(start, configuration(tmp_path, patient=False), "force_sign leg=5")
     bringup.wait_for_child("hil.record")
     turn = stops = 0
@@ -106,5 +106,4 @@ def test_the_steps_outlast_a_bench_and_a_bring_up_that_are_held_up(tmp_path: Pat
 
 
 def _of_others(stem: str) -> bool:
-    """Tell whether a log is the bench's, or of the steps before the ordinary controller's."""
     return "plant" in stem or "bringup" in stem

@@ -1,4 +1,4 @@
-"""The controller of the protocol's page, python-can and cantools alone, moves the drives of `hil plant`."""
+"""The controller in the protocol's guide, with python-can and cantools only, moves the drives of `hil plant`."""
 
 from __future__ import annotations
 
@@ -17,9 +17,7 @@ EXAMPLE = ROOT / "docs" / "examples" / "foreign_controller.py"
 
 
 @pytest.mark.long
-def test_the_example_sets_up_lifts_and_parks_the_drives(
-    tmp_path: Path, start: Callable[..., Process]
-) -> None:
+def test_example_sets_up_lifts_and_parks_the_drives(tmp_path: Path, start: Callable[..., Process]) -> None:
     text = (ROOT / "configs" / "bench.yaml").read_text()
     for old, new in (
         ("channel: bench0", f"channel: {CHANNEL}"),
@@ -38,7 +36,7 @@ def test_the_example_sets_up_lifts_and_parks_the_drives(
     assert run.returncode == 0, run.stderr
     moved = [float(number) for number in re.findall(r"-?[0-9.]+", run.stdout)]
     assert len(moved) == 6
-    assert min(moved) > 5.0, "the springs hold some of it back"
+    assert min(moved) > 5.0, "less than commanded, against the springs"
     plant.interrupt()
     assert plant.wait() == 0, plant.errors
     summary = plant.summary

@@ -1,4 +1,4 @@
-"""Processes killed with -9 in mid-motion. Each test starts on what its predecessor left behind."""
+"""Processes killed by SIGKILL during motion. Each test starts on what the one before left behind."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from tests.realtime.rig import FIFO, ROOT, Listener, Process, configuration, wai
 pytestmark = pytest.mark.realtime
 
 FAST_m_s = 0.7
-AS_TOLD = {"without_realtime: slow ": "without_realtime: refuse "}
-"""The loop is not slowed."""
+FULL_RATE = {"without_realtime: slow ": "without_realtime: refuse "}
+"""The rate is not reduced."""
 STROKE_m = (0.75, 2.2)
 """length_min_m and length_max_m of configs/virtual.yaml."""
 
@@ -35,20 +35,20 @@ Listen = Callable[[Path], Listener]
 
 
 def logs(folder: Path) -> tuple[Path, Path]:
-    """Return the daemon's log and the plant's, of the last run."""
+    """Logs of the daemon and of the plant, of the last run."""
     plant = max((folder / "runs").glob("*-plant.mcap"), key=lambda file: file.stat().st_ctime_ns)
     return plant.with_name(plant.name.replace("-plant", "")), plant
 
 
 def impatient(start: Start, listen: Listen, file: Path) -> Process:
-    """Return a run in motion, however late this machine wakes it up."""
-    run = start("run", str(file), "--plant", entry="tests.realtime.steady")
+    """A run in motion, without the checks for real time."""
+    run = start("run", str(file), "--plant", entry="tests.realtime.assumed_realtime")
     listen(file).wait_for_motion(run, FAST_m_s)
     return run
 
 
 def last_command(file: Path, log: Log) -> tuple[int, int]:
-    """Return when the drives heard their last command, and its mode."""
+    """Time and mode of the last command that the drives received."""
     protocol = build_protocol(load(str(file)))
     found = (0, -1)
     for tick in log.ticks():
@@ -59,10 +59,10 @@ def last_command(file: Path, log: Log) -> tuple[int, int]:
     return found
 
 
-def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
+def test_killed_daemon_leaves_a_platform_at_rest_and_a_complete_log(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
-    file = configuration(tmp_path, {"watchdog_ms: 150 ": "watchdog_ms: 10 ", **AS_TOLD})
+    file = configuration(tmp_path, {"watchdog_ms: 150 ": "watchdog_ms: 10 ", **FULL_RATE})
     run = impatient(start, listen, file)
     family = run.find_family()
 
@@ -103,7 +103,7 @@ def test_a_killed_daemon_leaves_a_platform_at_rest_and_a_whole_log(
 @pytest.mark.long
 @pytest.mark.realtime(patient=True)
 @pytest.mark.parametrize("on_loss", ["continue", "stop"])
-def test_a_killed_recorder_does_not_move_the_platform(
+def test_platform_parks_safely_if_the_recorder_is_killed(
     tmp_path: Path, start: Start, listen: Listen, on_loss: str
 ) -> None:
     changes = {"on_recorder_loss: continue": f"on_recorder_loss: {on_loss}"}
@@ -136,7 +136,7 @@ def test_a_killed_recorder_does_not_move_the_platform(
 
 
 @pytest.mark.long
-def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
+def test_logs_lose_at_most_a_quarter_second_if_all_processes_are_killed(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path)
@@ -159,7 +159,7 @@ def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
     assert done.returncode == 0, done.stderr
     last_ns = int(Log.open(out).rows()["t_ns"][-1])
     assert listener.last_sync_ns - last_ns <= 250_000_000
-    assert listener.last_sync_ns >= last_ns, "the listener heard at least what the log knows"
+    assert listener.last_sync_ns >= last_ns, "the listener received all logged frames"
 
     salvage(plant_log, tmp_path / "salvaged-plant.mcap")
     plant_rows = Log.open(tmp_path / "salvaged-plant.mcap").rows()
@@ -167,7 +167,7 @@ def test_all_killed_at_once_lose_a_quarter_of_a_second_at_most(
 
 
 @pytest.mark.long
-def test_a_killed_plant_faults_the_daemon_within_five_periods(
+def test_daemon_faults_within_five_periods_if_the_plant_is_killed(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path, {"stale_fault_ticks: 60": "stale_fault_ticks: 5"})
@@ -203,7 +203,7 @@ def test_a_killed_plant_faults_the_daemon_within_five_periods(
         for message in (parse(protocol, frame) for frame in tick.sent)
         if isinstance(message, DeviceCommand)
     ]
-    assert list(dict.fromkeys(modes)) == [DriveMode.READY, DriveMode.OFF], "brakes, then given up"
+    assert list(dict.fromkeys(modes)) == [DriveMode.READY, DriveMode.OFF], "brakes first, then off"
     assert modes.count(DriveMode.OFF) >= 5
     assert modes.count(DriveMode.READY) <= round(1.1e9 / period_ns)
 

@@ -1,4 +1,4 @@
-"""What the plant's process sends after a stall: of each feedback the newest, and all other frames."""
+"""Frames that the plant's process sends after a stall: the newest feedback of each kind, and all other frames."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ OTHERS = [Frame(0x7E0, bytes((n,))) for n in range(3)]
         "what is not yet to be on the bus",
     ],
 )
-def test_the_newest_feedback_of_each_drive_is_sent(
+def test_newest_feedback_of_each_drive_is_sent(
     protocol: Any, queued: list[tuple[int, Frame]], now_ns: int, sent: list[Frame]
 ) -> None:
     assert [*sent_frames(latest(timed_array(queued), now_ns, protocol))] == sent

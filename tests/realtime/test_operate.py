@@ -1,4 +1,4 @@
-"""The operator channel of a run in real time: a key that is let go of, however its holder goes, and estop."""
+"""Operator channel of a run in real time: loss of the key's holder, and emergency stop."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def wait_until(client: OperatorClient, true: Callable[[dict[str, Any]], bool]) -
 
 @pytest.fixture
 def holder() -> Iterator[Callable[[], subprocess.Popen[str]]]:
-    """Start a process that holds the key."""
+    """A function that starts a process holding the key."""
     started: list[subprocess.Popen[str]] = []
 
     def begin() -> subprocess.Popen[str]:
@@ -80,7 +80,7 @@ def holder() -> Iterator[Callable[[], subprocess.Popen[str]]]:
 
 @pytest.mark.long
 @pytest.mark.parametrize("end", [signal.SIGSTOP, signal.SIGKILL])
-def test_a_key_whose_holder_is_killed_or_stopped_is_let_go_of(
+def test_key_is_released_if_its_holder_is_killed_or_stopped(
     tmp_path: Path, start: Start, holder: Callable[[], subprocess.Popen[str]], end: signal.Signals
 ) -> None:
     file = configuration(tmp_path, DEADMAN)
@@ -112,7 +112,7 @@ def test_a_key_whose_holder_is_killed_or_stopped_is_let_go_of(
     assert (rows["mode"][ticks == slower[0]] == Mode.TRACKING).all()
 
 
-def test_estop_is_on_the_bus_within_two_ticks_of_its_line(
+def test_emergency_stop_is_on_the_bus_within_two_ticks(
     tmp_path: Path, start: Start, listen: Callable[[Path], Listener]
 ) -> None:
     file = configuration(tmp_path, LASTING)
@@ -130,10 +130,10 @@ def test_estop_is_on_the_bus_within_two_ticks_of_its_line(
     log = Log.open(summary["log"])
     (heard,) = [tick for tick in log.ticks() if Operator.ESTOP in tick.operator]
     period_ns = 1e9 / summary["rate_Hz"]
-    # a tick takes what has come until its feedback is in: it may have begun before the word was said
+    # a tick takes commands until its feedback is in, so it may have begun before the command
     assert -period_ns < heard.row["t_ns"] - said_ns <= 2 * period_ns
     protocol = build_protocol(load(str(file)))
-    assert set(protocol.traits.emergency_stop) <= set(heard.sent), "in the very tick"
+    assert set(protocol.traits.emergency_stop) <= set(heard.sent), "in the same tick"
     rows = log.rows()
     after = rows[rows["tick"] >= heard.row["tick"]]
     assert (after["faults"] == Fault.ESTOP).all()

@@ -1,4 +1,4 @@
-"""No drives; a second end on the same bus."""
+"""Refused runs: without drives, and as a second end on the same bus."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Start = Callable[..., Process]
 Listen = Callable[[Path], Listener]
 
 
-def test_a_run_without_drives_ends_within_2_s_and_tells_how_to_start_them(
+def test_run_without_drives_ends_after_2_s_and_explains_how_to_start_them(
     tmp_path: Path, start: Start
 ) -> None:
     file = configuration(tmp_path)
@@ -38,7 +38,7 @@ def test_a_run_without_drives_ends_within_2_s_and_tells_how_to_start_them(
 
 
 @pytest.mark.long
-def test_a_second_end_on_the_bus_is_refused_and_does_not_disturb_the_first(
+def test_second_run_or_plant_on_a_bus_is_refused_without_disturbance(
     tmp_path: Path, start: Start, listen: Listen
 ) -> None:
     file = configuration(tmp_path, {"periods: 3": "periods: 30"})

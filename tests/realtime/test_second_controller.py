@@ -1,4 +1,4 @@
-"""A third process on localcan that plays the controller: the run is held and named, whatever it sends."""
+"""A third process on localcan acts as a controller: the run ends held and names it."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from drivers.signals import Command, DriveMode, Reaction
 from hil.app.compose import build_protocol
 from hil.app.configuration.configuration import load
 from hil.contracts.messages import Sync
-from tests.drivers.frames_heard import got
 from tests.drivers.legs_frames import command_frames, opening, parse
+from tests.drivers.received_frames import got
 from tests.realtime.rig import END_S, LASTING, Listener, Process, configuration, gone
 
 pytestmark = pytest.mark.realtime(patient=True)
@@ -31,7 +31,7 @@ ATTACKS: dict[str, Callable[..., tuple[Frame, ...]]] = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("kind", ATTACKS)
-def test_a_second_controller_in_mid_motion_ends_the_run_held(
+def test_second_controller_during_motion_ends_the_run_held(
     tmp_path: Path, start: Callable[..., Process], listen: Callable[[Path], Listener], kind: str
 ) -> None:
     file = configuration(tmp_path, LASTING)
@@ -52,4 +52,4 @@ def test_a_second_controller_in_mid_motion_ends_the_run_held(
     assert run.wait() == 1
     assert "SECOND_CONTROLLER" in run.errors
     assert f"heard: {kind.upper()}" in run.errors
-    assert run.summary["plant"]["final_states"] == ["FAULT"] * 6, "stopped at once, and it stays so"
+    assert run.summary["plant"]["final_states"] == ["FAULT"] * 6, "stopped at once and latched"

@@ -1,4 +1,4 @@
-"""The live page beside a real run: it shows the run and operates it."""
+"""The live page of a real run: it shows the run and operates it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Start = Callable[..., Process]
 def until(browser: Browser, expression: str, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not browser.value(expression):
-        assert time.monotonic() < end, f"it did not come: {expression}"
+        assert time.monotonic() < end, f"still false: {expression}"
         time.sleep(0.1)
 
 
@@ -41,7 +41,7 @@ POSITION = "[...document.querySelector('#pose tbody tr').cells].slice(1, 4).map(
 
 @pytest.mark.long
 @pytest.mark.parametrize("word", ["stop", "park"])
-def test_the_buttons_hold_and_end_the_motion_of_a_running_platform(
+def test_buttons_hold_and_end_the_motion_of_a_running_platform(
     tmp_path: Path, start: Start, word: str
 ) -> None:
     file = configuration(tmp_path, LASTING | {"name: virtual": "name: virtual\nwatch: {operate: true}"})
@@ -54,7 +54,7 @@ def test_the_buttons_hold_and_end_the_motion_of_a_running_platform(
         time.sleep(0.5)
         first = browser.value(POSITION)
         time.sleep(0.5)
-        assert browser.value(POSITION) == pytest.approx(first, abs=2e-4), "it stands"
+        assert browser.value(POSITION) == pytest.approx(first, abs=2e-4), "the platform is at rest"
         assert browser.value(mode_is(Mode.TRACKING)), "brakes open, held by the law"
         click(browser, "start")
         until(browser, f"Math.abs({POSITION}[1] - {first[1]}) > 0.01")

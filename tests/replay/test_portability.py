@@ -1,6 +1,6 @@
-"""A recorded log replays to the bit whatever kernels OpenBLAS and the C mathematics library choose.
+"""A log replays to the bit, whatever kernels OpenBLAS and the C mathematics library choose.
 
-Each variant has to prove that it chooses other ones here: the same solve, or the same sines, with other bits.
+Each variant must show that it chooses other kernels here: the same solve, or the same sines, with other bits.
 """
 
 import json
@@ -79,7 +79,7 @@ def logs(tmp_path_factory):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("library", "variables"), VARIANTS.values(), ids=VARIANTS)
-def test_replay_is_exact_under_other_kernels(usual, logs, tmp_path, library, variables):
+def test_replay_is_exact_with_other_kernels(usual, logs, tmp_path, library, variables):
     differs = probe(variables)[library] != usual[library]
     copies = [shutil.copy(logs / f"{name}.mcap", tmp_path) for name in RECORDED]
     python(variables, "-c", REPLAY, *copies)
@@ -90,4 +90,6 @@ def test_replay_is_exact_under_other_kernels(usual, logs, tmp_path, library, var
         assert summary["wire_different_ticks"] == 0
         assert summary["different_ticks"] == 0
     if not differs:
-        pytest.skip(f"replay is exact, but {variables} changes no bit of {library} here: proves nothing")
+        pytest.skip(
+            f"replay is exact, but {variables} changes no bit of {library} here, so this proves nothing"
+        )

@@ -1,4 +1,4 @@
-"""A log replays to the bit, and a replay notices what does not: every column, every input, every frame."""
+"""A log replays to the bit, and replay detects a change of any column, input or frame."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from hil.signals import Operator
 from hil.study.what_if.command import what_if_log
 from tests.hil.rewrite import mcap_summary
 from tests.loop.bench import changed, new_cycle
-from tests.replay.moving import SOON, moved
+from tests.replay.short_run import SOON, moved
 
 AT = 50
-"""The tick that is changed."""
+"""The changed tick."""
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +42,7 @@ def entries(log):
 
 @cache
 def cycle() -> Any:
-    """Return a controller that each replay resets."""
+    """A controller that each replay resets."""
     return new_cycle(changed("virtual", **SOON))
 
 
@@ -55,7 +55,7 @@ def verdict_on(entries: list[Tick]) -> Comparison:
 
 
 def with_row(entries: list[Tick], at: int, **columns: Any) -> list[Tick]:
-    """Return the ticks with some columns of one changed."""
+    """The ticks with some columns of one tick changed."""
     row: Any = entries[at].row.copy()
     for name, value in columns.items():
         row[name] = value
@@ -66,7 +66,7 @@ def compared(entries: list[Tick], **columns: Any) -> Comparison:
     return verdict_on(with_row(entries, AT, **columns)[: AT + 10])
 
 
-def test_every_tick_and_frame_comes_back(log, entries):
+def test_replay_gives_every_recorded_tick_and_frame(log, entries):
     verdict, summary = replay_log(log)
     assert verdict.exact
     assert verdict.ticks == len(entries) > 500
@@ -76,7 +76,7 @@ def test_every_tick_and_frame_comes_back(log, entries):
 
 
 @pytest.mark.parametrize("mode", [Mode.TRACKING, Mode.IDLE, Mode.LOADING, Mode.APPROACH, Mode.PARKED])
-def test_one_flipped_bit_of_a_frame_names_the_tick_and_the_column(entries, mode):
+def test_flipped_bit_of_a_frame_is_reported_with_tick_and_column(entries, mode):
     at = next(k for k, entry in enumerate(entries) if entry.row["mode"] == mode)
     received = list(entries[at].received)
     t_ns, frame = received[2]
@@ -89,7 +89,7 @@ def test_one_flipped_bit_of_a_frame_names_the_tick_and_the_column(entries, mode)
 
 
 @pytest.mark.parametrize("name", COMPUTED_COLUMNS)
-def test_every_computed_column_is_compared_in_its_last_element(entries, name):
+def test_every_computed_column_is_compared_up_to_its_last_element(entries, name):
     column, row = COLUMNS[name], entries[1].row
     changed = np.array(row[name])
     changed.reshape(-1)[-1] = 1.0 if np.isnan(changed.reshape(-1)[-1]) else changed.reshape(-1)[-1] + 1
@@ -101,14 +101,14 @@ def test_every_computed_column_is_compared_in_its_last_element(entries, name):
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-def test_a_number_that_was_recorded_as_none_is_no_small_difference(entries, value):
+def test_recorded_nan_or_infinity_is_an_infinite_difference(entries, value):
     lengths = np.where(np.arange(6) == 5, value, entries[AT].row["q"])
     verdict = compared(entries, q=lengths)
     assert verdict.largest == math.inf
     assert f"q[5]: recorded {value!r}, replayed " in str(verdict.first[0])
 
 
-def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(entries):
+def test_difference_is_relative_but_absolute_below_a_value_of_one(entries):
     lengths = entries[AT].row["q"].copy()
     own = float(lengths[3])
     for recorded, unit in ((1e6, 1e6), (own + 0.5, own + 0.5), (0.75, 1.0), (0.0, 1.0), (-1.25, 1.25)):
@@ -120,7 +120,7 @@ def test_a_difference_is_relative_to_the_recorded_value_and_below_one_absolute(e
     assert "difference -inf" in str(far)
 
 
-def test_the_largest_difference_is_that_of_all_ticks_and_an_integer_has_no_small_one(entries):
+def test_largest_difference_is_over_all_ticks_and_inf_for_integers(entries):
     far = with_row(entries[:100], 20, q=entries[20].row["q"] + 9.0)
     verdict = verdict_on(with_row(far, 60, q=entries[60].row["q"] + 0.1))
     assert verdict.different_ticks == 2
@@ -130,7 +130,7 @@ def test_the_largest_difference_is_that_of_all_ticks_and_an_integer_has_no_small
     assert {each.column for each in found.first} == {"q", "mode"}
 
 
-def test_sent_frames_that_are_others_or_missing_are_a_difference_of_the_wire(entries):
+def test_changed_or_missing_sent_frames_are_wire_differences(entries):
     for sent in ((), (*entries[AT].sent[:-1], entries[AT].sent[-1]._replace(data=b""))):
         verdict = verdict_on([*entries[:AT], entries[AT]._replace(sent=sent), *entries[AT + 1 : 100]])
         assert [(each.tick, each.column) for each in verdict.first] == [(AT, "sent frames")]
@@ -150,7 +150,7 @@ def test_sent_frames_that_are_others_or_missing_are_a_difference_of_the_wire(ent
         ({"different_ticks": 1, "wire_different_ticks": 1}, False, False),
     ],
 )
-def test_exact_is_every_bit_and_equivalent_the_same_frames_within_a_billionth(found, exact, equivalent):
+def test_exact_means_equal_bits_and_equivalent_within_a_billionth(found, exact, equivalent):
     comparison = Comparison(**{"ticks": 1000, **found})
     assert (comparison.exact, comparison.equivalent) == (exact, equivalent)
 
@@ -158,7 +158,7 @@ def test_exact_is_every_bit_and_equivalent_the_same_frames_within_a_billionth(fo
 @pytest.mark.parametrize(
     ("largest", "there", "here"), [(None, True, True), (1e-10, True, False), (1e-8, False, False)]
 )
-def test_a_replay_agrees_to_the_bit_and_on_another_processor_within_a_billionth(
+def test_replay_on_another_processor_may_differ_by_a_billionth(
     log, entries, monkeypatch, largest, there, here
 ):
     found = {} if largest is None else {"different_ticks": 1, "largest": largest}
@@ -169,7 +169,7 @@ def test_a_replay_agrees_to_the_bit_and_on_another_processor_within_a_billionth(
     assert (fields["agrees"], fields["replayed_on"]) == (there, "another one")
 
 
-def test_a_replay_has_the_story_of_the_faults_that_its_cycle_latched(entries):
+def test_replay_has_the_story_of_its_latched_faults(entries):
     begun = next(k for k, entry in enumerate(entries) if entry.row["mode"] == Mode.LOADING)
     verdict = verdict_on(with_row(entries[: begun + 50], begun + 5, bus_off=1))
     assert verdict.story is not None
@@ -180,22 +180,22 @@ def test_a_replay_has_the_story_of_the_faults_that_its_cycle_latched(entries):
 
 
 @pytest.mark.parametrize(("skipped", "missing"), [(0, 2), (1, 1), (2, 0)])
-def test_a_gap_is_what_is_missing_beyond_the_ticks_that_the_loop_skipped(entries, skipped, missing):
+def test_gap_is_missing_ticks_beyond_those_skipped_by_the_loop(entries, skipped, missing):
     verdict = verdict_on([*entries[:40], *with_row(entries[42:], 0, skipped=skipped)])
     assert verdict.gaps == ([(40, missing)] if missing else [])
     assert verdict.ticks == (40 if missing else len(entries) - 2)
     if not missing:
-        assert verdict.end == int(entries[-1].row["tick"]) + 1, "by its number, whatever was skipped before"
-        assert verdict_on(with_row(entries[2:], 0, skipped=2)).gaps == [], "nor are those before the first"
+        assert verdict.end == int(entries[-1].row["tick"]) + 1, "by tick number, despite skipped ticks"
+        assert verdict_on(with_row(entries[2:], 0, skipped=2)).gaps == [], "no gap before the first tick"
 
 
 @pytest.mark.parametrize(("at", "skipped"), [(0, 1), (42, 1), (42, 43), (42, -1)])
-def test_ticks_that_cannot_have_been_skipped_are_damage_of_their_row(entries, at, skipped):
+def test_impossible_number_of_skipped_ticks_is_a_damaged_row(entries, at, skipped):
     with pytest.raises(LogError, match=f"the row of tick {at} is damaged"):
         verdict_on(with_row(entries, at, skipped=skipped))
 
 
-def test_a_log_that_its_run_did_not_close_may_end_too_early_and_says_so(log, tmp_path):
+def test_replay_of_an_unclosed_log_warns_that_it_may_end_early(log, tmp_path):
     cut, whole = tmp_path / "cut.mcap", tmp_path / "whole.mcap"
     cut.write_bytes(log.read_bytes()[: log.stat().st_size * 4 // 5])
     salvage(cut, whole)
@@ -203,8 +203,8 @@ def test_a_log_that_its_run_did_not_close_may_end_too_early_and_says_so(log, tmp
     assert "remark" not in replay_log(log)[1]
 
 
-def test_a_salvaged_log_whose_last_chunk_was_damaged_says_what_is_lost_wherever_it_is_read(log, tmp_path):
-    """Nothing after it shows a gap: what replays is exact."""
+def test_salvaged_log_reports_the_lost_bytes_to_every_reader(log, tmp_path):
+    """The damage is at the end, so no gap shows it and the rest replays exactly."""
     data = bytearray(log.read_bytes())
     chunk = mcap_summary(log).chunk_indexes[-1]
     data[chunk.chunk_start_offset + chunk.chunk_length // 2] ^= 0x40
@@ -223,7 +223,7 @@ def test_a_salvaged_log_whose_last_chunk_was_damaged_says_what_is_lost_wherever_
 
 
 def recorded(frames=(), operator=(), setpoints=(), orders=(), **columns):
-    """A tick each of whose numbers of an input is another one."""
+    """A tick with a different number in each input."""
     rows = np.zeros(1, ROW)
     for number, name in enumerate(INPUT_COLUMNS):
         rows[name] = 1000 * number + np.arange(LEGS if name == "latch_ns" else 1)
@@ -234,7 +234,7 @@ def recorded(frames=(), operator=(), setpoints=(), orders=(), **columns):
     return Tick(row, frames, (), operator, setpoints, orders)
 
 
-def test_every_input_comes_back_in_its_place_as_the_loop_gave_it():
+def test_every_recorded_input_is_restored_in_its_place():
     frames = (Received(7, Frame(0x181, b"\x01")), Received(9, Frame(0x182, b"\x02")))
     setpoints: Any = ("a pose", "another")
     orders: Any = ("an order",)
@@ -259,11 +259,11 @@ NOTICED = {
     "t_ns": 5 * 10**8, "lateness_ns": 5 * 10**7, "stretched_ns": 10**10, "sync_skew_ns": 9 * 10**8, "sends_failed": 5,
     "bus_errors": 500, "bus_off": 1, "bus_overflow": 5, "recorder_alive": 0, "recorder_dropped": 5, "latch_ns": 2 * 10**6,
 }  # fmt: skip
-"""Inputs on which a decision depends, and other values of them; the state of the bus and times are for readers."""
+"""Inputs that decisions depend on, with changed values; bus state and times are for readers only."""
 
 
 @pytest.mark.parametrize("name", NOTICED)
-def test_every_input_that_was_another_is_noticed_by_the_next_tick(entries, name):
+def test_every_changed_input_is_noticed_by_the_next_tick(entries, name):
     assert set(INPUT_COLUMNS) - set(NOTICED) == {"tick", "skipped", "bus_state", "compute_ns"}
     verdict = compared(entries, **{name: NOTICED[name]})
     assert not verdict.exact
@@ -278,8 +278,8 @@ def test_every_input_that_was_another_is_noticed_by_the_next_tick(entries, name)
         ("recorder_alive", (2, -1, 256, 1 << 40)),
     ],
 )
-def test_a_state_a_command_or_a_recorder_that_there_is_none_of_is_damage_of_its_tick(column, values):
-    """A replay would find another row, and no column of its own that differs."""
+def test_invalid_state_command_or_recorder_value_is_a_damaged_row(column, values):
+    """A replay would only find another row, without a differing column."""
     for value in values:
         with pytest.raises(LogError, match=r"^the row of tick 17 is damaged: .* is not a valid"):
             recorded_input(recorded(**{column: value}))

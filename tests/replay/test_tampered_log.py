@@ -1,4 +1,4 @@
-"""A log in which one byte of one recorded received frame was changed: replay names the tick and the column."""
+"""A log with one changed byte in a received frame: replay reports tick and column."""
 
 import json
 import re
@@ -15,7 +15,7 @@ from hil.record.log import Log
 from hil.record.mcap_file import record_bytes
 from hil.record.salvage import salvage
 from tests.hil.rewrite import mcap_summary, rewrite_log
-from tests.replay.moving import moved
+from tests.replay.short_run import moved
 
 RECEIVED, SENT = 1, 2
 
@@ -31,7 +31,7 @@ def replayed(path, *words):
 
 @pytest.fixture(scope="module")
 def frame_type(log):
-    """Protobuf type of the frames, from the schema that the file itself carries."""
+    """Protobuf type of the frames, from the schema in the file."""
     with log.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         return next(type(m) for _, channel, _, m in reader.iter_decoded_messages(["/can"]))
@@ -56,24 +56,24 @@ def tamper(log, target, frame_type, tick, byte, mask=0x01):
     assert changed == [tick]
 
 
-def test_a_copy_without_a_change_replays(log, tmp_path):
+def test_unchanged_copy_replays(log, tmp_path):
     rewrite_log(log, tmp_path / "copy.mcap")
     result = replayed(tmp_path / "copy.mcap")
     assert result.exit_code == 0, result.output
 
 
-def test_a_log_whose_last_ticks_are_missing_is_no_success_though_all_that_is_there_is_sound(log, tmp_path):
+def test_log_without_its_last_ticks_is_a_failure(log, tmp_path):
     last = int(Log.open(log).rows("tick")["tick"][-1])
     rewrite_log(log, tmp_path / "short.mcap", lambda _, data, tick: data if tick <= last - 9 else None)
     result = replayed(tmp_path / "short.mcap")
     assert result.exit_code == 1, result.output
     assert f"9 ticks missing from tick {last - 8}" in " ".join(result.output.split())
     report = salvage(tmp_path / "short.mcap", tmp_path / "whole.mcap")
-    assert report.remarks == (f"its end counts {last + 1} ticks, {last - 8} are there",)
+    assert report.remarks == (f"its summary counts {last + 1} ticks, but {last - 8} are present",)
 
 
 @pytest.mark.parametrize(("mode", "byte"), [(Mode.IDLE, 5), (Mode.TRACKING, 0), (Mode.PARKED, 11)])
-def test_one_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_path, mode, byte):
+def test_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_path, mode, byte):
     rows = Log.open(log).rows()
     ticks = rows["tick"][rows["mode"] == mode]
     tick = int(ticks[len(ticks) // 2])
@@ -90,7 +90,7 @@ def test_one_changed_byte_is_found_at_rest_and_in_motion(log, frame_type, tmp_pa
 
 
 @pytest.mark.parametrize(("direction", "index"), [(RECEIVED, 0), (SENT, 7)])
-def test_a_frame_taken_away_is_found(log, frame_type, tmp_path, direction, index):
+def test_removed_frame_is_found(log, frame_type, tmp_path, direction, index):
     tick = 300
 
     def edit(topic, data, _sequence):
@@ -108,7 +108,7 @@ def test_a_frame_taken_away_is_found(log, frame_type, tmp_path, direction, index
 
 
 def replay_counted(log, target, index=0, end=""):
-    """Replay a copy whose index counts so many more ticks, and whose end has `end` as their number."""
+    """Replay a copy with `index` more ticks in its index and, if given, `end` as tick count at its end."""
     rewrite_log(log, target, end={"ticks": end} if end else {})
     found = mcap_summary(target).statistics
     tick = next(number for number, each in mcap_summary(target).channels.items() if each.topic == "/tick")
@@ -120,7 +120,7 @@ def replay_counted(log, target, index=0, end=""):
 
 
 @pytest.mark.parametrize(("index", "more"), [(4, 0), (0, 4), (3, 4)])
-def test_ticks_that_index_or_end_count_beyond_those_that_are_there_are_missing(log, tmp_path, index, more):
+def test_ticks_counted_by_index_or_end_but_absent_are_missing(log, tmp_path, index, more):
     count = len(Log.open(log).rows("tick"))
     code, said = replay_counted(log, tmp_path / "a.mcap", index, str(count + more))
     assert code == 1
@@ -128,7 +128,7 @@ def test_ticks_that_index_or_end_count_beyond_those_that_are_there_are_missing(l
 
 
 @pytest.mark.parametrize(("index", "end"), [(-1, ""), (0, "5"), (0, "-9"), (0, "five"), (0, "9" * 40)])
-def test_an_index_or_an_end_that_counts_fewer_ticks_than_there_are_was_altered(log, tmp_path, index, end):
+def test_index_or_end_with_too_few_ticks_means_an_altered_log(log, tmp_path, index, end):
     code, said = replay_counted(log, tmp_path / "a.mcap", index, end)
     assert code == 2
     assert "it was altered since it was written" in said

@@ -1,4 +1,4 @@
-"""What another controller would have answered to recorded measurements."""
+"""What-if: outputs of another controller for recorded measurements."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hil.app.configuration.feedforward_file import feedforward_text
 from hil.cli import main
 from hil.loop import what_if as kernel
 from hil.record.log import Log
-from hil.study.what_if.allowed import changed, changes, read_changes, refuse_other_inputs
 from hil.study.what_if.command import OPEN_LOOP, what_if_log
+from hil.study.what_if.inputs import changed, changes, read_changes, refuse_other_inputs
 from tests.broad import broad
 from tests.hil.app.test_feedforward_file import head_of, using
 from tests.hil.rewrite import rewrite_log
-from tests.replay.moving import moved
+from tests.replay.short_run import moved
 
 LIMIT_N = 5000.0
 """Below the largest forces of the run, and above those at rest."""
@@ -39,7 +39,7 @@ def rows(log):
 
 
 @pytest.mark.parametrize("config", broad(["virtual", "lab-cia402", "desktop", "bench"], quick=1))
-def test_the_same_configuration_has_no_differences(config, log, tmp_path):
+def test_what_if_with_the_same_configuration_has_no_differences(config, log, tmp_path):
     path = log if config == "virtual" else moved(tmp_path / "run.mcap", config)
     found = what_if_log(path)
     assert (found["success"], found["different_ticks"], found["different_frames_ticks"]) == (True, 0, 0)
@@ -48,7 +48,7 @@ def test_the_same_configuration_has_no_differences(config, log, tmp_path):
     assert found["first_frames"] is found["first_tick"] is None
 
 
-def test_a_lower_limit_cuts_each_force_and_nothing_else(log, rows, monkeypatch):
+def test_lower_force_limit_cuts_each_force_and_changes_nothing_else(log, rows, monkeypatch):
     monkeypatch.setattr(kernel, "BLOCK", 100)  # the figures are sums over blocks
     found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"])
     over = np.maximum(np.abs(rows["tau"]) - LIMIT_N, 0.0)
@@ -82,7 +82,7 @@ def test_a_lower_limit_cuts_each_force_and_nothing_else(log, rows, monkeypatch):
     assert frames["what_if"].split()[0] == frames["recorded"].split()[0], "the same identifier"
 
 
-def test_a_fault_of_its_own_is_named_and_the_figures_count_until_it(log, rows):
+def test_new_fault_is_reported_and_figures_end_at_it(log, rows):
     limit = 0.6 * np.abs(rows["dq"]).max()
     strikes = int(np.flatnonzero((np.abs(rows["dq"]) > limit).any(axis=1))[0])
     found = what_if_log(log, None, [f"limits.speed_m_s={limit}"])
@@ -92,11 +92,11 @@ def test_a_fault_of_its_own_is_named_and_the_figures_count_until_it(log, rows):
     assert found["forces"]["largest_N"] == [0.0] * 6
     assert found["recorded_faults"] == []
     assert found["what_if_story"]["findings"][0]["fault"] == "SPEED"
-    assert found["ticks"] == len(rows), "it goes on"
-    assert found["success"], "differences are the answer"
+    assert found["ticks"] == len(rows), "the what-if continues after the fault"
+    assert found["success"], "differences are no failure"
 
 
-def test_a_fault_that_only_the_log_has_is_named_with_its_tick(tmp_path):
+def test_fault_of_the_log_alone_is_reported_with_its_tick(tmp_path):
     path = moved(tmp_path / "fault.mcap", limits={"following_error_m": 2e-6})
     there = Log(path).rows()
     struck = int(there["tick"][np.flatnonzero(there["faults"] & Fault.FOLLOWING)[0]])
@@ -105,10 +105,10 @@ def test_a_fault_that_only_the_log_has_is_named_with_its_tick(tmp_path):
     assert (first["fault"], first["tick"], found["faults_part_at_tick"]) == ("FOLLOWING", struck, struck)
     assert struck not in [each["tick"] for each in found["what_if_faults"]]
     named = [each["fault"] for each in found["recorded_faults"]]
-    assert sorted(named) == sorted(set(named)), "each once, when it latches"
+    assert sorted(named) == sorted(set(named)), "each fault is listed once"
 
 
-def test_a_fault_that_the_open_loop_may_have_made_is_called_so(log):
+def test_faults_that_the_open_loop_may_cause_are_remarked(log):
     found = what_if_log(log, None, ["reference={type: hold}"])
     after = [each for each in found["what_if_faults"] if each["tick"] > found["first_frames"]["tick"]]
     assert after
@@ -119,7 +119,7 @@ def test_a_fault_that_the_open_loop_may_have_made_is_called_so(log):
     assert not [each for each in limit["remarks"] if "open loop" in each]
 
 
-def test_the_command_exits_1_for_a_log_with_a_gap_and_0_for_differences(log, tmp_path):
+def test_command_exits_1_for_a_gap_and_0_for_differences(log, tmp_path):
     gap = tmp_path / "gap.mcap"
     rewrite_log(log, gap, lambda topic, data, tick: None if tick == 500 and topic != "/events" else data)
     words = ["--set", f"limits.force_N={LIMIT_N}", "--json", str(tmp_path / "a.json")]
@@ -135,7 +135,7 @@ def test_the_command_exits_1_for_a_log_with_a_gap_and_0_for_differences(log, tmp
     assert f"tick {result['first_tick']} " in said
 
 
-def test_what_it_answers_is_a_log_that_says_that_it_is_no_run(log, rows, tmp_path):
+def test_written_what_if_log_is_marked_and_cannot_be_replayed(log, rows, tmp_path):
     out = tmp_path / "answer.mcap"
     found = what_if_log(log, None, [f"limits.force_N={LIMIT_N}"], out=out)
     assert found["success"]
@@ -151,7 +151,7 @@ def test_what_it_answers_is_a_log_that_says_that_it_is_no_run(log, rows, tmp_pat
     assert (given.received, given.operator) == (there.received, there.operator)
     result = CliRunner().invoke(main, ["replay", str(out)])
     assert result.exit_code == 2
-    assert "answer.mcap: holds a what-if on 'run.mcap', no run" in result.stderr
+    assert "answer.mcap: holds a what-if on 'run.mcap'" in result.stderr
     with pytest.raises(LogError, match=r"answer\.mcap: is a log, and no log is ever overwritten"):
         what_if_log(log, out=out)
 
@@ -168,7 +168,7 @@ def test_what_it_answers_is_a_log_that_says_that_it_is_no_run(log, rows, tmp_pat
         ("two_buses", (), "bus.channels"),
     ],
 )
-def test_a_configuration_to_which_the_frames_mean_something_else_is_refused(config, words, key):
+def test_configuration_that_reads_the_frames_differently_is_refused(config, words, key):
     here = changed(load(config), words, own=False)
     refuse_other_inputs(here, here, here.loop.rate_Hz)
     with pytest.raises(ConfigurationError) as refused:
@@ -186,7 +186,7 @@ def test_a_configuration_to_which_the_frames_mean_something_else_is_refused(conf
         ("reactions.encoder=sto", "estimation.wrench={source: observer}"),
     ],
 )
-def test_what_the_controller_decides_may_differ_and_is_named(words):
+def test_controller_settings_may_differ_and_are_listed(words):
     here = changed(VIRTUAL, words, own=False)
     refuse_other_inputs(VIRTUAL, here, VIRTUAL.loop.rate_Hz)
     named = " ".join(changes(VIRTUAL, here))
@@ -194,7 +194,7 @@ def test_what_the_controller_decides_may_differ_and_is_named(words):
     assert changes(VIRTUAL, changed(VIRTUAL, ["description=x"], own=False)) == []
 
 
-def test_files_of_another_content_are_named_where_the_text_is_the_same(tmp_path, monkeypatch):
+def test_changed_referenced_file_is_listed_as_a_change(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     lines = ["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", "0,0,0,1,0,0,0", "1,0.02,0,1,0,0,0", "2,0,0,1,0,0,0"]
     (tmp_path / "path.csv").write_text("\n".join(lines))
@@ -205,28 +205,30 @@ def test_files_of_another_content_are_named_where_the_text_is_the_same(tmp_path,
     assert what_if_log(path, "own.yaml")["changed"] == what_if_log(path)["changed"] == []
     (tmp_path / "path.csv").write_text("\n".join(lines).replace("0.02", "0.03"))
     found = what_if_log(path, "own.yaml")
-    assert found["changed"] == ["reference.path: the file has another content than that of the log"]
+    assert found["changed"] == ["reference.path: the content of the file differs from the log's"]
     assert found["different_ticks"] > 0
     assert what_if_log(path)["different_ticks"] == 0
 
 
 @pytest.fixture(scope="module")
 def taught(tmp_path_factory):
-    """The log of a run with a learned feed-forward."""
+    """Log of a run with a learned feed-forward."""
     folder = tmp_path_factory.mktemp("taught")
     (folder / "own.yaml").write_text(using(folder, LEARNED, limit_N=1000.0).text)
     return moved(folder / "taught.mcap", str(folder / "own.yaml"))
 
 
-def test_a_file_that_the_log_does_not_carry_is_refused(log, taught):
+def test_file_that_is_not_attached_to_the_log_is_refused(log, taught):
     for path in (log, taught):
-        with pytest.raises(ConfigurationError, match=r"--set feedforward\.file=other\.csv: .* no file on"):
+        with pytest.raises(
+            ConfigurationError, match=r"--set feedforward\.file=other\.csv: .* a file on disk"
+        ):
             what_if_log(path, None, ["feedforward={file: other.csv, limit_N: 1000}"])
-    with pytest.raises(ConfigurationError, match="names no file on this disk"):
+    with pytest.raises(ConfigurationError, match="cannot refer to a file on disk"):
         what_if_log(log, None, ["controller={law: state_space, controller_file: hinf}"])
 
 
-def test_without_its_feed_forward_a_log_lacks_these_forces_alone(taught):
+def test_what_if_without_feed_forward_removes_only_its_forces(taught):
     rows = Log(taught).rows()
     most = np.abs(rows["tau_learned"]).max(axis=0)
     assert most.min() > 1.0
@@ -237,7 +239,7 @@ def test_without_its_feed_forward_a_log_lacks_these_forces_alone(taught):
         what_if_log(taught, None, ["controller.wn_rad_s=25"])
 
 
-def test_a_change_is_read_as_yaml_and_an_empty_one_takes_the_key_away():
+def test_change_is_read_as_yaml_and_an_empty_one_removes_the_key():
     for wrong in (
         ["controller.wn_rad_s"],
         ["=3"],

@@ -1,4 +1,4 @@
-"""Of a what-if: faults are listed once, the first other frames have their time, other sensors are refused."""
+"""Details of a what-if: faults listed once, time of the first differing frame, refused sensors."""
 
 from types import SimpleNamespace
 from typing import Any
@@ -17,15 +17,15 @@ from hil.loop import what_if as kernel
 from hil.loop.replay import Block
 from hil.loop.tick_row import Ticks
 from hil.record.entries import Tick
-from hil.study.what_if.allowed import refuse_other_inputs
+from hil.study.what_if.inputs import refuse_other_inputs
 
 FAULTS = {3: Fault.STALE, 9: Fault.STALE | Fault.SPEED, 13: Fault.NONE, 14: Fault.STALE}
-"""What is latched from a tick on: a second one beside the first, then a reset, then the first one again."""
+"""Latched faults from a tick on: a second one next to the first, a reset, then the first one again."""
 EXPECTED = [(3, "STALE"), (9, "SPEED"), (14, "STALE")]
 
 
 def row_of(**columns):
-    """Return a row with the values of some columns."""
+    """A row with the given columns."""
     row: Any = np.zeros((), ROW)
     for name, value in columns.items():
         row[name] = value
@@ -33,7 +33,7 @@ def row_of(**columns):
 
 
 def block_of(sides, frames=(), setpoints=()):
-    """Return a block of ticks with (recorded, answered) rows, and where given frames and set-points."""
+    """A block of ticks from (recorded, answered) rows, optionally with frames and set-points."""
     ticks = Ticks()
     answered = [sent_array(here) for _, here in frames] or [NO_FRAMES] * len(sides)
     ends = np.cumsum([len(each) for each in answered])
@@ -49,7 +49,7 @@ def block_of(sides, frames=(), setpoints=()):
 
 
 def compared(sides, size):
-    """Return the answer that rows of both sides give, a block of some ticks after the other."""
+    """The answer for rows of both sides, added in blocks of `size` ticks."""
     answer = kernel.Answer()
     both = kernel._Blocks(answer)
     for first in range(0, len(sides), size):
@@ -59,7 +59,7 @@ def compared(sides, size):
 
 
 @pytest.mark.parametrize("block", [1, 7])
-def test_a_fault_that_stays_latched_is_listed_once_wherever_a_block_ends(block, monkeypatch):
+def test_latched_fault_is_listed_once_for_any_block_size(block, monkeypatch):
     monkeypatch.setattr(kernel, "BLOCK", block)
     latched, sides = Fault.NONE, []
     for tick in range(20):
@@ -80,22 +80,22 @@ CYCLE: Any = SimpleNamespace(
     reset=lambda: None, mode=Mode.IDLE, mode_tick=0, reset_tick=None, faults=Fault.NONE, tick=FIRST, last=FIRST,
     parts=SimpleNamespace(protocol=SimpleNamespace(addressed=lambda frame: (frame.id,))),
 )  # fmt: skip
-"""One that decides nothing; a frame is for the leg that its identifier names."""
+"""A cycle without decisions; a frame is for the leg given by its identifier."""
 
 
 def sensing(kind, **node):
-    """Return a configuration with one sensor, or without any."""
+    """A configuration with one sensor, or without any."""
     sensors = SensorSettings.model_validate({kind: node} if node else {})
     return VIRTUAL.model_copy(update={"sensors": sensors})
 
 
 @pytest.mark.parametrize("kind", ["tracker", "imu", "wrench"])
-def test_a_sensor_may_be_left_out_and_not_added_or_heard_elsewhere(kind):
+def test_sensor_may_be_removed_but_not_added_or_moved(kind):
     there, without = sensing(kind, node_id=11, channel="a"), sensing(kind)
     rate_Hz = VIRTUAL.loop.rate_Hz
     refuse_other_inputs(there, there, rate_Hz)
     refuse_other_inputs(there, without, rate_Hz)
-    with pytest.raises(ConfigurationError, match=f"sensors.{kind}.*the log has no frame of one"):
+    with pytest.raises(ConfigurationError, match=f"sensors.{kind}.*the log has no such frames"):
         refuse_other_inputs(without, there, rate_Hz)
     for key, other in (
         ("node_id", {"node_id": 12, "channel": "a"}),
@@ -106,7 +106,7 @@ def test_a_sensor_may_be_left_out_and_not_added_or_heard_elsewhere(kind):
 
 
 def ticks_with(pairs, begun_ns=0):
-    """Return a block of ticks 2 ms apart with (recorded, answered) frames."""
+    """A block of ticks 2 ms apart with (recorded, answered) frames."""
     rows = [row_of(tick=tick, t_ns=begun_ns + 2_000_000 * tick) for tick in range(len(pairs))]
     return block_of([(row, row) for row in rows], pairs)
 
@@ -122,7 +122,7 @@ A, B, C = (Frame(leg, bytes((leg,))) for leg in (1, 2, 3))
         ((A, B, C), (A, B), C, None, 3),
     ],
 )
-def test_the_first_frame_in_its_place_that_differs_is_named_with_its_leg_and_its_time(
+def test_first_differing_frame_is_reported_with_its_leg_and_time(
     there, here, recorded, answered, leg, monkeypatch
 ):
     block = ticks_with([((A,), (A,))] * 3 + [(there, here)], begun_ns=3 * 86_400 * 10**9)

@@ -1,4 +1,4 @@
-"""The benchmark's figures and marks, each part of it made short, and two checkouts in turn."""
+"""Figures and marks of the benchmark, short runs of each part, and the comparison of two checkouts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NAN = float("nan")
         ({"": 1.0}, None, None),
     ],
 )
-def test_a_mark_is_met_where_every_value_is_within(values, mark, met):
+def test_a_mark_is_met_if_every_value_is_within_it(values, mark, met):
     assert Figure("x", values, "us", mark).met is met
 
 
@@ -42,7 +42,7 @@ REAL_TIME = {"realtime": [pytest.mark.realtime(patient=True)], "two_buses": [pyt
 
 @pytest.mark.long
 @pytest.mark.parametrize("part", [pytest.param(name, marks=REAL_TIME.get(name, [])) for name in PARTS])
-def test_every_part_can_be_short_yields_its_figures_and_succeeds(part, monkeypatch, tmp_path):
+def test_every_part_can_run_briefly_and_yields_its_figures(part, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     words = ["--only", part, "--seconds", "2", "--json", "benchmark.json"]
     result = CliRunner().invoke(main, words)
@@ -61,7 +61,7 @@ def test_every_part_can_be_short_yields_its_figures_and_succeeds(part, monkeypat
 
 
 @pytest.mark.long
-def test_two_versions_give_a_ratio_for_the_loop_and_for_replay(monkeypatch, capsys):
+def test_two_versions_are_compared_in_lockstep_and_in_replay(monkeypatch, capsys):
     here = str(Path(__file__).parents[2])
     words = ["versions", here, here, "--duration", "2", "--rounds", "1"]
     monkeypatch.setattr(sys, "argv", words)
@@ -72,7 +72,7 @@ def test_two_versions_give_a_ratio_for_the_loop_and_for_replay(monkeypatch, caps
         assert float(old) / float(new) == pytest.approx(float(ratio), rel=0.02)
 
 
-def test_another_file_is_not_overwritten(monkeypatch, tmp_path):
+def test_json_output_does_not_overwrite_another_file(monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     Path("notes.txt").write_text("keep me")
     result = CliRunner().invoke(main, ["--only", "tick", "--json", "notes.txt"])

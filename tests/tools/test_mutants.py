@@ -9,7 +9,7 @@ from tools.mutants.mutant import mutants
 
 
 def made(source):
-    """Return every changed text of a function's body, without its first line and its indentation."""
+    """Every changed text of a function's body, without its first line and its indentation."""
     text = f"def f(a, b, x, i):\n    {source}\n"
     return {m.applied(text).split("\n", 1)[1].strip() for m in mutants("f.py", text)}
 
@@ -46,7 +46,7 @@ def test_every_area_has_sources_and_tests(area):
     assert areas.tests_of(area)
 
 
-def test_a_seed_draws_the_same_mutants_and_one_a_place():
+def test_a_seed_always_draws_the_same_mutants_at_different_places():
     drawn = [mutant for _, mutant in sampled("salvage", 1, 30)]
     assert drawn == [mutant for _, mutant in sampled("salvage", 1, 30)]
     assert len({(m.file, m.start, m.end) for m in drawn}) == 30

@@ -1,4 +1,4 @@
-"""Runs where vcan0 exists: the plant and the controller in two processes on vcan0, candump beside them.
+"""Runs inside a kernel with vcan0: plant and controller in two processes on vcan0, with candump next to them.
 
 ``bridge.py FOLDER``: run.json, plant.json and candump.log go to FOLDER; the exit code is the controller's.
 """
@@ -10,14 +10,14 @@ import sys
 import time
 from pathlib import Path
 
-from tests.vcan.listen import candump
+from tests.vcan.candump_log import candump
 
 START_LIMIT_S = 60.0
 STOP_LIMIT_S = 15.0
 
 
 def wait_for_drives(plant: subprocess.Popen[bytes], log: Path) -> None:
-    """Wait until the first drive is heard; the controller gives up after two seconds without any."""
+    """Wait for the first frame of a drive; the controller would give up after two seconds without any."""
     deadline = time.monotonic() + START_LIMIT_S
     while not log.stat().st_size:
         if plant.poll() is not None or time.monotonic() > deadline:
@@ -26,7 +26,7 @@ def wait_for_drives(plant: subprocess.Popen[bytes], log: Path) -> None:
 
 
 def main() -> int:
-    """Run both ends; return the controller's exit code."""
+    """Run plant and controller; return the controller's exit code."""
     folder = Path(sys.argv[1])
     heard = folder / "candump.log"
     hil = [sys.executable, "-m", "hil.cli"]

@@ -1,7 +1,7 @@
-"""Runs where the kernel has CAN: `hil plant` and `hil run` on the two ends of one wire, and what befalls it.
+"""Runs inside a kernel with CAN: `hil plant` and `hil run` at the two ends of a wire that fails.
 
 ``daemon.py SCENARIO FOLDER``: run.json, run.mcap and found.json go to FOLDER. One of SCENARIOS acts while the
-daemon runs; its exit code is left to the test, since it ends after faults.
+daemon runs. The daemon's exit code is left to the test, since it ends after faults.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ Found = dict[str, Any]
 
 
 def configuration(folder: Path, channel: str) -> Path:
-    """Write the configuration of a run at 50 Hz that goes on after faults, slowly along its path.
+    """Write the configuration of a run at 50 Hz that stays after faults, slowly along its path.
 
-    A busy machine stalls this kernel for half a second now and then. Six legs on springs stand that, where a
-    platform would fall: what befalls the bus shall be the only fault.
+    A busy machine may stall this kernel for half a second. Six legs on springs survive that where a platform
+    would fall, so that only the bus causes faults.
     """
     text = yaml.safe_load((ROOT / "configs/bench.yaml").read_text())
     text["bus"] |= {"interface": "socketcan", "channel": channel, "layout": "classic"}
@@ -57,7 +57,7 @@ def configuration(folder: Path, channel: str) -> Path:
 
 
 class Run:
-    """A daemon on one interface, its plant on another, and the operator's end."""
+    """A daemon on one interface, its plant on another, and the operator's channel."""
 
     def __init__(self, folder: Path, near: str, far: str) -> None:
         self.folder = folder
@@ -65,7 +65,7 @@ class Run:
         with kernel.raw_socket(far) as listener:
             plant = [*hil, "plant", str(configuration(folder, far)), "--log", str(folder / "plant.mcap")]
             self.plant = subprocess.Popen(plant, stdin=subprocess.DEVNULL)
-            # a drive says by itself that it is there; who listens beside it hears that
+            # a drive announces itself; the listener waits for that frame
             listener.settimeout(START_LIMIT_S)
             listener.recv(72)
         log, summary = folder / "run.mcap", folder / "run.json"
@@ -83,7 +83,7 @@ class Run:
         self.reach("IDLE", limit_s=START_LIMIT_S)
 
     def reach(self, *modes: str, limit_s: float = MODE_LIMIT_S) -> dict[str, Any]:
-        """Wait for one of these modes. Raises AssertionError at the limit."""
+        """Wait for one of these modes. Raises AssertionError at the time limit."""
         end = time.monotonic() + limit_s
         while True:
             status: dict[str, Any] = {"mode": "silent", "faults": []}
@@ -96,7 +96,7 @@ class Run:
             time.sleep(0.02)
 
     def arm(self) -> None:
-        """Arm, again where this machine has stalled on the way."""
+        """Arm; repeat if this machine stalled meanwhile."""
         for _ in range(ATTEMPTS):
             self.reach("IDLE")
             answer = self.operator.arm()
@@ -107,7 +107,7 @@ class Run:
         raise AssertionError(f"not TRACKING in {ATTEMPTS} attempts")
 
     def recover(self) -> None:
-        """Do what an operator does after a fault."""
+        """Reset and arm again, as an operator would after a fault."""
         answer = self.operator.reset()
         assert answer, answer.why
         self.arm()
@@ -134,7 +134,7 @@ def running(folder: Path, near: str, far: str) -> Iterator[Run]:
 
 
 def recovery(folder: Path) -> Found:
-    """A bus that goes off, down, is deleted and is shared with another controller, one after the other."""
+    """A bus that goes off, goes down, is deleted and gets a second controller, one after the other."""
     found: Found = {}
     with kernel.pair(NEAR, FAR), running(folder, NEAR, FAR) as run:
         run.arm()
@@ -163,7 +163,7 @@ def recovery(folder: Path) -> Found:
 def loss(folder: Path) -> Found:
     """Lose a share of all frames, both ways, for a minute."""
     with kernel.pair(NEAR, FAR):
-        # each end hears its own frames before the queue, and the other's after it
+        # each end receives its own frames before the queue, and the other's after it
         count = {name: Tally(name) for name in (NEAR, FAR)}
         with running(folder, NEAR, FAR) as run:
             run.arm()
@@ -183,7 +183,7 @@ def loss(folder: Path) -> Found:
 
 
 class Tally(threading.Thread):
-    """Counts the frames that are heard on an interface, by identifier."""
+    """Counts the frames received on an interface, by identifier."""
 
     def __init__(self, name: str) -> None:
         super().__init__(daemon=True)
@@ -207,7 +207,7 @@ class Tally(threading.Thread):
 
 
 class Bridge(kernel.Adapter):
-    """An adapter whose other side is an interface of the kernel."""
+    """An adapter connected to an interface of the kernel."""
 
     def __init__(self, bitrate: int, name: str) -> None:
         self.wire = kernel.raw_socket(name)
@@ -229,7 +229,7 @@ class Bridge(kernel.Adapter):
 
 
 def states(folder: Path) -> Found:
-    """Let the controller of an adapter go through warning and passive to bus-off, twice, and come back."""
+    """Take the adapter's CAN controller through warning and passive to bus-off and back, twice."""
     found: Found = {"faults": [], "kept": []}
     with kernel.pair(FAR, NEAR):
         adapter = Bridge(1_000_000, NEAR)

@@ -1,7 +1,7 @@
-"""The far side of `uml.py`: make vcan0, run one command, leave its exit code in the run folder.
+"""The inner side of `uml.py`: make vcan0, run one command, leave its exit code in the run folder.
 
-Standard library only, and this file alone. It runs either in a network namespace of its own or as process 1
-of a user-mode kernel; what it says to the outside are files in the run folder.
+Standard library only, and this file alone. It runs either in a separate network namespace or as process 1 of
+a user-mode kernel. It reports to the outside through files in the run folder.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ TIME_LIMIT_EXIT = 124
 
 
 def attribute(kind: int, payload: bytes) -> bytes:
-    """Return one route attribute, padded to four bytes."""
+    """One route attribute, padded to four bytes."""
     size = 4 + len(payload)
     return struct.pack("=HH", size, kind) + payload + b"\0" * (-size % 4)
 
@@ -38,7 +38,7 @@ def request_link(flags: int, index: int, attributes: bytes) -> None:
     Raises
     ------
     OSError
-        What the kernel refused: EOPNOTSUPP where it has no such link type.
+        Error of the kernel: EOPNOTSUPP if it lacks the link type.
     """
     body = struct.pack("=BxHiII", socket.AF_UNSPEC, 0, index, IFF_UP, IFF_UP) + attributes
     header = struct.pack("=IHHII", 16 + len(body), RTM_NEWLINK, NLM_F_REQUEST | NLM_F_ACK | flags, 1, 0)
@@ -51,7 +51,7 @@ def request_link(flags: int, index: int, attributes: bytes) -> None:
 
 
 def make_vcan(name: str) -> None:
-    """Create virtual CAN interface `name`, for CAN FD too, and bring it up; a link that exists is brought up."""
+    """Create the virtual CAN interface `name`, CAN FD included, and bring it up; bring up an existing one."""
     link_info = attribute(IFLA_LINKINFO, attribute(IFLA_INFO_KIND, b"vcan"))
     length = struct.pack("=I", CANFD_MTU), struct.pack("=I", 1000)
     options = attribute(IFLA_MTU, length[0]) + attribute(IFLA_TXQLEN, length[1])
@@ -64,7 +64,10 @@ def make_vcan(name: str) -> None:
 
 
 def prepare_bare_kernel() -> None:
-    """Mount what programs expect; the init script has mounted the root, /proc, /sys and /dev."""
+    """Mount the file systems that programs expect.
+
+    Root, /proc, /sys and /dev are mounted by the init script.
+    """
     libc = ctypes.CDLL(None, use_errno=True)
     for kind, folder, options in (
         (b"devpts", "/dev/pts", b"ptmxmode=666"),

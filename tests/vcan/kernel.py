@@ -1,4 +1,4 @@
-"""Interfaces, queues and an adapter for the tests, by netlink: neither iproute2 nor can-utils are needed.
+"""CAN interfaces, queues and an adapter for the tests, by netlink: without iproute2 and can-utils.
 
 Layouts are those of linux/if_link.h, linux/can/vxcan.h, linux/can/netlink.h and linux/pkt_sched.h.
 """
@@ -44,12 +44,12 @@ def up(name: str, *, on: bool = True) -> None:
 
 
 def make_pair(near: str, far: str) -> None:
-    """Make two CAN interfaces, each the other end of one wire, and bring them up."""
+    """Make two CAN interfaces, the two ends of one wire, and bring them up."""
     peer = attribute(VXCAN_PEER, bytes(16) + attribute(IFLA_IFNAME, far.encode() + b"\0"))
     _link(CREATE, 0, attribute(IFLA_IFNAME, near.encode() + b"\0") + _info("vxcan", peer))
     for name in (near, far):
         up(name)
-    # until then the kernel drops what is sent, without a word
+    # until then the kernel drops sent frames silently
     wait_until(lambda: all(_operates(name) for name in (near, far)))
 
 
@@ -72,14 +72,14 @@ def pair(near: str, far: str) -> Iterator[None]:
 
 
 def queue(name: str, kind: str, options: bytes, flags: int = CREATE | REPLACE) -> None:
-    """Give an interface a queue of that kind, or change its own (flags 0)."""
+    """Give an interface a queue of that kind, or change its queue (flags 0)."""
     head = struct.pack("=BxxxiIII", 0, socket.if_nametoindex(name), 0, netlink.TC_H_ROOT, 0)
     body = attribute(TCA_KIND, kind.encode() + b"\0") + attribute(TCA_OPTIONS, options)
     netlink.request(RTM_NEWQDISC, flags, head + body)
 
 
 def plug(name: str, frames: int) -> None:
-    """Let nothing out of an interface: a bus on which nobody acknowledges, with room for classic frames."""
+    """Block an interface, like a bus without acknowledgement, with room for `frames` classic frames."""
     queue(name, "plug", struct.pack("=iI", PLUG, 16 * frames))
 
 
@@ -88,18 +88,18 @@ def unplug(name: str) -> None:
 
 
 def lose(name: str, share: float) -> None:
-    """Let the kernel lose a share of what is sent, at random."""
+    """Make the kernel drop a share of the sent frames at random."""
     queue(name, "netem", struct.pack("=6I", 0, 1000, round(share * 0xFFFFFFFF), 0, 0, 0))
 
 
 def corrupt(name: str, share: float) -> None:
-    """Let the kernel flip one bit of a share of what is sent, anywhere in struct can_frame."""
+    """Make the kernel flip one bit, anywhere in struct can_frame, in a share of the sent frames."""
     options = struct.pack("=6I", 0, 1000, 0, 0, 0, 0)
     queue(name, "netem", options + attribute(4, struct.pack("=II", round(share * 0xFFFFFFFF), 0)))
 
 
 def dropped(name: str) -> int:
-    """Return how many frames the queue of an interface has dropped."""
+    """Number of frames dropped by the queue of an interface."""
     index = socket.if_nametoindex(name)
     for answer in netlink.request(netlink.RTM_GETQDISC, netlink.NLM_F_DUMP, bytes(20)):
         (of,) = struct.unpack_from("=i", answer, 4)
@@ -110,7 +110,7 @@ def dropped(name: str) -> int:
 
 
 def raw_socket(name: str, *, fd: bool = False) -> socket.socket:
-    """Return a raw socket of the kernel, past everything of ours."""
+    """A raw socket of the kernel, independent of our bus code."""
     sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     if fd:
         sock.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
@@ -120,7 +120,7 @@ def raw_socket(name: str, *, fd: bool = False) -> socket.socket:
 
 
 def heard(sock: socket.socket, patience_s: float = 0.1) -> list[bytes]:
-    """Return what a socket receives until it has been quiet for a while."""
+    """Frames that a socket receives until it is quiet for a while."""
     sock.settimeout(patience_s)
     found = []
     with contextlib.suppress(TimeoutError):
@@ -130,9 +130,9 @@ def heard(sock: socket.socket, patience_s: float = 0.1) -> list[bytes]:
 
 
 class Adapter:
-    """A serial CAN adapter that the test plays: the kernel's slcan is its driver.
+    """A serial CAN adapter played by the test, with the kernel's slcan as its driver.
 
-    It is a real CAN device to the kernel, with bit rate, state and error counters.
+    To the kernel it is a real CAN device, with bit rate, state and error counters.
     """
 
     def __init__(self, bitrate: int, txqueuelen: int = 10) -> None:
@@ -144,7 +144,7 @@ class Adapter:
         timing = attribute(CAN_BITTIMING, struct.pack("=8I", bitrate, *[0] * 7))
         length = attribute(IFLA_TXQLEN, struct.pack("=I", txqueuelen))
         self.lines: list[bytes] = []
-        """What the kernel has sent to the adapter."""
+        """Lines that the kernel sent to the adapter."""
         self._stop = False
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
@@ -164,10 +164,10 @@ class Adapter:
                 self.sent(line)
 
     def sent(self, line: bytes) -> None:
-        """Take note of one line that the kernel has sent, as `t1232AABB`; for who bridges it."""
+        """Handle one line from the kernel, such as `t1232AABB`; overridden by a bridge."""
 
     def says(self, line: bytes) -> None:
-        """Let the adapter say something: a frame, `sb256256` for bus-off, `e1c` for a CRC error."""
+        """Send a line to the kernel: a frame, `sb256256` for bus-off, `e1c` for a CRC error."""
         os.write(self.master, line + b"\r")
 
     def close(self) -> None:
@@ -177,7 +177,7 @@ class Adapter:
 
 
 def wait_until(condition: Callable[[], bool], limit_s: float = 2.0) -> None:
-    """Wait for a condition. Raises AssertionError at the limit."""
+    """Wait for a condition. Raises AssertionError at the time limit."""
     end = time.monotonic() + limit_s
     while not condition():
         assert time.monotonic() < end, "not within the time limit"

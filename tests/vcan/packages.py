@@ -1,7 +1,7 @@
 """The Debian packages of the user-mode kernel, unpacked into a cache folder of this user.
 
-Nothing is installed and no system folder is written; packages are downloaded by apt, which checks their
-signatures, and unpacked by dpkg-deb.
+No package is installed and no system folder is written. apt downloads the packages and checks their
+signatures; dpkg-deb unpacks them.
 """
 
 from __future__ import annotations
@@ -19,23 +19,23 @@ FETCH_LIMIT_S = 90.0
 
 
 class UnavailableError(Exception):
-    """This machine cannot give a kernel with CAN; the message says why."""
+    """This machine cannot provide a kernel with CAN; the message gives the reason."""
 
 
 def cache_folder() -> Path:
-    """Return the folder that keeps the unpacked packages between runs."""
+    """Folder that keeps the unpacked packages between runs."""
     given = os.environ.get("XDG_CACHE_HOME")
     root = Path(given) if given else Path.home() / ".cache"
     return root / "hexapod-hil" / "user-mode-linux"
 
 
 def unpacked() -> Path:
-    """Return the root of the unpacked packages; download them if they are not there.
+    """Root of the unpacked packages; they are downloaded if missing.
 
     Raises
     ------
     UnavailableError
-        No Debian tools here, another architecture, or the packages cannot be downloaded.
+        Debian tools are missing, another architecture, or the download fails.
     """
     if platform.machine() != "x86_64":
         raise UnavailableError(
@@ -60,7 +60,7 @@ def unpacked() -> Path:
 
 
 def _unpack_into(root: Path, cache: Path) -> None:
-    """Download and unpack beside `root`, then rename: a `root` that exists is whole."""
+    """Download and unpack next to `root`, then rename: an existing `root` is complete."""
     with tempfile.TemporaryDirectory(dir=cache) as temporary:
         work = Path(temporary)
         lists = work / "lists"
@@ -80,7 +80,6 @@ def _unpack_into(root: Path, cache: Path) -> None:
 
 
 def _apt(work: Path, options: list[str], *arguments: str) -> None:
-    """Run apt-get in `work`, as whoever we are."""
     flags = [flag for option in ("APT::Sandbox::User=", *options) for flag in ("-o", option)]
     command = ["apt-get", "-q", "-y", *flags, *arguments]
     try:

@@ -1,4 +1,4 @@
-"""The bridge over the kernel's own CAN, where needed inside a user-mode Linux kernel."""
+"""The bus code on the kernel's own CAN, if necessary inside a user-mode Linux kernel."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ import pytest
 
 from drivers.signals import BusState, DriveMode, Mode
 from hil.record.log import Log
-from tests.vcan import foreign, uml
-from tests.vcan.cases import CASES
+from tests.vcan import foreign_masters, uml
+from tests.vcan.candump_log import read_log
 from tests.vcan.daemon import configuration
-from tests.vcan.listen import read_log
+from tests.vcan.socketcan_cases import CASES
 
 ROOT = Path(__file__).resolve().parents[2]
 pytestmark = [pytest.mark.vcan, pytest.mark.realtime(patient=True)]
 
 
-def beside_vcan(module: str, share: Path, limit_s: float, kernel: str = "any") -> uml.Completed:
+def in_kernel_with_vcan(module: str, share: Path, limit_s: float, kernel: str = "any") -> uml.Completed:
     command = [sys.executable, "-m", f"tests.vcan.{module}", str(share)]
     try:
         return uml.run(command, limit_s=limit_s, share=share.parent, kernel=kernel)
@@ -36,7 +36,7 @@ def beside_vcan(module: str, share: Path, limit_s: float, kernel: str = "any") -
 
 
 def compile_outside_the_guest(configuration: str, log: Path) -> None:
-    """Fill the cache of compiled kernels, which the guest reads; what it writes is gone with it."""
+    """Fill the cache of compiled kernels for the guest, whose own writes are lost."""
     command = [sys.executable, "-m", "hil.cli", "sim", configuration, "--duration", "0.1", "--log", str(log)]
     subprocess.run(command, check=False, capture_output=True, timeout=240)
 
@@ -46,10 +46,10 @@ def _at_the_root(monkeypatch):
     monkeypatch.chdir(ROOT)
 
 
-def test_the_bus_stands_what_the_kernel_does_to_it(tmp_path):
+def test_socketcan_survives_failures_made_by_the_kernel(tmp_path):
     # the modules of the running kernel are not ours to load
     result = tmp_path / "cases.json"
-    done = beside_vcan("cases", result, limit_s=90.0, kernel="uml")
+    done = in_kernel_with_vcan("socketcan_cases", result, limit_s=90.0, kernel="uml")
     assert done.exit_code == 0, done.stderr
     found = json.loads(result.read_text())
     assert list(found) == list(CASES)
@@ -57,7 +57,7 @@ def test_the_bus_stands_what_the_kernel_does_to_it(tmp_path):
 
 
 def daemon(scenario: str, tmp_path: Path) -> tuple[dict[str, Any], dict[str, Any], Log]:
-    """Return what a scenario of `daemon.py` found, the summary of the run, and its log."""
+    """Results of a scenario of `daemon.py`, the summary of the run, and its log."""
     share = tmp_path / "share"
     share.mkdir()
     compile_outside_the_guest(str(configuration(share, "vcan0")), share / "warm.mcap")
@@ -72,14 +72,14 @@ def daemon(scenario: str, tmp_path: Path) -> tuple[dict[str, Any], dict[str, Any
 
 
 def ticks_to_safe(rows: np.ndarray, cause: np.ndarray) -> list[int]:
-    """Return after how many ticks the drives are told to be off, for each tick in which a cause begins."""
+    """Ticks until the drives are commanded off, for each tick in which a cause begins."""
     begins = np.flatnonzero(cause & ~np.concatenate([[False], cause[:-1]]))
     off = rows["command_mode"] == DriveMode.OFF
     return [int(rows["tick"][k + int(np.argmax(off[k:]))] - rows["tick"][k]) for k in begins]
 
 
 @pytest.mark.long
-def test_a_daemon_whose_bus_fails_is_safe_in_5_ticks_and_recovers(tmp_path):
+def test_daemon_is_safe_within_5_ticks_of_a_bus_failure_and_recovers(tmp_path):
     found, summary, log = daemon("recovery", tmp_path)
     assert found == {
         "bus-off": ["BUS"],
@@ -99,7 +99,7 @@ def test_a_daemon_whose_bus_fails_is_safe_in_5_ticks_and_recovers(tmp_path):
 
 
 @pytest.mark.long
-def test_warnings_are_counted_and_a_bus_off_is_safe_in_5_ticks(tmp_path):
+def test_error_states_are_counted_and_bus_off_is_safe_within_5_ticks(tmp_path):
     found, summary, log = daemon("states", tmp_path)
     assert set(found["kept"]) == {"TRACKING"}
     assert found["faults"] == [["BUS"]] * 2
@@ -116,13 +116,13 @@ def test_warnings_are_counted_and_a_bus_off_is_safe_in_5_ticks(tmp_path):
 
 
 @pytest.mark.long
-def test_one_per_cent_loss_is_no_fault_and_every_loss_is_counted(tmp_path):
+def test_one_percent_frame_loss_is_counted_without_a_fault(tmp_path):
     found, summary, log = daemon("loss", tmp_path)
     assert found["modes"] == ["TRACKING"]
     assert summary["faults"] == []
     near, far = (Counter({int(k): v for k, v in found["heard"][name].items()}) for name in ("hilA", "hilB"))
     lost, unsaid = far - near, near - far
-    # what left one end and did not come to the other is what the kernel has dropped
+    # frames sent at one end and not received at the other were dropped by the kernel
     assert lost.total() == pytest.approx(found["dropped"]["hilB"], abs=3)
     assert unsaid.total() == pytest.approx(found["dropped"]["hilA"], abs=3)
     assert lost.total() > 100
@@ -137,12 +137,14 @@ def test_one_per_cent_loss_is_no_fault_and_every_loss_is_counted(tmp_path):
 
 
 @pytest.mark.long
-def test_the_masters_of_canopen_and_moteus_move_the_drives_on_vcan0(tmp_path):
+def test_canopen_and_moteus_masters_move_the_drives_on_vcan0(tmp_path):
     share = tmp_path / "share"
     share.mkdir()
-    for family in foreign.MASTERS:
-        compile_outside_the_guest(str(foreign.configuration(share, family)), share / f"warm-{family}.mcap")
-    done = beside_vcan("foreign", share, limit_s=200.0)
+    for family in foreign_masters.MASTERS:
+        compile_outside_the_guest(
+            str(foreign_masters.configuration(share, family)), share / f"warm-{family}.mcap"
+        )
+    done = in_kernel_with_vcan("foreign_masters", share, limit_s=200.0)
     assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
     for family, legs in (("cia402", [4]), ("moteus", [0, 1, 2, 3, 4, 5])):
         summary = json.loads((share / f"{family}.json").read_text())
@@ -161,7 +163,7 @@ def test_run_and_plant_work_together_over_vcan0_at_50_Hz_for_10_s(tmp_path):
     share = tmp_path / "share"
     share.mkdir()
     compile_outside_the_guest("vcan50", share / "warm.mcap")
-    done = beside_vcan("bridge", share, limit_s=240.0)
+    done = in_kernel_with_vcan("bridge", share, limit_s=240.0)
     assert done.exit_code == 0, done.stdout[-3000:] + done.stderr[-3000:]
     database = cantools.database.can.Database()
     database.add_dbc_file(str(ROOT / "drivers/legs/legs.dbc"))

@@ -1,13 +1,13 @@
-"""Run a command where vcan0 exists: in a network namespace of its own, else in a user-mode Linux kernel.
+"""Run a command next to vcan0: in a separate network namespace, else in a user-mode Linux kernel.
 
 ``python tests/vcan/uml.py [--limit S] [--share FOLDER] [--kernel any|running|uml] -- COMMAND ...``
 
-The running kernel is used where it has virtual CAN and lets us make a network namespace, so an interface of
-the machine is never touched. Otherwise the command runs under a user-mode kernel that sees this machine's
-files read-only beneath a layer in memory; only the shared folder stays. System calls there take some ten
-times longer: a place to prove functions, not timing.
+The running kernel is used if it has virtual CAN and permits a network namespace, so no interface of the
+machine is touched. Otherwise the command runs under a user-mode kernel, which sees this machine's files
+read-only below a layer in memory; only the shared folder is kept. System calls there take some ten times
+longer, so it proves functions, not timing.
 
-Exit code: the command's; 124 time limit; 125 no kernel with CAN to be had (the reason is on stderr).
+Exit code: the command's; 124 time limit; 125 no kernel with CAN available (the reason is on stderr).
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ MODULES = (
 
 
 class Completed(NamedTuple):
-    """What became of the command."""
+    """Result of the command."""
 
     exit_code: int
     stdout: str
@@ -71,14 +71,14 @@ def run(
     kernel: str = "any",
     relay: tuple[IO[str], IO[str]] | None = None,
 ) -> Completed:
-    """Run `command` beside an interface vcan0; `share` is the folder whose changes outlive it.
+    """Run `command` next to an interface vcan0; `share` is the folder whose changes are kept.
 
-    `kernel` is ``any``, ``running`` or ``uml``; `relay` takes stdout and stderr while the command runs.
+    `kernel` is ``any``, ``running`` or ``uml``; `relay` gets stdout and stderr while the command runs.
 
     Raises
     ------
     UnavailableError
-        No kernel with CAN can be had here, and why.
+        No kernel with CAN is available here; the message gives the reason.
     """
     reasons = []
     for name, start in (("running", _start_namespace), ("uml", _start_uml)):
@@ -98,7 +98,7 @@ def run(
 
 
 def _write_job(folder: Path, command: Sequence[str], limit_s: float) -> None:
-    """Write what the guest script is to do; candump is within its reach even where it is not installed."""
+    """Write the job of the guest script; candump is put on its PATH even if it is not installed."""
     environment = dict(os.environ)
     if shutil.which("candump") is None:
         with contextlib.suppress(UnavailableError):
@@ -114,7 +114,7 @@ def _write_job(folder: Path, command: Sequence[str], limit_s: float) -> None:
 
 
 def _memory_folder() -> str:
-    """Return where the kernel may keep its memory as a file: large enough, and mapped executable."""
+    """Folder for the kernel's memory file: large enough, and not mounted noexec."""
     for folder in ("/dev/shm", tempfile.gettempdir()):
         with contextlib.suppress(OSError):
             status = os.statvfs(folder)
@@ -188,7 +188,7 @@ exec $bb chroot /mnt/root {python}
 
 
 def _whole_state(folder: Path) -> Path:
-    """Compile what lets a kernel from before AMX run on a processor that has it; see xstate.c."""
+    """Compile the library that lets a kernel older than AMX run on a processor with it; see xstate.c."""
     try:
         compiler = find_compiler()
     except PlantError as error:
@@ -206,7 +206,7 @@ def _whole_state(folder: Path) -> Path:
 def _session(
     command: list[str], log: Path, environment: dict[str, str] | None = None
 ) -> Iterator[subprocess.Popen[bytes]]:
-    """Start `command` in a session of its own; afterwards none of its processes is left."""
+    """Start `command` in its own session and kill all its processes afterwards."""
     with log.open("wb") as sink:
         process = subprocess.Popen(
             command,
@@ -230,7 +230,7 @@ def _await(
     limit_s: float,
     relay: tuple[IO[str], IO[str]] | None,
 ) -> int:
-    """Relay the output until the guest is gone; return the command's exit code."""
+    """Relay the output until the guest has ended; return the command's exit code."""
     seen = {"stdout": 0, "stderr": 0}
     started = time.monotonic()
     while True:

@@ -1,1 +1,1 @@
-"""The parts of the benchmark, one file each; `tools.benchmarks` runs and prints them."""
+"""The parts of the benchmark, one file each; `tools.benchmarks` runs them and prints their figures."""

@@ -1,7 +1,7 @@
-"""`make bench`: how fast the parts are, each figure with its mark.
+"""`make bench`: speed of the parts of the project, each figure with its mark.
 
-A benchmark, not a test: it exits 0 whatever the figures are, and 1 where a part could not be measured. The
-marks are for two cores with SCHED_FIFO and nothing else to do.
+A benchmark, not a test: it exits 0 whatever the figures are, and 1 if a part could not be measured. The
+marks are for two idle cores with SCHED_FIFO.
 """
 
 import sys
@@ -26,17 +26,17 @@ from tools.benchmarks.tick import tick
 PARTS: dict[str, tuple[Callable[[Benchmark], list[Figure]], str]] = {
     "realtime": (realtime, "real time: hil run virtual at 1 kHz against its plant on localcan"),
     "two_buses": (two_buses, "real time: the loop at 2 kHz on two buses, as this machine allows"),
-    "tick": (tick, "tick compute, hot: recorded ticks back to back, and what a law takes of it"),
+    "tick": (tick, "tick compute, hot: recorded ticks back to back, and the share of the control law"),
     "simulation": (simulation, "lockstep"),
     "replay": (replaying, "replay"),
     "recorder": (recorder, "recorder, fed without pause"),
     "fmu": (fmu, "FMU"),
 }
-"""Name -> what measures it, and its title; in the order in which they run."""
+"""Name -> function that measures the part, and its title; in the order in which they run."""
 
 
 def machine(priority: int) -> dict[str, str]:
-    """CPU, cores, kernel and the scheduler that the loop gets."""
+    """Describe CPU, cores, kernel and the scheduler of the loop."""
     found = environment()
     return {
         "cpu": found.get("cpu", "unknown CPU"),
@@ -55,13 +55,13 @@ def machine(priority: int) -> dict[str, str]:
 )  # fmt: skip
 @click.option(
     "--json", "json_file", type=click.Path(dir_okay=False, path_type=Path), metavar="FILE",
-    help="Write the figures there, too.",
+    help="Also write the figures to this file.",
 )  # fmt: skip
 def main(only: str | None, seconds: float, json_file: Path | None) -> None:
     """Measure this machine: compute, laws, wake-ups, latency, recorder, replay, FMU.
 
-    The marks are for two cores with SCHED_FIFO and nothing else to do. Logs go to a folder
-    under runs/ that is removed at the end.
+    The marks are for two idle cores with SCHED_FIFO. Logs go to a folder under runs/ that is
+    removed at the end.
     """
     try:
         if json_file is not None:
@@ -76,10 +76,10 @@ def main(only: str | None, seconds: float, json_file: Path | None) -> None:
 
 
 def run_parts(names: list[str], seconds: float) -> dict[str, Any]:
-    """Run parts, print each as soon as it is known, and return all as plain values.
+    """Run parts, print each as soon as it is measured, and return all figures as plain values.
 
-    A part that fails says why in its place and does not stop the others.
-    Raises HilError where none can begin.
+    A part that fails prints its reason and does not stop the others.
+    Raises HilError if the benchmark cannot begin.
     """
     runs = Path("runs")
     runs.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""What all parts share: how long, where to, and the one simulated run that several of them use."""
+"""Base of all parts: duration, folder, and the simulated run that several parts share."""
 
 import json
 import os
@@ -16,18 +16,18 @@ from hil.loop.cycle import Cycle
 from hil.record.log import Log, Tick
 
 CHANNEL = "hil-benchmark"
-"""A bus of our own: a run on the default channel is not disturbed."""
+"""Name of the benchmark's own bus: a run on the default channel is not disturbed."""
 PATIENCE_S = 0.2
-"""Stalls up to this long end no run. A virtual machine's host takes its processor away for 5 to 30 ms."""
+"""Stalls up to this long end no run. The host of a virtual machine stops its processor for 5 to 30 ms."""
 SPARE_S = 60.0
-"""Of a path after the run that is measured on it."""
+"""Time by which a path is longer than the run on it."""
 
 
 def patient(name: str, folder: Path, seconds: float) -> Configuration:
-    """Write a configuration that a stall of the host does not end into a folder, and load it.
+    """Write a configuration that tolerates stalls of the host into a folder, and load it.
 
-    It has buses of our own, and a path of more than so many seconds. Raises ConfigurationError: its path
-    cannot last.
+    It has buses of its own, and a path longer than `seconds`. Raises ConfigurationError if the path cannot
+    be so long.
     """
     shipped = load(name)
     values: dict[str, Any] = dict(parse(shipped.text).value or {})
@@ -49,11 +49,11 @@ class Benchmark:
     """One run of the benchmark. Mutable state: the simulated run, made for the first part that needs it."""
 
     folder: Path
-    """For logs; on a disk, so that the recorder's waits are real."""
+    """Folder for logs; on a disk, so that the recorder waits as in real runs."""
     seconds: float
-    """Of each run, in real time and simulated; a path that is shorter ends it."""
+    """Duration of each run, in real time or simulated; a shorter path ends it earlier."""
     say: Callable[[str], None]
-    """Where progress goes."""
+    """Output function for progress."""
 
     @cached_property
     def configuration(self) -> Configuration:
@@ -67,25 +67,25 @@ class Benchmark:
 
     @cached_property
     def simulated(self) -> dict[str, Any]:
-        """The summary of `hil sim` of the shipped configuration, recorded but not replayed."""
+        """Summary of `hil sim` with the shipped configuration, recorded but not replayed."""
         self.say("hil sim virtual")
         log = self.folder / "sim.mcap"
         return simulate(self.configuration, log=log, duration_s=self.seconds, check_replay=False)
 
     @cached_property
     def ticks(self) -> list[Tick]:
-        """The ticks of that run, in memory."""
+        """Ticks of that run, in memory."""
         return list(Log.open(Path(self.simulated["log"])).ticks())
 
 
 def cpu_s(pid: int) -> float:
-    """Processor time that a process has used, user and system, s; to 10 ms."""
+    """Measure the processor time of a process, user and system, s; resolution 10 ms."""
     fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 
 
 def resident_MB(pid: int) -> float:
-    """Resident memory of a process, MB (1024^2 bytes). Raises OSError when it has ended."""
+    """Resident memory of a process, MB (1024^2 bytes). Raises OSError if the process has ended."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("VmRSS:"):
             return int(line.split()[1]) / 1024.0

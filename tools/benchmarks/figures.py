@@ -1,4 +1,4 @@
-"""What the benchmark gives: figures, the mark of each, and whether it is met."""
+"""Results of the benchmark: figures, with the mark of each and whether it is met."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 FAILED, EARLY = "failed", "ended early"
-"""Names of the lines that say why a part was not measured, or not to its end."""
+"""Names of the figures that state why a part was not measured, or not to its end."""
 
 
 class Mark(NamedTuple):
-    """What all values of a figure are to be, on two cores with SCHED_FIFO."""
+    """Limit for all values of a figure, on two cores with SCHED_FIFO."""
 
     limit: float
     at_most: bool = True
-    """Else at least."""
+    """True: an upper limit; False: a lower limit."""
 
     def __str__(self) -> str:
         return f"{'<=' if self.at_most else '>='} {self.limit:g}"
@@ -24,36 +24,36 @@ class Mark(NamedTuple):
 
 @dataclass(frozen=True)
 class Figure:
-    """One line: a value, or several of one quantity; without values the note says why."""
+    """One line: a value, or several of one quantity; without values the note gives the reason."""
 
     name: str
     values: Mapping[str, float] = field(default_factory=dict)
-    """Name of a value (median, p99, max; empty where there is one) -> value."""
+    """Name of a value (median, p99, max; empty for a single value) -> value."""
     unit: str = ""
     mark: Mark | None = None
     note: str = ""
 
     @property
     def met(self) -> bool | None:
-        """Whether every value meets the mark, which NaN does not; None without a mark or without values."""
+        """True if every value meets the mark, which NaN never does; None without a mark or values."""
         if self.mark is None or not self.values:
             return None
         limit, at_most = self.mark
         return all(value <= limit if at_most else value >= limit for value in self.values.values())
 
     def text(self) -> str:
-        """Show the values with their unit, to three digits."""
+        """Format the values with their unit, to three digits."""
         parts = (f"{name} {_number(value)}".strip() for name, value in self.values.items())
         return f"{', '.join(parts)} {self.unit}".strip() if self.values else ""
 
     def remark(self) -> str:
-        """Show the mark with its outcome, and the note."""
+        """Format the mark with its outcome, and the note."""
         outcome = {True: "met", False: "not met", None: "not measured"}[self.met]
         mark = "" if self.mark is None else f"mark {self.mark} {self.unit}".rstrip() + f": {outcome}"
         return "; ".join(filter(None, (mark, self.note)))
 
     def plain(self) -> dict[str, Any]:
-        """Give plain values for a JSON file."""
+        """Convert to plain values for a JSON file."""
         result: dict[str, Any] = {"name": self.name, "values": dict(self.values), "unit": self.unit}
         if self.mark is not None:
             result |= {"mark": str(self.mark), "met": self.met}
@@ -65,7 +65,7 @@ def _number(value: float) -> str:
 
 
 def spread(values: ArrayLike, *, largest: bool = False, scale: float = 1e-3) -> dict[str, float]:
-    """Median, p99 and, on request, the maximum; empty without values. The scale turns ns into us."""
+    """Median, p99 and, with `largest`, the maximum; empty without values. The scale turns ns into us."""
     x = np.asarray(values, np.float64) * scale
     if not x.size:
         return {}
@@ -74,7 +74,7 @@ def spread(values: ArrayLike, *, largest: bool = False, scale: float = 1e-3) -> 
 
 
 def lines(name: str, figures: list[Figure]) -> list[str]:
-    """Lay out a part as text: its name, then one line for each figure, in columns."""
+    """Format a part as text: its name, then one line for each figure, in columns."""
     first = max((len(f.name) for f in figures), default=0)
     second = max((len(f.text()) for f in figures), default=0)
     return [name, *(f"  {f.name:<{first}}  {f.text():<{second}}  {f.remark()}".rstrip() for f in figures)]

@@ -17,14 +17,14 @@ from tools.benchmarks.figures import Figure, Mark, spread
 
 STEPS = 4000
 STRETCH = 200
-"""Steps between two resets: the legs are free, so they must not reach their end stops."""
+"""Number of steps between two resets: the legs move freely and must not reach their end stops."""
 STEP_S = 1e-3
 REST = np.zeros(6)
 _now = time.perf_counter_ns
 
 
 def fmu(benchmark: Benchmark) -> list[Figure]:
-    """Step the platform at its weight's force, brakes open, 1 ms at a time."""
+    """Step the platform by 1 ms at a time, with the force that carries its weight, brakes open."""
     benchmark.say("the FMU, in process and in a child process")
     cycle = benchmark.cycle()
     force = cycle.effort.model.inverse_dynamics(cycle.parts.home_p, cycle.parts.home_R, REST, REST)
@@ -50,7 +50,7 @@ def fmu(benchmark: Benchmark) -> list[Figure]:
 
 
 def _times(plant: Plant, force: Array, step: Callable[[int], None] | None = None) -> list[int]:
-    """Time of each step, ns: of `Plant.step`, or of `step`, called with the steps since the last reset."""
+    """Durations of steps, ns: of `Plant.step`, or of `step`, called with steps since the last reset."""
     took = []
     for k in range(STEPS):
         if k % STRETCH == 0:

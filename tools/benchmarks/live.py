@@ -1,4 +1,4 @@
-"""`hil run` with its plant in real time, as users start it: what is in its log."""
+"""`hil run` with its plant in real time, as users start it: figures from its log."""
 
 import json
 import subprocess
@@ -22,21 +22,21 @@ from tools.benchmarks.tick import COMPUTE
 
 TWO_BUSES_S = 20.0
 ENDS_S = 120.0
-"""Afterwards, by which a run has parked, and replayed its log; one that a fault holds up does not end."""
+"""Time limit for parking and replay after a run; a run that a fault prevents from parking does not end."""
 
 
 class LiveRun(NamedTuple):
-    """What a run leaves."""
+    """Results of a run."""
 
     summary: dict[str, Any]
     resident_MB: list[float]
-    """Of the daemon, once a second while it ran."""
+    """Memory of the daemon, once a second during the run."""
 
 
 def live_run(c: Configuration, seconds: float, folder: Path) -> LiveRun:
-    """Run the daemon with its plant for so long, watching its memory.
+    """Run the daemon with its plant for `seconds`, and measure its memory.
 
-    c comes from a file; log and summary go into a new folder in `folder`. Raises RunError: no summary.
+    c comes from a file; log and summary go into a new folder in `folder`. Raises RunError without a summary.
     """
     made = Path(tempfile.mkdtemp(dir=folder))
     log, told = made / "run.mcap", made / "run.json"
@@ -71,7 +71,7 @@ def live_run(c: Configuration, seconds: float, folder: Path) -> LiveRun:
 def realtime(benchmark: Benchmark) -> list[Figure]:
     """Run the loop in real time, the plant in a second process, the recorder in a third.
 
-    Raises RunError for a run that never powered the drives.
+    Raises RunError if the run never powered the drives.
     """
     return _figures(benchmark, "virtual", benchmark.seconds)
 

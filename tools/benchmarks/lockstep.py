@@ -1,4 +1,4 @@
-"""Without a clock: the speed of `hil sim`, of `hil replay`, and of a recorder that is fed without pause."""
+"""Without a clock: the speed of `hil sim`, of `hil replay`, and of a recorder with constant input."""
 
 import time
 from pathlib import Path
@@ -12,14 +12,14 @@ from tools.benchmarks.benchmark import Benchmark, cpu_s
 from tools.benchmarks.figures import Figure, Mark, spread
 
 TICKS = 12_000
-"""Less than the ring below holds: nothing is dropped, however slow the recorder is."""
+"""Fewer ticks than the ring below has elements: none is dropped, however slow the recorder is."""
 RING = 16_384
 FAST = Mark(10.0, at_most=False)
 """Times real time."""
 
 
 def simulation(benchmark: Benchmark) -> list[Figure]:
-    """Run both ends of the bus in one process, recording."""
+    """Run both ends of the bus in one process, with recording."""
     summary = benchmark.simulated
     note = f"{summary['ticks']} ticks, recording on, first to last tick"
     factor = {"": summary["real_time_factor"]}
@@ -27,7 +27,7 @@ def simulation(benchmark: Benchmark) -> list[Figure]:
 
 
 def replaying(benchmark: Benchmark) -> list[Figure]:
-    """Run the log of that through the same code."""
+    """Replay the log of the simulated run."""
     log = Path(benchmark.simulated["log"])
     benchmark.say(f"hil replay {log.name}")
     comparison, summary = replay_log(log)

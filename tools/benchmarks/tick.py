@@ -1,4 +1,4 @@
-"""What one tick computes, with everything in the caches: the whole step, and each law's part of it."""
+"""Compute time of one tick, with everything in the caches: the whole step, and the part of each law."""
 
 import gc
 import time
@@ -26,29 +26,29 @@ from tools.benchmarks.benchmark import Benchmark
 from tools.benchmarks.figures import Figure, Mark, spread
 
 COMPUTE = Mark(40.0)
-"""us, from frames received to frames to send and row."""
+"""us, from the received frames to the frames to send and the row."""
 SLEEP_S = 1e-5
-"""As short as a sleep can be: it is not its length that counts."""
+"""Shortest possible sleep: its duration does not matter."""
 BLOCK = 100
-"""Ticks over which a neighbour of the core is looked for."""
+"""Ticks of a block, in which other processes may disturb the core or not."""
 PATH_TICKS = 2000
-"""One period of the path at 1 kHz."""
+"""Ticks of one period of the path at 1 kHz."""
 OFF = np.full(LEGS, 1e-4)
-"""m: how far the legs are off the path."""
+"""Distance of the legs from the path, m."""
 _now = time.perf_counter_ns
 
 
 class Step(NamedTuple):
-    """What became of one recorded tick."""
+    """Result of one recorded tick."""
 
     mode: Mode
     took_ns: int
     same: bool
-    """Frames and row came out as recorded, to the bit."""
+    """True if frames and row are as recorded, to the bit."""
 
 
 def steps(entries: Iterable[Tick], cycle: Cycle, sleep_s: float = 0.0) -> Iterator[Step]:
-    """Give a cycle the recorded inputs of ticks, one by one; sleep before each where `sleep_s` > 0."""
+    """Give a cycle the recorded inputs of ticks, one by one; sleep before each if `sleep_s` > 0."""
     for entry in entries:
         inp = recorded_input(entry)
         opening = cycle.begin(inp.tick)
@@ -62,7 +62,7 @@ def steps(entries: Iterable[Tick], cycle: Cycle, sleep_s: float = 0.0) -> Iterat
 
 
 def tick(benchmark: Benchmark) -> list[Figure]:
-    """Feed the recorded ticks of the simulated run from memory to a cycle, one after the other."""
+    """Give a cycle the recorded ticks of the simulated run from memory, one after the other."""
     benchmark.say(f"{len(benchmark.ticks)} ticks from memory, twice through the cycle")
     whole, slept = (_tracking(benchmark, sleep_s) for sleep_s in (0.0, SLEEP_S))
     blocks = whole[: len(whole) // BLOCK * BLOCK].reshape(-1, BLOCK)
@@ -76,18 +76,18 @@ def tick(benchmark: Benchmark) -> list[Figure]:
 
 
 def _tracking(benchmark: Benchmark, sleep_s: float) -> Ints:
-    """Time of each step on the path, ns. Raises RunError where one came out differently."""
+    """Measure the time of each step on the path, ns. Raises RunError if a step differs from the record."""
     cycle = benchmark.cycle()
     gc.collect()
     with collector_paused():
         found = list(steps(benchmark.ticks, cycle, sleep_s))
     if different := sum(not step.same for step in found):
-        raise RunError(f"{different} ticks came out differently")
+        raise RunError(f"{different} ticks of the replay differ")
     return np.array([step.took_ns for step in found if step.mode is Mode.TRACKING], np.int64)
 
 
 def _laws(benchmark: Benchmark) -> Iterator[Figure]:
-    """Forward kinematics alone, then with each law, 0.1 mm off one period of the path."""
+    """Measure forward kinematics alone, then with each law, 0.1 mm off one period of the path."""
     c, parts = benchmark.configuration, benchmark.cycle().parts
     period_s = 1.0 / c.loop.rate_Hz
     context = LawContext(parts.platform, parts.model.leg_spin, period_s)

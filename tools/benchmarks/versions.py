@@ -1,10 +1,10 @@
-"""Two versions of the project in turn: what a tick of `hil sim` and of a replay takes in each.
+"""Comparison of two versions of the project: time of a tick in `hil sim` and in a replay.
 
     python -m tools.benchmarks.versions OLD NEW --duration 10 --rounds 5
 
-OLD and NEW are checkouts. Each round starts a process for each, with this Python and its libraries. It runs
-the configuration in lockstep without a recorder, then replays a recorded run from memory. The figure is the
-median of the quietest tenth of all blocks of 128 ticks on the path.
+OLD and NEW are checkouts. Each round starts one process for each, with this Python and its libraries. The
+process runs the configuration in lockstep without a recorder, then replays a recorded run from memory. The
+figure is the median of the fastest tenth of all blocks of 128 ticks on the path.
 """
 
 import argparse
@@ -22,31 +22,31 @@ from types import SimpleNamespace
 from typing import Any
 
 BLOCK = 128
-"""Ticks: a multiple of those that a version may go through in one call."""
+"""Ticks of a block: a multiple of the ticks that a version may compute in one call."""
 KINDS = ("lockstep", "replay")
 
 
 class Stamps:
-    """Time and mode at the end of every block. Mutable state: these, and how many ticks there were."""
+    """Time and mode at the end of every block. Mutable state: both, and the number of ticks."""
 
     def __init__(self) -> None:
         self.ticks = 0
         self.taken: list[tuple[int, int]] = []
 
     def tick(self, row: Any, count: int = 1) -> None:
-        """Count ticks, of which this is the last row."""
+        """Count ticks; `row` is that of the last one."""
         self.ticks += count
         if self.ticks % BLOCK == 0:
             self.taken.append((time.perf_counter_ns(), int(row["mode"])))
 
     def blocks(self, mode: int) -> list[float]:
-        """Time of a tick in each block that begins and ends in `mode`, us."""
+        """Time of a tick, us, in each block that begins and ends in `mode`."""
         pairs = zip(self.taken, self.taken[1:], strict=False)
         return [(end - begun) * 1e-3 / BLOCK for (begun, a), (end, b) in pairs if a == b == mode]
 
 
 def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
-    """Run and replay with the version that PYTHONPATH names; give the us of a tick in all blocks."""
+    """Run and replay with the version in PYTHONPATH; return the time of a tick in all blocks, us."""
     from drivers.signals import Mode  # noqa: PLC0415
     from hil.app.compose import build_cycle, build_nodes  # noqa: PLC0415
     from hil.app.configuration.configuration import load  # noqa: PLC0415
@@ -81,12 +81,12 @@ def measure(configuration: str, duration_s: float) -> dict[str, list[float]]:
     finally:
         plant.close()
     if different := replay(held, again).different_ticks:
-        sys.exit(f"{different} ticks of the replay came out differently")
+        sys.exit(f"{different} ticks of the replay differ")
     return {kind: found.blocks(Mode.TRACKING) for kind, found in stamps.items()}
 
 
 def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str, list[float]]:
-    """Call `measure` with a checkout, in a process of its own."""
+    """Call `measure` for a checkout, in a process of its own."""
     command = [sys.executable, "-P", __file__, "--configuration", configuration]
     command += ["--duration", str(duration_s)]
     own = os.environ | {"PYTHONPATH": str(checkout.resolve())}
@@ -95,7 +95,7 @@ def measured(checkout: Path, configuration: str, duration_s: float) -> dict[str,
 
 
 def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> Iterator[str]:
-    """Measure two versions in turn; yield cells of a table for each kind: us of a tick, times as fast."""
+    """Measure two versions in turn; yield table cells for each kind: us of a tick, ratio of the speeds."""
     found = [[measured(each, *run) for each in checkouts] for _ in range(rounds)]
     for kind in KINDS:
         quietest = [[_quietest(each[kind]) for each in both] for both in found]
@@ -105,16 +105,18 @@ def compare(checkouts: Sequence[Path], run: tuple[str, float], rounds: int) -> I
 
 
 def _quietest(us: list[float]) -> float:
-    """Take the median of the quietest tenth of blocks."""
+    """Compute the median of the fastest tenth of blocks."""
     return median(sorted(us)[: max(1, len(us) // 10)])
 
 
 def main() -> None:
-    """Measure both versions in turn, and print both figures and their ratio, in single rounds from and to."""
-    parser = argparse.ArgumentParser(description="Two versions in turn: what a tick takes in each.")
-    parser.add_argument("checkouts", nargs="*", type=Path, help="two; without any, JSON of this one")
+    """Measure both versions in turn; print both figures, and their ratio with its range over the rounds."""
+    parser = argparse.ArgumentParser(description="Compare the time per tick of two versions, run in turn.")
+    parser.add_argument(
+        "checkouts", nargs="*", type=Path, help="two folders; without any: JSON of this version"
+    )
     parser.add_argument("--configuration", default="virtual")
-    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="3 at least")
+    parser.add_argument("--duration", type=float, default=10.0, metavar="S", help="seconds, at least 3")
     parser.add_argument("--rounds", type=int, default=5)
     given = parser.parse_args()
     if not given.checkouts:

@@ -1,1 +1,1 @@
-"""`make fuzz`: what strangers hand in, damaged at random from a seed: every answer is one line, and soon."""
+"""`make fuzz`: untrusted input, damaged at random from a seed; every answer has to be one quick line."""

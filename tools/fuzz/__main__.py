@@ -16,19 +16,19 @@ from tools.fuzz import case
 from tools.fuzz.targets import TARGETS, stock
 
 _HANGS_S = 300.0
-"""A case that takes longer ends the program; the first one waits for what has to be compiled."""
+"""A longer case ends the program; the first case includes the time for compilation."""
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--seconds", type=float, default=600.0, show_default=True, help="How long.")
+@click.option("--seconds", type=float, default=600.0, show_default=True, help="Duration in seconds.")
 @click.option("--seed", default=1, show_default=True, help="First seed; each case has the next one.")
-@click.option("--cases", type=int, help="Stop after so many.")
-@click.option("--only", type=click.Choice(list(TARGETS)), help="Only this kind of input.")
+@click.option("--cases", type=int, help="Stop after this number of cases.")
+@click.option("--only", type=click.Choice(list(TARGETS)), help="Run only this kind of input.")
 def main(seconds: float, seed: int, cases: int | None, only: str | None) -> None:
-    """Fuzz all untrusted input; print what was found, and where its input is.
+    """Fuzz all untrusted input; print the findings, and where their inputs are.
 
-    Exit code 1 where there is a traceback, a case of more than 5 s, one that takes 250 MB more than before,
-    a control character in a message, or a process that is left behind. An interpreter that crashes, or a case
+    Exit code 1 on a traceback, a case of more than 5 s, one that takes 250 MB more than before,
+    a control character in a message, or a process that is left behind. A crash of the interpreter, or a case
     that hangs, ends the program with the stack; its input is in the folder of the last seed.
     `--seed N --cases 1` runs one case again.
     """
@@ -46,7 +46,8 @@ def main(seconds: float, seed: int, cases: int | None, only: str | None) -> None
     faulthandler.cancel_dump_traceback_later()
     wrong = _report(found)
     print(
-        f"{len(found)} cases from seed {seed}, {wrong} with a finding; go on with --seed {seed + len(found)}"
+        f"{len(found)} cases from seed {seed}, {wrong} with a finding; "
+        f"continue with --seed {seed + len(found)}"
     )
     if wrong:
         sys.exit(1)
@@ -54,7 +55,7 @@ def main(seconds: float, seed: int, cases: int | None, only: str | None) -> None
 
 
 def _report(results: list[case.Result]) -> int:
-    """Print a line for each kind of input; return how many cases have a finding."""
+    """Print a line for each kind of input; return the number of cases with a finding."""
     for name in TARGETS:
         mine = [r for r in results if r.target == name]
         found = Counter(r.problem.partition(":")[0] for r in mine if r.problem)

@@ -1,4 +1,4 @@
-"""One case: its input damaged as its seed says, read, and judged."""
+"""One case: an input damaged according to its seed, read, and judged."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from drivers.errors import HilError
 from tools.fuzz.targets import TARGETS, Stock
 
 LONGEST_S = 5.0
-"""Of processor time: others may use the machine."""
+"""Limit of a case's processor time: other processes may use the machine."""
 MOST_MB = 250
-"""More than before the case; a command that has done nothing yet takes about as much."""
+"""Limit of the memory of a case; the first call of a command takes about as much."""
 _STATUS = Path("/proc/self/status")
 _CLEAR = Path("/proc/self/clear_refs")
 _TASKS = Path("/proc/self/task")
@@ -26,21 +26,21 @@ _CONTROL = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069]"
 
 
 class Result(NamedTuple):
-    """What became of one case."""
+    """Result of one case."""
 
     seed: int
     target: str
     problem: str
-    """`traceback`, `hang`, `memory`, `control character`, `process` that is left behind, or empty."""
+    """`traceback`, `hang`, `memory`, `control character`, `process` (left behind), or empty."""
     detail: str
     seconds: float
-    """Of processor time."""
+    """Processor time."""
     grown_MB: float
-    """Of the resident size at its peak, over what it was before."""
+    """Peak resident size minus the size before the case."""
 
 
 def run(seed: int, stock: Stock, only: str | None = None) -> Result:
-    """Run the case of a seed. Its files are in a new folder of the stock, and stay there with a finding."""
+    """Run the case of a seed, in a new folder of the stock; the folder is kept if there is a finding."""
     rng = Random(seed)  # noqa: S311 - no secret
     drawn = rng.choices(list(TARGETS), [weight for _, weight in TARGETS.values()])[0]
     target = only or drawn
@@ -78,7 +78,7 @@ def run(seed: int, stock: Stock, only: str | None = None) -> Result:
 
 
 def children() -> set[int]:
-    """Return the processes that threads of this one have started and not yet reaped."""
+    """List the child processes of all threads of this process that have not been reaped."""
     found: set[int] = set()
     for task in _TASKS.glob("*/children"):
         with contextlib.suppress(OSError):  # a thread that has just ended
@@ -87,7 +87,7 @@ def children() -> set[int]:
 
 
 def peak_MB() -> float:
-    """Return the largest resident size of this process since the case began, MB; 0 where it is not known."""
+    """Largest resident size of this process since the case began, MB; 0 if unknown."""
     try:
         found = re.search(r"VmHWM:\s+(\d+) kB", _STATUS.read_text())
     except OSError:

@@ -1,4 +1,4 @@
-"""MCAP files taken apart, damaged in one place and put together again, checksums made anew or left wrong.
+"""Damage to MCAP files: splits a file, damages one place, joins it again with correct or wrong checksums.
 
 Records and chunks are read and written here (https://mcap.dev/spec): the tests of our reader use them, too.
 """
@@ -23,13 +23,13 @@ ATTACHMENT, ATTACHMENT_INDEX, STATISTICS, METADATA, METADATA_INDEX, SUMMARY_OFFS
 REALS = (
     math.inf, -math.inf, math.nan, 1.7e308, -1.7e308, 1e300, 1e155, 5e-324, 0.0, -0.0, 2.0**63, -1e19, 1.0,
 )  # fmt: skip
-"""What stands in the place of a measured or a computed number."""
+"""Values that replace a measured or computed number."""
 _PUT_BEFORE = 22
-"""Bytes of a message record before what it carries."""
+"""Bytes of a message record before its data."""
 _ROW = 200
-"""Bytes of a message record; that of a row has more."""
+"""Bytes of a message record; a row has more."""
 _FEW = 20
-"""Places of a row that get other numbers."""
+"""Number of places in a row that get other numbers."""
 _HEAD = struct.Struct("<BQ")
 _CHUNK_HEAD = struct.Struct("<QQQII")
 
@@ -37,7 +37,7 @@ Records = list[tuple[int, bytes]]
 
 
 def split(data: bytes) -> Records:
-    """Return opcode and content of each record of a whole file, or of the content of a chunk."""
+    """Split a whole file, or the content of a chunk, into records: opcode and content of each."""
     found, at = [], len(MAGIC) if data.startswith(MAGIC) else 0
     while at + _HEAD.size <= len(data):
         opcode, length = _HEAD.unpack_from(data, at)
@@ -49,12 +49,12 @@ def split(data: bytes) -> Records:
 
 
 def joined(records: Records) -> bytes:
-    """Return records behind each other."""
+    """Join records."""
     return b"".join(_HEAD.pack(opcode, len(content)) + content for opcode, content in records)
 
 
 def whole(records: Records) -> bytes:
-    """Return a file of records, checksums of data section and summary made anew."""
+    """Make a file of records, with new checksums of data section and summary."""
     ends = [k for k, (opcode, _) in enumerate(records) if opcode == DATA_END]
     if not ends or not records or records[-1][0] != FOOTER or len(records[-1][1]) != 20:
         return MAGIC + joined(records) + MAGIC
@@ -72,13 +72,13 @@ def _offset_section(summary: Records) -> int:
 
 
 def unpacked(content: bytes) -> bytes:
-    """Return the records in a chunk of our own recorder."""
+    """Unpack the records in a chunk of our recorder."""
     start = _CHUNK_HEAD.size + _CHUNK_HEAD.unpack_from(content)[4] + 8
     return zstandard.ZstdDecompressor().decompress(content[start:], max_output_size=1 << 24)
 
 
 def packed(content: bytes, inner: bytes, size: int | None = None) -> bytes:
-    """Return the chunk `content` with other records in it, its checksum made anew."""
+    """Replace the records in chunk `content`, with a new checksum."""
     first, last, _, _, _ = _CHUNK_HEAD.unpack_from(content)
     data = zstandard.ZstdCompressor(level=1).compress(inner)
     size = len(inner) if size is None else size
@@ -107,7 +107,7 @@ def _content(records: Records, rng: Random) -> Records:
 
 
 def _text(records: Records, rng: Random) -> Records:
-    """Change a word in a text: metadata, configuration, schema, channel; its lengths are made anew."""
+    """Change a word in a text: metadata, configuration, schema, channel; the lengths are adapted."""
     k = _pick(records, rng, rng.choice((METADATA, METADATA, ATTACHMENT, ATTACHMENT, SCHEMA, CHANNEL)))
     opcode, content = records[k]
     stream, builder = ReadDataStream(io.BytesIO(content)), cast("Any", RecordBuilder())
@@ -128,7 +128,7 @@ def _text(records: Records, rng: Random) -> Records:
 
 
 def _inner(records: Records, rng: Random) -> Records:
-    """Damage what is in a chunk and pack it again: messages, whose lengths are made anew, or any bytes."""
+    """Damage the content of a chunk and pack it again: messages, with adapted lengths, or any bytes."""
     k = _pick(records, rng, CHUNK)
     inner = unpacked(records[k][1])
     if rng.random() < 0.6:
@@ -143,7 +143,7 @@ def _inner(records: Records, rng: Random) -> Records:
 
 
 def strange_values(records: Records, rng: Random) -> Records:
-    """Put numbers of no sense into rows: at one place in all rows of a chunk, or many places of one row."""
+    """Put extreme numbers into rows: at one place in all rows of a chunk, or at many places of one row."""
     k = _pick(records, rng, CHUNK)
     messages = split(unpacked(records[k][1]))
     rows = [n for n, (opcode, content) in enumerate(messages) if opcode == MESSAGE and len(content) > _ROW]
@@ -160,7 +160,7 @@ def strange_values(records: Records, rng: Random) -> Records:
 
 
 def _bomb(records: Records, rng: Random) -> Records:
-    """Put in chunks that unpack to far more than they take, or say so."""
+    """Insert chunks that unpack to far more than their size, or claim to."""
     k = _pick(records, rng, CHUNK)
     content, kind = records[k][1], rng.randrange(4)
     if kind == 0:  # says that it is huge
@@ -176,7 +176,7 @@ def _bomb(records: Records, rng: Random) -> Records:
 
 
 def _order(records: Records, rng: Random) -> Records:
-    """Swap two records, double one or take one away."""
+    """Swap two records, repeat one or delete one."""
     changed = list(records)
     a, b = _pick(records, rng), _pick(records, rng)
     kind = rng.randrange(3)
@@ -190,7 +190,7 @@ def _order(records: Records, rng: Random) -> Records:
 
 
 def _length(data: bytes, records: Records, rng: Random) -> bytes:
-    """Set the length of a record to something else."""
+    """Change the length field of a record."""
     k = _pick(records, rng)
     at = len(MAGIC) + len(joined(records[:k]))
     length = len(records[k][1])
@@ -206,7 +206,7 @@ _STRUCTURED: tuple[Callable[[Records, Random], Records], ...] = (
 
 
 def damaged(data: bytes, rng: Random) -> bytes:
-    """Return a log with one kind of damage; with sound checksums around it in two cases of three."""
+    """Damage a log in one way; two cases in three have correct checksums around the damage."""
     if rng.random() < 0.25:
         return rng.choice(ANY)(data, rng)
     records = split(data)

@@ -1,4 +1,4 @@
-"""Damage to bytes and to text, drawn from a seeded generator. Knows nothing of what the bytes mean."""
+"""Damage to bytes and to text, drawn from a seeded generator, independent of the meaning of the bytes."""
 
 import re
 from random import Random
@@ -9,12 +9,12 @@ WORDS = (
     "\u202e", "\x1b[31m", "\x00", "<script>alert(1)</script>", "../../etc/passwd", "/etc/passwd", "%n%s", "é",
     "'", '"', "\\", "&a", "*a", "!!python/object:os.system", "x" * 3000, "- - - - -", "[[[[[[[[", "\t",
 )  # fmt: skip
-"""What stands in the place of a word of a text."""
+"""Replacements for a word of a text."""
 _TOKEN = re.compile(rb"[A-Za-z0-9_.+-]+")
 
 
 def flip(data: bytes, rng: Random) -> bytes:
-    """Return the bytes with one to eight bits turned over."""
+    """Flip one to eight bits."""
     changed = bytearray(data)
     for _ in range(rng.randint(1, 8) if changed else 0):
         changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
@@ -22,19 +22,19 @@ def flip(data: bytes, rng: Random) -> bytes:
 
 
 def truncate(data: bytes, rng: Random) -> bytes:
-    """Return the beginning."""
+    """Cut off the end."""
     return data[: rng.randrange(len(data) + 1)]
 
 
 def zero_run(data: bytes, rng: Random) -> bytes:
-    """Return the bytes with some in a row set to zero, as a file system leaves them."""
+    """Set consecutive bytes to zero, as file systems do after a crash."""
     start = rng.randrange(len(data) + 1)
     stop = min(len(data), start + rng.choice((1, 8, 64, 512, 4096)))
     return data[:start] + bytes(stop - start) + data[stop:]
 
 
 def extreme(data: bytes, rng: Random) -> bytes:
-    """Return the bytes with a number somewhere set to an extreme one; often near the beginning."""
+    """Set a number somewhere, often near the beginning, to an extreme value."""
     width = rng.choice((1, 2, 4, 8))
     if len(data) < width:
         return data
@@ -45,20 +45,20 @@ def extreme(data: bytes, rng: Random) -> bytes:
 
 
 def insert(data: bytes, rng: Random) -> bytes:
-    """Return the bytes with some more in between."""
+    """Insert random bytes."""
     at = rng.randrange(len(data) + 1)
     return data[:at] + rng.randbytes(rng.choice((1, 3, 9, 300))) + data[at:]
 
 
 def doubled(data: bytes, rng: Random) -> bytes:
-    """Return the bytes with a part of them twice."""
+    """Repeat a part of the bytes."""
     start = rng.randrange(len(data) + 1)
     stop = min(len(data), start + rng.choice((1, 10, 100, 2000)))
     return data[:stop] + data[start:stop] + data[stop:]
 
 
 def word(data: bytes, rng: Random) -> bytes:
-    """Return a text with one of its words replaced."""
+    """Replace one word of a text."""
     found = list(_TOKEN.finditer(data))
     if not found:
         return data
@@ -67,6 +67,6 @@ def word(data: bytes, rng: Random) -> bytes:
 
 
 ANY = (flip, truncate, zero_run, extreme, insert, doubled)
-"""For any bytes."""
+"""Damage to any bytes."""
 TEXT = (word, word, word, flip, truncate, insert, doubled)
-"""For texts: words above all, since what is no text is refused at once."""
+"""Damage to texts: mostly to words, since what is not text is refused at once."""

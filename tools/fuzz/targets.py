@@ -1,6 +1,6 @@
-"""What is fuzzed: for each kind of input where it comes from, how it is damaged, and who reads it.
+"""Targets of the fuzzer: for each kind of input its source, its damage, and its reader.
 
-A reader gives back what it printed or the message of a HilError. Anything else that it raises is a finding.
+A reader returns its output, or raises a HilError. Any other exception is a finding.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Stock(NamedTuple):
 
 
 def stock(folder: Path, duration_s: float = 0.12) -> Stock:
-    """Make the sound inputs: a short run on the shipped configuration, with the plant's log."""
+    """Make the sound inputs: a short run of the shipped configuration, with the plant's log."""
     path = folder / "sound.mcap"
     if not path.exists():
         sim("virtual", log=path, duration_s=duration_s, plant_log=True)
@@ -53,7 +53,7 @@ def stock(folder: Path, duration_s: float = 0.12) -> Stock:
 
 
 def _command(*words: str) -> str:
-    """Run a command of `hil` in this process; return what it printed."""
+    """Run a command of `hil` in this process; return its output."""
     result = CliRunner().invoke(main, list(words))
     if result.exception is not None and not isinstance(result.exception, SystemExit):
         raise result.exception
@@ -63,7 +63,7 @@ def _command(*words: str) -> str:
 
 
 def _api(path: str) -> str:
-    """Read all that `hil.Log` gives."""
+    """Read a log through all of `hil.Log`."""
     log = Log(path)
     with contextlib.suppress(HilError):
         log.figures()
@@ -103,7 +103,7 @@ LOG_READERS: dict[str, Callable[[str, str], str]] = {
     "payload": lambda log, _: _command("identify", "payload", log),
     "Log": lambda log, _: _api(log),
 }
-"""Name -> who reads a log; the second argument is the beginning of the name of a new file."""
+"""Name -> reader of a log; its second argument is the stem of the name of a new file."""
 
 
 def _log(stock: Stock, rng: Random, folder: Path) -> str:
@@ -214,4 +214,4 @@ TARGETS: dict[str, tuple[Callable[[Stock, Random, Path], str], int]] = {
     "fmu": (_fmu, 2),
     "operator": (_operator, 1),
 }
-"""Kind of input -> one case of it, and how often it is drawn."""
+"""Kind of input -> function that runs one case, and the weight with which it is drawn."""

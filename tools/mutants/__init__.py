@@ -1,1 +1,1 @@
-"""`make mutants`: a seeded sample of plausible mistakes, one at a time, and which claim notices each."""
+"""`make mutants`: a seeded sample of plausible mistakes, one at a time, and the test that detects each."""

@@ -1,4 +1,4 @@
-"""`make mutants`: draw mistakes, put one at a time into a copy of the tree, run tests until one fails."""
+"""`make mutants`: draws mistakes, puts one at a time into a copy of the tree, runs tests until one fails."""
 
 from __future__ import annotations
 
@@ -25,21 +25,27 @@ from tools.mutants.mutant import Mutant, equivalents, mutants
 
 BUILD = ROOT / "build" / "mutants"
 QUICK = "not long and not realtime and not vcan"
-"""Tests that need neither the machine for themselves nor a kernel module."""
+"""Selects tests that need neither an idle machine nor a kernel module."""
 MORE_S = 300.0
-"""What a run of tests may take beyond three times that of the unchanged tree: kernels compile again."""
+"""Time that a run of tests may take beyond three times that of the unchanged tree: kernels compile again."""
 _COPIED = shutil.ignore_patterns(".*", "build", "dist", "runs", "__pycache__")
 
 
 @click.command(context_settings={"help_option_names": ["-h", "--help"]})
-@click.option("--area", "areas", type=click.Choice(list(AREAS)), multiple=True, help="Only this one; repeat.")
-@click.option("--seed", type=int, default=1, show_default=True, help="Of the sample.")
-@click.option("--sample", type=int, default=50, show_default=True, help="Mutants of each area.")
-@click.option("--again", is_flag=True, help="Run survivors again: there are new tests.")
+@click.option(
+    "--area",
+    "areas",
+    type=click.Choice(list(AREAS)),
+    multiple=True,
+    help="Run only this area; can be repeated.",
+)
+@click.option("--seed", type=int, default=1, show_default=True, help="Seed of the sample.")
+@click.option("--sample", type=int, default=50, show_default=True, help="Number of mutants per area.")
+@click.option("--again", is_flag=True, help="Run surviving mutants again, e.g. after adding tests.")
 def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
-    """Put mistakes into a copy of the tree, one at a time; tell which test notices each.
+    """Put mistakes into a copy of the tree, one at a time; print the test that detects each.
 
-    A run goes on where the last one ended. Results are in build/mutants, a file an area and seed.
+    A run continues where the last one ended. Results are in build/mutants, one file per area and seed.
     """
     for area in areas or AREAS:
         path = BUILD / f"{area}-{seed}.jsonl"
@@ -61,9 +67,9 @@ def main(areas: tuple[str, ...], seed: int, sample: int, again: bool) -> None:
 
 
 def sampled(area: str, seed: int, count: int) -> list[tuple[str, Mutant]]:
-    """Draw `count` mutants, at most one a place, with keys; those that are listed as equivalent are left out.
+    """Draw `count` mutants with their keys, at most one per place, without those listed as equivalent.
 
-    A place is drawn before its change: a number, which can be wrong in four ways, is no likelier than a call.
+    A place is drawn before its change: a number, which has four mutants, is as likely as a call.
     """
     equivalent = equivalents()
     places: dict[tuple[str, int, int], list[tuple[str, Mutant]]] = {}
@@ -80,7 +86,7 @@ def sampled(area: str, seed: int, count: int) -> list[tuple[str, Mutant]]:
 
 
 class Copy:
-    """A copy of the tree, in which one file at a time is changed, and the time that its tests take."""
+    """A copy of the tree, in which one file at a time is changed, and the time limit of its tests."""
 
     def __init__(self, folder: Path, tests: list[str]) -> None:
         self.root, self.cache, self.tests = folder / "tree", folder / "cache" / CACHE_FOLDER.name, tests
@@ -94,7 +100,7 @@ class Copy:
         self.limit_s = 3 * (time.monotonic() - begun) + MORE_S
 
     def judged(self, mutant: Mutant) -> tuple[str, str]:
-        """Return `noticed`, `survived` or `not loaded`, and what noticed it."""
+        """Test a mutant; return `noticed`, `survived` or `not loaded`, and the test that failed."""
         path, compiled = self.root / mutant.file, set(self.cache.iterdir())
         text = path.read_text(encoding="utf-8")
         path.write_text(mutant.applied(text), encoding="utf-8")
@@ -117,7 +123,7 @@ class Copy:
         yield from sorted(texts, key=lambda test: not re.search(rf"\b{module}\b", texts[test]))
 
     def run(self, tests: list[str], limit_s: float) -> tuple[int | None, str]:
-        """Run tests up to the first failure; None: past the limit."""
+        """Run tests up to the first failure; the exit code is None after the time limit."""
         command = [sys.executable, "-m", "pytest", "-qx", "-n0", "--tb=no", "-p", "no:cacheprovider"]
         output = self.root.parent / "output.txt"
         with output.open("w", encoding="utf-8") as file:
@@ -142,7 +148,7 @@ class Copy:
 
 
 def summary(area: str, count: int, left: list[Mutant]) -> str:
-    """Return the share noticed, its 95 % interval, and every survivor."""
+    """Text with the share noticed, its 95 % interval, and every survivor."""
     share = f"{area}: {count - len(left)} of {count} noticed"
     if count:
         low, high = binomtest(count - len(left), count).proportion_ci(method="wilson")

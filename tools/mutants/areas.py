@@ -1,4 +1,4 @@
-"""The areas: which sources each one has, and which test files make claims about them."""
+"""The areas: their sources, and the test files that cover them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ WHOLE = {
     f"tests/{name}.py"
     for name in ("hil/test_safety_mutation", "loop/test_lockstep", "replay/test_portability")
 }
-"""Files that compare whole logs or sources: a failure there names no claim."""
+"""Files that compare whole logs or sources: a failure there says nothing about a single claim."""
 AREAS = {
     "safety": (
         "hil/safety/*",
@@ -23,14 +23,14 @@ AREAS = {
         """hil/test_cycle* hil/test_clock hil/app/test_rate_selection hil/test_homing hil/test_reference
         hil/test_stage_columns hil/test_fusion* hil/test_effort hil/test_sight hil/test_waiting
         hil/test_learned hil/test_report hil/test_latches hil/test_daemon* hil/test_panel
-        loop/test_daemon loop/test_last_force loop/test_release loop/test_setpoints loop/test_operate
+        loop/test_daemon loop/test_holding_force loop/test_release loop/test_setpoints loop/test_operate
         loop/test_engage loop/test_reactions""",
     ),
     "modes": (
         """hil/loop/modes hil/loop/operating hil/loop/admission hil/loop/run_end hil/loop/obedience
         hil/loop/console""",
         """hil/test_modes hil/test_operating* hil/test_jogging* hil/test_admission* hil/test_console
-        hil/test_cycle* hil/test_way_back loop/test_run_end* loop/test_left_alone loop/test_obedience
+        hil/test_cycle* hil/test_way_back loop/test_run_end* loop/test_no_more_commands loop/test_obedience
         loop/test_operate loop/test_engage loop/test_reactions""",
     ),
     "motion": (
@@ -53,9 +53,9 @@ AREAS = {
     ),
     "replay": (
         """hil/loop/replay hil/app/replay hil/app/recorded_files hil/cli/replay* hil/loop/what_if
-        hil/study/what_if/* hil/study/against hil/study/replay_suite hil/record/divergence""",
-        """hil/test_divergence hil/app/test_recorded_files hil/app/test_bad_input replay/test_against
-        replay/test_suite replay/test_what_if* replay/test_replay replay/test_tampered_log
+        hil/study/what_if/* hil/study/log_comparison hil/study/replay_suite hil/record/divergence""",
+        """hil/test_divergence hil/app/test_recorded_files hil/app/test_bad_input replay/test_log_comparison
+        replay/test_replay_suite replay/test_what_if* replay/test_replay replay/test_tampered_log
         replay/test_versions hil/app/test_controller_file""",
     ),
     "salvage": ("hil/record/salvage", "hil/test_salvage* hil/test_log*"),
@@ -69,17 +69,17 @@ AREAS = {
 
 
 def sources_of(area: str) -> list[str]:
-    """Return the sources of an area, in the order of their names."""
-    return sorted(set(_found(AREAS[area][0].split())))
+    """Find the sources of an area, sorted by name."""
+    return sorted(set(_matching(AREAS[area][0].split())))
 
 
 def tests_of(area: str) -> list[str]:
-    """Return the test files of an area, each once, in the order of the table."""
-    found = _found(f"tests/{name}" for name in AREAS[area][1].split())
+    """Find the test files of an area, each once, in the order of the table."""
+    found = _matching(f"tests/{name}" for name in AREAS[area][1].split())
     return [file for file in dict.fromkeys(found) if file not in WHOLE]
 
 
-def _found(patterns: Iterable[str]) -> list[str]:
+def _matching(patterns: Iterable[str]) -> list[str]:
     found = []
     for pattern in patterns:
         files = sorted(path.relative_to(ROOT).as_posix() for path in ROOT.glob(f"{pattern}.py"))

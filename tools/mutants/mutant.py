@@ -1,4 +1,4 @@
-"""The mutants of a source: one change of its text each, with its place named by text."""
+"""The mutants of a source: each is one change of its text, at a place identified by text."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pathlib import Path
 from tools.mutants.operators import changes
 
 PLACE = ("file", "where", "statement", "before", "after")
-"""Fields that name a change where lines move."""
+"""Fields that identify a change even when lines move."""
 _ATOMS = (ast.Constant, ast.Name, ast.Call, ast.Attribute, ast.Subscript, ast.stmt)
 
 
@@ -38,17 +38,17 @@ class Mutant:
         return f"{self.file}:{self.line} {self.where}: {change}"
 
     def applied(self, text: str) -> str:
-        """Return the source with the change."""
+        """Apply the change to the source."""
         return text[: self.start] + self.after + text[self.end :]
 
     @property
     def place(self) -> tuple[str, ...]:
-        """The fields of PLACE."""
+        """Values of the fields PLACE."""
         return tuple(vars(self)[name] for name in PLACE)
 
 
 def equivalents() -> set[tuple[str, ...]]:
-    """Return the places of changes that no test can notice, each listed with its argument."""
+    """Places of changes that no test can detect; the list gives the reason for each."""
     listed = json.loads(Path(__file__).with_name("equivalent.json").read_text(encoding="utf-8"))
     return {tuple(each[name] for name in PLACE) for each in listed}
 
@@ -59,7 +59,7 @@ def mutants(file: str, text: str) -> Iterator[Mutant]:
 
 
 class _Walk:
-    """A walk through one source that knows function and statement around a node."""
+    """A walk through one source that tracks the function and the statement around a node."""
 
     def __init__(self, file: str, text: str) -> None:
         self.file, self.text = file, text
@@ -68,7 +68,7 @@ class _Walk:
         self.statement = ""
 
     def body(self, node: ast.AST) -> Iterator[Mutant]:
-        """Yield the mutants below a node, whose children are visited in the order of the source."""
+        """Yield the mutants below a node; its children are visited in the order of the source."""
         for child in ast.iter_child_nodes(node):
             yield from self.visit(child)
 
@@ -125,6 +125,6 @@ class _Walk:
             )
 
     def offset(self, line: int, column: int) -> int:
-        """Return where a place is in the text; the tree counts columns in bytes of UTF-8."""
+        """Index of a place in the text; the tree counts columns in bytes of UTF-8."""
         before = sum(map(len, self.lines[: line - 1]))
         return before + len(self.lines[line - 1].encode()[:column].decode())

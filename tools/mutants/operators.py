@@ -1,4 +1,4 @@
-"""What may be done to one node of a syntax tree: each change is one plausible mistake."""
+"""Changes to one node of a syntax tree: each is one plausible mistake."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COMPARISONS: dict[type[ast.cmpop], tuple[type[ast.cmpop], ...]] = {
     ast.In: (ast.NotIn,),
     ast.NotIn: (ast.In,),
 }
-"""The border moved, then the direction."""
+"""The boundary moved, then the direction reversed."""
 OPERATORS: dict[type[ast.operator], type[ast.operator]] = {
     ast.Add: ast.Sub,
     ast.Sub: ast.Add,
@@ -36,15 +36,15 @@ CALLS = {"min": "max", "max": "min", "any": "all", "all": "any", "minimum": "max
 UNITS = {10.0**k for k in (-9, -6, -3, 3, 6, 9)}
 """Constants that convert a unit."""
 _SYMMETRIC = {"isinstance", "issubclass", "hypot", "dot", "array_equal", "isclose", *CALLS}
-"""Calls whose first two arguments may be exchanged, or whose exchange is an error of types."""
+"""Calls whose first two arguments commute, or whose exchange is a type error."""
 _DELETED = (ast.AugAssign, ast.Raise, ast.Continue, ast.Break)
 
 Change = tuple[str, ast.AST]
-"""The operator's name, and what takes the node's place."""
+"""Name of the operator, and the node's replacement."""
 
 
 def changes(node: ast.AST) -> Iterator[Change]:
-    """Yield every change of one node; the node itself stays as it is."""
+    """Yield every change of one node; the node itself is not modified."""
     match node:
         case ast.Compare():
             for k, op in enumerate(node.ops):
@@ -77,7 +77,7 @@ def changes(node: ast.AST) -> Iterator[Change]:
 
 
 def _with(node: ast.AST, **fields: Any) -> ast.AST:
-    """Return a copy with other fields."""
+    """Copy a node with other fields."""
     changed = copy.copy(node)
     for name, value in fields.items():
         setattr(changed, name, value)
@@ -85,7 +85,7 @@ def _with(node: ast.AST, **fields: Any) -> ast.AST:
 
 
 def _text(node: ast.AST) -> bool:
-    """Tell whether an operator joins or fills texts."""
+    """Check if an operator joins or formats text."""
     return any(
         isinstance(part, ast.JoinedStr) or (isinstance(part, ast.Constant) and isinstance(part.value, str))
         for part in ast.iter_child_nodes(node)
@@ -138,7 +138,7 @@ def _returns(value: ast.expr) -> Iterator[Change]:
 
 
 def _is_effect(node: ast.AST) -> bool:
-    """Tell whether a statement can go without leaving a name undefined."""
+    """Check if a statement can be deleted without leaving a name undefined."""
     match node:
         case ast.Expr(value=ast.Call()):
             return True

@@ -1,11 +1,11 @@
-"""The clock of a virtual bench: CLOCK_MONOTONIC, but time stands still while the machine holds somebody up.
+"""Clock of a virtual bench: CLOCK_MONOTONIC, but it stands still while the machine delays a participant.
 
-A participant that holds time says by when it will have looked again, its due. Bench time is CLOCK_MONOTONIC
-less an offset, and never beyond the earliest due. Who comes back late advances the offset by what time
-stood, before it sets its next due. A participant that does not come back is dismissed: at once where its
-process is gone, else after DISMISS_NS.
+A participant that holds time publishes its due: the time by which it will have read the bus again. Bench time
+is CLOCK_MONOTONIC minus an offset, and never passes the earliest due. A late participant first adds the
+standstill to the offset, then sets its next due. A participant that does not come back is dismissed: at once
+if its process is gone, else after DISMISS_NS.
 
-Each reading is raised to the latest that anybody has had, so that time runs backwards for nobody.
+Each reading is raised to the latest reading of any participant, so that time never runs backwards.
 """
 
 import ctypes
@@ -24,24 +24,25 @@ from drivers.compiled.pointed import call
 
 _libc: Any = ctypes.CDLL(None)
 PLAIN, HELD, FOREIGN = range(3)
-"""What stands at CLOCK_AT: time never stands still; it may; it did, until somebody sent who does not hold."""
+"""Values at CLOCK_AT: time never stands still; it may; it no longer may, as a participant has sent that does
+not hold time."""
 DISMISS_NS = 250_000_000
-"""Time does not stand longer than this, as far as somebody runs to see it, for one who does not come back."""
+"""Longest standstill for one participant that does not come back, while another one runs to see it."""
 _LOOK_NS = 2_000_000
-"""Of the time between two looks so much counts at most: while nobody runs, nobody is late."""
+"""Most time counted between two checks: while nobody runs, nobody is late."""
 NAP_S = 2e-4
-"""Between two looks while time stands still."""
+"""Pause between two checks while time stands still."""
 _NEVER = 1 << 62
 _CLOCK_ID = time.CLOCK_MONOTONIC
 _AT, _NOW, _BEHIND, _FREE, _OVERDUE, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(9)
-"""Of a clock's `state`: the word of its own due; bench time; by how much it stands back; CLOCK_MONOTONIC;
-slot of the participant with the earliest due, -1: none; where clock_gettime puts seconds and nanoseconds;
-its address, and that of the seconds."""
+"""Indices of a clock's `state`: word of its own due; bench time; lag of bench time by a standstill;
+CLOCK_MONOTONIC; slot of the participant with the earliest due, -1: none; seconds and nanoseconds of
+clock_gettime; address of clock_gettime, and of the seconds."""
 
 
 @helper
 def _earliest(words: Ints) -> tuple[int, int]:
-    """Return the earliest due and whose slot has it; -1 where nobody holds time."""
+    """Earliest due and its slot; -1 if no participant holds time."""
     cap, slot = _NEVER, -1
     for each in range(load(words, at.USED_AT)):
         due = load(words, at.slot_at(each) + at.SLOT_DUE)
@@ -52,10 +53,10 @@ def _earliest(words: Ints) -> tuple[int, int]:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def read(words: Ints, state: Ints) -> int:
-    """Read the clock into `state`; return bench time, ns."""
+    """Read the clock into `state`; the result is bench time, ns."""
     while True:
-        # who sets a later due has advanced the offset before: first the due, then the offset; and a due that
-        # was brought forward counts if it was there when the clock was read
+        # a participant advances the offset before it sets a later due: read the due first, then the offset;
+        # a due that was brought forward counts if it was there when the clock was read
         cap, slot = _earliest(words)
         offset = load(words, at.OFFSET_AT)
         call(state[_GETTIME], (_CLOCK_ID, state[_RESULT]))
@@ -81,7 +82,7 @@ def _go_on(words: Ints, state: Ints) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, INTEGER)
 def promise(words: Ints, state: Ints, due_ns: int) -> None:
-    """Set the own due; 0 or less: so long from now. Where time stood for this participant, it goes on."""
+    """Set the own due; 0 or less: that long from now. Ends a standstill caused by this participant."""
     read(words, state)
     if 0 < load(words, state[_AT]) <= state[_NOW]:
         _go_on(words, state)
@@ -92,7 +93,7 @@ def promise(words: Ints, state: Ints, due_ns: int) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def dismiss(words: Ints, state: Ints) -> None:
-    """Let time go on without the participant of the earliest due, if that is past."""
+    """Dismiss the participant of the earliest due, if that due is past; time resumes."""
     read(words, state)
     if state[_OVERDUE] < 0:
         return
@@ -105,7 +106,7 @@ def dismiss(words: Ints, state: Ints) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def interrupt(words: Ints, state: Ints) -> None:
-    """Let time stand still no more, and go on from where it is."""
+    """Resume time from where it is, and never stop it again."""
     read(words, state)
     _go_on(words, state)
     store(words, at.CLOCK_AT, FOREIGN)
@@ -113,15 +114,16 @@ def interrupt(words: Ints, state: Ints) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def share(other: Ints, words: Ints) -> bool:
-    """Let the clock of another wire lag by as much; tell whether time may stand still here alone."""
+    """Give the clock of another wire the same lag; True if time may stand still here but not there."""
     raise_to(other, at.OFFSET_AT, load(words, at.OFFSET_AT))
     return bool(load(other, at.CLOCK_AT) == FOREIGN and load(words, at.CLOCK_AT) == HELD)
 
 
 class BenchClock(Clock):
-    """The clock of one participant on a localcan wire. `holds`: it holds time, where that may stand still.
+    """Clock of one participant on a localcan wire.
 
-    `wires`: the mode words of its own wire and of all wires that follow this clock.
+    `holds`: True while it holds time, if that may stand still. `wires`: the words of its own wire and of all
+    wires that follow this clock.
 
     Mutable state: the shared words; the last reading; whether this participant holds time, and for how long
     it has waited for another one that holds time back.
@@ -142,14 +144,14 @@ class BenchClock(Clock):
         self.holds = False
 
     def now(self) -> int:
-        """Return bench time."""
+        """Bench time, ns."""
         return int(read(*self.arguments))
 
     # holding time
     def begin(self, wake_ns: int, work_ns: int) -> None:
-        """Let time stand still on this wire from now on, for all who hold it.
+        """Allow time to stand still on this wire from now on, for all participants that hold it.
 
-        Each has `wake_ns` to wake up after its time, and `work_ns` from then to its next wait.
+        wake_ns: time to wake up after a due sleep; work_ns: time from then to the next wait.
         """
         words = self._words
         words[at.WAKE_AT], words[at.WORK_AT] = max(1, wake_ns), max(1, work_ns)
@@ -158,11 +160,11 @@ class BenchClock(Clock):
             each[at.CLOCK_AT] = HELD
 
     def working(self, allowed_ns: int = 0) -> None:
-        """Say that this participant will wait again within so long, or 0: within what work may take."""
+        """Promise to wait again within `allowed_ns`; 0: within the time allowed for work."""
         self._promise(-(allowed_ns or int(self._words[at.WORK_AT])))
 
     def waiting(self, until_ns: int) -> None:
-        """Say that this participant sleeps until then."""
+        """Promise to sleep until `until_ns`."""
         self._promise(until_ns + int(self._words[at.WAKE_AT]))
 
     def _promise(self, due_ns: int) -> None:
@@ -173,7 +175,7 @@ class BenchClock(Clock):
                     interrupt(*self.arguments)
 
     def sends(self) -> None:
-        """Take note that this participant sends: time does not stand still for a stranger."""
+        """Note that this participant sends: time no longer stands still once a non-holder has sent."""
         if self.holds:
             self.working()
         elif self._words[at.CLOCK_AT] == HELD:
@@ -188,16 +190,16 @@ class BenchClock(Clock):
 
     @property
     def interrupted(self) -> bool:
-        """Whether a participant that does not hold time has sent, so that it cannot stand still any more."""
+        """True once a participant that does not hold time has sent: time cannot stand still any more."""
         return bool(self._words[at.CLOCK_AT] == FOREIGN)
 
     def stretched(self) -> int:
-        """Return by how many ns bench time has stood still in all."""
+        """Total standstill of bench time, ns."""
         return int(self._words[at.OFFSET_AT])
 
     # waiting
     def stands(self) -> bool:
-        """Tell whether time stands still; look after whom it stands for."""
+        """True while time stands still; dismisses the participant that causes it if it is late or gone."""
         now = self.now()
         if not self._state[_BEHIND]:
             return False
@@ -213,7 +215,7 @@ class BenchClock(Clock):
         return True
 
     def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
-        """Return at bench time t_ns or later; sleep, never spin, while time stands still."""
+        """Sleep until bench time t_ns or later; spins at the end, but never while time stands still."""
         self.waiting(t_ns)
         while (now := self.now()) < t_ns:
             rest = t_ns - now - spin_ns

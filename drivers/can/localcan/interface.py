@@ -1,4 +1,4 @@
-"""LocalCanBus: localcan as a python-can interface, so that its viewer, logger and player work on it."""
+"""LocalCanBus: localcan as a python-can interface, for its viewer, logger and player."""
 
 import errno
 import struct
@@ -22,13 +22,13 @@ _FOREVER_NS = 1 << 62
 class LocalCanBus(can.BusABC):
     """python-can bus on a localcan channel.
 
-    channel: any name. bitrate, data_bitrate (bit/s), fd: the first participant that states them fixes them
-    for all; left out, they are taken as they are (1M/5M, CAN FD where nobody has stated any).
-    receive_own_messages: deliver what is sent here, too, with is_rx False.
+    channel: any name. bitrate, data_bitrate (bit/s), fd: the first participant that sets them fixes them for
+    all. If left out, the present values apply (1M/5M, CAN FD if nobody has set any).
+    receive_own_messages: deliver own messages too, with is_rx False.
 
-    Message.timestamp is Unix time of the frame's end, less what bench time has stood still since joining.
+    Message.timestamp is Unix time of the frame's end, minus the standstill of bench time since joining.
     Filters are applied in software. Mutable state: the participant and the messages received but not taken.
-    Raises can.CanInitializationError when the timing disagrees or the runtime folder cannot be used.
+    Raises can.CanInitializationError if the timing differs or the runtime folder cannot be used.
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class LocalCanBus(can.BusABC):
         return message, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Queue a message. Raises can.CanOperationError: ENOBUFS when `timeout` has not made room for it."""
+        """Queue a message. Raises can.CanOperationError: ENOBUFS without room for it within `timeout`, s."""
         end = time.monotonic() + (timeout or 0.0)
         try:
             frames = sent_array([from_message(msg)])
             while not self._node.send(frames):
                 if time.monotonic() >= end:
                     raise can.CanOperationError(
-                        f"localcan {self._node.channel}: no room in the transmit queue, the bus is too busy",
+                        f"localcan {self._node.channel}: transmit queue full, the bus is overloaded",
                         error_code=errno.ENOBUFS,
                     )
                 time.sleep(1e-4)
@@ -89,7 +89,7 @@ class LocalCanBus(can.BusABC):
         self._node.flush_tx()
 
     def fileno(self) -> int:
-        """Return a file descriptor that is readable when `recv` may have something."""
+        """File descriptor that is readable when `recv` may have a message."""
         return self._node.fileno()
 
     def shutdown(self) -> None:

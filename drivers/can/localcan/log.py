@@ -1,11 +1,11 @@
-"""Which frame starts when on a localcan wire: a log that everybody appends to and nobody locks.
+"""Order of the frames on a localcan wire: a log to which all participants append without a lock.
 
-An entry is one word, put by an atomic exchange at the log's end: a frame that starts. What waits is in the
-outboxes. Whoever sees first that the bus falls free appends the next start, by the rule of
-`drivers.can.arbitration`: the smallest priority among the frames queued by then. Its end follows from log
-and record alone: the later of the end before it and the time at which it was queued, plus its duration.
-Whoever reads the entry first writes the end into the record, always before the next entry. So all have one
-order and one time for each frame. A frame that its sender was slow to count has missed the starts before it.
+An entry is one word for a frame that starts, put at the log's end by an atomic exchange. Waiting frames are
+in the outboxes. The first reader that sees the bus free appends the next start, by the rule of
+`drivers.can.arbitration`: the smallest priority among the frames queued by then. A frame's end follows from
+log and record alone: the later of the end before it and its time of queueing, plus its duration. The first
+reader of an entry writes the end into the record, always before the next entry. So all readers have one order
+and one time for each frame. A frame that its sender counts late misses the starts before it.
 """
 
 from drivers.arrays import Ints
@@ -25,24 +25,24 @@ from drivers.compiled.compiler import (
 from drivers.protocol import ERROR
 
 SERIAL, CURSOR, FREE, LOST, HEARS_OWN = range(5)
-"""Of a reader's `state`: its serial number; next entry to read; when the bus falls free after those before,
-ns; frames that reading too slowly has lost; not 0 where frames of its own count, too."""
+"""Indices of a reader's `state`: its serial number; next entry to read; end of the entries before it, ns;
+frames lost by reading too slowly; not 0: own frames are received, too."""
 PLACE, ENTRY = bus.WIRE + 1, bus.WIRE + 2
-"""Columns of a reader's `queue` after those of `arbitration`: where the record is; its entry without lap."""
+"""Columns of a reader's `queue` after those of `arbitration`: index of the record; its entry without lap."""
 QUEUE_ROWS = 8192
 FRAME_WORDS = 10
-"""Of an element of FRAME: t_ns, and what a record has of it."""
+"""Words of an element of FRAME: t_ns, and the words of a record from DETAIL on."""
 _KEPT = at.LOG - 1024
-"""Entries before the log's end that are not overwritten while somebody reads them."""
+"""Entries before the log's end that cannot be overwritten during a read."""
 _NUMBERS = (1 << at.NUMBER_BITS) - 1
 _LENGTH, _FLAGS = 40, 48
-"""Where they are in the word of a record that has identifier, kind, length, flags and bus."""
+"""Shifts in the word of a record that has identifier, kind, length, flags and bus."""
 _SENT_AS_IT_IS = 0xFFFFFFFF | (0xFF & ~OWN) << _FLAGS
 
 
 @helper
 def _gather(words: Ints, queue: Ints) -> int:
-    """Fill in what waits in all outboxes; return how many."""
+    """Fill in the waiting frames of all outboxes; the result is their number."""
     rows = 0
     for slot in range(load(words, at.USED_AT)):
         place = at.slot_at(slot)
@@ -66,7 +66,7 @@ def _gather(words: Ints, queue: Ints) -> int:
 
 @helper
 def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
-    """Return record, number and end of the frame that starts; end 0: taken back, less: overwritten."""
+    """Record, number and end of the frame of an entry; end 0: withdrawn, negative: overwritten."""
     entry = load(words, at.LOG_AT + index % at.LOG)
     record = at.record_at(entry >> at.NUMBER_BITS, entry & _NUMBERS)
     number = load(words, record + at.NUMBER)
@@ -80,9 +80,9 @@ def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, OUT_INTEGER_MATRIX)
 def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> int:
-    """Start what is due by now; fill `frames`, elements of FRAME, with what has ended; return how many.
+    """Start the frames due by now, and fill `frames`, elements of FRAME, with the ended ones.
 
-    Call again when `frames` is full.
+    The result is the number filled in. Call again when `frames` is full.
     """
     taken = 0
     while taken < frames.shape[0]:
@@ -121,9 +121,9 @@ def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> in
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, OUT_INTEGERS)
 def foresee(words: Ints, state: Ints, queue: Ints, missing: Ints) -> int:
-    """Return when all missing identifiers (none: the next foreign frame) will have ended, ns; -1: unknown.
+    """Time, ns, when all missing identifiers (none: the next foreign frame) will have ended; -1: unknown.
 
-    A frame queued later can only push this instant back, unless it is itself awaited. Overwrites `missing`.
+    A frame queued later can only delay this time, unless it is itself awaited. Overwrites `missing`.
     """
     index, free, rows, left = state[CURSOR], state[FREE], -1, missing.shape[0]
     while True:
@@ -162,11 +162,11 @@ def put(
     limit: int,
     limit_of_all: int,
 ) -> int:
-    """Queue frames of this participant, elements of FRAME as words, from the first on; return how many.
+    """Queue leading frames of this participant, elements of FRAME as words; the result is their number.
 
-    costs: priority, duration ns and length of each; clock_words, clock: of its `bench_clock`, which may be
-    that of another wire. Not more than `limit` of its own then wait, nor `limit_of_all` of all. A frame is
-    queued at the instant before it is counted.
+    costs: priority, duration ns and length of each frame. clock_words, clock: those of its `bench_clock`,
+    which may belong to another wire. At most `limit` of its own frames then wait, and `limit_of_all` of all.
+    A frame's time of queueing is read just before the frame is counted.
     """
     slot, rows, own = state[SERIAL] % at.SLOTS, _gather(words, queue), 0
     for row in range(rows):
@@ -177,7 +177,7 @@ def put(
     room = max(0, min(frames.shape[0], limit - own, limit_of_all - rows, at.OUTBOX - unread))
     for row in range(room):
         number, record = count + row, at.record_at(slot, count + row)
-        # who still reads the frame that was there finds out by its number
+        # a reader of the frame that was there detects the new number
         store(words, record + at.NUMBER, number)
         store(words, record + at.END, -1 - number)
         words[record + at.PRIORITY], words[record + at.DURATION] = costs[row, 0], costs[row, 1]
@@ -191,7 +191,7 @@ def put(
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX)
 def withdraw(words: Ints, state: Ints, queue: Ints) -> int:
-    """Take back this participant's frames that have not started; return how many."""
+    """Withdraw this participant's frames that have not started; the result is their number."""
     taken_back = 0
     for row in range(_gather(words, queue)):
         record = queue[row, PLACE]
@@ -202,15 +202,16 @@ def withdraw(words: Ints, state: Ints, queue: Ints) -> int:
 
 @kernel(OUT_INTEGERS, INTEGER, INTEGER, INTEGER)
 def change(words: Ints, place: int, expected: int, new: int) -> bool:
-    """Put `new` if the word is `expected`; tell whether it was. What stands behind it is read after it."""
+    """Set a word to `new` if it is `expected`; True if it was. Later reads cannot move before it."""
     return bool(replace(words, place, expected, new))
 
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, OUT_INTEGERS)
 def to_ring(words: Ints, state: Ints, now_ns: int, again_ns: int, serials: Ints) -> int:
-    """Fill in the others that wait for a ring, or have not answered one for so long; return how many.
+    """Fill in participants to ring: they wait for a ring or have not answered one for `again_ns`.
 
-    Of those who hold bench time the due is brought forward: they have something to see.
+    The result is their number. The due of those that hold bench time is brought forward: they have frames to
+    read.
     """
     found = 0
     for slot in range(load(words, at.USED_AT)):

@@ -1,4 +1,4 @@
-"""One participant on a localcan channel: elements of FRAME, nanoseconds of the channel's clock."""
+"""One participant on a localcan channel: elements of FRAME, times in ns of the channel's clock."""
 
 import threading
 from collections.abc import Set as AbstractSet
@@ -23,27 +23,27 @@ from drivers.protocol import EXTENDED, FD
 DEFAULT_TIMING = BitTiming(1_000_000, 5_000_000)
 DEFAULT_MODE = Mode(DEFAULT_TIMING, fd=True)
 TX_LIMIT = 64
-"""Frames that one participant can have waiting for the bus."""
+"""Most frames of one participant that may wait for the bus."""
 QUEUE_LIMIT = 4096
-"""Frames waiting for the bus at most, all participants together."""
+"""Most frames that may wait for the bus, all participants together."""
 BATCH = 512
-"""Frames taken from the wire at once."""
+"""Frames read from the wire at once."""
 _AGAIN_NS = 20_000_000
 _SLICE_S = 0.1
 LOOK_S = 1e-3
-"""Between two looks while time stands still, or a bus is off."""
+"""Pause between two checks while time stands still, or a bus is off."""
 
 
 @lru_cache(1024)
 def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: str) -> tuple[int, int, int]:
-    """Return priority, duration ns and length of a frame.
+    """Priority, duration ns and length of a frame.
 
-    classic: the channel where it is a classic CAN bus, else empty. Raises BusError for a frame that this bus
-    cannot carry.
+    classic: the channel's name if it is a classic CAN bus, else empty. Raises BusError for a frame that this
+    bus cannot carry.
     """
     if not 0 <= identifier <= (0x1FFFFFFF if flags & EXTENDED else 0x7FF):
         raise BusError(
-            f"localcan: identifier 0x{identifier:X} does not fit a CAN frame; extended ones need the flag"
+            f"localcan: identifier 0x{identifier:X} does not fit a CAN frame; set EXTENDED for 29 bits"
         )
     if flags & FD and classic:
         raise BusError(
@@ -57,15 +57,15 @@ def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: st
 class Participant(Link):
     """A node on the channel.
 
-    The mode (`timing`, `fd`) is that of the first participant that states one; None takes what is there.
-    `own`: receive the frames sent here, too. `spin_us`: busy-wait before the end of an awaited frame.
-    `tx_limit`: frames that may wait for the bus before `send` takes no more. `clock`: of a participant on
-    another channel, whose time is this one's too, and who leaves with it; by default the channel has its own.
-    Who joins this channel by itself goes by the channel's, which is kept to the lent one's.
+    The first participant that sets a mode (`timing`, `fd`) fixes it; None accepts the present mode.
+    `own`: receive own frames, too. `spin_us`: busy-wait before the end of an awaited frame. `tx_limit`:
+    frames that may wait for the bus before `send` accepts no more.
+    `clock`: clock of a participant on another channel, to be shared; it stops holding time when this one
+    leaves. By default the channel has its own clock. Others that join this channel use its own clock, which
+    follows the shared one.
 
-    Mutable state: the shared wire; what this reader knows of its log; frames received by a look that was
-    not for them; the kinds of frames that have passed the check, with priority and duration.
-    Raises BusError when the timing disagrees or the folder cannot be used.
+    Mutable state: the shared wire; this reader's position in its log; frames received but not taken.
+    Raises BusError if the timing differs or the folder cannot be used.
     """
 
     clock: BenchClock
@@ -86,7 +86,7 @@ class Participant(Link):
         self._tx_limit = min(int(tx_limit), at.OUTBOX // 2)
         self._inbox = bytearray()
         self._sent = range(0)
-        """Numbers of the frames that the last `send` took."""
+        """Numbers of the frames accepted by the last `send`."""
         self._queued_ns = 0
         self._thread = threading.RLock()
         """Users of python-can send and receive in several threads."""
@@ -118,14 +118,14 @@ class Participant(Link):
         wanted = Mode(timing or agreed.timing, agreed.fd if fd is None else fd)
         if wire.mode is not None and str(wanted) != str(agreed):
             raise BusError(
-                f"localcan {self.channel} runs as {agreed}, asked for was {wanted}: "
-                f"use the timing of the others (processes {', '.join(map(str, others.values()))}) "
+                f"localcan {self.channel} runs as {agreed}, but {wanted} was requested: "
+                f"use the timing of its participants (processes {', '.join(map(str, others.values()))}) "
                 "or another channel"
             )
         if wire.mode is None and (timing, fd) != (None, None):
             wire.fix(wanted)
         self.serial = wire.enter()
-        # a little before the log's end, to find out when the bus falls free
+        # a little before the log's end, to find out when the bus becomes free
         begun = max(at.FIRST, int(wire.words[at.HINT_AT]) - at.OUTBOX // 8)
         self._state = np.array([self.serial, begun, 0, 0, 0])
         self._queue = np.zeros((log.QUEUE_ROWS, log.ENTRY + 1), np.int64)
@@ -133,12 +133,12 @@ class Participant(Link):
         self._serials = np.zeros(at.SLOTS, np.int64)
         self.clock = clock or BenchClock(wire, self.serial)
         self.clock.wires.append(wire.words)
-        self.receive()  # what has ended before
+        self.receive()  # discard frames that ended before
         self.overflow = self._state[log.LOST] = 0
         wire.words[at.slot_at(self.serial) + at.SLOT_SERIAL] = self.serial
 
     def close(self) -> None:
-        """Leave the bus; frames still queued are sent. The last one takes the wire with it."""
+        """Leave the bus; queued frames are still sent. The last participant removes the wire."""
         if self._closed:
             return
         self._closed = True
@@ -154,13 +154,13 @@ class Participant(Link):
     # sending
     @property
     def mode(self) -> Mode:
-        """Bit timing of the channel, and whether it carries CAN FD."""
+        """Mode of the channel: bit timing, and CAN FD or classic."""
         return self._wire.mode or DEFAULT_MODE
 
     def send(self, frames: Rows) -> int:
-        """Queue frames at this node and return how many it took: fewer when `tx_limit` frames wait already.
+        """Queue frames at this node; the result counts those accepted: fewer once `tx_limit` frames wait.
 
-        Returns at once. Raises BusError for a frame that this bus cannot carry.
+        Never waits. Raises BusError for a frame that this bus cannot carry.
         """
         mode, content = self.mode, frames.tobytes()
         classic = "" if mode.fd else self.channel
@@ -188,7 +188,7 @@ class Participant(Link):
         self._queued_ns = now = self.clock.now()
         if taken:
             self.clock.sends()
-            # an unanswered ring is repeated: the one who should have rung may have been killed
+            # an unanswered ring is repeated: its sender may have been killed before it
             listeners = log.to_ring(wire.words, state, now, _AGAIN_NS, self._serials)
             for other in self._serials[:listeners].tolist():
                 if not wire.ring(other):
@@ -196,29 +196,29 @@ class Participant(Link):
         return taken
 
     def flush_tx(self) -> int:
-        """Drop this node's frames that have not started; return how many."""
+        """Drop this node's frames that have not started; the result is their number."""
         with self._thread:
             self._look()
             return int(log.withdraw(self._wire.words, self._state, self._queue))
 
     def sent_ns(self) -> list[int]:
-        """Return when each frame that the last `send` took ended, as far as this node has looked.
+        """End of each frame accepted by the last `send`, ns, as far as this node has seen it.
 
-        Else when it was taken.
+        Else the time of acceptance.
         """
         words, places = self._wire.words, [at.record_at(self.serial, number) for number in self._sent]
         return [int(end) if (end := words[place + at.END]) > 0 else self._queued_ns for place in places]
 
     # receiving
     def receive(self) -> Rows:
-        """Return what has ended since the last call, in the order of the wire. Does not block."""
+        """Frames that ended since the last call, in the order of the wire. Does not block."""
         with self._thread:
             self._look()
             received, self._inbox = self._inbox, bytearray()
         return np.frombuffer(received, FRAME)
 
     def _look(self) -> None:
-        """Take what has ended into the inbox."""
+        """Read frames that have ended into the inbox."""
         words, now, taken = self._wire.words, self.clock.now(), BATCH
         while taken == BATCH:
             taken = log.look(words, self._state, self._queue, now, self._frames)
@@ -229,11 +229,11 @@ class Participant(Link):
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
         """Sleep until all missing identifiers (none: the next foreign frame) will have ended.
 
-        Sleeps until somebody sends where that cannot be foreseen, and at most until the deadline.
+        If that time is unknown, sleep until somebody sends. The sleep ends at the deadline at the latest.
         """
         clock, end = self.clock, self.foresee(missing)
         if end is None:
-            # first promised, then asked for a ring: who rings may bring the promise forward
+            # first the promise, then the request for a ring: a ring may bring the promise forward
             clock.waiting(deadline_ns)
             self._ask_for_ring()
             end = self.foresee(missing)
@@ -242,16 +242,16 @@ class Participant(Link):
             return
         left_ns = deadline_ns - clock.now()
         if left_ns > 0 and not self._inbox:
-            # in slices: a ring can be lost when the one who rings is killed
+            # in slices: a ring can be lost if its sender is killed
             self._wire.wait(LOOK_S if clock.stands() else min(left_ns * 1e-9, _SLICE_S))
         # awake: a ring would change nothing but bring the promise forward
         self._wire.words[at.slot_at(self.serial) + at.SLOT_RUNG] = clock.now()
         clock.working()
 
     def foresee(self, missing: AbstractSet[int] = frozenset()) -> int | None:
-        """Return when all missing identifiers will have ended, as far as can be told now; else None.
+        """Time, ns, when all missing identifiers will have ended; None if unknown at present.
 
-        None missing: when the next foreign frame will have.
+        Without missing identifiers: the end of the next foreign frame.
         """
         awaited = np.fromiter(missing, np.int64, len(missing))
         with self._thread:
@@ -259,20 +259,20 @@ class Participant(Link):
         return None if end < 0 else end
 
     def _ask_for_ring(self) -> None:
-        """Empty the doorbell and let the next sender ring. Look after it, not before."""
+        """Empty the doorbell and request a ring from the next sender. Read the log after it, not before."""
         self._wire.silence()
         place = at.slot_at(self.serial) + at.SLOT_RUNG
         log.change(self._wire.words, place, int(self._wire.words[place]), 0)
 
     def arm(self) -> bool:
-        """Ask for the next ring, unless something has come or is under way; return whether nothing is."""
+        """Request the next ring, unless a frame has arrived or is under way; True if none has."""
         self._ask_for_ring()
         return not self._inbox and self.foresee() is None
 
     def fileno(self) -> int:
-        """Return the doorbell's descriptor, readable when it has rung."""
+        """Descriptor of the doorbell, readable after a ring."""
         return self._wire.bell.fileno()
 
     def ring(self) -> None:
-        """Make `fileno` readable: frames were received that the reader has not taken yet."""
+        """Make `fileno` readable: the reader has not yet taken all frames received."""
         self._wire.ring(self.serial)

@@ -1,6 +1,6 @@
-"""The shared memory of one localcan channel: its file, its timing, who is on it, and their doorbells.
+"""Shared memory of one localcan channel: its file, timing, participants and doorbells.
 
-Only joining and leaving take the file's lock, and wait for it for a bounded time.
+Only joining and leaving take the file's lock; the wait for it is bounded.
 """
 
 import contextlib
@@ -21,13 +21,13 @@ from drivers.can.localcan import layout as at
 from drivers.errors import BusError
 
 JOIN_S = 2.0
-"""Joining waits no longer for others that join or leave; each takes a few ms."""
+"""Longest wait for others that join or leave; each takes a few ms."""
 LEAVE_S = 0.2
 _AGAIN_S = 0.001
 
 
 class Mode(NamedTuple):
-    """How a channel runs: bit rates, and whether it carries CAN FD. Channels with the same text agree."""
+    """Mode of a channel: bit rates, and CAN FD or classic. Modes with the same text agree."""
 
     timing: BitTiming
     fd: bool
@@ -38,12 +38,11 @@ class Mode(NamedTuple):
 
 
 class Wire:
-    """One channel's shared memory, made with the lock held, and the doorbells of its participants.
+    """Shared memory of one channel, created with the lock held, and the doorbells of its participants.
 
-    A doorbell is a datagram socket, by which others say that there is something to see. Both lie in a folder
-    of this user's alone.
-    Mutable state: the mapping, shared with every participant, whether this process holds the lock, and the
-    doorbell.
+    A doorbell is a datagram socket; a ring says that there is something to read. File and sockets lie in a
+    folder of this user alone.
+    Mutable state: the mapping, shared with all participants; the lock, if held; the doorbell.
     """
 
     def __init__(self, path: Path) -> None:
@@ -63,8 +62,9 @@ class Wire:
             os.close(self._fd)
             if not locked:
                 raise BusError(
-                    f"localcan: a process has held {path} for {JOIN_S:g} s, stopped while it joined or left: "
-                    f"let it go on (`fuser {path}` names the processes, `kill -CONT` wakes one) or end it"
+                    f"localcan: a process has locked {path} for {JOIN_S:g} s: it was stopped while it joined "
+                    f"or left. Resume it (`fuser {path}` lists the processes, `kill -CONT` resumes one) or "
+                    "end it"
                 )
         new = status.st_size != at.SIZE
         try:
@@ -78,8 +78,8 @@ class Wire:
             if isinstance(error, BusError):
                 raise
             raise BusError(
-                f"localcan: {path}: {error.strerror}: {at.SIZE / 1e6:.1f} MB of memory are mapped; "
-                "raise what a process may have (`ulimit -v`), or end what takes the memory"
+                f"localcan: {path}: {error.strerror}: {at.SIZE / 1e6:.1f} MB of memory are needed; "
+                "raise the limit of a process (`ulimit -v`), or end a process that uses the memory"
             ) from error
         self.words: Ints = np.frombuffer(self.memory, np.int64)
         self._slots = self.words[at.SLOTS_AT :][: at.SLOTS * at.SLOT].reshape(at.SLOTS, at.SLOT)
@@ -87,7 +87,7 @@ class Wire:
         self.bell.setblocking(False)
 
     def lock(self, seconds: float) -> bool:
-        """Wait for others that join or leave, for so long at most; tell whether the lock was had."""
+        """Wait at most `seconds` for others that join or leave; True if the lock was taken."""
         until = time.monotonic() + seconds
         while True:
             with contextlib.suppress(BlockingIOError):
@@ -98,53 +98,53 @@ class Wire:
             time.sleep(_AGAIN_S)
 
     def _claim(self, start: int, length: int) -> None:
-        """Have memory for a part of the file: a full file system would kill the process at a first write."""
+        """Reserve memory for a part of the file, as a full file system would kill the process at a write."""
         try:
             os.ftruncate(self._fd, at.SIZE)
             os.posix_fallocate(self._fd, start, length)
         except OSError as error:
             raise BusError(
                 f"localcan: no room for {length // 1024} KiB in {self.path.parent} ({error.strerror}); "
-                "free some or set XDG_RUNTIME_DIR"
+                "free some space or set XDG_RUNTIME_DIR"
             ) from error
 
     def unlock(self) -> None:
-        """Let the others join and leave."""
+        """Let others join and leave."""
         fcntl.flock(self._fd, fcntl.LOCK_UN)
 
     def close(self) -> None:
-        """Give doorbell, lock and file back; the memory is unmapped with the last who looks at it."""
+        """Release doorbell, lock and file; the memory is unmapped with its last user."""
         self.bell.close()
-        self.unlock()  # said, not left to close(): the mapping has a descriptor of its own
+        self.unlock()  # explicit, as close() is not enough: the mapping has a descriptor of its own
         os.close(self._fd)
 
     @property
     def mode(self) -> Mode | None:
-        """What the participants agreed on, None while none has stated any."""
+        """Mode on which the participants agreed; None until one of them sets it."""
         packed = int(self.words[at.TIMING_AT])
         rates = BitTiming(packed & 0x7FFFFFFF, packed >> 31 & 0x7FFFFFFF)
         return Mode(rates, bool(packed >> 62)) if packed else None
 
     def fix(self, mode: Mode) -> None:
-        """Set the mode for the life of this bus, in one word: two who do so at once cannot mix theirs."""
+        """Set the mode for the life of this bus, in one word: two participants at once cannot mix theirs."""
         (rate, fast), fd = mode
         self.words[at.TIMING_AT] = rate | fast << 31 | int(fd) << 62
 
     # participants
     def present(self) -> dict[int, int]:
-        """Return serial number and process of each participant."""
+        """Serial number -> process, for each participant."""
         pairs = self._slots[:, [at.SLOT_SERIAL, at.SLOT_PID]].tolist()
         return {serial: pid for serial, pid in pairs if serial}
 
     def enter(self) -> int:
-        """Take a slot and its doorbell, with the lock held; return the serial number.
+        """Take a slot and its doorbell, with the lock held; the result is the serial number.
 
-        Who writes it into the slot is on the bus from then on.
-        Raises BusError without a free slot, without memory, or where there can be no socket.
+        The participant is on the bus once it writes the number into the slot.
+        Raises BusError without a free slot, without memory, or if the socket cannot be opened.
         """
         empty = np.flatnonzero(self._slots[:, at.SLOT_SERIAL] == 0)
         if not len(empty):
-            raise BusError(f"localcan: {self.path.name} has {at.SLOTS} participants, no more fit; close one")
+            raise BusError(f"localcan: {self.path.name} has {at.SLOTS} participants, the limit; close one")
         self.words[at.SERIAL_AT] += 1
         serial = int(self.words[at.SERIAL_AT]) * at.SLOTS + int(empty[0])
         self._claim(at.record_at(serial, 0) * at.WORD, at.OUTBOX * at.RECORD_WORDS * at.WORD)
@@ -163,11 +163,11 @@ class Wire:
 
     # doorbells
     def bell_of(self, serial: int) -> str:
-        """Return where the doorbell of a participant is."""
+        """Path of a participant's doorbell."""
         return f"{self._prefix}.{serial}"
 
     def ring(self, serial: int) -> bool:
-        """Ring a participant; return whether anybody lives there."""
+        """Ring a participant; True if it is alive."""
         try:
             self.bell.sendto(b"", self.bell_of(serial))
         except (ConnectionRefusedError, FileNotFoundError):
@@ -177,11 +177,11 @@ class Wire:
         return True
 
     def silence(self) -> None:
-        """Take all rings that have come."""
+        """Discard all rings received."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 self.bell.recv(1)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until it rings, or for so long."""
+        """Sleep until a ring, at most `seconds`."""
         select.select([self.bell], [], [], seconds)

@@ -1,1 +1,1 @@
-"""`hil check`: what a configuration means before anything moves."""
+"""`hil check`: figures and warnings of a configuration before anything moves."""

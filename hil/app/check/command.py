@@ -1,4 +1,4 @@
-"""`hil check CONFIG`: what bus, legs and limits say about a configuration before anything moves."""
+"""`hil check CONFIG`: figures and warnings of a configuration before anything moves."""
 
 from collections.abc import Callable
 
@@ -16,11 +16,11 @@ SECTIONS: tuple[Callable[[Report], None], ...] = (
 
 
 def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Report:
-    """Return the report on a configuration and its whole reference.
+    """Report on a configuration and its whole reference.
 
-    tell: called now and then with the s of the reference that were looked at, and of how many.
-    Raises ConfigurationError with the limits that the reference breaks, each with its first instant;
-    PlantError for an FMU that cannot be hosted.
+    tell: progress callback, called with checked and total seconds of the reference.
+    Raises ConfigurationError: each limit that the reference violates, with the first instant; PlantError: an
+    FMU that cannot be hosted.
     """
     report = Report(looked_at(c, tell))
     for section in SECTIONS:
@@ -32,19 +32,18 @@ def inspect(c: Configuration, tell: Callable[[float, float], None] = lambda *_: 
 
 
 def refuse_unreachable(c: Configuration) -> None:
-    """Refuse a reference that breaks a limit somewhere on its way; costs up to half a second.
+    """Refuse a reference that violates a limit anywhere on its path; takes up to half a second.
 
-    Raises ConfigurationError with the first instant of each limit that it breaks.
+    Raises ConfigurationError with the first instant of each violated limit.
     """
     course(c)
 
 
 def stopping_distances_m(c: Configuration) -> tuple[float, float]:
-    """Return how far a leg may travel on the reference, m, as printed.
+    """Longest travel of a leg on the reference, m: after silence until its brake holds, in a controlled stop.
 
-    From silence until its brake holds it, and in a stop under control. Where the drives have no watchdog that
-    is set from here, the first is what a reaction within `drives.watchdog_ms` leaves: theirs has no bound.
-    Raises ConfigurationError as `inspect` does.
+    Drives without a watchdog set by this program have no bound of their own: the first value then assumes a
+    reaction within `drives.watchdog_ms`. Raises ConfigurationError as `inspect`.
     """
     *_, w = course(c)
     return reacted_to(c, w).travel_m(w), controlled_stop_m(c, w)

@@ -1,4 +1,4 @@
-"""What silence, changes of speed, jogs and pushes ask of legs, and what a learned feed-forward does."""
+"""Demands on the legs by bus silence, speed changes, jogs, probe pushes and a learned feed-forward."""
 
 from itertools import product
 from math import ceil, radians, sqrt
@@ -27,31 +27,31 @@ from hil.trajectory.path import PoseSample, Trajectory
 from plant_fmu.config import StewartPlant
 
 MOST = 500
-"""Instants at which the forces of a change of speed are looked at."""
+"""Most instants at which the forces of a speed change are computed."""
 JOGS = 25
-"""Instants of the reference from which jogs are looked at."""
+"""Number of instants of the reference from which jogs are tried."""
 CREEPING = 1e-9
-"""Share of the speed at which dry friction is whole, and nothing else is felt of the motion."""
+"""Share of the speed at which dry friction acts fully and every other effect of motion is negligible."""
 STEEPEST = 1.875
-"""Largest slope of the smooth step by which a feed-forward fades, of its height over its length."""
+"""Largest slope of the smooth step that fades a feed-forward, for unit height and length."""
 
 
 class Silence(NamedTuple):
-    """Travel of a leg that moves at v when the bus falls silent: v T + a T^2 / 2."""
+    """Travel of a leg with speed v after the bus falls silent: v T + a T^2 / 2."""
 
     T: float
-    """drives.watchdog_ms and engage.brake_close_s, until legs rest on their brakes, s."""
+    """drives.watchdog_ms and engage.brake_close_s: time until the brakes hold the legs, s."""
     a: float
-    """As on the path, or as without any force, m/s^2."""
+    """The larger of the acceleration on the path and the one without force, m/s^2."""
 
     def travel_m(self, w: Walk) -> float:
-        """Return the longest on the path: that from the top speed."""
+        """Longest travel on the path, m: from the top speed."""
         return float(self._travel(np.abs(w.dq)).max())
 
     def beyond(self, w: Walk, length_min_m: float, length_max_m: float) -> dict[str, float] | None:
-        """Return where on the path a leg would be driven farthest into a hard end; None if all stop before.
+        """Largest overrun of a hard end on the path; None if every leg stops before.
 
-        Instant t, leg, travel_m until it rests on its brake, and free_m before the end.
+        Keys: instant t, leg, travel_m until its brake holds, and free_m before the end.
         """
         travel = np.stack((self._travel(np.maximum(-w.dq, 0.0)), self._travel(np.maximum(w.dq, 0.0))))
         free = np.stack((w.q - length_min_m, length_max_m - w.q))
@@ -66,24 +66,24 @@ class Silence(NamedTuple):
 
 
 class SpeedChange(NamedTuple):
-    """The most that a change of speed along the reference asks of a leg, anywhere on it.
+    """Largest demand of a speed change on a leg, anywhere on the reference.
 
-    At the share sigma of the speed ddq = sigma^2 ddq_d + (d sigma/dt) dq_d, with the rates of sigma at the
-    bounds of `hil.trajectory.override`.
+    At the speed share sigma, ddq = sigma^2 ddq_d + (d sigma/dt) dq_d, with the rates of sigma at the bounds
+    of `hil.trajectory.override`.
     """
 
     acceleration_m_s2: float
     added_m_s2: float
-    """Of that, by (d sigma/dt) dq_d."""
+    """Part of it by (d sigma/dt) dq_d."""
     force_N: float
     step_N: float
-    """From tick to tick, beside what the reference asks for."""
+    """From tick to tick, in addition to the reference."""
     felt_m_s2: float
-    """|J M^-1 J^T tau|: what an error of the model's inertia and weight acts on."""
+    """|J M^-1 J^T tau|: acceleration on which an error of the model's inertia and weight acts."""
 
 
 def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model, span: float) -> SpeedChange:
-    """Return what a change of speed within engage.stop_s asks for. span: of the walk, s."""
+    """Demand of a speed change within engage.stop_s. span: duration of the walk, s."""
     T, period = c.engage.stop_s, 1.0 / c.loop.rate_Hz
     rate, curvature = PEAK / T, CURVATURE / T**2
     rows = np.unique(np.linspace(0, len(w.t) - 1, MOST).astype(np.int64))
@@ -115,16 +115,16 @@ def speed_change(c: Configuration, w: Walk, trajectory: Trajectory, model: Model
 
 
 class JogDemand(NamedTuple):
-    """The most that a jog from anywhere on the reference asks of a leg, by each axis and leg, both ways."""
+    """Largest demand of a jog on a leg, from anywhere on the reference, both ways along each axis."""
 
     change_N: float
-    """Of a force within 250 ms, as the controller judges it; dry friction of our plant turns round once."""
+    """Force change within 250 ms, as the controller judges it; our plant's dry friction reverses once."""
     rate_m_s: float
-    """Of the leg's length, where the jog begins."""
+    """Rate of the leg's length at the start of the jog."""
 
 
 def jog_demand(c: Configuration, trajectory: Trajectory, model: Model, span: float) -> JogDemand:
-    """Return what jogs ask for. span: of the walk, s."""
+    """Demand of jogs. span: duration of the walk, s."""
     admission, still, platform = build_admission(c, model.platform), np.zeros(6), model.platform
     speeds = c.operator.setup_speed_m_s, radians(c.operator.setup_speed_deg_s)
     plant = None if c.plant is None else c.plant.model
@@ -143,11 +143,11 @@ def jog_demand(c: Configuration, trajectory: Trajectory, model: Model, span: flo
 
 
 def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
-    """Return what clips a push on the way along a reference, or what it does to a free leg; None: nothing.
+    """Message on a probe push that a limit clips, or that moves a free leg too far; None: no such push.
 
-    A push acts on top of the path's force, where there is no friction both ways. Where there is, it comes at
-    once: a leg that is free is pushed until its motion is seen, after a time t, and the law takes as long to
-    stop it: it moves by up to push A t^2.
+    A push is added to the path's force: without friction in both directions, with friction at once. A free
+    leg is pushed for a time t until its motion is seen, and the law takes as long to stop it. It moves by up
+    to push A t^2.
     """
     if limits.watched_legs == 0:
         return None
@@ -163,7 +163,7 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     }
     if limits.sticks:
         room[f"limits.following_error_m {following_m:g}"] = (beside_m / late_s) ** 2 / A
-    room = {what: most for what, most in room.items() if (most >= 0.0).all()}  # else the path breaks it alone
+    room = {what: most for what, most in room.items() if (most >= 0.0).all()}  # else the path violates it
     if all((most >= limits.push_N).all() for most in room.values()):
         return None
     what, least = min(room.items(), key=lambda each: float((each[1] - limits.push_N).min()))
@@ -171,32 +171,32 @@ def clipped(c: Configuration, limits: EncoderLimits, w: Walk) -> str | None:
     leg, friction = int(np.argmin(beyond)), friction_N(c)
     driving, back_driving = efficiencies(c)
     most = friction + float(beyond[leg] / (1.0 / driving[leg] + back_driving[leg]))
-    allowed = f"at most {most:.1f} N" if most >= 0.0 else "no such push"
+    allowed = f"at most {most:.1f} N" if most >= 0.0 else "no push of this size"
     assumed = " (assumed)" if friction > stated_friction_N(c) else ""
     return (
-        f"a leg at rest is pushed by {limits.push_N[leg]:.0f} N, twice the friction, losses and what "
-        f"monitor.disturbance_m_s2 asks for, too much for {what}, allowed: {allowed}, given: {friction:g} N"
+        f"the probe push on a leg at rest is {limits.push_N[leg]:.0f} N: twice the friction, losses, and "
+        f"monitor.disturbance_m_s2. It is too large for {what}, allowed: {allowed}, given: {friction:g} N"
         f"{assumed}; state the friction as measured, or raise {what.split()[0]}"
     )
 
 
 class Learned(NamedTuple):
-    """A learned feed-forward: where it is from, and how much it can do where it is wrong."""
+    """Learned feed-forward: its source, and its largest effects where it is wrong."""
 
     head: FeedforwardHead
     start_s: float
     end_s: float
     peak_N: float
     pushed_m_s2: float
-    """Of a leg."""
+    """Acceleration of a leg."""
     along_N: float
-    """Largest change from tick to tick."""
+    """Largest change per tick."""
     fading_N: float
-    """The same where it fades."""
+    """Largest change per tick while it fades."""
 
 
 def learned(c: Configuration, mobility: Array) -> Learned | None:
-    """Return what section feedforward has learned. mobility: (6, 6) 1/kg of the robot at home."""
+    """Learned feed-forward of section `feedforward`. mobility: (6, 6) 1/kg of the robot at home."""
     settings = c.feedforward
     if settings is None:
         return None

@@ -1,4 +1,4 @@
-"""The figures that `hil check` prints, section by section."""
+"""Figures that `hil check` prints, section by section."""
 
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from hil.robot.kinematics import condition, leg_lengths
 from plant_fmu.config import FmuPlant
 
 PUSH = 0.01
-"""Share of limits.force_N that each leg of an FMU is pushed with."""
+"""Push on each leg of an FMU, as a share of limits.force_N."""
 
 
 def robot(r: Report) -> None:
@@ -45,13 +45,13 @@ def robot(r: Report) -> None:
 
 
 def bus(r: Report) -> None:
-    """Add the arithmetic of each bus."""
+    """Add the time budget of each bus."""
     s, c = r.s, r.s.c
     names = zip(c.bus.buses, bus_names(c.bus), strict=True)
     titles = [f"bus {each.interface} {name}, layout {c.bus.layout}" for each, name in names]
     budgets = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     if not budgets:
-        r.add(titles[0], "no bus time: exists only in lockstep (hil sim)")
+        r.add(titles[0], "no bus time: this layout exists only in lockstep (hil sim)")
         return
     found = []
     set_up = set_up_ns(c.bus, s.protocol)
@@ -71,7 +71,7 @@ def bus(r: Report) -> None:
             """
             highest rate at {allowed:g} %: {allowed_rate_Hz:.0f} Hz
             SYNC to last feedback {feedback_us:.0f} us of a window of {s.window_us:.0f} us
-            set-up of the drives, on shut brakes: {set_up_us:.0f} us more, {filled:.1f} % in all{waits}
+            set-up of the drives, brakes closed: {set_up_us:.0f} us more, {filled:.1f} % in total{waits}
             """,
             figures,
             allowed=budget.max_load_percent,
@@ -85,7 +85,7 @@ def bus(r: Report) -> None:
 
 
 def drives(r: Report) -> None:
-    """Add watchdog, brakes, and steps of the force."""
+    """Add watchdog, brakes and force resolution."""
     s, c = r.s, r.s.c
     silence, ramp_s = c.reactions.silence, c.engage.force_ramp_s
     watched, ends = s.protocol.traits.has_watchdog, silence in {"damp", "hold"}
@@ -102,11 +102,11 @@ def drives(r: Report) -> None:
         """
         nodes {nodes}; rated force {c.drives.force_limit_N:g} N
         watchdog {c.drives.watchdog_ms:g} ms, {watchdog_periods:.1f} periods; then {reaction}{then}
-        watchdog none that is set from here: when the controller falls silent {kept}
+        watchdog not set from here: when the controller falls silent {kept}
         brakes get {e.brake_release_s:milli.6g} ms to open, {e.closing_s:milli.6g} ms to close
         brake tests take {ramp_s:g} s; a leg may move by {c.limits.standstill_m:milli.6g} mm
         no brake tests, as engage.force_ramp_s is {off:g}
-        one step of the force is {step_N:.2g} N at the leg{left}
+        force resolution {step_N:.2g} N at the leg{left}
         emulated brakes {hold}open in {opens_ms:g} ms, close in {plant.brake_close_ms:g} ms
         """,
         figures,
@@ -125,7 +125,7 @@ def drives(r: Report) -> None:
 
 
 def transmission(r: Report) -> None:
-    """Add what each leg's motor reads, turns and gives."""
+    """Add turns, speed and torque of each leg's motor."""
     c = r.s.c
     if c.drives.transmission is None:
         return
@@ -148,9 +148,9 @@ def transmission(r: Report) -> None:
     r.add(
         "motor to leg",
         """
-        turns as the drive reports them, > 0 lengthens the leg; ends retracted,
-        extended; rpm at limits.speed_m_s; N m that hold the platform at home,
-        without losses, and that drives.force_limit_N takes, with losses
+        turns as the drive reports them, > 0 extends the leg, at the retracted and
+        extended end; rpm at limits.speed_m_s; N m held: torque that holds the
+        platform at home, without losses; rated: for drives.force_limit_N, with losses
         """,
     )
 
@@ -173,7 +173,7 @@ def controller(r: Report) -> None:
 
 
 def stability(r: Report) -> None:
-    """Add what is proven of the law, in one line."""
+    """Add the result of the stability proof, in one line."""
     from hil.app.stability.command import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
 
     found = r.s.proven = judge(r.s.c, tell=r.s.tell)
@@ -182,7 +182,7 @@ def stability(r: Report) -> None:
 
 
 def reference(r: Report) -> None:
-    """Add what the walk along the reference asks for, and what stops cost."""
+    """Add the demands of the reference, and the travel of stops."""
     s, c, w = r.s, r.s.c, r.s.walk
     swings, whole_s = w.swings(s.period_s), s.trajectory.duration_s
     r.figures["reference"] = figures = {
@@ -215,20 +215,20 @@ def reference(r: Report) -> None:
         condition of J up to {condition_max:.2f} (limit {c.limits.condition:g})
         silence        a leg travels up to {until_braked_m:milli.0f} mm until it rests on its brake,
                        in {braked_ms:.0f} ms: drives.watchdog_ms and engage.brake_close_s
-        silence        {no} bound to a leg's travel: the drives keep the last torque until their power is cut,
-                       as they have {no} watchdog that is set from here
+        silence        {no} bound of a leg's travel: the drives keep the last torque until power-off,
+                       as they have {no} watchdog set from here
         controlled stop up to {controlled_stop_m:milli.0f} mm, along the path within engage.stop_s
         """,
         figures,
         limit="none" if limit_m_s2 is None else f"{limit_m_s2:g}",
-        within="not looked at on so long a path" if swings is None else f"{swings.max():.0f} N",
+        within="not checked on a path this long" if swings is None else f"{swings.max():.0f} N",
         braked_ms=s.silence and 1e3 * s.silence.T,
         no=None if s.silence else "no",
     )
 
 
 def operating(r: Report) -> None:
-    """Add what a change of speed and jogs ask for, and whether a key has to be held."""
+    """Add the demands of speed changes and jogs, and whether a key must be held."""
     s = r.s
     if s.slowed is not None and s.jogged is not None:
         r.figures["speed_change"] = s.slowed._asdict()
@@ -247,12 +247,12 @@ def operating(r: Report) -> None:
             window=f"(limit {s.c.limits.force_window_N:g})",
         )
     deadman_s = s.c.operator.deadman_s
-    held = "none is needed" if deadman_s is None else f"held, heard within {1e3 * deadman_s:g} ms"
+    held = "not needed" if deadman_s is None else f"to be held, sent every {1e3 * deadman_s:g} ms at least"
     r.add("operating", f"key              {held}")
 
 
 def payload(r: Report) -> None:
-    """Add what the ranges of a payload ask of legs, limits and safety."""
+    """Add the effect of the payload's ranges on legs, limits and safety."""
     s = r.s
     along = carried(s)
     if not along:
@@ -282,7 +282,7 @@ def payload(r: Report) -> None:
 
 
 def feedforward(r: Report) -> None:
-    """Add what the feed-forward was learned from, how large it is, and what it is to the certificate."""
+    """Add source and size of the feed-forward, and its effect on the certificate."""
     f, settings = r.s.learned, r.s.c.feedforward
     if f is None or settings is None:
         return
@@ -310,7 +310,7 @@ def feedforward(r: Report) -> None:
 
 
 def plant(r: Report) -> None:
-    """Add how an FMU is mapped and how it answers small pushes. Raises PlantError: it cannot be hosted."""
+    """Add the mapping of an FMU and its response to small pushes. Raises PlantError: it cannot be hosted."""
     s, c = r.s, r.s.c
     if c.plant is None or not isinstance(c.plant.model, FmuPlant):
         return
@@ -357,9 +357,9 @@ def plant(r: Report) -> None:
 
 
 def permissions(r: Report) -> None:
-    """Add what this machine grants a loop in real time."""
+    """Add the real-time rights on this machine."""
     with real_time_rights(r.s.c.loop.priority, r.s.c.loop.cpu) as granted:
         r.s.fifo = granted.fifo
     r.figures["real_time"] = {"granted": granted.granted, "missing": granted.missing}
     for key, of in r.figures["real_time"].items():
-        r.add("real time on this machine", f"{key}: {', '.join(of) or 'nothing'}")
+        r.add("real time on this machine", f"{key}: {', '.join(of) or 'none'}")

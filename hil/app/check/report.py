@@ -1,4 +1,4 @@
-"""What `hil check` has found, and how figures are written into its lines."""
+"""Report of `hil check`, and the format of figures in its lines."""
 
 import re
 from collections.abc import Mapping
@@ -14,14 +14,14 @@ SCALES = {"milli": 1e3, "micro": 1e6, "percent": 1e2}
 
 
 class NothingError(Exception):
-    """A line asks for a figure that there is not."""
+    """A line needs a figure that is missing."""
 
 
 class Scaled(Formatter):
-    """`str.format` that knows `{x_m:milli.3f} mm`, `{t_s:micro.0f} us` and `{share:percent.3g} %`."""
+    """`str.format` with the formats `{x_m:milli.3f} mm`, `{t_s:micro.0f} us` and `{share:percent.3g} %`."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
-        """Write a value, in the unit that is asked for. Raises NothingError for None."""
+        """Format a value in the requested unit. Raises NothingError for None."""
         if value is None:
             raise NothingError
         unit, rest = re.fullmatch("(milli|micro|percent)?(.*)", format_spec).groups()  # type: ignore[union-attr]
@@ -30,20 +30,20 @@ class Scaled(Formatter):
 
 @dataclass
 class Report:
-    """Figures of a configuration, in sections, and what is worth a warning."""
+    """Figures of a configuration, in sections, and warnings."""
 
     s: Subject
     sections: dict[str, list[str]] = field(default_factory=dict)
     warnings: list[str] = field(default_factory=list)
     codes: list[str] = field(default_factory=list)
-    """Of the warnings, one each."""
+    """Codes of the warnings, one each."""
     figures: dict[str, Any] = field(default_factory=dict)
-    """The same as plain values, for `--json`."""
+    """The figures as plain values, for `--json`."""
 
     def add(self, title: str, lines: str, figures: Mapping[str, Any] | None = None, **values: Any) -> None:
-        """Add lines to a section, filled in with the subject `s`, its configuration `c`, figures and values.
+        """Add lines to a section, formatted with the subject `s`, its configuration `c`, figures and values.
 
-        A line that asks for a None is left out.
+        A line with a figure that is None is left out.
         """
         given = {"s": self.s, "c": self.s.c, **(figures or {}), **values}
         section = self.sections.setdefault(title, [])
@@ -53,12 +53,12 @@ class Report:
 
     @property
     def lines(self) -> list[str]:
-        """All as text."""
+        """The whole report as text."""
         text = [f"configuration {self.s.c.name}"]
         for title, lines in self.sections.items():
             text += [title, *(f"  {line}" for line in lines)]
         return text + [f"warning: {w}" for w in self.warnings]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for JSON."""
+        """The report as plain values, for JSON."""
         return {"configuration": self.s.c.name, "figures": self.figures, "warnings": self.warnings}

@@ -1,4 +1,4 @@
-"""The figures that `hil check` prints of the monitor, of encoders, and of the fused pose."""
+"""Figures that `hil check` prints about the monitor, the encoders and the fused pose."""
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from plant_fmu.config import FmuPlant
 
 
 def monitor(r: Report) -> None:
-    """Add whether the law has a certificate, and what breaks it."""
+    """Add whether the law has a certificate, and the reaction to its violation."""
     s = r.s
     dynamics, action = certified(s.c.controller), s.c.monitor.action
     r.figures["monitor"] = {"watched": not isinstance(dynamics, str), "action": action}
@@ -34,16 +34,16 @@ def monitor(r: Report) -> None:
         unit += f" or {allowed.disturbance_rad_s2:.3g} rad/s^2"
     r.add(
         "controller",
-        "monitored: growth of the error beyond what a disturbance of {unit} explains {what}",
+        "monitored: error growth that a disturbance of {unit} cannot explain {what}",
         unit=unit,
-        what={"log": "shows in the log alone", "warn": "warns", "fault": "faults"}[action],
+        what={"log": "is only logged", "warn": "is a warning", "fault": "is a fault"}[action],
     )
 
 
 def encoders(r: Report) -> None:
-    """Add the limits of the rules on encoders, and what each fault leaves which they cannot see.
+    """Add the limits of the encoder rules, and the error that each undetectable fault leaves.
 
-    The limits hold at rest and without a change of force; motion and force widen them.
+    The limits hold at rest and at constant force; motion and force widen them.
     """
     s, c, limits = r.s, r.s.c, r.s.encoders
     T, noise_m = s.period_s, limits.length_noise_m
@@ -75,17 +75,17 @@ def encoders(r: Report) -> None:
     r.add(
         "encoders, at rest",
         """
-        steps       of lengths: {length_m:micro.3g} um count, monitor.length_noise_m states less
-        steps       of rates: {rate_m_s:milli.3g} mm/s count, monitor.rate_noise_m_s states less
+        resolution  of lengths: {length_m:micro.3g} um is used, monitor.length_noise_m is smaller
+        resolution  of rates: {rate_m_s:milli.3g} mm/s is used, monitor.rate_noise_m_s is smaller
         jump        {jump_m:milli.3f} mm from one reading to the next {beside}
-        slip        {slip_m:milli.3f} mm and {share:percent.3g} % of the way in {window_s:milli.6g} ms
+        slip        {slip_m:milli.3f} mm and {share:percent.3g} % of the travel in {window_s:milli.6g} ms
         rate        {leap_m_s:.3f} m/s of one leg in a tick, which force and disturbance do not explain
         standstill  within {standstill_m:micro.6g} um while a leg strays by {strayed_m:milli.6g} mm; {then}
                     a push of up to {most_N:.0f} N,
                     more than {friction_N:g} N of friction, {push_s:milli.0f} ms {ways}
-        drift       as of the rate: {unseen} in motion, at any
+        drift       of length and rate: {unseen} in motion, at any
                     speed; leaves speed x time. On closed brakes BRAKE beyond {braked_m:milli.6g} mm
-        scale       as of the rate: {unseen} at any size;
+        scale       of length and rate: {unseen} at any size;
                     leaves share x travel
         either      of length or rate alone: found beyond {drift_m_s:milli.2f} mm/s and {share:percent.3g} %
                     of the leg's speed; a step of the rate beyond {leap_m_s:.3f} m/s is a leap
@@ -93,11 +93,11 @@ def encoders(r: Report) -> None:
         frozen      at true rest: {unseen}; leaves nothing until a leg strays
         """
         if limits.watched_legs
-        else "the filter of the fused pose decides, with the tracker: see encoder_slip_m",
+        else "checked by the filter of the fused pose, with the tracker: see encoder_slip_m",
         figures,
         length_m=least.length_m if least.length_m > stated.length_noise_m else None,
         rate_m_s=least.rate_m_s if least.rate_m_s > stated.rate_noise_m_s else None,
-        beside="that makes the rate leap" if limits.differences else "beside the rate",
+        beside="that makes the rate leap" if limits.differences else "more than the rate",
         share=figures["scale_of_rate_alone"],
         window_s=WINDOW_S,
         then=then,
@@ -112,7 +112,7 @@ def encoders(r: Report) -> None:
 
 
 def fusion(r: Report) -> None:
-    """Add standard deviations of lengths, rates and unknown forces, where the pose is fused."""
+    """Add standard deviations of lengths, rates and unknown forces, if the pose is fused."""
     c = r.s.c
     if c.estimation.pose != "fused":
         return
@@ -126,7 +126,7 @@ def fusion(r: Report) -> None:
         leg lengths    {length_std_m:micro.3g} um
         leg rates      {rates}, {rate_scale_std:percent.2g} % of the rate
         unknown forces {force_std_N:g} N over {time_ms:g} ms{assumed}
-        unknown forces {none}: the model is taken at its word; an unknown force leaves good legs out
+        unknown forces {none}: the model counts as exact; an unknown force makes the filter reject good legs
         """,
         figures,
         rates=f"{1e3 * figures['rate_std_m_s']:.3g} mm/s, {1e6 * figures['rate_skew_std_s']:.3g} us of the "

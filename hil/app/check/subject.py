@@ -1,4 +1,4 @@
-"""What `hil check` looks at: a configuration, its walk along the reference, and what follows from both."""
+"""Subject of `hil check`: a configuration, the walk along its reference, and values derived from both."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -42,12 +42,12 @@ from hil.robot.kinematics import jacobian
 from hil.safety.encoder_limits import EncoderLimits
 from hil.signals import explain
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.path import Trajectory, axis_limits, six_words
+from hil.trajectory.path import Trajectory, axis_limits, pose_coordinates
 from plant_fmu.config import BenchPlant, StewartPlant
 
 if TYPE_CHECKING:
     from hil.app.design.loop import LoopFinding
-    from hil.app.stability.wording import Assessment
+    from hil.app.stability.assessment import Assessment
     from plant_fmu.fmu.probe import Probe
 
 
@@ -56,9 +56,9 @@ LEAST_MARGIN_DEG = 30.0
 
 
 def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
-    """Return robot, reference, the s of it that are looked at, and the walk along it.
+    """Robot, reference, its checked duration in s, and the walk along it.
 
-    Raises ConfigurationError with the limits that it breaks, each with its first instant.
+    Raises ConfigurationError with each violated limit and its first instant.
     """
     model, period_s = robot(c), 1.0 / c.loop.rate_Hz
     try:
@@ -71,7 +71,7 @@ def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
         raise refused(c, str(error)) from error
     found = [f"at t = {v.t:.3f} s: {v.message}" for v in violations(w, c.platform, c.limits, period_s)]
     if isinstance(c.reference, LiveReference) and not found:
-        against = build_admission(c, model.platform)(six_words(c.reference.start or c.platform.home))
+        against = build_admission(c, model.platform)(pose_coordinates(c.reference.start or c.platform.home))
         found = [f"at its start, set-points are refused: {explain(against)}"] if against else []
     if found:
         raise refused(c, *found)
@@ -82,48 +82,47 @@ def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
 
 
 def refused(c: Configuration, *messages: str, path: Path = ("reference",)) -> ConfigurationError:
-    """Return the refusal that points at a key of the file, or its nearest ancestor there."""
+    """Error that points at a key of the file, or at its nearest ancestor there."""
     position = parse(c.text).key_position(path)
     return ConfigurationError(*(Problem(position, path, each).line(c.source) for each in messages))
 
 
 def robot(c: Configuration) -> Model:
-    """Return the robot with the model's payload."""
+    """Robot with the model's payload."""
     return Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
 
 
 def static_N(c: Configuration, model: Model) -> Array:
-    """Return the forces (6,) N that hold the platform at home."""
+    """Forces (6,) N that hold the platform at home."""
     still = np.zeros(6)
     return model.inverse_dynamics(*pose_arrays(c.platform.home), still, still)
 
 
 @dataclass
 class Subject:
-    """A configuration, and what several figures and warnings need of it, made once.
+    """A configuration, and values that several figures and warnings share, computed once.
 
-    `proven`, `probe`, `tool`, `needs_tool` and `fifo` are set by the sections of the report that find them.
+    The sections of the report set `proven`, `probe`, `tool`, `needs_tool` and `fifo`.
     """
 
     c: Configuration
     tell: Callable[[float, float], None]
-    """Called now and then with the s of the reference that were looked at, and of how many."""
+    """Progress callback, called with checked and total seconds of the reference."""
     model: Model
     trajectory: Trajectory
     span_s: float
     walk: Walk
     proven: "Assessment | None" = None
-    """Of the law."""
+    """Stability result of the law."""
     probe: "Probe | None" = None
-    """How the user's own FMU answers small pushes; None for another plant."""
+    """Response of the user's own FMU to small pushes; None for another plant."""
     tool: str = ""
-    """Of that FMU, by which it was made."""
+    """Generation tool of that FMU."""
     needs_tool: bool = False
     fifo: bool = True
-    """Whether this machine grants SCHED_FIFO."""
+    """True if this machine grants SCHED_FIFO."""
 
     def __post_init__(self) -> None:
-        """Derive the rest."""
         c, w = self.c, self.walk
         self.period_s, self.window_us = 1.0 / c.loop.rate_Hz, 1e6 * c.loop.window_s(c.loop.rate_Hz)
         self.protocol: Family = build_protocol(c)
@@ -161,12 +160,12 @@ class Subject:
 
     @property
     def switches(self) -> bool:
-        """Whether the law switches between two forces, without a boundary layer."""
+        """True if the law switches between two forces without a boundary layer."""
         return self.dynamics is not None and bool(np.isinf(self.dynamics.K_D.max()))
 
     @property
     def margin(self) -> dict[str, float] | None:
-        """What the loop's delay costs the law; None where it is not known."""
+        """Phase margin of the law, and the loss by the loop's delay; None where unknown."""
         if self.dynamics is None or self.switches:
             return None
         K_P, K_D, delay_s = float(self.dynamics.K_P.max()), float(self.dynamics.K_D.max()), self.delay.total_s
@@ -180,7 +179,7 @@ class Subject:
 
     @cached_property
     def designed(self) -> "LoopFinding | None":
-        """What a designed controller leaves; None for another law."""
+        """Margins of a designed controller with the loop's delay; None for another law."""
         law = self.c.controller
         controller = controller_of(law, self.c.folder)
         if controller is None or not isinstance(law, StateSpaceSettings):
@@ -191,22 +190,22 @@ class Subject:
 
     @cached_property
     def answers_us(self) -> list[float]:
-        """Bus time of SYNC or polls and the feedbacks, bus by bus."""
+        """Bus time of SYNC or polls and the feedback frames, one value for each bus."""
         return [1e-3 * ns for ns in answered_ns(self.c)]
 
 
 def looked_at(c: Configuration, tell: Callable[[float, float], None] = lambda *_: None) -> Subject:
-    """Return the subject that a configuration is. Raises ConfigurationError as `course`."""
+    """Subject of a configuration. Raises ConfigurationError as `course`."""
     return Subject(c, tell, *course(c))
 
 
 def controlled_stop_m(c: Configuration, w: Walk) -> float:
-    """Return the longest way of a leg while path time slows down to rest: half of `engage.stop_s` goes by."""
+    """Longest travel of a leg in a controlled stop, m: path time advances by half of `engage.stop_s`."""
     return 0.5 * c.engage.stop_s * float(np.abs(w.dq).max())
 
 
 def reacted_to(c: Configuration, w: Walk) -> Silence:
-    """Return what silence does to the legs if somebody reacts within drives.watchdog_ms."""
+    """Travel of the legs after silence, with a reaction within drives.watchdog_ms."""
     home, still = pose_arrays(c.platform.home), np.zeros(6)
     a = float(np.abs(w.ddq).max())
     for corner in corners(c.platform):
@@ -218,17 +217,17 @@ def reacted_to(c: Configuration, w: Walk) -> Silence:
 
 
 def setpoint_peaks(c: Configuration, reference: LiveReference, model: Model) -> tuple[float, float]:
-    """Return rate, m/s, and acceleration, m/s^2, of a leg near the start, all axes at their limits."""
-    chi = six_words(reference.start or c.platform.home)
+    """Peak rate, m/s, and acceleration, m/s^2, of a leg near the start, with all axes at their limits."""
+    chi = pose_coordinates(reference.start or c.platform.home)
     legs = np.abs(jacobian(model.platform, chi[:3], rotation_from_vector(chi[3:])))
     fastest, hardest = (float((legs @ words).max()) for words in axis_limits(reference.limits)[:2])
     return fastest, hardest
 
 
 def carried(s: Subject) -> list[tuple[Array, Walk]]:
-    """Return forces (6,) N at home and the walk at each corner of the payload's ranges; none without ranges.
+    """Forces (6,) N at home and the walk, for each corner of the payload's ranges; empty without ranges.
 
-    Raises ConfigurationError with the limits that a payload breaks.
+    Raises ConfigurationError with the limits that a payload violates.
     """
     c, found = s.c, []
     by_limit: dict[str, list[tuple[Violation, str]]] = {}
@@ -240,28 +239,28 @@ def carried(s: Subject) -> list[tuple[Array, Walk]]:
             by_limit.setdefault(violation.limit, []).append((violation, corner.words))
         found.append((static_N(c, model), w))
     if by_limit:
-        raise refused(c, *map(_broken, by_limit.values()), path=("platform", "platform", "payload"))
+        raise refused(c, *map(_violated, by_limit.values()), path=("platform", "platform", "payload"))
     return found
 
 
-def _broken(found: list[tuple[Violation, str]]) -> str:
-    """Return one limit that payloads break, by the one that breaks it first."""
+def _violated(found: list[tuple[Violation, str]]) -> str:
+    """Message about a limit that payloads violate, with the earliest violation."""
     first, words = min(found)
     more = f" and {len(found) - 1} other corners of the ranges" if len(found) > 1 else ""
     return (
         f"with {words}{more}, at t = {first.t:.3f} s: {first.message}; narrow mass_range_kg or "
-        "com_range_m, take a gentler reference, or raise the limit if legs and drives bear it"
+        "com_range_m, use a gentler reference, or raise the limit if legs and drives allow it"
     )
 
 
 def answered_ns(c: Configuration) -> list[int]:
-    """Return the bus time of SYNC or polls and the feedbacks, bus by bus, ns."""
+    """Bus time of SYNC or polls and the feedback frames, ns, one value for each bus."""
     protocol = build_protocol(c)
     traits = protocol.traits
     opening = sent_frames(protocol.controller_end(drive_setup(c, c.loop.rate_Hz)).begin(0))
     opens = {frame.id for frame in opening}
     counted = [frame for frame in traits.sent if frame.id in opens] + [*traits.feedbacks]
-    if traits.unasked_s > 0.0:  # one that its drive sends by a timer may stand before the last answer
+    if traits.unasked_s > 0.0:  # a frame that a drive sends by a timer may delay the last answer
         asked = {(frame.id, frame.flags) for frame in opening}
         answers = {frame.bus: frame for frame in counted if (frame.id, frame.flags) not in asked}
         counted += answers.values()

@@ -1,4 +1,4 @@
-"""What `hil check` warns about: settings that are allowed and dangerous, one row each."""
+"""Warnings of `hil check` about settings that are allowed but dangerous, one row each."""
 
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 
 from drivers.motors import MotorProtocol
 from drivers.transmission import Transmission
-from hil.app.check.loose import FACTOR, loose
+from hil.app.check.loose_limits import FACTOR, loose
 from hil.app.check.report import Scaled
 from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, static_N
 from hil.app.configuration.configuration import Configuration
@@ -19,35 +19,39 @@ from hil.safety.residuals import SUSPECT, gap_bound
 from plant_fmu.config import FmuPlant
 
 UNSTATED = 3.0
-"""A rated force that nobody stated and that is this many times above the limit is a mistake."""
+"""Largest plausible ratio of an unstated rated force to the force limit."""
 JUMP_SHARE = 0.1
-"""A jump of a larger share of the stroke has to be seen."""
+"""Largest jump that may stay undetected, as a share of the stroke."""
 FEWEST_TURNS = 0.1
-"""Of a motor, in which it carries a leg over its whole stroke."""
+"""Fewest plausible turns of a motor over the whole stroke of its leg."""
 FASTEST_rpm = 30_000.0
-"""Of a motor."""
+"""Highest plausible speed of a motor."""
 STRONGEST_N_m = 1000.0
-"""Torque of a motor."""
+"""Highest plausible torque of a motor."""
 PAGE_REPEAT_S = 0.05
-"""Between two key frames of the page of `hil watch`."""
+"""Period of the key frames that the page of `hil watch` sends."""
 SEVERAL = 3 - 1e-9
-"""Key frames that deadman_s has to hear: one may be late, one lost. And ticks: the loop takes what comes
-within a tick at its end."""
+"""Fewest key frames within deadman_s: one may be late, one lost. Also the fewest ticks: the loop reads the
+frames of a tick at its end.
+"""
 MODELS = {
     "constant": "M, G and J frozen at one pose, good for small motion only: 395 mm (constant_MG 2.2 mm)",
     "constant_MG": "M and G frozen at one pose: 2.2 mm (full 0.03 mm)",
     "printed": "without H and without J_dot twist, up to 15.7 % of the force: 2.6 mm (full 0.03 mm)",
 }
-"""Of a law's model, and what it ends off: book platform, book path (0.6 m, 19 deg), wn 20 rad/s, 1 kHz."""
+"""Simplification of each model variant and its end error: book platform, book path (0.6 m, 19 deg),
+wn 20 rad/s, 1 kHz.
+"""
 RATELESS = {"refuse": "refuse (loop.without_realtime)", "slow": "drop to a rate it can hold"}
 Values = Mapping[str, object]
 
 
 class Warning(NamedTuple):  # noqa: A001 - the word of the command
-    """A warning: whether it holds, and its sentence.
+    """Warning: a condition and a sentence.
 
-    `found` returns what the sentence needs besides the subject `s` and its configuration `c`: figures, or
-    `text`, or nothing (`True`); several of them for several sentences; none where the setting is harmless.
+    `found` returns the values that the sentence needs besides the subject `s` and its configuration `c`:
+    figures, or `text`, or `True`. A list yields several sentences; a false value means that the setting is
+    harmless.
     """
 
     found: Callable[[Subject], "bool | str | Values | list[str] | list[Values] | None"]
@@ -55,7 +59,7 @@ class Warning(NamedTuple):  # noqa: A001 - the word of the command
 
 
 def warnings(s: Subject) -> Iterator[tuple[str, str]]:
-    """Yield code and sentence of each warning that holds."""
+    """Yield code and sentence of each warning that applies."""
     for code, row in (WARNINGS if s.c.bus.layout == "ideal" else HARDWARE | WARNINGS).items():
         found = row.found(s)
         for each in found if isinstance(found, list) else [found]:
@@ -65,13 +69,13 @@ def warnings(s: Subject) -> Iterator[tuple[str, str]]:
 
 
 def above(value: float | None, limit: float | None) -> Values | None:
-    """Return the figures of a value above its limit; None where it is not, or one of them is missing."""
+    """Figures of a value above its limit; None where it is not above, or one of them is missing."""
     broken = value is not None and limit is not None and value > limit
     return {"value": value, "limit": limit} if broken else None
 
 
 def below(value: float | None, limit: float | None) -> Values | None:
-    """Return the figures of a value below its limit; None where it is not, or one of them is missing."""
+    """Figures of a value below its limit; None where it is not below, or one of them is missing."""
     return None if above(limit, value) is None else {"value": value, "limit": limit}
 
 
@@ -82,7 +86,7 @@ def _hard_end(s: Subject) -> Values | None:
 
 
 def _motor(s: Subject) -> list[str]:
-    """Say what makes of the stated transmission a motor that there is hardly any of."""
+    """Reasons why the stated transmission implies an implausible motor."""
     if s.c.drives.transmission is None:
         return []
     gear, limits = Transmission(s.c.drives.transmission), s.c.limits
@@ -98,40 +102,40 @@ def _motor(s: Subject) -> list[str]:
 
 
 def _jumps(s: Subject) -> Values | None:
-    """Return the smallest jump of a length that is seen, where that is much of the stroke."""
+    """Smallest detectable jump of a length, if it is a large part of the stroke."""
     e = s.encoders
     seen_m = gap_bound(e.length_noise_m, e.rate_noise_m_s, 2.0 * e.disturbance_m_s2, e.period_s)
     return above(seen_m, JUMP_SHARE * s.stroke_m)
 
 
-def _asked(s: Subject) -> list[Values]:
-    """Return what changes of speed, jogs and set-points may ask for beyond a limit."""
-    stop = f"make engage.stop_s {s.c.engage.stop_s:g} longer"
+def _demands(s: Subject) -> list[Values]:
+    """Demands of speed changes, jogs and set-points that exceed a limit."""
+    stop = f"increase engage.stop_s {s.c.engage.stop_s:g}"
     rows: list[tuple[str, float, str, str, str]] = []
     if s.slowed is not None and s.jogged is not None:
-        what, mend = (
+        what, fix = (
             "a change of speed along the reference",
-            f"hold, start or a speed may fault there; {stop}",
+            f"hold, start or speed may cause a fault there; {stop}",
         )
         rows += [
-            (what, s.slowed.acceleration_m_s2, "m/s^2", "acceleration_m_s2", mend),
-            (what, s.slowed.force_N, "N", "force_N", mend),
-            (what, s.own_step_N + s.slowed.step_N, "N more in a tick", "force_step_N", mend),
+            (what, s.slowed.acceleration_m_s2, "m/s^2", "acceleration_m_s2", fix),
+            (what, s.slowed.force_N, "N", "force_N", fix),
+            (what, s.own_step_N + s.slowed.step_N, "N more in a tick", "force_step_N", fix),
         ]
-        what, mend = "a jog from the reference", "lower operator.setup_speed_m_s and setup_speed_deg_s"
+        what, fix = "a jog from the reference", "lower operator.setup_speed_m_s and setup_speed_deg_s"
         rows += [
-            (what, s.jogged.change_N, "N more within 250 ms", "force_window_N", f"{mend}, or {stop}"),
-            (what, s.jogged.rate_m_s, "m/s", "speed_m_s", f"SPEED latches, and the brakes close; {mend}"),
+            (what, s.jogged.change_N, "N more within 250 ms", "force_window_N", f"{fix}, or {stop}"),
+            (what, s.jogged.rate_m_s, "m/s", "speed_m_s", f"SPEED latches, and the brakes close; {fix}"),
         ]
     if s.setpoints is not None:
-        what, mend = "set-points on all axes at once", "of reference.limits"
+        what, fix = "set-points on all axes at once", "of reference.limits"
         rows += [
-            (what, s.setpoints[0], "m/s", "speed_m_s", f"lower the velocities {mend}"),
-            (what, s.setpoints[1], "m/s^2", "deceleration_m_s2", f"lower the accelerations {mend}"),
+            (what, s.setpoints[0], "m/s", "speed_m_s", f"lower the velocities {fix}"),
+            (what, s.setpoints[1], "m/s^2", "deceleration_m_s2", f"lower the accelerations {fix}"),
         ]
     return [
-        {"what": what, "unit": unit, "name": name, "mend": mend, **over}
-        for what, value, unit, name, mend in rows
+        {"what": what, "unit": unit, "name": name, "fix": fix, **over}
+        for what, value, unit, name, fix in rows
         if (over := above(value, getattr(s.c.limits, name)))
     ]
 
@@ -143,14 +147,14 @@ def _felt(s: Subject) -> Values | None:
 
 
 def _unbraked(s: Subject) -> Values | None:
-    """Return a braking way before the soft ends that no force keeps to."""
+    """Deceleration before the soft ends that no available force can reach."""
     able = (min(s.c.limits.force_N, s.c.drives.force_limit_N) - s.weight_N) / s.leg_mass_kg
     times = s.c.limits.deceleration_m_s2 / able if able > 0.0 else 0.0
     return {"times": times, "able": able, "give": lowered(able)} if times > FACTOR else None
 
 
 def falls(c: Configuration) -> str:
-    """Say that a plant without brakes falls before the first command; empty where it does not."""
+    """Warning that a plant without brakes falls before the first command; empty where it does not."""
     if c.plant is None or not isinstance(c.plant.model, FmuPlant) or c.plant.model.brake:
         return ""
     load_N = float(np.abs(static_N(c, robot(c))).max())
@@ -159,18 +163,18 @@ def falls(c: Configuration) -> str:
     return (
         "plant.model.brake is empty: no brake holds this plant, and its legs carry up to "
         f"{load_N:.3g} N; it falls from the first instant until the drives give force. Give the FMU six "
-        "brake inputs (1 holds the leg) and map them, as the page on FMUs shows"
+        "brake inputs (1 holds the leg) and map them, as the guide on FMUs shows"
     )
 
 
 def _backward(s: Subject) -> str:
-    """Return the legs that a force > 0 shortens."""
+    """Legs that a force > 0 shortens."""
     legs = [] if s.probe is None else np.flatnonzero(np.diag(s.probe.mobility) < 0.0).tolist()
     return ", ".join(map(str, legs))
 
 
 def _uncoupled(s: Subject) -> dict[str, float] | None:
-    """Return the largest mass of uncoupled legs, if the law has a platform between them."""
+    """Largest mass of uncoupled legs, if the law assumes a platform between them."""
     if s.probe is None or not s.probe.uncoupled or s.c.controller.believed is None:
         return None
     return {"m": float(1.0 / np.abs(np.diag(s.probe.mobility)).min())}
@@ -178,7 +182,7 @@ def _uncoupled(s: Subject) -> dict[str, float] | None:
 
 _NOISE = "give the largest deviation of a reading, 3 to 4 standard deviations"
 _KEY = (
-    "operator.deadman_s {value:g}: %s, and the platform comes to rest where one of them comes late or is "
+    "operator.deadman_s {value:g}: %s, and the platform stops if one key frame is late or "
     "lost; give {limit:.3g} or more"
 )
 
@@ -189,11 +193,11 @@ HARDWARE = {
     ),
     "reactions.silence": Warning(
         lambda s: s.c.reactions.silence == "zero",
-        "reactions.silence zero: after silence nothing holds {s.weight_N:.0f} N a leg; write brake",
+        "reactions.silence zero: after silence the load of {s.weight_N:.0f} N a leg is not held; write brake",
     ),
     "reactions sto": Warning(
         lambda s: ", ".join(str(fault.name).lower() for fault in s.c.reactions.led_to("sto")),
-        "reactions sto after {text}: the platform falls until untested brakes act; sbc holds it till then",
+        "reactions sto after {text}: the platform falls until untested brakes act; sbc holds it until then",
     ),
     "engage.force_ramp_s": Warning(
         lambda s: s.c.engage.force_ramp_s <= 0.0,
@@ -208,17 +212,17 @@ HARDWARE = {
     "drives.protocol": Warning(lambda s: [*s.protocol.traits.dangers], "{text}"),
     "drives.homing": Warning(
         lambda s: isinstance(s.protocol, MotorProtocol) and s.c.drives.homing is None,
-        "drives.homing is left out: a drive that forgets turns of its motor while its power is off reads a "
-        "wrong length, and nothing shows it; state a file to compare with",
+        "drives.homing is missing: a drive that loses its turn count at power-off reports a wrong length "
+        "unnoticed; set a file for the parked lengths",
     ),
     "drives.transmission": Warning(
         _motor,
-        "drives.transmission: {text} of the motor, as hardly any does: lead_m and pulley_radius_m are in m",
+        "drives.transmission: {text} of the motor, which is implausible: lead_m and pulley_radius_m are in m",
     ),
     "monitor.length_noise_m and jumps": Warning(
         _jumps,
-        "monitor.length_noise_m {c.monitor.length_noise_m:g}: only a jump beyond {value:milli.3g} mm is "
-        "seen, a tenth of the stroke is {limit:milli.3g} mm; " + _NOISE,
+        "monitor.length_noise_m {c.monitor.length_noise_m:g}: only a jump above {value:milli.3g} mm is "
+        "detected, and a tenth of the stroke is {limit:milli.3g} mm; " + _NOISE,
     ),
     "monitor.length_noise_m and standstill": Warning(
         lambda s: above(SUSPECT * s.encoders.length_noise_m, s.c.limits.following_error_m),
@@ -227,12 +231,12 @@ HARDWARE = {
     ),
     "limits.following_error_m and steps of the force": Warning(
         lambda s: above(s.stepped_error_m, s.c.limits.following_error_m),
-        "limits.following_error_m {limit:g}: one code of torque, {s.force_step_N:.2g} N, may leave a leg "
-        "{value:milli.3g} mm off; raise drives.transmission or controller.wn_rad_s, or take a weaker motor",
+        "limits.following_error_m {limit:g}: a torque resolution of {s.force_step_N:.2g} N leaves errors up "
+        "to {value:milli.3g} mm; raise drives.transmission or controller.wn_rad_s, or use a weaker motor",
     ),
     "plant.model.brake_force_N": Warning(
         lambda s: above(s.weight_N, None if s.stewart is None else s.stewart.brake_force_N),
-        "plant.model.brake_force_N {limit:g}: the emulated brakes slip under {value:.3g} N; state yours",
+        "plant.model.brake_force_N {limit:g}: the emulated brakes slip under {value:.3g} N; give yours",
     ),
     "plant.drives brake times": Warning(
         lambda s: " and ".join(
@@ -240,15 +244,15 @@ HARDWARE = {
             for key in ("brake_open_ms", "brake_close_ms")
             if s.c.plant is not None and getattr(s.c.plant.drives, key) == 0.0
         ),
-        "{text} 0: the emulated brakes act at once, and real ones do not; state what yours take",
+        "{text} 0: the emulated brakes act at once, unlike real ones; give the times of your brakes",
     ),
     "drives.force_limit_N": Warning(
         lambda s: (
             "force_limit_N" not in s.c.drives.model_fields_set
             and above(s.c.drives.force_limit_N / s.c.limits.force_N, UNSTATED)
         ),
-        "drives.force_limit_N is not stated, and {c.drives.force_limit_N:.0f} N are assumed, {value:.0f} "
-        "times limits.force_N {c.limits.force_N:g}: state the rated force of your drives",
+        "drives.force_limit_N is missing, and {c.drives.force_limit_N:.0f} N are assumed, {value:.0f} "
+        "times limits.force_N {c.limits.force_N:g}: give the rated force of your drives",
     ),
     "limits": Warning(
         loose,
@@ -266,11 +270,11 @@ HARDWARE = {
         "entry `@realtime - rtprio {c.loop.priority}` (and `- memlock unlimited`), or CAP_SYS_NICE",
     ),
 }
-"""With the layout ideal, which drives no hardware, nobody can stand under these."""
+"""Not applied to layout `ideal`, which drives no hardware and so endangers nobody."""
 
 
 def _unknown(name: str) -> str:
-    """List the known interfaces for an unknown one; empty for a known one."""
+    """List of the known interfaces for an unknown one; empty for a known one."""
     if name in {"localcan", "socketcan"}:
         return ""
     from drivers.can.python_can import unknown_interface
@@ -289,7 +293,7 @@ WARNINGS = {
     ),
     "controller.boundary_layer_m_s": Warning(
         lambda s: s.switches,
-        "controller.boundary_layer_m_s 0 chatters: {s.delay.total_s:milli.1f} ms of delay; make it thicker",
+        "controller.boundary_layer_m_s 0 chatters: {s.delay.total_s:milli.1f} ms of delay; increase it",
     ),
     "controller phase margin": Warning(
         lambda s: s.margin and below(s.margin["phase_margin_deg"], LEAST_MARGIN_DEG),
@@ -307,29 +311,29 @@ WARNINGS = {
         "controller: {s.proven.claim}",
     ),
     "limits while operated": Warning(
-        _asked,
-        "{what} may ask for {value:.4g} {unit} of a leg, limits.{name} is {limit:g}: {mend}",
+        _demands,
+        "{what} may need {value:.4g} {unit} of a leg, above limits.{name} {limit:g}: {fix}",
     ),
     "controller.uncertainty.acceleration_m_s2": Warning(
         _felt,
         "controller.uncertainty.acceleration_m_s2 {limit:g}: a change of speed needs {value:.3g} m/s^2 "
-        "without the law's linear part; state no less",
+        "without the law's linear part; give at least that",
     ),
     "operator.deadman_s of hil ctl": Warning(
         lambda s: below(s.c.operator.deadman_s, SEVERAL * REPEAT_S),
-        _KEY % f"`hil ctl key` speaks every {1e3 * REPEAT_S:g} ms",
+        _KEY % f"`hil ctl key` sends every {1e3 * REPEAT_S:g} ms",
     ),
     "operator.deadman_s of the page": Warning(
         lambda s: s.c.watch.operate and below(s.c.operator.deadman_s, SEVERAL * PAGE_REPEAT_S),
-        _KEY % f"the page of `hil watch` speaks every {1e3 * PAGE_REPEAT_S:g} ms",
+        _KEY % f"the page of `hil watch` sends every {1e3 * PAGE_REPEAT_S:g} ms",
     ),
     "operator.deadman_s in ticks": Warning(
         lambda s: below(s.c.operator.deadman_s, SEVERAL / s.c.loop.rate_Hz),
-        "operator.deadman_s {value:g}: too few ticks of the loop; give {limit:.3g} or more",
+        "operator.deadman_s {value:g}: fewer than three ticks of the loop; give {limit:.3g} or more",
     ),
     "limits.force_N on the reference": Warning(
         lambda s: s.peak_N > 0.9 * s.c.limits.force_N,
-        "the reference takes {s.peak_N:.0f} N, which leaves control less than 10 % of limits.force_N",
+        "the reference needs {s.peak_N:.0f} N, which leaves less than 10 % of limits.force_N for control",
     ),
     "feedforward rate": Warning(
         lambda s: s.learned is not None and s.learned.head.rate_Hz != s.c.loop.rate_Hz,
@@ -339,35 +343,35 @@ WARNINGS = {
     "feedforward.fade_s": Warning(
         lambda s: s.learned and above(s.learned.fading_N, s.c.limits.force_step_N),
         "the feed-forward changes by up to {value:.3g} N a tick as it fades, and limits.force_step_N "
-        "{limit:g} cuts it: lengthen feedforward.fade_s, or allow more",
+        "{limit:g} clips it: increase feedforward.fade_s, or raise the limit",
     ),
     "feedforward changes": Warning(
         lambda s: s.learned and above(s.learned.along_N, s.c.limits.force_step_N),
-        "the feed-forward changes by up to {value:.3g} N a tick, and limits.force_step_N {limit:g} cuts it: "
-        "lower feedforward.limit_N and learn again, or allow more",
+        "the feed-forward changes by up to {value:.3g} N a tick, and limits.force_step_N {limit:g} clips it: "
+        "lower feedforward.limit_N and learn again, or raise the limit",
     ),
     "feedforward.limit_N": Warning(
         lambda s: s.learned and above(s.learned.pushed_m_s2, s.c.monitor.disturbance_m_s2),
         "a wrong feed-forward pushes a leg by {value:.2g} m/s^2, above monitor.disturbance_m_s2 {limit:g}: "
-        "the certificate may alarm; lower feedforward.limit_N and learn again, or allow more",
+        "the certificate may alarm; lower feedforward.limit_N and learn again, or raise the disturbance",
     ),
     "plant.model.brake": Warning(lambda s: falls(s.c), "{text}"),
     "plant.model.allow_execution_tool": Warning(
         lambda s: s.needs_tool,
-        "{c.plant.model.path} needs {s.tool} at run time: where that is missing the run does not start",
+        "{c.plant.model.path} needs {s.tool} at run time: without it the run does not start",
     ),
     "plant.model force signs": Warning(
         _backward,
-        "a force > 0 shortens leg {text} of the FMU, and is to extend it: change the sign in the FMU",
+        "a force > 0 shortens leg {text} of the FMU, but must extend it: change the sign in the FMU",
     ),
     "plant.model coupling": Warning(
         _uncoupled,
-        "no platform joins the legs of the FMU, and controller.law {c.controller.law} compensates one: "
-        "write, as the shipped configuration bench, controller.law: pd with kp_N_m = m wn^2, kv_N_s_m = 2 m "
-        "wn, m = {m:.3g} kg of a leg, and platform.gravity_m_s2: [0, 0, 0]",
+        "no platform couples the legs of the FMU, but controller.law {c.controller.law} compensates one: "
+        "write, as in the shipped configuration bench, controller.law: pd with kp_N_m = m wn^2, "
+        "kv_N_s_m = 2 m wn, m = {m:.3g} kg of a leg, and platform.gravity_m_s2: [0, 0, 0]",
     ),
     "schema": Warning(
         lambda s: not schema_is_there(s.c.text, s.c.folder) and {"named": named_schema(s.c.text)},
-        "the schema {named} is not there (`Unable to load schema`): `hil schema {c.source}` names ours",
+        "the schema {named} is missing (`Unable to load schema`): `hil schema {c.source}` sets the right one",
     ),
 }

@@ -1,7 +1,7 @@
-"""Where a controller is spoken to, read without composing the whole configuration.
+"""Address of a controller, read without composing the whole configuration.
 
-Checking all of a file imports laws and mathematics, and takes a second. An emergency stop does not wait for
-that, nor does a wrong value in another section hold it up.
+Checking a whole file imports laws and mathematics, and takes a second. An emergency stop must not wait for
+that, and a wrong value in another section must not block it.
 """
 
 from pathlib import Path
@@ -13,17 +13,18 @@ from hil.app.configuration.yaml_positions import parse
 
 
 class Address(NamedTuple):
-    """What an operator's command needs of a configuration."""
+    """Bus and reference kind, which an operator's command needs."""
 
     bus: BusAddress
     live: bool
-    """Whether its reference takes set-points."""
+    """True if the reference takes set-points."""
 
 
 def address(path: str | Path) -> Address:
-    """Read the address from a file, or by the name of a shipped one.
+    """Read the address from a file, or by the name of a shipped configuration.
 
-    Raises ConfigurationError with all problems found where its text is no mapping with these keys.
+    A text that is not a mapping with these keys is loaded as a whole. Raises ConfigurationError with all
+    problems found.
     """
     _, text = read_configuration(path)
     document = parse(text)

@@ -1,6 +1,6 @@
 """Rules between sections of a configuration that are one comparison each: bounds and exclusions.
 
-A rule sees the sections that are valid by themselves; one that needs another says nothing.
+A rule sees the sections that are valid by themselves. A rule that needs another section is skipped.
 """
 
 from collections.abc import Callable, Iterable, Iterator
@@ -21,20 +21,20 @@ from hil.config.running import LoopSettings
 from plant_fmu.config import BenchPlant, FmuPlant, PlantSettings, StewartPlant
 
 MOST_STEPS = 10_000
-"""Of the plant in one tick: nobody waits for a simulation of more."""
+"""Most plant steps in one tick; a simulation with more is too slow."""
 Folder = FilePath | None
-"""Folder of the configuration file; None: do not look at other files."""
+"""Folder of the configuration file; None: do not read other files."""
 Finding = tuple[Path, str]
-"""A key, and what is wrong with its value."""
+"""A key, and the problem of its value."""
 
 
 def step_key(plant: PlantSettings) -> str:
-    """Return the name of the plant's step in its section `model`."""
+    """Key of the plant's step in its section `model`."""
     return "step_us" if isinstance(plant.model, FmuPlant) else "internal_step_us"
 
 
 def fitted(plant: PlantSettings, loop: LoopSettings) -> PlantSettings:
-    """Return the section with a step that divides the period; as it is where the file states one."""
+    """Plant section with a step that divides the period; unchanged if the file sets the step."""
     key = step_key(plant)
     if key in plant.model.model_fields_set:
         return plant
@@ -59,7 +59,7 @@ class Sections(SimpleNamespace):
 
 
 def bounds(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Yield the values beyond a bound that other keys set."""
+    """Values beyond a bound that other keys set."""
     for relation, table in (("at least", AT_LEAST), ("at most", AT_MOST), ("less than", LESS_THAN)):
         for key, (bound_of, what) in table.items():
             with suppress(MissingSectionError):
@@ -75,7 +75,7 @@ def bounds(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, float]]:
-    """Yield the numbers at a key, with their paths; of a list of two numbers the larger one."""
+    """Numbers at a key, with their paths; of a pair of numbers the larger one."""
     if at is None:
         return
     if not words:
@@ -90,7 +90,7 @@ def _values(at: Any, words: list[str], path: Path = ()) -> Iterator[tuple[Path, 
 
 
 def exclusions(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Yield the values that other keys rule out."""
+    """Values that other keys exclude."""
     for key, (wrong, sentence) in EXCLUSIONS.items():
         with suppress(MissingSectionError):
             if wrong(c):
@@ -107,7 +107,7 @@ def _half_stroke_m(c: Sections) -> float:
 
 
 def _quarter_m(c: Sections) -> float:
-    """Return a quarter of the leg length that turns which a drive forgets are."""
+    """A quarter of the leg length that belongs to the drives' `forgotten_turns`; inf without homing."""
     homing, gear = c.drives.homing, c.drives.transmission
     if homing is None or gear is None:
         return inf
@@ -116,12 +116,12 @@ def _quarter_m(c: Sections) -> float:
 
 _STEPS = f"more than {MOST_STEPS} steps in each tick"
 Bounds = dict[str, tuple[Callable[[Sections], float], str]]
-"""Dotted key -> bound, and what is wrong beyond it. * is each entry of a list, or each key of a section."""
+"""Dotted key -> bound, and problem beyond it. * is each entry of a list, or each key of a section."""
 AT_LEAST: Bounds = {
     "drives.watchdog_ms": (lambda c: 3e3 / c.loop.rate_Hz, "shorter than three periods of loop.rate_Hz"),
     "limits.standstill_m": (
         lambda c: 0.0 if c.plant is None else 4 * c.plant.drives.encoder_resolution_m,
-        "too near to the resolution of the encoders, 4 x plant.drives.encoder_resolution_m",
+        "too close to the resolution of the encoders, 4 x plant.drives.encoder_resolution_m",
     ),
     "plant.model.step_us": (_shortest_step_us, _STEPS),
     "plant.model.internal_step_us": (_shortest_step_us, _STEPS),
@@ -134,7 +134,7 @@ AT_MOST: Bounds = {
     "sensors.*.rate_Hz": (lambda c: c.loop.rate_Hz, "more than one sample a tick of loop.rate_Hz"),
     "sensors.tracker.latency_max_ms": (
         lambda c: 1e3 * (OLDEST - 1) / c.loop.rate_Hz,
-        f"older than a stamp can tell, {OLDEST - 1} ticks of loop.rate_Hz",
+        f"older than a time stamp can express, {OLDEST - 1} ticks of loop.rate_Hz",
     ),
     "plant.drives.brake_open_ms": (
         lambda c: 1e3 * c.engage.brake_release_s,
@@ -146,7 +146,7 @@ AT_MOST: Bounds = {
     ),
     "reference.components.*.frequency_Hz": (
         lambda c: c.loop.rate_Hz / 2,
-        "above half the rate, where legs follow another frequency (Shannon, 1949)",
+        "above half the rate, where sampling changes the frequency (Shannon, 1949)",
     ),
     "reference.axes.*.band_Hz": (lambda c: c.loop.rate_Hz / 2, "above half the rate"),
 }
@@ -154,7 +154,10 @@ LESS_THAN: Bounds = {
     "loop.feedback_window_us": (lambda c: 1e6 / c.loop.rate_Hz, "not shorter than the period"),
     "platform.length_min_m": (lambda c: c.platform.length_max_m, "not below platform.length_max_m"),
     "limits.stroke_margin_m": (_half_stroke_m, "leaves no stroke between the soft ends"),
-    "drives.homing.limit_m": (_quarter_m, "a quarter of what forgotten_turns are, or more"),
+    "drives.homing.limit_m": (
+        _quarter_m,
+        "not below a quarter of the length of drives.homing.forgotten_turns",
+    ),
 }
 
 EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
@@ -163,7 +166,7 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
             c.estimation.fusion.may_lose_legs and (c.estimation.pose != "fused" or c.sensors.tracker is None)
         ),
         (
-            "five legs alone do not hold the pose, allowed: none, or estimation.pose fused with "
+            "five legs alone do not determine the pose, allowed: none, or estimation.pose fused with "
             "sensors.tracker, given: {c.estimation.fusion.may_lose_legs}"
         ),
     ),
@@ -173,15 +176,15 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
     ),
     "estimation.wrench.source": (
         lambda c: c.estimation.wrench.source == "sensor" and c.sensors.wrench is None,
-        "there is no sensors.wrench, allowed without it: none, observer, given: sensor",
+        "no sensors.wrench is configured, allowed without it: none, observer, given: sensor",
     ),
     "controller.delay_compensation": (
         lambda c: isinstance(c.reference, LiveReference) and c.controller.lookahead is not None,
-        "looks ahead along a path, and a live reference has none, allowed with it: leave it out",
+        "looks ahead along a path, but a live reference has no path: leave it out",
     ),
     "feedforward": (
         lambda c: isinstance(c.reference, LiveReference) and c.feedforward is not None,
-        "was learned on a path, and a live reference has none, allowed with it: leave it out",
+        "was learned on a path, but a live reference has no path: leave it out",
     ),
     "plant.model.type": (
         lambda c: (
@@ -197,7 +200,7 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
             and isinstance(c.plant.model, StewartPlant)
             and c.plant.drives.force_bandwidth_Hz > 0
         ),
-        "plant type stewart has that lag already, allowed: 0, given: {c.plant.drives.force_bandwidth_Hz:g}",
+        "plant type stewart includes this lag, allowed: 0, given: {c.plant.drives.force_bandwidth_Hz:g}",
     ),
     "plant.model.rest_length_m": (
         lambda c: (
@@ -212,7 +215,8 @@ EXCLUSIONS: dict[str, tuple[Callable[[Sections], object], str]] = {
     ),
     "drives.homing": (
         lambda c: c.drives.homing is not None and c.drives.transmission is None,
-        "drives.protocol {c.drives.protocol} speaks of leg lengths, and forgets none; leave it out",
+        "drives.protocol {c.drives.protocol} reports leg lengths and needs no homing; leave it out",
     ),
 }
-"""Key -> when other keys rule its value out, and the sentence, which may name the configuration `c`."""
+"""Key -> condition under which other keys exclude its value, and message with fields of the configuration
+`c`."""

@@ -1,4 +1,4 @@
-"""The bus time that a configuration's frames take, and whether those of a tick fit."""
+"""Bus time of a configuration's frames, and the check that the frames of a tick fit."""
 
 from collections import Counter
 from collections.abc import Iterable
@@ -15,19 +15,19 @@ from drivers.sensors import SensorProtocol
 from drivers.signals import LEGS, DriveState
 
 _SET_UP_BYTES = 8
-"""Of a frame that sets up, in every family: CONFIG, an SDO, a parameter."""
+"""Bytes of a set-up frame in every family: CONFIG, an SDO, a parameter."""
 
 
 class BusBudget(NamedTuple):
-    """What one tick's frames take of a bus."""
+    """Bus time of the frames of one tick."""
 
     frames: Counter[tuple[int, int]]
-    """How many of each data length and flags, as in `Frame`."""
+    """Number of frames by data length and flags, as in `Frame`."""
     timing: BitTiming
     rate_Hz: float
     max_load_percent: float
     total_ns: int
-    """All frames of one tick."""
+    """Bus time of all frames of one tick."""
 
     @property
     def load_percent(self) -> float:
@@ -45,7 +45,7 @@ class BusBudget(NamedTuple):
         return self.highest_rate_Hz * self.max_load_percent / 100.0
 
     def table(self) -> str:
-        """Write the arithmetic out, one line per frame shape."""
+        """The arithmetic as text, one line per frame shape."""
         lines = []
         for (length, flags), count in self.frames.items():
             slow, fast = frame_bits(length, flags)
@@ -63,9 +63,10 @@ class BusBudget(NamedTuple):
         return "\n".join(lines)
 
     def require(self, where: str = "bus", *, either_layout: bool = False) -> Self:
-        """Return the budget. Raises ConfigurationError with the arithmetic where the frames do not fit.
+        """Check that the frames fit, and give the budget itself.
 
-        where: key of the bus. either_layout: the drives know frames of CAN FD and classic ones.
+        where: key of the bus. either_layout: the drives support CAN FD and classic frames. Raises
+        ConfigurationError with the arithmetic if the frames do not fit.
         """
         if self.load_percent <= self.max_load_percent * (1 + 1e-12):
             return self
@@ -84,7 +85,7 @@ class BusBudget(NamedTuple):
 def budget(
     frames: Iterable[Frame], timing: BitTiming, rate_Hz: float, max_load_percent: float = 70.0
 ) -> BusBudget:
-    """Add up the worst-case time of one tick's frames on their bus.
+    """Worst-case time of one tick's frames on their bus.
 
     frames: one example of every frame sent in a tick, repeated as often as it is sent.
     Raises BusError for a frame that cannot be on the bus.
@@ -97,10 +98,10 @@ def budget(
 def bus_budgets(
     bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
 ) -> tuple[BusBudget, ...]:
-    """Return the bus time of the fullest tick at `rate_Hz`, bus by bus; none for layout ideal.
+    """Bus time of the fullest tick at `rate_Hz`, bus by bus; empty for layout ideal.
 
-    Raises ConfigurationError with the arithmetic of a bus on which it is more than `max_load_percent`, for
-    settings that the protocol does not have, and for sensors where layout or protocol have no room for them.
+    Raises ConfigurationError: a bus load above `max_load_percent` (with the arithmetic), settings that the
+    protocol does not have, or sensors for which layout or protocol have no room.
     """
     nodes = SensorProtocol(bus, sensors)
     protocol = build_protocol(bus, drives)
@@ -111,12 +112,12 @@ def bus_budgets(
     frames = protocol.traits.cyclic_frames
     if nodes.kinds and all(frame.id != nodes.sync_id for frame in frames):
         raise ConfigurationError(
-            f"drives.protocol: {drives.protocol} sends no SYNC that sensors can stamp their samples against"
+            f"drives.protocol: {drives.protocol} sends no SYNC, which sensors need for their time stamps"
         )
     if bus.layout == "ideal":
         return ()
     frames += nodes.cyclic_frames(rate_Hz) + heartbeats(protocol, 1e-3 * drives.heartbeat_ms, rate_Hz)
-    frames += unasked_readings(protocol, rate_Hz)
+    frames += timed_feedbacks(protocol, rate_Hz)
     found = []
     for index, each in enumerate(bus.buses):
         own = [frame for frame in frames if frame.bus == index]
@@ -127,22 +128,22 @@ def bus_budgets(
 
 
 def heartbeats(protocol: Family, heartbeat_s: float, rate_Hz: float) -> tuple[Frame, ...]:
-    """Return one example of every heartbeat that no tick is without, as the six drives take turns.
+    """One example of every heartbeat that occurs in every tick, as the six drives take turns.
 
-    Rarer ones are left to the free part of the bus, as is what sets the drives up: see `set_up_ns`.
+    Rarer heartbeats use the free part of the bus, as does the set-up of the drives: see `set_up_ns`.
     """
     from plant_fmu.drives import drives_end  # noqa: PLC0415 - as above
 
     found: list[Frame] = []
     for turn in range(floor(LEGS / (heartbeat_s * rate_Hz) * (1 + 1e-9))):
         end, leg = drives_end(protocol), turn % LEGS
-        end.announce(leg, DriveState.OFF)  # some say once that they have started
+        end.announce(leg, DriveState.OFF)  # some families report their start once
         found += end.announce(leg, DriveState.OFF)
     return tuple(found)
 
 
-def unasked_readings(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
-    """Return one example of every reading by a timer that no tick is without, on the bus of each drive."""
+def timed_feedbacks(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
+    """One example of every timer-driven feedback that occurs in every tick, on the bus of each drive."""
     if protocol.traits.unasked_s <= 0.0:
         return ()
     readings = protocol.traits.feedbacks
@@ -155,10 +156,10 @@ def unasked_readings(protocol: Family, rate_Hz: float) -> tuple[Frame, ...]:
 
 
 def set_up_ns(bus: BusSettings, protocol: Family) -> tuple[int, ...]:
-    """Return the bus time, ns, of what sets the drives up in one tick, bus by bus, as if it were all there.
+    """Bus time, ns, of the drives' set-up in one tick, bus by bus, as if each bus carried all of it.
 
-    As many frames as the protocol sends in a tick, of up to 8 bytes, and an answer to each. They go out in
-    modes WAITING and FAULT alone: what does not fit waits for the next tick.
+    As many frames as the protocol sends in a tick, of up to 8 bytes, and an answer to each. They are sent
+    only in modes WAITING and FAULT; frames that do not fit wait for the next tick.
     """
     extended = max((frame.flags & EXTENDED for frame in protocol.traits.cyclic_frames), default=0)
     return tuple(
@@ -168,7 +169,7 @@ def set_up_ns(bus: BusSettings, protocol: Family) -> tuple[int, ...]:
 
 
 def shortest_answer_ns(bus: BusSettings, protocol: Family) -> int:
-    """Return the least time, ns, from the end of SYNC or a poll to that of a feedback to it on its bus."""
+    """Shortest time, ns, from the end of SYNC or a poll to the end of its feedback on the same bus."""
     return min(
         frame_time_ns(len(frame.data), frame.flags, BitTiming.of(bus.buses[frame.bus]), least=True)
         for frame in protocol.traits.feedbacks
@@ -176,7 +177,7 @@ def shortest_answer_ns(bus: BusSettings, protocol: Family) -> int:
 
 
 def bus_names(bus: BusSettings) -> tuple[str, ...]:
-    """Return the channel of each bus, with its legs where there are several."""
+    """Channel of each bus, with its legs if there are several buses."""
     if not bus.channels:
         return (bus.channel,)
     return tuple(
@@ -188,7 +189,7 @@ def bus_names(bus: BusSettings) -> tuple[str, ...]:
 def loads(
     bus: BusSettings, drives: DriveSettings, sensors: SensorSettings, rate_Hz: float
 ) -> dict[str, object]:
-    """Return what a summary says of the bus load: of several buses, of each by its channel too."""
+    """Bus load for a summary: the largest, and for several buses also that of each channel."""
     found = bus_budgets(bus, drives, sensors, rate_Hz)
     most = max((each.load_percent for each in found), default=None)
     if len(found) < 2:

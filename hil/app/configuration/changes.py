@@ -1,4 +1,4 @@
-"""Change values of a configuration and write its whole text again, as a log carries it."""
+"""Changes values of a configuration and writes its whole text again, as a log has it."""
 
 from collections.abc import Mapping
 from pathlib import PurePath
@@ -12,11 +12,11 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.yaml_positions import parse
 
 KINDS = ("law", "type")
-"""Keys that say which keys a section has."""
+"""Keys that decide which other keys a section has."""
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes text that YAML 1.2 could read as something else; knows no aliases, which are refused."""
+    """Quotes text that YAML 1.2 could read as something else; writes no aliases, which we refuse to read."""
 
     def ignore_aliases(self, data: object) -> bool:
         del data
@@ -31,27 +31,24 @@ _Dumper.add_representer(str, _text)
 
 
 def with_changes(text: str, changes: Mapping[str, Any]) -> str:
-    """Return the text of a configuration with changes: section -> value, or a mapping of the keys to change.
+    """Text of a configuration with changes: section -> value, or a mapping of the keys to change.
 
-    A mapping is merged into the section, key by key; one that names another `law` or `type` than is there
-    replaces it, since the other keys were that one's. None takes a key away: its default holds.
+    A mapping is merged into the section, key by key. A mapping with another `law` or `type` replaces the
+    section, since the other keys belonged to the old one. None removes a key: its default holds.
 
-    Raises
-    ------
-    ConfigurationError
-        A value that no YAML file can hold.
-
+    Raises ------ ConfigurationError
+        A value that YAML cannot hold.
     """
     return text_of(merged(parse(text).value or {}, changes))
 
 
 def text_of(value: Any) -> str:
-    """Return plain data as YAML text that is read as the same data."""
+    """YAML text of plain data; reading it gives the same data."""
     return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True)
 
 
 def merged(value: Mapping[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the data of a configuration with changes, as `with_changes` makes them. Raises as that does."""
+    """Data of a configuration with changes, as in `with_changes`. Raises as `with_changes`."""
     found: dict[str, Any] = _merged(value, {key: _plain(change, key) for key, change in changes.items()})
     return found
 
@@ -70,7 +67,7 @@ def _merged(there: Any, change: Any) -> Any:
 
 
 def _plain(value: Any, place: str) -> Any:
-    """Return a value as YAML has it."""
+    """Value as plain YAML data."""
     if isinstance(value, Mapping):
         return {str(key): _plain(inner, f"{place}.{key}") for key, inner in value.items()}
     if isinstance(value, np.ndarray | np.generic):
@@ -82,30 +79,30 @@ def _plain(value: Any, place: str) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     raise ConfigurationError(
-        f"{place}: {value!r} cannot stand in a configuration; allowed: numbers, text, true and false, lists, "
-        "mappings"
+        f"{place}: {value!r} is not allowed in a configuration; allowed: numbers, text, true and false, "
+        "lists, mappings"
     )
 
 
 Keys = Mapping[str, tuple[str, ...]]
 OPERATOR: Keys = {"operator": ("start", "deadman_s", "stays")}
-"""Keys by which a run waits for somebody: where nobody is, it stands for ever and fails no limit."""
+"""Keys that make a run wait for an operator; without an operator it would wait for ever, without a fault."""
 UNATTENDED: Keys = {**OPERATOR, "plant": ("homing_file",)}
-"""These, and the file by which one run begins where another has parked."""
+"""These keys, and the file that lets one run begin where another has parked."""
 
 
 def unattended(c: Configuration) -> Configuration:
-    """Return the configuration as a command runs it in simulated time that lets no operator speak."""
+    """Configuration for a command in simulated time without an operator."""
     return _without(c, UNATTENDED)
 
 
 def without_operator(c: Configuration) -> Configuration:
-    """Return the configuration as it runs where nobody gives commands; it keeps its homing file."""
+    """Configuration for a run without operator commands; it keeps its homing file."""
     return _without(c, OPERATOR)
 
 
 def unattended_data(value: Mapping[str, Any], taken: Keys = UNATTENDED) -> dict[str, Any]:
-    """Return the data of a configuration without the keys that are taken from it."""
+    """Data of a configuration without the keys in `taken`."""
     there = {name: keys for name, keys in taken.items() if isinstance(value.get(name), dict)}
     return merged(value, {name: dict.fromkeys(keys) for name, keys in there.items()})
 

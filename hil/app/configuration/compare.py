@@ -1,4 +1,4 @@
-"""Section `compare`: which laws `hil compare` runs, and what disturbs them."""
+"""Section `compare`: laws that `hil compare` runs, and their disturbances."""
 
 from typing import Annotated, Self
 
@@ -11,17 +11,17 @@ from hil.control import ControllerSettings
 
 def _no_comma(name: str) -> str:
     if not name.strip() or "," in name:
-        raise ValueError(f"no name of a law, allowed: text without a comma, given: {name!r}")
+        raise ValueError(f"invalid name of a law, allowed: text without a comma, given: {name!r}")
     return name
 
 
 class DisturbanceSettings(Section):
-    """A load ON the platform, at its origin and in the base frame, that comes at once and stays."""
+    """A load on the platform, at its origin and in the base frame, that starts as a step and stays."""
 
     force_N: Vector3 = (0.0, 0.0, 0.0)
     moment_N_m: Vector3 = (0.0, 0.0, 0.0)
     start_s: NonNegative = 0.0
-    """Along the reference."""
+    """Time along the reference."""
     stop_s: Positive | None = None
     """Default: to the end."""
 
@@ -34,19 +34,20 @@ class DisturbanceSettings(Section):
 
 
 class StepSettings(Section):
-    """The step of the set-point at home whose answer gives rise time, overshoot and bandwidth."""
+    """Step of the set-point at home; the response gives rise time, overshoot and bandwidth."""
 
     axis: Axis = "z_m"
     size: Annotated[float, Field(gt=0)] = 0.001
-    """In the axis' unit. Small: the answer is to be the loop's, not a limit's."""
+    """In the unit of the axis. Keep it small, so that no limit shapes the response."""
 
 
 class CompareSettings(Section):
-    """What `hil compare` compares."""
+    """Settings of `hil compare`."""
 
     laws: dict[Annotated[str, AfterValidator(_no_comma)], ControllerSettings] = {}
-    """Name -> settings as in section `controller`. Default: every law, gains from the configuration's."""
+    """Name -> settings as in section `controller`. Default: every law, with the gains of the
+    configuration."""
     disturbance: DisturbanceSettings | None = None
     inertia_scale: Positive = 1.0
-    """What every law believes the masses to be, as a share of what it would: 0.9 is 10 % too light."""
+    """Factor on the masses that every law assumes: 0.9 is 10 % too light."""
     step: StepSettings = StepSettings()

@@ -1,6 +1,6 @@
-"""Configuration: one YAML file composed of each package's own sections.
+"""Configuration: one YAML file composed of the sections of each package.
 
-Every problem of a file is reported at once, each as `file:line:column: path: what, allowed, given`.
+All problems of a file are reported at once, each as `file:line:column: path: what, allowed, given`.
 """
 
 import json
@@ -40,17 +40,17 @@ from hil.control.law import LawSettings
 from plant_fmu.config import PlantSettings
 
 NO_LIMIT, MOST_SEED = 1e30, 2**64
-"""In section `limits`, where a large number stands for none; of a seed."""
+"""Largest number in section `limits`, where a large number stands for no limit; largest seed."""
 Command = Literal["run", "plant", "sim", "replay", "check"]
 
 
 class Configuration(Section):
-    """Robot, bus, drives, controller, what to do, what to refuse."""
+    """Whole configuration: robot, bus, drives, controller, reference, limits."""
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{1,100}$")] = ""
-    """Short name, used in log file names; default is the file's name, other signs as _."""
+    """Short name for log files; default: the name of the file, with _ for other characters."""
     description: str = ""
-    """What this configuration is, in a sentence or two."""
+    """Description of this configuration in a sentence or two."""
     platform: PlatformSettings
     bus: BusSettings
     drives: DriveSettings = DriveSettings()
@@ -63,15 +63,15 @@ class Configuration(Section):
     operator: OperatorSettings = OperatorSettings()
     reference: ReferenceSettings
     feedforward: FeedforwardSettings | None = None
-    """Leg forces that earlier runs of the reference have taught; `hil learn` makes them."""
+    """Leg forces learned from earlier runs of the reference; `hil learn` writes them."""
     limits: LimitSettings
     reactions: ReactionSettings = ReactionSettings()
     recording: RecordingSettings = RecordingSettings()
     watch: WatchSettings = WatchSettings()
     plant: PlantSettings | None = None
-    """The other end of a virtual bus; left out for real drives."""
+    """The other end of a virtual bus; leave it out for real drives."""
     compare: CompareSettings = CompareSettings()
-    """What `hil compare` compares; no other command reads it."""
+    """Settings of `hil compare`; no other command reads them."""
 
     _text: str = PrivateAttr("")
     _source: str = PrivateAttr("")
@@ -81,65 +81,67 @@ class Configuration(Section):
     @field_validator("*")
     @classmethod
     def _is_valid(cls, value: Any, info: ValidationInfo) -> Any:
-        """Hand a valid section to `loads`: another one that is wrong must not hide what is wrong with it."""
+        """Pass a valid section to `loads`: an invalid section must not hide problems of the others."""
         if info.context is not None:
             info.context[info.field_name] = value
         return value
 
     @property
     def text(self) -> str:
-        """The exact source text, for the log."""
+        """Exact source text, for the log."""
         return self._text
 
     @property
     def source(self) -> str:
-        """The file as the user named it."""
+        """The file as given by the user."""
         return self._source
 
     @property
     def folder(self) -> Path:
-        """Base of relative paths."""
+        """Base folder of relative paths."""
         return self._folder
 
     @property
     def law_file(self) -> LawFile | None:
-        """The file of a law in one file."""
+        """File of the law, for a law in one file."""
         return self._law_file
 
     def with_law(self, file: LawFile) -> "Configuration":
-        """Return the configuration of a log with the law that its section `controller` belongs to; it is run.
+        """Configuration of a log with the law of its section `controller`; the law's file is run.
 
-        Raises ConfigurationError where the law refuses the keys of this section.
+        Raises ConfigurationError if the law refuses the keys of this section.
         """
         settings = run_law(self.controller.law, file)
         try:
             controller = settings.model_validate_json(self.controller.model_dump_json(), strict=True)
         except ValidationError as error:
-            raise ConfigurationError(f"{file.path}: refuses section controller of the log: {error}") from None
+            raise ConfigurationError(
+                f"{file.path}: the law refuses section controller of the log: {error}"
+            ) from None
         changed = self.model_copy(update={"controller": controller})
         changed._law_file = file  # noqa: SLF001
         return changed
 
     def require(self, command: Command) -> None:
-        """Refuse what cannot serve `command`.
+        """Check that the configuration can serve `command`.
 
-        Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus,
-        no section `plant` where one is needed, faults that the command cannot bring about.
+        Raises ConfigurationError: `virtual` interface between two processes, layout `ideal` on a real bus, no
+        section `plant` where one is needed, faults that the command cannot produce.
         """
         found: list[str] = []
         if command in ("run", "plant") and any(each.interface == "virtual" for each in self.bus.buses):
             found.append(
-                "bus.interface: python-can's `virtual` bus lives inside one process, and "
-                f"`hil {command}` is one end of a bus between two; use localcan here, or `hil sim`"
+                "bus.interface: python-can's `virtual` bus exists inside one process only, but "
+                f"`hil {command}` needs a bus between two processes; use localcan, or `hil sim`"
             )
         if command in ("run", "plant") and self.bus.layout == "ideal":
             found.append(
-                "bus.layout: `ideal` is for theory: it takes no bus time and exists only in lockstep; use "
+                "bus.layout: `ideal` takes no bus time and exists only in lockstep; use "
                 f"`hil sim`, or layout classic or fd for `hil {command}`"
             )
         if command in ("plant", "sim") and self.plant is None:
             found.append(
-                f"plant: missing, and `hil {command}` needs one: this configuration is for real drives "
+                f"plant: missing, but `hil {command}` needs it: this configuration is for real drives "
                 "(`hil run`)"
             )
         found += cannot_serve(command, [] if self.plant is None else self.plant.faults)
@@ -155,13 +157,13 @@ class Configuration(Section):
 
 
 def short_name(path: str | Path) -> str:
-    """Return the name that a configuration has where it gives none: its file's, other signs as _."""
+    """Default name of a configuration: the name of its file, with _ for other characters."""
     return re.sub(r"[^A-Za-z0-9._-]", "_", Path(path).stem)[:100] or "_"
 
 
 @cache
 def json_schema() -> dict[str, Any]:
-    """Return the schema of a whole configuration. Not to be changed."""
+    """JSON Schema of a whole configuration. Callers must not change it."""
     return Configuration.model_json_schema()
 
 
@@ -177,7 +179,7 @@ def load(path: str | Path) -> Configuration:
 def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Configuration:
     """Read a configuration from text; `name` stands for the file in messages.
 
-    Without `folder`, files that the configuration names (CSV, FMU, a law's) are not looked for.
+    Without `folder`, files of the configuration (CSV, FMU, law) are not read.
     Raises ConfigurationError with all problems found.
     """
     document = parse(text)
@@ -185,43 +187,45 @@ def loads(text: str, name: str = "<text>", folder: Path | None = None) -> Config
     sections: dict[str, Any] = {}
     file, kind = _law(document, folder, found)
     if document.value is not None:
-        told = {problem.path for problem in found}
+        reported = {problem.path for problem in found}
         try:
-            # JSON, because its strict mode takes a list for a tuple but no text and no boolean for a number.
+            # JSON: its strict mode accepts a list as a tuple, but neither text nor a boolean as a number.
             kind.model_validate_json(json.dumps(document.value), strict=True, context=sections)
         except ValidationError as error:
             schema = json_schema() if kind is Configuration else kind.model_json_schema()
-            found += [each for each in problems(error, document, schema) if each.path not in told]
+            found += [each for each in problems(error, document, schema) if each.path not in reported]
         for field, info in Configuration.model_fields.items():
             if field not in document.value and not info.is_required():
                 sections[field] = info.get_default() if field != "name" else short_name(name)
-        told = {problem.path for problem in found}
-        absurd = [problem for problem in _beyond_reason(document) if problem.path not in told]
-        found += absurd or _together(sections, document, folder)
+        reported = {problem.path for problem in found}
+        out_of_range = [problem for problem in _out_of_range(document) if problem.path not in reported]
+        found += out_of_range or _between_sections(sections, document, folder)
     if found:
         raise ConfigurationError(*lines(found, name))
-    # Each section is valid already, and the union of `controller` does not know a law in a file.
+    # All sections are valid already, and the union of `controller` does not include a law in a file.
     configuration = Configuration.model_construct(**sections)
     configuration._text, configuration._source, configuration._folder = text, name, folder or Path()  # noqa: SLF001
     configuration._law_file = file  # noqa: SLF001
     return configuration
 
 
-def _together(sections: dict[str, Any], document: Document, folder: Path | None) -> list[Problem]:
-    """Fit the plant's step to the loop, and return what does not fit between sections."""
+def _between_sections(sections: dict[str, Any], document: Document, folder: Path | None) -> list[Problem]:
+    """Fit the plant's step to the loop, and find the problems between sections."""
     plant, loop = sections.get("plant"), sections.get("loop")
     if plant is not None and loop is not None:
         sections["plant"] = fitted(plant, loop)
-    if isinstance(sections.get("controller"), UnreadLaw):  # nothing of it is known; its run was checked
+    if isinstance(
+        sections.get("controller"), UnreadLaw
+    ):  # its keys are unknown; they were checked for its run
         sections = {name: section for name, section in sections.items() if name != "controller"}
     found = broken(sections, folder)
     return [Problem(document.value_position(path), path, message) for path, message in found]
 
 
-def _beyond_reason(document: Document) -> list[Problem]:
-    """Return the numbers that are larger than any that is meant: squared, they would be no float.
+def _out_of_range(document: Document) -> list[Problem]:
+    """Problems of numbers beyond the allowed magnitudes, whose squares would not fit into a float.
 
-    Those of a foreign FMU are its own.
+    Parameters of a custom FMU may have any magnitude.
     """
     found = []
     for path, position in document.values.items():
@@ -229,7 +233,7 @@ def _beyond_reason(document: Document) -> list[Problem]:
         most = MOST_SEED if path[-1] == "seed" else NO_LIMIT if path[0] == "limits" else MOST
         number = isinstance(value, int | float) and path[:3] != ("plant", "model", "parameters")
         if number and value and not LEAST <= abs(value) <= most:
-            message = f"allowed in size: 0, and {LEAST:g} to {most:g}, given: {float(value):g}"
+            message = f"allowed magnitude: 0, and {LEAST:g} to {most:g}, given: {float(value):g}"
             found.append(Problem(position, path, message))
     return found
 
@@ -237,9 +241,9 @@ def _beyond_reason(document: Document) -> list[Problem]:
 def _law(
     document: Document, folder: Path | None, found: list[Problem]
 ) -> tuple[LawFile | None, type[Configuration]]:
-    """Return the file of a law in a file, and the configuration with section `controller` of that law.
+    """File of a law in a file, and the configuration class with section `controller` of that law.
 
-    Without a folder the configuration is that of a log: its law stays unread.
+    Without a folder the configuration is that of a log: the law's file is not read.
     """
     section = (document.value or {}).get("controller")
     law = section.get("law") if isinstance(section, dict) else None

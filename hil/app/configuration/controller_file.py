@@ -1,4 +1,4 @@
-"""The controller of law `state_space`: where its file is, and whether the loop can run what it holds."""
+"""Controller of law `state_space`: its file, and the check that the loop can run it."""
 
 from pathlib import Path
 from typing import Any
@@ -15,13 +15,13 @@ from hil.control.law import Law
 from hil.control.state_space import StateSpace, StateSpaceSettings, require_rate
 
 KIND = "controllers"
-"""Folder of the shipped ones."""
+"""Folder of the shipped controllers."""
 ROUNDING = 1e-9
-"""An integrator's pole is at 1, give or take this much."""
+"""Tolerance above 1 for the pole of an integrator."""
 
 
 def controller_path(settings: StateSpaceSettings, folder: Path) -> Path:
-    """Return the controller's file: relative to `folder`, or a shipped one by its name."""
+    """File of the controller: relative to `folder`, or of a shipped controller by its name."""
     file, name = folder / settings.controller_file, settings.controller_file
     return shipped_file(name, KIND) if not file.exists() and name in shipped(KIND) else file
 
@@ -30,23 +30,23 @@ def read_controller(path: Path) -> LinearController:
     """Read a controller from its file.
 
     Raises ConfigurationError with all problems found; also for a controller that is unstable by itself,
-    unless the file's `design` says so with `unstable_controller: true`.
+    unless the file's `design` has `unstable_controller: true`.
     """
     controller, document = read_section(path, LinearController)
-    # the largest magnitude of the sampled controller's poles; without a state it has none
+    # poles of the sampled controller; a controller without states has none
     poles = np.linalg.eigvals(np.array(controller.A, float)) if controller.A else np.zeros(1)
     radius = float(np.abs(poles).max())
     if radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True:
         message = (
             f"the sampled controller is unstable by itself, allowed: poles up to 1 in magnitude, given: "
-            f"{radius:.6g}; design with softer weights, or state design.unstable_controller: true"
+            f"{radius:.6g}; design with softer weights, or set design.unstable_controller: true"
         )
         raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))
     return controller
 
 
 def controller_of(settings: ControllerSettings, folder: Path) -> LinearController | None:
-    """Return the controller that a law's settings name; None for a law without one.
+    """Controller of a law's settings; None for a law without one.
 
     Raises ConfigurationError as `read_controller`.
     """
@@ -62,7 +62,7 @@ def controller_of(settings: ControllerSettings, folder: Path) -> LinearControlle
 
 
 def unusable(settings: ControllerSettings, rate_Hz: float, folder: Path) -> str | None:
-    """Say why a loop at `rate_Hz` cannot run the controller that a law's settings name; None where it can."""
+    """Reason why a loop at `rate_Hz` cannot run the controller of a law's settings; None if it can."""
     try:
         controller = controller_of(settings, folder)
         if controller is not None:
@@ -73,6 +73,6 @@ def unusable(settings: ControllerSettings, rate_Hz: float, folder: Path) -> str 
 
 
 def law_figures(settings: ControllerSettings, law: Law) -> dict[str, Any]:
-    """Return what the summary of a run says of its law."""
+    """Figures of the law for the summary of a run."""
     order = law.order if isinstance(law, StateSpace) else None
     return {"law": settings.law, "controller_order": order}

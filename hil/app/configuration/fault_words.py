@@ -1,6 +1,6 @@
-"""Faults as words: `encoder_jump leg=0 at=2 by=5e-3`, the short form of an entry of `plant.faults`.
+"""Faults as text: `encoder_jump leg=0 at=2 by=5e-3`, the short form of an entry of `plant.faults`.
 
-The kind, then its keys; a key may be written without its unit.
+The kind comes first, then its keys; a key may be written without its unit.
 """
 
 from collections.abc import Iterable
@@ -8,7 +8,7 @@ from difflib import get_close_matches
 
 from drivers.errors import ConfigurationError
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.fault_rules import not_brought_about
+from hil.app.configuration.fault_rules import without_effect
 from hil.app.configuration.problems import split_unit, validated
 from hil.app.configuration.yaml_positions import parse, path_text
 from plant_fmu.faults import FAULTS
@@ -16,12 +16,12 @@ from plant_fmu.faults.fault import Fault
 
 
 def short_keys(kind: type[Fault]) -> dict[str, str]:
-    """Return the keys of a kind: without unit -> whole."""
+    """Keys of a kind: without unit -> whole."""
     return {split_unit(key)[0]: key for key in kind.model_fields if key != "kind"}
 
 
 def read_fault(text: str) -> Fault:
-    """Return the fault that words describe.
+    """Fault from its text form.
 
     Raises ConfigurationError: unknown kind or key, a key twice, a value that is not allowed or missing.
     """
@@ -45,7 +45,7 @@ def read_fault(text: str) -> Fault:
 
 
 def show_fault(fault: Fault) -> str:
-    """Return the words of a fault, defaults left out."""
+    """Text form of a fault, without default values."""
     given = fault.model_dump(exclude_defaults=True)
     words = [str(fault.kind)]
     for short, key in short_keys(type(fault)).items():
@@ -58,18 +58,18 @@ def show_fault(fault: Fault) -> str:
 
 
 def with_faults(c: Configuration, texts: Iterable[str]) -> Configuration:
-    """Return the configuration with more faults than its own.
+    """Configuration with further faults from their text form.
 
-    Raises ConfigurationError for words that mean no fault, and for faults that its plant cannot have.
+    Raises ConfigurationError for invalid text, and for faults that its plant cannot have.
     """
     faults = [read_fault(text) for text in texts]
     if not faults:
         return c
     if c.plant is None:
         raise ConfigurationError(
-            f"{c.source}: plant: missing, and faults act on it: this configuration is for real drives"
+            f"{c.source}: plant: missing, but faults act on it: this configuration is for real drives"
         )
-    found = [message for fault in faults if (message := not_brought_about(c.plant, str(fault.kind)))]
+    found = [message for fault in faults if (message := without_effect(c.plant, str(fault.kind)))]
     if found:
         raise ConfigurationError(*(f"{c.source}: {message}" for message in found))
     plant = c.plant.model_copy(update={"faults": [*c.plant.faults, *faults]})

@@ -1,6 +1,6 @@
-"""The file of a learned feed-forward: a YAML head in comment lines, then a CSV of leg forces over time.
+"""File of a learned feed-forward: a YAML head in comment lines, then a CSV of leg forces over time.
 
-The head says what the forces were learned on. A run on anything else is refused.
+The head records what the forces were learned on. A run on anything else is refused.
 """
 
 import hashlib
@@ -27,23 +27,23 @@ from hil.control.state_space import StateSpaceSettings
 from hil.loop.reference import LearnedForces
 
 MOST_BYTES = 32 << 20
-"""Some seven minutes at 1 kHz."""
+"""About seven minutes at 1 kHz."""
 _HEAD = re.compile(r"(?:#.*\n){2,100}(?!#)")
 COLUMNS = ("t_s", *(f"leg_{leg}_N" for leg in range(6)))
 BEGINNING = b"# Made by hil learn"
-"""By which an earlier file of the command is known."""
+"""First words of the command's files, to recognise an earlier one."""
 DECIMALS = 4
-"""Of a force in the file."""
+"""Decimals of a force in the file."""
 _DIGITS = 16
 
 
 def made_for(
     reference: ReferenceSettings, controller: ControllerSettings, platform: PlatformSettings, folder: Path
 ) -> MadeFor:
-    """Return the fingerprints of what a feed-forward is learned on.
+    """Fingerprints of the reference, controller and platform of a feed-forward.
 
-    The path, the law with what it believes, and the robot, all that they name in files included. How a file
-    is called, and how a reference is evaluated, is not in them.
+    They cover the path, the law with its model, and the robot, including the content of their files. They
+    omit the names of the files and the evaluation of the reference.
 
     Raises ConfigurationError: a file cannot be read.
     """
@@ -81,24 +81,24 @@ def _digest_of(table: Array) -> str:
 
 
 def feedforward_path(settings: FeedforwardSettings, folder: Path) -> Path:
-    """Return the file of a feed-forward, relative to the configuration's folder."""
+    """File of a feed-forward, relative to the configuration's folder."""
     return folder / settings.file
 
 
 def largest_written(limit_N: float) -> float:
-    """Return the largest force that a file can hold which is not above a limit, N."""
+    """Largest force, N, that a file can hold and that is not above a limit."""
     nearest = round(limit_N, DECIMALS)
     return nearest if nearest <= limit_N else round(nearest - 10.0**-DECIMALS, DECIMALS)
 
 
 def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: float) -> str:
-    """Return the text of a file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
+    """Text of a file: forces (n, 6) N from `start` steps of step_s on, to 0.1 mN."""
     body = io.StringIO()
     rows = np.column_stack([(start + np.arange(len(tau))) * step_s, tau])
     np.savetxt(body, rows, fmt=["%.9g"] + [f"%.{DECIMALS}f"] * 6, delimiter=",")
     written = np.loadtxt(io.StringIO(body.getvalue()), delimiter=",", ndmin=2)
-    said = head.model_dump(mode="json") | {"digest": _digest_of(written)}
-    top = yaml.safe_dump(said, sort_keys=False, allow_unicode=True, width=100)
+    header = head.model_dump(mode="json") | {"digest": _digest_of(written)}
+    top = yaml.safe_dump(header, sort_keys=False, allow_unicode=True, width=100)
     remark = f"{BEGINNING.decode()}: leg forces over the time of the reference, > 0 extends\n"
     return (
         remark
@@ -108,10 +108,10 @@ def feedforward_text(head: FeedforwardHead, tau: Array, start: int, step_s: floa
 
 
 def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, float, float]:
-    """Return head, forces (n, 6) N, their first time and step in s; name stands for the file in messages.
+    """Head, forces (n, 6) N, their first time and step in s; `name` stands for the file in messages.
 
-    Raises ConfigurationError: another kind of file, a head with problems, or rows that are not those of which
-    the head has the digest.
+    Raises ConfigurationError: another kind of file, a head with problems, or rows that do not match the
+    digest in the head.
     """
     try:
         text = raw.decode("utf-8-sig")
@@ -120,11 +120,11 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
     top = _HEAD.match(text)
     if top is None:
         raise ConfigurationError(
-            f"{name}: has no head, allowed: a file that `hil learn` wrote, which begins with "
-            "2 to 100 lines of # and what it was learned on"
+            f"{name}: has no head, allowed: a file of `hil learn`, which begins with "
+            "2 to 100 comment lines (#)"
         )
-    said = "\n".join(["#", *(line[2:] for line in top[0].split("\n")[1:])])
-    head = checked(FeedforwardHead, parse(said), name)
+    header = "\n".join(["#", *(line[2:] for line in top[0].split("\n")[1:])])
+    head = checked(FeedforwardHead, parse(header), name)
     try:
         rows = io.StringIO(text[top.end() :].partition("\n")[2] or "nan")
         table = np.loadtxt(rows, delimiter=",", ndmin=2, comments=None)
@@ -133,8 +133,8 @@ def read_feedforward(raw: bytes, name: str) -> tuple[FeedforwardHead, Array, flo
     learned = table.shape == (head.rows, len(COLUMNS)) and _digest_of(table) == head.digest
     if not (learned and np.isfinite(table).all() and table[-1, 0] > table[0, 0]):
         raise ConfigurationError(
-            f"{name}: {len(table)} rows with the digest {_digest_of(table)}, allowed: the {head.rows} that "
-            f"were learned, {head.digest or 'none'}: it was cut or changed; copy it again or learn again"
+            f"{name}: {len(table)} rows with the digest {_digest_of(table)}, allowed: {head.rows} rows "
+            f"with {head.digest or 'none'}: the file was truncated or changed; copy it again or learn again"
         )
     start_s, end_s = float(table[0, 0]), float(table[-1, 0])
     tau = np.ascontiguousarray(table[:, 1:])
@@ -149,10 +149,10 @@ def learned_forces(
     platform: PlatformSettings,
     folder: Path,
 ) -> LearnedForces | None:
-    """Return the forces that a configuration names; None where it names none.
+    """Learned forces of a configuration; None without section `feedforward`.
 
-    Raises ConfigurationError as `read_feedforward`; and where they were learned on another reference,
-    controller or platform, or are more than `feedforward.limit_N`.
+    Raises ConfigurationError as `read_feedforward`; also for forces that were learned on another reference,
+    controller or platform, or that exceed `feedforward.limit_N`.
     """
     if settings is None:
         return None
@@ -161,7 +161,7 @@ def learned_forces(
         raw = read_regular(path, MOST_BYTES)
     except FileNotFoundError:
         raise ConfigurationError(
-            f"no such file, allowed: one that `hil learn` wrote, given: {settings.file} (looked for {path})"
+            f"no such file, allowed: a file of `hil learn`, given: {settings.file} (looked for {path})"
         ) from None
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
@@ -172,7 +172,7 @@ def learned_forces(
         if there != here:
             raise ConfigurationError(
                 f"{path}: was learned on another {what} (fingerprint {there}, here {here}): its forces are "
-                f"wrong on this one. Take section feedforward out, run once, and learn again from that log"
+                f"wrong here. Remove section feedforward, run once, and learn again from that log"
             )
     peak = float(np.abs(tau).max())
     if peak > settings.limit_N:

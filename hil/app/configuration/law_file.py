@@ -1,4 +1,4 @@
-"""A law in one Python file: `controller.law: ./my_law.py:MyLaw`, its path from the configuration's folder."""
+"""Law in one Python file: `controller.law: ./my_law.py:MyLaw`, relative to the configuration's folder."""
 
 import hashlib
 import re
@@ -17,21 +17,21 @@ from drivers.registry import named
 from hil.control.law import Law, LawContext, LawSettings
 
 ATTACHMENT = "law.py"
-"""Attachment of a log: the source of its law."""
+"""Attachment of a log: source of its law."""
 PATH = "law_path"
-"""Key of a log's metadata: where the file of its law was."""
+"""Key of a log's metadata: path of its law's file."""
 _KNOWN = cache_folder() / "laws"
 """Digests of the laws that this user has run."""
 _NAMED = re.compile(r".+\.py:[A-Za-z_]\w*")
 
 
 class UnreadLaw(LawSettings):
-    """Section `controller` of a log whose law is a file: the keys as they are. The file has not been run."""
+    """Section `controller` of a log with a law in a file: its plain keys. The file has not been run."""
 
     model_config = ConfigDict(extra="allow")
 
     def build(self, context: LawContext) -> Law:
-        """Refuse, since a log is untrusted input. Raises ConfigurationError."""
+        """Refuse to build, since a log is untrusted input. Raises ConfigurationError."""
         del context
         raise ConfigurationError(
             f"controller.law: {self.law} is code in a file, and only `hil replay` runs the law of a log"
@@ -39,13 +39,13 @@ class UnreadLaw(LawSettings):
 
 
 class LawFile(NamedTuple):
-    """The file of a law, which has been run."""
+    """File of a law that has been run."""
 
     path: Path
     source: bytes
 
     def described(self) -> dict[str, str]:
-        """Return the metadata of a log: absolute path and SHA-256 of the file."""
+        """Metadata for a log: absolute path and SHA-256 of the file."""
         return {PATH: str(self.path.resolve()), "law_sha256": self.digest}
 
     @property
@@ -54,7 +54,7 @@ class LawFile(NamedTuple):
         return hashlib.sha256(self.source).hexdigest()
 
     def is_known(self) -> bool:
-        """Tell whether the disk has this file, and this user has run it from a configuration."""
+        """True if the disk has this file and this user has run it from a configuration."""
         try:
             there = self.path.is_absolute() and read_regular(self.path, len(self.source)) == self.source
             return there and (own_folder(_KNOWN) / self.digest).exists()
@@ -63,14 +63,14 @@ class LawFile(NamedTuple):
 
 
 def is_file(law: object) -> TypeGuard[str]:
-    """Tell whether `controller.law` is a class in a file."""
+    """True if `controller.law` is a class in a file."""
     return isinstance(law, str) and _NAMED.fullmatch(law) is not None
 
 
 def read_law(law: str, folder: Path) -> tuple[LawFile, type[LawSettings]]:
-    """Run the file of a law; return it, and the class of its settings.
+    """Run the file of a law; the result is the file and the class of its settings.
 
-    Raises ConfigurationError where it cannot be read, and as `run_law`.
+    Raises ConfigurationError if the file cannot be read, and as `run_law`.
     """
     path = folder / law.rpartition(":")[0]
     try:
@@ -79,15 +79,15 @@ def read_law(law: str, folder: Path) -> tuple[LawFile, type[LawSettings]]:
         raise ConfigurationError(f"{path}: {error.strerror}") from None
     file = LawFile(path, source)
     settings = run_law(law, file)
-    with suppress(OSError):  # then a replay asks for --trust-code
+    with suppress(OSError):  # without it a replay requires --trust-code
         (own_folder(_KNOWN) / file.digest).touch()
     return file, settings
 
 
 def run_law(law: str, file: LawFile) -> type[LawSettings]:
-    """Run the source of a law, once a process; return the class of its settings.
+    """Run the source of a law, once per process; the result is the class of its settings.
 
-    Raises ConfigurationError where it fails, or has no subclass of LawSettings of this name.
+    Raises ConfigurationError if it fails, or has no subclass of LawSettings of this name.
     """
     name = law.rpartition(":")[2]
     found: Any = getattr(_module(file.source, file.path), name, None)
@@ -99,7 +99,7 @@ def run_law(law: str, file: LawFile) -> type[LawSettings]:
 
 
 def _revived(law: str, file: LawFile, values: dict[str, Any]) -> LawSettings:
-    """Return settings that came from another process, in which the file has been run."""
+    """Settings received from another process, in which the file has been run."""
     return run_law(law, file).model_validate(values)
 
 

@@ -1,8 +1,8 @@
-"""What may ride on the platform: the corners of the box in which a payload's mass and place lie.
+"""Extreme payloads: corners of the box in which a payload's mass and centre of mass lie.
 
-Forces at rest are linear in m and m c: their extremes are at corners. The kinetic energy of a motion is
-convex in c: the most inertia is at a corner, the least may be inside, near the place where the least mass is
-nearest to the centre of mass of all the rest. That place is looked at, too.
+Forces at rest are linear in m and m c, so their extremes are at corners. The kinetic energy of a motion is
+convex in c: the largest inertia is at a corner. The smallest may be inside, near the place where the smallest
+mass is closest to the centre of mass of all the rest. That place is checked, too.
 """
 
 from itertools import product
@@ -14,17 +14,17 @@ from hil.config.values import Vector3
 
 
 class Corner(NamedTuple):
-    """A platform with one of the payloads that its ranges allow."""
+    """Platform with one of the payloads that its ranges allow."""
 
     settings: PlatformSettings
     words: str
-    """Which payload that is."""
+    """Description of the payload."""
 
 
 def corners(settings: PlatformSettings) -> list[Corner]:
-    """Return the platform with each extreme of the payload that is known by ranges, that of the model first.
+    """Platform with the model's payload, then with each extreme of the payload that has ranges.
 
-    Without ranges it is the only one. Raises GeometryError for a tensor that no body has.
+    Without ranges only the first. Raises GeometryError for a tensor that no body has.
     """
     payload = settings.platform.payload
     ranged = next((k for k, body in enumerate(payload) if body.ranged), None)
@@ -51,7 +51,7 @@ def corners(settings: PlatformSettings) -> list[Corner]:
 
 
 def _nearest(settings: PlatformSettings, ranged: int) -> Vector3:
-    """Return the place within a payload's ranges that is nearest to the centre of mass of all the rest."""
+    """Place within a payload's ranges that is closest to the centre of mass of all the rest."""
     payload = settings.platform.payload
     body, rest = payload[ranged], [*payload[:ranged], *payload[ranged + 1 :]]
     bare = settings.platform.model_copy(update={"payload": rest})
@@ -65,11 +65,11 @@ def _nearest(settings: PlatformSettings, ranged: int) -> Vector3:
 
 
 def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSettings]:
-    """Return the body with another mass and place; none of no mass."""
+    """The body with another mass and place; empty for mass 0."""
     if mass == 0.0:
         return []
     changes: dict[str, object] = {"mass_kg": mass, "com_m": com, "mass_range_kg": None, "com_range_m": None}
-    if body.shape is None:  # about the centre of mass, whatever the given tensor was about
+    if body.shape is None:  # about the centre of mass, for any reference point of the given tensor
         own = rigid_body(body.model_copy(update={"frame": Frame()}), "platform.payload")
         changes["inertia_kg_m2"] = tuple(map(tuple, (own.inertia * (mass / body.mass_kg)).tolist()))
         changes |= {"inertia_about": InertiaReference(), "products": "negative_integral"}
@@ -77,7 +77,7 @@ def _moved(body: PayloadSettings, mass: float, com: Vector3) -> list[PayloadSett
 
 
 def shown_ranges(body: PayloadSettings) -> str:
-    """Return mass and place of a payload in words, with their ranges."""
+    """Mass and place of a payload as text, with their ranges."""
 
     def shown(x: float, within: tuple[float, float] | None) -> str:
         return f"{x:g}" if within is None else f"{within[0]:g} to {within[1]:g}"

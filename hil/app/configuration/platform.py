@@ -1,4 +1,4 @@
-"""Section `platform` resolved: joints from circles; CAD, shapes and payload as one rigid body."""
+"""Section `platform` resolved: joints from circles; CAD data, shapes and payload as one rigid body."""
 
 from typing import Any
 
@@ -25,7 +25,7 @@ from hil.robot.geometry import Body, Platform
 
 
 def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
-    """Return the argument of `Platform.from_dict` (SI, keys without unit).
+    """Argument of `Platform.from_dict` (SI, keys without unit).
 
     Raises GeometryError for a tensor that no body has; `where` is the path below `platform`.
     """
@@ -53,17 +53,17 @@ def platform_dict(settings: PlatformSettings) -> dict[str, Any]:
 
 
 def build_platform(settings: PlatformSettings) -> Platform:
-    """Return the controller's robot. Raises GeometryError as `platform_dict`."""
+    """The controller's robot. Raises GeometryError as `platform_dict`."""
     return Platform.from_dict(platform_dict(settings))
 
 
 def pose_arrays(pose: Pose | Waypoint) -> tuple[Array, Array]:
-    """Return p (3,) m and R (3, 3) of a configured pose."""
+    """Position p (3,) m and rotation matrix R (3, 3) of a configured pose."""
     return np.array(pose.position_m, float), _rotation(pose.rotation_vector_deg)
 
 
 def joint_list(given: list[Vector3] | JointCircle) -> list[list[float]]:
-    """Return six joint centres in m, from the list or the circle."""
+    """Six joint centres in m, from the list or the circle."""
     if not isinstance(given, JointCircle):
         return [list(joint) for joint in given]
     if given.angles_deg is not None:
@@ -79,7 +79,7 @@ def joint_list(given: list[Vector3] | JointCircle) -> list[list[float]]:
 
 
 def platform_body(settings: PlatformSettings) -> Body:
-    """Return platform and payload as one body: about its centre of mass, platform axes.
+    """Platform and payload as one body: about its centre of mass, platform axes.
 
     Raises GeometryError as `platform_dict`.
     """
@@ -90,7 +90,7 @@ def platform_body(settings: PlatformSettings) -> Body:
 
 
 def rigid_body(settings: RigidBodySettings, where: str) -> Body:
-    """Return one body in the platform frame.
+    """One body in the platform frame.
 
     com = origin + R c; I = R I_c R^T, I_c about the centre of mass in the axes of the body's frame.
     Raises GeometryError: no body has this tensor.
@@ -115,7 +115,7 @@ def rigid_body(settings: RigidBodySettings, where: str) -> Body:
 
 
 def frame_axes(frame: Frame) -> tuple[Array, Array]:
-    """Return R (3, 3) and the origin (3,) m of a body's frame: x_platform = origin + R x."""
+    """Rotation matrix R (3, 3) and origin (3,) m of a body's frame: x_platform = origin + R x."""
     return _rotation(frame.rotation_vector_deg), np.array(frame.origin_m, float)
 
 

@@ -1,6 +1,6 @@
 """Pydantic's errors as problems of a YAML text: path, what is wrong, what is allowed, what was given.
 
-What is allowed is read from the model's own JSON Schema, so it cannot drift from the check.
+The allowed values come from the model's own JSON Schema, so they always match the check.
 """
 
 import json
@@ -22,34 +22,34 @@ UNITS = frozenset({
 })  # fmt: skip
 """Words that count as a unit at the end of a key."""
 FIXED_KEYS = {"reactions": ("estop", "bus", "second_controller")}
-"""Section -> what cannot be set there: there is nobody who could obey anything but sto."""
+"""Section -> keys that cannot be set: their reaction is always sto, since no drive could obey another one."""
 
 
 def problems(error: ValidationError, document: Document, schema: Schema) -> list[Problem]:
-    """Translate every error; `schema` is the whole model's."""
+    """Translate every error; `schema` is that of the whole model."""
     found: dict[tuple[str, Path], Problem] = {}
     for item in error.errors(include_url=False):
         path = _path(item["loc"], document.value, missing=item["type"] == "missing")
         kind, problem = _problem(item["type"], item, path, document, schema)
         found.setdefault((kind, problem.path), problem)
-    # A union reports every alternative: when one of them objects to the value's content, what the others
-    # say of its type is noise.
+    # A union reports every alternative. If one of them objects to the content of the value, the type errors
+    # of the others are noise.
     content = {path[:n] for kind, path in found for n in range(len(path) + (kind != "type"))}
     kept = [p for (kind, path), p in found.items() if not (kind == "type" and path in content)]
-    asked = {p.path for p in kept if p.message.startswith("missing")}
-    mended = {
+    missing_keys = {p.path for p in kept if p.message.startswith("missing")}
+    corrected_keys = {
         (*p.path[:-1], name)
         for p in kept
         for name in re.findall(r"^(?:missing|wrong) unit: the key is (\w+)", p.message)
     }
-    return [p for p in kept if p.path not in asked & mended]
+    return [p for p in kept if p.path not in missing_keys & corrected_keys]
 
 
 Of = TypeVar("Of", bound=BaseModel)
 
 
 def validated(kind: type[Of], document: Document) -> tuple[Of | None, list[Problem]]:
-    """Return what a text holds, and what is wrong with it: one of them is empty."""
+    """Section in a text, and the problems of the text: one of them is empty."""
     found = list(document.problems)
     if document.value is not None:
         try:
@@ -62,7 +62,7 @@ def validated(kind: type[Of], document: Document) -> tuple[Of | None, list[Probl
 
 
 def checked(kind: type[Of], document: Document, name: str) -> Of:
-    """Return what a text of this name holds. Raises ConfigurationError with all problems found."""
+    """Section in the text of a file `name`. Raises ConfigurationError with all problems found."""
     section, found = validated(kind, document)
     if section is None:
         raise ConfigurationError(*lines(found, name))
@@ -78,7 +78,7 @@ _BOUNDS = {
 
 
 def describe(schema: Schema, root: Schema) -> str:
-    """Say in words what a schema allows."""
+    """Allowed values of a schema, as text."""
     match _dereference(schema, root):
         case {"discriminator": {"propertyName": name, "mapping": mapping}}:
             return f"a section whose {name} is {', '.join(mapping)}"
@@ -117,7 +117,7 @@ def _describe_list(sizes: Schema, root: Schema) -> str:
 
 
 def at(path: Path, data: Value, root: Schema) -> Schema:
-    """Return the schema that holds for `path`, alternatives chosen by what the data says."""
+    """Schema at `path`, with alternatives chosen by the data."""
     schema = root
     for item in path:
         schema = _choose(_dereference(schema, root), data, root)
@@ -141,7 +141,7 @@ def _dereference(schema: Schema, root: Schema) -> Schema:
 
 
 def _choose(schema: Schema, data: Value, root: Schema) -> Schema:
-    """Pick the alternative that the data means: by discriminator, else by its kind."""
+    """Pick the alternative that fits the data: by discriminator, else by its kind."""
     options = schema.get("oneOf") or schema.get("anyOf")
     if not options:
         return schema
@@ -160,7 +160,7 @@ def _choose(schema: Schema, data: Value, root: Schema) -> Schema:
 
 
 def _path(loc: tuple[str | int, ...], data: Value, *, missing: bool) -> Path:
-    """Drop from pydantic's location the names of union alternatives, which are not in the text."""
+    """Pydantic's location without the names of union alternatives, which are not in the text."""
     path: list[str | int] = []
     for item in loc:
         try:
@@ -177,17 +177,17 @@ _WHAT = {
     **dict.fromkeys(("too_short", "too_long"), "wrong number of entries"),
     **dict.fromkeys(("greater_than", "greater_than_equal", "less_than", "less_than_equal"), "out of range"),
 }
-"""By pydantic's name of an error: what we call it."""
+"""Pydantic's name of an error -> our words."""
 
 
 def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schema) -> tuple[str, Problem]:
-    """Return a class of problem, for the de-duplication of union alternatives, and the problem."""
+    """Class of a problem, which identifies duplicates from union alternatives, and the problem."""
     if kind == "extra_forbidden":
         return "key", Problem(document.key_position(path), path, unknown_key(path, document, schema))
     if kind in ("value_error", "assertion_error"):
         return "value", Problem(document.value_position(path), path, str(item["ctx"]["error"]))
     given: Any = item["input"]
-    if kind == "missing" and isinstance(path[-1], int):  # of a list of so many entries
+    if kind == "missing" and isinstance(path[-1], int):  # an entry of a list of fixed length
         kind, path = "too_short", path[:-1]
         given = document.at(path)
     there = at(path, document.value, schema)
@@ -212,10 +212,10 @@ def _problem(kind: str, item: Any, path: Path, document: Document, schema: Schem
 
 
 def unknown_key(path: Path, document: Document, schema: Schema) -> str:
-    """Name the missing or wrong unit, the nearest key, all keys."""
+    """Message for an unknown key: the missing or wrong unit, the nearest key, or all keys."""
     fixed = FIXED_KEYS.get(str(path[0]), ()) if len(path) == 2 else ()
     if path[-1] in fixed:
-        return f"no key: the reactions to {', '.join(fixed)} are fixed, always sto; leave it out"
+        return f"not a key: the reaction to {', '.join(fixed)} is always sto; leave it out"
     known = list(at(path[:-1], document.value, schema).get("properties", {}))
     key = str(path[-1])
     free = [k for k in known if (*path[:-1], k) not in document.values]

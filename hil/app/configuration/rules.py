@@ -1,7 +1,7 @@
-"""Rules between sections of a configuration: what each section alone cannot know.
+"""Rules between sections of a configuration, which no section can check alone.
 
-A rule is handed what `hil.app.configuration.bounds` calls sections. Only rules that are handed a folder look
-at other files.
+A rule receives the sections of `hil.app.configuration.bounds`. Only rules that receive a folder read other
+files.
 """
 
 import re
@@ -29,7 +29,7 @@ from hil.app.configuration.bounds import (
 )
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.configuration.controller_file import unusable
-from hil.app.configuration.fault_rules import not_brought_about, not_carried, of_no_bus
+from hil.app.configuration.fault_rules import force_not_carried, unknown_bus, without_effect
 from hil.app.configuration.feedforward_file import learned_forces
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.problems import split_unit
@@ -44,7 +44,7 @@ from plant_fmu.config import FmuPlant
 
 
 def broken(sections: Mapping[str, Any], folder: Folder) -> Iterator[Finding]:
-    """Yield path and message of each rule that the sections break."""
+    """Path and message of each rule that the sections break."""
     c = Sections(**sections)
     for rule in RULES:
         with suppress(MissingSectionError):
@@ -52,7 +52,7 @@ def broken(sections: Mapping[str, Any], folder: Folder) -> Iterator[Finding]:
 
 
 def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse bit rates outside ISO 11898-1: arbitration to 1 Mbit/s, data phase not slower than that."""
+    """Check the bit rates against ISO 11898-1: arbitration up to 1 Mbit/s, data phase not slower."""
     for n, each in enumerate(c.bus.buses):
         where: Path = ("bus", "channels", n) if c.bus.channels else ("bus",)
         if each.bitrate_bit_s > 1_000_000:
@@ -64,7 +64,7 @@ def bit_rates(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def _keyed(error: HilError, sections: str, key: Path) -> Finding:
-    """Return the key that an error begins with, of one of these sections, or `key`; and the rest of it."""
+    """Key at the start of an error, if in one of these sections, else `key`; and the rest of the error."""
     named = re.fullmatch(rf"((?:{sections})[\w.\[\]]*): (.*)", str(error), re.DOTALL)
     if named is None:
         return key, str(error)
@@ -72,7 +72,7 @@ def _keyed(error: HilError, sections: str, key: Path) -> Finding:
 
 
 def bus_load(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse what the protocol or the sensors cannot do, and frames that do not fit the period."""
+    """Check that protocol and sensors support the settings, and that the frames fit into the period."""
     try:
         bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     except HilError as error:
@@ -80,7 +80,7 @@ def bus_load(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse a node number that a drive or another sensor has."""
+    """Check that no sensor has the node number of a drive or of another sensor."""
     taken = dict.fromkeys(c.drives.node_ids, "drives.node_ids")
     for kind in KINDS:
         settings = getattr(c.sensors, kind)
@@ -88,12 +88,15 @@ def node_numbers(c: Sections, _: Folder) -> Iterator[Finding]:
             continue
         number = settings.node_id
         if number in taken:
-            yield ("sensors", kind, "node_id"), f"{number}, allowed: one that {taken[number]} does not have"
+            yield (
+                ("sensors", kind, "node_id"),
+                f"{number} is also in {taken[number]}, allowed: an unused number",
+            )
         taken.setdefault(number, f"sensors.{kind}.node_id")
 
 
 def geometry(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse joints, masses and inertias that no platform has."""
+    """Check that a platform can have these joints, masses and inertias."""
     try:
         build_platform(c.platform)
     except GeometryError as error:
@@ -111,14 +114,14 @@ KEYS = {
 
 
 def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse poses of home and reference that the legs cannot reach; what lies between is for `hil check`."""
+    """Check that the legs reach home and the poses of the reference; `hil check` covers the path between."""
     low = c.platform.length_min_m + c.limits.stroke_margin_m
     high = c.platform.length_max_m - c.limits.stroke_margin_m
     if low >= high:
         return
     try:
         robot = build_platform(c.platform)
-    except HilError:  # which the rule on geometry says
+    except HilError:  # the rule on geometry reports it
         return
     poses: dict[Path, Any] = {("platform", "home"): c.platform.home}
     with suppress(MissingSectionError):
@@ -135,7 +138,7 @@ def reachable_poses(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Refuse times that do not increase, a repeat that jumps, and a wrong CSV file."""
+    """Check that times increase, that a repeated path does not jump, and that the CSV file is valid."""
     sampled = isinstance(c.reference, SampledReference)
     if sampled and folder is None:
         return
@@ -146,7 +149,7 @@ def reference_path(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Refuse a controller from a file that the loop cannot run, also among the laws to compare."""
+    """Check that the loop can run the controllers from files, also those of the laws to compare."""
     laws = {("controller",): c.controller} | {
         ("compare", "laws", k): law for k, law in c.compare.laws.items()
     }
@@ -157,12 +160,12 @@ def designed_controllers(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 def certificate(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse to act on the certificate of a law that has none."""
+    """Check that the law has a certificate if the monitor acts on it."""
     return certified_law(c.monitor, c.controller, None)
 
 
 def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse a period that is no whole number of the plant's steps."""
+    """Check that the period is a whole number of the plant's steps."""
     if c.plant is None:
         return
     key, period_us = step_key(c.plant), 1e6 / c.loop.rate_Hz
@@ -171,11 +174,11 @@ def whole_steps(c: Sections, _: Folder) -> Iterator[Finding]:
     if steps <= MOST_STEPS and (steps < 0.5 or abs(steps - round(steps)) > 1e-9 * steps):
         parts = f"allowed: {period_us:g} us (loop.rate_Hz) divided by a whole number"
         given = f"as {period_us / ceil(steps):.12g}, given: {step_us:g}"
-        yield ("plant", "model", key), f"the period is no whole number of steps, {parts}, {given}"
+        yield ("plant", "model", key), f"the period is not a whole number of steps, {parts}, {given}"
 
 
 def fmu_file(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Refuse an FMU that is not there."""
+    """Check that the FMU exists."""
     if c.plant is not None and isinstance(c.plant.model, FmuPlant) and folder is not None:
         path = folder / c.plant.model.path
         if not path.is_file():
@@ -183,28 +186,28 @@ def fmu_file(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 def faults(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse faults that come to nothing at the plant, of an unknown bus, or that no frame carries."""
+    """Check that faults have an effect at the plant, an existing bus, and a force that a frame carries."""
     if c.plant is None:
         return
     for n, fault in enumerate(c.plant.faults):
-        found = {"kind": not_brought_about(c.plant, str(fault.kind))}
+        found = {"kind": without_effect(c.plant, str(fault.kind))}
         with suppress(MissingSectionError):
-            found["bus"] = of_no_bus(fault, c.bus)
-            found["force_N"] = not_carried(fault, c.bus, c.drives)
+            found["bus"] = unknown_bus(fault, c.bus)
+            found["force_N"] = force_not_carried(fault, c.bus, c.drives)
         for key, message in found.items():
             if message:
                 yield ("plant", "faults", n, key), message
 
 
 def drives(c: Sections, _: Folder) -> Iterator[Finding]:
-    """Refuse a reaction to silence that the drives do not have, and lengths that their field cannot carry."""
+    """Check that the drives have the reaction to silence and that their position field covers the stroke."""
     try:
         traits = build_protocol(c.bus, c.drives).traits
-    except HilError:  # which the rule on the bus load says
+    except HilError:  # the rule on the bus load reports it
         return
     if Reaction[c.reactions.silence.upper()] not in traits.reactions:
         allowed = f"allowed: {', '.join(each.name.lower() for each in traits.reactions)}"
-        what = f"not what these drives do by themselves (drives.protocol {c.drives.protocol} and its options)"
+        what = f"no reaction of these drives (drives.protocol {c.drives.protocol} and its options)"
         yield ("reactions", "silence"), f"{what}, {allowed}, given: {c.reactions.silence}"
     low, high = traits.reported_lengths or (np.array([-inf]), np.array([inf]))
     beyond = np.flatnonzero((low > c.platform.length_min_m) | (high < c.platform.length_max_m))
@@ -215,9 +218,10 @@ def drives(c: Sections, _: Folder) -> Iterator[Finding]:
 
 
 def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Refuse drives whose data sheet lacks an object that we need.
+    """Check that the drives' data sheet has every object that we need.
 
-    It is looked for in the present folder, then next to the configuration; not for one that a log holds.
+    The file is searched in the current folder, then next to the configuration; not for a configuration in a
+    log.
     """
     options = c.drives.options
     if folder is None or c.drives.protocol != "cia402" or "eds" not in options:
@@ -233,7 +237,7 @@ def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
 
 
 def usable_feedforward(c: Sections, folder: Folder) -> Iterator[Finding]:
-    """Refuse a feed-forward that was learned on something else."""
+    """Check that the feed-forward was learned on this reference, controller and platform."""
     if folder is not None and not isinstance(c.reference, LiveReference):
         try:
             learned_forces(c.feedforward, c.reference, c.controller, c.platform, folder)

@@ -1,4 +1,4 @@
-"""The JSON Schema of a configuration, for editors."""
+"""JSON Schema of a configuration, for editors."""
 
 import ast
 import importlib.resources
@@ -14,19 +14,19 @@ from drivers.section import Section
 from hil.app.configuration.configuration import json_schema
 
 FILE = "hil.schema.json"
-"""Beside the shipped configurations, which name it in their first line."""
+"""File next to the shipped configurations, which refer to it in their first line."""
 MODELINE = "# yaml-language-server: $schema="
 HEAD_LINES = 10
-"""Lines in which it is looked for."""
+"""Number of first lines in which a text may refer to its schema."""
 
 
 def schema() -> dict[str, Any]:
-    """Return the schema, JSON Schema draft 2020-12, with the docstrings of the keys as descriptions."""
+    """JSON Schema, draft 2020-12, with the docstrings of the keys as descriptions."""
     return described("Configuration", json_schema(), "hexapod-hil configuration")
 
 
 def described(name: str, plain: dict[str, Any], title: str) -> dict[str, Any]:
-    """Return the schema of the section class `name` as pydantic has it, with the docstrings of the keys."""
+    """Pydantic's schema of the section class `name`, with the docstrings of the keys."""
     whole = deepcopy(plain)
     models = {model.__name__: model for model in _sections(Section)}
     for section_name, section in ((name, whole), *whole["$defs"].items()):
@@ -40,36 +40,36 @@ def described(name: str, plain: dict[str, Any], title: str) -> dict[str, Any]:
 
 
 def text() -> str:
-    """Return the schema as the committed file has it."""
+    """The schema as in the committed file."""
     return json.dumps(schema(), indent=1, ensure_ascii=False) + "\n"
 
 
 def schema_path() -> Path:
-    """Return the schema file of this installation, in a clone or a wheel."""
+    """Schema file of this installation, in a clone or a wheel."""
     return Path(str(importlib.resources.files("configs") / FILE))
 
 
 def schema_line() -> str:
-    """Return the first line by which an editor finds the schema, wherever the configuration stands."""
+    """First line with which an editor finds the schema, wherever the configuration lies."""
     return f"{MODELINE}{schema_path()}"
 
 
 def named_schema(text: str) -> str | None:
-    """Return what the first lines of a configuration name as their schema; None where they name none."""
+    """Schema that the first lines of a configuration refer to; None without one."""
     lines = text.removeprefix("\ufeff").splitlines()[:HEAD_LINES]
     return next((line.removeprefix(MODELINE).strip() for line in lines if line.startswith(MODELINE)), None)
 
 
 def schema_is_there(text: str, folder: Path) -> bool:
-    """Tell whether the schema that a text in `folder` names can be loaded; true where it names none."""
+    """True if the schema of a text in `folder` can be loaded, or if the text refers to none."""
     named = named_schema(text)
     return named is None or "://" in named or (folder / named).is_file()
 
 
 def with_schema(text: str) -> str:
-    """Return the text of a configuration with the line that names this installation's schema.
+    """Text of a configuration with a line that refers to this installation's schema.
 
-    A byte order mark goes: YAML allows it in front of the whole text only.
+    A byte order mark is removed: YAML allows it only at the start of a text.
     """
     lines = text.removeprefix("\ufeff").splitlines(keepends=True)
     there = next((k for k, line in enumerate(lines[:HEAD_LINES]) if line.startswith(MODELINE)), None)
@@ -84,10 +84,10 @@ def _sections(section: type[Section]) -> Iterator[type[Section]]:
 
 
 def _docstrings(section: type[Section]) -> dict[str, str]:
-    """Return the string below each field, also of the bases.
+    """Docstring below each field, base classes included.
 
-    pydantic can do it as each class is made (`use_attribute_docstrings`): a fifth of the start of every
-    command, for what only editors read.
+    pydantic can do it for each class (`use_attribute_docstrings`), but that adds a fifth to the start of
+    every command, and only editors read it.
     """
     found: dict[str, str] = {}
     for base in reversed(section.__mro__[: section.__mro__.index(Section)]):

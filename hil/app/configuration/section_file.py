@@ -1,6 +1,6 @@
-"""A YAML file that holds one section: what commands hand to each other.
+"""YAML file with one section, which one command writes and another one reads.
 
-Every problem is reported at once, each as `file:line:column: path: what, allowed, given`.
+All problems are reported at once, each as `file:line:column: path: what, allowed, given`.
 """
 
 from pathlib import Path
@@ -19,7 +19,7 @@ Of = TypeVar("Of", bound=Section)
 
 
 def read_section(path: Path, kind: type[Of]) -> tuple[Of, Document]:
-    """Return the section that is the whole of a file, and where its keys and values stand.
+    """Section in a file, and the positions of its keys and values.
 
     Raises ConfigurationError with all problems found.
     """
@@ -30,14 +30,14 @@ def read_section(path: Path, kind: type[Of]) -> tuple[Of, Document]:
     value: dict[str, Any] = document.value or {}
     given, strange = value.get("kind"), [key for key in value if key not in kind.model_fields]
     if given != _name(kind) and (given is not None or 2 * len(strange) > len(value)):
-        # problems one by one would say nothing about a file of another kind
+        # for a file of another kind, single problems are not helpful
         what = f"of kind {given!r:.60}, with the keys {', '.join(list(value)[:3])} ..."
         raise ConfigurationError(f"{path}: is {what}; allowed: a file with `kind: {_name(kind)}`")
     return checked(kind, document, str(path)), document
 
 
 def write_section(path: Path, section: Section, remark: str) -> None:
-    """Write a section as YAML under a line of remark, whole or not at all.
+    """Write a section as YAML below a comment line, completely or not at all.
 
     Raises ConfigurationError if it cannot be written.
     """
@@ -50,7 +50,7 @@ def write_section(path: Path, section: Section, remark: str) -> None:
 
 
 def check_section_path(option: str, path: Path, kind: type[Section]) -> None:
-    """Refuse a file that could not be written in the end, before anything starts; an earlier one is replaced.
+    """Check before anything starts that a file can be written; an earlier file is replaced.
 
     Raises LogError, as `new_file`.
     """
@@ -59,7 +59,7 @@ def check_section_path(option: str, path: Path, kind: type[Section]) -> None:
 
 
 def _name(kind: type[Section]) -> str:
-    """Return what the key `kind` says in files of this kind."""
+    """Value of the key `kind` in files of this kind."""
     name: str = kind.model_json_schema()["properties"]["kind"]["const"]
     return name
 

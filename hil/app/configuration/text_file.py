@@ -1,6 +1,6 @@
-"""Where the text of a configuration stands: in a file, or in a shipped one, by its name.
+"""Text of a configuration: of a file, or of a shipped one by its name.
 
-Cheap to import: `hil ctl CONFIG estop` reads no more than this and section `bus`.
+Cheap to import: `hil ctl CONFIG estop` reads only this and section `bus`.
 """
 
 import importlib.resources
@@ -11,10 +11,10 @@ from drivers.files import read_regular
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file.
+    """Text of a file.
 
-    Raises FileNotFoundError where there is none, ConfigurationError where it is no regular file, too large,
-    or cannot be read as UTF-8.
+    Raises FileNotFoundError if there is none, ConfigurationError if it is not a regular file, is too large,
+    or is not UTF-8.
     """
     try:
         raw = read_regular(path)
@@ -31,21 +31,21 @@ def read_text(path: Path) -> str:
 
 
 def shipped(kind: str = "") -> tuple[str, ...]:
-    """Return the names of the configurations that come with the product, or of its controllers or designs."""
+    """Names of the shipped configurations, or of the shipped controllers or designs."""
     files = importlib.resources.files("configs").joinpath(kind).iterdir()
     return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
 
 
 def shipped_file(name: str, kind: str = "") -> Path:
-    """Return the file of a shipped configuration, controller or design."""
+    """File of a shipped configuration, controller or design."""
     return Path(str(importlib.resources.files("configs").joinpath(kind, f"{name}.yaml")))
 
 
 def read_configuration(path: str | Path) -> tuple[Path, str]:
-    """Return the file of a configuration, or of a shipped one by its name (`virtual`), and its text.
+    """File of a configuration, or of a shipped one by its name (`virtual`), and its text.
 
-    A file of that name comes first, a folder does not: `python -m venv virtual` hides nothing.
-    Raises ConfigurationError where there is none, or it cannot be read.
+    A file of that name has priority, a folder has not: `python -m venv virtual` hides nothing.
+    Raises ConfigurationError if there is none, or if it cannot be read.
     """
     file = Path(path)
     if (not file.exists() or file.is_dir()) and str(path) in shipped():

@@ -1,8 +1,8 @@
-"""YAML text to plain data, with the line and column of every key and value.
+"""YAML text as plain data, with the line and column of every key and value.
 
-Scalars follow the core schema of YAML 1.2 (https://yaml.org/spec/1.2.2/#103-core-schema), not PyYAML's
-YAML 1.1: ``1e3`` is a number, ``010`` is ten, ``no`` and ``12:30`` are text. What PyYAML accepts in silence
-and a reader of the file would not expect (two equal keys, aliases, tags) is a problem.
+Scalars follow the core schema of YAML 1.2 (https://yaml.org/spec/1.2.2/#103-core-schema), not PyYAML's YAML
+1.1: ``1e3`` is a number, ``010`` is ten, ``no`` and ``12:30`` are text. Features that PyYAML accepts silently
+but a reader does not expect (two equal keys, aliases, tags) are problems.
 """
 
 import copy
@@ -18,33 +18,33 @@ Path = tuple[str | int, ...]
 """Keys and indices from the root to a value."""
 
 MOST_VALUES = 200_000
-"""Keys, values, lists and mappings of a text: the longest path of way points has 130,000."""
+"""Most keys, values, lists and mappings in a text; the longest path of way-points has 130,000."""
 
 Value = None | bool | int | float | str | list["Value"] | dict[str, "Value"]
 
 
 class Position(NamedTuple):
-    """Where in the text, both counted from one."""
+    """Position in the text; both numbers count from one."""
 
     line: int
     column: int
 
 
 class Problem(NamedTuple):
-    """What is wrong with one place of the text."""
+    """Problem at one position of the text."""
 
     position: Position
     path: Path
     message: str
 
     def line(self, source: str) -> str:
-        """Return `file:line:column: path: message`."""
+        """The problem as `file:line:column: path: message`."""
         place = f"{source}:{self.position.line}:{self.position.column}: "
         return f"{place}{path_text(self.path)}: {self.message}" if self.path else place + self.message
 
 
 def lines(problems: Iterable[Problem], source: str) -> list[str]:
-    """Return each problem once, in the order of the text."""
+    """Each problem once, in the order of the text."""
     return [p.line(source) for p in sorted(set(problems), key=lambda p: (p.position, p.message))]
 
 
@@ -59,17 +59,17 @@ class Document(NamedTuple):
     problems: tuple[Problem, ...]
 
     def key_position(self, path: Path) -> Position:
-        """Return where the key at `path` stands, or its nearest ancestor that is in the text."""
+        """Position of the key at `path`, or of its nearest ancestor in the text."""
         while path and path not in self.keys:
             path = path[:-1]
         return self.keys.get(path, Position(1, 1))
 
     def value_position(self, path: Path) -> Position:
-        """Return where the value at `path` stands, or the key of its nearest ancestor in the text."""
+        """Position of the value at `path`, or of the key of its nearest ancestor in the text."""
         return self.values[path] if path in self.values else self.key_position(path)
 
     def at(self, path: Path) -> Value:
-        """Return the value at `path`, which is in the text."""
+        """Value at `path`, which is in the text."""
         value: Any = self.value
         for item in path:
             value = value[item]
@@ -77,7 +77,7 @@ class Document(NamedTuple):
 
 
 def path_text(path: Path) -> str:
-    """Return `platform.base_joints_m[2]` for ("platform", "base_joints_m", 2)."""
+    """Path as text: `platform.base_joints_m[2]` for ("platform", "base_joints_m", 2)."""
     text = ""
     for item in path:
         text += f"[{item}]" if isinstance(item, int) else f".{item}" if text else item
@@ -85,14 +85,14 @@ def path_text(path: Path) -> str:
 
 
 def parse(text: str) -> Document:
-    """Parse one YAML document whose root is a mapping; all problems found are in the result."""
+    """Parse one YAML document whose root is a mapping; the result includes all problems."""
     document = _parsed(text)
     return document._replace(value=copy.deepcopy(document.value))
 
 
 @functools.lru_cache(maxsize=32)
 def _parsed(text: str) -> Document:
-    """Parse a text once: a run, its replay and `hil compare` read the same one several times."""
+    """Parse a text once: a run, its replay and `hil compare` read the same text several times."""
     try:
         loader = _Loader(text)
         try:
@@ -121,7 +121,7 @@ def _unread(message: str, at: tuple[int, int] = (1, 1)) -> Document:
 
 
 class _Loader(yaml.BaseLoader):
-    """PyYAML up to its node tree: resolving and constructing are ours."""
+    """PyYAML up to its node tree; we resolve and construct ourselves."""
 
     composed = 0
 
@@ -137,7 +137,7 @@ class _Loader(yaml.BaseLoader):
 
 
 class _Walk:
-    """Turns nodes into values. Mutable state: the tables it fills."""
+    """Turns nodes into values. Mutable state: the tables that it fills."""
 
     def __init__(self) -> None:
         self.keys: dict[Path, Position] = {}
@@ -166,7 +166,7 @@ class _Walk:
         result: dict[str, Value] = {}
         for key_node, value_node in node.value:
             if not isinstance(key_node, yaml.ScalarNode):
-                self.problem(key_node, path, "a key has to be a plain word")
+                self.problem(key_node, path, "a key must be a plain word")
                 continue
             key: str = key_node.value
             here = (*path, key)
@@ -183,7 +183,7 @@ class _Walk:
     def _scalar(self, node: yaml.ScalarNode, path: Path) -> Value:
         text: str = node.value
         if found := _NO_TEXT.search(text):
-            self.problem(node, path, f"character U+{ord(found[0]):04X} is not allowed, escaped either")
+            self.problem(node, path, f"character U+{ord(found[0]):04X} is not allowed, not even escaped")
             return None
         if node.style is not None or node.tag == "!":
             return text
@@ -196,18 +196,18 @@ class _Walk:
 
 _TAGS = {"!", *(f"tag:yaml.org,2002:{kind}" for kind in ("map", "seq", "str"))}
 _NO_TEXT = re.compile("[\0\ud800-\udfff]")
-"""What no name of a file can hold, and no UTF-8: escapes in quotes can say it."""
+"""Characters that neither file names nor UTF-8 can hold; escapes in quotes can produce them."""
 
 
 def _integer(text: str, base: int = 10) -> int:
-    """Raise OverflowError beyond the largest float: Python writes no number of 4301 digits, in any base."""
+    """Raise OverflowError beyond the largest float: Python prints no number of 4301 digits, in any base."""
     number = int(text, base)
     float(number)
     return number
 
 
 def _integral(text: str) -> int | float:
-    """1e6 is as good an integer as 1000000."""
+    """Number of a text; 1e6 is an integer like 1000000."""
     number = float(text)
     return int(number) if number.is_integer() and abs(number) < 2**53 and "." not in text else number
 

@@ -1,1 +1,1 @@
-"""`hil design`: a design file in, a controller file out."""
+"""`hil design`: a controller file from a design file."""

@@ -1,4 +1,4 @@
-"""`hil design`: a design file in, a controller file out."""
+"""`hil design`: a controller file from a design file."""
 
 import importlib.resources
 from collections.abc import Callable
@@ -23,25 +23,25 @@ from hil.design.synthesis.result import linear_controller
 Method = Callable[[Design, DesignAxis, Callable[[str], None], Relative | None], Designed]
 
 METHODS: dict[str, Method] = {"hinf": design_hinf, "mu": design_mu}
-"""What `hil design` offers, by name."""
+"""Methods of `hil design` by name."""
 
 PD_CROSSOVER = 2.058
-"""Times wn: where (2 wn s + wn^2) / s^2 crosses over."""
+"""Crossover of (2 wn s + wn^2) / s^2, in wn."""
 PINNED = 1.01
-"""An optimum below this times its floor at rest is set by noise and error allowed there alone."""
+"""Ratio of the optimum to its floor at rest, up to which only noise and error at rest determine it."""
 SPREAD = 0.2
-"""Gains of the six axes that differ from their mean by more are not alike: one controller will not do."""
+"""Largest deviation of a gain from the mean of six axes for which one controller is enough."""
 HEAD = "# Made by `hil design {method} {source}`; law state_space runs it.\n"
 
 
 def shipped_designs() -> tuple[str, ...]:
-    """Return the names of the designs that come with the product."""
+    """Names of the designs that come with the product."""
     files = (importlib.resources.files("configs") / "designs").iterdir()
     return tuple(sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml")))
 
 
 def load_design(source: str) -> tuple[Design, Path]:
-    """Return a design and its file: a path, or the name of a shipped one.
+    """Design and its file, from a path or the name of a shipped design.
 
     Raises ConfigurationError with all problems found.
     """
@@ -55,11 +55,11 @@ def load_design(source: str) -> tuple[Design, Path]:
 
 
 def axis_of(design: Design, folder: Path, model: Path | None) -> tuple[DesignAxis, Relative | None]:
-    """Return the axis of a design: of the file given, of the one that it names, or its own figures.
+    """Axis of a design, from the given model file, the design's model file or its own figures.
 
-    And by how much the measured axes differ from it, where they were measured.
+    The second value is the deviation of the measured axes from it, None without a measurement.
 
-    Raises ConfigurationError: no axis, one of another space or rate, or six that are not alike.
+    Raises ConfigurationError: no axis, an axis of another space or rate, or six axes that differ too much.
     """
     file = model if model is not None else None if design.model is None else folder / design.model
     if file is None:
@@ -79,7 +79,7 @@ def axis_of(design: Design, folder: Path, model: Path | None) -> tuple[DesignAxi
         listed = ", ".join(f"{gain:.3g}" for gain in gains)
         raise ConfigurationError(
             f"{file}: nominal.gain: {listed}, allowed: within {100 * SPREAD:.0f} % of their mean {mean:.3g}, "
-            "for one controller serves all six axes; a better model of the robot makes them alike"
+            "as one controller serves all six axes; a better model of the robot makes them more equal"
         )
     axis = DesignAxis(gain=mean, transport_ms=found.nominal.transport_ms, lag_ms=found.nominal.lag_ms)
     return axis, relative(found, mean)
@@ -90,8 +90,8 @@ def run_design(
 ) -> tuple[LinearController, Designed, Design, DesignAxis]:
     """Design a controller.
 
-    robot: a configuration whose axes it has to stand coupled, with every payload within its ranges.
-    Raises ConfigurationError for files, SynthesisError for what cannot be designed.
+    robot: a configuration; the loop must be stable with its coupled axes and every payload within its ranges.
+    Raises ConfigurationError for files, SynthesisError for an infeasible design.
     """
     design, path = load_design(source)
     axis, measured = axis_of(design, path.parent, model)
@@ -107,14 +107,14 @@ def run_design(
 
 
 def controller_text(controller: LinearController, source: str) -> str:
-    """Return the controller's file: rows of a matrix in a line each, all digits."""
+    """Text of the controller's file: a line for each row of a matrix, with all digits."""
     document = controller.model_dump(mode="json")
     text = yaml.dump(document, sort_keys=False, default_flow_style=None, width=2000, allow_unicode=True)
     return HEAD.format(method=controller.method, source=printable(Path(source).stem)) + text
 
 
 def summary(controller: LinearController, source: str) -> dict[str, Any]:
-    """Return what the JSON file holds."""
+    """Content of the JSON file."""
     return {
         "success": True,
         "kind": "design",
@@ -153,7 +153,7 @@ ROWS = (
 
 
 def report(controller: LinearController) -> list[str]:
-    """Return what the user reads: how much of the weights is used, margins, poles."""
+    """Report for the terminal: use of the weights, margins, poles."""
     d: dict[str, Any] = dict(controller.design)
     d["down"], d["up"] = d["gain_margin"]
     d["low"], d["high"] = d.get("robot", {}).get("gamma_eigenvalues", (0.0, 0.0))
@@ -179,6 +179,6 @@ def report(controller: LinearController) -> list[str]:
     if d.get("gamma_opt", np.inf) <= PINNED * d.get("gamma_at_rest", 0.0):
         lines.append(
             "note: the best gamma is noise.error_m times the error weight at rest, so no other weight limits "
-            "it; raise error.low_m until one does, or ask for more elsewhere"
+            "it; raise error.low_m until one does, or tighten another weight"
         )
     return lines

@@ -1,4 +1,4 @@
-"""What the loop of a designed controller leaves with a configuration's delay, for `hil check`."""
+"""Margins of a designed controller with a configuration's delay, for `hil check`."""
 
 from typing import Any, NamedTuple
 
@@ -8,7 +8,7 @@ from hil.design.stability.sampled_loop import Axis, analyse, sampled_controller
 
 
 class LoopFinding(NamedTuple):
-    """What `hil check` prints of the loop."""
+    """Lines, figures and warnings of `hil check` about the loop."""
 
     lines: list[str]
     figures: dict[str, Any]
@@ -16,7 +16,7 @@ class LoopFinding(NamedTuple):
 
 
 def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: float) -> LoopFinding:
-    """Return what controller `name` is and its loop leaves, and warn of less than `least_deg`."""
+    """Margins of controller `name`, with a warning below `least_deg` of phase margin."""
     loop = analyse(Axis(*delay), sampled_controller(controller))
     transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
     radius, left, order = loop.largest, loop.margins, len(controller.A)

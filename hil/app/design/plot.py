@@ -1,4 +1,4 @@
-"""A design as a picture: closed loop against its weights, open loop, what a step of the disturbance does."""
+"""Picture of a design: closed loop and its weights, open loop, response to a disturbance step."""
 
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ STEP_S = 0.3
 
 
 def draw(design: Design, axis: DesignAxis, made: Designed, path: Path, title: str) -> Path:
-    """Draw a designed loop, exact and sampled, into a PNG file. Raises OSError where it cannot be written."""
+    """Draw a designed loop, exact and sampled, into a PNG file. Raises OSError: it cannot be written."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(13, 8.5), layout="constrained")
@@ -54,7 +54,7 @@ def _closed(axes: Any, design: Design, omega: Array, L: ComplexArray) -> None:
 
 
 def _weighted(axes: Any, design: Design, omega: Array, closed: LinearSystem, figures: dict[str, Any]) -> None:
-    """Each path times its weights: below gamma all of them together, below 1 the design is met."""
+    """Draw each path times its weights: all together below gamma; below 1 the design is met."""
     size = np.abs(closed.response(omega))
     causes = ["disturbance", *(f"noise of {name}" for name in design.inputs)]
     for i, effect in enumerate(("error", "control")):
@@ -86,7 +86,7 @@ def _open(axes: Any, omega: Array, L: ComplexArray, figures: dict[str, Any]) -> 
 
 
 def _step(axes: Any, design: Design, closed: LinearSystem) -> None:
-    """Error and control after a step of the disturbance, to the full amplitude."""
+    """Draw error and control after a disturbance step of full amplitude."""
     d, h = design.weights.disturbance.amplitude_m_s2, 1.0 / design.rate_Hz
     x, answers = np.zeros(closed.order), []
     for _ in range(int(STEP_S / h)):

@@ -1,4 +1,4 @@
-"""What a designed loop stands: axes as they were measured, and coupled as a robot's payload couples them."""
+"""Robustness of a designed loop: against measured axes, and against the coupling by a robot's payload."""
 
 from math import isclose
 from typing import Any
@@ -18,13 +18,13 @@ from hil.design.synthesis.methods import Designed
 from hil.design.synthesis.multiplicative import Margin, Relative, margin
 
 POSES = 25
-"""Of the reference, at each corner of the payload's ranges."""
+"""Poses of the reference for each corner of the payload's ranges."""
 
 
 def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array]:
-    """Return Gamma (6, 6) along a configuration's reference, at each corner of its payload's ranges.
+    """Gamma (6, 6) along a configuration's reference, at each corner of its payload's ranges.
 
-    Raises ConfigurationError: no robot, or another loop than the design's.
+    Raises ConfigurationError: not a robot, or another loop than the design's.
     """
     c = load(configuration)
     subject = Subject(c, Stated())
@@ -44,14 +44,14 @@ def couplings(configuration: str, axes: AxisSpace, rate_Hz: float) -> list[Array
 def for_the_robot(
     design: Design, axis: DesignAxis, Gammas: list[Array], *, keep_gain: bool
 ) -> tuple[Design, DesignAxis]:
-    """Return design and axis with the inertia of a robot: the middle gain unless measured, and its range."""
+    """Design and axis for a robot: its inertia range as uncertainty, and a central gain unless measured."""
     least, largest = Inertia.of(np.array(Gammas)).eigenvalues
-    if keep_gain:  # what was measured with the model's payload, and what the model says
+    if keep_gain:  # measured gain with the model's payload, and modelled gain
         least, largest = min(least, axis.gain * least), max(largest, axis.gain * largest)
     else:
         gain = least if isclose(least, largest) else 2.0 / (1.0 / least + 1.0 / largest)
         axis = axis.model_copy(update={"gain": gain})
-    # gain / (1 + share) to gain / (1 - share) holds what lies from least to largest
+    # gain / (1 + share) to gain / (1 - share) covers least to largest
     share = max(axis.gain / least - 1.0, 1.0 - axis.gain / largest, 0.0)
     if share >= 1.0:
         raise SynthesisError(
@@ -67,9 +67,9 @@ def for_the_robot(
 def robustness(
     design: Design, axis: DesignAxis, made: Designed, measured: Relative | None, Gammas: list[Array]
 ) -> dict[str, Any]:
-    """Return what is left of robust stability on the exact sampled loop.
+    """Margins of robust stability of the exact sampled loop.
 
-    Raises SynthesisError where nothing is.
+    Raises SynthesisError for a loop that is not robustly stable.
     """
     figures: dict[str, Any] = {}
     L = loop_gain(made.judged.sampled, sampled_axis(axis, design.rate_Hz, design.inputs))
@@ -80,7 +80,7 @@ def robustness(
     if Gammas:
         scaled = [Gamma / axis.gain for Gamma in Gammas]
         if measured is not None:
-            scaled += Gammas  # times the gain that was measured
+            scaled += Gammas  # times the measured gain
         least, largest = Inertia.of(np.array(Gammas)).eigenvalues
         figures["robot"] = {"gamma_eigenvalues": [least, largest]}
         _refuse_unstable(design, axis, made, scaled)
@@ -94,8 +94,8 @@ def robustness(
 def _refuse(left: Margin, what: str) -> None:
     if left.norm >= 1.0:
         raise SynthesisError(
-            f"{what} differ from the nominal one by more than the loop stands: |W T| is {left.norm:.3g} at "
-            f"{left.at_rad_s / (2 * np.pi):.3g} Hz, allowed: below 1 everywhere; ask for less bandwidth, "
+            f"{what} differ from the nominal one by more than the loop tolerates: |W T| is {left.norm:.3g} "
+            f"at {left.at_rad_s / (2 * np.pi):.3g} Hz, allowed: below 1 everywhere; reduce the bandwidth, "
             "or measure with more force"
         )
 
@@ -109,6 +109,6 @@ def _refuse_unstable(design: Design, axis: DesignAxis, made: Designed, Gammas: l
         if not legs.closed_with(made.judged.sampled).is_stable():
             raise SynthesisError(
                 f"the coupled loop is unstable where Gamma has an eigenvalue of {value * axis.gain:.3g}, "
-                "allowed: stable along the robot's reference at every corner; take `hil design mu`, or "
+                "allowed: stable along the robot's reference at every corner; use `hil design mu`, or "
                 "state smaller ranges"
             )

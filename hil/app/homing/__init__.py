@@ -1,1 +1,1 @@
-"""Where the legs were parked, for motors that forget their turns: the file, its keeping, the command."""
+"""Parked leg lengths for motors without absolute encoders: file, updates during a run, command."""

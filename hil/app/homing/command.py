@@ -1,4 +1,4 @@
-"""`hil homing`: show where the legs of a robot are believed to stand, and say where they do."""
+"""`hil homing`: show or set the stored leg lengths of a robot."""
 
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -20,15 +20,15 @@ def state_homing(
     lengths_m: Sequence[float] | None = None,
     legs_m: Mapping[int, float] | None = None,
 ) -> dict[str, Any]:
-    """Write the lengths that are given to the homing file; without any show it. Return the summary.
+    """Write the given lengths to the homing file, or without any show it; return the summary.
 
-    emulated: the file of the emulated drives. at_home: the lengths of platform.home. legs_m: single legs, by
-    their number; those that are not named stay as the file has them.
-    Raises ConfigurationError: no file or no legs to speak of, a length outside the stroke, a run in progress.
+    emulated: the file of the emulated drives. at_home: the lengths at platform.home. legs_m: single legs by
+    number; the others keep the lengths in the file.
+    Raises ConfigurationError: no homing file, a length outside the stroke, or a run in progress.
     """
     path = homing_path(c, emulated=emulated)
     if path is None:
-        raise ConfigurationError(f"{c.source}: plant.homing_file: missing, and --emulated means that file")
+        raise ConfigurationError(f"{c.source}: plant.homing_file: missing, needed for --emulated")
     legs, by_hand, given = dict(legs_m or {}), list(range(LEGS)), list(lengths_m or ())
     if at_home:
         given = home_lengths(c).tolist()

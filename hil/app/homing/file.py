@@ -1,4 +1,4 @@
-"""The file that says where the legs of a robot were parked: read, checked, written whole."""
+"""Homing file with the parked leg lengths of a robot: read, checked, written atomically."""
 
 import hashlib
 import json
@@ -16,33 +16,33 @@ from hil.app.configuration.section_file import read_section, write_section
 SixLengths = Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=6, max_length=6)]
 SixTurns = Annotated[list[float], Field(min_length=6, max_length=6)]
 VERSION = 1
-_REMARK = "where the legs of a robot stand; written by `hil run` at its end and by `hil homing`"
+_REMARK = "leg lengths of a robot at rest; written by `hil run` at its end and by `hil homing`"
 
 
 class HomingFile(Section):
-    """Lengths and motor positions of six legs, leg order."""
+    """Lengths and motor positions of six legs, in leg order."""
 
     kind: Literal["homing"]
     version: int
     state: Literal["parked", "stated", "moved"]
-    """parked: as a run left them at rest; stated: as `hil homing` was told; moved: a run has opened the
-    brakes and has not said where it left the legs."""
+    """parked: left at rest by a run. stated: set with `hil homing`. moved: a run has opened the brakes and
+    not yet stored the final lengths.
+    """
     date: str
     """UTC."""
     configuration: str
     """Name of the configuration."""
     robot: str
-    """Hash of what lengths and turns depend on: sections platform and drives."""
+    """Hash of the settings that determine lengths and turns: sections platform and drives."""
     lengths_m: SixLengths
     turns: SixTurns | None
-    """Positions that the motors' drives reported then, turns; null: nobody has read them."""
+    """Motor positions that the drives reported then, turns; null: not read."""
     stated_legs: list[Annotated[int, Field(ge=0, le=5)]] | None = None
-    """Of a file that is stated, the legs that were measured by hand: the others stay as they were parked.
-    null: all."""
+    """Legs measured by hand in a file that is `stated`; the others are as they were parked. null: all."""
 
 
 def robot_hash(c: Configuration) -> str:
-    """Return what changes where legs, drives or their transmission do."""
+    """Hash of legs, drives and transmission: it changes with any of them."""
     drives = c.drives.model_dump(
         mode="json", include={"protocol", "node_ids", "options", "transmission", "homing"}
     )
@@ -53,10 +53,10 @@ def robot_hash(c: Configuration) -> str:
 
 
 def homing_path(c: Configuration, *, emulated: bool) -> Path | None:
-    """Return the file of real or emulated drives, if any. Raises ConfigurationError: they forget nothing."""
+    """Homing file of the real or emulated drives, if any. Raises ConfigurationError: no drives.homing."""
     if c.drives.homing is None:
         raise ConfigurationError(
-            f"{c.source}: drives.homing: missing: nothing says that these drives forget their turns"
+            f"{c.source}: drives.homing: missing: needed for drives that forget their turns"
         )
     if not emulated:
         return c.folder / c.drives.homing.file
@@ -65,47 +65,47 @@ def homing_path(c: Configuration, *, emulated: bool) -> Path | None:
 
 
 def command(c: Configuration, *, emulated: bool) -> str:
-    """Return the command that says where the legs stand."""
+    """Command that sets the leg lengths."""
     return f"hil homing {c.source}{' --emulated' if emulated else ''}"
 
 
 def _remedy(c: Configuration, path: Path) -> str:
     own = command(c, emulated=path != homing_path(c, emulated=False))
-    return f"say where the legs stand with `{own}` --at-home or --lengths"
+    return f"set the leg lengths with `{own}` --at-home or --lengths"
 
 
 def read_homing(c: Configuration, path: Path) -> HomingFile:
-    """Return the file. Raises ConfigurationError: missing, not whole, of another version or another robot."""
-    mend = _remedy(c, path)
+    """Read the file. Raises ConfigurationError: missing, incomplete, of another version or another robot."""
+    remedy = _remedy(c, path)
     if not path.exists():
-        raise ConfigurationError(f"{path}: no such file: nobody knows in which turn each motor is: {mend}")
+        raise ConfigurationError(f"{path}: no such file: the turn of each motor is unknown: {remedy}")
     try:
         file, _ = read_section(path, HomingFile)
     except ConfigurationError as error:
-        raise ConfigurationError(*error.problems, f"{path}: is no whole homing file: {mend}") from None
+        raise ConfigurationError(*error.problems, f"{path}: not a complete homing file: {remedy}") from None
     if file.version != VERSION:
-        raise ConfigurationError(f"{path}: version {file.version}, allowed: {VERSION}: {mend}")
+        raise ConfigurationError(f"{path}: version {file.version}, allowed: {VERSION}: {remedy}")
     if file.robot != robot_hash(c):
         raise ConfigurationError(
             f"{path}: written {file.date} for another robot, configuration {file.configuration!r}: sections "
-            f"platform and drives of {c.source} are others; name another drives.homing.file, or {mend}"
+            f"platform and drives of {c.source} differ; name another drives.homing.file, or {remedy}"
         )
     return file
 
 
 def refuse_moved(c: Configuration, path: Path, file: HomingFile) -> HomingFile:
-    """Return the file. Raises ConfigurationError if its run has not said where it left the legs."""
+    """The file itself. Raises ConfigurationError if its run has not stored where it left the legs."""
     if file.state == "moved":
         raise ConfigurationError(
             f"{path}: the run of {file.date} opened the brakes and did not end at rest with all legs "
-            "measured, or it runs still: nobody knows in which turn each motor is: "
+            "measured, or is still running: the turn of each motor is unknown: "
             f"{_remedy(c, path)}"
         )
     return file
 
 
 def write_homing(c: Configuration, path: Path, file: HomingFile) -> None:
-    """Write the file, whole or not at all. Raises ConfigurationError if it cannot be written."""
+    """Write the file atomically. Raises ConfigurationError if it cannot be written."""
     write_section(path, file, f"{_REMARK} {c.source}")
 
 
@@ -116,7 +116,7 @@ def homing_file(
     turns: list[float] | None,
     stated_legs: list[int] | None = None,
 ) -> HomingFile:
-    """Return a file of this robot and this moment."""
+    """Homing file of this robot, dated now."""
     return HomingFile(
         kind="homing",
         version=VERSION,

@@ -1,4 +1,4 @@
-"""Where the legs stand before a run: from the file, from the plant's start, or from a log."""
+"""Leg lengths before a run: from the homing file, the plant's initial pose, or a log."""
 
 import json
 
@@ -17,14 +17,14 @@ from hil.robot.kinematics import leg_lengths
 from plant_fmu.config import BenchPlant
 
 HOMING_JSON = "homing.json"
-"""Attachment of a log: where the legs stood, as its controller was told."""
+"""Attachment of a log: the leg lengths before the run, as the controller got them."""
 _ARRAYS = ("length", "limit_m", "step_m", "m_per_turn")
 STATED_SHARE = 0.25
-"""Of what a drive forgets: how far a leg may be from a length that was measured by hand."""
+"""Largest error of a length measured by hand, as a share of the length that a drive forgets."""
 
 
 def start_pose(c: Configuration) -> Pose:
-    """Return the pose at which the plant begins; without a plant home."""
+    """Initial pose of the plant; home without a plant."""
     home, plant = c.platform.home, c.plant
     if plant is None:
         return home
@@ -35,19 +35,19 @@ def start_pose(c: Configuration) -> Pose:
 
 
 def start_lengths(c: Configuration) -> Array:
-    """Return the lengths (6,) m at which the plant begins."""
+    """Initial leg lengths (6,) m of the plant."""
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
         return np.full(6, c.plant.model.rest_length_m)
     return leg_lengths(build_platform(c.platform), *pose_arrays(start_pose(c)))
 
 
 def home_lengths(c: Configuration) -> Array:
-    """Return the lengths (6,) m at `platform.home`."""
+    """Leg lengths (6,) m at `platform.home`."""
     return leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home))
 
 
 def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = True) -> LastPose | None:
-    """Return where the legs stand by a file, without one as the plant begins; None: no drive forgets."""
+    """Leg lengths from the file, or of the plant's initial pose; None for drives with absolute encoders."""
     homing, transmission = c.drives.homing, c.drives.transmission
     if homing is None or transmission is None:
         return None
@@ -64,7 +64,7 @@ def last_pose_of(c: Configuration, file: HomingFile | None, *, emulated: bool = 
 
 
 def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
-    """Return what a log carries of it; floats come back to the bit."""
+    """Attachment of a log for `pose`; floats are restored to the bit."""
     if pose is None:
         return []
     fields = {name: v.tolist() if isinstance(v, np.ndarray) else v for name, v in pose._asdict().items()}
@@ -72,7 +72,7 @@ def attached(pose: LastPose | None) -> list[tuple[str, bytes]]:
 
 
 def recorded(path: object, text: bytes | None) -> LastPose | None:
-    """Return what `attached` has written; None for a log without. Raises LogError."""
+    """Pose that `attached` has written; None for a log without it. Raises LogError."""
     if text is None:
         return None
     try:
@@ -84,7 +84,7 @@ def recorded(path: object, text: bytes | None) -> LastPose | None:
     finite = all(each.shape == (6,) and np.isfinite(each).all() for each in arrays)
     if not arrays or not finite or not (step_m > 0.0).all() or not m_per_turn.all():
         raise LogError(
-            f"{path}: attachment {HOMING_JSON}: not what a run writes, allowed: six finite numbers each for "
+            f"{path}: attachment {HOMING_JSON}: invalid, allowed: six finite numbers each for "
             f"{', '.join(_ARRAYS)}"
         )
     return LastPose(length, limit_m, step_m, m_per_turn, origin, said)

@@ -1,1 +1,1 @@
-"""`hil new`: from answers to a configuration that passes `hil check`."""
+"""`hil new`: a configuration that passes `hil check`, from answers."""

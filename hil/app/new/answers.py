@@ -1,4 +1,4 @@
-"""What `hil new` asks: one row a question, with unit, range, default and what cannot work."""
+"""Questions of `hil new`, one row each, with unit, range, default and plausibility check."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hil.app.new.robot import (
     joints_apart_m,
     robot_at_home,
 )
-from hil.app.new.text import DIGITS
+from hil.app.new.template import DIGITS
 from hil.mathematics.rounding import rounded
 
 
@@ -32,7 +32,7 @@ class Figure(click.FloatRange):
         self.name = f"number in {unit} without the unit, with a decimal point"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
-        """Return the number."""
+        """Convert to a number."""
         number = float(super().convert(value, param, ctx))
         return (
             rounded(number, DIGITS) if isfinite(number) else self.fail(f"{value} is not finite", param, ctx)
@@ -40,7 +40,7 @@ class Figure(click.FloatRange):
 
 
 def moments(text: str) -> str | list[float]:
-    """Three moments above 0 with commas, or `estimate`. Raises click.BadParameter: neither."""
+    """Three moments above 0 with commas, or `estimate`. Raises click.BadParameter for other text."""
     if text == ESTIMATE:
         return text
     try:
@@ -53,23 +53,23 @@ def moments(text: str) -> str | list[float]:
 
 
 class Question(NamedTuple):
-    """One question of `hil new`, and its option on the command line."""
+    """Question of `hil new`, and its option on the command line."""
 
     key: str
-    """Name of the answer with its unit; the option is this without the unit."""
+    """Name of the answer with its unit; the option is the name without the unit."""
     text: str
     kind: Callable[[Any], Any]
     """Type of click, or a function."""
     default: Callable[[Answers], Any] | None = None
-    """From the answers before; None: it has to be answered."""
+    """From the earlier answers; None: an answer is required."""
     trouble: Callable[[Answers], str | None] = lambda _: None
-    """What cannot work with this answer and those before."""
+    """Reason why this answer cannot work with the earlier ones."""
     needed: Callable[[Answers], bool] = lambda _: True
-    """From the answers before: whether it is a question at all."""
+    """True if the question applies, by the earlier answers."""
 
     @property
     def unit(self) -> str:
-        """Unit of the answer; empty where it has none."""
+        """Unit of the answer; empty without a unit."""
         return self.kind.unit if isinstance(self.kind, Figure) else "kg m2" if self.kind is moments else ""
 
     @property
@@ -80,7 +80,7 @@ class Question(NamedTuple):
 
     @property
     def allowed(self) -> str:
-        """Unit and range, or the choices; empty where there are none."""
+        """Unit and range, or the choices; empty without either."""
         if isinstance(self.kind, click.Choice):
             return ", ".join(self.kind.choices)
         if isinstance(self.kind, Figure) and self.kind.max is not None:
@@ -91,16 +91,16 @@ class Question(NamedTuple):
 def _stroke(a: Answers) -> str | None:
     low, stroke = a["length_min_m"], a["stroke_m"]
     if stroke >= low:
-        return f"a telescopic leg of {low:g} m retracted, joint to joint, has less stroke, given: {stroke:g}"
+        return f"a telescopic leg of {low:g} m retracted length has a smaller stroke, given: {stroke:g}"
     if low <= (apart := joints_apart_m(a)):
         return (
-            f"retracted legs of {low:g} m do not lift the platform: its joints stand {apart:.4g} m beside "
-            "those of the base; take longer legs, or more equal radii"
+            f"retracted legs of {low:g} m do not lift the platform: its joints are {apart:.4g} m from "
+            "those of the base, seen from above; use longer legs, or more equal radii"
         )
     if not (number := condition_at_home(a)) < WORST_CONDITION:
         return (
             f"the condition number of J at mid-stroke is {number:.3g}, allowed: below {WORST_CONDITION:g}; "
-            "make one radius smaller, or the pairs of joints narrower"
+            "reduce one radius, or the angle of the joint pairs"
         )
     return None
 
@@ -138,7 +138,7 @@ def _speed(a: Answers) -> str | None:
 
 def _layout(a: Answers) -> str | None:
     own = drives.family(a).layout
-    only = f"drives of {a['drives']} have {own} frames alone, given: {a['layout']}"
+    only = f"drives of {a['drives']} have {own} frames only, given: {a['layout']}"
     return only if drives.bought(a) and a["layout"] != own else None
 
 
@@ -154,7 +154,7 @@ QUESTIONS: tuple[Question, ...] = (
         Figure("deg", 0.0, 59.0), lambda _: 10.0,
     ),
     Question(
-        "platform_half_angle_deg", "the same on the platform (pairs at 60, 180, 300 deg)",
+        "platform_half_angle_deg", "the same angle on the platform, pairs at 60, 180, 300 deg",
         Figure("deg", 0.0, 59.0), lambda _: 10.0,
     ),
     Question(
@@ -186,7 +186,7 @@ QUESTIONS: tuple[Question, ...] = (
         _encoder,
     ),
     Question(
-        "brake_force_N", "force that a closed brake holds; for want of a data sheet, as the drive",
+        "brake_force_N", "holding force of a closed brake; without a data sheet that of the drive",
         Figure("N", 1e-2, 1e7), lambda a: a["drive_force_N"], _brakes,
     ),
     Question(
@@ -197,15 +197,15 @@ QUESTIONS: tuple[Question, ...] = (
         _one_of("localcan", "socketcan"), lambda _: "localcan",
     ),
     Question(
-        "drives", "drives: legs is our own protocol, the others can be bought", _one_of(*drives.FAMILIES),
+        "drives", "drives: legs is our own protocol, the others are on the market", _one_of(*drives.FAMILIES),
         lambda _: drives.LEGS_PROTOCOL,
     ),
     Question(
-        "model", "their model, whose ranges the frames have", click.STRING, None, drives.model_trouble,
+        "model", "drive model, which sets the ranges in the frames", click.STRING, None, drives.model_trouble,
         drives.has_models,
     ),
     Question(
-        "travel_m", "leg length a turn that the drive reports: lead over gear, or 2 pi r of a pinion",
+        "travel_m", "leg travel per turn that the drive reports: lead / gear, or 2 pi r of a pinion",
         Figure("m", 1e-5), None, derive.travel_trouble, drives.bought,
     ),
     Question(
@@ -213,11 +213,11 @@ QUESTIONS: tuple[Question, ...] = (
         lambda a: drives.family(a).layout, _layout,
     ),
     Question(
-        "channels", "CAN buses over which the legs are spread, each with an interface of its own",
+        "channels", "number of CAN buses for the legs, each with its own interface",
         _one_of(*derive.CHANNELS), lambda _: derive.CHANNELS[0],
     ),
     Question(
         "rate_Hz", "rate of the loop", Figure("Hz", 10.0, 4000.0), derive.loop_rate_Hz, derive.rate_trouble,
     ),
 )  # fmt: skip
-"""In the order in which they are asked: each looks at the answers before it only."""
+"""In the order of the dialogue: each depends on earlier answers only."""

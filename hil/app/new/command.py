@@ -1,4 +1,4 @@
-"""`hil new`: a configuration from answers. Nothing in it is taken from another robot."""
+"""`hil new`: a configuration from answers. It copies nothing from another robot."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hil.app.configuration.schema import schema_line
 from hil.app.files import printable
 from hil.app.new import derive
 from hil.app.new.robot import Answers
-from hil.app.new.text import SECTIONS, filled
+from hil.app.new.template import SECTIONS, filled
 from plant_fmu.fmu.propose import Proposal, propose
 
 FMU_PARAMETERS = {
@@ -22,16 +22,16 @@ FMU_PARAMETERS = {
     "platform_half_angle_deg": "platform_half_angle_deg", "home_height": "home_height_m",
     "gravity_z": "gravity_z",
 }  # fmt: skip
-"""Parameter of an FMU, set where it has it, and its value in the template; inertia_x, _y, _z besides."""
+"""FMU parameter and its value in the template, set where the FMU has it; inertia_x, _y, _z in addition."""
 
 
 def new_configuration(
     answers: Answers, path: Path, fmu: tuple[Path, Proposal] | None = None
 ) -> tuple[str, Configuration]:
-    """Text of a configuration that will stand at `path`, and the configuration that it is.
+    """Text of a configuration to be stored at `path`, and the parsed configuration.
 
-    fmu: the plant instead of ours, as `recognised` read it. Raises ConfigurationError: what was derived is
-    refused.
+    fmu: the plant in place of ours, as read by `recognised`. Raises ConfigurationError: the derived
+    configuration is invalid.
     """
     values = derive.values(answers) | {"name": short_name(path)}
     if fmu is None:
@@ -44,8 +44,8 @@ def new_configuration(
     head = f"""{schema_line()}
 #
 # Written by `hil new`. Next: `hil check {file}`, then `hil sim {file}`.
-# Numbers without a comment, on them or on what they are part of, are answers. The others follow by
-# the rule beside them, or are usual; replace them as you learn more of your robot. Lengths count
+# Numbers without a comment, on their line or on their section, are answers. The others follow by
+# the rule next to them, or are usual; replace them as you learn more of your robot. Lengths are
 # from joint centre to joint centre.
 #"""
     sections = filter(None, (filled(section, values) for section in SECTIONS))
@@ -54,22 +54,22 @@ def new_configuration(
 
 
 def recognised(fmu: Path) -> Proposal:
-    """Which variables of an FMU are what.
+    """Proposed mapping of an FMU's variables.
 
-    Raises PlantError: no FMU; ConfigurationError: no six variables that look like force, length and rate.
+    Raises PlantError: not an FMU; ConfigurationError: six variables each of force, length and rate not found.
     """
     proposal = propose(fmu)
     if proposal.missing:
         raise ConfigurationError(
             f"{fmu}: six variables each are needed for force, length and rate, and none were recognised for "
-            f"{', '.join(proposal.missing)}; `hil fmu show {fmu}` lists what there is: name them in "
+            f"{', '.join(proposal.missing)}; `hil fmu show {fmu}` lists the variables: name them in "
             "plant.model by hand in a configuration that `hil new` wrote without --fmu"
         )
     return proposal
 
 
 def _named(fmu: Path, folder: Path) -> str:
-    """How a configuration in `folder` names an FMU: by its way from there where it lies below."""
+    """Path of an FMU in a configuration in `folder`: relative to the folder if the FMU is below it."""
     file, folder = real_path(fmu), real_path(folder)
     return str(file.relative_to(folder) if file.is_relative_to(folder) else file)
 

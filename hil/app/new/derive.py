@@ -1,4 +1,4 @@
-"""Every number of `hil new` that nobody was asked for, each by one stated rule."""
+"""Values of `hil new` that follow from the answers, each by a stated rule."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from drivers.signals import LEGS
 from hil.app.configuration.bus_budget import bus_budgets
 from hil.app.new import drives
 from hil.app.new.robot import Answers, AtHome, platform_settings, platform_values, robot_at_home
-from hil.app.new.text import settings
+from hil.app.new.template import settings
 from hil.app.reachability import Walk, span_s, walk, window_swing
 from hil.app.unknown_payload import error_m
 from hil.config.limits import MonitorSettings
@@ -28,33 +28,33 @@ from hil.safety.guard import WINDOW_S
 from hil.trajectory.build import build_trajectory
 
 RATES_Hz = (1000.0, 500.0, 400.0, 312.5, 250.0, 200.0, 100.0)
-"""Rates that are tried, the first that fits the bus is taken."""
+"""Candidate rates; the first that fits the bus is used."""
 CHANNELS = ("1", "2", "3", "6")
-"""Numbers of buses that share the legs out evenly."""
+"""Numbers of buses that divide the legs evenly."""
 SLOW_PLANT = "slow_plant"
-"""Known before the first question: whether the plant is an FMU that needs its tool to run."""
+"""Key of a value known before the first question: the plant is an FMU that needs its tool to run."""
 SLOW_Hz = 250
-"""For an FMU that needs its tool, mostly an interpreter: half a millisecond a step leaves 1 kHz no room."""
+"""For an FMU that needs its tool, mostly an interpreter: 0.5 ms a step is too slow for 1 kHz."""
 LAG_Hz = 200.0
-"""Force loop of the emulated drives."""
+"""Bandwidth of the force loop of the emulated drives."""
 PHASE_deg = 10.0
-"""What the loop's delay may cost at the crossover of the error dynamics."""
+"""Largest phase loss by the loop's delay at the crossover of the error dynamics."""
 CROSSOVER = 2.06
-"""Of e'' + 2 wn e' + wn^2 e = 0, in wn."""
+"""Crossover of e'' + 2 wn e' + wn^2 e = 0, in wn."""
 EXCURSION = 0.2
-"""Of the stroke, what the path moves a leg from the middle."""
+"""Largest excursion of a leg from its middle on the path, as a share of the stroke."""
 FADE = 0.4
-"""Of a period of the path, that it takes to fade at least: 1.875 x / t is then 0.75 of the rate 2 pi f x."""
+"""Shortest fade of the path, in its periods: 1.875 x / t is then 0.75 of the rate 2 pi f x."""
 SLOWEST_Hz = 8.4e-4
-"""Of a path, three periods of which take no more than an hour: slower drives move a leg by less."""
+"""Lowest frequency of a path: three periods take an hour. Slower drives move a leg by less."""
 HOLD_Hz = 5.0
-"""Bandwidth of what an emulated drive does by itself."""
+"""Bandwidth of an emulated drive's own reactions."""
 ROOM = 1.01
-"""Of the least travel a turn: the file has its numbers rounded."""
+"""Ratio of proposed to least travel a turn: the file has rounded numbers."""
 
 
 def values(a: Answers) -> dict[str, Any]:
-    """All values of the template but name and plant, from all answers."""
+    """All values of the template except name and plant, from all answers."""
     home, rate_Hz = robot_at_home(a), a["rate_Hz"]
     found = platform_values(a) | frames(a, rate_Hz) | path(a, home)
     approach = lowered(min(0.1 * a["drive_speed_m_s"], 0.25 * a["stroke_m"]))
@@ -97,7 +97,7 @@ def frames(a: Answers, rate_Hz: float) -> dict[str, Any]:
         travel = a["travel_m"]
         found |= {
             "bought": True,
-            # rounding leaves it enough
+            # 0.5 % more, as it is rounded
             "torque_N_m": float(f"{1.005 * a['drive_force_N'] * travel / TURN:.3g}"),
             "counts_per_turn": max(1, round(travel / a["encoder_resolution_m"])),
             "model": drives.models(a) and drives.model(a),
@@ -118,7 +118,7 @@ def loop_rate_Hz(a: Answers) -> float:
 
 
 def bus_trouble(a: Answers, rate_Hz: float) -> str | None:
-    """Why the bus does not carry the drives' frames at a rate; None where it does."""
+    """Reason why the drives' frames do not fit the bus at a rate; None if they do."""
     try:
         bus_budgets(*_frames_of(a, rate_Hz), SensorSettings(), rate_Hz)
     except ConfigurationError as error:
@@ -127,7 +127,7 @@ def bus_trouble(a: Answers, rate_Hz: float) -> str | None:
 
 
 def rate_trouble(a: Answers) -> str | None:
-    """Why bus or steps of the force do not allow a rate, and how many buses do; None where they do."""
+    """Reason why bus or force resolution forbid a rate, and how many buses are enough; None if allowed."""
     rate_Hz = a["rate_Hz"]
     if trouble := bus_trouble(a, rate_Hz):
         more = [n for n in CHANNELS if int(n) > int(a["channels"])]
@@ -138,13 +138,13 @@ def rate_trouble(a: Answers) -> str | None:
         return None
     return (
         f"at {rate_Hz:g} Hz one code of torque is {drives.force_step_N(a, a['travel_m']):.2g} N at the "
-        f"leg and leaves it beyond 2 % of the stroke from its reference: take a higher rate, or --travel "
+        f"leg and leaves an error above 2 % of the stroke: use a higher rate, or --travel "
         f"of at least {finest_m:.4g} m a turn"
     )
 
 
 def travel_trouble(a: Answers) -> str | None:
-    """Why a leg length a turn suits neither stroke, torque nor the following error; None where it does."""
+    """Reason why a travel a turn does not suit stroke, torque or following error; None if it suits."""
     if not drives.models(a):
         return drives.travel_trouble(a, 0.0)
     assumed = {"layout": drives.family(a).layout, "channels": "1"} | a
@@ -153,18 +153,18 @@ def travel_trouble(a: Answers) -> str | None:
 
 
 def _finest_m(a: Answers, rate_Hz: float) -> float:
-    """Least leg length a turn, m, whose step of force stays within the following error; 0: no such steps."""
+    """Least travel a turn, m, with a force resolution within the following error; 0: none known."""
     if not drives.models(a):
         return 0.0
     home = robot_at_home(a)
     P = home.J @ np.linalg.solve(home.model.mass_matrix(*home.pose), home.J.T)
-    # a step of the force is a torque over the travel a turn
+    # force resolution = torque resolution / travel a turn
     at_a_metre_m = error_m(P, np.full(6, drives.force_step_N(a, 1.0)), wn_rad_s(rate_Hz) ** 2)
     return ROOM * at_a_metre_m / rounded(0.02 * a["stroke_m"])
 
 
 def wn_rad_s(rate_Hz: float) -> float:
-    """Frequency at whose crossover the delay of the loop costs `PHASE_deg`: gains that hold in every pose.
+    """Natural frequency, low enough for every pose: at its crossover the loop's delay costs `PHASE_deg`.
 
     Delay: one period to the drives, half a period of hold, the drives' lag.
     """
@@ -173,10 +173,10 @@ def wn_rad_s(rate_Hz: float) -> float:
 
 
 def path(a: Answers, home: AtHome) -> dict[str, Any]:
-    """Values of a path of an hour at most about home that every leg follows within `EXCURSION` of its stroke.
+    """Values of a path about home, an hour at most, that moves each leg by at most `EXCURSION` of its stroke.
 
-    The fastest leg uses a quarter of the drives' speed at most, and up to a half while a slow path fades out;
-    the hardest accelerates by 1 m/s^2 and by a tenth of the force that holding leaves.
+    The fastest leg uses at most a quarter of the drives' speed, and up to a half while a slow path fades out.
+    The largest acceleration is 1 m/s^2, or what a tenth of the force left after holding can give.
     """
     r = a["platform_radius_m"]
     directions = np.abs(home.J[:, [0, 2, 4]]) * [1.0, 1.0, 1.0 / r]
@@ -206,13 +206,13 @@ def walked(a: Answers, found: dict[str, Any]) -> Walk:
 
 
 def steps(a: Answers, rate_Hz: float) -> tuple[float, float]:
-    """By how much the steps of encoder and frames put a length off, m, and its rate, m/s."""
+    """Quantisation error, by encoder and frames, of a length, m, and of its rate, m/s."""
     read = build_protocol(*_frames_of(a, rate_Hz)).traits.resolution.at(rate_Hz)
     return max(float(read.length.max()), float(a["encoder_resolution_m"])), float(read.rate.max())
 
 
 def limits(a: Answers, home: AtHome, w: Walk, approach_m_s: float) -> dict[str, Any]:
-    """Values of section `limits`: what path and approach need, with room, at most what the drives have."""
+    """Values of section `limits`: needs of path and approach with a margin, at most the drives' ratings."""
     rate_Hz, stroke = a["rate_Hz"], a["stroke_m"]
     force = min(a["drive_force_N"], raised(2.5 * float(np.abs(w.tau).max())))
     needed = max(float(np.abs(w.dq).max()), 1.875 * approach_m_s)
@@ -230,6 +230,6 @@ def limits(a: Answers, home: AtHome, w: Walk, approach_m_s: float) -> dict[str, 
 
 
 def closing_s(a: Answers, home: AtHome, speed_m_s: float) -> float:
-    """How long a brake may take until the fastest leg rests on it, s: t + m v / (brake - weight)."""
+    """Longest time until a brake holds the fastest leg, s: t + m v / (brake - weight), with a margin."""
     spare_N = max(a["brake_force_N"] - home.held_N, 0.05 * a["brake_force_N"])
     return raised(1.2 * (1e-3 * a["brake_ms"] + home.leg_mass_kg * speed_m_s / spare_N))

@@ -1,7 +1,7 @@
-"""The drives of `hil new`: our own protocol, or a family that can be bought. One row each.
+"""Drives of `hil new`: our own protocol, or a family on the market, one row each.
 
-What a robot's owner knows of such a drive is the leg length a turn of the shaft whose position it reports;
-all else follows from that, the drive's force and the family's own fields.
+The robot's owner knows the leg length per turn of the shaft whose position the drive reports. All else
+follows from this travel, the drive's force and the fields of the family.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from hil.app.new.robot import Answers
 
 LEGS_PROTOCOL = "legs"
 LONGEST_TURN = 10.0
-"""Times the stroke: a pinion that large is none, the number was in mm."""
+"""Largest plausible travel a turn, in strokes: beyond it the number was in mm."""
 ROOM = 0.99
-"""Share of a field's range that is used: its ends are no readings, and its top torques are not sent."""
+"""Used share of a field's range: its ends are not valid readings, and its largest torques are not sent."""
 
 
 class Family(NamedTuple):
-    """What its configuration differs in."""
+    """Settings of a drive family in the configuration."""
 
     protocol: str
     layout: str
-    """Frame layout that it has; that of `legs` is free, and this its default."""
+    """Its frame layout; for `legs` only the default."""
     silence: str = ""
-    """What its drives do that hear nothing, where they do not brake."""
+    """Reaction of its drives to silence, if they do not brake."""
     torque_bits: int = 0
-    """Bits of a torque that is sent over a range; 0: it is sent as it is."""
+    """Bits of a torque that is scaled to a range; 0: it is not scaled."""
 
 
 FAMILIES: dict[str, Family] = {
@@ -40,37 +40,37 @@ FAMILIES: dict[str, Family] = {
     "mini_cheetah": Family("mit", "classic", torque_bits=12),
     "robstride": Family("mit", "classic", torque_bits=16),
 }
-"""Answer -> its row; of MIT framing the variants."""
+"""Answer -> its row; for MIT framing the variants."""
 
 
 def family(a: Answers) -> Family:
-    """Family of the answers; before it has been asked, `legs`."""
+    """Family of the answers; `legs` before the question."""
     return FAMILIES[a.get("drives") or LEGS_PROTOCOL]
 
 
 def bought(a: Answers) -> bool:
-    """Whether the drives speak of a motor."""
+    """True if the drives report motor positions instead of leg lengths."""
     return family(a).protocol != LEGS_PROTOCOL
 
 
 def counts_itself(a: Answers) -> bool:
-    """Whether the frames carry a length in steps of the family's own."""
+    """True if the resolution of a length is given by the family's frames."""
     return family(a).protocol in ("cia402", "mit")
 
 
 def models(a: Answers) -> tuple[str, ...]:
-    """Models whose ranges are known; none where the family has no ranges."""
+    """Models with known ranges; empty for a family without ranges."""
     variant = VARIANTS.get(a.get("drives") or "")
     return () if variant is None else tuple(variant.models)
 
 
 def has_models(a: Answers) -> bool:
-    """Whether the ranges depend on the model."""
+    """True if the ranges depend on the model."""
     return len(models(a)) > 1
 
 
 def model(a: Answers) -> str:
-    """Model as its family writes it: case does not count. As it was typed where it is unknown."""
+    """Model in the family's spelling, found without regard to case; an unknown one as typed."""
     typed = str(a["model"]) if has_models(a) else models(a)[0]
     return next((name for name in models(a) if name.casefold() == typed.casefold()), typed)
 
@@ -80,15 +80,15 @@ def _ranges(a: Answers) -> Ranges:
 
 
 def model_trouble(a: Answers) -> str | None:
-    """Why a model is unknown; None where it is known."""
+    """Reason why a model is unknown; None for a known one."""
     known = models(a)
     return None if model(a) in known else f"allowed with {a['drives']}: {', '.join(known)}, given: {model(a)}"
 
 
 def travel_trouble(a: Answers, finest_m: float) -> str | None:
-    """Why the leg length a turn suits neither stroke nor the model's fields; None where it does.
+    """Reason why the travel a turn does not suit stroke or the model's fields; None if it suits.
 
-    finest_m: below it the steps of the torque are too coarse, m.
+    finest_m: travel below which the torque resolution is too coarse, m.
     """
     travel, stroke = a["travel_m"], a["stroke_m"]
     if not models(a):
@@ -101,20 +101,20 @@ def travel_trouble(a: Answers, finest_m: float) -> str | None:
         return None
     allowed = f"allowed with {model(a)}: {least:.4g} to {most:.4g} m a turn, given: {travel:g}"
     if least > most:
-        allowed = f"{model(a)} suits at no lead, {least:.4g} to {most:.4g} m a turn: take another model"
+        allowed = f"{model(a)} suits no lead, {least:.4g} to {most:.4g} m a turn: choose another model"
     return (
         f"{allowed}. Its position of +-{r.position:g} rad has to carry {stroke:g} m of stroke, its torque of "
         f"{r.torque:g} N m {a['drive_force_N']:g} N; one code of torque is {force_step_N(a, travel):.2g} N "
-        "at the leg, and has to leave it within 2 % of the stroke"
+        "at the leg, and its error has to stay within 2 % of the stroke"
     )
 
 
 def force_step_N(a: Answers, travel_m: float) -> float:
-    """Force at the leg that one code of the model's torque is, N."""
+    """Force at the leg for one code of the model's torque, N."""
     return float(2.0 * _ranges(a).torque / (2 ** family(a).torque_bits - 1) * TURN / travel_m)
 
 
 def travels_m(a: Answers) -> tuple[float, float]:
-    """Least and largest leg length a turn, m, that the ranges carry."""
+    """Least and largest travel a turn, m, that the ranges allow."""
     r = _ranges(a)
     return a["stroke_m"] * TURN / (2.0 * ROOM * r.position), ROOM * TURN * r.torque / a["drive_force_N"]

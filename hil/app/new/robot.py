@@ -1,4 +1,4 @@
-"""The robot behind the answers of `hil new`: values of section `platform`, and what it needs at home."""
+"""Robot of the answers of `hil new`: values of section `platform`, and its state at home."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.app.configuration.platform import build_platform, pose_arrays
-from hil.app.new.text import DIGITS, settings
+from hil.app.new.template import DIGITS, settings
 from hil.config.platform import PlatformSettings
 from hil.mathematics.rounding import rounded
 from hil.robot.dynamics import Model
@@ -18,23 +18,23 @@ from hil.robot.kinematics import condition, jacobian
 
 Answers = dict[str, Any]
 ESTIMATE = "estimate"
-"""Answer of who does not know the moments of inertia."""
+"""Answer for unknown moments of inertia."""
 HOLD_SHARE = 0.5
-"""Of the rated force, what holding the platform at home may take."""
+"""Largest holding force at home, as a share of the rated force."""
 WORST_CONDITION = 25.0
-"""Of J at home: half of the default of limits.condition."""
+"""Largest condition number of J at home: half of the default of limits.condition."""
 LOWER_SHARE = 0.7
-"""Of a leg's mass, what does not move with the rod: housing, motor, brake, screw."""
+"""Share of a leg's mass that does not move with the rod: housing, motor, brake, screw."""
 GRAVITY_m_s2 = 9.81
 _NOT_ASKED: Answers = {
     "mounting": "standing", "mass_kg": 1.0, "com_height_m": 0.0, "inertia_kg_m2": ESTIMATE,
     "leg_mass_kg": 0.0, "reflected_mass_kg": 0.0,
 }  # fmt: skip
-"""Enough for the geometry, where only that has been asked."""
+"""Defaults that are enough for the geometry, before the other questions."""
 
 
 class AtHome(NamedTuple):
-    """What the robot needs at mid-stroke, at rest."""
+    """State of the robot at mid-stroke, at rest."""
 
     platform: Platform
     pose: tuple[Array, Array]
@@ -45,26 +45,27 @@ class AtHome(NamedTuple):
     static_N: Array
     """(6,) N."""
     leg_mass_kg: float
-    """Largest eigenvalue of J^-T M J^-1: what six legs feel that move together at worst."""
+    """Largest eigenvalue of J^-T M J^-1: largest inertia along the legs for any common motion."""
 
     @property
     def held_N(self) -> float:
-        """Largest force that a leg carries at rest."""
+        """Largest force of a leg at rest."""
         return float(np.abs(self.static_N).max())
 
 
 def joints_apart_m(a: Answers) -> float:
-    """How far the joints of each leg stand apart, seen from above, m (law of cosines)."""
+    """Horizontal distance between the two joints of each leg, m (law of cosines)."""
     r, s = a["base_radius_m"], a["platform_radius_m"]
     between = radians(60.0 - a["base_half_angle_deg"] - a["platform_half_angle_deg"])
     return sqrt(max(r * r + s * s - 2.0 * r * s * cos(between), 0.0))
 
 
 def platform_values(a: Answers) -> dict[str, Any]:
-    """Values of section `platform`; what was not asked yet counts nothing.
+    """Values of section `platform`; defaults for questions not yet answered.
 
-    A thin disc of mass m and radius r has the moments m r^2 / 4 (to a digit less than is written: the moment
-    about the axis has to stay the sum of the others) and m r^2 / 2; halves of legs are rods, I = m l^2 / 12.
+    A thin disc of mass m and radius r has the moments m r^2 / 4 and m r^2 / 2. The former is rounded to one
+    digit less than is written, so that the axial moment stays the sum of the others. Halves of legs are rods,
+    I = m l^2 / 12.
     """
     a = _NOT_ASKED | a
     across = rounded(a["mass_kg"] * a["platform_radius_m"] ** 2 / 4, DIGITS - 1)
@@ -93,13 +94,13 @@ def platform_settings(a: Answers) -> PlatformSettings:
 
 
 def condition_at_home(a: Answers) -> float:
-    """Condition number of J at home; it needs the geometry alone."""
+    """Condition number of J at home; needs the geometry only."""
     s = platform_settings(a)
     return float(condition(build_platform(s), *pose_arrays(s.home)))
 
 
 def robot_at_home(a: Answers) -> AtHome:
-    """Robot of the answers so far. Raises GeometryError: no body has these moments of inertia."""
+    """Robot of the answers so far. Raises GeometryError: physically impossible moments of inertia."""
     s = platform_settings(a)
     platform, home, still = build_platform(s), pose_arrays(s.home), np.zeros(6)
     model = Model(platform, reflected_mass=np.full(6, (_NOT_ASKED | a)["reflected_mass_kg"]))

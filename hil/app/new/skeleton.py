@@ -1,4 +1,4 @@
-"""`hil new law NAME`, `hil new protocol NAME`: a package that runs and passes its contract, to begin with."""
+"""`hil new law NAME`, `hil new protocol NAME`: a starting package that runs and passes its contract tests."""
 
 import importlib.resources
 import keyword
@@ -14,21 +14,21 @@ FILES = {
     "law": {"law.py": "{name}/law.py"},
     "protocol": {"codec.py": "{name}/codec.py", "drives.py": "{name}/drives.py"},
 }
-"""Kind -> file of the skeleton in `configs/skeletons` and its place in the package."""
+"""Kind -> file of the skeleton in `configs/skeletons`, and its place in the package."""
 COMMON = {"pyproject.toml": "pyproject.toml", "test.py": "tests/test_{name}.py"}
 _NAMES = {"law": "soft", "protocol": "cheetah"}
-"""What the skeletons are called in themselves."""
+"""Names of the law and the protocol in the skeletons."""
 _NAME = re.compile(r"[a-z][a-z0-9_]{0,49}")
 
 
 def write_skeleton(kind: str, name: str, folder: Path) -> list[Path]:
-    """Write a package for a law or a protocol of the user's own into the new folder `name`; return its files.
+    """Write a package for a user's own law or protocol into the new folder `name`; return its files.
 
-    Raises ConfigurationError for a name that is taken or cannot be that of a package, and for a folder that
-    exists or cannot be written.
+    Raises ConfigurationError for an invalid name or one in use, and for a folder that exists or cannot be
+    written.
     """
     if _NAME.fullmatch(name) is None or keyword.iskeyword(name):
-        raise ConfigurationError(f"{name!r}: allowed: a name of a-z, 0-9 and _, not a word of Python")
+        raise ConfigurationError(f"{name!r}: allowed: a name of a-z, 0-9 and _, not a keyword of Python")
     if find_spec(name) is not None:
         raise ConfigurationError(f"{name}: there is a Python package of this name; take another name")
     taken = registered(f"hil.{kind}s").get(name)

@@ -1,4 +1,4 @@
-"""`hil run`: the daemon on the controller PC, in real time, against drives or the plant that it starts."""
+"""`hil run`: the real-time daemon on the controller PC, for drives or a plant that it starts itself."""
 
 import contextlib
 import os
@@ -20,17 +20,17 @@ from hil.app.compose import build_cycle, record
 from hil.app.configuration.bus_budget import bus_names, loads, shortest_answer_ns
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
-from hil.app.homing.keeping import Keeper
+from hil.app.homing.keeper import Keeper
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import (
     after_run,
-    closing,
+    end_record,
     fail,
+    fault_story,
     further,
     leaving,
     log_path,
     picture_beside,
-    told,
     warn,
 )
 from hil.app.replay import measured
@@ -66,11 +66,13 @@ def run_daemon(
     with_watch: bool = False,
     on_bench: bool = False,
 ) -> dict[str, Any]:
-    """Run until parked, faulted or stopped; return the summary (key `success` tells the outcome).
+    """Run until parked, faulted or stopped; return the summary (key `success` is the outcome).
 
-    arm: the platform may move as soon as the drives are ready; otherwise Enter is waited for, or, with
-    wait_for_arm, the operator channel's word alone. `faults` are words for its plant. with_watch: serve the
-    live page beside it. on_bench: a rehearsal bench that another process serves is on the bus.
+    arm: the platform may move as soon as the drives are ready; by default after Enter.
+    wait_for_arm: only the operator channel's `arm` lets it move.
+    faults: faults of the started plant, in the words of `--fault`.
+    with_watch: serve the live page as well.
+    on_bench: another process serves a rehearsal bench on the bus.
     Raises ConfigurationError, BusError, PlantError, LogError or RunError before anything moves.
     """
     c = configuration
@@ -91,7 +93,7 @@ def run_daemon(
         removed = make_room(c, needed_bytes(c, cycle.parts.trajectory.duration_s, duration_s), log)
         plant = None
         if with_watch:
-            stack.enter_context(WatchProcess(c))  # first: its link comes before the question to move
+            stack.enter_context(WatchProcess(c))  # first: its link is printed before the question to move
         if with_plant:
             plant_log = plant_log_beside(path)
             plant = stack.enter_context(SupervisedPlant(c, plant_log, faults, watchdog_s))
@@ -127,12 +129,12 @@ def run_daemon(
                 bus.clock.leave()
         explained = _explained(ending, c, with_plant=with_plant)
         if plant is not None and (plant.trouble() or explained is not ending or Fault.STALE in ending.faults):
-            plant_summary = plant.finish()  # why it fell silent is the reason of what the controller saw
+            plant_summary = plant.finish()  # its failure is the cause of what the controller saw
             explained = explained.blamed(plant_summary.get("trouble") or "")
         ending, trouble = explained, explained.trouble
         if trouble:
             recording.event(bus.clock.now(), "error", ending.unexpected or trouble)
-        closed = recording.close(closing(ending, trouble) | scheduled)
+        closed = recording.close(end_record(ending, trouble) | scheduled)
         if plant is not None:
             plant_summary = plant_summary or plant.finish()
     with leaving(lambda: f"{after_run(ending)}; its log, not replayed: {closed.path}"):
@@ -158,9 +160,9 @@ def run_daemon(
 
 
 def release_held(configuration: Configuration) -> dict[str, Any]:
-    """Let the running controller of a configuration let go of the platform that it holds; return the summary.
+    """Make the running controller of a configuration release the held platform; return the summary.
 
-    Raises RunError where there is none, or it holds nothing.
+    Raises RunError: no controller runs, or it holds no platform.
     """
     bus = configuration.bus
     with OperatorClient(bus.interface, bus.channel) as client:
@@ -172,9 +174,9 @@ def release_held(configuration: Configuration) -> dict[str, Any]:
 
 
 def _hung_up(panel: OperatorPanel) -> None:
-    """Ask for a controlled stop where the terminal is gone, as SIGHUP does.
+    """Request a controlled stop when the terminal has closed, as SIGHUP does.
 
-    That signal, which comes earlier, later or never, is no second one.
+    SIGHUP itself is ignored from then on: it must not count as a second signal.
     """
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
     if not panel.interrupts:
@@ -182,13 +184,12 @@ def _hung_up(panel: OperatorPanel) -> None:
 
 
 def _say(text: str) -> None:
-    """Write to the operator's terminal at once, past buffers."""
     with contextlib.suppress(OSError):
         os.write(2, f"\nhil: {text}\n".encode(errors="replace"))
 
 
 def _explained(ending: Ending, c: Configuration, *, with_plant: bool) -> Ending:
-    """Say what to do where no drive answered."""
+    """Ending with advice in its reason where no drive answered."""
     if ending.reason != NO_DRIVES:
         return ending
     start = "" if with_plant else f"; for a virtual plant start `hil plant {c.source}` first, or add --plant"
@@ -212,7 +213,7 @@ def _summary(
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),
         "trouble": ending.trouble or None,
-        "story": told(ending),
+        "story": fault_story(ending),
         "real_time": {"granted": granted.granted, "missing": granted.missing},
         **loads(c.bus, c.drives, c.sensors, rate),
         "resident_MB": resident_MB(),
@@ -223,9 +224,9 @@ def _summary(
     if closed.gave_up:
         fail(result, result["recorder"])
     rows = measured(result, closed.path, closed.error) if closed.ticks else None
-    result["dropped_ticks"] = dropped  # those of the whole run, not those that the log tells of
+    result["dropped_ticks"] = dropped  # of the whole run, not only those before the end of the log
     if rows is not None and "replay" in result:
-        steps = np.diff(rows["tick"], prepend=-1) - 1 - rows["skipped"]  # made by the loop, not in the log
+        steps = np.diff(rows["tick"], prepend=-1) - 1 - rows["skipped"]  # ticks missing in the log
         lossy = int(steps.sum()) == closed.dropped > 0 and not result["replay"]["different_ticks"]
         result["success"] &= result["replay"]["agrees"] or lossy
     return result, rows

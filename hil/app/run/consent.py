@@ -1,4 +1,4 @@
-"""The operator's word that the platform may move, at the terminal: Enter."""
+"""The operator's consent at the terminal: Enter."""
 
 import os
 import select
@@ -11,16 +11,15 @@ _LONGEST = 1024
 
 
 class EnterKey:
-    """Enter at the terminal that this process runs in the foreground of.
+    """Enter key of the terminal, while this process runs in its foreground.
 
-    Mutable state: whether it has been asked before; what was typed before that does not count. Whether the
-    terminal is gone.
+    Mutable state: whether the first call has discarded earlier input; whether the terminal has closed.
     """
 
     def __init__(self, hung_up: Callable[[], None], fd: int = 0) -> None:
-        """Take the terminal of a file descriptor; `hung_up` is called once when it is gone.
+        """fd: the terminal. hung_up: called once when the terminal has closed.
 
-        Raises RunError where nobody can press a key there.
+        Raises RunError: fd is not a terminal, or this process is not in its foreground.
         """
         try:
             ours = os.isatty(fd) and os.tcgetpgrp(fd) == os.getpgrp()
@@ -28,8 +27,8 @@ class EnterKey:
             ours = False
         if not ours:
             raise RunError(
-                "nothing moves without the operator's word, and there is no terminal to press Enter in: "
-                "add --arm, or --wait-for-arm and say `hil ctl CONFIG arm`"
+                "the platform moves only with the operator's consent, and there is no terminal to press "
+                "Enter in: add --arm, or --wait-for-arm and run `hil ctl CONFIG arm`"
             )
         self._fd = fd
         self._hung_up = hung_up
@@ -38,7 +37,7 @@ class EnterKey:
         self._asked = self._gone = False
 
     def pressed(self) -> bool:
-        """Tell whether Enter has been pressed since the last call; called in every tick that waits for it."""
+        """True if Enter was pressed since the last call. The first call discards earlier input."""
         if self._gone:
             return False
         try:

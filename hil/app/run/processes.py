@@ -1,4 +1,4 @@
-"""`hil plant` and `hil watch` as children of `hil run`: started, watched, ended, never orphaned for long."""
+"""`hil plant` and `hil watch` as child processes of `hil run`, which end soon after it in any case."""
 
 import json
 import os
@@ -15,19 +15,19 @@ from drivers.errors import PlantError
 from hil.app.configuration.configuration import Configuration
 
 START_S = 60.0
-"""Building the FMU and compiling may come first, or a plant whose daemon was killed may have to leave."""
+"""Includes building the FMU, compiling, and the end of a plant whose daemon was killed."""
 END_S = 20.0
 """Longest time to close the plant's log."""
 WATCH_END_S = 5.0
 LAST_BYTES = 4096
 LAST_LINES = 10
-"""So much is told of what the plant has said: its model may say something at each step."""
+"""Limits of the plant's last output in a message: its model may print in each step."""
 
 
 class _Child:
-    """A command of ours in a process and a session of its own: Ctrl-C reaches the daemon alone.
+    """A `hil` command in its own process and session, so that Ctrl-C reaches the daemon only.
 
-    It notices the daemon's end, however it comes, by a closed pipe.
+    It ends when a pipe closes, which happens with any end of the daemon.
     """
 
     def __init__(self, *words: str, pass_fds: tuple[int, ...] = (), stderr: IO[bytes] | None = None) -> None:
@@ -54,7 +54,7 @@ class _Child:
 
 
 class WatchProcess(_Child):
-    """`hil watch`, which prints its own link and leaves with the run."""
+    """`hil watch`, which prints its own link and ends with the run."""
 
     def __init__(self, c: Configuration) -> None:
         super().__init__("watch", c.source)
@@ -70,10 +70,10 @@ class WatchProcess(_Child):
 class SupervisedPlant(_Child):
     """`hil plant`, the other end of the bus.
 
-    The platform is parked before it ends. What it says comes through a second pipe (an empty line when it
-    serves, its summary at the end) and an unnamed file, so that nothing is left behind whoever dies first.
+    The platform is parked before it ends. It reports through a second pipe: an empty line when it serves, its
+    summary at the end. Its errors go to an unnamed file, which vanishes with the processes.
 
-    Mutable state: the process, the pipes, how it was found when it was first asked about.
+    Mutable state: the process, the pipes, and the plant's unexpected end.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class SupervisedPlant(_Child):
         faults: Iterable[str] = (),
         watchdog_s: float | None = None,
     ) -> None:
-        """Start it. watchdog_s: of drives that no frame tells theirs; default: the configured one."""
+        """Start the plant. watchdog_s: of drives without a watchdog frame; default: the configured one."""
         self._said = b""
         self._trouble: str | None = None
         self._report, report = os.pipe()
@@ -100,7 +100,7 @@ class SupervisedPlant(_Child):
     def __enter__(self) -> Self:
         """Wait until the plant serves its drives.
 
-        Raises PlantError with the plant's own message if it does not start, or where it takes too long.
+        Raises PlantError, with the plant's own message, if it does not start in time.
         """
         try:
             readable, _, _ = select.select([self._report], [], [], START_S)
@@ -121,7 +121,7 @@ class SupervisedPlant(_Child):
         return self._process.pid
 
     def trouble(self) -> str:
-        """Say how the plant ended before it was asked to; empty while it lives."""
+        """Unexpected end of the plant as a sentence; empty while it runs."""
         if self._trouble is None and self._process.poll() is not None:
             self._trouble = f"the plant, process {self.pid}, {self._message()}"
         return self._trouble or ""
@@ -144,7 +144,6 @@ class SupervisedPlant(_Child):
             self._wait(END_S)
 
     def _message(self) -> str:
-        """Return how the plant ended, and its last words."""
         text = self._last_words()
         code = self._process.returncode
         how = f"ended with exit code {code}"
@@ -153,7 +152,7 @@ class SupervisedPlant(_Child):
         return f"{how}: {text}" if text else how
 
     def _last_words(self) -> str:
-        """Return the last lines of what the plant has said, LAST_LINES and LAST_BYTES at most."""
+        """Last lines of the plant's output, at most LAST_LINES and LAST_BYTES."""
         file = self._errors.fileno()
         before = max(0, os.fstat(file).st_size - LAST_BYTES)
         lines = os.pread(file, LAST_BYTES, before).decode(errors="replace").splitlines()
@@ -171,6 +170,6 @@ class SupervisedPlant(_Child):
 def _late(last_words: str) -> str:
     text = (
         f"it did not serve within {START_S:g} s and was stopped. The first start on a machine compiles: "
-        "`hil sim` with this configuration does that, too, and may take its time; then try again"
+        "`hil sim` with this configuration also does that, without a time limit; then try again"
     )
-    return f"{text}. Its last words: {last_words}" if last_words else text
+    return f"{text}. Its last output: {last_words}" if last_words else text

@@ -1,4 +1,4 @@
-"""At which rate the loop runs on this machine."""
+"""Rate of the loop on this machine."""
 
 from drivers.errors import RunError
 from hil.app.configuration.configuration import Configuration
@@ -6,14 +6,14 @@ from hil.app.output import warn
 from hil.loop.clock import LATE_PERIODS, LATE_SHARE, STALL_S, fifo_allowed, holdable_rate, late_share
 
 RELAXED_WATCHDOG_S = 0.2
-"""Watchdog of emulated drives where the loop has no real time. Real drives keep the configured one."""
+"""Watchdog of emulated drives in a loop without real time. Real drives keep the configured one."""
 
 
 def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False) -> tuple[float, float]:
-    """Return rate (Hz) and drive watchdog (s): the configured ones, or those this machine can hold.
+    """Rate (Hz) and drive watchdog (s): as configured, or as this machine can hold.
 
-    A bench whose time stands still while this machine is busy (`stretching`) needs no lower ones.
-    Raises RunError: the loop may not be slowed.
+    A bench with stretched time (`stretching`) keeps the configured ones.
+    Raises RunError: the loop may not be slowed down.
     """
     rate, watchdog_s = c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3
     if stretching and c.loop.without_realtime == "slow":
@@ -41,14 +41,13 @@ def select_rate(c: Configuration, *, with_plant: bool, stretching: bool = False)
 
 
 def _lack(c: Configuration, *, with_plant: bool) -> str:
-    """Say why the loop has no real time; empty if it has, or if its limits survive a stall.
+    """Reason why the loop has no real time; empty if it has, or if its limits tolerate a stall.
 
-    With the plant on the same machine SCHED_FIFO must be granted and kept: a feedback that comes after the
-    window is a stale leg.
+    With the plant on the same machine SCHED_FIFO must be granted and kept: late feedback makes a leg stale.
     """
     if not fifo_allowed(c.loop.priority):
         return "no right to SCHED_FIFO (as root, or `ulimit -r 99` / rtprio in limits.conf)"
-    stall_s = min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)  # one that ends no run
+    stall_s = min(patience(c) / c.loop.rate_Hz, c.drives.watchdog_ms * 1e-3)  # longest stall that ends no run
     if not with_plant or stall_s >= STALL_S:
         return ""
     late = late_share(c.loop.rate_Hz, c.loop.priority)
@@ -61,5 +60,5 @@ def _lack(c: Configuration, *, with_plant: bool) -> str:
 
 
 def patience(c: Configuration) -> int:
-    """Return how many periods a stall may last without ending the run."""
+    """Longest stall in periods that does not end a run."""
     return min(c.limits.missed_stop_ticks, c.limits.stale_fault_ticks)

@@ -1,4 +1,4 @@
-"""A virtual bench whose time stands still while this machine holds one side up."""
+"""Bench time that stands still while this machine delays the controller or the drives."""
 
 from typing import Any
 
@@ -13,25 +13,25 @@ from drivers.frame_array import sent_frames
 from hil.app.configuration.configuration import Configuration
 from hil.safety.signals import HARMFUL_STRETCH_NS
 
-STRANGER = "a foreign participant has sent on this channel: bench time did not stand still any more"
+STRANGER = "another participant has sent on this channel: from then on bench time did not stand still"
 COUNTED_NS = 1_000_000
-"""Shorter stretches are not counted: each wake-up of a busy machine is one."""
+"""Shortest counted stretch: on a busy machine each wake-up causes a shorter one."""
 _LEAST_NS = 100_000
 
 
 def bench_clock(c: Configuration, bus: Bus) -> BenchClock | None:
-    """Return the clock that may stand still; None where time must not: hardware, or `on_stall: fault`."""
+    """Clock that may stand still; None for hardware and for `on_stall: fault`."""
     clock = bus.clock
-    # all on one clock: a bus of hardware among them goes by its own
+    # all buses share one clock; with a hardware bus among them it is not a bench clock
     return clock if c.loop.on_stall == "stretch" and isinstance(clock, BenchClock) else None
 
 
 def begin(clock: BenchClock, c: Configuration, protocol: Family, opening: Rows, window_ns: int) -> None:
-    """Let time stand still from now on, and hold it.
+    """Enable stretched time from now on; this side can hold the clock.
 
-    opening: the frames that start a tick. Of what these and the feedbacks leave of the feedback window, on
-    the fullest bus, a part each is for the controller to wake up in, for the drives to do so, and two for
-    these to answer; the rest is kept.
+    opening: the frames that start a tick. The spare time is the feedback window without the bus time of these
+    and of the feedback frames, on the fullest bus. A sixth of it is the wake-up time of either end, a third
+    the time for answers.
     """
     bus_ns = max(
         sum(
@@ -47,7 +47,7 @@ def begin(clock: BenchClock, c: Configuration, protocol: Family, opening: Rows, 
 
 
 def stretches(stood_ns: Ints) -> dict[str, Any]:
-    """Return what is reported of ticks before each of which bench time stood still for so many ns."""
+    """Summary of stretched time. stood_ns: time for which bench time stood still before each tick."""
     counted_ns = stood_ns[stood_ns >= COUNTED_NS]
     harmful = int(np.count_nonzero(counted_ns >= HARMFUL_STRETCH_NS))
     note = f"with real drives this machine would have ended the run: {harmful} of them are 4 ms or more"
@@ -60,11 +60,11 @@ def stretches(stood_ns: Ints) -> dict[str, Any]:
 
 
 def stood_still_line(bench_time: dict[str, Any]) -> str:
-    """Return `stretches` as a line; empty where none counts."""
+    """The summary of `stretches` as a line; empty without a counted stretch."""
     if not bench_time["stretches"]:
         return ""
     times, longest = bench_time["stretches"], bench_time["longest_ms"]
     return (
         f"bench time stood still {times} times, {longest:g} ms at most, while this machine was late: "
-        "a real drive goes on"
+        "a real drive would have gone on"
     )

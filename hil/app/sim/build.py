@@ -1,4 +1,4 @@
-"""From a Configuration to the lockstep of its buses."""
+"""Lockstep of both ends of the buses, built from a Configuration."""
 
 from drivers.can.bus_time import BitTiming
 from drivers.errors import ConfigurationError
@@ -12,10 +12,10 @@ from plant_fmu.drives.nodes import Nodes
 def build_lockstep(
     c: Configuration, cycle: Cycle, nodes: Nodes, first: int = 0, *, attended: bool = False
 ) -> Lockstep:
-    """Return both ends on the configured buses, from tick `first` on; layout `ideal` takes no bus time.
+    """Both ends on the configured buses, from tick `first` on; in layout `ideal` frames take no bus time.
 
-    `attended`: somebody gives commands. Raises ConfigurationError: nobody does, and the run would wait for
-    one (see `unattended`).
+    `attended`: an operator gives commands. Raises ConfigurationError: without an operator the run would wait
+    forever (see `unattended`).
     """
     if not attended and without_operator(c) is not c:
         raise ConfigurationError(

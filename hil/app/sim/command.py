@@ -17,9 +17,9 @@ from hil.app.configuration.changes import without_operator
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
-from hil.app.homing.keeping import Keeper
+from hil.app.homing.keeper import Keeper
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import after_run, closing, fail, leaving, log_path, told
+from hil.app.output import after_run, end_record, fail, fault_story, leaving, log_path
 from hil.app.plant_rows import PLANT, plant_row
 from hil.app.replay import measured
 from hil.app.sim.build import build_lockstep
@@ -46,8 +46,8 @@ UNHEARD = "no commands are given: operator.start, deadman_s and stays are left o
 class Script:
     """Set-points of a CSV file, each in the first tick at or after its time along the live reference.
 
-    Mutable state: how many have been given. Raises ConfigurationError for a reference that takes none, and
-    for what is wrong in the file.
+    Mutable state: the number of set-points given. Raises ConfigurationError for a reference that accepts no
+    set-points, and for an invalid file.
     """
 
     def __init__(self, c: Configuration, cycle: Cycle, path: Path) -> None:
@@ -60,11 +60,11 @@ class Script:
 
     @property
     def left(self) -> int:
-        """How many have not been given."""
+        """Number of set-points not yet given."""
         return len(self._t) - self._given
 
     def __call__(self, tick: int) -> tuple[SetPoint, ...]:
-        """Return the set-points of a tick."""
+        """Set-points of a tick."""
         if self._cycle.mode is not Mode.TRACKING:
             return ()
         now, first = self._cycle.motion.time(tick), self._given
@@ -81,10 +81,10 @@ def run_identity(
     commands: Sequence[TimedCommand],
     last_pose: LastPose | None = None,
 ) -> str:
-    """Return what tells one simulation from every other: a digest of all that it follows from.
+    """Identity of a simulation: a digest of all its inputs.
 
-    No clock and no chance is in it: the same run again has the same identity, and the same rows. `last_pose`
-    is where the legs stand for the controller; since when is not in it.
+    It contains neither time nor randomness: a repeated run has the same identity and the same rows.
+    `last_pose`: the leg lengths that the controller assumes; their date is left out.
     """
     plan = faults or FaultPlan()
     said = [list(c.plant.faults) if c.plant else [], list(plan.faults), plan.seed, plan.gravity.tolist()]
@@ -103,7 +103,7 @@ def run_identity(
 
 
 def _record_plant(c: Configuration, path: Path, run: str) -> Recording:
-    """Start the recorder of the plant's truth: one row for each tick, no frames."""
+    """Start the recorder of the plant's true state: one row for each tick, no frames."""
     return Recording.start(
         path, configuration=c.text, table=PLANT, metadata={"kind": "plant", RUN: run}, lockstep=True,
         can_channel=[each.channel for each in c.bus.buses], ring_ticks=c.recording.ring_ticks,
@@ -122,14 +122,15 @@ def simulate(
     commands: Sequence[TimedCommand] = (),
     plant_log: bool = False,
 ) -> dict[str, Any]:
-    """Run the configuration in lockstep, record it, and return the summary (key `success` tells the outcome).
+    """Run the configuration in lockstep, record it, and return the summary (key `success` is the outcome).
 
-    `live` draws a status line on standard error. `setpoints` is a CSV file of poses for a live reference, at
-    their times along it; `commands` what the operator says, in simulated seconds: without any the run waits
-    for no operator, and where they are over and it would wait for more, it parks, or at the end of
-    `duration_s`. `plant_log` records the plant's truth beside the log, as `hil plant` does.
+    live: draw a status line on standard error.
+    setpoints: CSV file of poses for a live reference, at times along it.
+    commands: operator commands at simulated seconds. Without commands the run waits for no operator; where it
+    would wait for more than are given, it parks.
+    plant_log: record the plant's true state in a second log, as `hil plant` does.
 
-    Raises ConfigurationError for what cannot run, PlantError: the plant does not start.
+    Raises ConfigurationError for a configuration that cannot run, PlantError: the plant does not start.
     """
     c = configuration if commands else without_operator(configuration)
     c.require("sim")
@@ -171,13 +172,13 @@ def simulate(
         ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
         wall = time.perf_counter() - begun
         with leaving(lambda: f"{after_run(ending)}; its log: {path}"):
-            recorder = recording.close(closing(ending, ending.trouble))
+            recorder = recording.close(end_record(ending, ending.trouble))
             lost = recorder.error or ("" if truth is None else truth.close().error)
     result: dict[str, Any] = {
         "success": ending.success and not lost,
         "kind": "sim",
         "trouble": "; ".join(filter(None, (ending.trouble, lost))) or None,
-        "story": told(ending),
+        "story": fault_story(ending),
         "configuration": c.source,
         "log": str(path),
         **({"removed_logs": removed} if removed else {}),
@@ -214,7 +215,7 @@ def _run_to_end(
     setpoints: Script | None,
     script: CommandScript,
 ) -> Ending:
-    """Run until the run ends, or until its recorder does; interrupted, close the log before it is told."""
+    """Run to the end of the run or of its recorder; after Ctrl-C close the log, then raise."""
     recording, truth, path = logs
     cycle = lockstep.cycle
 

@@ -1,4 +1,4 @@
-"""The operator's commands of a simulation: a list, or a file of lines `t_s word numbers`."""
+"""Operator commands of a simulation: a list, or a file of lines `t_s word numbers`."""
 
 from __future__ import annotations
 
@@ -11,24 +11,26 @@ from drivers.errors import ConfigurationError
 from hil.app.configuration.text_file import read_text
 from hil.app.operate import REPEAT_S, REPEATED
 from hil.loop.tick_row import NOTHING, Given
-from hil.operate.words import Said, parse
+from hil.operate.commands import ParsedLine, parse
 from hil.signals import Operator
 
 LONGEST_S = 3600.0
-"""A word is repeated for so long at most."""
+"""Longest repetition of a command."""
 LATEST_S = 1e9
-"""No word comes later, and no run is longer: thirty years."""
+"""Latest time of a command and longest run: thirty years."""
 TimedCommand = tuple[float, str]
-"""Simulated s since the first tick, and a word of the operator channel, as (2.5, "speed 40"); a word that a
-client repeats has its length behind it, as (2.5, "jog x 1 for 1.5")."""
+"""A command of the operator channel after simulated s since the first tick: (2.5, "speed 40").
+
+A command that a client repeats ends with its duration: (2.5, "jog x 1 for 1.5").
+"""
 
 
 class CommandScript:
-    """What the operator says in each tick of a simulation.
+    """Operator commands in each tick of a simulation.
 
-    Mutable state: how many words have been given, before the last tick, too; which commands were refused, and
-    why each was in its last tick. Raises ConfigurationError for a command that the
-    operator channel would not take.
+    Mutable state: how many commands have been given, up to the last tick and up to the one before it; which
+    were refused, with the last reason. Raises ConfigurationError for a command that the operator channel
+    would refuse.
     """
 
     def __init__(self, commands: Iterable[TimedCommand], rate_Hz: float, source: str = "commands") -> None:
@@ -42,30 +44,30 @@ class CommandScript:
         self._refused: set[int] = set()
         self._why: dict[int, str] = {}
         self.arms = any(each.operator is Operator.ENGAGE for _, each, _ in said)
-        """Whether the script itself lets the platform move."""
+        """True if the script itself lets the platform move."""
 
     @property
     def left(self) -> int:
-        """How many commands have not been given at all; one that is repeated is one."""
+        """Number of commands not yet given; a repeated command counts once."""
         begun = {n for _, _, n in self._said[: self._given]}
         return len({n for _, _, n in self._said[self._given :]} - begun)
 
     @property
     def refused(self) -> int:
-        """How many commands were refused, a word of one that is repeated at least."""
+        """Number of refused commands; a repeated command counts once."""
         return len(self._refused)
 
     @property
     def over(self) -> bool:
-        """Whether all has been said."""
+        """True when all commands have been given."""
         return self._given == len(self._said)
 
     def silent(self, tick: int) -> float:
-        """Return for how many ticks, from one on that has been asked for, nothing is said; 1 at least."""
+        """Number of ticks from `tick` on without a command, at least 1."""
         return inf if self.over else max(1, self._said[self._given][0] - tick)
 
     def __call__(self, tick: int) -> Given:
-        """Return the commands of a tick, in their order."""
+        """Commands of a tick, in their order."""
         self._before = first = self._given
         while self._given < len(self._said) and self._said[self._given][0] <= tick:
             self._given += 1
@@ -79,9 +81,9 @@ class CommandScript:
         )
 
     def answered(self, operator: Sequence[str], orders: Sequence[str], setpoints: Sequence[str]) -> list[str]:
-        """Take why each word of the last tick was refused, empty where it was taken; return what is news.
+        """Note the answers to the commands of the last tick, empty for accepted ones; return new refusals.
 
-        By their kinds, in their order. What a repeated command was refused for in its last tick is no news.
+        The answers are sorted by kind of command. A repeated command reports the same reason only once.
         """
         said = self._said[self._before : self._given]
         own = sum(each.setpoint is not None for _, each, _ in said)
@@ -98,9 +100,9 @@ class CommandScript:
 
 
 def read_commands(path: Path) -> list[TimedCommand]:
-    """Return the commands of a file: a line each, `t_s word numbers`; # begins a remark.
+    """Commands of a file, one a line: `t_s word numbers`; # begins a comment.
 
-    Raises ConfigurationError for a line without a time, and for a command that no controller would take.
+    Raises ConfigurationError for a line without a time, and for a command that the controller would refuse.
     """
     found = []
     for n, line in enumerate(read_text(path).removeprefix("\ufeff").splitlines(), 1):
@@ -111,16 +113,16 @@ def read_commands(path: Path) -> list[TimedCommand]:
             t = float(words[0])
         except ValueError:
             raise ConfigurationError(
-                f"{path}:{n}: {words[0]!r} is no time, allowed: seconds, then a word, as `2.5 hold`"
+                f"{path}:{n}: {words[0]!r} is not a time, allowed: seconds, then a command, as `2.5 hold`"
             ) from None
         text = words[1] if len(words) > 1 else ""
-        _said(t, text, 1.0, f"{path}:{n}")  # refuses it with its line
+        _said(t, text, 1.0, f"{path}:{n}")  # refuses an invalid command with its line
         found.append((t, text))
     return found
 
 
-def _said(t: float, text: str, rate_Hz: float, where: str) -> list[tuple[int, Said]]:
-    """Return what a command says, with its ticks: `jog x 1 for 1.5` is said as often as a client says it.
+def _said(t: float, text: str, rate_Hz: float, where: str) -> list[tuple[int, ParsedLine]]:
+    """A command with its ticks: `jog x 1 for 1.5` is repeated as often as a client sends it.
 
     Raises ConfigurationError, which begins with `where`.
     """
@@ -142,6 +144,6 @@ def _said(t: float, text: str, rate_Hz: float, where: str) -> list[tuple[int, Sa
         said = parse(word)
     except ValueError as error:
         raise ConfigurationError(f"{where}: {error}") from None
-    if said == Said():
-        raise ConfigurationError(f"{where}: {text!r} asks a running controller, none is here")
+    if said == ParsedLine():
+        raise ConfigurationError(f"{where}: {text!r} is a query to a running controller, not available here")
     return [(math.ceil(at * rate_Hz - 1e-6), said) for at in times]

@@ -1,6 +1,6 @@
-"""Both ends of the buses in one process, in simulated time, over the same bus arithmetic as the virtual bus.
+"""Both ends of the buses in one process and in simulated time, with the bus timing of the virtual bus.
 
-A frame takes its worst-case bit time and the lowest identifier wins.
+A frame takes its worst-case bit time, and the lowest identifier wins.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,44 +30,41 @@ from plant_fmu.drives.nodes import Nodes
 Observer = Callable[[TickInput, Rows, TickOutput], None]
 """Called after every tick with its input, the opening frames and the output."""
 Taker = Callable[[Ticks, slice, "Given"], None]
-"""Called with ticks that are done, which of them are new, and what the operator gave in the first of these.
-"""
+"""Called with ticks that are done, the slice of new ones, and the operator's input of the first new one."""
 
 COMPUTE_US = 60.0
 """Simulated time from the last feedback to the command's entry into the bus."""
 LONGEST_S = 0.1
-"""Ctrl-C waits for about so long, of a machine's time: until a call for many ticks returns."""
+"""Target duration of a call for many ticks, in real time: Ctrl-C waits for its end."""
 REST_S = 0.1
-"""A reference that has stood still for so long in TRACKING is at rest: HOLD, as faults call it."""
+"""Time at rest in TRACKING after which the reference counts as HOLD, for faults that wait for it."""
 
 
 def _frames(at: Any, count: Any) -> Rows:
-    """Return elements of FRAME at an address."""
     return array_at(int(at), int(count), FRAME) if count else NO_FRAMES
 
 
 @dataclass
 class Lockstep:
-    """The buses between a Cycle and Nodes, and the time that both share.
+    """Buses between a Cycle and Nodes, and the time that both share.
 
-    The faults of the nodes that wait for a mode are told when it is reached.
+    Faults of the nodes that wait for a mode are notified when it is reached.
 
-    Mutable state: the wires, the row of ticks, the tick, the last mode and since when the reference rests;
-    and the controller and the nodes themselves. One run per instance.
+    Mutable state: the wires, the row of ticks, the tick, the last mode, the time at rest; the controller and
+    the nodes. One run per instance.
     """
 
     cycle: Cycle
     nodes: Nodes
     timings: Sequence[BitTiming | None]
-    """Of each bus; None is an ideal one: no frame takes time, the force acts at the instant of the
-    measurement."""
+    """Of each bus; None for an ideal one: frames take no time, force and measurement are simultaneous."""
     feedback_window_s: float
     compute_us: float = COMPUTE_US
     tick: int = -1
-    """The last one; both ends begin with the next."""
+    """The last tick; both ends begin with the next."""
     _mode: Mode = Mode.WAITING
     _rests: int = 0
-    """How many ticks in a row the reference has stood still in TRACKING."""
+    """Number of consecutive ticks with the reference at rest in TRACKING."""
 
     def __post_init__(self) -> None:
         cycle, protocol = self.cycle, self.cycle.parts.protocol
@@ -98,9 +95,10 @@ class Lockstep:
         return inp, frames[opened], TickOutput(frames[sent], row)
 
     def advance(self, count: int, given: Given = NOTHING) -> slice:
-        """Advance both ends by at most `count` ticks: to the end of `row.ticks`, or of one that decides.
+        """Advance both ends by up to `count` ticks: fewer at the end of `row.ticks` or at a decision.
 
-        given: in the first one. Returns which of the ticks are new; where this raises, `row.new` has them.
+        given: operator input of the first tick. Returns the slice of new ticks, which `row.new` has after an
+        error.
         """
         row = self.row
         self._look_at_nodes()
@@ -115,13 +113,13 @@ class Lockstep:
         return new
 
     def _look_at_nodes(self) -> None:
-        """Take from the plant's end what faults may change."""
+        """Copy address and bus state of the nodes, which faults may change."""
         s, off = self.row.record, self.nodes.bus_off & self._all_buses
         s["nodes"] = self.nodes.address
         s["bus_off"], s["bus_state"] = off, BusState.OFF if off else BusState.UNKNOWN
 
     def _attend(self, stage: int, stopped: int) -> None:
-        """Do what a stage of the buses has stopped for."""
+        """Do the work of a stage of the buses that needs Python."""
         s: Any = self.row.record
         match stage:
             case at.HEAR | at.LIVE:
@@ -134,7 +132,7 @@ class Lockstep:
                 self.wires.settle(stopped, _frames(s["frames"] + s["used"] * FRAME.itemsize, s["sent"]))
 
     def _live(self, stopped: int, *, first: bool) -> None:
-        """Let the drives live: those of HEAR to the tick's begin, else to the end of its SYNC or polls."""
+        """Advance the drives: in HEAR to the begin of the tick, else to the end of its SYNC or polls."""
         s, wires = self.row.record, self.wires
         until_ns = int(s["tick"]) * self.period_ns if first else int(wires.record["synced_ns"])
         received = wires.commands[: s["early"] if first else wires.record["commands"]]
@@ -148,7 +146,7 @@ class Lockstep:
         s["stage"] += 1
 
     def _report_mode(self) -> None:
-        """Let the time of the faults count that wait for the controller's mode."""
+        """Notify faults that wait for the mode of the controller."""
         cycle = self.cycle
         mode = cycle.mode
         if mode is not self._mode:
@@ -172,14 +170,14 @@ class Lockstep:
         over: Callable[[], bool] = lambda: False,
         answered: Callable[[Sequence[str], Sequence[str], Sequence[str]], None] = lambda *_: None,
     ) -> Ending:
-        """Engage, run the reference, park. Return how the run ended.
+        """Engage, follow the reference, park; return the end of the run.
 
-        `commands` gives all that the operator says in a tick, and `answered` takes after it why each of these
-        was refused, empty where it was taken; armed: it engages by itself; over: whether the operator has
-        said all. It ends with its plant, too. `event` takes what each fault tells in its tick.
+        commands: operator input of a tick. answered: called afterwards with the reasons of refusal, empty for
+        accepted commands. armed: engage without a command. over: True when the operator has no more commands.
+        event: called with the fault events of each tick. The run also ends with its plant.
 
-        Without `observe`, `take` is given many ticks at once, between which nobody sees the two ends. silent:
-        for how many ticks from one on `commands` gives nothing.
+        Without `observe`, `take` gets many ticks at once, computed without Python in between. silent: number
+        of ticks from the given one on without commands.
         """
         stays = self.cycle.parts.operator.stays
         course = Course(self.cycle, duration_s, event=event, armed=armed, goes_on=stays)

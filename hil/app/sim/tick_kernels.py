@@ -1,4 +1,4 @@
-"""Ticks of both ends of the buses, compiled: as many as pass without anything for Python to do."""
+"""Compiled ticks of both ends of the buses: as many as need no work in Python."""
 
 from typing import Any
 
@@ -13,9 +13,11 @@ from hil.loop import tick_row as part
 from plant_fmu.drives.live import NODES_RECORD, live
 
 HEAR, PASS, SYNC, LIVE, ANSWER = range(part.START + 1, part.OBSERVE)
-"""Stages of a tick: drives that send unasked hear what has come before it; what they send is queued; SYNC or
-polls are sent; the drives hear them and the plant moves; their answers arrive. Each stops with what its
-kernel returns, HEAR and LIVE also where Python moves the drives."""
+"""Stages of a tick: drives that send unrequested frames receive earlier ones; their frames are queued; SYNC
+or polls are sent; the drives receive them and the plant moves; their answers arrive.
+
+Each stops with the status of its kernel, HEAR and LIVE also where the drives run in Python.
+"""
 LOCKSTEP = np.dtype(
     [
         *part.ROW_OF_TICKS,
@@ -25,16 +27,16 @@ LOCKSTEP = np.dtype(
 )
 """Both ends of the buses, and a row of ticks.
 
-Addresses of records: WIRES and, unless Python moves the drives, NODES. Times in ns; whether drives send
-unasked. The number of the tick; what the drives send, and how many frames; how many they have heard before
-the tick; off and state of the buses.
+Addresses of the records WIRES and NODES (0 where the drives run in Python). Times in ns. `unasked`: the
+drives send unrequested frames. `tick`: its number. `replies`, `replied`: address and number of the drives'
+frames. `early`: frames received before the tick. `bus_off`, `bus_state`: state of the buses.
 """
 _wires_at, _nodes_at = record_at(record(WIRES)), record_at(NODES_RECORD)
 
 
 @helper
 def _lives(s: Any, until_ns: int, heard: int) -> int:
-    """Let the drives hear so many frames, and live until an instant."""
+    """Advance the drives to an instant, with the first `heard` frames received."""
     if s.nodes == 0:
         return 1
     nodes, wires = _nodes_at(s.nodes), _wires_at(s.wires)
@@ -45,7 +47,6 @@ def _lives(s: Any, until_ns: int, heard: int) -> int:
 
 @helper
 def _observes(s: Any, wires: Any, t_ns: int) -> int:
-    """Let the controller hear what has come."""
     s.heard_at, s.heard = wires.late_at, wires.taken
     if not part.has_room(s):
         return part.NO_ROOM
@@ -58,7 +59,6 @@ def _observes(s: Any, wires: Any, t_ns: int) -> int:
 
 @helper
 def _commands(s: Any, wires: Any, t_ns: int) -> int:
-    """Queue the controller's command, and end the tick."""
     frames = frames_at(s.frames + s.used * part.BYTES, s.sent)
     status = int(wire_kernels.command(wires, frames, wires.step_ns + s.compute_ns, t_ns + s.period_ns - 1))
     if status == 0:
@@ -69,7 +69,7 @@ def _commands(s: Any, wires: Any, t_ns: int) -> int:
 
 @helper
 def _go_through(s: Any) -> int:
-    """Go through a stage of the tick; return 0, or why it stops."""
+    """Run a stage of the tick; return 0, or the reason to stop."""
     t_ns, stage, wires = s.tick * s.period_ns, s.stage, _wires_at(s.wires)
     deadline_ns = t_ns + s.window_ns
     if stage == part.START:
@@ -94,7 +94,7 @@ def _go_through(s: Any) -> int:
 
 @kernel(record(LOCKSTEP), unlocked=True)
 def advance(s: Any) -> int:
-    """Go on until `count` ticks are done; return 0, or why one stops before, in its stage."""
+    """Advance until `count` ticks are done; return 0, or the reason to stop earlier, within a stage."""
     while s.done < s.count:
         status = _go_through(s)
         if status != 0:

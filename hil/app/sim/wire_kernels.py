@@ -1,7 +1,7 @@
-"""What happens on the buses in one tick, compiled: SYNC or polls, what answers them, commands.
+"""Compiled bus traffic of one tick: SYNC or polls, answers, commands.
 
-Each bus has its own arbitration and bit time. A frame takes its worst-case bit time and the lowest identifier
-wins.
+Each bus has its own arbitration and bit time. A frame takes its worst-case bit time, and the lowest
+identifier wins.
 """
 
 from typing import Any
@@ -29,12 +29,12 @@ from drivers.signals import LEGS
 
 LENGTHS, FLAGS = 65, 64
 FROM_DRIVE, CONTENT = WIRE + 1, WIRE + 2
-"""Columns of a row of the queue behind those of `arbitration`: 1 for a drive's frame; the frame's words."""
+"""Columns of a row of the queue after those of `arbitration`: 1 for a drive's frame; the frame's words."""
 _FRAME = FRAME.itemsize
 _WORDS = _FRAME // 8
 ROW = CONTENT + _WORDS
 DONE, FULL, UNFIT = range(3)
-"""Status: it is done; nothing is, as there is no room; a frame cannot be on a bus."""
+"""Status: done; nothing done for lack of room; a frame that the bus cannot carry."""
 WIRES = np.dtype(
     [
         *((name, "<i8") for name in ("buses", "room", "number", "free", "times")),
@@ -44,12 +44,15 @@ WIRES = np.dtype(
         ("latch_ns", "<i8", (LEGS,)),
     ]
 )
-"""The buses between both ends. Addresses: when each falls free (buses,); ns on each of a frame of each length
-and flags (buses, LENGTHS, FLAGS); the queue (room, ROW), of which so many rows wait; FRAME
-elements for the drives that ended since their last step, and those for the controller that ended after its
-window. Of the last tick: how many of the latter it takes, and when; when its SYNC or polls were out; the time
-from that on the first bus to that on the last; from its begin to when each leg's was out. What the
-controller's `Family` hears by, its identifiers, and scratch."""
+"""The buses between both ends.
+
+Addresses: `free`, when each bus falls free (buses,) ns; `times`, duration of a frame by bus, length and flags
+(buses, LENGTHS, FLAGS) ns; `queue` (room, ROW), with `waiting` rows in use; `commands_at`, FRAME elements for
+the drives since their last step; `late_at`, FRAME elements for the controller after its window.
+Of the last tick: `taken`, how many of the latter the controller takes, and `step_ns`, when; `synced_ns`, end
+of its SYNC or polls; `skew_ns`, from that on the first bus to that on the last; `latch_ns`, from the begin of
+the tick to each leg's. Of the controller's `Family`: its functions, tables, wanted identifiers, and scratch.
+"""
 
 
 @helper
@@ -64,7 +67,7 @@ def _copy(source: int, into: int) -> None:
 
 @helper
 def _same(a: Any, b: Any) -> bool:
-    """Tell whether two frames are alike but for their times."""
+    """True if two frames are equal but for their times."""
     if a.id != b.id or a.length != b.length or a.flags != b.flags or a.bus != b.bus:
         return False
     return bool((a.data[: a.length] == b.data[: b.length]).all())
@@ -72,7 +75,7 @@ def _same(a: Any, b: Any) -> bool:
 
 @helper
 def _duration(w: Any, frame: Any) -> int:
-    """Return how long a frame takes on its bus, ns; < 0: it cannot be on it."""
+    """Duration of a frame on its bus, ns; < 0: the bus cannot carry it."""
     if frame.bus >= w.buses:
         return -1
     times = integers_at(w.times, w.buses * LENGTHS * FLAGS)
@@ -81,7 +84,6 @@ def _duration(w: Any, frame: Any) -> int:
 
 @helper
 def _total(w: Any, frames: Any) -> int:
-    """Return how long frames take one after the other, ns."""
     total = 0
     for k in range(frames.shape[0]):
         total += _duration(w, frames[k])
@@ -90,7 +92,7 @@ def _total(w: Any, frames: Any) -> int:
 
 @helper
 def _put(w: Any, frames: Any, t_ns: int, from_drive: int) -> int:
-    """Put frames into their nodes' transmit queues, each at its instant and none before `t_ns`."""
+    """Put frames into their nodes' transmit queues, each at its own instant, at the earliest at `t_ns`."""
     count = frames.shape[0]
     if w.waiting + max(w.commands, w.late) + count > w.room:
         return FULL
@@ -111,7 +113,7 @@ def _put(w: Any, frames: Any, t_ns: int, from_drive: int) -> int:
 
 @helper
 def _deliver(w: Any, row: Ints, end_ns: int, first: int) -> None:
-    """Give a frame to its receiver, in the order of time: behind element `first` of late ones."""
+    """Deliver a frame to its receiver in the order of time, after element `first` of the late frames."""
     if row[FROM_DRIVE]:
         frames, place = w.late_at, w.late
         w.late += 1
@@ -130,7 +132,7 @@ def _deliver(w: Any, row: Ints, end_ns: int, first: int) -> None:
 
 @helper
 def _carry(w: Any, until_ns: int) -> None:
-    """Move every frame that starts by `until_ns` to its receiver."""
+    """Deliver every frame whose transmission starts by `until_ns`."""
     queue, free, first = _queue_of(w), integers_at(w.free, w.buses), w.late
     for bus in range(w.buses):
         while True:
@@ -149,7 +151,7 @@ def _carry(w: Any, until_ns: int) -> None:
 
 @helper
 def _waits(w: Any, bus: int, opening: Any) -> bool:
-    """Tell whether a frame waits for a bus that is one of those that start the tick."""
+    """True if a frame that starts the tick waits for a bus."""
     queue = _queue_of(w)
     for k in range(w.waiting):
         if queue[k, WIRE] == bus:
@@ -162,7 +164,7 @@ def _waits(w: Any, bus: int, opening: Any) -> bool:
 
 @helper
 def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
-    """Return when the last frame like this one ended, of those heard since an instant; FOREVER: none did."""
+    """End of the last equal frame since an instant, ns; FOREVER: no such frame."""
     for k in range(w.commands - 1, -1, -1):
         heard = frame_at(w.commands_at + k * _FRAME)
         if heard.t_ns >= t_ns and _same(heard, frame):
@@ -172,7 +174,7 @@ def _sent_ns(w: Any, frame: Any, t_ns: int) -> int:
 
 @helper
 def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
-    """Note when the frames that start the tick were out, for each leg and between the buses."""
+    """Note the end of the frames that start the tick, for each leg, and the skew between the buses."""
     w.latch_ns[:] = 0
     soonest = np.full(w.buses, FOREVER)
     for n in range(opening.shape[0]):
@@ -190,7 +192,7 @@ def _note_sent(w: Any, t_ns: int, opening: Any) -> None:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
-    """Let what starts the tick reach the drives; note when."""
+    """Deliver the frames that start the tick to the drives, and note the time."""
     status = _put(w, opening, t_ns, 0)
     if status != DONE:
         return status
@@ -199,7 +201,7 @@ def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
         until_ns = max(until_ns, opening[k].t_ns)
     _carry(w, until_ns)
     for bus in range(w.buses):
-        # it waits for the frame on the wire, on a flooded bus in vain
+        # it waits for the frame on the wire; on an overloaded bus until the deadline
         while free[bus] <= deadline_ns and _waits(w, bus, opening):
             _carry(w, free[bus])
     _note_sent(w, t_ns, opening)
@@ -210,7 +212,7 @@ def begin(w: Any, opening: Any, t_ns: int, deadline_ns: int) -> int:
 
 @kernel(record(WIRES), INTEGER)
 def heard_by(w: Any, t_ns: int) -> int:
-    """Return how many frames for the drives ended by an instant: the first ones."""
+    """Number of frames for the drives that ended by an instant; they come first."""
     count = 0
     while count < w.commands and frame_at(w.commands_at + count * _FRAME).t_ns <= t_ns:
         count += 1
@@ -219,7 +221,7 @@ def heard_by(w: Any, t_ns: int) -> int:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def pass_on(w: Any, replies: Any, until_ns: int, heard: int) -> int:
-    """Forget the frames that the drives have `heard`, and let drives send, each at its instant."""
+    """Drop the first `heard` frames for the drives, and queue the drives' frames, each at its own instant."""
     status = _put(w, replies, ALWAYS, 1)
     if status != DONE:
         return status
@@ -233,7 +235,7 @@ def pass_on(w: Any, replies: Any, until_ns: int, heard: int) -> int:
 
 @helper
 def _at_once(w: Any, replies: Any, deadline_ns: int) -> bool:
-    """Tell whether frames are queued at one instant, on a bus that nobody waits for, and through in time."""
+    """True if frames are queued at one instant on one idle bus, and end by the deadline."""
     if w.buses > 1 or w.waiting or replies.shape[0] == 0:
         return False
     first, last = replies[0].t_ns, replies[replies.shape[0] - 1].t_ns
@@ -248,7 +250,7 @@ def _is_fresh(w: Any, at: int, tick: int, t_ns: int) -> int:
 
 @helper
 def _last_wanted(w: Any, early: int) -> int:
-    """Return with how many answers the last of the identifiers wanted has come; 0: one has not."""
+    """Number of answers when the last of the wanted identifiers has arrived; 0: one is missing."""
     wanted, missing = integers_at(w.wanted_at, w.wanted), integers_at(w.missing_at, w.wanted)
     missing[:] = 1
     left = w.wanted
@@ -265,7 +267,7 @@ def _last_wanted(w: Any, early: int) -> int:
 
 @helper
 def _take(w: Any, early: int, tick: int, t_ns: int, deadline_ns: int) -> None:
-    """Take the answers up to that which makes the feedbacks complete, or to the deadline."""
+    """Take the answers up to the one that completes the feedback, or up to the deadline."""
     missing = integers_at(w.missing_at, w.wanted)
     missing[:] = 1
     left = w.wanted
@@ -284,7 +286,7 @@ def _take(w: Any, early: int, tick: int, t_ns: int, deadline_ns: int) -> None:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER, INTEGER)
 def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
-    """Let the drives' answers reach the controller; note how many it takes in this tick, and when."""
+    """Deliver the drives' answers to the controller; note how many it takes in this tick, and when."""
     w.commands, early = 0, w.late
     together = _at_once(w, replies, deadline_ns)
     status = _put(w, replies, ALWAYS, 1)
@@ -295,7 +297,7 @@ def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
     if not together:
         _take(w, early, tick, t_ns, deadline_ns)
         return DONE
-    # queued at one instant, they answer the same frame: one is fresh if all are
+    # queued at one instant, they answer the same frame: all are fresh if one is
     complete = _last_wanted(w, early)
     last = w.late_at + (early + complete - 1) * _FRAME
     if complete and _is_fresh(w, last, tick, t_ns):
@@ -305,10 +307,10 @@ def answer(w: Any, replies: Any, tick: int, t_ns: int, deadline_ns: int) -> int:
 
 @kernel(record(WIRES), records(FRAME), INTEGER, INTEGER)
 def command(w: Any, frames: Any, t_ns: int, until_ns: int) -> int:
-    """Queue the controller's commands; drop what it has taken.
+    """Queue the controller's commands, and drop the frames that it has taken.
 
-    On a bus that nobody waits for, they are on their way at once if they are through by `until_ns`: nothing
-    else is queued before.
+    On a single idle bus they are transmitted at once if they end by `until_ns`, as no other frame is queued
+    before.
     """
     for k in range(w.taken, w.late):
         _copy(w.late_at + k * _FRAME, w.late_at + (k - w.taken) * _FRAME)

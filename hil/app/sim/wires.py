@@ -1,4 +1,4 @@
-"""The buses between both ends of a simulation: their frames in arrays, and their time."""
+"""Buses between both ends of a simulation: their frames in arrays, and their time."""
 
 from collections.abc import Sequence
 from contextlib import suppress
@@ -21,7 +21,7 @@ FRAME_WORDS = FRAME.itemsize // 8
 
 @cache
 def frame_times_ns(timing: BitTiming | None) -> Ints:
-    """Return how long frames hold a wire at worst, by length and flags; -1: there is no such frame."""
+    """Worst-case duration of frames on a wire, ns, by length and flags; -1: invalid frame."""
     times = np.zeros((LENGTHS, FLAGS), np.int64)
     if timing is not None:
         times[:] = -1
@@ -32,13 +32,13 @@ def frame_times_ns(timing: BitTiming | None) -> Ints:
 
 
 class Wires:
-    """The buses between both ends: what the kernels work on, `begin`, `answer` and `command` in each tick.
+    """Buses between both ends: data of the kernels `begin`, `answer` and `command` of each tick.
 
     Mutable state: the transmit queue, when each bus falls free, the frames on their way to either end.
     """
 
     def __init__(self, timings: Sequence[BitTiming | None], protocol: Family) -> None:
-        """Take the timing of each bus, None where no frame takes time, and the controller's protocol."""
+        """timings: of each bus, None where frames take no time. protocol: of the controller."""
         self._timings, self._protocol = timings, protocol
         self.times_ns = np.array(list(map(frame_times_ns, timings)))
         self._free = np.full(len(timings), ALWAYS)
@@ -55,7 +55,6 @@ class Wires:
         self._reserve(_ROOM)
 
     def _reserve(self, room: int) -> None:
-        """Make room for frames."""
         w = self.record
         held = (self._queue, self._commands, self._late)
         new = [np.zeros(room * size, np.int64) for size in (ROW, FRAME_WORDS, FRAME_WORDS)]
@@ -66,12 +65,12 @@ class Wires:
         self.commands: Rows = self._commands.view(FRAME)
         """Frames for the drives: the first `record["commands"]`."""
         self.late: Rows = self._late.view(FRAME)
-        """Frames for the controller: the first `record["taken"]`, then those that come later."""
+        """Frames for the controller: the first `record["taken"]`, then later ones."""
 
     def settle(self, status: int, frames: Rows) -> None:
-        """Make a kernel that returned a status able to do its work; it is to be called again.
+        """Make room after a kernel's status FULL, so that it can be called again.
 
-        Raises BusError for a frame that no bus carries.
+        Raises BusError for a frame that no bus can carry.
         """
         if status == FULL:
             self._reserve(2 * (int(self.record["room"]) + len(frames)))

@@ -1,1 +1,1 @@
-"""`hil stability`: what can be proven of the configured law."""
+"""`hil stability`: stability proofs for the configured law."""

@@ -1,8 +1,8 @@
-"""Verdicts on laws that leave six alike axes: inverse dynamics of legs or pose, and designed controllers."""
+"""Stability of laws with six decoupled axes: inverse dynamics of legs or pose, and designed controllers."""
 
 from drivers.arrays import Array
+from hil.app.stability.assessment import Assessment, bound_lines, certificate_lines, describe, unstable
 from hil.app.stability.subject import SURVEYED, Subject
-from hil.app.stability.wording import Assessment, bound_lines, certificate_lines, describe, unstable
 from hil.config.axis_model import AxisSpace
 from hil.config.linear_controller import LinearController
 from hil.config.model import ModelSettings
@@ -14,7 +14,7 @@ from hil.mathematics.linear_system import LinearSystem
 
 
 def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Assessment:
-    """Judge e'' + K_D e' + K_P e = d as it is sampled, held and late."""
+    """Judge e'' + K_D e' + K_P e = d with sampling, hold and delay."""
     axes: AxisSpace = "pose" if dynamics.pose else "joint"
     K_P, K_D = dynamics.K_P, dynamics.K_D
     judged = bounded(subject, law, axes, K_P, K_D)
@@ -28,9 +28,9 @@ def linear(subject: Subject, law: LawSettings, dynamics: ErrorDynamics) -> Asses
 def designed(
     subject: Subject, controller: LinearController, model: ModelSettings, conditions: list[str]
 ) -> Assessment:
-    """Judge u of a linear controller by the eigenvalues of the sampled loop, at the stated model errors.
+    """Judge a linear controller by the eigenvalues of the sampled loop, at the stated model errors.
 
-    conditions: what is assumed of the law that runs it.
+    conditions: assumptions about the law that runs it.
     """
     sampled = sampled_controller(controller)
 
@@ -52,7 +52,6 @@ def designed(
 
 
 def _verdict(subject: Subject, judged: Judged, axes: AxisSpace, conditions: list[str]) -> Assessment:
-    """Return what eigenvalues and bound say of the loops, with their lines and figures."""
     loop, bound = judged.slowest, judged.bound
     lines, figures = describe(judged)
     if not loop.stable:
@@ -77,7 +76,7 @@ def bounded(
     d: float = 0.0,
     alpha: float = 0.0,
 ) -> Judged:
-    """Return the loop of a law with these gains, and its bound. d, m/s^2, and alpha: of its uncertainty."""
+    """Loop of a law with these gains, and its bound. d, m/s^2, and alpha: uncertainty of the law."""
     assert law.believed is not None
     delay, period_s = law.lookahead, subject.axis.period_s
     pairs = [(float(p), float(d)) for p, d in zip(K_P, K_D, strict=True)]
@@ -96,7 +95,7 @@ def bounded(
 
 
 def assumed(subject: Subject, law: LawSettings) -> list[str]:
-    """Return what a law of this family is proven under, beyond what is checked."""
+    """Assumptions of a proof for this family of laws, in addition to the checked conditions."""
     conditions = []
     if law.lookahead is not None:
         conditions.append("the delays are those of delay_compensation")

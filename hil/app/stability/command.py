@@ -1,4 +1,4 @@
-"""`hil stability CONFIG`: what can be proven of the configured law, with its figures and conditions."""
+"""`hil stability CONFIG`: provable stability of the configured law, with figures and conditions."""
 
 from collections.abc import Callable
 from typing import Any
@@ -6,23 +6,23 @@ from typing import Any
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.payload_box import shown_ranges
-from hil.app.stability import axes, layered, springs
+from hil.app.stability import axes, boundary_layer, springs
+from hil.app.stability.assessment import Assessment
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
-from hil.app.stability.wording import Assessment
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
 SPRINGS = ("pd", "pid", "pd_gravity", "cartesian_pd", "feedforward_pd")
-"""Laws judged with one robot at a time; by name, since a user's law may inherit from their settings."""
+"""Laws judged for one robot at a time; listed by name, as a user's law may inherit from their settings."""
 
 
 def judge(
     c: Configuration, stated: Stated | None = None, tell: Callable[[float, float], None] = lambda *_: None
 ) -> Assessment:
-    """Return the assessment of a configuration's law.
+    """Assessment of a configuration's law.
 
-    tell: called now and then with the s of the reference that were looked at, and of how many. Raises
-    ConfigurationError where the reference cannot be followed.
+    tell: progress callback, called with checked and total seconds of the reference. Raises
+    ConfigurationError: the reference cannot be followed.
     """
     stated = Stated() if stated is None else stated
     subject = Subject(c, stated, tell)
@@ -41,12 +41,12 @@ def judge(
         assert controller is not None
         return axes.designed(subject, controller, law.model, axes.assumed(subject, law))
     if law.law in {"sliding_mode", "robust_inverse_dynamics"}:
-        return layered.robust(subject, law)
+        return boundary_layer.robust(subject, law)
     dynamics = law.error_dynamics()
     if isinstance(dynamics, str):
         return Assessment("not proven", dynamics, [], [], {})
     if law.believed is None or dynamics.steepness > 0.0:
-        return Assessment("not proven", "no theorem known here covers its error dynamics", [], [], {})
+        return Assessment("not proven", "no theorem used here covers its error dynamics", [], [], {})
     return axes.linear(subject, law, dynamics)
 
 
@@ -58,7 +58,7 @@ def assess(
     model_error: float = 0.0,
     payload: Payload = NO_PAYLOAD,
 ) -> dict[str, Any]:
-    """Return the summary of `hil stability`; `success` is whether something is proven, if conditionally.
+    """Summary of `hil stability`; `success` is True for a proof, even a conditional one.
 
     Raises ConfigurationError.
     """
@@ -86,7 +86,7 @@ def assess(
 
 
 def shown(summary: dict[str, Any]) -> list[str]:
-    """Return the summary as text."""
+    """Summary as text."""
     stated = summary["stated"]
     lines = [f"law {summary['law']}", f"status         {summary['status']}: {summary['claim']}"]
     lines += [f"  if           {condition}" for condition in summary["conditions"]]
@@ -94,7 +94,7 @@ def shown(summary: dict[str, Any]) -> list[str]:
         x, y, z = stated["payload_at_m"]
         lines.append(
             f"payload        {stated['payload_kg']:g} kg at ({x:g}, {y:g}, {z:g}) m of the platform or none, "
-            "and the law is not told"
+            "not in the law's model"
         )
     if stated["payload_ranges"]:
         lines.append(f"payload box    {stated['payload_ranges']}: the model's own, and each corner")

@@ -1,7 +1,7 @@
-"""Verdicts on laws that do not linearise the robot: springs on legs or pose, with what carries the weight.
+"""Stability of laws without linearisation: springs on legs or pose, with weight compensation.
 
-What is proven of these laws is proven of a reference at rest; of a moving one nothing is, and the claim
-says so. Laws without an energy are judged by the eigenvalues where they rest (Lyapunov's indirect method).
+The proofs hold for a reference at rest only, which the claim states. Laws without an energy function are
+judged by the eigenvalues at the rest pose (Lyapunov's indirect method).
 """
 
 from collections.abc import Callable
@@ -15,8 +15,8 @@ import numpy as np
 from drivers.arrays import ZERO6, Array
 from drivers.errors import ModelError
 from drivers.tick_columns import TICK
+from hil.app.stability.assessment import Assessment, unstable
 from hil.app.stability.subject import NO_PAYLOAD, Subject
-from hil.app.stability.wording import Assessment, unstable
 from hil.control.cartesian_pd import CartesianPDSettings
 from hil.control.feedforward_pd import FeedforwardPDSettings
 from hil.control.law import Law, LawContext, per_leg
@@ -30,8 +30,8 @@ from plant_fmu.config import BenchPlant
 
 SpringSettings = PDSettings | PIDSettings | PDGravitySettings | FeedforwardPDSettings | CartesianPDSettings
 AT_ONCE = (
-    "forces answer at once: V knows no sampling, delay or lag; what these do to small errors where "
-    "it comes to rest is in the sampled loop"
+    "forces act at once: V ignores sampling, delay and lag; the sampled loop has their effect on small "
+    "errors at the rest pose"
 )
 
 
@@ -43,29 +43,30 @@ FIGURES: tuple[tuple[str, str, Callable[..., tuple[float, str]]], ...] = (
     ("stiffness_N_m", "stiffness {:.4g} N/m", min),
     ("slowest_eigenvalue_1_s", "slowest eigenvalue {:+.3g} 1/s", max),
 )
-"""What may be worse with another payload, and which of two is."""
+"""Figures that may be worse with another payload, and which of two values is worse."""
 
 
 def at_rest(subject: Subject) -> list[str]:
-    """Return what a proof of a set-point asks of the reference."""
+    """Conditions on the reference for the proof of a set-point."""
     rests = subject.rest and not subject.live
     conditions = [] if rests else ["the reference rests; while it moves nothing is proven"]
     conditions += subject.unseen
     if subject.c.drives.transmission is not None:
-        conditions.append("the drives give what is asked: their steps and losses are left out")
+        conditions.append("the drives give the commanded force: resolution and losses are left out")
     elif subject.drives.stepped:
-        conditions.append("forces and readings have no steps")
+        conditions.append("forces and readings are not quantised")
     if not replace(subject.stated, payload=NO_PAYLOAD).nothing:
-        conditions.append("no load: of these laws no ultimate bound is computed")
+        conditions.append("no load: for these laws no ultimate bound is computed")
     return conditions
 
 
 def springs(subject: Subject, law: SpringSettings) -> Assessment:
-    """Judge a PD or PID with each payload: the worst verdict, and a line of what is worse with another.
+    """Judge a PD or PID with each payload: the worst verdict, and a line on figures worse with another.
 
-    No payload is the worst in everything: the lightest leaves the least delay, the heaviest sags most.
+    No payload is the worst in everything: the lightest leaves the smallest delay margin, the heaviest sags
+    most.
     """
-    found = [(one.carried[0], _one(one, law)) for one in subject.alone()[::-1]]  # what is stated rides first
+    found = [(one.carried[0], _judge(one, law)) for one in subject.alone()[::-1]]  # the stated payload first
     carried, chosen = min(found, key=lambda each: _badness(each[1]))
     if len(found) == 1:
         return chosen
@@ -82,7 +83,7 @@ def springs(subject: Subject, law: SpringSettings) -> Assessment:
             more.append(f"{shown} with {words}")
             if name == "sag_mm" and chosen.status == "conditional":
                 claim += f"; {value:.3g} mm of leg length off the set-point with {words}"
-    line = f"payloads       {len(found)} looked at; claim and figures are with {carried}"
+    line = f"payloads       {len(found)} checked; claim and figures are with {carried}"
     if more:
         line += f"; worse with another: {'; '.join(more)}"
     figures = chosen.figures | {"carried": carried, "worst": worst}
@@ -92,26 +93,25 @@ def springs(subject: Subject, law: SpringSettings) -> Assessment:
 def _badness(one: Assessment) -> tuple[int, float, float]:
     """Sort key, smallest for the worst: verdict, delay margin in ms, negative largest pole."""
     margin, pole = _figure(one, "delay_margin_ms"), _figure(one, "largest_pole")
-    delay = inf if margin is None else float(f"{margin:.6g}")  # the same but for rounding is equal
+    delay = inf if margin is None else float(f"{margin:.6g}")  # equal but for rounding
     return WORST_FIRST.index(one.status), delay, -(pole or 0.0)
 
 
 def _figure(one: Assessment, name: str) -> float | None:
-    """Return a figure wherever it stands, of six the least; None where there is none."""
+    """Figure of an assessment, the smallest of six; None if missing."""
     parts = [one.figures, one.figures.get("sampled", {}), one.figures.get("energy", {})]
     value = next((part[name] for part in parts if part.get(name) is not None), None)
     return None if value is None else float(np.min(value))
 
 
-def _one(subject: Subject, law: SpringSettings) -> Assessment:
-    """Judge a PD or PID by its energy, or to first order where it has none."""
+def _judge(subject: Subject, law: SpringSettings) -> Assessment:
     start, conditions = subject.path[0], at_rest(subject)
     compensated, damping, why = _energy(subject, law)
     tau = law_forces(subject, law)
     try:
         p, R, found = rest(subject.robot, tau, start.p, start.R)
     except (ModelError, np.linalg.LinAlgError):
-        claim = "the springs of the law carry what is left of the weight nowhere near: stiffen them"
+        claim = "the springs of the law do not balance the remaining weight near the reference: stiffen them"
         return Assessment("not proven", claim, conditions, [], {})
     if isinstance(law, PIDSettings):
         J = jacobian(subject.platform, p, R)
@@ -159,7 +159,7 @@ def _one(subject: Subject, law: SpringSettings) -> Assessment:
 
 
 def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
-    """Judge a PD on six uncoupled legs with springs and dampers of their own."""
+    """Judge a PD on six uncoupled legs with their own springs and dampers."""
     K_p, K_v = per_leg(law.kp_N_m), per_leg(law.kv_N_s_m)
     q = leg_lengths(subject.platform, subject.path[0].p, subject.path[0].R)
     linear, cubic = np.asarray(plant.stiffness_N_m), np.asarray(plant.stiffness_N_m3)
@@ -177,7 +177,7 @@ def bench(subject: Subject, law: PDSettings, plant: BenchPlant) -> Assessment:
 
 
 def law_forces(subject: Subject, law: SpringSettings) -> Forces:
-    """Return the forces of the law that runs, at rest; of an integral it has what carries the weight."""
+    """Forces of the law at rest; an integral is replaced by the forces that hold the weight."""
     start, platform = subject.path[0], subject.platform
     context = LawContext(platform, subject.c.platform.leg_spin, subject.axis.period_s)
     built: Law
@@ -204,7 +204,7 @@ def law_forces(subject: Subject, law: SpringSettings) -> Forces:
 
 
 def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str, Any], float]:
-    """Return the loop that runs as lines, figures, and its largest |z|."""
+    """The sampled loop as lines, figures, and its largest |z|."""
     radius = found.growth(subject.axis)
     figures: dict[str, Any] = {"sampled": {"largest_pole": radius}}
     line = f"sampled loop   largest |z| {radius:.4f} where it comes to rest, all axes together"
@@ -215,14 +215,14 @@ def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str,
 
 
 def _energy(subject: Subject, law: SpringSettings) -> tuple[bool, str, str]:
-    """Return whether the weight is compensated exactly, what V falls by, and if nothing why there is no V."""
+    """True if the weight is compensated exactly; damping term of dV/dt; if empty, why there is no V."""
     model = law.believed
     if isinstance(law, PIDSettings):
         return False, "", "an integral"
     frozen = {"constant_MG"} if isinstance(law, PDGravitySettings) else {"constant", "constant_MG"}
     if model is not None and model.variant in frozen and not isinstance(law, FeedforwardPDSettings):
         return False, "", "a weight that is frozen while the robot moves has no potential"
-    exact = False  # the same forces wherever the robot is, or those that carry it where it is
+    exact = False  # wrong forces at most poses, or exact ones at every pose
     if model is not None and model.variant != "constant" and not isinstance(law, FeedforwardPDSettings):
         variant = "massless_legs" if model.variant == "massless_legs" else "full"
         there = model.model_copy(update={"variant": variant, "frozen_at": None})

@@ -1,4 +1,4 @@
-"""From a configuration to what the theorems speak of: robot, belief, reference, loop."""
+"""Subject of a stability proof, from a configuration: robot, model of the law, reference, loop."""
 
 from collections.abc import Callable
 from copy import copy
@@ -22,8 +22,8 @@ from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
+from hil.design.stability.delay_effect import DelayEffect, delay_effect, stale_s
 from hil.design.stability.disturbance import Drives, Friction, Inertia, Linearised, Load, Local, Survey
-from hil.design.stability.lateness import Late, late, stale_s
 from hil.design.stability.sampled_loop import Axis, Sampled, of_each
 from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate
 from hil.mathematics.linear_algebra import condition_kernel
@@ -37,14 +37,14 @@ from hil.trajectory.path import PoseSample
 from plant_fmu.config import BenchPlant, StewartPlant
 
 SAMPLES, APART_s = 101, 0.02
-"""Least instants of a reference that are looked at, and their distance on a long one, s."""
+"""Fewest instants of a reference that are checked, and their distance on a long one, s."""
 MOST = 501
 GOLDEN = 0.6180339887498949
 NO_LOAD = Load()
 
 
 class Payload(NamedTuple):
-    """A point mass fixed to the platform."""
+    """Point mass fixed to the platform."""
 
     mass_kg: float = 0.0
     at_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -53,37 +53,39 @@ class Payload(NamedTuple):
 
 NO_PAYLOAD = Payload()
 NO_ERROR = 1e-4
-"""m/s^2 or rad/s^2: a disturbance that counts as none, of an exact model; likewise what the steps of the
-readings make a law ask for. The steps of 1 mN and 0.1 um of `legs` leave less, up to wn = 20 rad/s."""
+"""m/s^2 or rad/s^2: largest disturbance that counts as none, and largest response to quantised readings.
+
+The resolution of `legs`, 1 mN and 0.1 um, leaves less up to wn = 20 rad/s.
+"""
 SURVEYED = (
-    "what disturbs the loop, delay and stale J and M included, is no more than at the instants and extremes "
-    "looked at: surveyed, not enclosed"
+    "the disturbance of the loop, with delay and stale J and M, is nowhere larger than at the instants and "
+    "extremes checked: surveyed, not enclosed"
 )
 
 
 @dataclass(frozen=True)
 class Stated:
-    """What the user says the law does not know."""
+    """Unknowns of the law that the user states."""
 
     load: Load = NO_LOAD
     model_error: float = 0.0
-    """Believed masses are off by this share, either way."""
+    """Relative error of the modelled masses, in both directions."""
     payload: Payload = NO_PAYLOAD
-    """Rides on the platform, all of it or nothing, and the law does not know of it."""
+    """Payload that may be on the platform, fully or not at all, and is not in the law's model."""
 
     @property
     def nothing(self) -> bool:
-        """Tell whether nothing is stated."""
+        """True if nothing is stated."""
         return self.load == NO_LOAD and self.model_error == self.payload.mass_kg == 0.0
 
 
 class Subject:
-    """A configuration as the theorems see it."""
+    """Configuration as the subject of a proof."""
 
     def __init__(
         self, c: Configuration, stated: Stated, tell: Callable[[float, float], None] = lambda *_: None
     ) -> None:
-        """Take a configuration and what is stated beside it; tell as for `lateness.late`."""
+        """c: the configuration; stated: unknowns of the law; tell: as in `delay_effect.delay_effect`."""
         self.c = c
         self.stated = stated
         self.tell = tell
@@ -104,24 +106,24 @@ class Subject:
             more = f"the stated {stated.payload.mass_kg:g} kg"
             boxes += [Corner(_laden(b.settings, stated.payload), f"{b.words} and {more}") for b in boxes]
         self.robots = [robot(build_platform(box.settings)) for box in boxes]
-        """That of the model, those at the corners of its payload's ranges; all these with what is stated."""
+        """Robot of the model, at the corners of its payload's ranges, and each with the stated payload."""
         self.carried = [box.words for box in boxes]
-        """What each of them carries."""
+        """Payload of each robot, in words."""
         self.path = instants(c)
         self.axis = Axis(*loop_delay(c))
         self.drives = drives_of(c, self.platform, self.path)
-        """Their steps and losses."""
+        """Resolution and losses of the drives."""
         limits = encoder_limits(c, c.loop.rate_Hz)
         self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
-        """By which safety pushes a leg that stands still while others stray."""
+        """Probe push of safety on a leg that stands still while others move."""
 
     @property
     def robot(self) -> Model:
-        """The robot, one of them where its payload varies; see `alone`."""
+        """The robot; one of several if its payload varies, see `alone`."""
         return self.robots[-1]
 
     def alone(self) -> list[Self]:
-        """Return a subject for each robot."""
+        """One subject for each robot."""
         found = []
         for robot, carried in zip(self.robots, self.carried, strict=True):
             one = copy(self)
@@ -131,24 +133,24 @@ class Subject:
 
     @property
     def nothing(self) -> bool:
-        """Tell whether the law knows the robot and all that acts on it, as far as anybody states it."""
+        """True if no uncertainty of robot and load is stated."""
         return self.stated.nothing and len(self.robots) == 1
 
     @property
     def rest(self) -> bool:
-        """Tell whether the reference never moves."""
+        """True if the reference never moves."""
         return len(self.path) == 1
 
     @property
     def unseen(self) -> list[str]:
-        """What a proof has to take for granted, beside that a live reference rests."""
+        """Assumptions of every proof, except that a live reference rests."""
         taken = []
         b = self.c.controller.believed or MechanicsSettings()
-        guessed = "with the friction and the reflected masses that the law believes"
+        guessed = "with the friction and the reflected masses of the law's model"
         if not any(map(np.any, (b.reflected_mass_kg, b.viscous_friction_N_s_m, b.coulomb_friction_N))):
             guessed = "without friction and reflected mass"
         if self.c.plant is None:
-            taken.append(f"the robot is as section platform says, its drives without lag, {guessed}")
+            taken.append(f"the robot is the one of section platform, its drives without lag, {guessed}")
         elif self.plant is None and not self.on_bench:
             taken.append(f"the FMU is the robot of section platform, {guessed}")
         if self.c.estimation.pose == "fused":
@@ -159,32 +161,32 @@ class Subject:
             )
         if self.c.feedforward is not None:
             taken.append(
-                "the learned feed-forward takes off what disturbs the loop: what it adds where it is wrong, "
+                "the learned feed-forward compensates a disturbance: its possible error, "
                 f"up to {self.c.feedforward.limit_N:g} N in a leg, is not in the bound"
             )
         return taken
 
     @property
     def live(self) -> list[str]:
-        """What a bound takes for granted of a reference that is not known beforehand."""
+        """Assumptions of a bound about a live reference."""
         if not isinstance(self.c.reference, LiveReference):
             return []
-        return ["the reference rests at home: what its motion costs is not in the bound"]
+        return ["the reference rests at home: the effect of its motion is not in the bound"]
 
     @property
     def wrench(self) -> list[str]:
-        """What is taken for granted where the law takes an estimated wrench off: a feedback of its own."""
+        """Assumptions about an estimated wrench that the law compensates: it is a further feedback."""
         if self.c.estimation.wrench.source == "none":
             return []
         return ["the estimated wrench is right but for the stated load"]
 
     def undisturbed(self, bound: Ultimate) -> bool:
-        """Tell whether nothing brings errors about that were not there at the start, or keeps them."""
+        """True if no disturbance causes or sustains an error."""
         keeps = max(float(bound.d.max()), float(bound.read.max()))
         return self.rest and self.nothing and bound.exact and keeps <= NO_ERROR
 
     def believed(self, settings: ModelSettings, scale: float = 1.0) -> Model:
-        """Return the law's model without its friction, masses times `scale` once more."""
+        """Model of the law without friction, with its masses multiplied by `scale`."""
         bare = {
             "inertia_scale": settings.inertia_scale * scale,
             "viscous_friction_N_s_m": 0.0,
@@ -193,9 +195,9 @@ class Subject:
         return build_model(settings.model_copy(update=bare), self.platform, self.c.platform.leg_spin)
 
     def friction(self, settings: ModelSettings) -> Friction:
-        """Return what the law's friction is wrong by; where the plant is none of ours it has what that is.
+        """Error of the law's friction; a plant that is not ours has the friction of the law's model.
 
-        Dry friction holds a leg that stands, and the law answers the rate it had: both may add up.
+        Dry friction holds a leg at rest, and the law still compensates the earlier rate: the two may add up.
         """
         viscous, coulomb = per_leg(settings.viscous_friction_N_s_m), per_leg(settings.coulomb_friction_N)
         if self.plant is None:
@@ -213,10 +215,10 @@ class Subject:
         d: float = 0.0,
         alpha: float = 0.0,
     ) -> Judged:
-        """Return loops and bound of a law with this model: all loops, and the worst bound, of what is stated.
+        """All loops of a law with this model, and the worst bound for the stated unknowns.
 
-        loops_of: the loop of each axis with a gain. ahead_s: how far the law looks ahead. d, m/s^2 of each
-        leg, and alpha, the norm of Gamma - I: what the law's own section says that its model does not know.
+        loops_of: the loop of each axis with a gain. ahead_s: prediction horizon of the law. d, m/s^2 for each
+        leg, and alpha, the norm of Gamma - I: uncertainty stated in the law's own section.
         """
         ends = self.linearised(model, axes)
         words = [f", with {one}" if len(self.robots) > 1 else "" for one in self.carried]
@@ -237,21 +239,21 @@ class Subject:
         inertia = Inertia.of(np.vstack([local.Gamma for local in found]))
         return Judged(bounds[worst][0], every, bounds[worst][1], inertia, tuple(bounds), words[worst])
 
-    def _late(self, linearised: Linearised, loops: list[Sampled], ahead_s: float) -> Late:
-        """Return what the delays cost along the reference, under a law that looks ahead by `ahead_s`."""
+    def _late(self, linearised: Linearised, loops: list[Sampled], ahead_s: float) -> DelayEffect:
+        """Effect of the delays along the reference, for a law with the prediction horizon `ahead_s`."""
         if self.rest:
-            return Late.none(stale_s(self.axis, ahead_s))
+            return DelayEffect.none(stale_s(self.axis, ahead_s))
         trajectory = build_trajectory(self.c.reference, self.c.platform.home, self.c.folder)
         span, whole = span_s(trajectory), trajectory.duration_s
         stretches = [(0.0, span)]
         if whole is not None and whole > span:
             stretches.append((max(0.0, whole - 2.0 * span), whole))
-        return late(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
+        return delay_effect(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
 
     def _bound(
-        self, end: Linearised, found: Local, loops: list[Sampled], late: Late, d: float, alpha: float
+        self, end: Linearised, found: Local, loops: list[Sampled], late: DelayEffect, d: float, alpha: float
     ) -> Ultimate | str:
-        """Return the bound with what drives and safety add, or why there is none."""
+        """Bound with the contributions of drives and safety, or the reason why there is none."""
         length, rate = self.drives.length, self.drives.rate
         if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
@@ -269,13 +271,13 @@ class Subject:
         return ultimate(end, self.path, found, loops, late, extra, condition=self.c.limits.condition)
 
     def linearised(self, settings: ModelSettings, axes: AxisSpace) -> list[Linearised]:
-        """Return the robot under a law with this model, at each end of what is stated of its inertia."""
+        """Robot under a law with this model, at each end of the stated inertia error."""
         alpha, load, friction = self.stated.model_error, self.stated.load, self.friction(settings)
         believed = [self.believed(settings, scale) for scale in sorted({1.0 - alpha, 1.0 + alpha})]
         return [Linearised(robot, model, axes, load, friction) for robot in self.robots for model in believed]
 
     def outside(self, p: Array, R: Array) -> str | None:
-        """Say which limit a pose breaks: the soft ends of a leg, or the condition of J."""
+        """Limit that a pose violates: a soft end of a leg, or the condition number of J; None if none."""
         s, limits = self.c.platform, self.c.limits
         a, b = self.platform.base_joints, self.platform.platform_joints
         q = leg_lengths_kernel(a, b, p, R)
@@ -288,9 +290,9 @@ class Subject:
 
 
 def instants(c: Configuration) -> list[PoseSample]:
-    """Return the reference at instants of even distance, or of uneven where few; one where it rests.
+    """Reference at evenly spaced instants; jittered where they are sparse; a single one at rest.
 
-    Raises ConfigurationError where it cannot be followed.
+    Raises ConfigurationError: the reference cannot be followed.
     """
     try:
         trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
@@ -298,7 +300,7 @@ def instants(c: Configuration) -> list[PoseSample]:
         count = min(max(SAMPLES, round(span / APART_s)), MOST)
         # Just inside the end, where the path still moves: outside it rests.
         times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
-        if count == MOST:  # what repeats in step with even distances would not be seen
+        if count == MOST:  # even spacing would miss what repeats at the same interval
             times[1:-1] += (np.arange(1, MOST - 1) * GOLDEN % 1.0 - 0.5) * times[1]
         path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
     except ConfigurationError:
@@ -310,9 +312,9 @@ def instants(c: Configuration) -> list[PoseSample]:
 
 
 def drives_of(c: Configuration, platform: Platform, path: list[PoseSample]) -> Drives:
-    """Return the drives of a configuration.
+    """Drives of a configuration.
 
-    A reading that a drive sends unasked may be older than its poll by UNASKED periods, along the path.
+    An unrequested reading may be up to UNASKED periods older than its poll, along the path.
     """
     traits = build_protocol(c.bus, c.drives).traits
     read = traits.resolution.at(c.loop.rate_Hz)

@@ -1,1 +1,1 @@
-"""`hil watch`: a live page about a run from the mirror of its recorder, served by a process of its own."""
+"""`hil watch`: a live page about a run from the mirror of its recorder, served by a separate process."""

@@ -1,7 +1,7 @@
-"""Who may see the page and who may operate: rules on one request, without any state.
+"""Access rules of the page and of operation, for one request, without state.
 
-The loopback is no protection against pages of other sites in the same browser, nor against a name that an
-attacker lets point to it. So Host must be ours, Origin that of the page, and whatever acts carries the token.
+The loopback address does not protect against pages of other sites in the same browser, or against DNS
+rebinding. So Host must be ours, Origin must be the page's, and every command needs the token.
 """
 
 import ipaddress
@@ -16,7 +16,7 @@ _PORT = re.compile(r":\d+$")
 
 
 class Refused(Exception):  # noqa: N818 - an answer, not an error of the program
-    """A request that gets no more than a status and a sentence."""
+    """Request that is answered with a status and a sentence only."""
 
     def __init__(self, status: HTTPStatus, why: str) -> None:
         super().__init__(why)
@@ -24,37 +24,37 @@ class Refused(Exception):  # noqa: N818 - an answer, not an error of the program
 
 
 class Request(NamedTuple):
-    """A request whose form is right."""
+    """Well-formed request."""
 
     method: str
     path: str
     query: dict[str, str]
-    """The last value of each name."""
+    """Last value of each name."""
     headers: dict[str, str]
-    """Names in lower case; none of them came twice."""
+    """Names in lower case, without duplicates."""
 
     @property
     def cookies(self) -> dict[str, str]:
-        """Names and values of the header Cookie, those of other servers of the host among them."""
+        """Names and values of the header Cookie, including those of other servers on the host."""
         pairs = (each.strip().partition("=") for each in self.headers.get("cookie", "").split(";"))
         return {name: value for name, _, value in pairs}
 
 
 @dataclass(frozen=True)
 class Access:
-    """The rules of one server."""
+    """Rules of one server."""
 
     token: str
     port: int
     names: frozenset[str]
-    """Host names in lower case that are ours."""
+    """Our host names, in lower case."""
     beyond: bool
-    """Served to other machines: the token is needed to look, too."""
+    """Served to other machines: viewing needs the token as well."""
     operate: bool
-    """The configuration allows to operate."""
+    """The configuration allows operation."""
 
     def check(self, request: Request) -> None:
-        """Refuse a request that may not even look."""
+        """Refuse a request that may not view the page."""
         self._check_host(request.headers.get("host", ""))
         origin = request.headers.get("origin")
         if origin not in {None, f"http://{request.headers.get('host', '')}"}:
@@ -67,7 +67,7 @@ class Access:
             self._check_token(request)
 
     def check_operate(self, request: Request) -> None:
-        """Refuse a request that may not act."""
+        """Refuse a request that may not operate."""
         self.check(request)
         if not self.operate:
             raise Refused(
@@ -78,7 +78,7 @@ class Access:
             raise Refused(HTTPStatus.FORBIDDEN, "allowed: JSON from the page itself, with its Origin")
 
     def knows(self, request: Request) -> bool:
-        """Return whether a request has the token: in the cookie, or in the link that sets it."""
+        """True if a request has the token, in the cookie or in the link that sets it."""
         given = request.cookies.get(self.cookie, "")
         if request.path == "/" and "token" in request.query:
             given = request.query["token"]
@@ -86,7 +86,7 @@ class Access:
 
     @property
     def cookie(self) -> str:
-        """Name of the cookie; cookies do not tell ports apart by themselves."""
+        """Name of the cookie; includes the port, as browsers share cookies between ports."""
         return f"hil-watch-{self.port}"
 
     def _check_token(self, request: Request) -> None:
@@ -97,12 +97,12 @@ class Access:
 
     def _check_host(self, host: str) -> None:
         if self.port == HTTP_PORT and not _PORT.search(host):
-            host += f":{HTTP_PORT}"  # browsers leave it out
+            host += f":{HTTP_PORT}"  # browsers leave the default port out
         name, _, port = host.lower().rpartition(":")
         literal = name.removeprefix("[").removesuffix("]")
         if port == str(self.port) and (literal in self.names or (self.beyond and _is_address(literal))):
             return
-        raise Refused(HTTPStatus.FORBIDDEN, "this name is not that of the server: open the printed link")
+        raise Refused(HTTPStatus.FORBIDDEN, "this host name is not one of the server: open the printed link")
 
 
 def _is_address(text: str) -> bool:

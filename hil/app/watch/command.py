@@ -1,4 +1,4 @@
-"""`hil watch`: finds the run on the bus of a configuration and serves its page."""
+"""`hil watch`: serve the page of the run on the bus of a configuration."""
 
 import contextlib
 import importlib.resources
@@ -22,12 +22,12 @@ from hil.record.mirror import mirror_path
 LOOPBACK = "127.0.0.1"
 PORT = 8642
 NICE = 10
-"""A tenth of the share of those who compute for the run; at 19 the page starves on a busy machine."""
+"""A tenth of the CPU share of the run's processes; at 19 the page starves on a busy machine."""
 _MEDIA = {"html": "text/html", "css": "text/css", "js": "text/javascript", "txt": "text/plain"}
 
 
 def assets() -> dict[str, tuple[bytes, str]]:
-    """All that the page is made of: path -> content, media type."""
+    """Files of the page: path -> content, media type."""
     folder = importlib.resources.files("hil.app.watch").joinpath("assets")
     files = ((each, _MEDIA.get(each.name.rpartition(".")[2])) for each in folder.iterdir())
     found = {f"/{each.name}": (each.read_bytes(), f"{kind}; charset=utf-8") for each, kind in files if kind}
@@ -43,8 +43,8 @@ def watch(
 ) -> dict[str, Any]:
     """Serve until Ctrl-C, SIGTERM or the end of file of `alive`; return the summary.
 
-    host: address or name to listen on; beyond the loopback the token is needed for everything. port: None is
-    PORT, or a free one where that is taken; 0 is a free one. Raises RunError where it cannot listen.
+    host: address or name to listen on; beyond the loopback every request needs the token. port: None is PORT,
+    or a free one if PORT is in use; 0 is a free one. Raises RunError where it cannot listen.
     """
     listening = _listen(host, port)
     port = int(listening.getsockname()[1])
@@ -62,7 +62,7 @@ def watch(
     shown = _reachable(listening.family) if address.is_unspecified else host
     link = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/"
     threading.Thread(target=server.serve_forever, daemon=True).start()
-    # of a full house, those with the token stay
+    # at the limit of streams, those with the token stay
     print(f"hil: watch at {link}?token={access.token}", file=sys.stderr, flush=True)
     _wait(alive)
     return {
@@ -78,21 +78,21 @@ def _wait(alive: int | None) -> None:
     """Wait for a signal to end, or for the end of file of `alive`."""
     woken, wake = os.pipe()
     os.set_blocking(wake, False)
-    signal.set_wakeup_fd(wake)  # whichever thread gets the signal
+    signal.set_wakeup_fd(wake)  # in whichever thread the signal arrives
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, lambda *_: None)
     select.select([woken] if alive is None else [woken, alive], [], [])
 
 
 def _listen(host: str, port: int | None) -> socket.socket:
-    """Return a socket that listens; without a port given, a free one where PORT is taken."""
+    """Listening socket; without a given port a free one where PORT is in use."""
     tried = (PORT, 0) if port is None else (port,)
     trouble = ""
     for each in tried:
         try:
             family, _, _, _, address = socket.getaddrinfo(host, each, type=socket.SOCK_STREAM)[0]
             return socket.create_server((str(address[0]), each), family=family, backlog=64)
-        except (OSError, UnicodeError) as error:  # the latter of a name that no host can have
+        except (OSError, UnicodeError) as error:  # UnicodeError: an invalid host name
             trouble = str(error)
     raise RunError(
         f"cannot listen on {host} port {tried[0]}: {trouble}; allowed: an address of this machine for "
@@ -101,7 +101,7 @@ def _listen(host: str, port: int | None) -> socket.socket:
 
 
 def _reachable(family: int) -> str:
-    """Return the address of this machine that others see, as far as its routes tell; nothing is sent."""
+    """Address of this machine on its network, by its routes; sends nothing."""
     with socket.socket(family, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1" if family == socket.AF_INET else "2001:db8::1", 9))

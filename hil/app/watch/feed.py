@@ -1,4 +1,4 @@
-"""What is sent to the watchers: from the mirror of the present run to server-sent events."""
+"""Server-sent events for the viewers, from the mirror of the present run."""
 
 import json
 import time
@@ -10,17 +10,17 @@ from hil.app.watch.state import state
 from hil.record.mirror import MirrorReader
 
 PERIOD_S = 0.01
-"""Between two looks at the mirror, which the recorder fills every 20 ms."""
+"""Shortest period of reading the mirror, which the recorder fills every 20 ms."""
 FOLLOW_S = 0.5
-"""Between two looks for a run that has followed."""
+"""Period of looking for a new run."""
 REPEAT_S = 0.25
-"""A state that does not change is repeated so often: its age grows."""
+"""Period of repeating an unchanged state, whose age grows."""
 
 
 class Feed:
-    """Follows the runs on one bus, each by its own mirror.
+    """Follows the runs on one bus, each through its own mirror.
 
-    Mutable state: the mirror that is read, what was made of it (new objects where it changes), and when.
+    Mutable state: the mirror, the events made from it (new objects when they change), and their times.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,13 +30,13 @@ class Feed:
         self._number = 0
         self._events: list[dict[str, Any]] = []
         self.said: dict[str, Any] | None = None
-        """What the controller says of itself, where it is asked."""
+        """Status of the controller, if it is requested."""
         self.about = event("about", {"trouble": "nothing runs on this bus yet"})
         self.events = event("events", [])
         self.state = b""
 
     def look(self, now: float) -> None:
-        """Take in what is new. now: CLOCK_MONOTONIC, s."""
+        """Read new data. now: CLOCK_MONOTONIC, s."""
         if now - self._looked < PERIOD_S:
             return
         self._looked = now
@@ -51,24 +51,23 @@ class Feed:
             return
         if piece.events != self._events:
             self._events = piece.events
-            self.events = event("events", [_told(each) for each in piece.events])
+            self.events = event("events", [_shown_event(each) for each in piece.events])
         try:
             shown = state(piece, reader.about, time.monotonic_ns())
         except (AttributeError, LookupError, TypeError, ValueError):
-            self._trouble(f"{self._path} is of another version of hil: use the version that runs there")
+            self._trouble(f"{self._path} comes from another version of hil: use the version of the run")
             self._number, self._made = reader.newest, now
             return
         self.state = event("state", shown | {"ended": piece.ended, "said": self.said})
         self._number, self._made = piece.number, now
 
     def _follow(self) -> None:
-        """Attach to the run that is there now, if it is another one."""
         try:
             if self._reader is not None and self._reader.inode == self._path.stat().st_ino:
                 return
             reader = MirrorReader(self._path)
         except FileNotFoundError:
-            return  # what was shown last stays
+            return  # the last data stay
         except (LogError, OSError, LookupError, TypeError, ValueError) as error:
             self._trouble(str(error))
             return
@@ -84,13 +83,13 @@ class Feed:
 
 
 def event(name: str, data: Any) -> bytes:
-    """Return a server-sent event."""
+    """Server-sent event."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     return f"event: {name}\ndata: {text}\n\n".encode()
 
 
-def _told(found: dict[str, Any]) -> dict[str, Any]:
-    """Return an event for the page: the values behind the text of a finding are not shown."""
+def _shown_event(found: dict[str, Any]) -> dict[str, Any]:
+    """Event for the page, without the values behind the text of a finding."""
     text, _, last = found["text"].rpartition("\n")
     shown = text if text and last.startswith("{") else found["text"]
     return {"t": round(found["t_ns"] * 1e-9, 3), "level": found["level"], "text": shown}

@@ -1,7 +1,7 @@
-"""The server of the live page: bounded in everything that others decide.
+"""Server of the live page, with bounds on every resource that clients use.
 
-A connection has one request and a thread of its own, so none waits for another. A watcher that does not read
-misses ticks, and is cut off when it has not for long.
+A connection has one request and its own thread, so that no client waits for another. A viewer that reads
+too slowly misses ticks, and is disconnected after a while.
 """
 
 import contextlib
@@ -24,21 +24,21 @@ from drivers.errors import HilError
 from hil.app.watch.access import Access, Refused, Request
 from hil.app.watch.feed import PERIOD_S, Feed, event
 from hil.operate.client import OperatorClient
-from hil.operate.words import parse
+from hil.operate.commands import parse
 
 REQUEST_BYTES = 8192
-"""Of a request, its body included."""
+"""Largest request, with its body."""
 BODY_BYTES = 512
 REQUEST_S = 10.0
-"""For a whole request, once a connection is open."""
+"""Timeout of a whole request, from the opening of the connection."""
 MOST_CONNECTIONS = 160
 MOST_STREAMS = 24
 MOST_COMMANDS = 8
-"""Under way at once, beside emergency stops."""
+"""Most commands in progress, besides emergency stops."""
 BEHIND_BYTES = 32768
-"""So much may be unread of a watcher before it misses ticks."""
+"""Unread bytes after which a viewer misses ticks."""
 PATIENCE_S = 15.0
-"""A watcher that has read nothing for so long is cut off."""
+"""Timeout of a viewer that reads nothing."""
 STATUS_S = 0.25
 ESTOP = "estop"
 _HEADERS = {
@@ -54,14 +54,14 @@ _HEADERS = {
 
 
 WORDS = frozenset({"arm", "start", "hold", "stop", "park", "reset", "estop", "speed", "jog", "key"})
-"""Of the operator's words, those that the page has controls for."""
+"""Operator commands with controls on the page."""
 KEY = "key"
 
 
 def line_of(body: bytes) -> str:
-    """Return the operator's line of a request, `{"line": "speed 40"}`, a space between its words.
+    """Operator command of a request `{"line": "speed 40"}`, with single spaces between its words.
 
-    Raises ValueError for any other.
+    Raises ValueError for any other request.
     """
     found = json.loads(body)
     if not isinstance(found, dict) or set(found) != {"line"} or not isinstance(found["line"], str):
@@ -75,13 +75,13 @@ def line_of(body: bytes) -> str:
 
 
 class Operating:
-    """Speaks to the controller on a bus, one connection a command: none of them waits for another."""
+    """Sends commands to the controller on a bus, each over its own connection: none waits for another."""
 
     def __init__(self, interface: str, channel: str) -> None:
         self._bus = interface, channel
 
     def say(self, line: str) -> tuple[bool, str]:
-        """Return whether the controller took a line, and else why not."""
+        """Send a command; return (accepted, reason of a refusal)."""
         try:
             with OperatorClient(*self._bus) as client:
                 if line == KEY:
@@ -93,7 +93,7 @@ class Operating:
         return answer.taken, answer.why
 
     def status(self) -> dict[str, Any] | None:
-        """Return what the controller says of itself; None where none answers."""
+        """Status of the controller; None without an answer."""
         try:
             with OperatorClient(*self._bus) as client:
                 return client.status()
@@ -102,7 +102,7 @@ class Operating:
 
 
 class Server(ThreadingMixIn, TCPServer):
-    """Serves one feed on a socket that listens. Mutable state: connections, streams, commands under way."""
+    """Serves one feed on a listening socket. Mutable state: connections, streams, commands in progress."""
 
     daemon_threads = True
     block_on_close = False
@@ -120,14 +120,14 @@ class Server(ThreadingMixIn, TCPServer):
         self.socket = listening
         self.feed, self.access, self.assets, self.operating = feed, access, assets, operating
         self.lock = threading.Lock()
-        """Of the feed, connections and streams."""
+        """Guards the feed, connections and streams."""
         self.waits: dict[socket.socket, bool] = {}
-        """Connections, the oldest first: whether a whole request has not come yet."""
+        """Connections, the oldest first: True while the request is incomplete."""
         self._streams: dict[socket.socket, bool] = {}
-        """Streams, the longest open first: whether it was opened with the token."""
+        """Streams, the oldest first: True if opened with the token."""
         self.commands = threading.BoundedSemaphore(MOST_COMMANDS)
         self.served = 0
-        """Streams that were opened."""
+        """Number of streams opened."""
         if operating is not None:
             threading.Thread(target=self._ask, args=(operating,), daemon=True).start()
 
@@ -138,7 +138,7 @@ class Server(ThreadingMixIn, TCPServer):
             time.sleep(STATUS_S)
 
     def verify_request(self, request: Any, client_address: Any) -> bool:  # noqa: ARG002 - of the base class
-        """Take a connection in. Of too many, one that only waits makes room."""
+        """Accept a connection. At the limit, the oldest one with an incomplete request is closed."""
         with self.lock:
             if len(self.waits) >= MOST_CONNECTIONS:
                 first = next((each for each, waits in self.waits.items() if waits), None)
@@ -157,9 +157,9 @@ class Server(ThreadingMixIn, TCPServer):
 
     @contextmanager
     def stream(self, connection: socket.socket, *, ours: bool) -> Iterator[None]:
-        """Hold the place of a stream. Of too many, the oldest makes room for one with the token.
+        """Reserve a place for a stream. At the limit, one with the token takes the place of the oldest.
 
-        Those without it go first. Raises Refused where there is no place.
+        Streams without the token are closed first. Raises Refused without a place.
         """
         with self.lock:
             if len(self._streams) >= MOST_STREAMS:
@@ -177,7 +177,7 @@ class Server(ThreadingMixIn, TCPServer):
                 self._streams.pop(connection, None)
 
     def parts(self) -> tuple[bytes, bytes, bytes]:
-        """Return what is to be seen now: description, events, state. Each is a new object when it changes."""
+        """Description, events and state of the present. Each is a new object when it changes."""
         with self.lock:
             feed = self.feed
             feed.look(time.monotonic())
@@ -185,18 +185,16 @@ class Server(ThreadingMixIn, TCPServer):
 
 
 class _Bounded(io.RawIOBase):
-    """What a connection sends, for so long and up to so many bytes. Raises Refused or OSError."""
+    """Input of a connection, limited in time and bytes. Raises Refused or OSError."""
 
     def __init__(self, connection: socket.socket) -> None:
         self._connection, self._left = connection, REQUEST_BYTES
         self._until = time.monotonic() + REQUEST_S
 
     def readable(self) -> bool:
-        """Return that it is."""
         return True
 
     def readinto(self, buffer: Any) -> int:
-        """Fill a part of the buffer."""
         remaining_s = self._until - time.monotonic()
         if remaining_s <= 0.0:
             raise TimeoutError
@@ -214,7 +212,7 @@ class _Bounded(io.RawIOBase):
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One request: its form, who sends it, the answer."""
+    """One request: check its form and its sender, then answer it."""
 
     server: Server
     default_request_version = request_version = "HTTP/1.0"
@@ -227,7 +225,7 @@ class Handler(BaseHTTPRequestHandler):
         self.rfile = io.BufferedReader(_Bounded(self.connection))
 
     def handle(self) -> None:
-        """Answer the request. One that breaks off or is not read is forgotten."""
+        """Answer the request. A broken connection is ignored."""
         with contextlib.suppress(OSError):
             try:
                 self.handle_one_request()
@@ -235,21 +233,21 @@ class Handler(BaseHTTPRequestHandler):
                 self._answer(refused.status, f"{refused.why}\n".encode(), "text/plain; charset=utf-8")
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> NoReturn:  # noqa: ARG002
-        """Refuse what is no request."""
-        raise Refused(HTTPStatus(code), message or "no request of HTTP/1.1")
+        """Refuse an invalid request."""
+        raise Refused(HTTPStatus(code), message or "not a request of HTTP/1.1")
 
     def log_message(self, *_: object) -> None:
         """Keep no log."""
 
     def do_GET(self) -> None:
-        """Give a part of the page, or the stream."""
+        """Send a file of the page, or the stream."""
         request = self._request()
         self.server.access.check(request)
         if request.path == "/stream" and self.command == "GET":
             self._stream(request)
             return
         if request.path not in self.server.assets:
-            raise Refused(HTTPStatus.NOT_FOUND, "there is no such page")
+            raise Refused(HTTPStatus.NOT_FOUND, "no such page")
         access = self.server.access
         cookie = {}
         if request.path == "/" and "token" in request.query and access.knows(request):
@@ -260,7 +258,7 @@ class Handler(BaseHTTPRequestHandler):
     do_HEAD = do_GET
 
     def do_POST(self) -> None:
-        """Pass a command on and answer as the controller does."""
+        """Forward a command, and answer as the controller does."""
         request, operating = self._request(), self.server.operating
         self.server.access.check_operate(request)
         if request.path != "/operate" or operating is None:
@@ -287,7 +285,7 @@ class Handler(BaseHTTPRequestHandler):
     def _request(self) -> Request:
         names = [name.lower() for name in self.headers]
         if self.headers.defects or len(set(names)) < len(names):
-            raise Refused(HTTPStatus.BAD_REQUEST, "a header that is malformed or comes twice")
+            raise Refused(HTTPStatus.BAD_REQUEST, "a malformed or duplicate header")
         path, _, query = self.path.partition("?")
         try:
             values = parse_qs(query, max_num_fields=8)
@@ -297,7 +295,7 @@ class Handler(BaseHTTPRequestHandler):
         return Request(self.command, path, {name: each[-1] for name, each in values.items()}, headers)
 
     def _arrived(self) -> None:
-        """Take note that the whole request has come: an answer may take its time."""
+        """Mark the request as complete: the answer may take longer."""
         self.connection.settimeout(PATIENCE_S)
         with self.server.lock:
             if self.connection in self.server.waits:
@@ -320,12 +318,12 @@ class Handler(BaseHTTPRequestHandler):
         ours = access.knows(request)
         with self.server.stream(self.connection, ours=ours):
             self._arrived()
-            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # what waits is old
+            self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BEHIND_BYTES)  # queued data age
             self._head(HTTPStatus.OK, **{"Content-Type": "text/event-stream"})
             hello = {"operate": access.operate and ours, "allowed": access.operate}
             self.wfile.write(event("hello", hello))
             sent = (b"", b"", b"")
-            while not select.select([self.connection], [], [], PERIOD_S)[0]:  # a watcher has nothing to say
+            while not select.select([self.connection], [], [], PERIOD_S)[0]:  # readable: the viewer has left
                 parts = self.server.parts()
                 self.wfile.write(
                     b"".join(new for new, old in zip(parts, sent, strict=True) if new is not old)

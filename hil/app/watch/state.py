@@ -1,4 +1,4 @@
-"""One row of a run as the page shows it: plain values in the units of the screen, all of them finite."""
+"""Row of a run for the page: plain finite values in the units of the screen."""
 
 from math import isfinite
 from pathlib import Path
@@ -17,8 +17,8 @@ from hil.record.mirror import Piece
 from hil.record.selection import name_of
 
 WAITS = {
-    Mode.WAITING: "waits for six drives that are heard, set up and off",
-    Mode.IDLE: "waits for the operator's word that the platform may move, or for the drives to become ready",
+    Mode.WAITING: "waits until six drives answer, are set up and off",
+    Mode.IDLE: "waits for the operator's consent to move, or for the drives to become ready",
     Mode.LOADING: "tests the brakes, and builds up the holding force on them where the drives can",
     Mode.RELEASING: "waits for the brakes to open",
     Mode.APPROACH: "moves to the start of the reference",
@@ -30,14 +30,14 @@ WAITS = {
     Mode.FAULT: "waits for the operator: the drives are off",
     Mode.HELD: "waits for the operator: not all brakes are proven shut",
 }
-"""What each mode waits for, where the controller itself is not asked."""
+"""Awaited event of each mode, as text, for a controller that does not report it."""
 _FOLLOWS = range(Mode.RELEASING, Mode.PARKING + 1)
 
 
 def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: float | None) -> dict[str, Any]:
-    """Return name, geometry (joints (6, 3) m, home p (3,) m and R (9,)), limits, rate and log of a run.
+    """Name, geometry (joints (6, 3) m, home p (3,) m and R (9,)), limits, rate and log of a run.
 
-    duration_s: of the reference; None where it has no end.
+    duration_s: of the reference; None for one without an end.
     """
     robot = platform_dict(c.platform)
     p, R = pose_arrays(c.platform.home)
@@ -61,13 +61,13 @@ def run_description(c: Configuration, log: Path, rate_Hz: float, duration_s: flo
 
 
 def numbers(values: ArrayLike, digits: int) -> list[float | None]:
-    """Return values as a flat list, rounded; None for what is not finite."""
+    """Rounded values as a flat list; None for a value that is not finite."""
     flat = np.asarray(values, np.float64).ravel().tolist()
     return [round(x, digits) if isfinite(x) else None for x in flat]
 
 
 def state(piece: Piece, about: dict[str, Any], now_ns: int) -> dict[str, Any]:
-    """Return what the page shows of a piece. about: `run_description`; now_ns: CLOCK_MONOTONIC."""
+    """State for the page, from a piece of the mirror. about: `run_description`; now_ns: CLOCK_MONOTONIC."""
     row, figures = piece.row, piece.figures
     mode = Mode(int(row["mode"]))
     follows = mode in _FOLLOWS
@@ -124,7 +124,7 @@ def _name(column: str, value: Any) -> str:
 
 
 def _marked(row: np.void, about: dict[str, Any]) -> list[str]:
-    """Return why a leg is marked in the picture; empty where nothing is wrong with it."""
+    """Reasons why each leg is marked in the picture; empty for a leg in order."""
     found = []
     for leg in range(6):
         bit = 1 << leg
@@ -143,4 +143,4 @@ _BITS = {
     "legs_moved": "moved on its brake",
     "legs_refused": "drive refuses",
 }
-"""Columns of bits, one a leg, and what a set one means."""
+"""Columns with one bit a leg, and the meaning of a set bit."""

@@ -1,1 +1,1 @@
-"""What can be proven of a loop: error dynamics, ultimate bounds, energy, reaching, the sampled loop."""
+"""Stability proofs of a loop: error dynamics, ultimate bounds, energy, reaching, the sampled loop."""

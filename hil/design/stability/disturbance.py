@@ -1,7 +1,7 @@
-"""What a linearising law does not know of its robot, as accelerations of the axes whose error it controls.
+"""Model error of a linearising law, as accelerations of the axes whose error it controls.
 
-A law of this family asks its axes (the legs, or the pose) for an acceleration a* = a_d + u. At one state of
-the robot its forces are affine in a*, and the axes accelerate by Gamma u + a_d + d. So the error obeys
+The law requests an acceleration a* = a_d + u of its axes (the legs, or the pose). At one state of the robot
+its forces are affine in a*, and the axes accelerate by Gamma u + a_d + d. So the error obeys
 
 ::
 
@@ -9,8 +9,8 @@ the robot its forces are affine in a*, and the axes accelerate by Gamma u + a_d 
     legs:  Gamma = J M^-1 J^T d tau / d a*,    d = ddq(tau at u = 0) - ddq_d + J M^-1 w
     pose:  Gamma = M^-1 J^T d tau / d a*,      d = dtwist(tau at u = 0) - dtwist_d + M^-1 w
 
-With an exact model Gamma = I and d = J M^-1 w. Masses believed to be s times what they are give Gamma = s I
-and d = J M^-1 w - (1 - s) J M^-1 J^T tau, tau the force that the motion takes.
+With an exact model Gamma = I and d = J M^-1 w. If all masses of the model are s times the real ones,
+Gamma = s I and d = J M^-1 w - (1 - s) J M^-1 J^T tau, tau the force of the motion.
 """
 
 from collections.abc import Sequence
@@ -39,12 +39,12 @@ from hil.robot.kinematics_kernels import jacobian_rate_twist
 from hil.trajectory.path import PoseSample
 
 _STEP = 1e-6
-"""Of the differences, m, rad, m/s or rad/s."""
+"""Step of the finite differences, m, rad, m/s or rad/s."""
 _UNIT = np.eye(6)
 
 
 class Load(NamedTuple):
-    """Stated bound of a wrench that the law does not know; its direction may be any, and change."""
+    """Bound on the unmodelled wrench; its direction is arbitrary and may change."""
 
     force_N: float = 0.0
     torque_N_m: float = 0.0
@@ -52,7 +52,7 @@ class Load(NamedTuple):
 
 
 class Friction(NamedTuple):
-    """Stated bound of what the law's model of the friction is wrong by, per leg."""
+    """Bound on the error of the law's friction model, per leg."""
 
     viscous_N_s_m: Array
     """(6,)."""
@@ -66,42 +66,43 @@ class Local(NamedTuple):
     Gamma: Array
     """(n, 6, 6)."""
     stale: Array
-    """(n, 6, 6), Gamma of forces that were computed for where the reference was before."""
+    """(n, 6, 6), Gamma of delayed forces, computed for an earlier state of the reference."""
     per_force: Array
     """(n, 6, 6) 1/kg or 1/(kg m), accelerations of the axes per force of the legs."""
     d: Array
     """(n, 6) m/s^2 or rad/s^2, the largest |d| of each axis."""
     extremes: Array
-    """(n, 12, 6), the disturbances at which each axis has its largest and its smallest, friction left out."""
+    """(n, 12, 6), the disturbances at which each axis has its largest and its smallest d, without
+    friction."""
     by_error: Array
-    """(n, 6, 6) 1/s^2, change of the axes' accelerations per error, while the forces stay."""
+    """(n, 6, 6) 1/s^2, change of the axes' accelerations per error at constant forces."""
     by_rate: Array
-    """(n, 6, 6) 1/s, likewise per rate."""
+    """(n, 6, 6) 1/s, change per rate error at constant forces."""
     condition: Array
-    """(n,) of J, lengths made comparable; inf where it is singular."""
+    """(n,), condition number of J with lengths scaled; inf where J is singular."""
     tau: Array
     """(n, 6) N, the law's forces at u = 0."""
 
 
 class Survey(NamedTuple):
-    """What covers all of many states."""
+    """Bounds over many states."""
 
     d: Array
-    """(6,), largest."""
+    """(6,), largest |d|."""
     gamma: float
-    """Middle of the smallest and largest diagonal element of Gamma."""
+    """Mean of the smallest and largest diagonal element of Gamma."""
     spread: Array
-    """(6, 6), largest |Gamma - gamma I| of stale forces."""
+    """(6, 6), largest |Gamma - gamma I| of delayed forces."""
     by_error: Array
-    """(6, 6) 1/s^2, largest change of the axes' accelerations per error, while the forces stay."""
+    """(6, 6) 1/s^2, largest change of the axes' accelerations per error at constant forces."""
     by_rate: Array
-    """(6, 6) 1/s, likewise per rate."""
+    """(6, 6) 1/s, largest change per rate error at constant forces."""
     condition: float
-    """Largest."""
+    """Largest condition number of J."""
 
     @classmethod
     def of(cls, found: Local, gamma: float | None = None) -> Self:
-        """Return what covers all states, by default with the gain in the middle of Gamma's diagonal."""
+        """Bounds over all states; the default gamma is the middle of Gamma's diagonal."""
         if gamma is None:
             diagonal = np.diagonal(found.Gamma, axis1=1, axis2=2)
             gamma = float(diagonal.min() + diagonal.max()) / 2.0
@@ -116,22 +117,22 @@ class Survey(NamedTuple):
 
 
 class Inertia(NamedTuple):
-    """What a wrong inertia makes of the accelerations that a law asks for: Gamma = J M^-1 M_believed J^-1."""
+    """Effect of an inertia error on the requested accelerations: Gamma = J M^-1 M_model J^-1."""
 
     alpha: float = 0.0
-    """Norm of Gamma - I by rows, largest."""
+    """Largest row-sum norm of Gamma - I."""
     alpha_2: float = 0.0
-    """Spectral norm of Gamma - I, largest."""
+    """Largest spectral norm of Gamma - I."""
     dominance: float = 1.0
-    """Gamma_ii less the rest of its row, least."""
+    """Smallest diagonal dominance: Gamma_ii minus the magnitudes of the rest of its row."""
     definite: float = 1.0
-    """Eigenvalue of the symmetric part of Gamma, least."""
+    """Smallest eigenvalue of the symmetric part of Gamma."""
     eigenvalues: tuple[float, float] = (1.0, 1.0)
-    """Of Gamma, least and largest: real, as it is similar to M^-1 M_believed."""
+    """Smallest and largest eigenvalue of Gamma; real, because Gamma is similar to M^-1 M_model."""
 
     @classmethod
     def of(cls, Gamma: Array) -> Self:
-        """Return what covers all of these (n, 6, 6)."""
+        """Bounds over all matrices Gamma (n, 6, 6)."""
         off = Gamma - _UNIT
         diagonal = np.diagonal(Gamma, axis1=1, axis2=2)
         values = np.linalg.eigvals(Gamma).real
@@ -146,7 +147,7 @@ class Inertia(NamedTuple):
 
 @kernel(VECTOR, MATRIX, MATRIX, MATRIX)
 def robot_kernel(c: Array, p: Array, turns: Array, twist: Array) -> tuple[Array, Array, Array, Array]:
-    """Return J, M (n, 6, 6), H + G and (dJ/dt) twist (n, 6) at p (n, 3), R (3 n, 3) and twist (n, 6)."""
+    """J, M (n, 6, 6), H + G and (dJ/dt) twist (n, 6) at p (n, 3), R (3 n, 3) and twist (n, 6)."""
     n, still = len(p), np.zeros(6)
     J, M, bias, curve = np.empty((n, 6, 6)), np.empty((n, 6, 6)), np.empty((n, 6)), np.empty((n, 6))
     for k in range(n):
@@ -164,9 +165,9 @@ def robot_kernel(c: Array, p: Array, turns: Array, twist: Array) -> tuple[Array,
 def forces_kernel(
     c: Array, code: int, joint: bool, p: Array, turns: Array, twist: Array, demanded: Array
 ) -> Array:
-    """Return a law's forces (n, 6) N for the accelerations (n, 6) that are demanded of the legs, or the pose.
+    """Leg forces (n, 6) N of a law for requested accelerations (n, 6) of the legs or the pose.
 
-    c and code: what the law believes of the robot.
+    c and code: constants and variant of the law's model.
     """
     tau, J, none = np.empty((len(p), 6)), np.empty((6, 6)), np.zeros(6)
     for k in range(len(p)):
@@ -180,8 +181,6 @@ def forces_kernel(
 
 
 class _Robot(NamedTuple):
-    """The robot at n states."""
-
     joint: bool
     J: Array
     M: Array
@@ -189,11 +188,11 @@ class _Robot(NamedTuple):
     curve: Array
 
     def of_axes(self, dtwist: Array) -> Array:
-        """Return the accelerations (n, 6) of the axes under those of the platform."""
+        """Accelerations (n, 6) of the axes for accelerations of the platform."""
         return _times(self.J, dtwist) + self.curve if self.joint else dtwist
 
     def answer(self, tau: Array) -> Array:
-        """Return the accelerations (n, 6) of the axes under forces (n, 6) N, unloaded."""
+        """Accelerations (n, 6) of the axes under forces (n, 6) N without load."""
         return self.of_axes(_solved(self.M, _times(self.J.transpose(0, 2, 1), tau) - self.bias))
 
 
@@ -206,17 +205,17 @@ def _solved(A: Array, b: Array) -> Array:
 
 
 def _displaced(p: Array, R: Array, x: Array) -> tuple[Array, Array]:
-    """Return the poses shifted by x[:, :3] m and turned by the rotation vectors x[:, 3:] rad, base frame."""
+    """Poses shifted by x[:, :3] m and turned by the rotation vectors x[:, 3:] rad, base frame."""
     return p + x[:, :3], np.array([rotation_from_vector(turn) for turn in x[:, 3:]]) @ R
 
 
 class Linearised:
-    """A robot under a law that linearises it with what it believes. No mutable state."""
+    """A robot under a law that linearises it with a model. No mutable state."""
 
     def __init__(
         self, robot: Model, believed: Model, axes: Literal["joint", "pose"], load: Load, friction: Friction
     ) -> None:
-        """Both models without friction: what is wrong with it is stated by itself."""
+        """Both models are without friction; `friction` bounds its error."""
         self.robot = robot
         self.believed = believed
         self.axes = axes
@@ -234,7 +233,7 @@ class Linearised:
         return forces_kernel(model.constants, model.code, self._joint, p, turns, twist, demanded)
 
     def _by_demand(self, p: Array, R: Array, twist: Array, demanded: Array) -> tuple[Array, Array]:
-        """Return the law's forces (n, 6) N, and (n, 6, 6) per acceleration demanded: affine in it."""
+        """Law's forces (n, 6) N, and their derivative (n, 6, 6) by the requested acceleration."""
         tau = self._forces(p, R, twist, demanded)
         more = [self._forces(p, R, twist, demanded + unit) - tau for unit in _UNIT]
         return tau, np.stack(more, axis=2)
@@ -246,10 +245,10 @@ class Linearised:
         de: Array | float = 0.0,
         stale_s: float = 0.0,
     ) -> Local:
-        """Return the loop where the reference is at each sample, and the axes behind it by e and de (n, 6).
+        """Loop with the reference at each sample and the axes' errors e and de (n, 6).
 
-        The pose that belongs to an error of the legs is taken to first order, J^-1 e. stale_s: so old are the
-        pose and the twist of the reference for which the law answers u.
+        A leg error is converted to a pose error to first order, J^-1 e. stale_s: delay between the state for
+        which the law computes u and the present state.
         """
         s = _stacked(path)
         x, dx = (np.broadcast_to(np.asarray(behind, float), s.twist.shape) for behind in (e, de))
@@ -286,7 +285,7 @@ class Linearised:
         )
 
     def _extremes(self, mobility: Array, error: Array) -> tuple[Array, Array]:
-        """Return the largest |d| (n, 6) of each axis by load and error, and all axes' d (n, 12, 6) then."""
+        """Largest |d| (n, 6) of each axis by load and error, and d of all axes in these cases (n, 12, 6)."""
         halves = mobility.reshape(-1, 6, 2, 3)  # by a force, by a torque
         size = np.linalg.norm(halves, axis=3, keepdims=True)
         most = np.array([[self.load.force_N], [self.load.torque_N_m]])
@@ -296,9 +295,9 @@ class Linearised:
         return np.abs(error) + np.diagonal(loads, axis1=1, axis2=2), extremes
 
     def _by_state(self, p: Array, R: Array, twist: Array, tau: Array, here: _Robot) -> tuple[Array, Array]:
-        """Return the derivatives (n, 6, 6) of the axes' accelerations by their places, and by their rates.
+        """Partial derivatives (n, 6, 6) of the axes' accelerations by their positions and by their rates.
 
-        While a place changes, the rates of the axes stay.
+        The derivative by a position keeps the rates of the axes constant.
         """
         steps = _STEP * (np.linalg.inv(here.J) if self._joint else np.broadcast_to(_UNIT, here.J.shape))
         still, rates = here.answer(tau), _times(here.J, twist)
@@ -314,7 +313,7 @@ class Linearised:
         return by_error, by_rate
 
     def along_reference(self, path: Sequence[PoseSample]) -> tuple[Array, Array]:
-        """Return the law's forces (n, 6) N without error, and the axes' accelerations per force (n, 6, 6)."""
+        """Law's forces (n, 6) N at zero error, and the axes' accelerations per force (n, 6, 6)."""
         s = _stacked(path)
         robot = self._robot(s.p, s.R, s.twist)
         per_force = np.linalg.solve(robot.M, robot.J.transpose(0, 2, 1))
@@ -322,36 +321,36 @@ class Linearised:
         return tau, np.asarray(robot.J @ per_force if self._joint else per_force, float)
 
     def around(self, path: Sequence[PoseSample], errors: Array, rates: Array, stale_s: float = 0.0) -> Local:
-        """Return the loop at each sample under each of the errors (m, 6), with its rate (m, 6) +- 1."""
+        """Loop at each sample for each of the errors (m, 6), with plus and minus its rate (m, 6)."""
         e, de = np.vstack([errors, errors]), np.vstack([-rates, rates])
         all_samples = [s for s in path for _ in e]
         return self.at(all_samples, np.tile(e, (len(path), 1)), np.tile(de, (len(path), 1)), stale_s)
 
 
 def _stacked(path: Sequence[PoseSample]) -> PoseSample:
-    """Return samples as one of arrays (n, ...)."""
+    """Stack samples into one sample with arrays (n, ...)."""
     return PoseSample(*(np.array(part, float) for part in zip(*path, strict=True)))
 
 
 class Drives(NamedTuple):
-    """Six drives, each array (6,)."""
+    """Quantisation and losses of six drives, each array (6,)."""
 
     length: Array
-    """m, by which a length may be read wrong: by the drive's steps, the encoder's, and by its age."""
+    """m, largest error of a measured length: resolution of drive and encoder, and age."""
     rate: Array
-    """m/s, of a rate."""
+    """m/s, largest error of a measured rate."""
     force: Array
-    """N at the leg, by the steps of a command."""
+    """N at the leg, resolution of the force command."""
     loss: Array
-    """rho, share of a force by which losses may be made up for wrongly."""
+    """rho, largest relative error of the loss compensation of a force."""
 
     @property
     def stepped(self) -> bool:
-        """Tell whether what is read or sent has steps."""
+        """True if a measured or commanded value is quantised."""
         return bool(np.any([self.length, self.rate, self.force]))
 
     def disturb(self, found: Local) -> tuple[Array, Array]:
-        """Return what disturbs the axes: (6,) m/s^2 or rad/s^2, and beside it (6, 6), a share of |u|."""
+        """Disturbance of the axes: constant part (6,) m/s^2 or rad/s^2, and shares (6, 6) of |u|."""
         P = np.abs(found.per_force)
         by_path = _times(P, self.force + self.loss * np.abs(found.tau)).max(axis=0)
         if not self.loss.any():

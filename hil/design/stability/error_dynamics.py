@@ -4,8 +4,8 @@
 
     e'' + K_D e' + K_P e = d,   x = [e; de],   dx/dt = A x + B d,   A = [0 1; -K_P -K_D],   B = [0; 1]
 
-e is demanded minus measured, m or rad, and d the acceleration of the axis, m/s^2 or rad/s^2, that the law
-does not know (its sign is of no consequence to a bound).
+e is reference minus measurement, m or rad. d is the unmodelled acceleration of the axis, m/s^2 or rad/s^2;
+its sign does not affect a bound.
 """
 
 from math import sqrt
@@ -19,15 +19,15 @@ from drivers.errors import ModelError
 
 
 class Certificate(NamedTuple):
-    """V = x^T P x of six axes; along every solution, under every disturbance d.
+    """Lyapunov function V = x^T P x of six axes, for every solution and every disturbance d.
 
     ::
 
         dV/dt <= -2 alpha (V - d^2)
 
-    Without disturbance V decays as exp(-2 alpha t), x as exp(-alpha t). Under |d| <= d_max V falls wherever
-    it is above d_max^2: what began below stays below, everything else comes there. V is in (m/s^2)^2 or
-    (rad/s^2)^2: where it does not fall, the axis is under a disturbance of sqrt(V) at least.
+    Without disturbance V decays as exp(-2 alpha t), x as exp(-alpha t). Under |d| <= d_max V decreases
+    wherever it is above d_max^2: a state below stays below, every other state gets there. V is in (m/s^2)^2
+    or (rad/s^2)^2. If V does not decrease, the disturbance of the axis is at least sqrt(V).
     """
 
     K_P: Array
@@ -41,7 +41,7 @@ class Certificate(NamedTuple):
 
 
 def certificate(K_P: ArrayLike, K_D: ArrayLike) -> Certificate:
-    """Return the certificate of six axes, K_P (6,) 1/s^2 and K_D (6,) 1/s, or one for all.
+    """Certificate of six axes with K_P (6,) 1/s^2 and K_D (6,) 1/s, or one for all.
 
     P is the inverse of W, the solution of the Lyapunov equation of the reachable ellipsoid (S. Boyd,
     L. El Ghaoui, E. Feron and V. Balakrishnan, Linear Matrix Inequalities in System and Control Theory,
@@ -49,13 +49,13 @@ def certificate(K_P: ArrayLike, K_D: ArrayLike) -> Certificate:
 
         (A + alpha I) W + W (A + alpha I)^T + B B^T / (2 alpha) = 0
 
-    which for these A and B is, with c = K_P - alpha K_D + alpha^2,
+    For these A and B, with c = K_P - alpha K_D + alpha^2,
 
         V = 4 alpha (K_D - 2 alpha) ((de + alpha e)^2 + c e^2)
 
-    alpha is that of the smallest bound on |e|, of each axis (`tightest_alpha`).
+    alpha of each axis gives the smallest bound on |e| (`tightest_alpha`).
 
-    Raises ModelError where an axis is not stable.
+    Raises ModelError for an axis that is not stable.
     """
     stiffness, damping = (np.broadcast_to(np.asarray(K, float), (6,)).copy() for K in (K_P, K_D))
     alpha = np.array(
@@ -72,9 +72,9 @@ def certificate(K_P: ArrayLike, K_D: ArrayLike) -> Certificate:
 
 
 def decay_rate(K_P: float, K_D: float) -> float:
-    """Return how fast the slowest solution of e'' + K_D e' + K_P e = 0 decays, 1/s: -max Re of its two poles.
+    """Decay rate of the slowest solution of e'' + K_D e' + K_P e = 0, 1/s: -max Re of its two poles.
 
-    Raises ModelError where it does not decay.
+    Raises ModelError if it does not decay.
     """
     if not (K_P > 0.0 and K_D > 0.0):
         raise ModelError(
@@ -85,12 +85,12 @@ def decay_rate(K_P: float, K_D: float) -> float:
 
 
 def tightest_alpha(K_P: float, K_D: float) -> float:
-    """Return the alpha, 1/s, of the smallest reachable ellipsoid along e.
+    """alpha, 1/s, of the smallest reachable ellipsoid along e.
 
     1 / W_11 = 4 alpha (K_D - 2 alpha) (K_P - alpha K_D + alpha^2) has one maximum between 0 and the decay
     rate; with u = alpha - K_D / 2 and kappa = K_P - K_D^2 / 4 its derivative vanishes where
     4 u^3 + 3/2 K_D u^2 + 2 kappa u + kappa K_D / 2 = 0. At critical damping alpha = wn / 4, and
-    |e| <= sqrt(32 / 27) d_max / wn^2, 8.9 % above the least that any bound can say.
+    |e| <= sqrt(32 / 27) d_max / wn^2, 8.9 % above the smallest possible bound.
     """
     kappa = K_P - K_D * K_D / 4.0
     low, high = 0.0, decay_rate(K_P, K_D)

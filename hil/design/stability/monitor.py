@@ -1,4 +1,4 @@
-"""From a control law to what watches its certificate: which laws have one, and the numbers of it."""
+"""Build the certificate monitor of a control law: which laws have a certificate, and its constants."""
 
 from collections.abc import Iterator
 from math import ceil, isinf
@@ -19,21 +19,21 @@ from hil.safety.certificate import NO_WATCH, Watch
 
 ACTIONS = {"log": 0.0, "warn": 1.0, "fault": 2.0}
 LAGS = 3.0
-"""Time constants of the force loop after which a command is forgotten, but for 5 % of it."""
+"""Time constants of the force loop after which 5 % of a command's effect remains."""
 
 
 def certified(controller: LawSettings) -> ErrorDynamics | str:
-    """Return the error dynamics that a V of constant gains belongs to, or why there are none."""
+    """Error dynamics with a Lyapunov function of constant gains, or the reason why there are none."""
     dynamics = controller.error_dynamics()
     if isinstance(dynamics, ErrorDynamics) and isinf(dynamics.steepness):
-        return "without a boundary layer it switches: no gains are its own"
+        return "without a boundary layer it switches: its gains are infinite"
     return dynamics
 
 
 def certified_law(
     monitor: MonitorSettings, controller: ControllerSettings, _: object
 ) -> Iterator[tuple[tuple[str, str], str]]:
-    """Refuse to act on the certificate of a law that has none."""
+    """Reject a monitor action other than log for a law without a certificate."""
     reason = certified(controller)
     if monitor.action != "log" and isinstance(reason, str):
         message = f"law {controller.law} has no certificate: {reason}, allowed: log, given: {monitor.action}"
@@ -49,11 +49,11 @@ def build_watch(
     transport_ticks: int = 1,
     lag_s: float = 0.0,
 ) -> Watch:
-    """Return what `hil.safety.certificate` watches; nothing for a law without a certificate.
+    """Build the constants of `hil.safety.certificate`; NO_WATCH for a law without a certificate.
 
-    home: p (3,) m and R (3, 3), where the noise of the legs is turned into that of the pose.
-    transport_ticks: from a measurement to the force that answers it. lag_s: of the drives' force loop, as far
-    as it is known.
+    home: p (3,) m and R (3, 3), the pose at which leg noise is converted to pose noise.
+    transport_ticks: from a measurement to the force computed from it. lag_s: of the drives' force loop, if
+    known.
     """
     dynamics = certified(controller)
     if isinstance(dynamics, str):
@@ -92,12 +92,12 @@ def build_watch(
 
 
 def horizon_s(delay: DelayCompensation | None) -> float:
-    """Return how far the law looks ahead, s: what disturbs it until then it does not see coming."""
+    """Prediction horizon of the law, s: it cannot react to a disturbance within this time."""
     return 0.0 if delay is None else 1e-3 * (delay.bus_ms + delay.drive_lag_ms + delay.hold_ms)
 
 
 def _decay(x: float) -> float:
-    """Return exp(-x), x >= 0, by the series of exp(x)."""
+    """exp(-x), x >= 0, by the series of exp(x)."""
     total = term = 1.0
     for k in range(1, 60):
         term *= x / k

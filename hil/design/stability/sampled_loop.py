@@ -1,10 +1,10 @@
-"""The loop as it runs: sampled, held, late. Axis, controllers, eigenvalues, margins and peak gains.
+"""The loop with sampling, hold and delay: axis, controllers, eigenvalues, margins and peak gains.
 
 The axis is gain exp(-transport s) D(s) / s^2 behind a hold of one period, D the force loop of the drives,
-from demanded acceleration to position and rate at the instants of measurement: what a linearised robot looks
-like through bus, drives and sampling, also where the transport is no whole number of periods. The controller
-gives u from y = [e, de] and the loop is closed by e = -position: its eigenvalues tell whether the sampled
-loop is stable, exactly and with all delays.
+from requested acceleration to position and rate at the instants of measurement. It is a linearised robot seen
+through bus, drives and sampling; the transport may be a fraction of a period. The controller computes u from
+y = [e, de], and the loop is closed by e = -position. Its eigenvalues decide exactly, with all delays, whether
+the sampled loop is stable.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -18,7 +18,7 @@ from hil.config.linear_controller import LinearController
 from hil.mathematics.linear_system import LinearSystem, exponential, held, lag, static
 
 SLOWEST = 1e-5
-"""Of the Nyquist frequency: where margins are looked for from."""
+"""Lowest frequency of the margins, as a share of the Nyquist frequency."""
 
 
 class Axis(NamedTuple):
@@ -26,11 +26,11 @@ class Axis(NamedTuple):
 
     period_s: float
     transport_s: float = 0.0
-    """From the instant of measurement to the force that answers it; pure."""
+    """Pure delay from the instant of measurement to the force computed from it."""
     lag_s: float = 0.0
-    """Time constant of the force, first order; 0: none."""
+    """Time constant of the force, first order; 0: no lag."""
     gain: float = 1.0
-    """1 where model and robot agree."""
+    """1 for an exact model."""
 
 
 def sampled_axis(
@@ -40,11 +40,11 @@ def sampled_axis(
     gain: float | Array = 1.0,
     stiffness: Array | None = None,
 ) -> LinearSystem:
-    """Return axes at the samples: from held accelerations to positions and rates, their first states.
+    """Axes at the samples: from held accelerations to positions and rates, their first states.
 
-    `drive` is the force loop of each, continuous: `hil.mathematics.linear_system.lag`, or one of higher
-    order. gain: of one axis, or (m, m): accelerations of m axes per force of each, then with a stiffness
-    (m, m) of their own, which answers at once.
+    `drive` is the continuous force loop of each axis: `hil.mathematics.linear_system.lag`, or of higher
+    order. gain: of one axis, or (m, m): accelerations of m axes per force of each. The axes may then have a
+    stiffness (m, m) of their own, which acts without delay.
     """
     mobility = np.atleast_2d(gain)
     m = len(mobility)
@@ -78,7 +78,7 @@ def sampled_axis(
 
 
 def disturbed(axis: LinearSystem) -> LinearSystem:
-    """Return a `sampled_axis` with a second input: an acceleration that acts at once, held too."""
+    """Add a second input to a `sampled_axis`: an acceleration, held, without delay."""
     T = axis.period_s
     assert T is not None
     push = np.zeros((axis.order, 1))
@@ -87,23 +87,23 @@ def disturbed(axis: LinearSystem) -> LinearSystem:
 
 
 def disturbed_axis(axis: Axis) -> LinearSystem:
-    """Return the axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
+    """Axis from u[k] and a disturbing acceleration d[k], both held, to position and rate."""
     return disturbed(sampled_axis(axis.transport_s, lag(axis.lag_s), axis.period_s, axis.gain))
 
 
 def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
-    """Return u = K_P e + K_D de as a controller."""
+    """Proportional-derivative controller u = K_P e + K_D de."""
     return static(np.array([[K_P, K_D]]), period_s)
 
 
 def predicting(
     K_P: float, K_D: float, period_s: float, *, bus_s: float, lag_s: float, hold_s: float
 ) -> LinearSystem:
-    """Return u[k] = K_P e + K_D de of the instant bus + lag + hold after the measurement, from [e, de].
+    """Predictive controller from [e, de]: u[k] = K_P e + K_D de at bus + lag + hold after the measurement.
 
-    What happens until then follows from the commands under way, the last of which is taken to go on:
-    e'' = -a, a the acceleration of the force, which follows the commands by its lag. States: a where there
-    is a lag, and the last commands u[k-1], u[k-2], ...
+    The prediction integrates e'' = -a with the commands already sent; the last one is assumed to continue. a
+    is the acceleration of the force, which follows the commands by its lag. States: a if there is a lag, and
+    the last commands u[k-1], u[k-2], ...
     """
     T, horizon = period_s, bus_s + lag_s + hold_s
     m = floor(bus_s / T + 1e-9)
@@ -112,7 +112,7 @@ def predicting(
     size = n + m + 2  # e, de, a, u[k], u[k-1], ..., u[k-m-1]
 
     def moved(acting: list[tuple[int, float]]) -> Array:
-        """Return what time makes of these, while u[k-j] acts for so long, one after the other."""
+        """Transition matrix of the state while u[k-j] acts for the time given, one after the other."""
         Phi = np.eye(size)
         for j, time_s in acting:
             F = np.zeros((size, size))
@@ -139,7 +139,7 @@ def predicting(
 
 
 def sampled_controller(controller: LinearController) -> LinearSystem:
-    """Return a file's controller as a system from [e, de] to u."""
+    """System from [e, de] to u of a controller file."""
     chosen = np.eye(2)[[("error", "rate_error").index(name) for name in controller.inputs]]
     n, m = len(controller.A), len(controller.inputs)
     B = np.array(controller.B, float).reshape(n, m) @ chosen
@@ -148,25 +148,25 @@ def sampled_controller(controller: LinearController) -> LinearSystem:
 
 
 class Margins(NamedTuple):
-    """How much a stable loop can bear of one thing at a time; inf where it bears any amount."""
+    """Stability margins of a stable loop, each for one change at a time; inf: unlimited."""
 
     gain_up: float
-    """Times which the gain may grow."""
+    """Largest factor on the gain."""
     gain_down: float
-    """Times which it may become; 0 where it may become as small as it likes."""
+    """Smallest factor on the gain; 0: no lower limit."""
     phase_deg: float
     delay_s: float
-    """Further pure delay."""
+    """Largest additional pure delay."""
     crossover_rad_s: float
-    """The highest frequency at which the loop's gain is 1; 0 for none."""
+    """The highest frequency at which the loop's gain is 1; 0: none."""
     peak_S: float
-    """Of |1 / (1 + L)|: the loop stays 1 over it away from -1."""
+    """Peak of |1 / (1 + L)|, the inverse of the smallest distance between L and -1."""
     peak_T: float
-    """Of |L / (1 + L)|."""
+    """Peak of |L / (1 + L)|."""
 
 
 def grid(period_s: float) -> Array:
-    """Return frequencies up to Nyquist's, rad/s: dense in their logarithm, and in themselves at the end."""
+    """Frequencies up to the Nyquist frequency, rad/s: logarithmic, with a linear grid in addition."""
     top = pi / period_s
     return np.unique(
         np.concatenate([np.geomspace(SLOWEST * top, top, 2500), np.linspace(1e-3 * top, top, 1500)])
@@ -174,7 +174,7 @@ def grid(period_s: float) -> Array:
 
 
 def root(f: Callable[[float], float], low: float, high: float) -> float:
-    """Return where a function that has two signs at the ends of an interval is 0, by bisection."""
+    """Zero of a function with different signs at the ends of an interval, by bisection."""
     begins = f(low) > 0.0
     while low < (middle := 0.5 * (low + high)) < high:
         low, high = (middle, high) if (f(middle) > 0.0) == begins else (low, middle)
@@ -182,7 +182,7 @@ def root(f: Callable[[float], float], low: float, high: float) -> float:
 
 
 def crossings(loci: Callable[[Array], ComplexArray], omega: Array) -> Iterator[tuple[float, float]]:
-    """Yield where a locus (n, k) of rising frequencies, rad/s, has magnitude 1, and its angle from -1."""
+    """Yield each frequency, rad/s, at which a locus (n, k) has magnitude 1, and its angle from -1."""
     size = np.abs(loci(omega))
     for i, k in np.argwhere(np.diff(np.sign(size - 1.0), axis=0) != 0):
 
@@ -194,7 +194,7 @@ def crossings(loci: Callable[[Array], ComplexArray], omega: Array) -> Iterator[t
 
 
 def margins(loop: LinearSystem) -> Margins:
-    """Return the margins of a stable loop, sampled, one input L one output: 1 + L(z) = 0 is its edge."""
+    """Margins of a stable sampled loop L, one input and one output; 1 + L(z) = 0 is its limit."""
     assert loop.period_s is not None
 
     def L(omega: Array) -> ComplexArray:
@@ -224,12 +224,13 @@ class Sampled(NamedTuple):
     """A sampled loop."""
 
     poles: ComplexArray
-    """(n,), of z."""
+    """(n,), in z."""
     margins: Margins | None
-    """None where the loop is not stable."""
+    """None if the loop is not stable."""
     loop: LinearSystem
-    """To e, de and u from a disturbing acceleration, held over each period, and from what e and de are
-    measured wrong by at each sample."""
+    """System to e, de and u from a disturbing acceleration, held over each period, and from measurement
+    errors of e and de at each sample.
+    """
 
     @property
     def largest(self) -> float:
@@ -238,20 +239,21 @@ class Sampled(NamedTuple):
 
     @property
     def decay_rate(self) -> float:
-        """1/s, of the slowest mode, -log |z| over the period; below 0 where it grows."""
+        """Decay rate of the slowest mode, 1/s, -log |z| over the period; below 0 if it grows."""
         assert self.loop.period_s is not None
         return float(-np.log(max(self.largest, 1e-300)) / self.loop.period_s)
 
     @property
     def stable(self) -> bool:
-        """Tell whether all modes decay."""
+        """True if all modes decay."""
         return bool((np.abs(self.poles) < 1.0).all())
 
     def peak_gains(self, slope: float = 0.0) -> Array:
-        """Return the peak gains (4,) to |e| s^2, |de| s, |u| and |de + slope e| s, at each measurement.
+        """Peak gains (4,) to |e| s^2, |de| s, |u| and |de + slope e| s, at each measurement.
 
-        Of every acceleration within its bound, whenever it changes: h(s), its weight a time s before a
-        measurement, is linear in s over each period, so that its area is known. inf where not stable.
+        They hold for every bounded acceleration, with changes at any time: the weight h(s) of the
+        acceleration at time s before a measurement is linear in s over each period, so its area is exact. inf
+        if not stable.
         """
         if not self.stable:
             return np.full(4, inf)
@@ -266,13 +268,13 @@ class Sampled(NamedTuple):
         return np.asarray(T * area.sum(axis=0), float)
 
     def impulse_responses(self) -> Array:
-        """Return what e, de and u (n, 3) are at the samples after d = 1 for one period."""
+        """Responses of e, de and u (n, 3) at the samples to d = 1 for one period."""
         return np.asarray(self._answers(self.loop.B[:, :1])[..., 0], float)
 
     def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
-        """Return the peak gains (4,) to |e|, |de|, |u|, |de + slope e| from what e is measured wrong by.
+        """Peak gains (4,) to |e|, |de|, |u|, |de + slope e| from a measurement error of e.
 
-        rate: from what de is measured wrong by.
+        rate: from a measurement error of de.
         """
         k = 1 + rate
         through = self.loop.D[:, k : k + 1]
@@ -280,7 +282,7 @@ class Sampled(NamedTuple):
         return np.asarray(np.abs(h[..., 0]).sum(axis=0), float)
 
     def _answers(self, x: Array) -> Array:
-        """Return e, de and u (n, 3, m) at the samples from states x (order, m) on, until forgotten."""
+        """Responses of e, de and u (n, 3, m) at the samples to initial states x (order, m), until decayed."""
         found = []
         for _ in range(self.steps):
             found.append(self.loop.C @ x)
@@ -289,26 +291,26 @@ class Sampled(NamedTuple):
 
     @property
     def steps(self) -> int:
-        """Periods after which a stable loop has forgotten an impulse, to a hundred thousandth."""
+        """Number of periods in which an impulse response of a stable loop decays to about 1e-5."""
         slowest = -np.log(max(np.abs(self.poles).max(), 1e-300))
         return min(200_000, int(np.ceil(12.0 / slowest)) + len(self.poles))
 
 
 def _rows(slope: float) -> Array:
-    """Return e, de, u and de + slope e of e, de and u."""
+    """Matrix from e, de, u to e, de, u, de + slope e."""
     return np.vstack([np.eye(3), [slope, 1.0, 0.0]])
 
 
 def of_each(loops: Sequence[Sampled], figures: Callable[[Sampled], Array]) -> list[Array]:
-    """Return the figures of each loop; of axes that share one loop they are worked out once."""
+    """Figures of each loop, computed once for axes that share a loop."""
     found = {id(loop): figures(loop) for loop in {id(loop): loop for loop in loops}.values()}
     return [found[id(loop)] for loop in loops]
 
 
 def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
-    """Return what the loop of axis and controller is like; the controller takes [e, de] and gives u.
+    """Analyse the loop of axis and controller; the controller is a system from [e, de] to u.
 
-    Raises ModelError where the controller is of another period.
+    Raises ModelError for a controller with another period.
     """
     plant = disturbed_axis(axis)
     loop = _closed(plant, controller)
@@ -320,7 +322,7 @@ def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
-    """Return the loop from d, n and m to e, de and u: y = [e + n, de + m], e = -position."""
+    """Loop from d, n and m to e, de and u: y = [e + n, de + m], e = -position."""
     A, B, C, _, T = plant
     # Inputs d, n, m, u; outputs e, de, u, and y for the controller.
     inputs = np.column_stack([B[:, 1], np.zeros((len(A), 2)), B[:, 0]])

@@ -1,15 +1,15 @@
-"""The ultimate bound of a linearised robot: from a load in N and a model's error to mm of each axis.
+"""The ultimate bound of a linearised robot: from a load in N and a model error to mm of each axis.
 
 ::
 
-    e'' + Gamma u = -d      (module disturbance), u = controller([e, de]), sampled, held and late
-    d' <= d + S |u| + T (S_e |de| + S_v (|u| + d')),   |u| <= g_u d' + u of being late, likewise de
+    e'' + Gamma u = -d      (module disturbance), u = controller([e, de]), sampled, held and delayed
+    d' <= d + S |u| + T (S_e |de| + S_v (|u| + d')),   |u| <= g_u d' + u caused by delay, |de| similarly
 
-g: peak gains of the sampled loop with the gain gamma; S = max |Gamma - gamma I|; T: how old the forces are;
-S_e, S_v: how accelerations change with place and rate under constant forces. The least solution bounds d'
+g: peak gains of the sampled loop with the gain gamma; S = max |Gamma - gamma I|; T: age of the forces;
+S_e, S_v: change of accelerations with position and rate under constant forces. The least solution bounds d'
 (small gain; C. A. Desoer and M. Vidyasagar, Feedback Systems, 1975). d and Gamma are taken in a tube around
-the reference that is enlarged until the bound fits into it, at its corners and worst instants, to first
-order: a survey, no enclosure. Derived in docs/theory/stability.md.
+the reference, which is enlarged until it contains the bound. They are evaluated at its corners and worst
+instants, to first order: a survey, not an enclosure. Derived in docs/theory/stability.md.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,90 +21,91 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.config.axis_model import AxisSpace
+from hil.design.stability.delay_effect import DelayEffect
 from hil.design.stability.disturbance import Inertia, Linearised, Local, Survey
-from hil.design.stability.lateness import Late
 from hil.design.stability.sampled_loop import Sampled, of_each
 from hil.trajectory.path import PoseSample
 
 ROUNDS = 12
-"""Most enlargements of the tube."""
+"""Largest number of enlargements of the tube."""
 EXACT = 1e-9
-"""What Gamma may differ from gamma I by and count as rounding."""
+"""Largest difference of Gamma from gamma I that counts as rounding."""
 ROUNDING = 1e-9
-"""m/s^2 or rad/s^2, what disturbances may differ by and count as equal."""
+"""m/s^2 or rad/s^2, largest difference of disturbances that count as equal."""
 INSTANTS = 5
-"""Of the reference, at which the disturbances are taken that make the tube."""
+"""Number of instants of the reference whose disturbances shape the tube."""
 SPREAD = 20
-"""Instants of the reference that are looked at where the disturbance tells none from another."""
+"""Number of instants of the reference that are evaluated where the disturbance is constant."""
 UNNOTICED = 0.01
-"""Share of the disturbance that changes no shape of the tube."""
+"""Share of the disturbance that does not change the shape of the tube."""
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 
 
 class Extra(NamedTuple):
-    """What is known by its size alone, beside load and model."""
+    """Disturbances known by their size only, in addition to load and model error."""
 
     d: Array
-    """(6,) m/s^2 or rad/s^2, stated: of each axis by itself, any at any time."""
+    """(6,) m/s^2 or rad/s^2, as stated: independent for each axis, at any time."""
     pushed: Array
-    """(6,) m/s^2 or rad/s^2, by what pushes one leg now and then."""
+    """(6,) m/s^2 or rad/s^2, from pushes on single legs."""
     alpha: float
     """Share of the largest |u| that the robot may add to any axis: the norm of Gamma - I."""
     error: Array
-    """(6,) m or rad, what the steps of the readings cost, the last reading included."""
+    """(6,) m or rad, from the resolution of the measurements, the last one included."""
     rate: Array
-    """(6,) m/s or rad/s, likewise."""
+    """(6,) m/s or rad/s, from the same resolution."""
     effort: Array
-    """(6,) m/s^2 or rad/s^2 of u, likewise."""
+    """(6,) m/s^2 or rad/s^2 of u, from the same resolution."""
     drives: Array
-    """(6,) m/s^2 or rad/s^2, by the steps of the forces sent and by what is lost on the way to the leg."""
+    """(6,) m/s^2 or rad/s^2, from the resolution of the force commands and from transmission losses."""
     lost: Array
-    """(6, 6), share of |u| of each axis that losses of force may add to another's acceleration, or take."""
+    """(6, 6), share of |u| of each axis by which transmission losses may change another axis'
+    acceleration."""
 
 
 class Ultimate(NamedTuple):
-    """What holds along a reference, of each axis."""
+    """The bound along a reference, of each axis."""
 
     gamma: float
     exact: bool
-    """Whether Gamma = gamma I at the poses for which the forces are computed."""
+    """True if Gamma = gamma I at the poses for which the forces are computed."""
     d: Array
-    """(6,) m/s^2 or rad/s^2, all that disturbs the axis beside being late."""
+    """(6,) m/s^2 or rad/s^2, all disturbances of the axis except delay."""
     pushed: Array
-    """(6,) m/s^2 or rad/s^2, the part of it by pushes of single legs."""
+    """(6,) m/s^2 or rad/s^2, the part of `d` from pushes on single legs."""
     drives: Array
-    """(6,) m/s^2 or rad/s^2, the part of it by steps and losses of the drives, feedback left out."""
+    """(6,) m/s^2 or rad/s^2, the part of `d` from resolution and losses of the drives, without feedback."""
     error: Array
-    """(6,) m or rad: |e| never exceeds it from a start without error, and from anywhere near in the end."""
+    """(6,) m or rad, bound on |e|: at all times from a start without error, finally from any start nearby."""
     rate: Array
-    """(6,) m/s or rad/s, likewise."""
+    """(6,) m/s or rad/s, bound on |de|."""
     late: Array
-    """(6,) m or rad, the part of it that being late makes along the reference."""
+    """(6,) m or rad, the part of `error` from delay along the reference."""
     late_rate: Array
-    """(6,) m/s or rad/s, likewise."""
+    """(6,) m/s or rad/s, the part of `rate` from delay."""
     condition: float
-    """Of J, the largest in the tube."""
+    """Largest condition number of J in the tube."""
     read: Array
-    """(6,) m/s^2 or rad/s^2, what the steps of the readings make the law ask for."""
+    """(6,) m/s^2 or rad/s^2, change of u from the resolution of the measurements."""
 
 
 class Judged(NamedTuple):
-    """The loops that run, and what bounds them."""
+    """The loops of the axes, and their bound."""
 
     loops: list[Sampled]
-    """Of each axis, where the bound is that of."""
+    """Loop of each axis to which the bound applies."""
     every: list[Sampled]
-    """Of each axis at each end of what is stated of the inertia: those that differ."""
+    """Different loops of the axes at both ends of the stated inertia range."""
     bound: Ultimate | str
     inertia: Inertia = Inertia()
     bounds: tuple[tuple[list[Sampled], Ultimate], ...] = ()
-    """Loops and bound at each end of what is stated of the inertia."""
+    """Loops and bound at both ends of the stated inertia range."""
     carried: str = ""
-    """With what the bound is the largest, or there is none; nothing where only one thing is carried."""
+    """Payload with the largest bound, or without a bound; empty with a single payload."""
 
     @property
     def slowest(self) -> Sampled:
-        """Return the loop whose errors die out last, or one that grows fastest."""
+        """The loop with the slowest decay, or the fastest growth."""
         return min(self.every, key=lambda loop: loop.decay_rate)
 
 
@@ -113,15 +114,15 @@ def ultimate(
     path: Sequence[PoseSample],
     found_along: Local,
     loops: Sequence[Sampled],
-    late: Late,
+    late: DelayEffect,
     extra: Extra,
     *,
     condition: float,
 ) -> Ultimate | str:
-    """Return the bound along a path sampled in `path`; or why there is none.
+    """Bound along a path sampled in `path`, or the reason why there is none.
 
-    found_along: the robot at each of its samples. loops: of each axis, with the gain of their survey.
-    condition: of J, what the tube may not exceed.
+    found_along: the robot at each sample. loops: of each axis, with the gain of their survey.
+    condition: largest allowed condition number of J in the tube.
     """
     reference = Survey.of(found_along)
     samples = [path[k] for k in _worst(found_along.d)]
@@ -146,17 +147,17 @@ def ultimate(
         survey = Survey(*(np.maximum(a, b) for a, b in pairs))
         if survey.condition > condition:
             return (
-                f"the bound, {in_words(before.error, linearised.axes)}, reaches poses where the condition of "
-                f"J is {survey.condition:.3g}, allowed: {condition:g}"
+                f"the bound, {in_words(before.error, linearised.axes)}, contains poses where the condition "
+                f"number of J is {survey.condition:.3g}, allowed: {condition:g}"
             )
         found = _bound(survey, gains, late, extra)
         if not isinstance(found, str) and (found.error <= 1.02 * before.error).all():
             return found
-    return "the disturbance grows with the error as fast as the law answers it"
+    return "the disturbance grows with the error as fast as the law reduces the error"
 
 
 def _worst(d: Array) -> list[int]:
-    """Return the instants at which d (n, 6) of an axis is largest; where none differs, some all along."""
+    """Instants at which d (n, 6) of an axis is largest; for a constant d, some along the path."""
     chosen: set[int] = set()
     for of_axis in d.T:
         if not of_axis.max() - of_axis.min() > ROUNDING:
@@ -166,20 +167,20 @@ def _worst(d: Array) -> list[int]:
     return sorted(chosen)
 
 
-def _bound(s: Survey, gains: Array, late: Late, extra: Extra) -> Ultimate | str:
+def _bound(s: Survey, gains: Array, late: DelayEffect, extra: Extra) -> Ultimate | str:
     if s.gamma <= 0.0:
-        return "the believed inertia is so wrong that forces push the wrong way"
+        return "the inertia of the model is so wrong that forces act in the wrong direction"
     g_e, g_de, g_u = gains
     T = late.stale_s
     by_u, by_rate = s.spread + T * s.by_rate + extra.lost, T * s.by_error
-    d = beside = s.d + extra.d + extra.pushed + extra.drives
+    d = fixed = s.d + extra.d + extra.pushed + extra.drives
     factor = by_u * g_u + by_rate * g_de + T * s.by_rate
     size = float(np.abs(np.linalg.eigvals(factor)).max()) + extra.alpha * float(g_u.max())
     if size >= 1.0:
         return _too_much(size, lossy=bool(extra.lost.any()))
     for _ in range(1000):
         u, rate = late.effort + extra.effort + g_u * d, late.rate + extra.rate + g_de * d
-        more = beside + by_u @ u + by_rate @ rate + T * s.by_rate @ d + extra.alpha * u.max()
+        more = fixed + by_u @ u + by_rate @ rate + T * s.by_rate @ d + extra.alpha * u.max()
         grown, d = float(np.max(more - d)), more
         if grown <= 1e-9 * float(d.max()):
             break
@@ -194,18 +195,17 @@ def _bound(s: Survey, gains: Array, late: Late, extra: Extra) -> Ultimate | str:
 
 
 def in_words(error: Array, axes: AxisSpace) -> str:
-    """Return the largest of errors (6,) of the axes, m and rad."""
+    """Largest of errors (6,) of the axes, m and rad, as text."""
     if axes == "joint":
         return f"{1e3 * error.max():.3g} mm of leg length"
     return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
 
 
 def _too_much(size: float, *, lossy: bool) -> str:
-    losses = ", with what a transmission loses where a leg turns round" if lossy else ""
-    less = "a transmission that loses less, " if lossy else ""
+    losses = ", together with transmission losses at reversals" if lossy else ""
+    less = "a transmission with lower losses, " if lossy else ""
     shown = f"{ceil(1e3 * size) / 1e3:g}" if size >= 1.0 else "almost 1"
     return (
-        "no bound: forces computed with another inertia, or for a pose of some time ago, miss by more than "
-        f"the gains bear{losses}: small gain {shown}, allowed below 1; {less}a better model, lower gains or "
-        "less delay"
+        f"no bound: the force errors of a wrong inertia and of delay{losses} exceed what the gains tolerate: "
+        f"small gain {shown}, allowed below 1; needed: {less}a better model, lower gains or less delay"
     )

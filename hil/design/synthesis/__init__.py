@@ -1,4 +1,4 @@
-"""Controllers from weights: an axis, what is asked of it, and the controller that gives the most of it.
+"""Controller synthesis: an axis, weights for its loop, and the controller that meets them best.
 
-Offline; SciPy's LAPACK is used freely, no file is opened, and no loop imports it.
+Offline only: this package uses SciPy's LAPACK, opens no file, and is not imported by a loop.
 """

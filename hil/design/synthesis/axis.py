@@ -1,11 +1,11 @@
 """The axis of the linearised loop, and the four-block problem around it.
 
-The model and its feed-forward leave of each leg or pose axis a double integrator. What the law adds, u, acts
-on it late; what the model does not know, d, acts on it at once:
+Model and feed-forward turn each leg or pose axis into a double integrator. The law's correction u acts on it
+with delay, the disturbance d (model error) without:
 
     e'' = -(gain a + d),  a = exp(-T s) / (lag s + 1) u,  T = transport + half a period.
 
-The rational model of the synthesis is judged by the axis as the loop meets it: held, late, exact.
+The synthesis uses this rational model; its result is judged on the exact axis with hold and delay.
 """
 
 from collections.abc import Sequence
@@ -21,11 +21,11 @@ from hil.design.synthesis.weights import control_weight, error_weight, noise, ra
 from hil.mathematics.linear_system import LinearSystem, lag, static
 
 ROWS = {"error": 0, "rate_error": 1}
-"""Of an axis' position and rate, what each input of a controller measures."""
+"""Row of position and rate that each input of a controller measures."""
 
 
 def pade(delay_s: float, order: int) -> LinearSystem:
-    """Return the Pade approximation of exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
+    """Pade approximation of exp(-s T): all-pass, sum over k of c_k (-+ s T)^k."""
     if delay_s == 0.0:
         return static(np.eye(1))
     n = order
@@ -39,9 +39,9 @@ def pade(delay_s: float, order: int) -> LinearSystem:
 
 
 def drive(axis: DesignAxis) -> LinearSystem:
-    """Return the force loop of the drives: the lag, and what they do beyond it.
+    """Force loop of the drives: the lag, and the rational function `drive`, if any.
 
-    Raises SynthesisError: improper or unstable, or not of gain 1 at rest.
+    Raises SynthesisError for a function that is improper, unstable, or without gain 1 at rest.
     """
     first = lag(1e-3 * axis.lag_ms)
     if axis.drive is None:
@@ -49,25 +49,25 @@ def drive(axis: DesignAxis) -> LinearSystem:
     further = rational(axis.drive, "nominal.drive")
     if not further.is_stable():
         raise SynthesisError(
-            f"nominal.drive: unstable, a pole at {max(further.poles().real):.3g} rad/s, allowed: left of 0"
+            f"nominal.drive: unstable, a pole at {max(further.poles().real):.3g} rad/s, allowed: below 0"
         )
     at_rest = further.response(np.zeros(1))[0, 0, 0].real
     if abs(at_rest - 1.0) > 1e-3:
         raise SynthesisError(
-            f"nominal.drive: gain {at_rest:.4g} at rest, allowed: 1; the axis has a key gain"
+            f"nominal.drive: gain {at_rest:.4g} at rest, allowed: 1; set the gain by key gain of the axis"
         )
     return further.after(first)
 
 
 def actuator(axis: DesignAxis, rate_Hz: float, order: int) -> LinearSystem:
-    """Return what comes between u and the acceleration it makes: delay, half a period, lag; with the gain."""
+    """System from u to the acceleration of the axis: delay, half a period, lag; with the gain."""
     delay = pade(1e-3 * axis.transport_ms + 0.5 / rate_Hz, order)
     path = drive(axis).after(delay)
     return path._replace(C=axis.gain * path.C, D=axis.gain * path.D)
 
 
 def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
-    """Return the unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
+    """Unweighted problem from [d, noise, u] to [e, u, y]; `path` leads from u to the body."""
     A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [-1.0]])
     C = np.eye(2)[[0, *(ROWS[name] for name in inputs)]]
     body = LinearSystem(A, B, C, np.zeros((len(C), 1)))
@@ -76,7 +76,7 @@ def four_block(path: LinearSystem, inputs: Sequence[str]) -> LinearSystem:
 
 
 def around(axis: LinearSystem) -> LinearSystem:
-    """Return the problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
+    """Problem from [d, noise, u] to [e, u, y] around an axis from [d, u] to [e, y]."""
     noise = [1] * (len(axis.C) - 1)
     B, C = np.insert(axis.B, noise, 0.0, axis=1), np.insert(axis.C, 1, 0.0, axis=0)
     D = np.insert(np.insert(axis.D, 1, 0.0, axis=0), noise, 0.0, axis=1)
@@ -85,11 +85,11 @@ def around(axis: LinearSystem) -> LinearSystem:
 
 
 def weighted(design: Design, core: LinearSystem) -> LinearSystem:
-    """Return the problem from [d, noise, u] to [W_e e, W_u u, y] of one from [d, noise, u] to [e, u, y].
+    """Weighted problem from [d, noise, u] to [W_e e, W_u u, y]; `core` leads from [d, noise, u] to [e, u, y].
 
-    Around a sampled axis weights are mapped bilinearly: they matter far below the Nyquist frequency.
+    For a sampled axis weights are mapped bilinearly: they matter far below the Nyquist frequency.
 
-    Raises SynthesisError for a weight that cannot be used.
+    Raises SynthesisError for an invalid weight.
     """
     h = core.period_s
 
@@ -104,26 +104,26 @@ def weighted(design: Design, core: LinearSystem) -> LinearSystem:
 
 
 def loop_axis(design: Design, axis: DesignAxis) -> DesignAxis:
-    """Return the axis as the synthesis takes it: with `lump_lag` its lag as dead time, of the same phase."""
+    """Axis for the synthesis; `lump_lag` replaces its lag by a dead time of about the same phase."""
     if not design.lump_lag:
         return axis
     return axis.model_copy(update={"transport_ms": axis.transport_ms + axis.lag_ms, "lag_ms": 0.0})
 
 
 def generalised_plant(design: Design, axis: DesignAxis) -> LinearSystem:
-    """Return the weighted problem from [d, noise, u] to [W_e e, W_u u, y].
+    """Weighted problem from [d, noise, u] to [W_e e, W_u u, y].
 
-    Plain mixed sensitivity has no d: on 1/s^2 the two modes at 0 would be excited by nothing, and no gamma
-    would bound what they do. Here d excites them, and the axis stays as it is.
+    Plain mixed sensitivity has no d. On 1/s^2 no input would excite the two modes at 0, and no gamma would
+    bound their response. Here d excites them without a change of the axis.
 
-    Raises SynthesisError for an axis or a weight that cannot be used.
+    Raises SynthesisError for an invalid axis or weight.
     """
     path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
     return weighted(design, four_block(path, design.inputs))
 
 
 def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> LinearSystem:
-    """Return the axis from [d, u] to [e, measured inputs], d held for a period like u."""
+    """Axis from [d, u] to [e, measured inputs], d and u held for a period."""
     behind = exact_axis(1e-3 * axis.transport_ms, drive(axis), 1.0 / rate_Hz, axis.gain)
     legs = disturbed(behind)
     y = -legs.C[[0, *(ROWS[name] for name in inputs)]]
@@ -131,10 +131,10 @@ def sampled_axis(axis: DesignAxis, rate_Hz: float, inputs: Sequence[str]) -> Lin
 
 
 def loop_gain(K: LinearSystem, axis: LinearSystem) -> LinearSystem:
-    """Return L, opened at u, of a sampled controller and `sampled_axis`: the loop is closed by 1 + L."""
+    """Open loop L at u, of a sampled controller and `sampled_axis`; the closed loop has 1 + L."""
     return K.after(axis._replace(B=axis.B[:, 1:], C=-axis.C[1:], D=-axis.D[1:, 1:]))
 
 
 def sampled_problem(design: Design, axis: DesignAxis) -> LinearSystem:
-    """Return the weighted problem of `generalised_plant`, around the sampled axis."""
+    """Weighted problem of `generalised_plant` around the sampled axis."""
     return weighted(design, around(sampled_axis(axis, design.rate_Hz, design.inputs)))

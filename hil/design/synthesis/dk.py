@@ -1,9 +1,9 @@
-"""D-K iteration: a controller for the worst of a structured uncertainty.
+"""D-K iteration: a controller for the worst case of a structured uncertainty.
 
-mu of the closed loop cannot be minimised directly. The largest singular value of D M(K) D^-1 is above it, and
-convex in D for a given K, and an H-infinity problem in K for a given D. Each in turn, from the controller of
-the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996, section 11.4). The optimum that this ends in
-need not be the global one.
+mu of the closed loop cannot be minimised directly. The largest singular value of D M(K) D^-1 is an upper
+bound. It is convex in D for a given K, and an H-infinity problem in K for a given D. The iteration alternates
+both steps, from the controller of the nominal problem on (Doyle 1985; Zhou, Doyle and Glover 1996,
+section 11.4). It may end in a local optimum.
 """
 
 from collections.abc import Callable
@@ -21,11 +21,11 @@ from hil.mathematics.linear_system import LinearSystem, static
 
 ROUNDS = 10
 GAIN = 0.003
-"""Share by which mu has to fall for another round."""
+"""Smallest relative decrease of mu that allows another round."""
 
 
 class Bounds(NamedTuple):
-    """mu of a loop from above over frequency."""
+    """Upper bound on mu of a loop over frequency."""
 
     omega: Array
     """(N,) rad/s, refined around the peak."""
@@ -38,21 +38,21 @@ class Bounds(NamedTuple):
 
     @property
     def peak_rad_s(self) -> float:
-        """Where it is."""
+        """Frequency of the largest bound, rad/s."""
         return float(self.omega[self.upper.bound.argmax()])
 
 
 class Iterated(NamedTuple):
-    """The controller u = K y of the least mu found, and how it was come by."""
+    """The controller u = K y with the smallest mu found, and the progress of the iteration."""
 
     K: LinearSystem
     bounds: Bounds
     history: list[float]
-    """The peak of mu after each round."""
+    """Peak of mu after each round."""
 
 
 def bounds_over_frequency(M: LinearSystem, blocks: list[Block], omega: Array) -> Bounds:
-    """Return mu <= bound over `omega` and at 16 more frequencies around its peak."""
+    """Upper bounds on mu over `omega` and at 16 more frequencies around the peak."""
     first = upper_bound(M.response(omega), blocks)
     k = int(first.bound.argmax())
     low, high = omega[max(k - 1, 0)], omega[min(k + 1, len(omega) - 1)]
@@ -65,9 +65,9 @@ def bounds_over_frequency(M: LinearSystem, blocks: list[Block], omega: Array) ->
 
 
 def with_own(omega: Array, M: LinearSystem) -> Array:
-    """Return the frequencies with those of M's poles, where a bound can be sharp, and one as good as rest.
+    """Frequencies `omega`, those of M's poles, where a bound can be sharp, and a quasi-static one, sorted.
 
-    That is a hundredth of the slowest pole. Rises; M is stable.
+    The quasi-static frequency is a hundredth of the slowest pole. M is stable.
     """
     own = np.abs(M.poles())
     return np.unique(np.concatenate([omega, own, [0.01 * own.min()]]))
@@ -76,7 +76,7 @@ def with_own(omega: Array, M: LinearSystem) -> Array:
 def fitted_scales(
     M: LinearSystem, found: Bounds, blocks: list[Block], within: tuple[float, float]
 ) -> list[LinearSystem]:
-    """Return for each uncertain block a rational d(s) of order 1 near the scale that was found best."""
+    """Rational d(s) of order 1 for each uncertain block, fitted to the best scale found."""
     weight = _matters(M.response(found.omega), found, blocks)
     return [
         minimum_phase(found.omega, found.upper.D[:, i], within, weight[:, i]) for i in range(len(blocks) - 1)
@@ -84,9 +84,9 @@ def fitted_scales(
 
 
 def minimum_phase(omega: Array, magnitude: Array, within: tuple[float, float], weight: Array) -> LinearSystem:
-    """Return g (s + z) / (s + p) whose |d(j omega)| is nearest to `magnitude` in decibels, z and p > 0.
+    """First-order g (s + z) / (s + p), z and p > 0, with |d(j omega)| fitted to `magnitude` in decibels.
 
-    They stay `within` two frequencies, rad/s. `weight` (N,) of each frequency.
+    z and p stay `within` two frequencies, rad/s. `weight` (N,) of each frequency.
     """
     target = np.log(magnitude)
     low, high = np.log(within)
@@ -102,13 +102,13 @@ def minimum_phase(omega: Array, magnitude: Array, within: tuple[float, float], w
 
 
 def inverse(d: LinearSystem) -> LinearSystem:
-    """Return 1 / d(s) of a d(s) with feed-through."""
+    """Inverse 1 / d(s) of a d(s) with feed-through."""
     E: Array = np.asarray(np.linalg.inv(d.D), float)
     return LinearSystem(d.A - d.B @ E @ d.C, d.B @ E, -E @ d.C, E)
 
 
 def scaled(problem: Structured, scales: list[LinearSystem]) -> LinearSystem:
-    """Return the plant with d(s) on the outputs of each uncertain block and 1 / d(s) on its inputs."""
+    """Plant with d(s) on the outputs of each uncertain block and 1 / d(s) on its inputs."""
     left = right = static(np.zeros((0, 0)))
     for d in scales:
         left, right = left.beside(d), right.beside(inverse(d))
@@ -119,9 +119,9 @@ def scaled(problem: Structured, scales: list[LinearSystem]) -> LinearSystem:
 
 
 def nominal_controller(problem: Structured) -> LinearSystem:
-    """Return the H-infinity controller of the axis without its uncertainty: where the iteration begins.
+    """H-infinity controller of the axis without its uncertainty, the start of the iteration.
 
-    Raises SynthesisError as `hinf` does.
+    Raises the SynthesisError of `hinf`.
     """
     n = problem.uncertain
     P = problem.plant
@@ -135,16 +135,16 @@ def dk_iteration(
     within: tuple[float, float],
     progress: Callable[[str], None],
 ) -> Iterated:
-    """Return the controller of the least upper bound of mu that D-K iteration comes to.
+    """Find the controller with the smallest upper bound on mu by D-K iteration.
 
     Parameters
     ----------
-    K : controller to begin with, one that stabilises
+    K : initial controller, must stabilise the plant
     omega : (N,) grid of mu, rad/s
-    within : where zeros and poles of the scales may lie, rad/s
-    progress : takes a line a round
+    within : range of zeros and poles of the scales, rad/s
+    progress : callback for one line per round
 
-    Raises SynthesisError where mu stays at 1 or above, and as `hinf` does.
+    Raises SynthesisError if mu stays at 1 or above, and the errors of `hinf`.
     """
     M = problem.plant.closed_with(K)
     found = bounds_over_frequency(M, problem.blocks, omega)
@@ -167,18 +167,18 @@ def dk_iteration(
             break
     if best.bounds.peak >= 1.0:
         raise SynthesisError(
-            f"mu is not below {best.bounds.peak:.3f} after {len(best.history) - 1} rounds, the worst at "
-            f"{best.bounds.peak_rad_s:.0f} rad/s, allowed: below 1; ask for less (weights.error, "
+            f"mu is not below {best.bounds.peak:.3f} after {len(best.history) - 1} rounds, with its peak at "
+            f"{best.bounds.peak_rad_s:.0f} rad/s, allowed: below 1; relax the weights (weights.error, "
             "weights.control) or narrow the uncertainty"
         )
     return best
 
 
 def _matters(M: ComplexArray, found: Bounds, blocks: list[Block]) -> Array:
-    """Return by how much the bound rises, as a share of its peak, where a scale is wrong by a factor of 1.5.
+    """Relative rise of the bound over its peak for a scale that is wrong by a factor of 1.5.
 
-    (N, blocks - 1); the square root, since what is fitted is squared. Where a scale hardly matters, at low
-    frequency above all, its fit need not be good.
+    (N, blocks - 1); the square root, because the fit squares it. Where a scale has little effect, mainly at
+    low frequency, its fit may be poor.
     """
     outputs = [k for k, block in enumerate(blocks) for _ in range(block.columns)]
     inputs = [k for k, block in enumerate(blocks) for _ in range(block.rows)]

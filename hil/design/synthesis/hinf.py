@@ -16,27 +16,27 @@ from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem
 
 RANK = 1e-9
-"""Singular value, relative to the largest, below which a direction is none."""
+"""Smallest singular value, relative to the largest, that counts as nonzero."""
 REACH = 1e-14
-"""The same for a mode that is not reached, relative to A: what rounding leaves of 0."""
+"""Singular value, relative to A, below which a mode counts as uncontrollable: rounding of 0."""
 AXIS = 1e-9
-"""Real part of an eigenvalue, relative to the matrix, below which it lies on the imaginary axis."""
+"""Real part of an eigenvalue, relative to the matrix, below which it counts as on the imaginary axis."""
 TOLERANCE = 1e-6
-"""Relative, of gamma_opt."""
+"""Relative accuracy of gamma_opt."""
 
 
 class Synthesis(NamedTuple):
-    """A controller u = K y and what it reaches."""
+    """A controller u = K y with its norm."""
 
     K: LinearSystem
     gamma: float
-    """The norm from w to z is below it."""
+    """Upper bound on the norm from w to z."""
     gamma_opt: float
-    """What no controller gets below."""
+    """Infimum of the norm over all controllers."""
 
 
 class _Normal(NamedTuple):
-    """A plant with D12 = [0; I], D21 = [0 I], D22 = 0, and the way back to the one given."""
+    """A plant with D12 = [0; I], D21 = [0 I], D22 = 0, and the maps back to the original u and y."""
 
     A: Array
     B1: Array
@@ -51,13 +51,13 @@ class _Normal(NamedTuple):
 
 
 def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
-    """Return the central controller at gamma = `ratio` times the optimum.
+    """Central controller at gamma = `ratio` times the optimum.
 
     `P` is continuous, from [w; u] to [z; y]; the last `n_u` inputs are u, the last `n_y` outputs y. At the
-    optimum itself poles of the controller run away to infinity: `ratio` keeps clear of it.
+    optimum itself poles of the controller go to infinity; a `ratio` above 1 avoids this.
 
-    Raises SynthesisError: P is sampled, cannot be stabilised, or the problem is ill posed; the message says
-    which assumption fails.
+    Raises SynthesisError if P is sampled or cannot be stabilised, or if the problem is ill posed; the message
+    states the assumption that fails.
     """
     plant = _normal(P, n_y, n_u)
     gamma_opt = _optimum(plant)
@@ -65,40 +65,40 @@ def hinf(P: LinearSystem, n_y: int, n_u: int, ratio: float = 1.1) -> Synthesis:
     found = _central(plant, gamma)
     if found is None:
         raise SynthesisError(
-            f"no controller at {gamma:g}, {ratio:g} times the optimum: numbers too far apart"
+            f"no controller found at gamma {gamma:g}, {ratio:g} times the optimum: the plant is badly scaled"
         )
     return Synthesis(found, gamma, gamma_opt)
 
 
 def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
-    """Scale, and refuse what the theory does not cover."""
+    """Balance and normalise the plant; reject a plant that violates the assumptions."""
     if P.period_s is not None:
         raise SynthesisError("the plant is sampled, allowed: a continuous one")
     if not all(np.isfinite(matrix).all() for matrix in P[:4]):
-        raise SynthesisError("the plant holds numbers that are not finite")
+        raise SynthesisError("the plant contains numbers that are not finite")
     n_z, n_w = P.C.shape[0] - n_y, P.B.shape[1] - n_u
     A, T = matrix_balance(P.A)
     B, C = np.linalg.solve(T, P.B), P.C @ T
     B1, B2, C1, C2 = B[:, :n_w], B[:, n_w:], C[:n_z], C[n_z:]
     D11, D12, D21 = P.D[:n_z, :n_w], P.D[:n_z, n_w:], P.D[n_z:, :n_w]
     if P.D[n_z:, n_w:].any():
-        raise SynthesisError("u acts on y at once, allowed: through the axis")
-    _require(A, B2, lambda real: real > -AXIS, "does not decay and cannot be moved by u")
-    unseen = "does not decay and is not seen in y; is it a weight that integrates?"
+        raise SynthesisError("u acts on y directly (D22 is not zero), allowed: only through the axis")
+    _require(A, B2, lambda real: real > -AXIS, "does not decay and is not controllable by u")
+    unseen = "does not decay and is not observable in y; check for a weight that integrates"
     _require(A.T, C2.T, lambda real: real > -AXIS, unseen)
     U, s, Vt = np.linalg.svd(D12)
     if n_z < n_u or s[-1] <= RANK * s[0]:
         raise SynthesisError(
-            "D12 has no full column rank: some u costs nothing at high frequency, so it would be used "
-            "without bound; weight every u, with a weight that does not roll off"
+            "D12 has no full column rank: some u has no weight at high frequency and could become unbounded; "
+            "weight every u, with a weight that does not roll off"
         )
     U = np.hstack([U[:, n_u:], U[:, :n_u]])  # z = U z', D12 = U [0; I] diag(s) Vt
     of_u = Vt.T / s
     V, t, Wt = np.linalg.svd(D21)
     if n_w < n_y or t[-1] <= RANK * t[0]:
         raise SynthesisError(
-            "D21 has no full row rank: some y is without noise at high frequency, so it would be trusted "
-            "without bound; give every y its noise, with a weight that does not roll off"
+            "D21 has no full row rank: some y has no noise at high frequency, so its gain could become "
+            "unbounded; add noise to every y, with a weight that does not roll off"
         )
     Wt = np.vstack([Wt[n_y:], Wt[:n_y]])  # w' = Wt w, D21 = V diag(t) [0 I] Wt
     to_y = (V / t).T
@@ -108,7 +108,7 @@ def _normal(P: LinearSystem, n_y: int, n_u: int) -> _Normal:
 
 
 def _well_posed(plant: _Normal, p: int, m: int) -> None:
-    """Refuse a zero on the imaginary axis from u to z or from w to y: there gamma says nothing."""
+    """Reject a zero on the imaginary axis from u to z or from w to y, where gamma bounds nothing."""
     A, B1, B2, C1, C2, *_ = plant
 
     def axis(real: float) -> bool:
@@ -118,14 +118,14 @@ def _well_posed(plant: _Normal, p: int, m: int) -> None:
         "An axis 1/s^2 needs a disturbance at its input and noise in its measurement; "
         "a plain mixed sensitivity has no such disturbance"
     )
-    _require((A - B2 @ C1[p:]).T, C1[:p].T, axis, f"is ill posed: no z sees it without u. {remedy}")
+    _require((A - B2 @ C1[p:]).T, C1[:p].T, axis, f"is ill posed: not observable in z without u. {remedy}")
     _require(
-        A - B1[:, m:] @ C2, B1[:, :m], axis, f"is ill posed: no w excites it without noise in y. {remedy}"
+        A - B1[:, m:] @ C2, B1[:, :m], axis, f"is ill posed: not excited by w without noise in y. {remedy}"
     )
 
 
 def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> None:
-    """Refuse a mode of A that B does not reach (Hautus); `poles` tests real part over fastest pole."""
+    """Reject a mode of A that B does not control (Hautus); `poles` tests real part over fastest pole."""
     scale = max(float(np.linalg.norm(A)), 1e-300)
     size = np.linalg.norm(B, axis=0)
     B = scale * B / np.where(size > 0.0, size, 1.0)
@@ -139,7 +139,7 @@ def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> N
 
 
 def _optimum(plant: _Normal) -> float:
-    """Bisect gamma; both equations have solutions once it is large enough."""
+    """Smallest feasible gamma, by bisection; both equations have solutions for a large gamma."""
     m2, p2 = len(plant.of_u), len(plant.to_y)
     top, left = plant.D11[: len(plant.D11) - m2], plant.D11[:, : plant.D11.shape[1] - p2]
     low = max([0.0, *(float(np.linalg.norm(M, 2)) for M in (top, left) if M.size)])
@@ -147,7 +147,7 @@ def _optimum(plant: _Normal) -> float:
     while _riccati(plant, high) is None:
         low, high = high, 4.0 * high
         if high > 1e15:
-            raise SynthesisError("no gamma below 1e15 will do: numbers of the plant are too far apart")
+            raise SynthesisError("no gamma below 1e15 is feasible: the plant is badly scaled")
     while low == 0.0 and _riccati(plant, high / 4.0) and high > 1e-15:
         high /= 4.0
     while high - low > TOLERANCE * high:
@@ -157,7 +157,7 @@ def _optimum(plant: _Normal) -> float:
 
 
 def _riccati(plant: _Normal, gamma: float) -> tuple[Array, Array, Array, Array] | None:
-    """Return X, Y, F, L of both equations; None where one has no solution >= 0, or they do not fit."""
+    """Solutions X, Y, F, L of both equations; None if one has no solution >= 0, or rho(X Y) >= gamma^2."""
     A, B1, B2, C1, C2, D11, of_u, to_y = plant
     m2, p2 = len(of_u), len(to_y)
     p1, m1 = D11.shape
@@ -179,9 +179,9 @@ def _riccati(plant: _Normal, gamma: float) -> tuple[Array, Array, Array, Array] 
 
 
 def _stabilising(A: Array, B: Array, C: Array, D: Array, m: int, gamma: float) -> tuple[Array, Array] | None:
-    """Return X >= 0 of A'X + XA + C'C - (XB + C'D) R^-1 (B'X + D'C) = 0 and F = -R^-1 (D'C + B'X).
+    """X >= 0 of A'X + XA + C'C - (XB + C'D) R^-1 (B'X + D'C) = 0 and F = -R^-1 (D'C + B'X).
 
-    R = D'D less gamma^2 on its first `m` entries.
+    R = D'D minus gamma^2 on its first `m` diagonal entries.
     """
     R = D.T @ D
     R[:m, :m] -= gamma**2 * np.eye(m)

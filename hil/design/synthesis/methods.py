@@ -1,6 +1,6 @@
-"""H-infinity and mu for a design: from what is asked of a loop to a controller, or why none gives it.
+"""H-infinity and mu synthesis for a design: a controller, or the reason why there is none.
 
-A design and an axis in, controller and figures out; no file.
+Input: a design and an axis; output: controller and figures; no files.
 """
 
 import warnings
@@ -35,37 +35,33 @@ from hil.mathematics.linear_system import LinearSystem
 RATIOS = tuple(1.0 + 0.01 * k for k in range(1, 11))
 """gamma / gamma_opt, tried in this order."""
 CLOSE = 1.01
-"""The norm may exceed gamma by this factor: what sampling, hold and the rational delay may cost."""
+"""Factor by which the norm may exceed gamma because of sampling, hold and the rational delay."""
 
 
 RAISED = (
-    ". The control weight was raised to cover what the measured axes differ by: measure with more force, to "
-    "higher frequencies"
+    ". The control weight was raised to cover the uncertainty of the measured axes: measure with more force "
+    "and up to higher frequencies"
 )
 
 
 @contextmanager
 def computable() -> Iterator[None]:
-    """Refuse numbers at which the algebra inside gives up, or warns: SciPy does near a singular matrix.
-
-    Raises SynthesisError.
-    """
+    """Turn numerical failures and warnings, such as SciPy's near a singular matrix, into SynthesisError."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
             yield
     except (np.linalg.LinAlgError, Warning) as error:
         raise SynthesisError(
-            f"the numbers of the design are too far apart to compute with ({error}), allowed: weights of one "
-            "loop; look for a wrong unit"
+            f"the design is numerically ill-conditioned ({error}); look for a wrong unit in its weights"
         ) from None
 
 
 class Designed(NamedTuple):
-    """A controller that may be used, and all that is known of it."""
+    """A usable controller, and its figures."""
 
     K: LinearSystem
-    """Continuous."""
+    """Continuous controller."""
     judged: Judgement
     figures: dict[str, Any]
 
@@ -74,14 +70,14 @@ class Designed(NamedTuple):
 def design_hinf(
     design: Design, axis: DesignAxis, progress: Callable[[str], None], measured: Relative | None = None
 ) -> Designed:
-    """Return the controller of the smallest gamma, within 1.1 of the optimum, that a loop can run.
+    """Design the controller of the smallest gamma, within 1.1 of the optimum, that a loop can run.
 
-    measured: what it has to stand beside; the control weight covers it.
+    measured: uncertainty of the measured axes, which the control weight then covers.
 
-    Raises SynthesisError: the weights cannot be met, or no gamma of these gives a usable controller; the
-    message says which and what would help.
+    Raises SynthesisError if the weights cannot be met, or no gamma gives a usable controller; the message
+    states the cause and a remedy.
     """
-    asked = design.weights.control
+    stated = design.weights.control
     if measured is not None:
         design = covered(design, measured, axis.gain)
     P, sampled = generalised_plant(design, axis), sampled_problem(design, axis)
@@ -91,7 +87,7 @@ def design_hinf(
         progress(f"gamma at {ratio:.2f} of the optimum")
         found = hinf(P, n_y, 1, ratio)
         if found.gamma > 1.0:
-            raised = "" if design.weights.control is asked else RAISED
+            raised = "" if design.weights.control is stated else RAISED
             _refuse_weights(P.closed_with(found.K), found, reasons, design.inputs, raised)
         judged = judge(design, axis, found.K)
         reasons = judged.reasons
@@ -100,7 +96,7 @@ def design_hinf(
         continuous = norm(P.closed_with(found.K))
         discrete = norm(sampled.closed_with(judged.sampled))
         if max(continuous, discrete) <= CLOSE * found.gamma:
-            # at rest a double integrator in a stable loop follows its measurement, whatever the controller
+            # at rest a double integrator in a stable loop follows its measurement, with every controller
             at_rest = abs(error_weight(design.weights.error).response(np.zeros(1))[0, 0, 0])
             figures = {
                 "gamma": found.gamma,
@@ -114,7 +110,7 @@ def design_hinf(
             return Designed(found.K, judged, figures)
         reason = (
             f"the norm is {continuous:.4g}, of the sampled loop {discrete:.4g}, allowed: {CLOSE:g} gamma, "
-            f"{CLOSE * found.gamma:.4g}; delay and hold cost too much, raise delay_order, or ask for less"
+            f"{CLOSE * found.gamma:.4g}; raise delay_order, or relax the weights"
         )
         reasons = (reason,)
     raise SynthesisError(f"no controller within 1.1 of the optimum can be used: {'; '.join(reasons)}")
@@ -123,10 +119,10 @@ def design_hinf(
 def _refuse_weights(
     closed: LinearSystem, found: Synthesis, reasons: tuple[str, ...], inputs: Sequence[str], raised: str
 ) -> None:
-    """Say that the weights ask too much, and which of them; raised: what was made of them before."""
+    """Reject weights that cannot be met, and list the largest; raised: remark on the control weight."""
     if reasons:
         raise SynthesisError(
-            f"gamma below 1 is reached, {found.gamma_opt:.3g} at best, but by no controller that can run: "
+            f"gamma is {found.gamma_opt:.3g} at best, below 1 as required, but no such controller can run: "
             + "; ".join(reasons)
         )
     best = found.gamma_opt if found.gamma_opt >= 1.0 else found.gamma  # the first tried, a hundredth above
@@ -138,44 +134,45 @@ def _refuse_weights(
         for i, effect in enumerate(("error", "control"))
         for j, cause in enumerate(causes)
     }
-    named = ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5) or "all of them"
+    largest = ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5) or "all small"
     raise SynthesisError(
-        f"no controller does what the weights ask: gamma is {best:.3g} at best, allowed: below 1. "
-        f"Of 1 take: {named}. Allow more error or more control, or state less disturbance, noise or delay"
+        f"no controller meets the weights: gamma is {best:.3g} at best, allowed: below 1. Largest norms: "
+        f"{largest}. Allow more error or more control, or state less disturbance, noise or delay"
         f"{raised}"
     )
 
 
 POINTS = 80
-"""Of the grid of mu, before it is refined around the peak ..."""
+"""Number of frequencies in the grid of mu, before it is refined around the peak."""
 SPAN = 1e-4, 5.0
-"""... from and to these shares of the Nyquist frequency."""
+"""Range of this grid, as shares of the Nyquist frequency."""
 NOTHING = 1e-4
-"""Hankel singular value, as a share of the largest, below which a state of a controller is left out: of poles
-and zeros of the scales that all but cancel, and that an anti-windup would move by force."""
+"""Hankel singular value, as a share of the largest, below which a controller state is omitted. Such states
+come from nearly cancelling poles and zeros of the scales, and an anti-windup would need large gains for them.
+"""
 LISTED = 40
-"""Frequencies that the file lists."""
+"""Number of frequencies in the file."""
 
 
 @computable()
 def design_mu(
     design: Design, axis: DesignAxis, progress: Callable[[str], None], measured: Relative | None = None
 ) -> Designed:
-    """Return the controller of the least mu that D-K iteration comes to.
+    """Design the controller of the smallest mu that D-K iteration finds.
 
-    measured: what it has to stand beside, as a block of its own.
+    measured: uncertainty of the measured axes, as a separate block.
 
-    Raises SynthesisError: no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
-    the message says which and what would help.
+    Raises SynthesisError if no uncertainty is stated, mu does not fall below 1, or the controller cannot run;
+    the message states the cause and a remedy.
     """
     if design.uncertainty is None:
         raise SynthesisError(
             "the design has no section uncertainty, allowed: inertia, transport_ms, drive_bandwidth_Hz; or "
-            "take `hil design hinf`"
+            "use `hil design hinf`"
         )
     if design.lump_lag:
         raise SynthesisError(
-            "lump_lag: true, allowed: false, since the lag is uncertain by itself; or take `hil design hinf`"
+            "lump_lag: true, allowed: false, because the lag has its own range; or use `hil design hinf`"
         )
     problem = structured_plant(design, axis, design.uncertainty, measured)
     start = nominal_controller(problem)
@@ -187,7 +184,7 @@ def design_mu(
     judged = judge(design, axis, K)
     if judged.reasons:
         raise SynthesisError(
-            f"mu below 1 is reached, {found.bounds.peak:.4g}, but by no controller that can run: "
+            f"mu is {found.bounds.peak:.4g}, below 1 as required, but the controller cannot run: "
             + "; ".join(judged.reasons)
         )
     M = problem.plant.closed_with(K)
@@ -197,9 +194,9 @@ def design_mu(
     corners = sampled_corners(design, axis, design.uncertainty, judged.sampled)
     if max(proven, corners) >= 1.0:
         raise SynthesisError(
-            f"mu is {bounds.peak:.4g}, the worst at {bounds.peak_rad_s:.3g} rad/s, proven up to {proven:.4g} "
-            f"where nothing was looked at, the norm of the sampled loop {corners:.4g} at the corners of the "
-            "uncertainty, allowed: all below 1; ask for less, or raise delay_order"
+            f"mu is {bounds.peak:.4g}, with its peak at {bounds.peak_rad_s:.3g} rad/s, proven up "
+            f"to {proven:.4g} at all frequencies, and the norm of the sampled loop is {corners:.4g} at the "
+            "corners of the uncertainty, allowed: all below 1; relax the weights, or raise delay_order"
         )
     omega, upper, n = bounds.omega, bounds.upper.bound, problem.uncertain
     response = M.response(omega)
@@ -220,17 +217,14 @@ def design_mu(
 
 
 def sampled_corners(design: Design, axis: DesignAxis, ranges: UncertaintyRanges, K: LinearSystem) -> float:
-    """Return the largest norm of the exact sampled loop over the eight corners of the uncertainty.
-
-    inf where one is unstable.
-    """
+    """Largest norm of the sampled loop over the eight corners of the uncertainty; inf if one is unstable."""
     worst = 0.0
     for share, transport_ms, lag_ms in product(
         (1.0 - ranges.inertia, 1.0 + ranges.inertia), ranges.transport_ms, ranges.lag_ms
     ):
         update = {"gain": axis.gain / share, "transport_ms": transport_ms, "lag_ms": lag_ms}
         problem = sampled_problem(design, axis.model_copy(update=update))
-        # the first input is d, which a lighter body answers by more, too
+        # the first input is d, which accelerates a lighter body more, too
         B, D = problem.B.copy(), problem.D.copy()
         B[:, 0], D[:, 0] = B[:, 0] / share, D[:, 0] / share
         loop = problem._replace(B=B, D=D).closed_with(K)

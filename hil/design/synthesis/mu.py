@@ -1,4 +1,4 @@
-"""The structured singular value of a complex matrix, from above, frequency by frequency.
+"""Upper bound on the structured singular value of a complex matrix, frequency by frequency.
 
     mu(M) = 1 / min { largest singular value of Delta : det(I - M Delta) = 0 },  Delta = diag(Delta_1 ...)
 
@@ -14,15 +14,15 @@ from drivers.arrays import Array, ComplexArray
 from drivers.errors import ModelError
 
 ZERO = 1e-6
-"""Share of the first bound below which mu is as good as 0."""
+"""Share of the first bound below which mu counts as 0."""
 PATIENCE = 5
-"""Rounds of centring without a lower bound after which it is taken as found."""
+"""Rounds of centring without a lower bound after which the iteration ends."""
 
 
 class Block(NamedTuple):
     """One block of Delta: a full complex matrix (rows, columns).
 
-    It feeds `rows` inputs of M from `columns` outputs of M.
+    It maps `columns` outputs of M to `rows` inputs of M.
     """
 
     rows: int = 1
@@ -41,18 +41,18 @@ class UpperBound(NamedTuple):
 def upper_bound(
     M: ComplexArray, blocks: list[Block], *, accuracy: float = 1e-4, iterations: int = 100
 ) -> UpperBound:
-    """Return the least bound on mu that scales of the blocks can prove, a convex problem.
+    """Smallest bound on mu that scales of the blocks can prove, a convex problem.
 
-    beta >= mu if there are D > 0 that commute with Delta with M^H D^2 M <= beta^2 D^2: the largest singular
-    value of D M D^-1, and equal to mu for up to three blocks. Found by the method of centres: Newton's
-    method on the barrier -log det(beta^2 D^2 - M^H D^2 M), beta lowered to the bound proven whenever
-    centred. Whatever the number of iterations, what is returned is a bound.
+    beta >= mu if there are D > 0 that commute with Delta with M^H D^2 M <= beta^2 D^2. The least beta is the
+    largest singular value of D M D^-1, and equals mu for up to three blocks. It is found by the method of
+    centres: Newton's method on the barrier -log det(beta^2 D^2 - M^H D^2 M), beta lowered to the proven bound
+    after each centring. The result is a bound after any number of iterations.
 
     Parameters
     ----------
     M : (N, outputs, inputs)
     blocks : in the order of the rows and columns of M
-    accuracy : relative step of the bound below which it is taken as found
+    accuracy : relative step of the bound that ends the iteration
     """
     outputs, inputs = _slices(M, blocks)
     balance = _balanced(M, outputs, inputs)
@@ -87,7 +87,6 @@ def upper_bound(
 
 
 def _slices(M: ComplexArray, blocks: list[Block]) -> tuple[list[slice], list[slice]]:
-    """Return each block's rows and columns of M."""
     outputs, inputs = [], []
     row = column = 0
     for block in blocks:
@@ -103,7 +102,7 @@ def _dagger(M: ComplexArray) -> ComplexArray:
 
 
 def _balanced(M: ComplexArray, outputs: list[slice], inputs: list[slice]) -> Array:
-    """Return the scales (N, blocks) of least Frobenius norm of D M D^-1 (Osborne 1960), off the diagonal."""
+    """Scales (N, blocks) that minimise the Frobenius norm of D M D^-1 off the diagonal (Osborne 1960)."""
     power = np.array([[(np.abs(M[:, o, i]) ** 2).sum((1, 2)) for i in inputs] for o in outputs])
     tiny = 1e-28 * power.max((0, 1)) + 1e-300  # a block that nothing reaches keeps a scale
     power = np.where(np.eye(len(outputs))[:, :, None] > 0, 0.0, power + tiny)
@@ -115,17 +114,16 @@ def _balanced(M: ComplexArray, outputs: list[slice], inputs: list[slice]) -> Arr
 
 
 def _scaled(M: ComplexArray, D: Array, outputs: list[slice], inputs: list[slice]) -> ComplexArray:
-    """Return D M D^-1 (N, outputs, inputs)."""
     return np.asarray(_each(D, outputs)[:, :, None] * M / _each(D, inputs)[:, None, :], complex)
 
 
 def _each(x: Array, parts: list[slice]) -> Array:
-    """Return the figure of each block (N, blocks) for each of its rows or columns."""
+    """Values of the blocks (N, blocks), repeated for each of their rows or columns."""
     return np.repeat(x, [part.stop - part.start for part in parts], axis=1)
 
 
 def _proven(x: Array, gains: ComplexArray, inputs: list[slice]) -> Array:
-    """Return the least beta (N,) for which the scales x satisfy the inequality."""
+    """Smallest beta (N,) for which the scales x satisfy the inequality."""
     d2 = np.hstack([x, np.ones((len(x), 1))])
     left = np.einsum("Nk,Nkij->Nij", d2, gains)
     d = np.sqrt(_each(d2, inputs))
@@ -135,7 +133,7 @@ def _proven(x: Array, gains: ComplexArray, inputs: list[slice]) -> Array:
 
 
 def _newton_step(X: ComplexArray, basis: ComplexArray, x: Array) -> Array:
-    """Return the Newton step of -log det X(x) - sum log x, of the best length."""
+    """Newton step of -log det X(x) - sum log x, with a line search."""
     values, vectors = np.linalg.eigh(X)
     S = vectors / np.sqrt(np.maximum(values, 1e-14 * values[:, -1:]))[:, None, :]
     Y = _dagger(S)[:, None] @ basis @ S[:, None]  # X^-1/2 dX X^-1/2

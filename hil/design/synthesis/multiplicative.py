@@ -1,10 +1,10 @@
-"""Axes that were measured: by how much they differ from the nominal one, and what a loop makes of that.
+"""Uncertainty of measured axes: relative error from the nominal axis, and robustness of a loop to it.
 
-|P / P0 - 1| <= w(omega) of each axis. One axis is stable whatever P is if and only if |w T| < 1 everywhere, T
-of the nominal loop (J. C. Doyle, B. A. Francis, A. R. Tannenbaum, *Feedback Control Theory*, 1992, 4.2). Six
-that a wrong inertia Gamma couples are if the spectral radius of |w T_6| is below 1, element by element,
-T_6 = L Gamma (I + L Gamma)^-1 (S. Skogestad and I. Postlethwaite, *Multivariable Feedback Control*, 2nd
-edition, 2005, 8.7 and A.3).
+|P / P0 - 1| <= w(omega) for each axis. One axis is stable for every such P if and only if |w T| < 1
+everywhere, T of the nominal loop (J. C. Doyle, B. A. Francis, A. R. Tannenbaum, *Feedback Control Theory*,
+1992, 4.2). Six axes that an inertia error Gamma couples are stable if the spectral radius of |w T_6| is below
+1, element by element, T_6 = L Gamma (I + L Gamma)^-1 (S. Skogestad and I. Postlethwaite, *Multivariable
+Feedback Control*, 2nd edition, 2005, 8.7 and A.3).
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,39 +22,39 @@ from hil.mathematics.linear_system import LinearSystem
 
 Key = TypeVar("Key")
 SPARE = 1.01
-"""A cover is wider by this factor than what it has to cover."""
+"""Factor by which a cover exceeds the values below it."""
 CORNER = 0.4
-"""Times the Nyquist frequency: highest pole of a cover. A controller takes it over."""
+"""Highest pole of a cover, as a share of the Nyquist frequency. A controller inherits this pole."""
 BEYOND = 0.5
-"""Times the Nyquist frequency: up to there the bound goes on in proportion, beyond it stays."""
+"""Share of the Nyquist frequency up to which the bound is extrapolated in proportion; constant above."""
 
 
 class Relative(NamedTuple):
-    """w(omega), at rising frequencies. Below the first as there, beyond the last rising in proportion."""
+    """w(omega), at rising frequencies. Below the first: constant; above the last: in proportion to omega."""
 
     omega: Array
     """(n,) rad/s."""
     bound: Array
     """(n,)"""
     flat_rad_s: float
-    """From here on it rises no more."""
+    """Frequency above which the bound is constant."""
 
     def at(self, omega: Array) -> Array:
-        """Return w at other frequencies, rad/s."""
+        """Interpolated w at other frequencies, rad/s."""
         beyond = np.clip(omega, self.omega[-1], max(self.flat_rad_s, self.omega[-1])) / self.omega[-1]
         return np.asarray(np.interp(np.log(omega), np.log(self.omega), self.bound) * beyond, float)
 
 
 class Margin(NamedTuple):
-    """How near a loop comes to what it stands."""
+    """Robustness of a loop to the uncertainty."""
 
     norm: float
-    """Largest |w T|, or spectral radius of |w T_6|; the loop stands the uncertainty below 1."""
+    """Largest |w T|, or spectral radius of |w T_6|; below 1 the loop is robustly stable."""
     at_rad_s: float
 
 
 def relative(model: AxisModel, gain: float) -> Relative:
-    """Return what all six measured axes differ by, at most, from one of this gain.
+    """Largest relative error of all six measured axes from an axis of this gain.
 
     |g_i / g (1 + w_i) - 1| <= |g_i / g - 1| + g_i / g |w_i|.
     """
@@ -65,16 +65,16 @@ def relative(model: AxisModel, gain: float) -> Relative:
 
 
 def frequencies(rate_Hz: float) -> Array:
-    """Return the frequencies, rad/s, at which loops are looked at: to the Nyquist frequency."""
+    """Frequencies up to the Nyquist frequency, rad/s, for the analysis of loops."""
     return np.asarray(np.geomspace(1e-4, 1.0, 1200) * pi * rate_Hz)
 
 
 def tightest(
     omega: Array, values: Array, corner: float, shapes: Iterable[tuple[Key, Array]], least: float = 0.0
 ) -> tuple[float, Key]:
-    """Return k and which of the shapes (n,) is the tightest above all values, with some to spare.
+    """Factor k and key of the shape (n,) that covers all values most tightly, with margin SPARE.
 
-    Tightest is the least mean of log(k shape / value) up to the corner; a later one by more than `least`.
+    Tightest: smallest mean of log(k shape / value) up to the corner. A later shape must be better by `least`.
     """
     below = omega <= corner
     best: tuple[float, float, Key] | None = None
@@ -88,7 +88,7 @@ def tightest(
 
 
 def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
-    """Return the tightest k ((s / z + 1) / (s / p + 1))^n above all values; n up to 2, z, p to `corner`."""
+    """Tightest k ((s / z + 1) / (s / p + 1))^n above all values; n up to 2, z, p to `corner`."""
     s = 1j * omega
     corners = np.geomspace(max(omega[0], 1e-3 * corner), corner, 60)
     shapes = (
@@ -101,23 +101,23 @@ def cover(omega: Array, values: Array, corner: float) -> TransferFunction:
 
 
 def covered(design: Design, measured: Relative, gain: float) -> Design:
-    """Return the design with a control weight that covers the uncertainty, too: |W_u W_d| >= gain w.
+    """Design whose control weight also covers the uncertainty: |W_u W_d| >= gain w.
 
-    W_u T W_d / gain is a path of the problem, over what lag and drive leave of it, which is no more than 1:
-    where gamma is below 1, so is |w T|.
+    W_u T W_d / gain is a path of the problem, divided by the response of lag and drive, which is at most 1.
+    So gamma < 1 implies |w T| < 1.
     """
     omega = frequencies(design.rate_Hz)
     amplitude = design.weights.disturbance.amplitude_m_s2
-    asked = np.abs(control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0])
+    stated = np.abs(control_weight(design.weights.control, design.rate_Hz).response(omega)[:, 0, 0])
     least = gain * measured.at(omega) / amplitude
-    if (asked >= least).all():
+    if (stated >= least).all():
         return design
-    weight = cover(omega, np.maximum(asked, least), CORNER * pi * design.rate_Hz)
+    weight = cover(omega, np.maximum(stated, least), CORNER * pi * design.rate_Hz)
     return design.model_copy(update={"weights": design.weights.model_copy(update={"control": weight})})
 
 
 def cover_system(measured: Relative, rate_Hz: float) -> LinearSystem:
-    """Return a stable system whose gain is w or more, as a weight of a structured problem."""
+    """Stable system with a gain of at least w, as a weight of a structured problem."""
     omega = frequencies(rate_Hz)
     return rational(cover(omega, measured.at(omega), CORNER * pi * rate_Hz), "cover of the measured axes")
 
@@ -125,7 +125,7 @@ def cover_system(measured: Relative, rate_Hz: float) -> LinearSystem:
 def margin(
     measured: Relative, L: LinearSystem, rate_Hz: float, Gammas: Sequence[Array] = (np.eye(1),)
 ) -> Margin:
-    """Return the largest |w T| of a sampled loop L, opened at u, and where it is.
+    """Largest |w T| of a sampled loop L, opened at u, and its frequency.
 
     Gammas (6, 6): couplings; then the spectral radius of |w T_6|, L times each of them.
     """

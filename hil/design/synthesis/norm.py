@@ -1,4 +1,4 @@
-"""The H-infinity norm, independently of any synthesis."""
+"""The H-infinity norm, computed independently of the synthesis."""
 
 import numpy as np
 
@@ -7,20 +7,20 @@ from drivers.errors import SynthesisError
 from hil.mathematics.linear_system import LinearSystem
 
 TOLERANCE = 1e-6
-"""Relative, of the norm: it lies between the value returned and the same times 1 + 2e-6."""
+"""Relative accuracy: the norm lies between the returned value and this value times 1 + 2e-6."""
 AXIS = 1e-8
-"""Real part, relative to the modulus, below which an eigenvalue is taken to lie on the imaginary axis."""
+"""Real part, relative to the modulus, below which an eigenvalue counts as on the imaginary axis."""
 
 
 def norm(system: LinearSystem) -> float:
-    """Return the supremum over frequency of the largest singular value of the response.
+    """Supremum over frequency of the largest singular value of the response.
 
-    N. A. Bruinsma and M. Steinbuch (1990): where gamma lies below the norm, the Hamiltonian of gamma has
-    eigenvalues j w at the frequencies at which a singular value equals gamma; between these the gain is
-    larger, and the largest gain at their middles is the next gamma. A sampled system is mapped to a
+    N. A. Bruinsma and M. Steinbuch (1990): for gamma below the norm, the Hamiltonian of gamma has
+    eigenvalues j w at the frequencies at which a singular value equals gamma. Between these frequencies the
+    gain is larger, and the largest gain at their middles is the next gamma. A sampled system is mapped to a
     continuous one of the same norm, z = (1 + s) / (1 - s).
 
-    Raises SynthesisError for a system that is not stable: it has no norm.
+    Raises SynthesisError for an unstable system, which has no norm.
     """
     if not system.is_stable():
         raise SynthesisError("the system is not stable, so it has no H-infinity norm")
@@ -49,7 +49,7 @@ def norm(system: LinearSystem) -> float:
 
 
 def gains(system: LinearSystem, omega: Array) -> Array:
-    """Return the largest singular value of the response at each omega, rad/s."""
+    """Largest singular value of the response at each omega, rad/s."""
     return np.asarray(np.linalg.svd(system.response(omega), compute_uv=False)[:, 0])
 
 

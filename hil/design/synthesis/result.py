@@ -1,4 +1,4 @@
-"""What a synthesis hands over: the controller as the loop runs it, judged on the exact sampled loop."""
+"""Result of a synthesis: the controller in sampled form, judged on the exact sampled loop."""
 
 from math import pi
 from typing import Any, NamedTuple
@@ -20,7 +20,7 @@ from hil.design.synthesis.axis import actuator, four_block, loop_axis, loop_gain
 from hil.mathematics.linear_system import LinearSystem
 
 SLOW = 0.1
-"""Times the crossover: no pole of the closed loop may be slower."""
+"""Slowest allowed pole of the closed loop, as a share of the crossover."""
 
 
 class Judgement(NamedTuple):
@@ -32,13 +32,13 @@ class Judgement(NamedTuple):
     loop_poles: ComplexArray
     """rad/s, of the loop of rational axis and continuous controller."""
     reasons: tuple[str, ...]
-    """Why it must not be used; empty for a good one."""
+    """Reasons against its use; empty for a good controller."""
 
 
 def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
-    """Sample a continuous controller and look at what the loop would make of it.
+    """Sample a continuous controller and judge its loop.
 
-    The map is Tustin's, without prewarping: what it bends lies above half Nyquist, where no pole may be.
+    The map is Tustin's, without prewarping: it distorts above half Nyquist, where no pole may be.
     """
     h = 1.0 / design.rate_Hz
     path = actuator(loop_axis(design, axis), design.rate_Hz, design.delay_order)
@@ -51,37 +51,36 @@ def judge(design: Design, axis: DesignAxis, K: LinearSystem) -> Judgement:
     if fastest > end:
         reasons.append(
             f"a pole of the controller at {fastest:.0f} rad/s, allowed: up to half the Nyquist frequency, "
-            f"{end:.0f}; ask for less bandwidth, state more noise, or take a higher rate"
+            f"{end:.0f}; reduce the bandwidth, state more noise, or use a higher rate"
         )
     slowest = float(-poles.real.max())
     if slowest < SLOW * found.crossover_rad_s:
         reasons.append(
-            f"a pole of the closed loop at {slowest:.3g} rad/s, allowed: from {SLOW:g} of the crossover, "
-            f"{SLOW * found.crossover_rad_s:.3g}; let the error weight ask for more at low frequency"
+            f"a pole of the closed loop at {slowest:.3g} rad/s, allowed: at least {SLOW:g} of the crossover, "
+            f"{SLOW * found.crossover_rad_s:.3g}; raise the error weight at low frequency"
         )
     if not K.is_stable():
         reasons.append(
-            f"the controller is unstable by itself, a pole at {K.poles().real.max():.3g} rad/s, and would "
-            "run away where a limit opens the loop; ask for less bandwidth"
+            f"the controller itself is unstable, a pole at {K.poles().real.max():.3g} rad/s, and would "
+            "diverge while a limit opens the loop; reduce the bandwidth"
         )
     if not legs.closed_with(sampled).is_stable():
         reasons.append(
             "the sampled loop is unstable: the rational model of delay and hold is too rough at this "
-            "bandwidth; raise delay_order, or ask for less"
+            "bandwidth; raise delay_order, or relax the weights"
         )
     return Judgement(sampled, found, poles, tuple(reasons))
 
 
 def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
-    """Return L (n,) with A - L C as fast as `bandwidth`, rad/s, and no faster than need be.
+    """Anti-windup gain L (n,) that makes A - L C as fast as `bandwidth`, rad/s, and not faster than needed.
 
-    While a limit holds u back, the state moves by L times what was taken from u: an observer of the
-    controller's own state by what was applied (Astrom and Rundqwist 1989). Poles slower than `bandwidth` are
-    mirrored at it, the others stay where they are: least energy with a prescribed degree of stability
-    (B. D. O. Anderson and J. B. Moore, *Optimal Control*, 1990, section 3.5), by a Riccati equation that
-    puts no weight on the state.
+    While a limit reduces u, the state changes by L times the reduction: an observer of the controller's own
+    state from the applied u (Astrom and Rundqwist 1989). Poles slower than `bandwidth` are mirrored at it,
+    the others stay: least energy with a prescribed degree of stability (B. D. O. Anderson and J. B. Moore,
+    *Optimal Control*, 1990, section 3.5), by a Riccati equation without weight on the state.
 
-    Raises SynthesisError where that has no solution.
+    Raises SynthesisError if the equation has no solution.
     """
     assert K.period_s is not None
     n = K.order
@@ -93,19 +92,19 @@ def anti_windup(K: LinearSystem, bandwidth: float) -> Array:
         X = solve_discrete_are(A.T, C.T, np.zeros((n, n)), np.eye(1))
     except np.linalg.LinAlgError:
         raise SynthesisError(
-            "no anti-windup: a pole of the controller lies exactly at the crossover, or a slow one is not "
-            "seen in u; change a weight by a little"
+            "no anti-windup: a pole of the controller is exactly at the crossover, or a slow one is not "
+            "observable in u; change a weight slightly"
         ) from None
     gain = A @ X @ C.T @ np.linalg.inv(C @ X @ C.T + np.eye(1))
     return np.asarray(gain[:, 0] / faster)
 
 
 def balanced(K: LinearSystem) -> LinearSystem:
-    """Return a stable sampled system in balanced coordinates: both Gramians equal and diagonal.
+    """Stable sampled system in balanced coordinates: both Gramians equal and diagonal.
 
-    B. C. Moore (1981). States so are of one size, and the realisation is unique but for signs: those are
-    chosen so that the first column of B is positive. One with a state that is hardly reached or seen has no
-    such coordinates and is returned as it is.
+    B. C. Moore (1981). All states have a similar size, and the realisation is unique up to signs. The signs
+    make the first column of B positive. A system with a nearly uncontrollable or unobservable state has no
+    such coordinates and is returned unchanged.
     """
     L_c, L_o = (_factor(solve_discrete_lyapunov(A, B @ B.T)) for A, B in ((K.A, K.B), (K.A.T, K.C.T)))
     right, left, s = _balancing(L_c, L_o)
@@ -117,13 +116,13 @@ def balanced(K: LinearSystem) -> LinearSystem:
 
 
 def reduced(K: LinearSystem, inputs: Array, share: float) -> LinearSystem:
-    """Return a system without the states below `share` of the largest.
+    """System without the states whose Hankel singular value is below `share` of the largest.
 
-    D-K iteration makes controllers whose poles and zeros all but cancel. In balanced coordinates, where a
-    state is as easy to move by the inputs as to see in the outputs, its Hankel singular value says what it is
-    worth. Balanced truncation (B. C. Moore 1981; K. Glover 1984): the response, from inputs of the sizes
-    `inputs` (m,), is off at no frequency by more than twice the sum of the values left out. An unstable
-    system has no Gramians and is returned as it is.
+    D-K iteration gives controllers with nearly cancelling poles and zeros. In balanced coordinates a state is
+    as controllable as observable, and its Hankel singular value measures its effect. Balanced truncation (B.
+    C. Moore 1981; K. Glover 1984): the error of the response, from inputs of the sizes `inputs` (m,), is at
+    no frequency larger than twice the sum of the omitted values. An unstable system has no Gramians and is
+    returned unchanged.
     """
     if not K.is_stable():
         return K
@@ -138,14 +137,14 @@ def reduced(K: LinearSystem, inputs: Array, share: float) -> LinearSystem:
 
 
 def _balancing(L_c: Array, L_o: Array) -> tuple[Array, Array, Array]:
-    """Return the maps x = right z, z = left^T x to balanced coordinates, and the Hankel singular values."""
+    """Coordinate maps x = right z, z = left^T x to balanced coordinates, and the Hankel singular values."""
     U, s, Vt = np.linalg.svd(L_o.T @ L_c)
     root = np.sqrt(np.maximum(s, 1e-300))
     return L_c @ Vt.T / root, L_o @ U / root, s
 
 
 def _factor(gramian: Array) -> Array:
-    """Return L with L L' = gramian, also where rounding has made it a little indefinite."""
+    """L with L L' = gramian; small negative eigenvalues from rounding count as 0."""
     values, vectors = np.linalg.eigh(0.5 * (gramian + gramian.T))
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
@@ -153,7 +152,7 @@ def _factor(gramian: Array) -> Array:
 def linear_controller(
     design: Design, method: str, judged: Judgement, figures: dict[str, Any]
 ) -> LinearController:
-    """Return the file's content: the sampled controller in balanced numbers, and how it was made."""
+    """Convert to a controller file: the sampled controller in balanced coordinates, and the figures."""
     K = balanced(judged.sampled)
     return LinearController.model_validate(
         {
@@ -173,7 +172,7 @@ def linear_controller(
 
 
 def described(design: Design, axis: DesignAxis, judged: Judgement, K: LinearSystem) -> dict[str, Any]:
-    """Return the question, and margins and poles as plain numbers with their units."""
+    """Design input, margins and poles as plain numbers with their units."""
     m = judged.margins
     return {
         "crossover_rad_s": m.crossover_rad_s,

@@ -1,13 +1,13 @@
-"""The axis whose inertia, delay and drives are known within limits only: M, and Delta around it.
+"""The axis with bounded uncertainty of inertia, delay and drives: M, and Delta around it.
 
     e'' = -(v + d) / (1 + r delta)
     v = gain (1 + W_lag Delta_lag + W Delta (1 + W_lag Delta_lag)) drive (1 + W_delay Delta_delay) delay u
 
-W Delta is what measured axes differ by from the nominal one, if any were (module multiplicative).
-delta is the share of the inertia, and enters exactly; the bounds take it for complex. Delay and lag are
-covered at every frequency by a disc around the nominal one, a multiplicative weight (S. Skogestad and
-I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7.4). Delta holds more than the
-axes it covers: what holds for all of Delta holds for them.
+W Delta is the relative error of measured axes from the nominal one, if there are any (module multiplicative).
+delta is the inertia's relative error over its range r. It enters exactly, but the bounds treat it as complex.
+A disc around the nominal value covers delay and lag at every frequency: a multiplicative weight (S. Skogestad
+and I. Postlethwaite, *Multivariable Feedback Control*, 2nd edition, 2005, section 7.4). Delta contains more
+than the real axes: a property of all of Delta holds for them, too.
 """
 
 from math import pi
@@ -29,28 +29,29 @@ Sum = dict[str, float]
 
 
 class Structured(NamedTuple):
-    """The weighted problem from [w of each block of Delta, d, noise, u] to [z of each block, e, u, y]."""
+    """Weighted problem from [w of each block of Delta, d, noise, u] to [z of each block, e, u, y]."""
 
     plant: LinearSystem
     blocks: list[Block]
-    """Inertia, delay, lag, then what measured axes differ by, if any were; the last is performance, from
-    [d, noise] to [W_e e, W_u u]."""
+    """Inertia, delay, lag, then the error of measured axes, if any; the last is performance, from
+    [d, noise] to [W_e e, W_u u].
+    """
     n_y: int
 
     @property
     def uncertain(self) -> int:
-        """Number of blocks that are uncertain, each one input and one output."""
+        """Number of uncertain blocks, each with one input and one output."""
         return len(self.blocks) - 1
 
 
 def transport_error(
     omega: Array, transport_ms: tuple[float, float], nominal_ms: float, rate_Hz: float, order: int
 ) -> Array:
-    """Return the largest |hold exp(-j omega T) / nominal - 1| over all T of a range, at each omega.
+    """Largest |hold exp(-j omega T) / nominal - 1| over all T of a range, at each omega.
 
     The hold of one period is exact, (1 - exp(-s h)) / (s h); nominal is the Pade approximation of the nominal
-    delay and half a period. All T of the range turn one number around the origin: the farthest from 1 is at
-    an end of the range, or opposite to 1.
+    delay and half a period. Over the range of T one number turns around the origin. Its largest distance from
+    1 is at an end of the range, or opposite to 1.
     """
     h = 1.0 / rate_Hz
     nominal = pade(1e-3 * nominal_ms + 0.5 * h, order).response(omega)[:, 0, 0]
@@ -64,7 +65,7 @@ def transport_error(
 
 
 def lag_error(omega: Array, lag_ms: tuple[float, float], nominal_ms: float) -> Array:
-    """Return the largest |(tau0 s + 1) / (tau s + 1) - 1| over all tau of a range, at each omega.
+    """Largest |(tau0 s + 1) / (tau s + 1) - 1| over all tau of a range, at each omega.
 
     |tau0 - tau| omega / |1 + j tau omega| grows with the distance from tau0 on either side, to the ends.
     """
@@ -73,12 +74,12 @@ def lag_error(omega: Array, lag_ms: tuple[float, float], nominal_ms: float) -> A
 
 
 def cover(omega: Array, error: Array, corner: float) -> LinearSystem:
-    """Return the tightest W with |W| >= `error` at all omega, and 1 % to spare; both poles at `corner`.
+    """Tightest W with |W| >= `error` at all omega, with a margin of 1 %; both poles at `corner`.
 
         W = k s (s / z + 1) / (s / corner + 1)^2
 
-    An error that rises by slope to its end is met by k, its end by z; tightest is the least mean of
-    log(|W| / error) below the corner, where the loop acts.
+    k fits the initial slope of the error, z its end. Tightest: smallest mean of log(|W| / error) below the
+    corner, where the loop acts.
     """
     s = 1j * omega
     shapes = (
@@ -93,9 +94,9 @@ def cover(omega: Array, error: Array, corner: float) -> LinearSystem:
 
 
 def covers(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> tuple[LinearSystem, LinearSystem]:
-    """Return the weights of delay and lag; a controller takes their corners over.
+    """Weights of delay and lag; a controller inherits their corners.
 
-    Raises SynthesisError where the nominal axis lies outside the ranges.
+    Raises SynthesisError if the nominal axis lies outside the ranges.
     """
     for name, value, (low, high) in (
         ("transport_ms", axis.transport_ms, ranges.transport_ms),
@@ -103,8 +104,8 @@ def covers(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> tuple
     ):
         if not low <= value <= high:
             raise SynthesisError(
-                f"nominal.{name}: {value:g}, allowed: within what uncertainty says, {low:.4g} to {high:.4g}; "
-                "best about the middle"
+                f"nominal.{name}: {value:g}, allowed: within its range in uncertainty, {low:.4g} to "
+                f"{high:.4g}; best near the middle"
             )
     omega = np.geomspace(0.1, 40.0 * pi * design.rate_Hz, 4000)
     corner = CORNER * pi * design.rate_Hz
@@ -115,9 +116,9 @@ def covers(design: Design, axis: DesignAxis, ranges: UncertaintyRanges) -> tuple
 def structured_plant(
     design: Design, axis: DesignAxis, ranges: UncertaintyRanges, measured: Relative | None = None
 ) -> Structured:
-    """Return the axis with its uncertainty and its weights.
+    """Axis with its uncertainty and its weights.
 
-    Raises SynthesisError for an axis or a weight that cannot be used.
+    Raises SynthesisError for an invalid axis or weight.
     """
     W_delay, W_lag = covers(design, axis, ranges)
     W_d, W_n = design.weights.disturbance.amplitude_m_s2, noise(design)
@@ -139,18 +140,18 @@ def structured_plant(
         parts["z_measured"] = cover_system(measured, design.rate_Hz), {"v": 1.0, "w_lag": 1.0}
         acceleration["w_measured"] = axis.gain
         causes, effects = [*causes, "w_measured"], [*effects, {"z_measured": 1.0}]
-    said = {"error": "position", "rate_error": "rate"}
+    measured_signal = {"error": "position", "rate_error": "rate"}
     inputs = [*causes, "d", *(f"n_{name}" for name in names), "u"]
-    y: list[Sum] = [{said[name]: -1.0, f"n_{name}": W} for name, W in zip(names, W_n, strict=True)]
+    y: list[Sum] = [{measured_signal[name]: -1.0, f"n_{name}": W} for name, W in zip(names, W_n, strict=True)]
     outputs: list[Sum] = [*effects, {"z_e": 1.0}, {"z_u": 1.0}, *y]
     blocks = [*(Block() for _ in causes), Block(1 + len(names), 2)]
     return Structured(well_scaled(wired(parts, inputs, outputs)), blocks, len(names))
 
 
 def wired(parts: dict[str, tuple[LinearSystem, Sum]], inputs: list[str], outputs: list[Sum]) -> LinearSystem:
-    """Return the system from `inputs` to `outputs`; each part has one input, a sum, and one output, its name.
+    """System from `inputs` to `outputs`; each part has one input, a sum, and one output, its name.
 
-    Raises ModelError where parts without states feed one another in a ring without a solution.
+    Raises ModelError for a ring of parts without states that has no solution.
     """
     names = list(parts)
     body = static(np.zeros((0, 0)))
@@ -172,17 +173,17 @@ def wired(parts: dict[str, tuple[LinearSystem, Sum]], inputs: list[str], outputs
         C=np.vstack([rows(outputs, names) @ through.C, through.C]),
         D=np.vstack([direct + rows(outputs, names) @ through.D, through.D]),
     )
-    # fed = F parts + E inputs: the part of the inputs goes in beforehand
+    # fed = F parts + E inputs; E enters before the loop is closed
     F, E = rows(feeds, names), rows(feeds, inputs)
     source = static(np.block([[np.eye(m), np.zeros((m, n))], [E, np.eye(n)]]))
     return system.after(source).closed_with(static(F))
 
 
 def well_scaled(system: LinearSystem) -> LinearSystem:
-    """Return the same system with states of such units that each is moved as strongly as it acts.
+    """Scale the states so that each is excited as strongly as it acts.
 
-    Row and column of each state in [A B; C 0] get the same norm, by powers of 2, so that nothing is rounded
-    (Osborne 1960). The tests of rank in a synthesis compare numbers of one size then.
+    Row and column of each state in [A B; C 0] get the same norm, by powers of 2 to avoid rounding (Osborne
+    1960). The rank tests of a synthesis then compare numbers of one size.
     """
     A, B, C = system.A.copy(), system.B.copy(), system.C.copy()
     for _ in range(30):

@@ -1,4 +1,4 @@
-"""Weights from physical numbers: what the loop has to stand, and what it may do."""
+"""Weights from physical numbers: disturbance and noise, allowed error and allowed control."""
 
 from math import pi
 
@@ -11,20 +11,20 @@ from hil.config.design import ControlWeight, Design, ErrorWeight, TransferFuncti
 from hil.mathematics.linear_system import LinearSystem, static
 
 BEYOND = 2.0 * pi
-"""Times the rate in Hz, rad/s: the control weight is flat from there, so that it is proper."""
+"""Frequency above which the control weight is flat, and so proper: rad/s per Hz of the rate."""
 
 
 def shelf(low: float, high: float, corner: float) -> LinearSystem:
-    """Return high (s + corner) / (s + corner high / low): gain `low` at rest, `high` at infinity."""
+    """Shelf high (s + corner) / (s + corner high / low): gain `low` at rest, `high` at infinity."""
     pole = corner * high / low
     A, C, D = (np.array([[x]]) for x in (-pole, high * (corner - pole), high))
     return LinearSystem(A, np.eye(1), C, D)
 
 
 def rational(section: TransferFunction, what: str) -> LinearSystem:
-    """Return a rational function as a system.
+    """System of a rational function.
 
-    Raises SynthesisError: it is improper, or no function at all.
+    Raises SynthesisError for an improper function or a zero denominator.
     """
     numerator, denominator = (np.trim_zeros(p, "f") for p in (section.numerator, section.denominator))
     if not len(denominator):
@@ -32,7 +32,7 @@ def rational(section: TransferFunction, what: str) -> LinearSystem:
     if len(numerator) > len(denominator):
         raise SynthesisError(
             f"{what}: improper, a numerator of degree {len(numerator) - 1} over a denominator of degree "
-            f"{len(denominator) - 1}, allowed: no higher than the denominator's; close it by a pole far out"
+            f"{len(denominator) - 1}, allowed: at most the denominator's; add a fast pole"
         )
     if len(denominator) == 1:
         return static(np.array([[(numerator[0] if len(numerator) else 0.0) / denominator[0]]]))
@@ -40,7 +40,7 @@ def rational(section: TransferFunction, what: str) -> LinearSystem:
 
 
 def error_weight(section: ErrorWeight | TransferFunction) -> LinearSystem:
-    """Return W_e with 1 / |W_e| = the error allowed: (s + w_b) / (s + w_b low / peak) / peak.
+    """Error weight W_e with 1 / |W_e| = allowed error: (s + w_b) / (s + w_b low / peak) / peak.
 
     Raises SynthesisError for a rational function that is no weight.
     """
@@ -50,12 +50,13 @@ def error_weight(section: ErrorWeight | TransferFunction) -> LinearSystem:
 
 
 def control_weight(section: ControlWeight | TransferFunction, rate_Hz: float) -> LinearSystem:
-    """Return W_u with 1 / |W_u| = the demand allowed: limit, falling above roll_off, flat above 2 pi rate.
+    """Control weight W_u, 1 / |W_u| = allowed control: limit, falling above roll_off, flat above 2 pi rate.
 
-    Without roll_off it is a constant: the roll-off is left to the noise, and the controller has a state less.
+    Without roll_off it is a constant: the noise alone causes the roll-off, and the controller has one state
+    less.
 
-    Raises SynthesisError where it rolls off above half Nyquist, since nothing of the controller may act
-    there, and for a rational function that is no weight.
+    Raises SynthesisError for a roll-off above half Nyquist, where the controller must not act, and for an
+    invalid rational function.
     """
     if isinstance(section, TransferFunction):
         return _checked(section, "weights.control", biproper=True)
@@ -71,7 +72,7 @@ def control_weight(section: ControlWeight | TransferFunction, rate_Hz: float) ->
 
 
 def noise(design: Design) -> Array:
-    """Return the amplitude of the noise of each input (n,), at every frequency."""
+    """Amplitude of the noise of each input (n,), at every frequency."""
     given = design.weights.noise
     amplitudes = {"error": given.error_m, "rate_error": given.rate_error_m_s or 0.0}
     return np.array([amplitudes[name] for name in design.inputs])
@@ -81,12 +82,12 @@ def _checked(section: TransferFunction, what: str, *, biproper: bool = False) ->
     weight = rational(section, what)
     if not weight.is_stable():
         raise SynthesisError(
-            f"{what}: unstable, a pole at {max(weight.poles().real):.3g} rad/s, allowed: all left of 0, "
-            "since no controller moves the poles of a weight; instead of an integrator take a slow pole"
+            f"{what}: unstable, a pole at {max(weight.poles().real):.3g} rad/s, allowed: all below 0: "
+            "no controller moves the poles of a weight; replace an integrator by a slow pole"
         )
     if biproper and not weight.D.any():
         raise SynthesisError(
-            f"{what}: rolls off, so that high frequency would cost nothing, allowed: a numerator of the "
+            f"{what}: rolls off, which leaves high frequency without weight, allowed: a numerator of the "
             "denominator's degree"
         )
     return weight

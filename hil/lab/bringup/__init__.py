@@ -1,1 +1,1 @@
-"""`hil bringup`, and its procedure of steps, which is pure of bus, terminal and clock."""
+"""`hil bringup`: the command, and its procedure of steps, which is free of bus, terminal and clock."""

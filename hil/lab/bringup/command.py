@@ -1,4 +1,4 @@
-"""`hil bringup`: the procedure at a bus or on the rehearsal bench, its state, its log, its files."""
+"""The command `hil bringup`: runs the procedure on a bus or on the rehearsal bench, and writes its files."""
 
 import contextlib
 import time
@@ -22,15 +22,15 @@ from hil.app.homing.file import homing_file, homing_path, read_homing, write_hom
 from hil.app.output import further, log_path
 from hil.app.run.command import run_daemon
 from hil.app.run.stretching import stood_still_line, stretches
+from hil.lab.bringup.connection import bus_line, hands_socket, is_served, served_end
 from hil.lab.bringup.context import Context, Finding, Operator, RefusedError, Request
 from hil.lab.bringup.drives import Drives, Line
-from hil.lab.bringup.ends import asked, bus_line, hands_socket, served_end
-from hil.lab.bringup.found import FIRST_M, found_text, mended
 from hil.lab.bringup.machine import bringup_rate, build_machine, known_poses
 from hil.lab.bringup.procedure import Outcome, bring_up, checklist
 from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, build_bench, six_legs, wiring_of
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
+from hil.lab.bringup.written_configuration import FIRST_M, corrected, found_text
 from hil.loop.clock import real_time
 from hil.record import Recording
 from plant_fmu.rehearsal.bench import RehearsalBench
@@ -41,21 +41,22 @@ _TOGETHER = "together: six legs at reduced limits"
 
 
 class Together(NamedTuple):
-    """How the six legs ran."""
+    """Result of the first motion of all six legs."""
 
     success: bool
     lines: list[str]
-    """For the checklist."""
+    """Lines for the checklist."""
     brake_failed: bool = False
-    """A brake did not hold, or did not open: the brakes are to be tested again."""
+    """A brake did not hold or did not open, so the brakes must be tested again."""
 
 
 def files_of(
     configuration: str, c: Configuration, state: Path | None, *, rehearsal: bool
 ) -> tuple[Path, Path, Path]:
-    """Return the files of state, configuration found and checklist; but for the state none is there yet.
+    """Paths of the state file, the configuration to write and the checklist.
 
-    They are beside a given configuration, in this folder for a shipped one.
+    They lie next to the given configuration file; for a shipped configuration, in the current folder. The
+    last two get the first number for which neither file exists yet.
     """
     given = Path(configuration)
     folder = given.parent if given.is_file() else Path()
@@ -79,17 +80,17 @@ def run_bringup(
     yes: bool = False,
     say: Callable[[str], None] = print,
 ) -> dict[str, Any]:
-    """Bring a machine up, or rehearse it with some mistakes (a list, maybe empty); return the summary.
+    """Bring a machine up, or rehearse it with a list of mistakes (may be empty); return the summary.
 
-    yes: agree to all steps, on a bench only. again: begin anew, whatever the state file holds.
-    Raises ConfigurationError, BusError, RunError before anything moves.
+    yes: agree to all steps, allowed on a bench only. again: ignore the facts in the state file and start
+    over. Raises ConfigurationError, BusError, RunError before anything moves.
     """
-    served = mistakes is None and asked(hands_socket(c.bus.interface, c.bus.channel))
+    served = mistakes is None and is_served(hands_socket(c.bus.interface, c.bus.channel))
     rehearsed = mistakes is not None or served
     if mistakes is None:
         c.require("run")
     if yes and not rehearsed:
-        raise RunError("--yes agrees to everything, and that is for a bench: leave it out at a machine")
+        raise RunError("--yes agrees to every step and is for a bench only: leave it out at a machine")
     protocol = build_protocol(c)
     bench = None if mistakes is None else build_bench(c, wiring_of(mistakes, protocol))
     state, found_file, checklist_file = files_of(configuration, c, state, rehearsal=bench is not None)
@@ -97,38 +98,38 @@ def run_bringup(
     if store.changed:
         say(f"other hardware than in {state} ({store.changed}): everything is measured again")
     elif store.facts:
-        say(f"{state}: what it holds is not asked again; --again begins anew")
+        say(f"{state}: its facts are not measured again; --again starts over")
     path = log_path(c.recording.folder, f"{c.name}-bringup", log)
     with contextlib.ExitStack() as outer:
         steps = outer.enter_context(contextlib.ExitStack())
         bus = None if bench is not None else steps.enter_context(Bus.open(c.bus, role="controller"))
         recording = outer.enter_context(_log(c, path, None if bus is None else bus.clock))
-        said = _Said(say, recording)
-        terminal = Terminal(said)
+        journal = _Journal(say, recording)
+        terminal = Terminal(journal)
         agree: Agree = (lambda *_: True) if yes else terminal.consent
         with steps:
             if bench is not None:
                 line: Line = BenchLine(bench.nodes, bringup_rate(c))
-                operator: Operator = BenchHands(bench, known_poses(c), agree, said)
+                operator: Operator = BenchHands(bench, known_poses(c), agree, journal)
             elif served and bus is not None:
-                line, operator = steps.enter_context(served_end(c, bus, protocol, terminal, agree, said))
+                line, operator = steps.enter_context(served_end(c, bus, protocol, terminal, agree, journal))
             else:
                 assert bus is not None
-                mark_moved(c, said)
+                mark_moved(c, journal)
                 steps.enter_context(real_time(c.loop.priority, c.loop.cpu))
                 line, operator = bus_line(c, bus, protocol), terminal
             machine = build_machine(c, protocol)
-            drives = Drives(protocol, line, machine.watchdog_s, said.tick)
+            drives = Drives(protocol, line, machine.watchdog_s, journal.tick)
             context = Context(machine, drives, operator, store.facts, store.save)
             outcome, reason = _proceed(context, hang=bench is None)
-        bench_time = stretches(np.array(said.stood_ns, np.int64))
+        bench_time = stretches(np.array(journal.stood_ns, np.int64))
         text = found_text(c, context, outcome.findings, rehearsed=rehearsed)
         together = Together(success=False, lines=[])
         unwritten: dict[str, Any] = {}
         if outcome.success and not reason:
             write_whole(found_file, text)
             found = loads(text, str(found_file), c.folder)
-            together = _release(found, bench, context, said, agree, served=served)
+            together = _release(found, bench, context, journal, agree, served=served)
             if together.success:
                 with further(unwritten):
                     write_whole(found_file, found_text(c, context, (), released=True, rehearsed=rehearsed))
@@ -138,8 +139,8 @@ def run_bringup(
         lines += filter(None, [stood_still_line(bench_time)])
         if outcome.findings:
             with further(unwritten):
-                next_ = _write_mended(c, context, found_file, text, outcome.findings, rehearsed=rehearsed)
-                said(next_)
+                next_ = _write_found(c, context, found_file, text, outcome.findings, rehearsed=rehearsed)
+                journal(next_)
                 lines.append(next_)
         stamp = time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime())
         head = [f"bring-up of {c.name}, {stamp}", f"configuration {c.source}, log {path}", ""]
@@ -148,7 +149,7 @@ def run_bringup(
         with further(unwritten):
             write_whole(checklist_file, "\n".join([*head, *lines, ""]))
         for each in lines:
-            said.event(each)
+            journal.event(each)
         store.forget(outcome.findings)
         closed = recording.close()
     if closed.error:
@@ -171,7 +172,7 @@ def run_bringup(
     return summary | ({"bench_time": bench_time} if bench_time["stretches"] else {})
 
 
-def _write_mended(
+def _write_found(
     c: Configuration,
     context: Context,
     file: Path,
@@ -180,49 +181,47 @@ def _write_mended(
     *,
     rehearsed: bool,
 ) -> str:
-    """Write what was found with findings, where it can be loaded; return what is next, or why not."""
+    """Write the configuration with findings if it loads; return the next command or the obstacle."""
     try:
         loads(text, "found", c.folder)
     except ConfigurationError as error:
-        return f"no configuration is written, since with what was found it is refused: {error}"
+        return f"no configuration written: with the values found it is invalid: {error}"
     write_whole(file, text)
-    done = dict.fromkeys(finding.name for finding in mended(c, context, findings))
+    done = dict.fromkeys(finding.name for finding in corrected(c, context, findings))
     line = f"next: hil bringup {file}{' --rehearse' if rehearsed else ''}"
     if any(finding.name not in done for finding in findings):
-        line += ", once what was found at the machine is mended"
-    return f"{line}; that file makes up for {', '.join(done)}: do not mend it there, too" if done else line
+        line += ", after the findings at the machine are fixed"
+    return f"{line}; that file already corrects {', '.join(done)}: do not fix it twice" if done else line
 
 
-class _Said:
-    """Says texts to the operator and into the log. Mutable state: the attributes."""
+class _Journal:
+    """Writes texts to the operator and into the log. Mutable state: the attributes."""
 
     def __init__(self, say: Callable[[str], None], recording: Recording) -> None:
         self._say, self._recording = say, recording
         self.t_ns = 0
         self.trouble = ""
-        """Why the recorder has ended; empty while it lives."""
+        """Reason why the recorder ended; empty while it runs."""
         self.stood_ns: list[int] = []
-        """For how long bench time stood still before ticks, where it did."""
+        """Pauses of the bench time before ticks, ns; ticks without a pause have no entry."""
 
     def __call__(self, text: str) -> None:
         self.event(text)
         self._say(text)
 
     def event(self, text: str) -> None:
-        """Record a text."""
         if self._recorded():
             self._recording.event(self.t_ns, "info", text)
 
     def _recorded(self) -> bool:
-        """Whether the recorder lives; say once why not."""
+        """True while the recorder runs; the first time it does not, report why."""
         if not self.trouble:
             self.trouble = self._recording.trouble
             if self.trouble:
-                self._say(f"the log ends here ({self.trouble}): without a whole log this is no success")
+                self._say(f"the log ends here ({self.trouble}); without a complete log this is not a success")
         return not self.trouble
 
     def tick(self, record: Record, received: Sequence[Received], sent: Sequence[Frame]) -> None:
-        """Record a tick."""
         self.t_ns = int(record["t_ns"])
         if record["stretched_ns"]:
             self.stood_ns.append(int(record["stretched_ns"]))
@@ -231,7 +230,7 @@ class _Said:
 
 
 def _proceed(context: Context, *, hang: bool) -> tuple[Outcome, str]:
-    """Do the steps, then have the platform fixed if `hang`; return how far, and why it ended."""
+    """Do the steps, then have the platform mounted if `hang`; return the outcome, and why it ended early."""
     try:
         outcome = bring_up(context)
         if outcome.success and hang:
@@ -239,7 +238,7 @@ def _proceed(context: Context, *, hang: bool) -> tuple[Outcome, str]:
     except RefusedError as refusal:
         why = str(refusal)
     except KeyboardInterrupt:
-        why = "interrupted: forces zero, brakes shut; what was found is kept"
+        why = "interrupted: forces zero, brakes shut; facts found so far are kept"
     else:
         return outcome, ""
     return Outcome(tuple(context.facts.get("passed", {})), (), stopped="ended"), why
@@ -249,18 +248,18 @@ def _release(
     found: Configuration,
     bench: RehearsalBench | None,
     context: Context,
-    said: _Said,
+    journal: _Journal,
     agree: Agree,
     *,
     served: bool,
 ) -> Together:
-    """Let all six legs move together, by the ordinary controller at the limits that were found.
+    """Move all six legs together, with the ordinary controller at the limits found.
 
-    Not with a log that was cut; the homing file is written once the operator has consented.
+    Refused if the log is incomplete. The homing file is written after the operator's consent.
     """
-    why = "not begun, since the log is not whole" if said.trouble else ""
+    why = "not begun: the log is incomplete" if journal.trouble else ""
     if not why:
-        said(_TOGETHER)
+        journal(_TOGETHER)
         will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
         try:
             agree("six legs together", will, "Ctrl-C parks, twice stops")
@@ -273,7 +272,7 @@ def _release(
         success, brake_failed, words = ending.success, Fault.BRAKE in ending.faults, [ending.trouble]
     else:
         if not served:
-            state_lengths(found, context, said)
+            state_lengths(found, context, journal)
         summary = run_daemon(found, draw=False, arm=True, on_bench=served)
         success, brake_failed = summary["success"], "BRAKE" in summary.get("faults", ())
         words = [summary["trouble"] or f"log {summary['log']}"]
@@ -282,31 +281,31 @@ def _release(
     mark, figures = "x" if success else "!", "; ".join(filter(None, (done, *words)))
     together = Together(success, [f"[{mark}] {_TOGETHER}", f"      {figures}"], brake_failed)
     for line in together.lines:
-        said(line)
+        journal(line)
     return together
 
 
 def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:
-    """Mark the homing file, if any, before legs are moved by hand. Raises ConfigurationError."""
+    """Mark the homing file, if there is one, before legs are moved by hand. Raises ConfigurationError."""
     path = None if c.drives.homing is None else homing_path(c, emulated=False)
     if path is None or not path.exists():
         return
     file = read_homing(c, path)
     write_homing(c, path, homing_file(c, "moved", file.lengths_m, file.turns))
-    say(f"{path}: marked as moved, since legs are moved by hand; it is written anew once the platform hangs")
+    say(f"{path}: marked as moved, since legs are moved by hand; it is written again once the platform hangs")
 
 
 def state_lengths(found: Configuration, context: Context, say: Callable[[str], None]) -> None:
-    """Write the lengths of the last known pose, where the platform was fixed. Raises ConfigurationError."""
+    """Write the lengths at the last known pose, where the platform hangs. Raises ConfigurationError."""
     path = None if found.drives.homing is None else homing_path(found, emulated=False)
     if path is not None:
         lengths = context.machine.pose_lengths[-1].tolist()
         write_homing(found, path, homing_file(found, "stated", lengths, None))
-        say(f"{path}: says that the platform hangs at the last known pose")
+        say(f"{path}: now records that the platform hangs at the last known pose")
 
 
 def _log(c: Configuration, path: Path, clock: Clock | None) -> Recording:
-    """Record a bring-up on a bus by its clock; None: a rehearsal, which has a time of its own."""
+    """Start the recording. `clock` is that of the bus; None for a rehearsal, which runs in simulated time."""
     return Recording.start(
         path,
         configuration=c.text,

@@ -1,4 +1,4 @@
-"""What the steps of a bring-up share: the machine, the drives, the operator, the facts found so far."""
+"""Types shared by the steps of a bring-up: machine, operator, request, finding, step and their context."""
 
 from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
@@ -13,77 +13,77 @@ from drivers.signals import LEGS, DriveFault, DriveMode, DriveState
 from hil.lab.bringup.drives import Drives
 
 FORCE_SHARE = 0.02
-"""Of the rated force: no step commands more."""
+"""Largest force of any step, as a share of the rated force."""
 TRAVEL_M = 1e-3
-"""A leg that is driven with one brake open is stopped here."""
+"""Travel at which a leg driven with one brake open is stopped."""
 OLD_TICKS = 3
-"""A reading of more ticks ago says nothing of a leg whose brake is open."""
+"""Largest age of a reading, ticks, that is trusted while a brake is open."""
 MOVED_M = 1e-4
-"""A leg has moved; a driven one is let go there."""
+"""Travel that counts as motion; a force ramp ends there."""
 TAPE_M = 2e-4
-"""Standard deviation of a length that the operator measures."""
+"""Standard deviation of a length that the operator measures with the tape."""
 
 
 class Request(NamedTuple):
-    """What the operator is asked to do with his hands, or to read."""
+    """A manual action or a reading requested from the operator."""
 
     act: str
-    """What the hands of a rehearsal bench know it by."""
+    """Name by which a rehearsal bench does it."""
     leg: int = -1
     value: float = 0.0
-    """`move`: by so many m. `place`: share of the stroke. `hang`: which of the known poses."""
+    """`move`: distance, m. `place`: share of the stroke. `hang`: index of the known pose."""
     text: str = ""
-    """As he reads it."""
+    """Text for the operator."""
     word: str = ""
-    """What he types for it to count as done; empty: Enter."""
+    """Word that the operator types to confirm; empty: Enter."""
     within: tuple[float, float] | None = None
-    """Of a reading: those outside are asked for again, another unit or a slip. None: an act is to be done."""
+    """Allowed range of a reading, to catch slips and wrong units. None: an action, without a reading."""
 
 
 class Finding(NamedTuple):
-    """A mistake, by name."""
+    """A mistake found at the machine, by name."""
 
     name: str
     legs: tuple[int, ...]
     text: str
-    """What was measured."""
-    mend: str
-    """What to do about it."""
+    """The measurement that shows it."""
+    remedy: str
+    """The remedy."""
 
     @property
     def line(self) -> str:
-        """As it is read: which leg, what, how to mend it."""
+        """Name, legs, measurement and remedy in one line."""
         which = f"leg{'s' * (len(self.legs) > 1)} {', '.join(map(str, self.legs))}: " if self.legs else ""
-        return f"{self.name}: {which}{self.text}. {self.mend}"
+        return f"{self.name}: {which}{self.text}. {self.remedy}"
 
 
 def gap_of(text: str, instead: str) -> Finding:
-    """Return what a step cannot prove with these drives, and what the operator has to see to instead."""
+    """Finding about a property that these drives cannot prove; instead: the operator's duty in its place."""
     return Finding("not provable with these drives", (), text, instead)
 
 
 class Operator(Protocol):
-    """Who stands beside the machine. Mutable state: what he was asked and has not answered."""
+    """The person, or the simulation of one, at the machine. Mutable state: the open request."""
 
     patience: float
-    """After so many refused readings of one request the bring-up ends; inf: never, a person reads again."""
+    """Refused readings of one request before the bring-up ends; inf for a person, who can read again."""
 
     def consent(self, title: str, will: str, stop: str) -> bool:
-        """Ask whether a step may begin that will do this and is stopped like that."""
+        """True if the operator lets a step begin; `will` says what it does, `stop` how to stop it."""
 
     def ask(self, request: Request) -> None:
-        """Ask for an act or a reading."""
+        """Request an action or a reading."""
 
     def answer(self) -> float | None:
-        """Return the answer once there is one, 0 for an act that is done; called in every tick meanwhile."""
+        """The reading, or 0 for an action done; None until then. Polled in every tick."""
 
     def tell(self, text: str) -> None:
-        """Say what was found."""
+        """Show a text to the operator."""
 
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """The machine as it is configured; lengths m, forces N."""
+    """The machine as configured; lengths m, forces N."""
 
     node_ids: tuple[int, ...]
     protocol: str
@@ -98,19 +98,19 @@ class Machine:
     joint_distances: Array
     """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
     pose_words: tuple[str, ...]
-    """The known poses, as they are read."""
+    """The known poses as text."""
     known_identifiers: frozenset[int]
-    """Of all frames of this protocol."""
+    """Identifiers of all frames of this protocol."""
     unasked_identifiers: frozenset[int] = frozenset()
-    """Of what drives send by themselves: heartbeats, emergencies."""
+    """Identifiers of frames that drives send unsolicited: heartbeats, emergencies."""
     platform_kg: float = 0.0
     presses: float = 0.0
-    """Cosine between gravity and the way from platform to base, > 0: its weight presses the legs."""
+    """Cosine between gravity and the direction from platform to base; > 0: the weight compresses the legs."""
     losses: float = 0.0
-    """Share of a force that may be lost between motor and leg."""
+    """Largest share of a force lost between motor and leg."""
     heartbeat_s: float = 0.1
     forgotten_m: Array | None = None
-    """(6,) m, of which a drive forgets whole multiples at power-off; None: it forgets nothing."""
+    """(6,) m, length of which a drive forgets whole multiples at power-off; None: drives forget nothing."""
 
     @property
     def stroke(self) -> float:
@@ -118,22 +118,22 @@ class Machine:
         return self.length_max - self.length_min
 
     def turns_m(self, drive: int, off_m: float) -> float:
-        """Return what of a reading that is so far off, m, a drive may have forgotten: whole turns."""
+        """Part, m, of a reading error `off_m` that is explained by whole turns forgotten by a drive."""
         step = 0.0 if self.forgotten_m is None else float(self.forgotten_m[drive])
         return step * round(off_m / step) if step else 0.0
 
     @property
     def force_N(self) -> float:
-        """Most force at the leg of any step: before the losses it is FORCE_SHARE of the rated one."""
+        """Largest force at the leg in any step: FORCE_SHARE of the rated force, less the losses."""
         return FORCE_SHARE * self.rated_N * (1.0 - self.losses)
 
 
 class RefusedError(HilError):
-    """The operator has not consented, or has ended the bring-up; what was found is kept."""
+    """The operator refused consent or ended the bring-up. Facts found so far are kept."""
 
 
 class StoppedError(HilError):
-    """A measured value ended a step for safety; `finding` says which."""
+    """A measured value ended a step for safety; `finding` gives the reason."""
 
     def __init__(self, finding: Finding) -> None:
         super().__init__(finding.line)
@@ -149,35 +149,35 @@ class Context:
     operator: Operator
     facts: dict[str, dict[str, Any]] = field(default_factory=dict)
     save: Callable[[], None] = lambda: None
-    """Called when a fact is new."""
+    """Called after every new fact."""
 
     def known(self, step: str, leg: int) -> Any:
-        """Return the fact of a step about a leg; None where it has to be found."""
+        """The fact of a step about a leg; None if it is still to be found."""
         return self.facts.get(step, {}).get(str(leg))
 
     def table(self, step: str) -> dict[int, Any]:
-        """Return the facts of a step by leg, or drive, as far as they are known."""
+        """The known facts of a step, by leg or drive."""
         return {leg: fact for leg in range(LEGS) if (fact := self.known(step, leg)) is not None}
 
     def missing(self, step: str) -> Iterator[int]:
-        """Give the legs, or drives, about which a step has no fact yet, one after the other."""
+        """Iterate over the legs, or drives, for which a step has no fact yet."""
         return (leg for leg in range(LEGS) if self.known(step, leg) is None)
 
     def keep(self, step: str, leg: int | str, fact: Any) -> None:
-        """Keep a fact."""
+        """Store a fact and save all facts."""
         self.facts.setdefault(step, {})[str(leg)] = fact
         self.save()
 
     def lengths(self) -> Array:
-        """Return what the drives read now, (6,) m. Raises StoppedError where one is not heard."""
+        """Leg lengths (6,) m as the drives read them. Raises StoppedError if a reading is too old."""
         record = self.drives.record
         silent = np.flatnonzero(record["age"] > OLD_TICKS).tolist()
         if silent:
             blind = record["blind"][silent].all()
             why = "it answers without a length" if blind else "it is silent"
             text = f"no reading for {int(record['age'][silent[0]])} ticks: {why}"
-            mend = "Look at cable, supply, encoder, counts a turn and gear, and give the command again."
-            raise StoppedError(Finding("not_heard", tuple(silent), text, mend))
+            remedy = "Look at cable, supply, encoder, counts per turn and gear, and give the command again."
+            raise StoppedError(Finding("not_heard", tuple(silent), text, remedy))
         return np.array(record["length"])
 
     def take_down(self) -> None:
@@ -190,7 +190,10 @@ class Context:
             self.save()
 
     def ask(self, request: Request, keep: Callable[[], object] | None = None) -> float:
-        """Ask, calling `keep` (else all off) every tick. Raises RefusedError: too many wrong readings."""
+        """Answer to a request; `keep` runs every tick meanwhile, by default with all drives off.
+
+        Raises RefusedError after too many readings outside the allowed range.
+        """
         refused = 0
         idle = self.drives.step if keep is None else keep
         self.operator.ask(request)
@@ -202,7 +205,7 @@ class Context:
             low, high = request.within or (answer, answer)
             if low <= answer <= high:
                 return answer
-            why = f"{answer:g} cannot be: {low:g} to {high:g} are allowed, in m, N and kg, not mm or kN"
+            why = f"{answer:g} is out of range: {low:g} to {high:g} are allowed, in m, N and kg, not mm or kN"
             refused += 1
             if refused >= self.operator.patience:
                 raise RefusedError(f"ended: {request.text}: {refused} readings refused: {why}")
@@ -216,16 +219,16 @@ class Context:
 
     @contextmanager
     def opened(self, leg: int) -> Iterator[None]:
-        """Open one brake without force, and shut it whatever happens. Raises StoppedError: it cannot be."""
+        """Open one brake without force; shut it on every exit. Raises StoppedError: no power."""
         self.take_down()
         try:
             why = self.drives.power(leg)
             if why:
-                mend = "Set up and prove the drives' watchdogs first; look at the drive's fault."
-                raise StoppedError(Finding("not_powered", (leg,), why, mend))
+                remedy = "Set up and prove the drives' watchdogs first; look at the drive's fault."
+                raise StoppedError(Finding("not_powered", (leg,), why, remedy))
             for _ in range(self.drives.ticks(self.machine.brake_open_s)):
                 self.drives.step(DriveMode.RUN, leg)
-            for _ in range(self.drives.told_ticks):
+            for _ in range(self.drives.report_ticks):
                 if self.drives.record["drive_state"][leg] != DriveState.READY:
                     break
                 self.drives.step(DriveMode.RUN, leg)
@@ -234,25 +237,25 @@ class Context:
             self.drives.off(self.machine.brake_shut_s)
 
     def drive(self, drive: int, force: float = 0.0) -> None:
-        """Command one tick of a drive whose brake is open, N. Raises StoppedError where it has lost power."""
+        """Command a drive with an open brake for one tick, N. Raises StoppedError if it has lost power."""
         record = self.drives.step(DriveMode.RUN, drive, force)
         self._heard(drive)
         state = DriveState(int(record["drive_state"][drive]))
         if state is not DriveState.RUN:
             why = self.fault_of(drive)
             text = f"the drive has gone from RUN to {state.name}{': ' * bool(why)}{why}"
-            mend = "Look at the drive's fault; WATCHDOG: this machine stalled, or the bus did. Try again."
-            raise StoppedError(Finding("lost_power", (drive,), text, mend))
+            remedy = "Look at the drive's fault; WATCHDOG: this machine stalled, or the bus did. Try again."
+            raise StoppedError(Finding("lost_power", (drive,), text, remedy))
 
     def fault_of(self, drive: int) -> str:
-        """Return what a drive says of its fault; empty: nothing."""
+        """The fault that a drive reports, as text; empty: no fault."""
         code = int(self.drives.record["drive_fault"][drive])
         if code in set(DriveFault):
             return DriveFault(code).name if code else ""
         return self.drives.protocol.fault_text(code) or f"code {code:#x} of its maker"
 
     def reads(self) -> dict[int, tuple[int, float]]:
-        """Return for each drive whose encoder is known the leg that it counts, and m of reading a m."""
+        """Leg counted by each drive with a known encoder, and its scale, m read per m by tape."""
         return {
             fact["drive"]: (leg, fact["scale"])
             for leg, fact in self.table("encoder").items()
@@ -262,11 +265,11 @@ class Context:
     def _heard(self, drive: int) -> None:
         age = int(self.drives.record["age"][drive])
         if age > OLD_TICKS:
-            text, mend = f"it has not been heard for {age} ticks", "Look at the drive's supply and its bus."
-            raise StoppedError(Finding("lost_power", (drive,), text, mend))
+            text, remedy = f"no reading for {age} ticks", "Look at the drive's supply and its bus."
+            raise StoppedError(Finding("lost_power", (drive,), text, remedy))
 
     def travelled(self, since: Array) -> dict[int, float]:
-        """Return how far each leg has moved since readings (6,), m by tape. Raises StoppedError."""
+        """Travel of each leg, m by tape, since the readings `since` (6,). Raises StoppedError."""
         for drive in self.reads():
             self._heard(drive)
         now = self.lengths()
@@ -278,13 +281,14 @@ class Context:
 _OTHERS = {
     "ids": "drives", "encoder": "drive", "opens": "legs", "held": "", "force": "", "gauge": "", "watchdog": ""
 }  # fmt: skip
-"""Steps whose facts are about one leg or its drive, and the key that names the other of them."""
+"""Steps with facts about one leg or its drive, and the key of the other legs or drives in the fact."""
 
 
 def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None:
-    """Drop the facts about legs or their drives, those about the platform, and that steps have passed.
+    """Drop the facts about some legs or their drives, about the platform, and about steps passed.
 
-    Behind exchanged numbers a fact's own leg is another: what names a leg or its drive goes, too.
+    With exchanged node numbers a fact about one leg names another drive, so every fact that names a listed
+    leg or drive is dropped.
     """
     for step, key in _OTHERS.items():
         table = facts.get(step, {})
@@ -297,30 +301,30 @@ def forget_legs(facts: dict[str, dict[str, Any]], legs: Collection[int]) -> None
 
 
 class Step(NamedTuple):
-    """One step: said before it is done, judged by what it measured."""
+    """One step: announced before it runs, judged by its measurements."""
 
     name: str
     title: str
     will: str
-    """What it will do."""
+    """Announcement: the effect of the step on the machine."""
     stop: str
-    """How to stop it."""
+    """Announcement: how to stop it."""
     find: Callable[[Context], None]
-    """Finds the facts that are not known yet. Raises StoppedError."""
+    """Find the facts that are not known yet. Raises StoppedError."""
     judge: Callable[[Context], Iterable[Finding]]
-    """Names what is wrong by the facts."""
+    """Derive the findings from the facts."""
     kept: bool = True
-    """Once passed it is not done again for the same hardware."""
+    """A passed step is not repeated for the same hardware."""
     gate: bool = True
-    """A finding ends the bring-up here; else the next steps still look for its cause."""
+    """A finding ends the bring-up here; otherwise the next steps still look for its cause."""
     by_drive: bool = False
-    """It finds a fact of each drive."""
+    """It finds one fact per drive."""
     gap: Callable[[Context], Finding | None] = lambda _: None
-    """What it cannot prove with these drives, by the facts; it has not passed then."""
+    """Property that cannot be proven with these drives; with one, the step has not passed."""
     tables: tuple[str, ...] = ()
-    """Where it keeps its facts, if not under its own name."""
+    """Tables of its facts; empty: one table with the name of the step."""
 
     def kept_whole(self, c: Context, many: int) -> bool:
-        """Whether it has passed before, and none of its facts, `many` in each table, is lost since."""
+        """True if the step passed before and each of its tables still has all `many` facts."""
         passed = self.kept and self.name in c.facts.get("passed", {})
         return passed and all(len(c.facts.get(table, {})) == many for table in self.tables or (self.name,))

@@ -1,8 +1,9 @@
-"""The six drives during a bring-up: at most one brake open, the five others shut, by any protocol.
+"""The six drives during a bring-up: at most one brake open, the five others shut, for any protocol.
 
-Where each drive has frames of its own, the five others are commanded off. Where one command goes to several,
-the five others are locked out before: set up with a watchdog of LOCK_S, they latch its fault as soon as they
-are powered, on shut brakes, and a latched drive obeys no command but RESET. Nothing opens before they have.
+Where each drive has its own frames, the five others are commanded off. Where one command frame serves
+several drives, the five others are locked out first. They are set up with a watchdog of LOCK_S, so they
+latch a watchdog fault as soon as they are powered on shut brakes. A latched drive obeys RESET only. No
+brake opens before all five have latched.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -19,48 +20,48 @@ from drivers.tick_columns import Record, copy_of, new_record
 
 
 class Heard(NamedTuple):
-    """What a tick has brought."""
+    """Frames received in one tick."""
 
     since_ns: int
-    """When the tick began."""
+    """Start of the tick."""
     frames: tuple[Received, ...]
-    """All frames since the last tick, the answers to this one's first frames among them."""
+    """All frames since the last tick, including the answers to the opening frames of this tick."""
     stretched_ns: int = 0
-    """How long the bench's time has stood still since the last tick."""
+    """Pause of the bench's time since the last tick."""
 
 
 class Line(Protocol):
-    """The bus to six drives. Mutable state: the tick, and what is under way."""
+    """The bus to six drives. Mutable state: the tick, and the frames in transit."""
 
     rate_Hz: float
 
     def exchange(self, opening: Sequence[Frame]) -> Heard:
-        """Wait for the next tick, send what starts it, and collect the answers."""
+        """Wait for the next tick, send its opening frames, and collect the answers."""
 
     def send(self, frames: Sequence[Frame]) -> None:
         """Send the frames that end a tick."""
 
 
 LOCK_S = 1e-6
-"""Watchdog of a drive that is to stay out: `legs` has no shorter one."""
+"""Watchdog of a locked-out drive, s; the protocol `legs` allows no shorter one."""
 SETUP_S = 3.0
-"""For how long the drives' confirmation of their set-up is waited for."""
-READY_S, TOLD_S = 0.1, 0.3
-"""For how long a drive is waited for that changes its state; longer by TOLD_S where heartbeats tell it."""
-ANSWER_S, ASKED_TIMES = 0.05, 5
-"""For how long an answer to the question who a drive is is waited for, and how often it is asked at most."""
+"""Longest wait for the drives to confirm their set-up, s."""
+READY_S, REPORT_S = 0.1, 0.3
+"""Longest wait for a drive to change its state, s; REPORT_S is added if only heartbeats report the state."""
+ANSWER_S, MOST_REQUESTS = 0.05, 5
+"""Wait for an answer to an identity request, s, and the largest number of requests."""
 _PROBES = 200
 SAFE_TICKS = 10
-"""Commands to switch off at every end: the bus may lose some."""
+"""Off commands at every end, since the bus may lose some."""
 Sink = Callable[[Record, Sequence[Received], Sequence[Frame]], None]
-"""Takes a tick's record, what was received and what was sent."""
+"""Takes the record of a tick, the received frames and the sent frames."""
 
 
 class Drives:
-    """Commands of the bring-up, one tick a call of `step`.
+    """Commands of the bring-up, one tick per call of `step`.
 
-    Mutable state: the tick, its record, the two dialogues (of drives that may be powered, of the others),
-    which drive may be, and which one the last command was for.
+    Mutable state: the tick, its record, the two controller ends (of drives that may be powered, and of the
+    others), the drive that may be powered, and the drive that the last command addressed.
     """
 
     def __init__(self, protocol: Family, line: Line, watchdog_s: float, sink: Sink = lambda *_: None) -> None:
@@ -68,30 +69,30 @@ class Drives:
         can = protocol.traits.reactions
         setup = DriveSetup(watchdog_s, Reaction.BRAKE if Reaction.BRAKE in can else can[0], line.rate_Hz)
         self.locks = shares_commands(protocol, setup)
-        """One command goes to several drives."""
+        """True if one command frame serves several drives."""
         locked = DriveSetup(LOCK_S, setup.reaction, line.rate_Hz) if self.locks else setup
         self._live, self._rest = protocol.controller_end(setup), protocol.controller_end(locked)
         self.tick = -1
         self.record = new_record()
-        """Of the last tick; states of locked drives are theirs."""
+        """Record of the last tick; the states of locked-out drives are their own."""
         self.heard: tuple[Received, ...] = ()
         """Frames of the last tick."""
         self.spoken: set[tuple[int, int]] | None = None
-        """Drive, -1 for nobody, and identifier of all frames that came; None: nobody asks."""
+        """(drive, identifier) of all frames received, drive -1 if unknown; None: not collected."""
         self.serials: tuple[set[int], ...] = ()
-        """Serial numbers that each node told when it was asked last: two of them are two drives."""
+        """Serial numbers that each node reported last; two numbers mean two drives."""
         self._records = self.record, copy_of(self.record)
         self._alone: int | None = None
         self._commanded: int | None = None
 
     def ticks(self, seconds: float) -> int:
-        """Return the number of ticks in a time, at least one."""
+        """Number of ticks in a time, at least one."""
         return max(1, round(seconds * self.line.rate_Hz))
 
     @property
-    def told_ticks(self) -> int:
-        """For how many ticks a change may be unknown: the heartbeat alone tells it; 0 where feedback does."""
-        return self.ticks(TOLD_S) if self.protocol.traits.power_told == "heartbeat" else 0
+    def report_ticks(self) -> int:
+        """Longest delay, ticks, until a heartbeat reports a state change; 0 if feedback reports it."""
+        return self.ticks(REPORT_S) if self.protocol.traits.power_told == "heartbeat" else 0
 
     # one tick
 
@@ -103,13 +104,13 @@ class Drives:
         *,
         silent: bool = False,
         set_up: bool = False,
-        asked: tuple[Frame, ...] = (),
+        further: tuple[Frame, ...] = (),
     ) -> Record:
         """Command the drives for one tick and return its record.
 
-        mode and force N are those of drive `leg`, the others stay out; without one, `mode` is for all and
-        there is no force. silent: no command goes out. set_up: send what the drives have not confirmed.
-        asked: further frames to send.
+        `mode` and `force` (N) apply to drive `leg`, the other drives stay off; without `leg`, `mode` applies
+        to all, without force. silent: send no command. set_up: send the settings that the drives have not
+        confirmed. further: more frames to send.
         """
         self.tick = tick = self.tick + 1
         opening: tuple[Frame, ...] = ()
@@ -147,7 +148,7 @@ class Drives:
         if not self.locks and leg is not None:
             shut = Command(DriveMode.OFF, np.zeros(LEGS))
             frames = self._chosen(frames, sent_frames(self._rest.give(shut, tick)), leg)
-        sent = (() if silent else frames) + (self._set_up_frames() if set_up else ()) + asked
+        sent = (() if silent else frames) + (self._set_up_frames() if set_up else ()) + further
         if alike:
             self._rest.remember(self._live.remembered())
         self.line.send(sent)
@@ -157,7 +158,7 @@ class Drives:
     def _chosen(
         self, frames: tuple[Frame, ...], others: tuple[Frame, ...], leg: int | None
     ) -> tuple[Frame, ...]:
-        """Return of drive `leg` the frames that may power it, of the other drives `others`, which do not."""
+        """Frames of drive `leg` from `frames`, which may power it, and of the other drives from `others`."""
         if self.locks or leg is None:
             return frames
         addressed = self.protocol.addressed
@@ -167,7 +168,7 @@ class Drives:
     # set-up
 
     def prepare(self, leg: int | None) -> tuple[str, ...]:
-        """Clear faults, set up so that `leg` alone, or all, may be powered; return what each lacks of it."""
+        """Clear faults, set up `leg` alone or all for power; return unconfirmed settings per drive."""
         for _ in range(self.protocol.traits.reset_ticks if self._faulted() else 1):
             self.step(DriveMode.RESET if self._faulted() else DriveMode.OFF)
         self._alone = leg
@@ -181,7 +182,7 @@ class Drives:
         return lacks
 
     def lacks(self) -> tuple[str, ...]:
-        """Return what each drive has not confirmed of the set-up that it should have."""
+        """Settings that each drive has not confirmed."""
         live, rest = self._live.lacks(), self._rest.lacks()
         return tuple(live[k] if self._powers(k) else rest[k] for k in range(LEGS))
 
@@ -199,15 +200,15 @@ class Drives:
         return sent_frames(frames)
 
     def identities(self, legs: Collection[int] = range(LEGS)) -> tuple[dict[str, int], ...]:
-        """Ask some drives, commanded off, who they are; return what each has said. Fills `serials`."""
+        """Request the identity of some drives, commanded off; return the values reported. Sets `serials`."""
         answers: tuple[dict[str, Said], ...] = tuple({} for _ in range(LEGS))
         self.serials = tuple(set() for _ in range(LEGS))
         requests = self.protocol.traits.identity_requests
-        for asked in requests * ASKED_TIMES:
+        for request in requests * MOST_REQUESTS:
             waited = {leg for leg in legs if len(answers[leg]) < len(requests)}
             if not waited:
                 break
-            self.step(asked=tuple(asked[leg] for leg in sorted(waited)))
+            self.step(further=tuple(request[leg] for leg in sorted(waited)))
             for _ in range(self.ticks(ANSWER_S)):
                 last = not waited  # a second drive of the same number answers behind the first one
                 self.step()
@@ -223,14 +224,14 @@ class Drives:
     # one brake
 
     def power(self, leg: int) -> str:
-        """Power a drive on its shut brake, the five others locked out; return why not, empty: it is."""
+        """Power a drive on its shut brake, the five others locked out; return the obstacle, else ""."""
         lacks = self.lacks()
         if self.locks or self._faulted() or any(lacks):
             lacks = self.prepare(leg)
         if any(lacks):
             which = ", ".join(f"leg {k}: {text}" for k, text in enumerate(lacks) if text)
             return f"not set up: {which}"
-        for _ in range(self.ticks(READY_S) + self.told_ticks):
+        for _ in range(self.ticks(READY_S) + self.report_ticks):
             self.step(DriveMode.READY, leg)
             states = self.record["drive_state"]
             locked = states == DriveState.FAULT if self.locks else states != DriveState.RUN
@@ -243,13 +244,13 @@ class Drives:
         return f"leg {leg} is {DriveState(int(states[leg])).name}, not READY"
 
     def carried(self, leg: int, force: float) -> float:
-        """Return the force, N, on a leg at rest where `force` is commanded: the frame's field rounds it."""
+        """Force, N, on a leg at rest for a commanded `force`, after rounding by the frame's field."""
         forces = np.zeros(LEGS)
         forces[leg] = force
         return float(self._live.carried(forces)[leg])
 
     def force_step(self, leg: int, force: float) -> float:
-        """Return the step of the commands between half a force N and all of it, N; 0: too fine to matter."""
+        """Resolution of commands between half a force and all of it, N; 0: too fine to matter."""
         carried = {self.carried(leg, force * (0.5 + 0.5 * k / _PROBES)) for k in range(_PROBES)}
         return 0.5 * force / len(carried) if len(carried) < _PROBES else 0.0
 
@@ -260,7 +261,7 @@ class Drives:
 
 
 def shares_commands(protocol: Family, setup: DriveSetup) -> bool:
-    """Tell whether one frame powers several drives: some of those for several differ by the command."""
+    """True if one frame powers several drives: frames for several drives differ between OFF and RUN."""
 
     def shared(mode: DriveMode) -> list[Frame]:
         end = protocol.controller_end(setup)
@@ -271,7 +272,7 @@ def shares_commands(protocol: Family, setup: DriveSetup) -> bool:
 
 
 def _only(record: Record, legs: Array | Any) -> Record:
-    """Return a record in which the other legs were never heard: nobody talks to them."""
+    """A copy of the record in which the other legs were never received, so no set-up is sent to them."""
     masked = copy_of(record)
     masked["age"] = np.where(legs, record["age"], NEVER)
     return masked

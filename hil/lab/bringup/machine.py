@@ -1,4 +1,4 @@
-"""What the bring-up has to know of a configuration."""
+"""The machine of a bring-up, derived from a configuration."""
 
 import contextlib
 
@@ -18,25 +18,25 @@ from hil.robot.kinematics import leg_lengths
 from plant_fmu.drives import drives_end
 
 TILT_deg = (3.0, 2.0, 4.0)
-"""Rotation vector of the second known pose from the home: a pose at which no two legs are alike."""
+"""Rotation vector from home to the second known pose, chosen so that all leg lengths differ."""
 TILT_SHARES = (1.0, 0.5, 0.25)
-"""Of that tilt, the largest which all legs reach."""
+"""Shares of that tilt; the largest one within reach of all legs is used."""
 FASTEST_Hz = 500.0
-"""No faster, so that an adapter and a desktop computer keep up."""
+"""Upper limit of the tick rate, low enough for an adapter and a desktop computer."""
 WINDOW = 0.9
-"""Of a period, in which answers are waited for: nothing is computed behind them that takes the rest."""
+"""Share of a period spent waiting for answers; the computation after it needs less than the rest."""
 PERIODS = 5.0
-"""Periods of a watchdog at least."""
+"""Least number of periods within a watchdog."""
 
 
 def bringup_rate(c: Configuration) -> float:
-    """Return the tick rate of a bring-up, Hz: slow, but with PERIODS within the drives' watchdog."""
+    """Tick rate of a bring-up, Hz: slow, but with PERIODS within the drives' watchdog."""
     least = PERIODS / (1e-3 * c.drives.watchdog_ms)
     return min(c.loop.rate_Hz, max(FASTEST_Hz, least))
 
 
 def known_poses(c: Configuration) -> list[tuple[Array, Array]]:
-    """Return p (3,) m, R (3, 3) of home and of a tilted pose. Raises ConfigurationError: out of reach."""
+    """Position (3,) m and rotation (3, 3) of home and a tilted pose. Raises ConfigurationError."""
     return [pose_arrays(pose) for pose in _known(c)]
 
 
@@ -63,7 +63,7 @@ def _words(pose: Pose) -> str:
 
 
 def build_machine(c: Configuration, protocol: Family) -> Machine:
-    """Return the machine of a configuration."""
+    """The machine of a configuration. Raises ConfigurationError: the known poses are out of reach."""
     platform, gear, homing = build_platform(c.platform), c.drives.transmission, c.drives.homing
     poses = known_poses(c)
     joints = [
@@ -98,7 +98,7 @@ def build_machine(c: Configuration, protocol: Family) -> Machine:
 
 
 def presses(platform: Platform, p: Array, R: Array) -> float:
-    """Return the cosine between gravity and the way from the platform's joints, at p and R, to the base's."""
+    """Cosine between gravity and the direction from the platform's joints, at p and R, to the base's."""
     g = platform.gravity
     way = platform.base_joints.mean(axis=0) - p - R @ platform.platform_joints.mean(axis=0)
     sizes = float(np.linalg.norm(g) * np.linalg.norm(way))
@@ -106,7 +106,7 @@ def presses(platform: Platform, p: Array, R: Array) -> float:
 
 
 def unasked_identifiers(protocol: Family) -> frozenset[int]:
-    """Return the identifiers of what a protocol's drives send by themselves."""
+    """Identifiers of frames that a protocol's drives send unsolicited."""
     known: set[int] = set()
     for leg in range(LEGS):
         with contextlib.suppress(ProtocolError):

@@ -1,6 +1,6 @@
-"""The bring-up: the steps in their order, each with consent, until one names a mistake; and its checklist.
+"""The bring-up procedure: steps in order, each with consent, up to the first failed gate; and its checklist.
 
-Nothing later begins while a gate has findings. Facts that are known are not asked for again.
+No later step begins while a gate has findings. Known facts are not measured again.
 """
 
 from collections.abc import Iterable
@@ -13,33 +13,33 @@ from hil.lab.bringup.steps import brakes, encoder, force, gauge, ids, mounted, s
 STEPS: tuple[Step, ...] = tuple(
     module.STEP for module in (scan, silence, ids, encoder, brakes, force, gauge, mounted)
 )
-"""In their order; the first three and `mounted` are gates, the others end at the one before `mounted`."""
+"""All steps in order; gates are the first three and `mounted`, which begins only without findings."""
 ENDS = frozenset({"runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps"})
-"""Findings after which nothing more is tried."""
+"""Findings after which the bring-up ends at once."""
 
 
 class Outcome(NamedTuple):
-    """How far a bring-up came."""
+    """Progress of a bring-up."""
 
     passed: tuple[str, ...]
     """Steps without a finding."""
     findings: tuple[Finding, ...]
     gaps: tuple[tuple[str, Finding], ...] = ()
-    """Steps that cannot prove all with these drives, and what; the operator has taken that over."""
+    """Steps with a property that cannot be proven with these drives; the operator accepted each."""
     stopped: str = ""
     """Step at which it ended early; empty: all steps were done."""
 
     @property
     def success(self) -> bool:
-        """Whether all steps passed."""
+        """True if all steps were done without a finding."""
         return not self.findings and not self.stopped
 
 
 def bring_up(c: Context, steps: tuple[Step, ...] = STEPS) -> Outcome:
-    """Do the steps. However it ends, forces are zero and brakes shut before it returns or raises.
+    """Do the steps. Forces are zero and brakes shut on every exit, by return or by exception.
 
-    When it returns, all drives have their own watchdogs again and no fault of a lock-out. Raises RefusedError
-    where the operator does not consent.
+    On return all drives have their own watchdogs again and no lock-out fault. Raises RefusedError if the
+    operator does not consent.
     """
     try:
         outcome = _done(c, steps)
@@ -70,7 +70,7 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
         gap = step.gap(c)
         if gap is not None:  # taken over at every start: the operator may be another
             c.operator.tell(f"  {gap.line}")
-            text = f"{step.name} is not proven: take it over by typing `accept`"
+            text = f"{step.name} is not proven: take responsibility for it by typing `accept`"
             c.ask(Request("accept", text=text, word="accept"))
             gaps.append((step.name, gap))
         elif step.by_drive and len(c.facts.get(step.name, {})) < LEGS:
@@ -83,11 +83,11 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
 
 
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
-    """Do a step if it has not passed before; return whether it has, and its findings."""
+    """Do a step unless it passed before; return True if it had, and its findings."""
     c.operator.tell(f"{step.name}: {step.title}")
     known = step.kept_whole(c, len(c.machine.pose_lengths) if step is mounted.STEP else LEGS)
     if not known and not c.operator.consent(step.title, step.will, step.stop):
-        raise RefusedError(f"ended before step {step.name}; what was found is kept")
+        raise RefusedError(f"ended before step {step.name}; facts found so far are kept")
     try:
         if not known:
             step.find(c)
@@ -97,7 +97,7 @@ def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
 
 
 def merged(findings: list[Finding]) -> list[Finding]:
-    """Return the findings with one cause for what has one: a wrong lead, a drive the other way round."""
+    """Findings with symptoms of one cause merged: a wrong lead, or a drive that turns the wrong way."""
     named: dict[tuple[str, tuple[int, ...]], Finding] = {}
     more: list[Finding] = []
     for finding in findings:
@@ -110,8 +110,8 @@ def merged(findings: list[Finding]) -> list[Finding]:
         if ("encoder_sign", legs) in named and ("force_sign", legs) in named:
             del named["encoder_sign", legs], named["force_sign", legs]
             text = "its reading falls as it grows, and a force that should extend it shortens it"
-            mend = "Turn the drive's direction of rotation."
-            named["drive_reversed", legs] = Finding("drive_reversed", legs, text, mend)
+            remedy = "Turn the drive's direction of rotation."
+            named["drive_reversed", legs] = Finding("drive_reversed", legs, text, remedy)
     return [*named.values(), *more]
 
 
@@ -119,14 +119,14 @@ _UNITS = {"m", "s", "N", "kg"}
 
 
 def checklist(c: Context, outcome: Outcome, together: Iterable[str]) -> list[str]:
-    """Return the lines: a line a step with its verdict, below it the figures of each leg."""
+    """Lines of the checklist: each step with its verdict, below it the figures of each leg."""
     lines, gaps = [], dict(outcome.gaps)
     for step in STEPS:
         figures, gap = _figures(c, step), gaps.get(step.name)
         mark = "x" if step.name in outcome.passed else "!" if figures and outcome.findings else " "
         lines.append(f"[{'-' if gap else mark}] {step.name}: {step.title}")
         if gap:
-            figures.append(f"{gap.line}; taken over by the operator")
+            figures.append(f"{gap.line}; the operator took responsibility")
         lines += [f"      {line}" for line in figures]
     return [*lines, *(f"    ! {finding.line}" for finding in outcome.findings), *together]
 
@@ -139,12 +139,12 @@ def _figures(c: Context, step: Step) -> list[str]:
     gains = gauge.gains(c) if step is gauge.STEP else {}
     for drive, gain in gains.items():
         within = 100.0 * (gauge.WITHIN + gain.error + c.machine.losses)
-        lines.append(f"drive {drive}: {gain.value:.3f} N a commanded N; right is 1 within {within:.2g} %")
+        lines.append(f"drive {drive}: {gain.value:.3f} N per commanded N; expected: 1 within {within:.2g} %")
     return lines
 
 
 def _words(value: Any) -> str:
-    """Return a fact with the figures and units of its keys."""
+    """A fact as text; the units come from its keys."""
     match value:
         case dict():
             words = []

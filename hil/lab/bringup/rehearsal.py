@@ -1,6 +1,6 @@
-"""The rehearsal: the bring-up against emulated drives on the rehearsal bench, in simulated time.
+"""The rehearsal: a bring-up against emulated drives on the rehearsal bench, in simulated time.
 
-Its mistakes come in words: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4`.
+Mistakes are given as text: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4`.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,18 +32,18 @@ from plant_fmu.rehearsal.wiring import MISTAKES, OF_WATCHDOG, Mistake, Wiring, l
 from plant_fmu.stewart.plant import stewart_plant
 
 COMMAND_SHARE = 0.4
-"""When in a tick its command arrives, as a share of the period."""
+"""Arrival of the command within a tick, as a share of the period."""
 PATIENCE = 5
-"""Readings that are refused before a rehearsal ends: a bench reads the same again."""
+"""Refused readings before a rehearsal ends: a bench repeats its readings."""
 Agree = Callable[[str, str, str], bool]
-"""Called with a step's title, what it will do and how to stop it."""
+"""Asks for consent; arguments: title of a step, its effect, how to stop it."""
 Say = Callable[[str], None]
 UNLOADED = 0.5
 """Share of its friction that a leg without load has."""
 
 
 def emulated(c: Configuration) -> PlantSettings:
-    """Return the section `plant` with a platform: the configured one, or that of a machine without one."""
+    """The section `plant` with a Stewart platform as model: the configured one, else the default."""
     model = StewartPlant(type="stewart")
     if c.plant is None:
         return PlantSettings(model=model)
@@ -53,7 +53,7 @@ def emulated(c: Configuration) -> PlantSettings:
 def build_bench(
     c: Configuration, wiring: Wiring, seed: int = 1, faults: FaultPlan | None = None
 ) -> RehearsalBench:
-    """Return the bench of a configuration's machine on trestles, wired like that, with faults to come."""
+    """The bench of a configuration's machine on trestles, with a wiring and planned faults."""
     platform, plant = build_platform(c.platform), emulated(c)
     model = plant.model
     assert isinstance(model, StewartPlant)
@@ -72,7 +72,7 @@ def build_bench(
 
 
 class BenchLine:
-    """The bus between a bring-up and a bench, without bus time. Mutable state: the tick, frames under way."""
+    """The bus to a bench, without transfer time. Mutable state: the tick, frames in transit."""
 
     def __init__(self, nodes: Nodes, rate_Hz: float) -> None:
         self.rate_Hz = rate_Hz
@@ -83,7 +83,7 @@ class BenchLine:
         nodes.start(0)
 
     def exchange(self, opening: Sequence[Frame]) -> Heard:
-        """Advance by a tick, and return what came since and what answers `opening`."""
+        """Advance by a tick; return the frames since the last tick and the answers to `opening`."""
         self._tick += 1
         t = self._tick * self._period_ns
         self._take(self._nodes.step(t, ()))
@@ -92,7 +92,7 @@ class BenchLine:
         return Heard(t, heard)
 
     def send(self, frames: Sequence[Frame]) -> None:
-        """Let the drives hear frames in the middle of the tick."""
+        """Deliver frames to the drives, at COMMAND_SHARE of the tick."""
         t = self._tick * self._period_ns + round(COMMAND_SHARE * self._period_ns)
         self._take(self._nodes.step(t, [Received(t, frame) for frame in frames]))
 
@@ -101,7 +101,7 @@ class BenchLine:
 
 
 class Hands:
-    """An operator without a terminal: consent is asked of `agree`, and what is found is said."""
+    """An operator without a terminal: `agree` gives consent, `say` shows texts."""
 
     patience: float = PATIENCE
 
@@ -109,16 +109,16 @@ class Hands:
         self._agree, self._say = agree, say
 
     def consent(self, title: str, will: str, stop: str) -> bool:
-        """Ask who rehearses."""
+        """Pass the question to `agree`."""
         return self._agree(title, will, stop)
 
     def tell(self, text: str) -> None:
-        """Say what was found."""
+        """Show a text to the operator."""
         self._say(text)
 
 
 class BenchHands(Hands):
-    """The hands of a rehearsal: the bench's own truth, by tape and gauge. Mutable state: the answer."""
+    """Hands that read the bench's true values by tape and gauge. Mutable state: the answer."""
 
     def __init__(
         self,
@@ -133,7 +133,7 @@ class BenchHands(Hands):
         self._answer: float | None = None
 
     def ask(self, request: Request) -> None:
-        """Do at the bench what is asked."""
+        """Do the requested action, or take the reading, at the bench."""
         bench, self._answer = self._bench, 0.0
         match request.act:
             case "hang":
@@ -147,13 +147,13 @@ class BenchHands(Hands):
             self._say(f"    {request.text}: {'done' if self._answer == 0.0 else f'{self._answer:.4f}'}")
 
     def answer(self) -> float | None:
-        """Return what was measured, 0 for what is done."""
+        """The reading, or 0 for an action done; None if it was fetched before."""
         answer, self._answer = self._answer, None
         return answer
 
 
 def mounted(c: Configuration, wiring: Wiring) -> Plant:
-    """Return the platform on its legs as they are mounted, at home. Raises PlantError."""
+    """The platform at home on its legs, with the mounting mistakes of the wiring. Raises PlantError."""
     model = emulated(c).model
     assert isinstance(model, StewartPlant)
     robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
@@ -195,7 +195,7 @@ _LEG_KEYS = ("leg", "other", "third")
 
 
 def mistake_of(words: str) -> Mistake:
-    """Return a mistake. Raises ConfigurationError for words that are none, with those that are allowed."""
+    """Parse one mistake. Raises ConfigurationError for an unknown or invalid one, with the allowed ones."""
     name, *rest = words.split() or [""]
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
@@ -218,11 +218,11 @@ def mistake_of(words: str) -> Mistake:
 
 
 def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
-    """Return the wiring with some mistakes. Raises ConfigurationError: unknown, impossible, or no mistake."""
+    """Wiring with mistakes. Raises ConfigurationError: unknown, impossible, or without effect."""
     known = [mistake_of(words) for words in mistakes]
     if not protocol.traits.has_watchdog and not OF_WATCHDOG.isdisjoint(each.name for each in known):
         raise ConfigurationError(
-            "--mistake: these drives have no watchdog that is set from here, allowed: all but "
+            "--mistake: these drives have no watchdog that can be set over the bus, allowed: all but "
             + ", ".join(sorted(OF_WATCHDOG))
         )
     try:
@@ -230,5 +230,5 @@ def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
     except ValueError as error:
         raise ConfigurationError(f"--mistake: {error}") from None
     if known and wiring == Wiring():
-        raise ConfigurationError(f"--mistake {'; '.join(mistakes)!r}: allowed: what changes something")
+        raise ConfigurationError(f"--mistake {'; '.join(mistakes)!r}: no effect, allowed: a real change")
     return wiring

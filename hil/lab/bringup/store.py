@@ -1,4 +1,4 @@
-"""What a bring-up remembers between its runs: facts, and the hardware that they are about."""
+"""Memory of a bring-up between its runs: facts, and the identity of the hardware that they describe."""
 
 import hashlib
 import json
@@ -15,18 +15,18 @@ VERSION = 6
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 """Findings after which the bus is scanned again."""
 _STANDS = "platform"
-"""Fact that holds whatever was exchanged: the platform hangs on the legs until somebody takes it down."""
+"""Fact that survives a change of hardware: the platform hangs on the legs until somebody takes it down."""
 
 
 class Store:
-    """The state file. Mutable state: the facts, which are written at each change."""
+    """The state file. Mutable state: the facts, written at each change."""
 
     def __init__(self, path: Path, identity: dict[str, Any], *, again: bool = False) -> None:
-        """Read what is known of this hardware; again: only whether the platform hangs. Raises RunError."""
+        """Read the facts about this hardware; again: only whether the platform hangs. Raises RunError."""
         self.path, self._identity = path, identity
         self.facts: dict[str, dict[str, Any]] = {}
         self.changed = ""
-        """What of the hardware is another than in the file; empty: nothing, or there is no file."""
+        """Hardware that differs from the file; empty: none, or there is no file."""
         if path.exists():
             self._read(again=again)
 
@@ -40,8 +40,8 @@ class Store:
         if not whole:
             why = "damaged, or changed by hand" if version == VERSION else f"version {version}"
             raise RunError(
-                f"{self.path}: {why}, allowed: a state as version {VERSION} has written it. It stays as it "
-                "is: take the platform off the legs, and remove it or name another with --state"
+                f"{self.path}: {why}, allowed: an unchanged state of version {VERSION}. It stays as it is: "
+                "take the platform off the legs, then remove it or choose another with --state"
             )
         other = [key for key, value in self._identity.items() if identity.get(key) != value]
         if again or other:
@@ -51,19 +51,19 @@ class Store:
             self.facts = facts
 
     def save(self) -> None:
-        """Write the file. Raises RunError where it cannot be written: what it held before stays."""
+        """Write the file. Raises RunError if that fails; the old content stays."""
         there = {"version": VERSION, "identity": self._identity, "facts": self.facts}
         there["check"] = _check(self._identity, self.facts)
         try:
             write_whole(self.path, json.dumps(there, indent=1) + "\n")
         except OSError as error:
             raise RunError(
-                f"{self.path}: the state cannot be written ({error.strerror}). It keeps what was found "
-                "before the last fact; make room, or name another with --state, and give the command again"
+                f"{self.path}: the state cannot be written ({error.strerror}). It keeps the facts found "
+                "before the last fact; free disk space or choose another with --state, and repeat the command"
             ) from None
 
     def forget(self, findings: Iterable[Finding]) -> None:
-        """Drop what was measured at legs that are to be mended: it is measured again."""
+        """Drop the facts about the legs of the findings, so that they are measured again after the repair."""
         for finding in findings:
             if finding.name in _WHOLE:
                 for step in self.facts.keys() - {_STANDS}:
@@ -72,19 +72,19 @@ class Store:
         self.save()
 
     def forget_brakes(self) -> None:
-        """Drop that brakes hold and open, and that steps have passed: brakes are tested again."""
+        """Drop the facts about brakes and about steps passed, so that the brakes are tested again."""
         for step in ("held", "opens", "passed"):
             self.facts.pop(step, None)
         self.save()
 
 
 def _check(*parts: Any) -> str:
-    """Return a sum over what the file holds: a digit that was changed may open a brake."""
+    """Checksum of the file's content: a changed digit could open a brake."""
     return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
 
 
 def identity(c: Configuration, wiring: Iterable[str]) -> dict[str, Any]:
-    """Return what a configuration says of the hardware, and of the rehearsal's wiring, as JSON values."""
+    """Hardware described by a configuration, and the wiring of the rehearsal, as JSON values."""
     drives = c.drives.model_dump(mode="json")
     platform = c.platform.model_dump(mode="json")
     return {

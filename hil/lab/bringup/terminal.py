@@ -1,6 +1,6 @@
-"""The operator at a terminal: Enter for what is done, a number for what is read, a word for what is promised.
+"""The operator at a terminal: Enter confirms an action, a number is a reading, a word accepts a duty.
 
-`no`, or the end of the input, ends. What was typed ahead waits its turn.
+`no`, or the end of the input, ends the bring-up. Lines typed ahead are kept for the next question.
 """
 
 import contextlib
@@ -23,7 +23,7 @@ def _how(request: Request) -> str:
 
 
 class Terminal:
-    """Questions on a terminal that never hold ticks up. Mutable state: the question, what was typed."""
+    """Questions on a terminal that never delay a tick. Mutable state: the question, the typed bytes."""
 
     patience = math.inf
 
@@ -35,24 +35,24 @@ class Terminal:
         self._ended = False
 
     def tell(self, text: str) -> None:
-        """Say what was found."""
+        """Show a text to the operator."""
         self._write(text)
 
     def consent(self, title: str, will: str, stop: str) -> bool:
-        """Ask for Enter before a step, until it is given; nothing is powered meanwhile."""
+        """Wait for Enter before a step; no drive is powered meanwhile. Raises RefusedError."""
         how = f"Enter begins {title}, `no` ends"
         self._write(f"  it {will}\n  to stop it: {stop}\n  {how}")
         while typed := self._line():
-            self._write(f"  {typed!r} is no answer: {how}")
+            self._write(f"  {typed!r} is not an answer: {how}")
         return True
 
     def ask(self, request: Request) -> None:
-        """Show what is to be done or read."""
+        """Show the requested action or reading."""
         self._open = request
         self._write(f"    {request.text}; {_how(request)}")
 
     def answer(self) -> float | None:
-        """Return the number typed, 0 for what is done, None meanwhile. Raises RefusedError."""
+        """The number typed, 0 for an action done, None until then. Raises RefusedError."""
         if not self._has_line():
             return None
         assert self._open is not None
@@ -63,14 +63,14 @@ class Terminal:
             with contextlib.suppress(ValueError):
                 value = float(typed.replace(",", ".") if "." not in typed else typed)
         if not math.isfinite(value):
-            self._write(f"    {typed!r} is no answer; {self._open.text}; {_how(self._open)}")
+            self._write(f"    {typed!r} is not an answer; {self._open.text}; {_how(self._open)}")
             return None
         if "," in typed:
             self._write(f"    read as {value:g}")
         return value
 
     def _has_line(self) -> bool:
-        """Take what has been typed; return whether a line is whole or the input has ended."""
+        """Take the bytes typed so far; return True if a line is complete or the input has ended."""
         while not (whole := self._whole()) and select.select([self._source], [], [], 0.0)[0]:
             self._take()
         return whole
@@ -84,7 +84,7 @@ class Terminal:
         line, newline, self._typed = self._typed.partition(b"\n")
         typed = line.decode(errors="replace").strip().lower()
         if (not newline and not typed) or typed in ("no", "n", "q", "quit"):
-            raise RefusedError("ended by the operator; what was found is kept")
+            raise RefusedError("ended by the operator; facts found so far are kept")
         return typed
 
     def _take(self) -> None:

@@ -1,4 +1,4 @@
-"""`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured poses and lengths."""
+"""`hil calibrate CONFIG POSES.csv`: joint centres and length offsets from measured poses and leg lengths."""
 
 import csv
 import io
@@ -17,7 +17,7 @@ from hil.app.configuration.configuration import Configuration, load
 from hil.app.configuration.platform import build_platform
 from hil.app.files import made_whole, new_file
 from hil.app.output import further
-from hil.config.number import ALLOWED, in_reason, plain_number
+from hil.config.number import ALLOWED, is_allowed, plain_number
 from hil.config.values import AXES
 from hil.lab.calibrate.fit import (
     NAMES,
@@ -33,23 +33,23 @@ from hil.lab.calibrate.fit import (
 from hil.robot.geometry import Platform
 
 LENGTHS = ("l1_m", "l2_m", "l3_m", "l4_m", "l5_m", "l6_m")
-"""Legs in the order of the joint lists."""
+"""Columns of leg lengths, in the order of the joint lists."""
 DEVIATIONS = ("length_std_m", "position_std_m", "rotation_std_deg")
-"""Columns that may be left out: standard deviations of each length, coordinate and angle in the row."""
+"""Optional columns: standard deviations of each length, coordinate and angle in the row."""
 OUTLIER = 5.0
-"""A residual of so many standard deviations is named."""
+"""A residual beyond this many standard deviations is reported as an outlier."""
 DOUBT = 1e-3
-"""Probability of the chi-square below which (or above one less which) the given deviations are doubted."""
+"""Probability of the chi-square in either tail below which the given deviations are doubted."""
 REACH = 0.1
-"""A reading that differs by this share of the leg's length from what the pose asks is no reading of it."""
+"""A reading is refused if it differs from the length at its pose by more than this share of that length."""
 FRAMES = (
     "Joints are in the frames of the measured poses: these define base and platform frame. An error of "
-    "either frame against the machine moves all its joints together and cannot be seen here."
+    "either frame against the machine moves all its joints together and cannot be determined here."
 )
 
 
 class Report(NamedTuple):
-    """Figures of a calibration as lines, and as plain values."""
+    """Result of a calibration as lines and as plain values, and the YAML fragment."""
 
     lines: list[str]
     figures: dict[str, Any]
@@ -60,7 +60,7 @@ def run_calibration(path: str | Path, poses: Path, out: Path | None = None) -> R
     """Fit, report, and write the fragment to `out`, which must not exist.
 
     Raises ConfigurationError (configuration, CSV file, units, poses out of reach), CalibrationError (too few
-    pairs, no convergence), LogError (`out`). Where that fails in the end, the figures say so: `further`.
+    pairs, no convergence), LogError (`out`). A failure to write at the end is in the figures, see `further`.
     """
     if out is not None:
         new_file(out)
@@ -77,7 +77,7 @@ def run_calibration(path: str | Path, poses: Path, out: Path | None = None) -> R
 
 
 def read_pairs(path: Path) -> tuple[Measurements, list[int]]:
-    """Read the CSV file, columns in any order; return the line of each row, too.
+    """Read the CSV file, columns in any order; return the measurements and the line number of each row.
 
     Raises ConfigurationError with each problem as `file:line`.
     """
@@ -115,12 +115,11 @@ def _header_problems(header: list[str]) -> list[str]:
     found += [f"unknown column {name!r}, allowed: {','.join(known)}" for name in header if name not in known]
     found += [f"column {name} is there twice" for name in sorted(set(header)) if header.count(name) > 1]
     if "length_std_m" not in header and {"position_std_m", "rotation_std_deg"} & set(header):
-        found.append("deviations of the poses need length_std_m, too: what is their weight against a length?")
+        found.append("deviations of the poses need length_std_m, too, for their weight against a length")
     return found
 
 
 def _row_problem(header: list[str], words: list[str]) -> str:
-    """Find what is wrong with a line; empty: nothing."""
     if len(words) != len(header):
         return f"{len(words)} values, allowed: {len(header)}, one for each column"
     values = dict(zip(header, map(plain_number, words), strict=True))
@@ -128,7 +127,7 @@ def _row_problem(header: list[str], words: list[str]) -> str:
         positive = name in LENGTHS or name == "length_std_m"
         if not math.isfinite(number):
             return f"{name}: allowed: a finite number, given: {word.strip()!r:.60}"
-        if not in_reason(number):
+        if not is_allowed(number):
             return f"{name}: allowed in size: {ALLOWED}, given: {number:g}"
         if (positive and number <= 0) or (name in DEVIATIONS and number < 0):
             bound = "greater than 0" if positive else "at least 0"
@@ -142,25 +141,25 @@ def _row_problem(header: list[str], words: list[str]) -> str:
 def _refuse_strange(
     c: Configuration, robot: Platform, measured: Measurements, poses: Path, at: list[int]
 ) -> None:
-    """Refuse readings of another unit or robot before a fit bends the joints to explain them."""
+    """Refuse readings of another unit or robot: a fit would distort the joints to match them."""
     guess = suspicion(robot, measured)
     if guess is not None:
         raise ConfigurationError(
-            f"{poses}: lengths and poses do not belong together, and would if these were {guess}. "
+            f"{poses}: lengths and poses do not match; they would match if they were {guess}. "
             "Columns carry their unit; R turns platform axes into base axes"
         )
-    asked = predicted(robot, measured)
-    away = measured.q - start_offsets(robot, measured) - asked
+    expected = predicted(robot, measured)
+    away = measured.q - start_offsets(robot, measured) - expected
     low, high = c.platform.length_min_m, c.platform.length_max_m
-    beyond = np.maximum(low - asked, asked - high)
+    beyond = np.maximum(low - expected, expected - high)
     found = []
-    for row, leg in np.argwhere(np.abs(away) > REACH * asked):
+    for row, leg in np.argwhere(np.abs(away) > REACH * expected):
         q = measured.q[row, leg]
-        text = f"{LENGTHS[leg]} is {q:.4f} where the pose asks for {q - away[row, leg]:.4f}"
+        text = f"{LENGTHS[leg]} is {q:.4f}, but at this pose it should be {q - away[row, leg]:.4f}"
         found.append(f"{poses}:{at[row]}: {text} (configured joints, offset of the other rows)")
     for row in np.flatnonzero(beyond.max(axis=1) > REACH * (high - low)):
         leg = int(np.argmax(beyond[row]))
-        text = f"the pose asks {asked[row, leg]:.4f} m of {_leg(leg)}, stroke {low:g} to {high:g} m"
+        text = f"the pose needs {expected[row, leg]:.4f} m of {_leg(leg)}, stroke {low:g} to {high:g} m"
         found.append(f"{poses}:{at[row]}: out of reach: {text}")
     if found:
         raise ConfigurationError(*found[:10], *[f"{poses}: and {len(found) - 10} more"][: len(found) > 10])
@@ -169,7 +168,7 @@ def _refuse_strange(
 def describe(
     c: Configuration, robot: Platform, measured: Measurements, poses: Path, at: list[int], fit: Calibration
 ) -> Report:
-    """Return the report on a fit: what changed, how sure it is, what the poses do not tell."""
+    """Report on a fit: the changes, their uncertainty, and the parameters that the poses do not determine."""
     n = len(at)
     before = measured.q - predicted(robot, measured)
     before = before - before.mean(axis=0)
@@ -195,7 +194,7 @@ def describe(
 
 
 def _table(robot: Platform, fit: Calibration) -> Iterator[str]:
-    """Return changes in mm with their standard deviations, two lines a leg."""
+    """Lines with changes in mm and their standard deviations, two per leg."""
     change = np.hstack([
         fit.base_joints - robot.base_joints, fit.platform_joints - robot.platform_joints, fit.offsets[:, None]
     ])  # fmt: skip
@@ -213,8 +212,8 @@ def _warnings(poses: Path, at: list[int], fit: Calibration) -> Iterator[str]:
             legs.setdefault("; ".join(lost), []).append(leg)
     for names, where in legs.items():
         yield (
-            f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. Along these joints "
-            f"stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
+            f"{', '.join(map(_leg, where))}: not observable with these poses: {names}. In these directions "
+            f"the joints stay as configured. {_advice([x for x in fit.undetermined if x.leg in where])}"
         )
     if fit.weak:
         each = "; ".join(f"{_leg(x.leg)}: {_sum(x)} +- {1e3 * (x.std or 0):.1f} mm" for x in fit.weak)
@@ -225,27 +224,27 @@ def _warnings(poses: Path, at: list[int], fit: Calibration) -> Iterator[str]:
     if fit.p_value is not None and fit.chi_square is not None and not DOUBT < fit.p_value < 1 - DOUBT:
         yield (
             f"residuals are {math.sqrt(fit.chi_square / fit.dof):.2f} times the given standard deviations, "
-            "which is no chance: the deviations of the file are wrong, or the robot is no ideal one (joint "
+            "which is not chance: the deviations in the file are wrong, or the robot is not ideal (joint "
             "play, bending)"
         )
     for row, leg in np.argwhere(np.abs(fit.standardised) > OUTLIER)[:10]:
         yield (
             f"{poses.name}:{at[row]}: {_leg(leg)} is {abs(fit.standardised[row, leg]):.1f} standard "
-            "deviations off: a slip of that measurement?"
+            "deviations off: possible outlier, check this measurement"
         )
 
 
 def _advice(lost: list[Combination]) -> str:
     names = {name for x in lost for name in x.coefficients}
     if any("offset" in x.coefficients for x in lost):
-        return "An offset looks like joints further apart along the leg: measure longer and shorter legs."
+        return "An offset acts like joints further apart along the leg: measure longer and shorter legs."
     if any(n.startswith("base") for n in names) and any(n.startswith("platform") for n in names):
         return "Base and platform joint move together: measure poses that tilt about all axes."
     return "Measure poses further apart."
 
 
 def _sum(x: Combination) -> str:
-    """Write `base x + 0.5 platform x - offset`."""
+    """A combination as text, e.g. `base x + 0.5 platform x - offset`."""
     text = ""
     for name, share in x.coefficients.items():
         sign = "-" if share < 0 else "+"
@@ -290,14 +289,14 @@ def _figures(
 
 
 def _fragment(c: Configuration, poses: Path, fit: Calibration, rms: float, n: int) -> str:
-    """Return the YAML that replaces the joints of the configuration; offsets belong into the drives."""
+    """YAML that replaces the joints of the configuration; offsets are comments, to be set in the drives."""
     lines = [
         f"# Joints of {json.dumps(c.name)}, calibrated from {json.dumps(poses.name)}: {n} poses,",
-        f"# residual rms {rms:.4g} mm. In the frames of the measured poses; behind each joint the standard",
+        f"# residual rms {rms:.4g} mm. In the frames of the measured poses; after each joint the standard",
         "# deviations of x, y, z in mm.",
     ]
     if fit.undetermined:
-        lines.append("# ?: not determined by these poses, kept as configured as far as it is not.")
+        lines.append("# ?: not determined by these poses, this part is kept as configured.")
     lines.append("platform:")
     for key, rows, first in (
         ("base_joints_m", fit.base_joints, 0),

@@ -1,6 +1,6 @@
 """Joint centres and length offsets from measured pairs of pose and leg lengths, by least squares.
 
-Parameters of a leg stand in the order base x y z, platform x y z, offset, all in m; legs follow each other.
+The parameters of a leg are base x y z, platform x y z, offset, all in m; the legs follow one another.
 """
 
 from typing import NamedTuple
@@ -18,90 +18,90 @@ from hil.robot.geometry import Platform
 NAMES = ("base x", "base y", "base z", "platform x", "platform y", "platform z", "offset")
 """Parameters of one leg."""
 MIN_POSES = 8
-"""Six equations a pose and seven unknowns a leg: seven poses leave no residual to judge by."""
+"""Six equations per pose and seven unknowns per leg: seven poses would leave no residual."""
 RANK = 1e-6
-"""Singular value of a leg's Jacobian, relative to the largest, below which nothing is determined."""
+"""Singular value of a leg's Jacobian, relative to the largest, below which a direction is undetermined."""
 NOISE = 5.0
-"""The same in multiples of what the noise of the measured poses alone would show."""
+"""The same limit, as a multiple of the effect of the measured poses' own noise."""
 SHARE = 0.02
-"""A parameter with more than this in what is not determined is not determined by itself."""
+"""A parameter with a larger share than this in undetermined directions is itself undetermined."""
 WEAK = 1e-3
-"""m: a combination less certain than this is worth a warning."""
+"""m: standard deviation of a combination above which a warning is given."""
 
 
 class Measurements(NamedTuple):
-    """Measured pairs: platform poses and what the six legs read there."""
+    """Measured pairs: platform poses and the readings of the six legs at each."""
 
     p: Array
     """(n, 3) m, platform origin in the base frame."""
     rotation_vector: Array
     """(n, 3) rad, R = exp([r]x), x_base = p + R x_platform; at most half a turn."""
     q: Array
-    """(n, 6) m, joint centre to joint centre plus an unknown offset a leg."""
+    """(n, 6) m, distance of the joint centres plus an unknown offset per leg."""
     length_std: Array | None = None
     """(n,) m, standard deviation of each reading; None: unknown, estimated from the residuals."""
     position_std: Array | float = 0.0
-    """(n,) m, of each coordinate of a measured pose; only with `length_std`."""
+    """(n,) m, standard deviation of each coordinate of a measured pose; only with `length_std`."""
     rotation_std: Array | float = 0.0
-    """(n,) rad, of each angle of it."""
+    """(n,) rad, standard deviation of each angle of a measured pose; only with `length_std`."""
 
     def rotations(self) -> Array:
-        """Return R, (n, 3, 3)."""
+        """Rotation matrices R (n, 3, 3)."""
         return np.array([rotation_from_vector(r) for r in self.rotation_vector])
 
 
 class Combination(NamedTuple):
-    """A combination of one leg's parameters that the poses do not determine, or hardly."""
+    """A combination of one leg's parameters that the poses determine poorly or not at all."""
 
     leg: int
     coefficients: dict[str, float]
     """Name of the parameter -> its share, the largest 1."""
     std: float | None = None
-    """m; None where nothing is determined."""
+    """Standard deviation, m; None if undetermined."""
 
 
 class Calibration(NamedTuple):
-    """What the pairs say of the robot."""
+    """Result of a fit to measured pairs."""
 
     base_joints: Array
-    """(6, 3) m, in the frames of the measured poses; `platform_joints`, too."""
+    """(6, 3) m, like `platform_joints` in the frames of the measured poses."""
     platform_joints: Array
     offsets: Array
     """(6,) m, reading less distance of the joint centres."""
     std: Array
-    """(6, 7) m, of each parameter; nan where it is not determined by itself."""
+    """(6, 7) m, standard deviation of each parameter; nan if undetermined by itself."""
     covariance: Array
-    """(42, 42) m^2 of all parameters, zero along what is not determined."""
+    """(42, 42) m^2 of all parameters, zero along undetermined directions."""
     residuals: Array
     """(n, 6) m, reading less fitted reading."""
     standardised: Array
-    """(n, 6), the same over their standard deviation."""
+    """(n, 6), residuals over their standard deviations."""
     dof: int
-    """Equations less parameters determined."""
+    """Degrees of freedom: equations less determined parameters."""
     chi_square: float | None
-    """Sum of squares of the whitened residuals, about dof where the given deviations are right."""
+    """Sum of squared whitened residuals; about `dof` if the given deviations are right."""
     p_value: float | None
-    """Probability of a larger chi-square; both None without `length_std`."""
+    """Probability of a larger chi-square; like `chi_square` None without `length_std`."""
     sigma: float
-    """m, standard deviation of a reading: as estimated, or root mean square of the given ones."""
+    """m, standard deviation of a reading: estimated, or root mean square of the given ones."""
     undetermined: list[Combination]
-    """Kept at the start values."""
+    """Undetermined combinations, kept at their start values."""
     weak: list[Combination]
-    """Known to less than `WEAK`."""
+    """Combinations with a standard deviation above `WEAK`."""
 
 
 def predicted(platform: Platform, measured: Measurements) -> Array:
-    """Leg lengths (n, 6) m that `platform` has at the measured poses: |p + R b_i - a_i|."""
+    """Leg lengths (n, 6) m of `platform` at the measured poses: |p + R b_i - a_i|."""
     return _model(_start(platform), measured.p, measured.rotations())[0]
 
 
 def start_offsets(platform: Platform, measured: Measurements) -> Array:
-    """Return the offset (6,) m of each leg before any fit: median of reading less length of `platform`."""
+    """Offset (6,) m of each leg before a fit: median of reading less length of `platform`."""
     return np.median(measured.q - predicted(platform, measured), axis=0)
 
 
 def suspicion(platform: Platform, measured: Measurements) -> str | None:
-    """Say which other unit or direction would explain the readings at least five times better, if any."""
+    """The other unit or direction that explains the readings at least five times better, or None."""
 
     def spread(m: Measurements) -> float:
         return float(np.std(m.q - predicted(platform, m), axis=0).max())
@@ -127,11 +127,11 @@ def suspicion(platform: Platform, measured: Measurements) -> str | None:
 def calibrate(platform: Platform, measured: Measurements) -> Calibration:
     """Fit a_i, b_i and the offset o_i of six legs to measured pairs.
 
-    Minimises sum over poses of e_k^T C_k^-1 e_k, e_ki = q_ki - |p_k + R_k b_i - a_i| - o_i (Masory, Wang and
-    Zhuang 1993 fit the same 42), with C_k = sigma_l^2 1 + J_k diag(sigma_p^2, sigma_r^2) J_k^T, which legs
-    share through the error of their common pose. Without deviations C_k = 1, legs decouple, and the
-    covariance is scaled by the residuals. What the poses do not determine (singular values of each leg's
-    Jacobian) stays as it starts: the joints of `platform`, the median offset.
+    Minimises the sum over poses of e_k^T C_k^-1 e_k, e_ki = q_ki - |p_k + R_k b_i - a_i| - o_i (Masory, Wang
+    and Zhuang 1993 fit the same 42 parameters), C_k = sigma_l^2 1 + J_k diag(sigma_p^2, sigma_r^2) J_k^T. C_k
+    couples the legs through the error of their common pose. Without deviations C_k = 1, the legs decouple,
+    and the covariance is scaled by the residuals. Undetermined directions (by the singular values of each
+    leg's Jacobian) keep their start values: the joints of `platform` and the median offset.
 
     Raises CalibrationError: fewer than 8 poses, or no convergence.
     """
@@ -139,7 +139,7 @@ def calibrate(platform: Platform, measured: Measurements) -> Calibration:
     if n < MIN_POSES:
         raise CalibrationError(
             f"{n} poses, allowed: at least {MIN_POSES}. Each leg has 7 unknowns (two joints and an offset) "
-            "and one equation a pose; take some 30, all over the workspace, tilted about all axes"
+            "and one equation per pose; measure some 30, all over the workspace, tilted about all axes"
         )
     theta = _start(platform)
     theta[:, 6] = start_offsets(platform, measured)
@@ -181,7 +181,7 @@ def _start(platform: Platform) -> Array:
 
 
 def _model(theta: Array, p: Array, R: Array) -> tuple[Array, Array]:
-    """Return fitted readings (n, 6) and their slopes (n, 6, 7): -s, R^T s and 1, s the leg's direction."""
+    """Fitted readings (n, 6) and their slopes (n, 6, 7): -s, R^T s and 1, s the leg's direction."""
     legs = p[:, None, :] + np.einsum("kij,lj->kli", R, theta[:, 3:6]) - theta[None, :, 0:3]
     length = np.sqrt((legs**2).sum(axis=2))
     s = legs / length[:, :, None]
@@ -190,7 +190,7 @@ def _model(theta: Array, p: Array, R: Array) -> tuple[Array, Array]:
 
 
 def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
-    """Return C_k, (n, 6, 6): covariance of the readings at a pose, its own error included."""
+    """C_k (n, 6, 6): covariance of the readings at a pose, including the error of the pose."""
     n = len(measured.p)
     if measured.length_std is None:
         return np.tile(np.eye(6), (n, 1, 1))
@@ -207,7 +207,7 @@ def _noise(theta: Array, measured: Measurements, R: Array) -> Array:
 
 
 def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tuple[Array, Array, Array]:
-    """Return parameters (6, 7), the whitened Jacobian in the basis, and the whitened residuals."""
+    """Fitted parameters (6, 7), the whitened Jacobian in the basis, and the whitened residuals."""
     W = np.linalg.inv(np.linalg.cholesky(_noise(theta, measured, R)))
     rows, rank = measured.q.size, basis.shape[1]
 
@@ -225,22 +225,22 @@ def _solve(theta: Array, measured: Measurements, R: Array, basis: Array) -> tupl
     )
     if not fit.success:
         raise CalibrationError(
-            f"no convergence in {fit.nfev} evaluations: {fit.message}. Are the readings those of this robot, "
-            "legs in the order of the joint lists?"
+            f"no convergence in {fit.nfev} evaluations: {fit.message}. Check that the readings are from this "
+            "robot, legs in the order of the joint lists"
         )
     solution = theta + (basis @ fit.x).reshape(6, 7)
     return solution, jacobian(fit.x), whitened(fit.x)
 
 
 def _floor(theta: Array, measured: Measurements) -> float:
-    """Return the relative singular value below which a direction counts as not determined."""
+    """Relative singular value below which a direction counts as undetermined."""
     turn, shift = (np.sqrt(np.mean(np.square(std))) for std in (measured.rotation_std, measured.position_std))
     length = np.linalg.norm(measured.p[:, None] - theta[None, :, 0:3], axis=2).mean()
     return max(RANK, NOISE * float(turn + shift / length))
 
 
 def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
-    """Split each leg's parameter space into what the poses determine, scaled by its size, and the rest."""
+    """Split each leg's parameter space into determined directions, scaled by their size, and the rest."""
     kept, lost = [], []
     for leg in range(6):
         _, s, Vt = np.linalg.svd(slopes[:, leg, :], full_matrices=False)
@@ -251,7 +251,7 @@ def _split(slopes: Array, floor: float) -> tuple[list[Array], list[Array]]:
 
 
 def _combinations(leg: int, V: Array) -> list[Combination]:
-    """Name a basis of a subspace (7, k) with as few parameters a vector as possible, by pivoted QR."""
+    """Basis of a subspace (7, k) with as few parameters per vector as possible, by pivoted QR."""
     k = V.shape[1]
     if k == 0:
         return []
@@ -271,6 +271,6 @@ def _weak(leg: int, covariance: Array) -> list[Combination]:
 
 
 def _named(vector: Array) -> dict[str, float]:
-    """Return by name the entries of at least a tenth of the largest, scaled so that the largest is 1."""
+    """Entries of at least a tenth of the largest, by name, scaled so that the largest is 1."""
     x = vector / vector[int(np.argmax(np.abs(vector)))]
     return {name: float(v) for name, v in zip(NAMES, x, strict=True) if abs(v) >= 0.1}

@@ -1,4 +1,4 @@
-"""`hil identify`: the linearised axes, from a run made for it or from any log that excites them."""
+"""`hil identify`: the linearised axes, from a run with an excitation or from any log that excites them."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -42,7 +42,7 @@ REMARK = "Made by hil identify: the linearised axes from demanded acceleration t
 
 
 class Identified(NamedTuple):
-    """All that a log tells of its axes."""
+    """Result of identifying the axes from a log."""
 
     model: AxisModel
     fit: Fit
@@ -55,10 +55,10 @@ class Identified(NamedTuple):
 def excited_axes(
     c: Configuration, force_N: float | None, duration_s: float | None
 ) -> tuple[Configuration, float]:
-    """Return the configuration with a multisine on each of its law's axes, and its largest force, N.
+    """Configuration with a multisine on each axis of its law, and the largest excitation force, N.
 
     Raises ConfigurationError: a fused pose, a law that does not linearise, a force that the limits would
-    cut, or a pose that cannot be reached; IdentificationError: too short.
+    cut, or a pose out of reach; IdentificationError: too short.
     """
     refuse_fused(c, c.source)
     space = linearised_law(c).space
@@ -68,9 +68,9 @@ def excited_axes(
 
 
 def outputs(log: Path, model: Path | None) -> tuple[Path, Path]:
-    """Return the model to write, the given one, else beside the log, and its picture.
+    """Paths of the model file (the given one, else next to the log) and of its picture.
 
-    Raises ConfigurationError or LogError where they cannot be written.
+    Raises ConfigurationError or LogError if they cannot be written.
     """
     path = model or log.with_name(f"{log.stem}-axes.yaml")
     check_section_path("--model", path, AxisModel)
@@ -78,10 +78,10 @@ def outputs(log: Path, model: Path | None) -> tuple[Path, Path]:
 
 
 def axes_of_log(path: Path) -> Identified:
-    """Return the axes that a log of `hil run` or `hil sim` shows.
+    """Axes identified from a log of `hil run` or `hil sim`.
 
-    Raises LogError for what is no such log or tracks nothing, ConfigurationError for a fused pose or a law
-    that does not linearise, IdentificationError where the log does not hold enough; each names the log.
+    Raises LogError for another file or a log without tracking, ConfigurationError for a fused pose or a law
+    that does not linearise, IdentificationError for too little data; each message names the log.
     """
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
@@ -143,7 +143,7 @@ def _rounded(values: Iterable[float]) -> list[float]:
 
 
 def save(identified: Identified, files: tuple[Path, Path], title: str) -> dict[str, Any]:
-    """Write the model and its picture; return where they are, and which of them could not be written."""
+    """Write the model and its picture; return their paths and the errors of writing."""
     written: dict[str, Any] = {"model": None, "picture": None}
     model, picture = files
     with further(written):
@@ -156,7 +156,7 @@ def save(identified: Identified, files: tuple[Path, Path], title: str) -> dict[s
 
 
 def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the result as plain values; written: what `save` returned."""
+    """Result as plain values; written: the return value of `save`."""
     fit, model = identified.fit, identified.model
     return {
         "success": True,
@@ -178,7 +178,7 @@ def summary(identified: Identified, path: Path, written: Mapping[str, Any]) -> d
 
 
 def report(result: dict[str, Any], model: AxisModel) -> list[str]:
-    """Return what the user reads."""
+    """Lines for the user."""
     profile = model.uncertainty
     f, bound = np.array(profile.frequency_Hz), np.array(profile.bound)
     marks = [x for x in (1.0, 3.0, 10.0, 30.0, 100.0, 300.0) if f[0] <= x <= f[-1]]
@@ -198,8 +198,8 @@ def report(result: dict[str, Any], model: AxisModel) -> list[str]:
     ]
     if not result["coupled"]:
         lines.append(
-            "At some frequencies the axes moved together: their coupling is not in the bound there. "
-            "`hil identify CONFIG` moves each by itself; more --force drowns friction."
+            "At some frequencies the axes moved together: the bound does not cover their coupling there. "
+            "`hil identify CONFIG` moves each axis by itself; a larger --force exceeds friction."
         )
     lines += [f"{key:<7}  {result[key]}" for key in ("model", "picture") if result[key]]
     return [*lines, *compensation_lines(result["delay_compensation"])]
@@ -214,8 +214,8 @@ NAMES: dict[AxisSpace, tuple[str, ...]] = {
 def draw(model: AxisModel, path: Path, title: str) -> Path:
     """Draw measured points with two standard deviations, the nominal axis, coherence and bound.
 
-    Magnitude and phase are those of P s^2 / gain, from demanded to acting acceleration: on 1/s^2 itself
-    neither delay nor lag could be seen. Raises OSError where the file cannot be written.
+    Magnitude and phase are those of P s^2 / gain, from demanded to actual acceleration, since 1/s^2 itself
+    would hide delay and lag. Raises OSError if the file cannot be written.
     """
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 

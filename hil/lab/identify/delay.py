@@ -1,4 +1,4 @@
-"""`hil identify --delay`: the delay from a measurement to the force that answers it."""
+"""`hil identify --delay`: the delay from a measurement to the resulting force."""
 
 from pathlib import Path
 from typing import Any
@@ -25,9 +25,9 @@ DURATION_S = 4.0
 
 
 def excited(c: Configuration, force_N: float | None, duration_s: float | None) -> tuple[Configuration, float]:
-    """Return the configuration with an excitation about the held pose (else home), and its largest force, N.
+    """Configuration with an excitation about the held pose (else home), and its largest force, N.
 
-    Raises ConfigurationError: a fused pose, a force that the limits would cut, a pose that cannot be reached.
+    Raises ConfigurationError: a fused pose, a force that the limits would cut, a pose out of reach.
     """
     refuse_fused(c, c.source)
     force, pose = excitation_force(c, force_N), excitation_pose(c)
@@ -36,7 +36,7 @@ def excited(c: Configuration, force_N: float | None, duration_s: float | None) -
 
 
 def motion_of(rows: Rows, period_s: float) -> Motion:
-    """Take the ticks from the first to the last with open brakes. Raises LogError without any."""
+    """Motion from the first to the last tick with open brakes. Raises LogError without any."""
     running = np.flatnonzero(brakes_open(rows))
     rows, p, R, good = episode(rows[running[0] : running[-1] + 1])
     good = good & brakes_open(rows)
@@ -45,10 +45,10 @@ def motion_of(rows: Rows, period_s: float) -> Motion:
 
 
 def delay_of_log(path: Path) -> dict[str, Any]:
-    """Return the summary of the delay that a log of `hil run` or `hil sim` shows.
+    """Summary of the delay identified from a log of `hil run` or `hil sim`.
 
-    Raises LogError for what is no such log, ConfigurationError for a fused pose, IdentificationError where
-    it does not hold enough.
+    Raises LogError for another file, ConfigurationError for a fused pose, IdentificationError for too little
+    data.
     """
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path)
@@ -69,7 +69,7 @@ def delay_of_log(path: Path) -> dict[str, Any]:
 
 
 def compensation(found: Delays, hold_s: float) -> dict[str, float]:
-    """Return the keys of section `controller.delay_compensation`."""
+    """Keys of section `controller.delay_compensation`."""
     return {
         "bus_ms": round(1e3 * found.transport_s, 4),
         "drive_lag_ms": round(1e3 * found.lag_s, 4),
@@ -78,19 +78,19 @@ def compensation(found: Delays, hold_s: float) -> dict[str, float]:
 
 
 def compensation_lines(keys: dict[str, float]) -> list[str]:
-    """Return them as the lines to paste."""
+    """The same keys as YAML lines to paste."""
     values = ", ".join(f"{key}: {value:g}" for key, value in keys.items())
     return ["", "controller:", f"  delay_compensation: {{{values}}}"]
 
 
 def delay_figures(found: Delays, hold_s: float) -> dict[str, float]:
-    """Return transport, lag, hold and their sum in ms, with standard deviations."""
+    """Transport, lag, hold and their sum in ms, with standard deviations."""
     figures = {f"{key.removesuffix('_s')}_ms": 1e3 * value for key, value in found._asdict().items()}
     return figures | {"hold_ms": 1e3 * hold_s}
 
 
 def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
-    """Return a line for each of `delay_figures`; `total` says what their sum is."""
+    """A line for each of `delay_figures`; `total` is the remark on their sum."""
     rows = []
     for key, remark in (
         ("transport", "SYNC to feedback, computing, command: pure delay"),
@@ -105,17 +105,17 @@ def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
 
 
 def report(result: dict[str, Any]) -> list[str]:
-    """Return what the user reads: the delays, how sure they are, and what to write where."""
+    """Lines for the user: the delays, their uncertainty, and the keys to write."""
     lines = [
-        "From the measurement to the force that answers it (+- two standard deviations):",
-        *delay_rows(result, "what the law looks ahead by"),
-        f"{result['periods']} periods; the commands explain {result['explained_percent']:.2f} % of what "
-        "varies; gain of each leg " + " ".join(f"{g:.3f}" for g in result["gain"]),
+        "From a measurement to the resulting force (+- two standard deviations):",
+        *delay_rows(result, "look-ahead of the law"),
+        f"{result['periods']} periods; the commands explain {result['explained_percent']:.2f} % of the "
+        "varying force; gain of each leg " + " ".join(f"{g:.3f}" for g in result["gain"]),
     ]
     if not result["separable"]:
         lines.append(
-            "Transport and lag could not be told apart: the motion was too slow for it. Their sum stands as "
-            "transport; the excitation of `hil identify CONFIG --delay` tells more."
+            "Transport and lag could not be separated: the motion was too slow. Their sum is listed as "
+            "transport; the excitation of `hil identify CONFIG --delay` separates them."
         )
     worst = max(abs(g - 1.0) for g in result["gain"])
     if worst > 0.05:

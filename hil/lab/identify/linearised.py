@@ -1,7 +1,7 @@
-"""The linearised axes of a log or a configuration: which law, which axes, which part of the run.
+"""Signals of the linearised axes, from a log and its configuration.
 
 A law that linearises sends tau = A(x) v + b(x), x the measured state, for a demanded acceleration v. So v
-follows from what was sent, limits included, whatever made v: reference, gains, a switching term.
+follows from the sent forces, limits included, whatever produced v: reference, gains, a switching term.
 """
 
 from collections.abc import Callable
@@ -32,13 +32,13 @@ from hil.robot.kinematics_kernels import jacobian_kernel
 from hil.trajectory.multisine import pick_lines
 
 LEAST_MOTION_m = 1e-4
-"""Of the leg that moves most; what moves less is lost in encoder steps and friction."""
+"""Least motion of the leg that moves most; less is lost in encoder steps and friction."""
 APART = 1e-6
-"""Of a period; so much the reference's time may differ from the clock's by rounding."""
+"""Largest rounding error between the reference's time and the clock's, as a share of the period."""
 
 
 class LinearisedLaw(NamedTuple):
-    """How a configured law turns a demanded acceleration into forces."""
+    """The linearising part of a configured law, from demanded acceleration to forces."""
 
     space: AxisSpace
     model: Model
@@ -46,7 +46,7 @@ class LinearisedLaw(NamedTuple):
 
 
 def linearised_law(c: Configuration) -> LinearisedLaw:
-    """Return the linearising part of the configured law. Raises ConfigurationError: there is none."""
+    """Linearising part of the configured law. Raises ConfigurationError if it has none."""
     settings = c.controller
     controller = controller_of(settings, c.folder)
     space = settings.axes if controller is None else controller.axes
@@ -61,13 +61,13 @@ def linearised_law(c: Configuration) -> LinearisedLaw:
 
 
 def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSignals, Array]:
-    """Return the tracked part of a log, missing ticks held, and the reference's time (n,) s at each tick.
+    """Signals of the tracked part of a log, missing ticks held, and the reference's time (n,) s at each tick.
 
     Raises LogError: nothing was tracked; IdentificationError: the legs hardly moved.
     """
     rows = rows[rows["mode"] == Mode.TRACKING]
     if not len(rows):
-        raise LogError("this log holds no tick that tracks a reference: there is nothing to identify from")
+        raise LogError("no tick of this log tracks a reference, so nothing can be identified")
     motion = float(np.ptp(rows["q"], axis=0).max())
     if motion < LEAST_MOTION_m:
         raise IdentificationError(
@@ -87,10 +87,10 @@ def signals_of(rows: Rows, law: LinearisedLaw, rate_Hz: float) -> tuple[AxisSign
 
 
 def repeating(reference: ReferenceSettings, rate_Hz: float) -> tuple[int, Ints] | None:
-    """Return the ticks of a period, and the harmonics, of a reference that repeats; None where it does not.
+    """Ticks per period, and harmonics, of a periodic reference; None for any other.
 
-    Lines above 0.45 of the rate are not looked at. Sinusoids of which less than a quarter of a turn is seen
-    are a drift, no line.
+    Lines above 0.45 of the rate are ignored. A sinusoid of which less than a quarter of a turn is seen is a
+    drift, not a line.
     """
     if isinstance(reference, MultisineReference):
         taken: set[int] = set()
@@ -117,10 +117,10 @@ def repeating(reference: ReferenceSettings, rate_Hz: float) -> tuple[int, Ints] 
 def settled(
     signals: AxisSignals, t: Array, reference: SinusoidReference | MultisineReference, length: int
 ) -> Flags:
-    """Return which ticks count: between the ramps, and of that the last whole periods, the rest settles.
+    """True at ticks that count: the last whole periods between the ramps; the rest settles.
 
-    A tick before which the reference went on by another time than the clock's does not: at less than full
-    speed all lines lie lower than they are looked for.
+    A tick does not count if the reference advanced by another time than the clock before it: at less than
+    full speed all lines have lower frequencies than expected.
     """
     good = at_full_speed(signals.good, t, signals.period_s)
     end = t[np.isfinite(t)].max(initial=0.0)
@@ -138,7 +138,7 @@ def settled(
 
 
 def at_full_speed(good: Flags, t: Array, period_s: float) -> Flags:
-    """Return which of the good ticks (n,) are as far behind the good one before in the reference's time t."""
+    """True at good ticks (n,) where the reference's time t advanced with the clock since the last one."""
     ticks = np.flatnonzero(good)
     late = np.diff(t[ticks] - ticks * period_s, prepend=t[ticks[:1]] - ticks[:1] * period_s)
     found = good.copy()
@@ -150,16 +150,16 @@ Law = Callable[[Model, Record, Array], Array]
 
 
 def demanded_accelerations(space: AxisSpace, model: Model, states: list[Record], tau: Array) -> Array:
-    """Return v (n, 6) for which the law of `model` sends tau (n, 6) N in each state.
+    """Demanded accelerations v (n, 6) for which the law of `model` sends tau (n, 6) N in each state.
 
-    joint: accelerations of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
+    joint: of the legs, m/s^2; pose: of x, y, z and the rotations about them, m/s^2 and rad/s^2.
     """
     A, b = law_terms(space, model, states)
     return np.asarray(np.linalg.solve(A, (tau - b)[:, :, None])[:, :, 0], float)
 
 
 def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Array, Array]:
-    """Return A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state, by the law's own kernel."""
+    """A (n, 6, 6) and b (n, 6) N of tau = A v + b in each state, by the law's own kernel."""
     law, still = _LAWS[space], np.zeros(6)
     b = np.array([law(model, state, still) for state in states])
     columns = [np.array([law(model, state, axis) for state in states]) - b for axis in np.eye(6)]
@@ -167,7 +167,7 @@ def law_terms(space: AxisSpace, model: Model, states: list[Record]) -> tuple[Arr
 
 
 def state_of(model: Model, p: Array, R: Array, twist: Array, wrench: Array) -> Record:
-    """Return a tick with what a law's kernels read of the state, from a row of the log."""
+    """A tick record with the state that a law's kernels read, from a row of the log."""
     tick = new_record()
     tick["p"], tick["R"], tick["twist"], tick["wrench"] = p, R, twist, wrench
     tick["J"] = jacobian_kernel(model.platform.base_joints, model.platform.platform_joints, p, R)

@@ -40,20 +40,20 @@ from hil.lab.identify.runs import brakes_open, episode, recorded_run, refuse_fus
 from hil.robot.dynamics import Model
 
 SURE = 3.0
-"""Standard errors from which a difference counts."""
+"""Standard errors beyond which a difference is significant."""
 LEAST_PAYLOAD = 2e-3
-"""Of the platform's mass; what is lighter is no payload but an error of the platform's figures."""
+"""Least payload, as a share of the platform's mass; less is an error of the platform's data."""
 HIDDEN = 0.1
-"""Share of an unknown in hidden directions from which it is said not to be shown."""
+"""Share of an unknown in hidden directions above which it is reported as not shown."""
 WRONG = 0.3
-"""Residual, of the leg forces, from which nothing is printed."""
+"""Residual, as a share of the leg forces, above which the result is refused."""
 HALVES = ("first half", "second half")
 DRIVES = {
     "viscous_friction_N_s_m": (VISCOUS, "viscous friction", "N s/m"),
     "coulomb_friction_N": (COULOMB, "Coulomb friction", "N"),
     "reflected_mass_kg": (REFLECTED, "reflected mass", "kg"),
 }
-"""First columns of the drives' parts, by their key in `controller.model`, and their words."""
+"""First columns of the drives' parameters, with name and unit, by key in `controller.model`."""
 
 
 class Source(NamedTuple):
@@ -64,56 +64,58 @@ class Source(NamedTuple):
     model: Model
     equations: Equations
     sent: tuple[float, LoopDelay] | None
-    """Rate in Hz and delay of forces that were sent; None: they are those that the drives report."""
+    """Rate in Hz and delay of sent forces; None if the drives report their forces."""
     seconds: float
-    """With open brakes."""
+    """Time with open brakes."""
 
     @property
     def reported(self) -> bool:
-        """Whether the forces are those that the drives report; else those that were sent, delayed."""
+        """True if the drives report the forces; otherwise the delayed commands are used."""
         return self.sent is None
 
 
 class Found(NamedTuple):
-    """What the logs say of platform, payload and drives."""
+    """Identified platform, payload and drives."""
 
     sources: list[Source]
     believed: Array
-    """(29,), without `inertia_scale`."""
+    """(29,) configured values, without `inertia_scale`."""
     carrier: Array
-    """(10,): what is believed without the payload that is known by ranges."""
+    """(10,): configured body without the payload that is given by ranges."""
     estimate: Estimate
     whole: Consistent
-    """Platform with all that it carries."""
+    """Platform with its whole load."""
     payload: Consistent | None
-    """Platform and a payload that is a body by itself; None where nothing is carried that is not known."""
+    """Platform and a payload that is a body by itself; None if there is no unknown payload."""
     reflected_kg: float | None
-    """Of each leg, where it is given."""
+    """Reflected mass of each leg, if given."""
     rms_believed_N: float
     rms_force_N: float
-    """Of the leg forces less what the legs themselves take."""
+    """Rms of the leg forces less the forces for the legs themselves."""
     held_out: dict[str, tuple[float, float]]
-    """By log, or half of the log: rms in N by a fit to the others, and as believed."""
+    """By log, or half of the log: rms in N with a fit to the others, and with the configured values."""
 
     @property
     def split(self) -> bool:
-        """Whether the difference to the carrier is printed as a payload."""
+        """True if the difference to the carrier is reported as a payload."""
         return self.payload is not None and self.payload.shift <= SURE
 
     @property
     def theta(self) -> Array:
-        """(29,) what is printed."""
+        """(29,) reported values."""
         return self.payload.theta if self.payload is not None and self.split else self.whole.theta
 
 
 def identify_payload(paths: list[Path], reflected_kg: float | None = None) -> Found:
-    """Return what logs of `hil run` or `hil sim` say of masses and friction.
+    """Masses and friction identified from logs of `hil run` or `hil sim`.
 
-    `reflected_kg` of each leg, where it is known. Raises LogError for what is no such log, ConfigurationError
-    for a fused pose, IdentificationError where the logs do not hold enough or are of different platforms.
+    `reflected_kg` of each leg, if known. Raises LogError for another file, ConfigurationError for a fused
+    pose, IdentificationError for too little data or logs of different platforms.
     """
     if len({real_path(path) for path in paths}) < len(paths):
-        raise IdentificationError("the same log twice, allowed: each once; it would confirm itself")
+        raise IdentificationError(
+            "the same log is given twice, allowed: each log once; a repeated log confirms itself"
+        )
     sources = [_source(path) for path in paths]
     first = sources[0]
     for other in sources[1:]:
@@ -123,7 +125,7 @@ def identify_payload(paths: list[Path], reflected_kg: float | None = None) -> Fo
         ):
             if here != there:
                 raise IdentificationError(
-                    f"{other.path}: its {what} is not that of {first.path}; identify each by itself"
+                    f"{other.path}: its {what} differs from {first.path}: identify each log alone"
                 )
     platform = first.model.platform
     believed, scale = _believed(first), unknowns_scale(platform)
@@ -141,7 +143,7 @@ def identify_payload(paths: list[Path], reflected_kg: float | None = None) -> Fo
     if left > WRONG or not estimate.theta[0] > 0.0:
         raise IdentificationError(
             f"{logs}: a platform of {estimate.theta[0]:.4g} kg leaves {100.0 * left:.0f} % of the leg forces "
-            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; another robot, or something pushes it"
+            f"unexplained, allowed: a mass > 0 and {100.0 * WRONG:g} %; another robot, or an external force"
         )
     carrier = _carrier(first)
     more = float(estimate.theta[0] - carrier[0])
@@ -180,7 +182,7 @@ def _source(path: Path) -> Source:
 
 
 def _believed(source: Source) -> Array:
-    """Return what section platform and `controller.model` say (29,), without `inertia_scale`."""
+    """Configured values (29,) of section platform and `controller.model`, without `inertia_scale`."""
     b = source.configuration.controller.believed
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(source.model.platform.platform)
@@ -191,12 +193,12 @@ def _believed(source: Source) -> Array:
 
 
 def ranged_body(c: Configuration) -> PayloadSettings | None:
-    """Return the payload that is known by ranges."""
+    """The configured payload that is given by ranges."""
     return next((body for body in c.platform.platform.payload if body.ranged), None)
 
 
 def _carrier(source: Source) -> Array:
-    """Return the parameters (10,) of the platform without the payload that is known by ranges."""
+    """Parameters (10,) of the platform without the payload that is given by ranges."""
     settings = source.configuration.platform
     fixed = [body for body in settings.platform.payload if not body.ranged]
     bare = settings.platform.model_copy(update={"payload": fixed})
@@ -204,7 +206,7 @@ def _carrier(source: Source) -> Array:
 
 
 def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str, tuple[float, float]]:
-    """Return how well each log, or half of the only one, is predicted from the others."""
+    """Prediction error of each log, or half of the only one, with a fit to the others."""
     parts = [s.equations for s in sources] if len(sources) > 1 else halves(sources[0].equations)
     names = [str(s.path) for s in sources] if len(sources) > 1 else HALVES
     found = {}
@@ -219,7 +221,7 @@ def _held_out(sources: list[Source], believed: Array, scale: Array) -> dict[str,
 
 
 def drives_of(found: Found) -> dict[str, tuple[Array, Array]]:
-    """Return value and standard error (6,) of the drives' parts, by key; not of reflected masses if given."""
+    """Value and standard error (6,) of the drives' parameters, by key; without reflected masses if given."""
     std, given = found.estimate.std, found.reflected_kg is not None
     parts = {key: at for key, (at, *_) in DRIVES.items() if at != REFLECTED or not given}
     return {key: (found.theta[at : at + 6], std[at : at + 6]) for key, at in parts.items()}

@@ -1,4 +1,4 @@
-"""What `hil identify payload` prints: figures, and the block to paste with what is known now, not before."""
+"""Output of `hil identify payload`: figures, and the block of keys to paste into the configuration."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -15,23 +15,23 @@ from hil.lab.identify.payload import DRIVES, HIDDEN, LEAST_PAYLOAD, SURE, Found,
 from hil.robot.geometry import Body
 
 POOR = 0.05
-"""Residual, of the leg forces, from which the figures are doubted."""
+"""Residual, as a share of the leg forces, above which the figures are doubted."""
 DIGITS = 1e-7
-"""Of the largest element: figures are rounded to that, and a tensor is kept as far from being none."""
+"""Rounding unit as a share of the largest element; a tensor stays ten times this from an impossible one."""
 SIGNIFICANT = 2.0
-"""Standard errors, rms over the legs, from which friction and reflected masses are not zero."""
+"""Standard errors, rms over the legs, above which friction and reflected masses differ from zero."""
 READ_AS: dict[str, Any] = {
     "shape": None,
     "frame": {"origin_m": [0.0, 0.0, 0.0], "rotation_vector_deg": [0.0, 0.0, 0.0]},
     "inertia_about": {"point_m": None, "rotation_vector_deg": [0.0, 0.0, 0.0]},
     "products": "negative_integral",
 }
-"""How the figures of a body in the block are read, whatever the section says."""
+"""Keys that define how the body's figures in the block are read; they override those of the section."""
 REMARK = "# Made by hil identify payload: paste into the configuration, in the place of these keys.\n"
 
 
 def block(found: Found) -> dict[str, Any]:
-    """Return the keys to paste: the body where it is shown and another, and the drives' part of the model."""
+    """Keys to paste: the body if it is shown and differs, and the drives' part of the model."""
     c = found.sources[0].configuration
     result: dict[str, Any] = {}
     if body_shown(found) and body_differs(found):
@@ -51,19 +51,19 @@ def block(found: Found) -> dict[str, Any]:
 
 
 def body_shown(found: Found) -> bool:
-    """Tell whether the motion shows all ten parameters of the body."""
+    """True if the motion shows all ten parameters of the body."""
     return bool((found.estimate.unknown[:SIZE] <= HIDDEN).all())
 
 
 def body_differs(found: Found) -> bool:
-    """Tell whether the body is another one than section `platform` has."""
+    """True if the body differs from section `platform`."""
     e = found.estimate
     change = np.abs(found.theta - found.believed)[:SIZE]
     return bool((change > np.maximum(SURE * e.std, LEAST_PAYLOAD * e.scale)[:SIZE]).any())
 
 
 def _body(found: Found) -> dict[str, Any]:
-    """Return section `platform.platform`: a payload more, in place of one known by ranges; else its own."""
+    """Section `platform.platform` with a payload more, in place of one given by ranges, or a new body."""
     c = found.sources[0].configuration
     payload = c.platform.platform.payload
     if not found.split:
@@ -74,7 +74,7 @@ def _body(found: Found) -> dict[str, Any]:
 
 
 def _body_keys(body: Body) -> dict[str, Any]:
-    """Return mass_kg, com_m and inertia_kg_m2 of a body, rounded so that it stays one."""
+    """mass_kg, com_m and inertia_kg_m2 of a body, rounded so that it stays a possible one."""
     return {
         "mass_kg": float(f"{body.mass:.7g}"),
         "com_m": [round(float(x), 7) for x in body.com],
@@ -83,7 +83,7 @@ def _body_keys(body: Body) -> dict[str, Any]:
 
 
 def _thickened(inertia: Array) -> Array:
-    """Return the tensor of a body that is not thinner about its centre of mass than the rounding."""
+    """Inertia tensor of a body that is thicker about its centre of mass than the rounding."""
     values, vectors = np.linalg.eigh(0.5 * np.trace(inertia) * np.eye(3) - inertia)
     values = np.maximum(values, 10.0 * DIGITS * max(float(values.max()), DIGITS))
     return np.asarray(values.sum() * np.eye(3) - vectors @ np.diag(values) @ vectors.T, np.float64)
@@ -96,10 +96,10 @@ def _rounded(x: Array) -> Array:
 
 
 def _drives(found: Found) -> dict[str, Any]:
-    """Return the drives' keys that the motion shows of every leg, none negative.
+    """The drives' keys that the motion shows for every leg, without negative values.
 
-    Friction within two standard errors of zero is none. Motors are alike: their reflected masses are zero
-    together, or none is.
+    Friction within two standard errors of zero is set to zero. Motors are alike: their reflected masses are
+    all zero or none is.
     """
     keys: dict[str, Any] = {}
     for key, (value, std) in drives_of(found).items():
@@ -114,19 +114,19 @@ def _drives(found: Found) -> dict[str, Any]:
 
 
 def block_text(found: Found) -> str:
-    """Return the block as YAML; nothing where all is as believed."""
+    """The block as YAML; empty if everything is as configured."""
     keys = block(found)
     return yaml.safe_dump(keys, sort_keys=False, default_flow_style=None, width=110) if keys else ""
 
 
 def file_text(found: Found) -> str:
-    """Return the file of `-o`."""
+    """Content of the file of `-o`."""
     logs = "".join(f"# {printable(s.path)}\n" for s in found.sources)
     return REMARK + logs + block_text(found)
 
 
 def unseen(found: Found) -> list[str]:
-    """Return the unknowns that the motion does not show."""
+    """Names of the unknowns that the motion does not show."""
     names = dict(enumerate(NAMES)) | {LATE: "delay of the forces"}
     parts = [DRIVES[key] for key in drives_of(found)]
     names |= {at + k: f"{what} of leg {k}" for at, what, _ in parts for k in range(6)}
@@ -134,7 +134,7 @@ def unseen(found: Found) -> list[str]:
 
 
 def summary(found: Found) -> dict[str, Any]:
-    """Return the result as plain values."""
+    """Result as plain values."""
     e = found.estimate
     drives = drives_of(found)
     return {
@@ -175,7 +175,7 @@ def _plain(theta: Array) -> dict[str, Any]:
 
 
 def report(found: Found) -> Iterator[str]:
-    """Return what the user reads before the block."""
+    """Lines for the user, before the block."""
     e, hidden = found.estimate, unseen(found)
     rms = float(np.sqrt(np.mean(e.residual_N**2)))
     reported, seconds = all(s.reported for s in found.sources), sum(s.seconds for s in found.sources)
@@ -184,7 +184,7 @@ def report(found: Found) -> Iterator[str]:
     yield "Platform with all it carries, about its origin (+- two standard errors):"
     for k, (name, unit) in enumerate(zip(NAMES, UNITS, strict=True)):
         error = f"+- {2.0 * e.std[k]:<8.2g}" if e.unknown[k] <= HIDDEN else "not shown  "
-        yield f"  {name:5} {found.theta[k]:11.3f} {error} {unit:7} believed {found.believed[k]:.3f}"
+        yield f"  {name:5} {found.theta[k]:11.3f} {error} {unit:7} configured {found.believed[k]:.3f}"
     yield "Drives, leg 0 to 5:"
     for key, (value, std) in drives_of(found).items():
         figures = ", ".join(f"{v:.2f} +- {2.0 * s:.2g}" for v, s in zip(value, std, strict=True))
@@ -194,17 +194,17 @@ def report(found: Found) -> Iterator[str]:
         yield f"  reflected mass, kg: {found.reflected_kg:g} each, given"
     late_ms, late_std_ms = 1e3 * found.theta[LATE], 1e3 * e.std[LATE]
     yield f"Forces are {late_ms:.3f} +- {2.0 * late_std_ms:.2g} ms late against the lengths"
-    residual = f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as believed"
+    residual = f"Residual {rms:.3g} N rms, {found.rms_believed_N:.3g} N as configured"
     for name, (r, b) in found.held_out.items():
-        residual += f"; {name} from the rest {r:.3g} N ({b:.3g} N as believed)"
+        residual += f"; {name} from the rest {r:.3g} N ({b:.3g} N as configured)"
     yield residual
     scale = believed_scale(found)
     if scale != 1.0:
-        yield f"As believed: without the inertia_scale {scale:g} of controller.model"
+        yield f"As configured: without the inertia_scale {scale:g} of controller.model"
     if rms > POOR * found.rms_force_N:
         yield (
             f"That is {100.0 * rms / found.rms_force_N:.0f} % of the forces, {100.0 * POOR:g} % are common: "
-            "another robot, a load on the platform, or drives that do not make the force they report"
+            "another robot, a load on the platform, or drives that report a wrong force"
         )
     names = ", ".join(hidden)
     shown = f"not shown about the platform's origin: {names}" if names else "the motion shows every unknown"
@@ -213,25 +213,25 @@ def report(found: Found) -> Iterator[str]:
 
 
 def believed_scale(found: Found) -> float:
-    """Return the scale of all masses that stands beside what is said to be believed; 1: there is none."""
+    """Configured scale of all masses, left out of the configured values; 1: there is none."""
     believed = found.sources[0].configuration.controller.believed
     return 1.0 if believed is None else believed.inertia_scale
 
 
 def _physics(found: Found) -> Iterator[str]:
-    """Return what body that is, and what the block makes of it."""
+    """Lines on the identified body, and on its place in the block."""
     payload = found.payload
     for what, fit in (("all of it", found.whole), ("the payload", payload if found.split else None)):
         if fit is not None and fit.smallest <= 0.0:
             yield (
-                f"Least squares alone gives {what} what no body has (pseudo-inertia not positive definite); "
-                f"the nearest body is printed, {fit.shift:.1f} standard errors away"
+                f"Least squares alone gives {what} an impossible inertia (pseudo-inertia not positive "
+                f"definite); the nearest possible body is printed, {fit.shift:.1f} standard errors away"
             )
     c = found.sources[0].configuration
     ranged = ranged_body(c)
-    carrier = "section platform" if ranged is None else "section platform without the one known by ranges"
+    carrier = "section platform" if ranged is None else "section platform without the payload given by ranges"
     if payload is None:
-        yield f"No payload beyond what {carrier} has"
+        yield f"No payload besides that of {carrier}"
     elif found.split:
         body = body_of(found.theta[:SIZE] - found.carrier)
         x, y, z = body.com
@@ -240,24 +240,24 @@ def _physics(found: Found) -> Iterator[str]:
         yield (
             f"{found.theta[0] - found.carrier[0]:.2f} kg more than {carrier}, but no payload alone explains "
             f"the rest (the nearest one is {payload.shift:.1f} standard errors away, allowed: {SURE:g}): the "
-            "figures of the platform itself are off"
+            "data of the platform itself are wrong"
         )
     yield _in_block(found, "" if ranged is None else shown_ranges(ranged))
 
 
 def _in_block(found: Found, ranges: str) -> str:
-    """Return what the block has of the body, and why; ranges: of a payload that is known by these."""
+    """Line on the body's place in the block, with the reason; ranges: of a payload given by these."""
     if not body_shown(found):
         return (
-            "The block leaves the body out, this motion does not show all of it: log motion along and about "
-            "all three axes"
+            "The block leaves the body out, since this motion does not show all its parameters: log motion "
+            "along and about all three axes"
         )
     if not body_differs(found):
         return (
-            f"The block leaves the body out: it is that of section platform within {SURE:g} standard errors "
+            f"The block leaves the body out: it equals section platform within {SURE:g} standard errors "
             f"or {100.0 * LEAST_PAYLOAD:g} % of the platform's size"
         )
-    lost = f"; state the ranges of {ranges} again beside it" if ranges else ""
+    lost = f"; state the ranges of {ranges} again next to it" if ranges else ""
     if not found.split:
-        return f"The block has the ten parameters of all of it, in platform axes, and no payload{lost}"
+        return f"The block has the ten parameters of the whole, in platform axes, and no payload{lost}"
     return f"The block has it {f'in place of {ranges}' if ranges else 'as one more body'}{lost}"

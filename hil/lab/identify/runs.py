@@ -1,4 +1,4 @@
-"""What all of `hil identify` begins with: a run that excites the robot, or a log of a run that is there."""
+"""Common start of all `hil identify` commands: a run with an excitation, or an existing log of a run."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,7 +28,7 @@ from hil.robot.dynamics import Model
 FORCE_SHARE = 0.02
 """Excitation as a share of limits.force_N ..."""
 STEP_SHARE = 0.1
-"""... and at most of limits.force_step_N and limits.force_window_N."""
+"""... and its largest share of limits.force_step_N and limits.force_window_N."""
 
 
 class Recorded(NamedTuple):
@@ -53,7 +53,7 @@ class Episode(NamedTuple):
 
 
 def is_log(source: Path) -> bool:
-    """Tell whether a file is a log (MCAP) rather than a configuration."""
+    """True if a file is a log (MCAP) rather than a configuration."""
     try:
         with open_regular(source) as file:
             return file.read(len(MAGIC)) == MAGIC
@@ -62,16 +62,16 @@ def is_log(source: Path) -> bool:
 
 
 def refuse_fused(c: Configuration, where: object, task: str = "identify") -> None:
-    """Raise ConfigurationError where a log has another motion than that of the encoders; task: what for."""
+    """Raise ConfigurationError for a fused pose: the motion is not the encoders'; task: the user's goal."""
     if c.estimation.pose == "fused":
         raise ConfigurationError(
-            f"{where}: estimation.pose: fused: the motion of the log is the filter's, drawn to what the "
-            f"controller believes of masses and forces; allowed: legs, in the run to {task} from"
+            f"{where}: estimation.pose: fused: the log holds the filter's motion, biased to the masses and "
+            f"forces of the controller's model; allowed: legs, in a run to {task} from"
         )
 
 
 def excitation_force(c: Configuration, force_N: float | None) -> float:
-    """Return the largest leg force of an excitation. Raises ConfigurationError where limits would cut it."""
+    """Largest leg force of an excitation. Raises ConfigurationError if limits would cut it."""
     most = STEP_SHARE * min(c.limits.force_step_N, c.limits.force_window_N)
     force = min(FORCE_SHARE * c.limits.force_N, most) if force_N is None else force_N
     if force > 5 * most:
@@ -82,13 +82,13 @@ def excitation_force(c: Configuration, force_N: float | None) -> float:
 
 
 def excitation_pose(c: Configuration) -> Pose:
-    """Return the pose that is held, else home."""
+    """The held pose, else home."""
     held = c.reference.pose if isinstance(c.reference, HoldReference) else None
     return held or c.platform.home
 
 
 def excited_by(c: Configuration, reference: Evaluated) -> Configuration:
-    """Return the configuration with another reference. Raises ConfigurationError: it cannot be reached."""
+    """The configuration with another reference. Raises ConfigurationError if it is out of reach."""
     document = dict(parse(c.text).value or {})
     document["name"] = f"{c.name[:80]}-identify"
     document["reference"] = reference.model_dump(mode="json")
@@ -101,7 +101,7 @@ def excited_by(c: Configuration, reference: Evaluated) -> Configuration:
 
 
 def exact_model(c: Configuration) -> Model:
-    """Return the full model with what the controller believes of friction and inertia, where it does."""
+    """The full model with the controller's configured friction and inertia, if any."""
     believed = c.controller.believed or ModelSettings()
     full = believed.model_copy(update={"variant": "full", "frozen_at": None})
     return build_model(full, build_platform(c.platform), c.platform.leg_spin)
@@ -110,7 +110,7 @@ def exact_model(c: Configuration) -> Model:
 def run_for(
     c: Configuration, log: Path | None, *, real_time: bool, with_plant: bool, arm: bool
 ) -> dict[str, Any]:
-    """Run it in lockstep, or in real time as `run_daemon`; return the summary. Raises ConfigurationError."""
+    """Run in lockstep, or in real time with `run_daemon`; return the summary. Raises ConfigurationError."""
     if real_time:
         return run_daemon(c, log=log, with_plant=with_plant, draw=False, arm=arm)
     if c.plant is None:
@@ -119,14 +119,14 @@ def run_for(
 
 
 def recorded_run(path: Path) -> Recorded:
-    """Return what a log of `hil run` or `hil sim` holds. Raises LogError for what is no such log."""
+    """Content of a log of `hil run` or `hil sim`. Raises LogError for any other file."""
     log, run, configuration = open_run(path)
     configuration = law_of_log(configuration, log, run, trust_code=False)
     return Recorded(configuration, log.rows(), float(run["rate_Hz"]), log.attachments)
 
 
 def episode(rows: Rows) -> Episode:
-    """Take all ticks from the first to the last of some rows, of which there is one at least."""
+    """All ticks from the first to the last of `rows`, which must not be empty."""
     ticks = np.arange(rows["tick"][0], rows["tick"][-1] + 1)
     source = np.searchsorted(rows["tick"], ticks, side="right") - 1
     there = rows["tick"][source] == ticks
@@ -138,7 +138,7 @@ def episode(rows: Rows) -> Episode:
 
 
 def brakes_open(rows: Rows) -> Flags:
-    """Rows (n,) with all brakes open. Raises LogError without any."""
+    """True at rows (n,) with all brakes open. Raises LogError without any."""
     running = np.asarray((rows["drive_state"] == DriveState.RUN).all(axis=1))
     if not running.any():
         raise LogError("the brakes were never open in this log: nothing moved")

@@ -1,1 +1,1 @@
-"""Iterative learning control: what a run teaches the next one over the same reference. Mathematics alone."""
+"""Iterative learning control: each run improves the feed-forward of the next run over the same reference."""

@@ -1,4 +1,4 @@
-"""`hil learn`: judge the runs that there are, or make them, for the feed-forward of the next one."""
+"""`hil learn`: compute the feed-forward of the next run, from existing logs or from simulated runs."""
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
@@ -23,28 +23,28 @@ from hil.lab.learn.runs import LearningRun, learning_run
 from hil.lab.learn.trial import FIRST_STEP, predicted, updated
 
 LIMIT_SHARE = 0.2
-"""Of limits.force_N: largest learned force where neither configuration nor command line states one."""
+"""Default for the largest learned force, as a share of limits.force_N."""
 
 
 class Knowledge(NamedTuple):
-    """What is stated of the plant, and of the forces."""
+    """Stated uncertainty of the plant, and limit of the learned force."""
 
     axes: Path | None = None
-    """File of `hil identify`; None: the configuration's delays, and the two errors."""
+    """File of `hil identify`; None: the configuration's delays, with the two errors below."""
     gain_error: float = 0.25
     delay_error_s: float = 1e-3
     limit_N: float | None = None
 
 
 class Step(NamedTuple):
-    """One run, as it was and as it had been expected."""
+    """One run with its tracking error, measured and predicted."""
 
     run: LearningRun
     rms_mm: float
     peak_mm: float
     in_band_mm: float
     predicted_mm: float | None
-    """By the nominal axes; None for the first run that is there."""
+    """Prediction by the nominal axes; None for the first run."""
     contraction: float | None
     """In-band error over that of the run before."""
     learned_peak_N: float
@@ -52,45 +52,45 @@ class Step(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What becomes of learning."""
+    """Result of learning from consecutive runs."""
 
     steps: list[Step]
     learner: Learner
     floor: Floor
     state: State
     text: str
-    """Of the next file; empty unless learned."""
+    """Text of the next feed-forward file; empty unless `state` is learned."""
     cut: int
     """Rows in which a force was cut at the limit."""
     predicted_mm: float
-    """Error of the next run by the nominal axes, with the forces as they are cut."""
+    """Error of the next run by the nominal axes, with the forces cut at the limit."""
 
 
 class Series(NamedTuple):
-    """What became of a series of runs: of logs, or made one after the other."""
+    """Result of a series of runs, logged before or simulated one after the other."""
 
     steps: list[Step]
     outcome: Outcome | None
-    """Of the last run that could be learned from; None where the first one failed."""
+    """Result for the last usable run; None if the first run failed."""
     limit_N: float
     best: str
-    """Text of the file to write: what logs teach, or that of the run with the smallest error; or empty."""
+    """Text of the file to write: learned from logs, or of the simulated run with the smallest error."""
     trouble: str = ""
-    """Why a run failed, or that it was interrupted; empty where none was."""
+    """Failure of a run, or its interruption; empty without any."""
     interrupted: bool = False
 
 
 def learn(paths: Sequence[Path], known: Knowledge) -> Series:
-    """Return what the logs of consecutive runs teach; the last one is learned from. Raises as `learned`."""
+    """Learn from the logs of consecutive runs, the last one included. Raises as `learned`."""
     outcome = learned([learning_run(path) for path in paths], known)
     return Series(outcome.steps, outcome, limit_of(outcome.steps[-1].run, known), outcome.text)
 
 
 def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
-    """Return what consecutive runs teach.
+    """Learn from consecutive runs.
 
-    Raises LogError for logs that cannot teach or do not follow each other, ConfigurationError for a law whose
-    loop is not known, ModelError where no filter makes the error fall.
+    Raises LogError for logs that are unusable or not consecutive, ConfigurationError for a law without a
+    known loop, ModelError if no filter makes the error fall.
     """
     _require_consecutive(runs)
     last = runs[-1]
@@ -127,7 +127,7 @@ def learned(runs: Sequence[LearningRun], known: Knowledge) -> Outcome:
 
 
 def limit_of(run: LearningRun, known: Knowledge) -> float:
-    """Return the largest learned force, N, of what is stated, configured, or a share of limits.force_N."""
+    """Largest learned force, N: as stated, as configured, or a share of limits.force_N."""
     if known.limit_N is not None:
         return known.limit_N
     settings = run.configuration.feedforward
@@ -135,7 +135,7 @@ def limit_of(run: LearningRun, known: Knowledge) -> float:
 
 
 def expected(before: LearningRun, now: LearningRun, model: Learner) -> Array:
-    """Return the errors (count, 6) m that the nominal axes predict of a run, from the one before."""
+    """Tracking errors (count, 6) m that the nominal axes predict for a run, from the run before."""
     t, begun = now.trial, before.trial.first - before.trial.lead
     return predicted(before.trial, t.a[begun : t.first + t.length], model.loops)
 
@@ -161,8 +161,8 @@ def _require_consecutive(runs: Sequence[LearningRun]) -> None:
     first = runs[0]
     if len(runs) == 1 and first.number > 0:
         raise LogError(
-            f"{first.path}: ran with what {first.number} run(s) had taught: give the log of the run before, "
-            "too, so that the error can be compared with what had been predicted"
+            f"{first.path}: its feed-forward was learned from {first.number} run(s): give the log of the run "
+            "before, too, to compare the error with its prediction"
         )
     for before, now in pairwise(runs):
         same = {
@@ -174,13 +174,13 @@ def _require_consecutive(runs: Sequence[LearningRun]) -> None:
         for what, (there, here) in same.items():
             if here != there:
                 raise LogError(
-                    f"{now.path}: has another {what} than {before.path}, {here} and {there}: nothing is "
-                    "learned across"
+                    f"{now.path}: its {what} differs from that of {before.path}, {here} and {there}: "
+                    "learning needs equal runs"
                 )
         if now.number != before.number + 1:
             raise LogError(
-                f"{now.path}: ran with what {now.number} run(s) had taught, {before.path} with "
-                f"{before.number}: allowed are consecutive runs in their order, the last one with one more"
+                f"{now.path}: its feed-forward was learned from {now.number} run(s), that of {before.path} "
+                f"from {before.number}, allowed: consecutive runs in their order, the last one with one more"
             )
 
 
@@ -211,13 +211,13 @@ def _rms(x: Array) -> float:
 def rehearse(
     c: Configuration, runs: int, known: Knowledge, folder: Path, tell: Callable[[Step], None]
 ) -> Series:
-    """Make up to so many runs in lockstep, each with what the one before has taught; logs go into a folder.
+    """Simulate up to `runs` runs in lockstep, each with the feed-forward learned before; write their logs.
 
-    It ends early at the floor, where a run contradicts the condition, where one fails, cannot begin or cannot
-    teach, and by an interrupt behind the first run.
+    It ends early at the floor, if a run contradicts the condition of convergence, if a run fails, cannot
+    begin or is unusable, and by an interrupt after the first run.
 
-    Raises what keeps the first run from being made or learned from: ConfigurationError, LogError, PlantError,
-    ModelError, OSError.
+    Raises ConfigurationError, LogError, PlantError, ModelError or OSError if the first run cannot be made or
+    used.
     """
     c.require("sim")
     refuse_fused(c, c.source, "learn")
@@ -263,7 +263,7 @@ def rehearse(
 
 
 def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configuration:
-    """Return the configuration with a feed-forward of this text; without any where the text is empty."""
+    """The configuration with a feed-forward file of this text; without feed-forward if the text is empty."""
     section: dict[str, Any] | None = None
     if text:
         path.write_text(text, encoding="utf-8")
@@ -272,7 +272,7 @@ def _with(c: Configuration, text: str, path: Path, limit_N: float) -> Configurat
 
 
 def with_scale(c: Configuration, scale: float) -> Configuration:
-    """Return the configuration with its law's masses scaled. Raises ConfigurationError: no model."""
+    """The configuration with its law's masses scaled. Raises ConfigurationError: no model."""
     believed = c.controller.believed
     if believed is None or "model" not in type(c.controller).model_fields:
         raise ConfigurationError(f"--inertia-scale: law {c.controller.law} has no model of the masses")

@@ -1,4 +1,4 @@
-"""When learning converges, and the widest filter with which it does.
+"""Condition of convergence of learning, and the widest filter that meets it.
 
 With u_{k+1} = Q (u_k + L e_k) and e = e_0 - P u, frequency by frequency,
 
@@ -6,27 +6,27 @@ With u_{k+1} = Q (u_k + L e_k) and e = e_0 - P u, frequency by frequency,
 
     e_{k+1} = (1 - Q) e_0 + Q (1 - L P) e_k
 
-The error falls monotonically in the 2-norm where |Q (1 - L P)| < 1 at each frequency for each P (D. A.
+The error falls monotonically in the 2-norm if |Q (1 - L P)| < 1 at each frequency for each P (D. A.
 Bristow, M. Tharayil and A. G. Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine
 26(3), 2006, pp. 96-114; M. Norrlof and S. Gunnarsson, Time and frequency domain convergence properties in
 iterative learning control, International Journal of Control 75(14), 2002, pp. 1114-1126). Here L = 1/P_0
-of the nominal axis G_0. For axes G_0 (1 + Delta), |Delta| <= W, Delta a full matrix where the axes couple,
+of the nominal axis G_0. For axes G_0 (1 + Delta), |Delta| <= W, Delta a full matrix if the axes couple,
 
 ::
 
     1 - L P = -S_0 Delta (1 + T_0 Delta)^-1,   |1 - L P| <= c = W |S_0| / (1 - W |T_0|)
 
-as long as W |T_0| < 1. Q has no phase and ends at a frequency beyond which nothing is learned.
+as long as W |T_0| < 1. Q has zero phase and an end frequency beyond which nothing is learned.
 
-The axis G of `stability.sampled_loop` goes from the acceleration that is asked for to position and rate
-at the samples; the law asks for u = C [e; de], and the learned acceleration a comes on top of it:
+The axis G of `stability.sampled_loop` goes from demanded acceleration to position and rate at the samples;
+the law demands u = C [e; de], and the learned acceleration a is added:
 
 ::
 
     e = -P a,   P = G_p / (1 + C G),   S = 1 / (1 + C G),   T = 1 - S
 
-A law that looks ahead counts all that was asked for among the commands under way, a included. Of its
-controller from [e; de] to u only the direct part D answers the measurement, and P = G_p / (1 + C G) C_p/D_p.
+A law with look-ahead counts all demanded accelerations, a included, among the commands under way. Of its
+controller from [e; de] to u only the direct part D acts on the measurement, and P = G_p / (1 + C G) C_p/D_p.
 """
 
 from collections.abc import Sequence
@@ -39,37 +39,37 @@ from drivers.errors import ModelError
 from hil.mathematics.linear_system import LinearSystem
 
 CONTRACTION = 0.8
-"""Largest factor from run to run for which the filter is chosen: ten runs leave 11 % of it."""
+"""Largest factor from run to run for which the filter is chosen: ten runs leave 11 % of the error."""
 FLAT = 0.6
 """Share of the filter's band at which its edge begins, half a cosine."""
 LEAST_HZ = 2.0
-"""A filter below this learns nothing of a motion that takes a second."""
+"""Lowest end of a filter; below, it learns nothing of a motion that takes a second."""
 STEPS = 400
-"""Ends of the filter that are looked at."""
+"""Number of filter ends tried."""
 NEAR_ZERO = 1e-3
-"""Share of the first frequency above 0 at which what belongs to 0 is taken: the axis is infinite there."""
+"""Frequency in place of 0, where the axis is infinite, as a share of the first frequency above 0."""
 
 
 class AxisLoop(NamedTuple):
     """One axis in closed loop, each (m,) at the frequencies of `frequencies`."""
 
     P: ComplexArray
-    """s^2, from a learned acceleration to what it takes off the error."""
+    """s^2, from a learned acceleration to the reduction of the error."""
     S: ComplexArray
     """Sensitivity."""
     T: ComplexArray
     """Complementary sensitivity."""
     by_rate: ComplexArray
-    """s, from what a rate is measured wrong by to the error."""
+    """s, from an error of the measured rate to the tracking error."""
 
 
 def frequencies(samples: int, period_s: float) -> Array:
-    """Return the frequencies (m,) Hz of a real transform of so many samples."""
+    """Frequencies (m,) Hz of a real transform of `samples` samples."""
     return np.asarray(np.fft.rfftfreq(samples, period_s), np.float64)
 
 
 def axis_loop(axis: LinearSystem, controller: LinearSystem, f_Hz: Array, *, looks_ahead: bool) -> AxisLoop:
-    """Return the loop of a sampled axis and a controller from [e, de] to u, both of one period.
+    """Closed loop of a sampled axis and a controller from [e, de] to u, both of one period.
 
     looks_ahead: the controller knows the commands under way (`hil.design.stability.sampled_loop`).
     """
@@ -86,20 +86,20 @@ def axis_loop(axis: LinearSystem, controller: LinearSystem, f_Hz: Array, *, look
 
 
 class Uncertainty(NamedTuple):
-    """Largest |P/P_0 - 1| of the axes, and up to where anything is stated."""
+    """Largest |P/P_0 - 1| of the axes over frequency."""
 
     f_Hz: Array
-    """(m,), rising."""
+    """(m,), rising; unknown beyond the last."""
     bound: Array
     """(m,)."""
 
     def at(self, f_Hz: Array) -> Array:
-        """Return the bound at frequencies (n,): the first one below the first, inf beyond the last."""
+        """Bound at frequencies (n,): the first value below the first frequency, inf beyond the last."""
         return np.where(f_Hz <= self.f_Hz[-1], np.interp(f_Hz, self.f_Hz, self.bound), np.inf)
 
 
 def stated(gain_error: float, delay_error_s: float, up_to_Hz: float) -> Uncertainty:
-    """Return the bound for a gain off by a share and a delay off by a time, either way, up to a frequency.
+    """Bound for a relative gain error and a delay error of either sign, up to a frequency.
 
     |(1 + g) exp(j w d) - 1| <= sqrt(g^2 + 4 (1 + g) sin^2(w d / 2)), from w d = pi on 2 + g.
     """
@@ -114,23 +114,23 @@ class Filter(NamedTuple):
     end_Hz: float
 
     def at(self, f_Hz: Array) -> Array:
-        """Return Q (n,) at frequencies (n,)."""
+        """Gain Q (n,) at frequencies (n,)."""
         edge = np.clip((f_Hz / self.end_Hz - FLAT) / (1.0 - FLAT), 0.0, 1.0)
         return np.asarray(0.5 + 0.5 * np.cos(np.pi * edge), np.float64) * (f_Hz < self.end_Hz)
 
 
 class Choice(NamedTuple):
-    """The filter, and what it was chosen by."""
+    """The chosen filter and its contraction."""
 
     Q: Filter
     contraction: float
     """Largest |Q| c over frequency."""
     at_Hz: float
-    """Where that is."""
+    """Frequency of this maximum."""
 
 
 def contraction(loops: Sequence[AxisLoop], f_Hz: Array, uncertainty: Uncertainty) -> Array:
-    """Return c (n,) at frequencies (n,), the largest |1 - L P| of all axes; inf where nothing is known."""
+    """Contraction c (n,) at frequencies (n,): largest |1 - L P| of all axes; inf where it is unknown."""
     W = uncertainty.at(f_Hz)
     S = np.max([np.abs(loop.S) for loop in loops], axis=0)
     T = np.max([np.abs(loop.T) for loop in loops], axis=0)
@@ -140,7 +140,7 @@ def contraction(loops: Sequence[AxisLoop], f_Hz: Array, uncertainty: Uncertainty
 
 
 def choose(c: Array, f_Hz: Array, most: float = CONTRACTION) -> Choice:
-    """Return the widest filter with |Q| c <= most at each frequency. Raises ModelError: there is none."""
+    """Widest filter with |Q| c <= most at each frequency. Raises ModelError if there is none."""
     finite = np.where(np.isfinite(c), c, 1e300)
     top = float(f_Hz[-1])
     for end in np.geomspace(top, min(LEAST_HZ, top), STEPS):

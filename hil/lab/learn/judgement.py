@@ -1,7 +1,7 @@
-"""Whether a run was as the condition of convergence says, and whether there is anything left to learn.
+"""Check of a run against the condition of convergence, and the part of its error that cannot be learned.
 
-In each band of a third of an octave the error of each axis is bounded by what the nominal axis predicts and
-what the uncertainty leaves of the change, `hil.lab.learn.convergence`:
+In each third-octave band the error of each axis is bounded by the prediction of the nominal axis plus the
+uncertain part of the change, see `hil.lab.learn.convergence`:
 
 ::
 
@@ -19,31 +19,31 @@ from hil.lab.learn.convergence import AxisLoop, Filter
 from hil.lab.learn.trial import Trial, spectra
 
 MARGIN = 1.5
-"""On the bound: axes change along the way, and a band leaks into the next."""
+"""Factor on the bound: axes change along the path, and a band leaks into the next."""
 NO_BETTER = 0.2
-"""A band that falls to this share in one run contradicts nothing."""
+"""A band that falls to this share in one run is no contradiction."""
 COUNTS = 0.05
-"""Share of the first run's error from which a band counts."""
+"""Least error of a band that counts, as a share of the first run's error."""
 FALLS = 0.9
-"""Share of the error before that has to be left at most, or learning has come to its floor."""
+"""Learning has reached its floor if more than this share of the last error is left."""
 NEAR_NOISE = 1.5
-"""So many standard deviations of the measured error are no error."""
+"""Errors below this many standard deviations of the measurement count as zero."""
 LOWEST_HZ = 1.0
 SIGMAS = 3.0
 
 
 class Contradiction(NamedTuple):
-    """A band in which the error did not fall as it had to."""
+    """A band in which the error did not fall as required."""
 
     axis: int
     f_Hz: float
     factor: float
-    """Of the error from run to run."""
+    """Ratio of the error to that of the run before."""
     allowed: float
 
 
 def bands(f_Hz: Array, end_Hz: float) -> list[Flags]:
-    """Return the frequencies of each third octave that has some, from LOWEST_HZ, the first one from 0."""
+    """Members of each non-empty third-octave band from LOWEST_HZ; the first band begins at 0."""
     edges = [0.0]
     while (edge := max(edges[-1], LOWEST_HZ) * 2.0 ** (1.0 / 3.0)) < end_Hz:
         edges.append(edge)
@@ -52,7 +52,7 @@ def bands(f_Hz: Array, end_Hz: float) -> list[Flags]:
 
 
 def rms_in(X: ComplexArray, inside: Flags, samples: int, count: int) -> Array:
-    """Return the rms (m,) over `count` samples of what a real transform X (f, m) has in a band (Parseval)."""
+    """Rms (m,) over `count` samples of the part of a real transform X (f, m) in a band (Parseval)."""
     total = 2.0 * (np.abs(X[inside]) ** 2).sum(axis=0)
     if inside[0]:
         total = total - np.abs(X[0]) ** 2
@@ -70,10 +70,10 @@ def contradiction(
     first_rms_m: float,
     noise_m: float,
 ) -> Contradiction | None:
-    """Return the band that contradicts the condition most; None where all are as it says.
+    """The band that violates the condition most; None if all meet it.
 
-    c (f,): `hil.lab.learn.convergence.contraction`; first_rms_m: error of the first run of all; noise_m:
-    standard deviation of what an error is measured wrong by.
+    c (f,): `hil.lab.learn.convergence.contraction`; first_rms_m: error of the very first run; noise_m:
+    standard deviation of a measured error.
     """
     samples, count = len(now.e), now.length
     P = np.array([loop.P for loop in loops]).T
@@ -95,14 +95,14 @@ def contradiction(
 
 
 State = Literal["learned", "floor", "contradicted"]
-"""Of learning: it goes on, there is nothing left to learn, or a run was as it must not be."""
+"""State of learning: it goes on, its floor is reached, or a run contradicts the condition of convergence."""
 
 
 def state(contradicted: bool, in_band_m: float, contraction: float | None, noise_m: float) -> State:
-    """Return how learning goes on from a run.
+    """State of learning after a run.
 
-    in_band_m: error within the filter; contraction: that over the one of the run before, None for the first;
-    noise_m: standard deviation of what an error is measured wrong by.
+    in_band_m: error within the filter; contraction: its ratio to that of the run before, None for the first;
+    noise_m: standard deviation of a measured error.
     """
     if contradicted:
         return "contradicted"
@@ -112,7 +112,7 @@ def state(contradicted: bool, in_band_m: float, contraction: float | None, noise
 
 
 class Floor(NamedTuple):
-    """What is left of the error and cannot be learned, each a root of the mean square over legs, m."""
+    """Parts of the error that cannot be learned, each rms over the legs, m."""
 
     encoder_m: float
     rate_m: float
@@ -121,12 +121,12 @@ class Floor(NamedTuple):
 
     @property
     def total_m(self) -> float:
-        """All of them together."""
+        """Root of the sum of squares of all parts."""
         return float(np.sqrt(sum(x * x for x in self)))
 
 
 def in_band(run: Trial, Q: Filter, f_Hz: Array) -> Array:
-    """Return what the filter passes of the error (count, 6) m."""
+    """Error (count, 6) m passed by the filter."""
     passed = np.fft.irfft(Q.at(f_Hz)[:, None] * spectra(run.e), len(run.e), axis=0)
     return np.asarray(passed[run.first : run.first + run.length], np.float64)
 
@@ -140,10 +140,10 @@ def floor(
     length_m: float,
     rate_m_s: float,
 ) -> Floor:
-    """Return the floor of a run; length_m and rate_m_s are standard deviations of what is measured.
+    """Floor of a run; length_m and rate_m_s are standard deviations of the measurements.
 
     unexplained (count, 6) m: measured less predicted error; None before the second run. Two runs differ by
-    the square root of two times what does not repeat.
+    the square root of two times the non-repeating error.
     """
     rate = rate_m_s * float(np.sqrt(np.mean([np.mean(np.abs(loop.by_rate) ** 2) for loop in loops])))
     beyond = run.tracked - in_band(run, Q, f_Hz)

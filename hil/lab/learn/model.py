@@ -1,4 +1,4 @@
-"""What learning reckons with: the closed loop of each leg's axis, and how far the real one may be from it."""
+"""Model for learning: the closed loop of each leg's axis, and the bound of its error."""
 
 from functools import cache
 from pathlib import Path
@@ -30,11 +30,11 @@ from hil.mathematics.linear_system import LinearSystem, lag
 from hil.robot.dynamics import Model
 
 BELIEVED_UP_TO = 0.1
-"""Share of the rate up to which an error is stated: legs, joints and drives bend beyond it."""
+"""Upper end of a stated error, as a share of the rate: legs, joints and drives bend beyond it."""
 
 
 class Belief(NamedTuple):
-    """The uncertain plant."""
+    """The nominal plant and its uncertainty."""
 
     gain: Array
     """(6,), of the nominal axes."""
@@ -45,10 +45,10 @@ class Belief(NamedTuple):
 
 
 class Learner(NamedTuple):
-    """All that an update is made with."""
+    """Loops, contraction and filter for an update."""
 
     loops: list[AxisLoop]
-    """Of each leg, at `f_Hz`."""
+    """Closed loop of each leg, at `f_Hz`."""
     f_Hz: Array
     c: Array
     """Contraction without a filter, at `f_Hz`."""
@@ -57,7 +57,7 @@ class Learner(NamedTuple):
 
 
 def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_error_s: float) -> Belief:
-    """Return the plant of a file of `hil identify`, or of the configuration. Raises ConfigurationError."""
+    """The plant from a file of `hil identify`, or from the configuration. Raises ConfigurationError."""
     if axes is None:
         delay = loop_delay(c)
         bound = stated(gain_error, delay_error_s, BELIEVED_UP_TO * c.loop.rate_Hz)
@@ -77,7 +77,7 @@ def belief_of(c: Configuration, axes: Path | None, gain_error: float, delay_erro
 
 
 def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
-    """Return what an update of so many samples is made with. Raises ConfigurationError, ModelError."""
+    """Model for an update of `samples` samples. Raises ConfigurationError, ModelError."""
     period_s = 1.0 / c.loop.rate_Hz
     f = frequencies(samples, period_s)
     controllers = _controllers(c, period_s)
@@ -94,7 +94,7 @@ def learner(c: Configuration, belief: Belief, samples: int) -> Learner:
 
 
 def _controllers(c: Configuration, period_s: float) -> list[LinearSystem]:
-    """Return the controller of each leg, from [e, de] to the acceleration that it asks for."""
+    """Controller of each leg, from [e, de] to the demanded acceleration."""
     law = c.controller
     _require_known(c, law)
     designed = controller_of(law, c.folder)
@@ -124,18 +124,18 @@ def _require_known(c: Configuration, law: LawSettings) -> None:
     layered = isinstance(dynamics, ErrorDynamics) and dynamics.steepness != 0.0
     if controller_of(c.controller, c.folder) is None and (isinstance(dynamics, str) or layered):
         raise ConfigurationError(
-            f"{where} has no linear loop that learning could be proven to converge in, allowed: "
+            f"{where} has no linear loop, so learning cannot be proven to converge; allowed: "
             "inverse_dynamics, partial_linearisation, state_space"
         )
     if c.estimation.wrench.source == "observer":
         raise ConfigurationError(
-            f"{c.source}: estimation.wrench.source: the observer takes what is to be learned for a load, and "
-            "the law answers it: the loop is another one, allowed with learning: none, sensor"
+            f"{c.source}: estimation.wrench.source: the observer takes the learned forces for a load, and "
+            "the law compensates them, which changes the loop; allowed with learning: none, sensor"
         )
 
 
 def decay_rate(c: Configuration) -> Array:
-    """Return at what rate (6,) rad/s the error of each leg dies away behind a run."""
+    """Decay rate (6,) rad/s of each leg's error after the end of a run."""
     dynamics = c.controller.error_dynamics()
     if isinstance(dynamics, ErrorDynamics):
         return np.asarray(np.sqrt(dynamics.K_P), np.float64)
@@ -143,13 +143,13 @@ def decay_rate(c: Configuration) -> Array:
 
 
 DEFAULT_DECAY = 20.0
-"""rad/s, of a controller from a file: its own modes are many, and what is behind a run hardly counts."""
+"""rad/s, for a controller from a file: it has many modes, and the time after a run hardly counts."""
 
 
 def force_per_acceleration(model: Model, p: Array, R: Array) -> Array:
-    """Return the forces (n, 6, 6) N by which the law's model accelerates each leg by 1 m/s^2, on its way.
+    """Forces (n, 6, 6) N for 1 m/s^2 of each leg by the law's model, along the path.
 
-    A = J^-T M J^-1 at p (n, 3) m and R (n, 3, 3): tau = A a makes six axes of the legs that are alike.
+    A = J^-T M J^-1 at p (n, 3) m and R (n, 3, 3): tau = A a makes six equal axes of the legs.
     """
     still = np.zeros(6)
     states = [state_of(model, place, turn, still, still) for place, turn in zip(p, R, strict=True)]

@@ -1,4 +1,4 @@
-"""What `hil learn` reports: the runs, the filter, the floor with its cause, and what to do next."""
+"""Report of `hil learn`: the runs, the filter, the floor with its cause, and the next command."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,13 +12,13 @@ from hil.lab.learn.judgement import Floor
 CAUSES = {
     "encoder_m": "steps of the encoders and of their frames",
     "rate_m": "noise of the leg rates, through the law",
-    "not_repeating_m": "what does not repeat from run to run, or is not predicted",
-    "beyond_filter_m": "what is faster than the filter",
+    "not_repeating_m": "errors that differ from run to run or are not predicted",
+    "beyond_filter_m": "errors at frequencies above the filter",
 }
 
 
 def table(steps: list[Step]) -> list[str]:
-    """Return the runs as lines."""
+    """Lines of the table of runs."""
     lines = ["run   rms mm     peak mm    predicted mm  contraction  learned N"]
     for step in steps:
         ahead = "-" if step.predicted_mm is None else f"{step.predicted_mm:.5f}"
@@ -31,7 +31,7 @@ def table(steps: list[Step]) -> list[str]:
 
 
 def cause(floor: Floor) -> str:
-    """Return the largest part of a floor."""
+    """Cause of the largest part of a floor."""
     parts = floor._asdict()
     return CAUSES[max(CAUSES, key=lambda name: float(parts[name]))]
 
@@ -41,7 +41,7 @@ def _floor_mm(floor: Floor) -> dict[str, float]:
 
 
 def lines(made: Series, out: Path | None, believed: ModelSettings | None = None) -> Iterator[str]:
-    """Return what the user reads; out: where the file is written; believed: those of --inertia-scale."""
+    """Lines for the user; out: path of the written file; believed: model with --inertia-scale."""
     if made.outcome is not None:
         yield from table(made.steps)
         yield from _judged(made.outcome, made.limit_N)
@@ -58,7 +58,7 @@ def lines(made: Series, out: Path | None, believed: ModelSettings | None = None)
         yield f"feedforward: {{file: {out.name}, limit_N: {made.limit_N:.15g}}}"
         if believed is not None:
             yield (
-                "           The file belongs to a law with controller.model.inertia_scale: "
+                "           The file was made for a law with controller.model.inertia_scale: "
                 f"{believed.inertia_scale!r} (--inertia-scale): set that key, too"
             )
     elif made.outcome is not None and out is not None:
@@ -66,7 +66,6 @@ def lines(made: Series, out: Path | None, believed: ModelSettings | None = None)
 
 
 def _judged(outcome: Outcome, limit_N: float) -> Iterator[str]:
-    """Return filter and floor, and how learning goes on."""
     floor, choice, last = outcome.floor, outcome.learner.choice, outcome.steps[-1]
     end_Hz = choice.Q.end_Hz
     parts = ", ".join(f"{name.replace('_', ' ')} {mm:.2g}" for name, mm in _floor_mm(floor).items())
@@ -77,26 +76,26 @@ def _judged(outcome: Outcome, limit_N: float) -> Iterator[str]:
     yield f"Floor      {1e3 * floor.total_m:.2g} mm rms, largest part {cause(floor)}: {parts}"
     if last.contradicted is not None:
         c = last.contradicted
-        what = f"the error went to {100 * c.factor:.3g} % of what it was in the run before"
+        what = f"the error went to {100 * c.factor:.3g} % of its value in the run before"
         allowed = f"allowed by the stated uncertainty: {100 * c.allowed:.3g} %"
         yield f"Refused    leg {c.axis} at {c.f_Hz:.3g} Hz: {what}, {allowed}"
-        yield "           Learning on would let the error grow: keep the feed-forward before,"
+        yield "           More learning would increase the error: keep the last feed-forward,"
         yield "           or identify the axes (hil identify), and learn with --axes"
         return
     if outcome.state == "floor":
-        left = f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run takes more off"
-        yield f"{left}; the feed-forward that ran stays the best one"
+        left = f"Learned out: {last.in_band_mm:.2g} mm are left within the filter, and no run reduces them"
+        yield f"{left}; the feed-forward of the last run stays the best"
     else:
         yield f"Next run   {outcome.predicted_mm:.2g} mm rms predicted by the nominal axes"
     if outcome.cut:
         yield (
-            f"Cut        at {outcome.cut} instants a leg asks for more than {limit_N:g} N: the error "
+            f"Cut        at {outcome.cut} instants a leg needs more than {limit_N:g} N: the error "
             "does not fall there; allow more with --limit or feedforward.limit_N"
         )
 
 
 def summary(made: Series, out: Path | None) -> dict[str, Any]:
-    """Return a series of runs as plain values."""
+    """A series of runs as plain values."""
     outcome = made.outcome
     if outcome is None:
         return {"success": False, "kind": "learn", "state": "failed", "trouble": made.trouble, "runs": []}

@@ -1,4 +1,4 @@
-"""A log as a period of learning: whole, undisturbed, along the reference's own time."""
+"""A log as a learning trial: complete, undisturbed, with the reference at full speed."""
 
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,39 +21,38 @@ from hil.trajectory.build import build_trajectory
 
 LIMITED = Warn.FORCE_LIMIT | Warn.FORCE_STEP | Warn.FORCE_WINDOW
 MOST_S = 400.0
-"""Of a reference: the file of its feed-forward has to be read by a run."""
+"""Longest reference, since a run must read the file of its feed-forward."""
 FEWEST_S = 0.2
 APART = 1e-6
 """Largest deviation of the reference's time from its tick, as a share of the period."""
 
 
 class LearningRun(NamedTuple):
-    """A run that teaches."""
+    """A run usable for learning."""
 
     path: Path
     configuration: Configuration
-    """As the log has it; the files that it names may be gone."""
+    """As in the log; files that it names may no longer exist."""
     trial: Trial
     force_per_acceleration: Array
     """(lead + count, 6, 6) N s^2/m, of the law's own model along the reference."""
     tau_learned: Array
-    """(lead + count, 6) N, that acted."""
+    """(lead + count, 6) N, learned force that acted."""
     made_for: MadeFor
     head: FeedforwardHead | None
-    """Of the feed-forward that acted; None: there was none."""
+    """Head of the feed-forward that acted; None without one."""
 
     @property
     def number(self) -> int:
-        """How many runs have been learned from before this one."""
+        """Number of runs learned from before this one."""
         return 0 if self.head is None else self.head.run
 
 
 def learning_run(path: Path) -> LearningRun:
-    """Return the run of a log.
+    """The run of a log.
 
-    Raises LogError: no log of a run, or one that cannot teach: a fault, ticks missing, a hold, a stop or
-    another speed than the clock's, forces that a limit cut. ConfigurationError: a law of another kind, a
-    fused pose.
+    Raises LogError: not a log of a run, or an unusable one: a fault, missing ticks, a hold, a stop or another
+    speed than the clock's, forces cut by a limit. ConfigurationError: a law of another kind, a fused pose.
     """
     recorded = recorded_run(path)
     refuse_fused(recorded.configuration, path, "learn")
@@ -89,24 +88,24 @@ def _of(column: Any) -> Array:
 
 
 def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Rows]:
-    """Return how many rows lead into the reference, and these with its `count`. Raises LogError."""
+    """Number of rows before the reference, and these rows followed by its `count` rows. Raises LogError."""
     tracking = rows[rows["mode"] == Mode.TRACKING]
     faults = int(np.bitwise_or.reduce(rows["faults"])) if len(rows) else 0
     if faults:
         names = ", ".join(str(f.name) for f in Fault if faults & f)
-        raise LogError(f"{path}: the run ended in a fault ({names}), and a run that teaches has none")
+        raise LogError(f"{path}: the run ended in a fault ({names}), allowed: a run without fault")
     along = tracking[:count]
     t, ticks = along["reference_time_s"], along["tick"]
     if len(along) < count or ticks[-1] - ticks[0] != count - 1:
         raise LogError(
-            f"{path}: {len(along)} of {count} ticks along the reference are in it, allowed: all, none lost"
+            f"{path}: {len(along)} of {count} ticks along the reference are recorded, allowed: all"
         )
     off = np.abs(t / period_s - np.arange(count)) > APART
     if off.any():
         first = int(off.argmax())
         raise LogError(
-            f"{path}: from {first * period_s:.3f} s after its start the reference's time is not the clock's, "
-            "by a hold, a stop or another speed, allowed: a run at full speed"
+            f"{path}: from {first * period_s:.3f} s after its start the reference's time differs from the "
+            "clock's because of a hold, a stop or another speed; allowed: a run at full speed"
         )
     most = round(LEAD_S / period_s)
     before = ticks[0] - rows["tick"]
@@ -118,8 +117,8 @@ def _whole(path: Path, rows: Rows, period_s: float, count: int) -> tuple[int, Ro
     if cut.any():
         since_s = (int(cut.argmax()) - len(approach)) * period_s
         raise LogError(
-            f"{path}: limits cut the forces at {int(cut.sum())} ticks, from {since_s:+.3f} s on, and what "
-            "they take cannot be learned. Raise limits.force_N, force_step_N or force_window_N, slow "
+            f"{path}: limits cut the forces at {int(cut.sum())} ticks, from {since_s:+.3f} s on, and a cut "
+            "force cannot be learned. Raise limits.force_N, force_step_N or force_window_N, slow "
             "the reference down, or, where legs at rest were pushed, state monitor.friction_N"
         )
     return len(approach), teaching

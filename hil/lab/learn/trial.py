@@ -1,7 +1,7 @@
-"""One run as a period of learning: error and learned acceleration over one stretch of time, and the update.
+"""One run as a learning trial: error and learned acceleration over one stretch of time, and the update.
 
-Signals begin some time before the reference and end some time behind it, so that a filter without phase has
-room on both sides. Behind the run the error goes on as the loop lets it decay.
+Signals begin before the reference and end after it, so that a zero-phase filter has room on both sides. After
+the run the error decays as the loop would let it.
 """
 
 from collections.abc import Sequence
@@ -14,17 +14,19 @@ from drivers.arrays import Array, ComplexArray
 from hil.lab.learn.convergence import AxisLoop, Filter
 
 BEFORE_S, BEHIND_S, HELD_S = 0.5, 1.0, 0.4
-"""Of a trial, before and behind the reference; so long behind it what was there in the end goes on."""
+"""Duration of a trial before and after the reference; the last values are held for HELD_S after it."""
 LEAD_S, RISE_S = 0.45, 0.2
-"""What is learned begins so long before the reference, and rises from 0 in this time: a law without integral
-action comes to the start with an error, and only what was there before can take it away."""
+"""The learned acceleration begins LEAD_S before the reference and rises from 0 within RISE_S. A law without
+integral action arrives at the start with an error, which only an earlier action can remove.
+"""
 FIRST_STEP = 0.5
-"""Share of the first update: nothing has been measured yet of what a learned acceleration does. Of the wrong
-sign it makes the error half as large again, and the next call refuses to go on."""
+"""Share of the first update, before any effect of a learned acceleration was measured. With a wrong sign the
+error grows by half, and the next call refuses to go on.
+"""
 
 
 class Trial(NamedTuple):
-    """A run."""
+    """Signals of a run for learning."""
 
     period_s: float
     first: int
@@ -32,7 +34,7 @@ class Trial(NamedTuple):
     length: int
     """Samples of the reference."""
     lead: int
-    """Samples before it in which something learned may act."""
+    """Samples before the reference in which a learned acceleration may act."""
     e: Array
     """(n, 6) m, demanded less measured length."""
     a: Array
@@ -40,25 +42,25 @@ class Trial(NamedTuple):
 
     @property
     def tracked(self) -> Array:
-        """The error (length, 6) m along the reference."""
+        """Tracking error (length, 6) m along the reference."""
         return self.e[self.first : self.first + self.length]
 
     @property
     def rms_m(self) -> float:
-        """Root of the mean square over time and legs: the norm that learning makes fall."""
+        """Root mean square over time and legs: the norm that learning reduces."""
         return float(np.sqrt((self.tracked**2).mean()))
 
     @property
     def peak_m(self) -> float:
-        """Largest error of a leg."""
+        """Largest tracking error of any leg, m."""
         return float(np.abs(self.tracked).max())
 
 
 def trial(period_s: float, lead: int, e: Array, de: Array, a: Array, wn: Array) -> Trial:
-    """Return the trial of a run; the first `lead` rows are before the reference.
+    """The trial of a run; the first `lead` rows are before the reference.
 
-    e (n, 6) m, its rate de (n, 6) m/s, a (n, 6) m/s^2; wn (6,) rad/s. Behind the run the rate of the error
-    dies away as exp(-wn t), the rest stays for HELD_S.
+    e (n, 6) m, its rate de (n, 6) m/s, a (n, 6) m/s^2; wn (6,) rad/s. After the run the rate of the error
+    decays as exp(-wn t), the other values are held for HELD_S.
     """
     room, behind = round(BEFORE_S / period_s), round(BEHIND_S / period_s)
     count = len(e) - lead
@@ -76,27 +78,27 @@ def trial(period_s: float, lead: int, e: Array, de: Array, a: Array, wn: Array) 
 
 
 def _going(period_s: float, samples: int) -> Array:
-    """Return the share (samples, 1) of what there was in the end: 1 for HELD_S, then down to 0."""
+    """Weight (samples, 1) of the last values after the run: 1 for HELD_S, then down to 0."""
     t = period_s * np.arange(1, samples + 1)[:, None]
     return np.asarray(1.0 - risen((t - HELD_S) / (t[-1] - HELD_S)), np.float64)
 
 
 def risen(x: Array) -> Array:
-    """Return 10 x^3 - 15 x^4 + 6 x^5 of x (n,) clamped to 0 .. 1."""
+    """Smooth step 10 x^3 - 15 x^4 + 6 x^5 of x (n,) clamped to 0 .. 1."""
     x = np.clip(x, 0.0, 1.0)
     return np.asarray(x**3 * (10.0 + x * (6.0 * x - 15.0)), np.float64)
 
 
 def spectra(x: Array) -> ComplexArray:
-    """Return the real transform of the columns of x (n, 6)."""
+    """Real transform of the columns of x (n, 6)."""
     return np.asarray(np.fft.rfft(x, axis=0), np.complex128)
 
 
 def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array, share: float = 1.0) -> Array:
-    """Return the next learned acceleration (lead + length, 6) m/s^2: Q (a + share e / P_0), 0 at its start.
+    """Next learned acceleration (lead + length, 6) m/s^2: Q (a + share e / P_0), 0 at its start.
 
     A share below 1 keeps the condition: |1 - share L P| <= 1 - share + share |1 - L P|.
-    The inverse is taken where Q passes, so that it needs no other regularisation.
+    The inverse is taken in the band of Q only, so it needs no other regularisation.
     """
     P = np.array([loop.P for loop in loops]).T
     A = Q.at(f_Hz)[:, None] * (spectra(run.a) + share * spectra(run.e) / P)
@@ -109,7 +111,7 @@ def updated(run: Trial, loops: Sequence[AxisLoop], Q: Filter, f_Hz: Array, share
 
 
 def predicted(run: Trial, a: Array, loops: Sequence[AxisLoop]) -> Array:
-    """Return the errors (length, 6) m with a (lead + length, 6) m/s^2: e_k - P_0 (a - a_k)."""
+    """Predicted errors (length, 6) m with a (lead + length, 6) m/s^2: e_k - P_0 (a - a_k)."""
     more = -run.a
     begun, end = run.first - run.lead, run.first + run.length
     more[begun:end] += a

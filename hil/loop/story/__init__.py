@@ -1,4 +1,4 @@
-"""What a fault has to tell: what happened, what the drives said, what was done, what to do next.
+"""The story of a fault: what happened, the drives' reports, the reaction, and what to do next.
 
-Only reads the cycle: nothing here changes what it does.
+It only reads the cycle and never changes its behaviour.
 """

@@ -1,4 +1,4 @@
-"""Watches the cycle from tick to tick and tells the story of its faults."""
+"""Watches the cycle from tick to tick and composes the story of its faults."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -6,35 +6,35 @@ from collections.abc import Callable, Sequence
 from drivers.signals import LEGS, DriveMode, DriveState, Fault, Mode
 from hil.loop.cycle import Cycle
 from hil.loop.modes import drive_mode
-from hil.loop.report import any_powered, moving_text, not_confirmed, not_told, unconfirmed
+from hil.loop.report import any_powered, moving_text, not_confirmed, off_not_sent, unconfirmed
 from hil.loop.story.faults import findings
-from hil.loop.story.told import DONE, WITHOUT_FORCE, DriveSaid, Finding, Moment, Step, Story, listed, short
+from hil.loop.story.story import DONE, WITHOUT_FORCE, DriveReport, Finding, Moment, Step, Story, listed, short
 from hil.signals import Operator
 
 PUSHED = (
-    "leg {leg} stands still while a leg strays: it is pushed by up to {most_N:.3g} N to see whether it "
-    "moves; if it was held by friction, state monitor.friction_N, if by a load, that load"
+    "leg {leg} stands still while a leg strays from its reference: it is pushed by up to {most_N:.3g} N to "
+    "test whether it moves. If friction held it, set monitor.friction_N; if a load held it, state that load"
 )
 EventSink = Callable[[int, str, str], None]
-"""Takes t_ns, level and text of an event."""
+"""Receives t_ns, level and text of an event."""
 
 
 def no_event(t_ns: int, level: str, text: str) -> None:
-    """Keep no event."""
+    """Discard the event."""
     del t_ns, level, text
 
 
 class Narrator:
-    """Told every tick in which a cycle decides, it knows what its latched faults have to tell.
+    """Collects the story of the latched faults from every tick in which the cycle decides.
 
-    It changes nothing. Most ticks have nothing to tell: only what has changed since the last is looked at.
+    It changes nothing in the cycle. In most ticks there is nothing new; it looks only at changes.
 
-    Mutable state: mode of the last tick, the faults told of, what was found and what the drives
-    said then, the modes since, how commands to switch off and the emergency stop went.
+    Mutable state: mode of the last tick, the reported faults, their findings and the drives' reports at that
+    time, the modes since, the fate of commands to switch off and of the emergency stop.
     """
 
     def __init__(self, cycle: Cycle, event: EventSink = no_event) -> None:
-        """Watch a cycle from its present tick on; each finding is an event."""
+        """Watch a cycle from its present tick on; `event` receives each finding."""
         self._cycle, self._event = cycle, event
         self._mode, self._mode_tick = cycle.mode, cycle.mode_tick
         self._reset_tick = cycle.reset_tick
@@ -43,19 +43,19 @@ class Narrator:
     def _forget(self) -> None:
         self._faults = Fault.NONE
         self._findings: list[Finding] = []
-        self._drives: tuple[DriveSaid, ...] = ()
+        self._drives: tuple[DriveReport, ...] = ()
         self._steps: list[tuple[int, Mode, bool]] = []
         self._off_tick: int | None = None
-        """When the drives were first asked to switch off."""
-        self._told = False
-        """The bus has taken a command to switch off."""
+        """Tick of the first command to switch off."""
+        self._sent = False
+        """True once the bus has accepted a command to switch off."""
         self._all_off: tuple[int, str] | None = None
-        """When all drives first said that they are, and their states."""
+        """First tick in which all drives report to be off, and their states."""
         self._estop_tick: int | None = None
-        """When an emergency stop was first sent."""
+        """Tick of the first emergency stop frame."""
 
     def look(self, operator: Sequence[Operator] = ()) -> None:
-        """Take in the tick that was just stepped, and the operator's commands in it."""
+        """Process the tick that was just stepped, and the operator's commands in it."""
         cycle = self._cycle
         if cycle.reset_tick != self._reset_tick:
             self._reset_tick = cycle.reset_tick
@@ -73,7 +73,7 @@ class Narrator:
         self._mode, self._mode_tick = mode, cycle.mode_tick
 
     def _push(self, cycle: Cycle) -> None:
-        """Make an event of each push that begins."""
+        """Log each push that begins."""
         safety = cycle.parts.safety
         began = (cycle.last["probe_force"] == 0.0) & (abs(safety.memory["push"]) == 1)
         for leg in began.nonzero()[0].tolist():
@@ -81,13 +81,16 @@ class Narrator:
             self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, most_N=most_N))
 
     def _wait(self, cycle: Cycle, off_tick: int) -> None:
-        """See whether the drives are off that were told to be, and have all been heard since."""
+        """Check whether all drives have reported since the command to switch off, and are off."""
         tick = cycle.tick
         since = int(tick["tick"]) - off_tick
-        self._told = self._told or not (tick["sends_failed"] or tick["bus_off"])
+        self._sent = self._sent or not (tick["sends_failed"] or tick["bus_off"])
         heard = bool(((tick["age"] < since) | (tick["blind"] != 0)).all())
-        if self._told and heard and not any_powered(tick):
-            self._all_off = int(tick["tick"]), " or ".join(sorted({each.state for each in said(cycle)}))
+        if self._sent and heard and not any_powered(tick):
+            self._all_off = (
+                int(tick["tick"]),
+                " or ".join(sorted({each.state for each in reports(cycle)})),
+            )
 
     def _follow(self, cycle: Cycle, faults: Fault, released: bool) -> None:
         tick = cycle.tick
@@ -102,25 +105,25 @@ class Narrator:
             self._findings += found
             self._faults = faults
             if first:
-                self._drives = said(cycle)
+                self._drives = reports(cycle)
             for each in found:
                 self._event(int(tick["t_ns"]), "error", f"{each.line}\n{json.dumps(each.fields())}")
         if cycle.mode is not self._mode or (new and not self._steps):
             self._steps.append((number, cycle.mode, released and self._mode is Mode.HELD))
             if drive_mode(cycle.mode) is not DriveMode.OFF:
-                self._off_tick, self._told, self._all_off = None, False, None
+                self._off_tick, self._sent, self._all_off = None, False, None
             elif self._off_tick is None:
                 self._off_tick = number
 
     @property
     def short(self) -> str:
-        """The faults and what shows them, in one line; empty without."""
+        """The faults and their evidence in one line; empty without faults."""
         return short(self._findings)
 
     def story(self, plant: str = "") -> Story | None:
-        """Return what there is to tell by now; None without a fault.
+        """The story so far; None without a fault.
 
-        `plant`: why it failed, which has ended the simulation.
+        `plant`: reason of a plant failure, which has ended the simulation.
         """
         if not self._findings and not plant:
             return None
@@ -128,14 +131,14 @@ class Narrator:
         moving = moving_text(self._cycle)
         rest = f"still moving: {moving}" if moving else "no leg that is heard moves"
         if tick["age"].all():
-            rest = "no leg is heard, so nobody here knows whether one moves"
+            rest = "no leg reports, so a leg may still move"
         done = self._done()
         if plant:
             number = int(tick["tick"])
             done.append(
                 Step(number, number / self._cycle.parts.rate_Hz, "PLANT", "the simulation ended with it")
             )
-        now = said(self._cycle)
+        now = reports(self._cycle)
         return Story(tuple(self._findings), self._drives or now, tuple(done), now, rest, plant)
 
     def _done(self) -> list[Step]:
@@ -154,7 +157,7 @@ class Narrator:
                 text = f"the platform was released on request; {text}"
             tested = before is Mode.UNLOADING and cycle.proven and cycle.durations.load > 0.0
             if mode is Mode.PARKED and tested:
-                text += "; the brakes had passed their test"
+                text += "; the brakes passed their test"
             steps.append(Step(tick, tick / rate, mode.name, text))
             before = mode
         if self._estop_tick is not None:
@@ -162,43 +165,43 @@ class Narrator:
         return sorted(steps, key=lambda step: step.tick)
 
     def _braked(self, since: int) -> str:
-        """Say which drives have not said since a tick that they brake."""
+        """Text with the drives that have not reported a closed brake since a tick."""
         now = int(self._cycle.tick["tick"])
         run = DriveState.RUN.name
-        missing = [d.leg for d in said(self._cycle) if d.state == run or now - d.age <= since]
+        missing = [d.leg for d in reports(self._cycle) if d.state == run or now - d.age <= since]
         return f"; not confirmed by drive {listed(missing)}" if missing else ""
 
     def _switched_off(self, off_tick: int) -> str:
-        """Say what became of the command to switch off."""
+        """Result of the command to switch off, as text."""
         cycle, now = self._cycle, int(self._cycle.tick["tick"])
         if now == off_tick:
             return DONE[Mode.FAULT]
         running = any(d.state == DriveState.RUN.name for d in self._drives)
         reaction = cycle.parts.setup.reaction.name.lower() if running else "brake"
-        if not self._told:
-            return not_told(cycle.parts, reaction)
+        if not self._sent:
+            return off_not_sent(cycle.parts, reaction)
         if self._all_off is not None:
             tick, states = self._all_off
             later_ms = 1e3 * (tick - off_tick) / cycle.parts.rate_Hz
             return f"{DONE[Mode.FAULT]}: all six in {states} {later_ms:g} ms later"
-        silent = listed([d.leg for d in said(cycle) if d.powered or now - d.age <= off_tick])
+        silent = listed([d.leg for d in reports(cycle) if d.powered or now - d.age <= off_tick])
         return f"{DONE[Mode.FAULT]}: not confirmed by drive {silent}; {not_confirmed(cycle.parts, reaction)}"
 
     def _stopped(self) -> str:
-        """Say what became of the emergency stop."""
-        if self._off_tick is not None and not self._told and int(self._cycle.tick["tick"]) > self._off_tick:
+        """Result of the emergency stop, as text."""
+        if self._off_tick is not None and not self._sent and int(self._cycle.tick["tick"]) > self._off_tick:
             return "the emergency stop could not be sent: the bus takes no frames"
         silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.traits.stop_latches)
         who = f"not confirmed by drive {listed(silent)}" if silent else "all six drives confirmed it"
         return f"the emergency stop was sent; {who}"
 
 
-def said(cycle: Cycle) -> tuple[DriveSaid, ...]:
-    """Return what each drive has said of itself up to the last tick, its maker's codes with their meaning."""
+def reports(cycle: Cycle) -> tuple[DriveReport, ...]:
+    """Last report of each drive up to the last tick, with the meanings of its maker's codes."""
     tick, meaning = cycle.tick, cycle.parts.protocol.fault_text
     columns = (tick[name].tolist() for name in ("drive_state", "drive_fault", "age", "blind"))
     rows = zip(range(LEGS), *columns, strict=True)
     return tuple(
-        DriveSaid(leg, DriveState(state).name, fault, 0 if blind else age, meaning(fault) if fault else "")
+        DriveReport(leg, DriveState(state).name, fault, 0 if blind else age, meaning(fault) if fault else "")
         for leg, state, fault, age, blind in rows
     )

@@ -1,1 +1,1 @@
-"""`hil campaign`: many lockstep runs of one configuration with keys swept, and how often they fail."""
+"""`hil campaign`: many lockstep runs of one configuration with swept keys, and their failure rate."""

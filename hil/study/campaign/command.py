@@ -1,4 +1,4 @@
-"""`hil campaign FILE`: run the rows that are not there yet, write the table, say how often a run fails."""
+"""`hil campaign FILE`: run the missing rows, write the table, report the failure rate."""
 
 import time
 from collections.abc import Sequence
@@ -26,13 +26,13 @@ def run_campaign(
     fresh: bool = False,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run the rows that `folder` does not have yet, and return the summary (key `success`: all passed).
+    """Run the rows missing in `folder`; return the summary (key `success`: all passed).
 
-    jobs : processes at once; default one a processor, 1 is this one. scheduler : address of a Dask cluster
-    that runs them instead. fresh : discard the rows that are there. An interruption keeps the rows so far.
+    jobs : number of processes; default one per processor, 1: this process. scheduler : address of a Dask
+    cluster that runs the rows instead. fresh : discard stored rows. An interruption keeps finished rows.
 
-    Raises LogError: the folder has another campaign's rows, is in use or cannot be written, or pyarrow is not
-    installed; ConfigurationError: the cluster does not answer, or a row's file has changed.
+    Raises LogError: the folder belongs to another campaign, is in use or cannot be written, or pyarrow is not
+    installed; ConfigurationError: the cluster does not answer, or a file of a row has changed.
     """
     parquet.require()
     begun = time.perf_counter()
@@ -43,7 +43,7 @@ def run_campaign(
         kept = len(rows)
 
         def there() -> str:
-            return f"with {len(rows)} of {len(plan)} rows in {folder}; the same command goes on from there"
+            return f"with {len(rows)} of {len(plan)} rows in {folder}; the same command continues from there"
 
         def of_all(done: int, of: int) -> None:
             if progress is not None:
@@ -82,5 +82,5 @@ def run_campaign(
 
 
 def line(outcome: dict[str, Any], columns: Sequence[Column]) -> Row:
-    """Return a line of the table: the values of a row and its outcome, each as its column has it."""
+    """Line of the table: values and outcome of a row, each in the type of its column."""
     return {column.name: cell(column.kind, outcome[column.name]) for column in columns}

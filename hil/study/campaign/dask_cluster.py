@@ -1,4 +1,4 @@
-"""Rows on the workers of a Dask cluster: theirs are the processes, the machines and what becomes of them."""
+"""Rows on the workers of a Dask cluster, which manages its processes, machines and their failures."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from hil.study.campaign.row import Job, not_run, run_row
 from hil.study.workers import Progress, batch, counted
 
 WAIT_S = 10
-"""For the scheduler to answer."""
+"""Timeout for the scheduler's answer."""
 AHEAD = 1000
-"""Rows that are at the cluster at once."""
+"""Rows submitted to the cluster at once."""
 Outcome = dict[str, Any]
 
 
 def perform(address: str, work: Iterable[Job], total: int, progress: Progress | None) -> Iterator[Outcome]:
-    """Yield the outcomes of `total` rows, in the order in which they are ready; progress comes before each.
+    """Yield the outcomes of `total` rows, in the order of completion; `progress` is called before each.
 
-    The workers need this version of the product and the files that the configuration names, at the same
-    paths. Rows wait while there is no worker. Rows whose workers died again and again run once more, alone:
-    the one that did it has `died`.
+    The workers need this version of the product, and the files that the configuration names at the same
+    paths. Rows wait while there is no worker. Rows whose workers died repeatedly run once more, one at a
+    time; a row whose worker dies again ends as `died`.
 
-    Raises ConfigurationError: Dask is not installed, nobody answers at `address`, the scheduler goes away, or
+    Raises ConfigurationError: Dask is not installed, nothing answers at `address`, the scheduler is lost, or
     a worker cannot run rows.
     """
     try:
@@ -42,34 +42,34 @@ def perform(address: str, work: Iterable[Job], total: int, progress: Progress | 
     here = version("hexapod-hil")
     try:
         with Client(address, timeout=WAIT_S, set_as_default=False) as client:
-            # not pure: Dask is not to look for a row among the results that it keeps
+            # not pure: Dask must not reuse a stored result for a row
             executor = client.get_executor(pure=False)
             function = partial(run_at_worker, wanted=here)
             outcomes = batch(work, function, not_run, lambda _: nullcontext(executor), AHEAD, KilledWorker)
-            yield from map(_told, counted(outcomes, total, progress))
+            yield from map(_outcome, counted(outcomes, total, progress))
     except Exception as error:
         why = " ".join(str(error).split()) or repr(error)
         raise ConfigurationError(
             f"--scheduler {address}: {why}; allowed: the address that `dask scheduler` prints, as "
             f"tcp://10.0.0.5:8786, with workers of the same Python and hexapod-hil ({here}); the same "
-            "command goes on with the rows that are missing"
+            "command continues with the missing rows"
         ) from error
 
 
-def _told(found: Outcome | str) -> Outcome:
+def _outcome(found: Outcome | str) -> Outcome:
     if isinstance(found, str):
         raise ConfigurationError(f"at a worker: {found}")
     return found
 
 
 def run_at_worker(job: Job, wanted: str) -> Outcome | str:
-    """Run a row at a worker; return its outcome, or why this worker can run none.
+    """Run a row on a worker; return its outcome, or the reason why this worker cannot run rows.
 
-    Nothing is raised: a traceback that cannot be pickled ends the error on its way, and the client waits.
+    Nothing is raised: an error with a traceback that cannot be pickled would never reach the waiting client.
     """
     here = version("hexapod-hil")
     if here != wanted:
-        return f"it has hexapod-hil {here}, allowed: {wanted}, as here"
+        return f"it has hexapod-hil {here}, allowed: {wanted}, the client's version"
     try:
         return run_row(job)
     except ConfigurationError as error:

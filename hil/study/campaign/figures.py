@@ -1,7 +1,7 @@
-"""What is measured of a run while it goes: peaks, sums and counts, in blocks of ticks, in bounded memory.
+"""Metrics of a run, measured while it runs: peaks, sums and counts, in blocks of ticks, in bounded memory.
 
-Blocks and the order of sums are fixed, so that the same ticks give the same figures to the bit, in the run
-and from its log.
+Blocks and the order of sums are fixed: the same ticks give the same figures to the bit, in the run and
+from its log.
 """
 
 from collections.abc import Callable
@@ -16,45 +16,45 @@ from drivers.tick_columns import ROW
 from hil.record.metrics import rotation_errors
 
 BLOCK = 100
-"""Ticks that are looked at together; limits are judged that often."""
+"""Ticks of a block; limits are checked once per block."""
 _POWERED = (*range(Mode.LOADING, Mode.UNLOADING + 1), Mode.HELD)
 _LIMITED = Warn.FORCE_LIMIT | Warn.FORCE_STEP | Warn.FORCE_WINDOW
 
 
 class Metric(NamedTuple):
-    """One figure of a run."""
+    """Description of one metric."""
 
     unit: str
     meaning: str
 
 
 METRICS: dict[str, Metric] = {
-    "faulted": Metric("1", "whether a fault was latched, 0 or 1"),
+    "faulted": Metric("1", "1 if a fault was latched, else 0"),
     "tracked_s": Metric("s", "time along the reference"),
     "peak_leg_error_mm": Metric("mm", "largest q_d - q of a leg while tracking, as measured"),
-    "rms_leg_error_mm": Metric("mm", "its root of the mean square over legs and ticks"),
+    "rms_leg_error_mm": Metric("mm", "root mean square of this error over legs and ticks"),
     "peak_true_leg_error_mm": Metric("mm", "largest q_d - true length of a leg while tracking"),
-    "rms_true_leg_error_mm": Metric("mm", "its root of the mean square over legs and ticks"),
+    "rms_true_leg_error_mm": Metric("mm", "root mean square of this error over legs and ticks"),
     "peak_position_error_mm": Metric("mm", "largest distance of the measured pose from its reference"),
-    "rms_position_error_mm": Metric("mm", "its root of the mean square"),
-    "peak_rotation_error_deg": Metric("deg", "largest angle of the measured pose to its reference"),
-    "rms_rotation_error_deg": Metric("deg", "its root of the mean square"),
+    "rms_position_error_mm": Metric("mm", "root mean square of this error"),
+    "peak_rotation_error_deg": Metric("deg", "largest angle between the measured pose and its reference"),
+    "rms_rotation_error_deg": Metric("deg", "root mean square of this error"),
     "peak_force_N": Metric("N", "largest force sent to a leg in the whole run"),
-    "force_variation_N": Metric("N", "sum of |changes| of the leg whose force varies most, while tracking"),
+    "force_variation_N": Metric("N", "total variation of the most active leg's force while tracking"),
     "peak_leg_rate_m_s": Metric("m/s", "largest measured rate of a leg while tracking"),
-    "limited_ticks": Metric("1", "ticks at which a limit of the force acted"),
-    "stale_ticks": Metric("1", "powered ticks without a fresh feedback of every leg"),
-    "certificate_percent": Metric("%", "largest share of its bound that the certificate's V took"),
-    "travel_mm": Metric("mm", "largest true travel of a leg after a fault, 0 without; after_fault: rest"),
+    "limited_ticks": Metric("1", "ticks in which a force limit acted"),
+    "stale_ticks": Metric("1", "powered ticks without fresh feedback of every leg"),
+    "certificate_percent": Metric("%", "largest V of the certificate, as a share of its bound"),
+    "travel_mm": Metric("mm", "largest true travel of a leg after a fault, else 0; after_fault: rest"),
 }
-"""Name -> what it is, in the order of the table. None in a row: it was not measured."""
+"""Name -> description, in the order of the table. A value of None means: not measured."""
 COUNTED: dict[str, Callable[[Rows], NDArray[Any]]] = {
     "limited_ticks": lambda rows: rows["warnings"] & _LIMITED,
     "stale_ticks": lambda rows: (rows["age"] > 0).any(axis=1) & np.isin(rows["mode"], _POWERED),
 }
-"""Metrics that count ticks: where it is not 0."""
+"""Metrics that count the ticks with a value other than 0."""
 COUNTS = frozenset({"faulted", *COUNTED})
-"""Metrics that are whole numbers."""
+"""Metrics that are integers."""
 FOLLOWED: dict[str, Callable[[Rows, Array], Array]] = {
     "leg_error_mm": lambda rows, _: 1e3 * (rows["q_d"] - rows["q"]),
     "true_leg_error_mm": lambda rows, length: 1e3 * (rows["q_d"] - length),
@@ -63,14 +63,14 @@ FOLLOWED: dict[str, Callable[[Rows, Array], Array]] = {
         np.rad2deg(rotation_errors(rows["R_d"], rows["R"])), axis=1
     ),
 }
-"""Of rows that track and true lengths: what has a peak_ and an rms_."""
+"""Errors with a peak_ and an rms_ metric, from tracking rows (n,) and true lengths (n, 6) m."""
 
 
 class Measurement:
-    """The figures of one run.
+    """Metrics of one run.
 
-    `travels`: the run goes on after a fault. Mutable state: the ticks of the block that is not full, and what
-    the blocks before amount to.
+    `travels`: the run continues after a fault. Mutable state: the ticks of the unfinished block, and the
+    totals of the finished blocks.
     """
 
     def __init__(self, *, travels: bool) -> None:
@@ -85,7 +85,7 @@ class Measurement:
         self._stood: Array | None = None
 
     def take(self, row: Any, length: Array) -> bool:
-        """Take in a tick of dtype ROW and the true lengths (6,) m; tell whether a block is full."""
+        """Add a tick of dtype ROW and the true lengths (6,) m; True if this completes a block."""
         self._ticks.append((row, length))
         if len(self._ticks) < BLOCK:
             return False
@@ -93,7 +93,7 @@ class Measurement:
         return True
 
     def figures(self) -> dict[str, Any]:
-        """Return all METRICS as they are by now, None where no number was measured. Closes the block."""
+        """All METRICS so far, None: not measured. Closes the block."""
         if self._ticks:
             self._block()
         found = dict(self._peaks)
@@ -106,7 +106,7 @@ class Measurement:
         return dict.fromkeys(METRICS) | measured | self._counts
 
     def growing(self) -> dict[str, float]:
-        """Return peaks and counts of the full blocks: more ticks do not make them less."""
+        """Peaks and counts of the finished blocks, which never decrease."""
         return self._peaks | self._counts
 
     @np.errstate(over="ignore", invalid="ignore")
@@ -141,6 +141,6 @@ class Measurement:
         self._tracked_s = float(rows["reference_time_s"][-1])
 
     def _peak(self, name: str, values: Array) -> None:
-        """Raise a peak to the largest size of some values; one that is no number stays."""
+        """Raise a peak to the largest magnitude of some values; a NaN stays."""
         if values.size:
             self._peaks[name] = float(np.maximum(self._peaks.get(name, 0.0), np.abs(values).max()))

@@ -1,4 +1,4 @@
-"""Keys of a configuration as words, `plant.faults[0].mass_kg`, and what an axis puts there."""
+"""Configuration keys, as `plant.faults[0].mass_kg`, and the values that axes set there."""
 
 import copy
 import re
@@ -14,39 +14,39 @@ from hil.app.configuration.yaml_positions import path_text
 from hil.study.campaign.settings import ListedAxis
 
 SEED = "seed"
-"""The key that is no section: what varies all chance of the plant's end."""
+"""Key outside all sections: seed of all randomness at the plant's end of the bus."""
 Data = dict[str, Any]
 _FAULTS = ("plant", "faults")
 _WORD = re.compile(r"([A-Za-z_][A-Za-z0-9_]*)((?:\[[0-9]+\])*)")
 
 
 def path(key: str) -> tuple[str | int, ...]:
-    """Return names and indices of a key. Raises ConfigurationError: not of that form."""
+    """Names and indices of a key. Raises ConfigurationError: malformed key."""
     found: list[str | int] = []
     for part in key.split("."):
         match = _WORD.fullmatch(part)
         if match is None:
             raise ConfigurationError(
-                f"{key}: no key, allowed: names with dots and indices, as plant.faults[0].mass_kg"
+                f"{key}: malformed key, allowed: names with dots and indices, as plant.faults[0].mass_kg"
             )
         found += [match[1], *map(int, re.findall("[0-9]+", match[2]))]
     return tuple(found)
 
 
 def at(data: Any, place: tuple[str, ...]) -> Any:
-    """Return what is at a place of plain data; None: nothing."""
+    """Value at a place in nested dictionaries; None if missing."""
     for name in place:
         data = data.get(name) if isinstance(data, dict) else None
     return data
 
 
 def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
-    """Return the data of a configuration with values of a row: options, then faults, then keys.
+    """Set the values of a row in the data of a configuration: options, then faults, then keys.
 
-    Of keys that reach into each other the outer ones come first, whatever their order in the file: those that
-    bring `plant.faults` before the faults of an axis.
+    Outer keys are set before keys inside them, whatever their order in the file. Keys that contain
+    `plant.faults` are set before the faults of an axis.
 
-    Raises ConfigurationError: words that are no fault, a key that fits nothing.
+    Raises ConfigurationError: invalid fault, or a key that does not fit the data.
     """
     steps: list[tuple[tuple[int, int], Callable[[Data], Data]]] = []
     for name, given in values.items():
@@ -66,28 +66,28 @@ def apply(value: Data, axes: dict[str, ListedAxis], values: Data) -> Data:
 
 
 def _with_faults(value: Data, words: list[str]) -> Data:
-    """Return data with more faults."""
+    """Add faults to `plant.faults`."""
     more = [read_fault(each).model_dump(mode="json", exclude_unset=True) for each in words]
     return merged(value, {"plant": {"faults": [*(at(value, _FAULTS) or []), *more]}})
 
 
 def put(value: Data, key: str, given: Any) -> Data:
-    """Set a key, and return the same data; sections above it that are missing are made.
+    """Set a key in the data and return them; missing sections above it are created.
 
-    Raises ConfigurationError: a part of the key is no section or no list, or the list is too short.
+    Raises ConfigurationError: a part of the key is neither section nor list, or the list is too short.
     """
     parts = path(key)
     place: Any = value
     for n, (item, below) in enumerate(pairwise(parts), 1):
         empty: Any = {} if isinstance(below, str) else []
         place = place.setdefault(item, empty) if isinstance(item, str) else place[item]
-        so_far = path_text(parts[:n])
+        parent = path_text(parts[:n])
         if not isinstance(place, type(empty)):
-            raise ConfigurationError(f"{key}: {so_far} is a value, allowed: a section or a list that has it")
+            raise ConfigurationError(f"{key}: {parent} is a plain value, allowed: a section or a list")
         if isinstance(below, int) and below >= len(place):
             raise ConfigurationError(
-                f"{key}: {so_far} has no entry {below}, it has {len(place)}; give it one in `changes` of the "
+                f"{key}: {parent} has no entry {below}, only {len(place)}; add it in `changes` of the "
                 "campaign"
             )
-    place[parts[-1]] = copy.deepcopy(given)  # another axis may reach into it
+    place[parts[-1]] = copy.deepcopy(given)  # another axis may change a part of it
     return value

@@ -1,7 +1,7 @@
-"""The files that the rows of a campaign name: where each is, and that it stays what it was.
+"""Files that campaign rows name: finding them, and checking that they do not change.
 
-A relative path is looked for beside the configuration, as everywhere, then beside the campaign file; the data
-sheet of a drive before all that in the folder where the campaign was read, as `hil check` does.
+A relative path is searched for next to the configuration, as everywhere, then next to the campaign file. The
+data sheet of a drive is first searched for in the folder where the campaign was read, as by `hil check`.
 """
 
 import hashlib
@@ -20,9 +20,9 @@ from hil.study.campaign.settings import ListedAxis
 _CONTROLLER = ("controller", "controller_file")
 _SHEET = ("drives", "options", "eds")
 PLACES = (("reference", "path"), _CONTROLLER, ("feedforward", "file"), ("plant", "model", "path"), _SHEET)
-"""Keys of a configuration that name a file which a row reads."""
+"""Configuration keys that name a file which a row reads."""
 Folders = tuple[Path, Path, Path]
-"""Where files are looked for, absolute: of the configuration, of the campaign, where that was read."""
+"""Absolute folders to search: of the configuration, of the campaign, and where the campaign was read."""
 
 
 def _find(name: str, place: tuple[str, ...], folders: Folders) -> Path | None:
@@ -31,7 +31,7 @@ def _find(name: str, place: tuple[str, ...], folders: Folders) -> Path | None:
 
 
 def find_beside(value: dict[str, Any], folders: Folders) -> None:
-    """Make the paths of a configuration's data absolute."""
+    """Make the file paths in a configuration's data absolute, in place."""
     for place in PLACES:
         name = at(value, place)
         if isinstance(name, str) and (file := _find(name, place, folders)) is not None:
@@ -39,7 +39,7 @@ def find_beside(value: dict[str, Any], folders: Folders) -> None:
 
 
 def digests(base: dict[str, Any], axes: Mapping[str, ListedAxis], folders: Folders) -> dict[str, str]:
-    """Return the digest of each file that any row may name, by its path.
+    """Digest, by path, of each file that any row may name.
 
     Raises ConfigurationError: a file cannot be read.
     """
@@ -56,18 +56,17 @@ def digests(base: dict[str, Any], axes: Mapping[str, ListedAxis], folders: Folde
 
 
 def refuse_changed(files: Mapping[str, str]) -> None:
-    """Raise ConfigurationError where a file is another than when the campaign was read, or cannot be read."""
+    """Raise ConfigurationError if a file has changed since the campaign was read, or cannot be read."""
     for name, digest in files.items():
         if _digest_now(Path(name)) != digest:
             raise ConfigurationError(
-                f"{name}: has changed since this campaign was read: the next rows would be of another one, "
-                "allowed: the same file for all rows. Restore it and repeat the command, or discard the rows "
-                "with `hil campaign --fresh`"
+                f"{name}: has changed since this campaign was read, but all rows need one version. Restore "
+                "the file and repeat the command, or discard the rows with `hil campaign --fresh`"
             )
 
 
 def _digest_now(file: Path) -> str:
-    """Return the digest of a file; it is read again where its size or time is another."""
+    """Digest of a file; the file is read again only if its inode, size or modification time differs."""
     try:
         found = file.stat()
         return _digest(file, found.st_ino, found.st_size, found.st_mtime_ns)
@@ -84,7 +83,7 @@ def _digest(file: Path, *_: int) -> str:
 
 
 def _parts(axis: ListedAxis) -> Iterator[Any]:
-    """Yield what each value of an axis sets, as data of a configuration; not what is in a list there."""
+    """Yield the changes that each value of an axis makes, as configuration data; list indices become keys."""
     yield from (axis.options or {}).values()
     for key in axis.targets:
         for value in axis.entries:

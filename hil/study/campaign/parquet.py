@@ -1,6 +1,6 @@
-"""The table of a campaign as Parquet: one row a run, the same bytes whenever the rows are the same.
+"""Table of a campaign as a Parquet file: one row per run; the same rows give the same bytes.
 
-Nothing of when, where or by how many processes is in it; the writer's settings are fixed.
+It contains no dates, machines or numbers of processes, and the writer's settings are fixed.
 """
 
 import json
@@ -17,10 +17,10 @@ Row = dict[str, Any]
 
 
 def columns(plan: Plan) -> list[Column]:
-    """Return the columns of a campaign's table: the row's number and values, its outcome, its metrics."""
+    """Columns of a campaign's table: row number, seed, axis values, outcome, metrics."""
     return [
         Column("row", "int64", "", "number of the row, from 0"),
-        Column("seed", "int64", "", "of all chance of the plant's end"),
+        Column("seed", "int64", "", "seed of all randomness at the plant's end"),
         *(
             Column(
                 name,
@@ -30,11 +30,11 @@ def columns(plan: Plan) -> list[Column]:
             )
             for name, axis in plan.settings.axes.items()
         ),
-        Column("passed", "bool", "", "whether the run ended well and kept every limit of the campaign"),
+        Column("passed", "bool", "", "true if the run ended as planned and kept every limit of the campaign"),
         Column("ended", "text", "", "complete, fault, limit, stopped, plant, refused, error or died"),
         Column("ended_s", "float64", "s", "simulated time of the run"),
         Column("faults", "text", "", "names of the latched faults"),
-        Column("trouble", "text", "", "what went wrong"),
+        Column("trouble", "text", "", "cause of the failure"),
         *(
             Column(name, "int64" if name in COUNTS else "float64", metric.unit, metric.meaning)
             for name, metric in METRICS.items()
@@ -43,14 +43,14 @@ def columns(plan: Plan) -> list[Column]:
 
 
 def kind(axis: ListedAxis) -> str:
-    """Return the type of an axis' column: numbers where all its values are, of 64 bits, else text."""
+    """Type of an axis' column: int64 or float64 if all its values are numbers of 64 bits, else text."""
     if not all(type(x) is float or (type(x) is int and abs(x) < 2**63) for x in axis.ends):
         return "text"
     return "int64" if all(type(x) is int for x in axis.ends) else "float64"
 
 
 def cell(kind: str, value: Any) -> Any:
-    """Return a value as its column has it; lists, sections and true or false of an axis as JSON."""
+    """Value in the type of its column; lists, sections and booleans of an axis become JSON."""
     if value is None:
         return None
     if kind == "text":
@@ -59,12 +59,12 @@ def cell(kind: str, value: Any) -> Any:
 
 
 def require() -> None:
-    """Refuse an installation without pyarrow. Raises LogError."""
+    """Raise LogError if pyarrow is not installed."""
     arrow("a campaign")
 
 
 def write(path: Path, columns: Sequence[Column], rows: Sequence[Row]) -> None:
-    """Write rows into a file. Raises OSError."""
+    """Write rows to a file. Raises OSError."""
     pa, parquet = arrow("a campaign")
     parquet.write_table(
         pa.Table.from_pylist(rows, schema(pa, columns)),

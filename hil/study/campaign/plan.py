@@ -1,4 +1,4 @@
-"""The rows of a campaign: read from its file, tried before anything runs, and told from every other's."""
+"""Rows of a campaign: read from its file, checked before anything runs, identified by digests."""
 
 import hashlib
 import importlib.resources
@@ -29,10 +29,10 @@ Values = dict[str, Any]
 
 @dataclass(frozen=True)
 class Plan:
-    """What a campaign runs: every sample with every row of the list and every combination of the grid."""
+    """Rows of a campaign: every sample with every row of the list and every combination of the grid."""
 
     path: Path
-    """As the user has named it."""
+    """Path as given by the user."""
     subject: Subject
     samples: list[tuple[Any, ...]]
     listed: list[tuple[Any, ...]]
@@ -40,17 +40,17 @@ class Plan:
 
     @property
     def settings(self) -> CampaignSettings:
-        """What its file says."""
+        """Settings from the campaign file."""
         return self.subject.settings
 
     @property
     def name(self) -> str:
-        """Of the campaign."""
+        """Name of the campaign."""
         return self.settings.name or short_name(self.path)
 
     @property
     def folder(self) -> Path:
-        """Where its results go by default: beside the logs of the configuration."""
+        """Default folder of the results, next to the logs of the configuration."""
         given = self.subject.base.get("recording", {}).get("folder", RecordingSettings().folder)
         return Path(given) / f"{self.name}-campaign"
 
@@ -58,23 +58,23 @@ class Plan:
         return len(self.samples) * len(self.listed) * len(self.combinations)
 
     def values(self, row: int) -> Values:
-        """Return the value of each axis in a row; options and faults by name."""
+        """Value of each axis in a row; options and faults by name."""
         rest, k = divmod(row, len(self.combinations))
         sample, j = divmod(rest, len(self.listed))
         given = (*self.samples[sample], *self.listed[j], *self.combinations[k])
         return dict(zip(self.settings.axes, given, strict=True))
 
     def job(self, row: int) -> Job:
-        """Return what runs a row."""
+        """Job that runs a row."""
         values = self.values(row)
         sample = row // (len(self.combinations) * len(self.listed))
         return Job(self.subject, row, values, row_seed(self.settings, values, sample))
 
 
 def read_plan(path: Path) -> Plan:
-    """Read a campaign and try each of its values on the configuration, one axis after the other.
+    """Read a campaign and check each of its values with the configuration, one axis after the other.
 
-    Raises ConfigurationError with all problems found, each with its place in the file.
+    Raises ConfigurationError with all problems, each with its place in the file.
     """
     file = campaign_file(path)
     settings, document = read_section(file, CampaignSettings)
@@ -89,7 +89,7 @@ def read_plan(path: Path) -> Plan:
     found: dict[tuple[Place, str], None] = {}
     for place, own, values in _tries(plan):
         problems = _problems(subject, {name: values[name] for name in own})
-        if problems and _problems(subject, values):  # it may need what another axis brings
+        if problems and _problems(subject, values):  # it may depend on another axis
             found |= dict.fromkeys((place, problem) for problem in problems)
     _refuse(found, document, file)
     return replace(
@@ -98,29 +98,29 @@ def read_plan(path: Path) -> Plan:
 
 
 def shipped() -> tuple[str, ...]:
-    """Return the names of the campaigns that come with the product."""
+    """Names of the shipped campaigns."""
     files = importlib.resources.files("configs").joinpath("campaigns").iterdir()
     return tuple(sorted(f.name.removesuffix(".yaml") for f in files if f.name.endswith(".yaml")))
 
 
 def campaign_file(path: Path) -> Path:
-    """Return the file of a campaign, or of a shipped one by its name. Raises ConfigurationError: no file."""
+    """File of a campaign, from a path or a shipped name. Raises ConfigurationError: no such file."""
     if path.is_file():
         return path
     if str(path) not in shipped():
-        raise ConfigurationError(f"{path}: no such file; shipped campaigns are: {', '.join(shipped())}")
+        raise ConfigurationError(f"{path}: no such file or shipped campaign; shipped: {', '.join(shipped())}")
     return Path(str(importlib.resources.files("configs") / "campaigns" / f"{path}.yaml"))
 
 
 def _refuse(found: dict[tuple[Place, str], None], document: Document, file: Path) -> None:
-    """Raise ConfigurationError with problems, each at its place in the file; nothing for none."""
+    """Raise ConfigurationError if there are problems, each with its place in the file."""
     if found:
         placed = [Problem(document.key_position(place), place, message) for place, message in found]
         raise ConfigurationError(*lines(placed, str(file)))
 
 
 def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subject:
-    """Return what all rows share; the configuration with the campaign's changes has to be valid itself."""
+    """Read the data shared by all rows. The configuration with the campaign's changes must be valid."""
     beside = path.parent / settings.configuration
     try:
         file, text = read_configuration(beside if beside.is_file() else settings.configuration)
@@ -139,9 +139,10 @@ def _subject(path: Path, settings: CampaignSettings, document: Document) -> Subj
 
 
 def _tries(plan: Plan) -> Iterator[tuple[Place, list[str], Values]]:
-    """Yield a row for each value of each axis, for both ends of a range, for each row of the list.
+    """Yield trial rows: one per value of each axis, per end of a range, and per row of the list.
 
-    Each with its place in the file and the axes that take the value while the others keep their first.
+    Each comes with its place in the file and the names of the axes under trial; other axes keep their first
+    value.
     """
     first = plan.values(0)
     for section, axes in plan.settings.sections:
@@ -157,7 +158,7 @@ def _tries(plan: Plan) -> Iterator[tuple[Place, list[str], Values]]:
 
 
 def _problems(subject: Subject, values: Values) -> list[str]:
-    """Return what is wrong with a row of these axes."""
+    """Problems of a row with these values."""
     try:
         row_configuration(Job(subject, 0, values, row_seed(subject.settings, values, 0)))
     except ConfigurationError as error:
@@ -166,9 +167,9 @@ def _problems(subject: Subject, values: Values) -> list[str]:
 
 
 def identity(plan: Plan) -> dict[str, str]:
-    """Return what tells a campaign from every other, by what it is made of: digests, and the version.
+    """Identity of a campaign: digests of its parts, and the version.
 
-    The same identity, the same table. Comments in its file and where the files lie make no difference.
+    The same identity means the same table. Comments in the file and the location of files do not count.
     """
     drawn = hashlib.sha256()
     for row in range(len(plan)):
@@ -180,7 +181,7 @@ def identity(plan: Plan) -> dict[str, str]:
         "version of hexapod-hil": version("hexapod-hil"),
     }
     for file, digest in plan.subject.files.items():
-        name = f"file {Path(file).name}"  # wherever it lies; files of one name are told by their order
+        name = f"file {Path(file).name}"  # wherever it is; files of one name differ by their order
         found[name] = f"{found.get(name, '')} {digest}".strip()
     return found
 

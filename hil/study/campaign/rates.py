@@ -1,4 +1,4 @@
-"""How often runs pass: Wilson's interval, over all rows and by each value of an axis."""
+"""Pass rates with Wilson's interval: over all rows, and by each value of an axis."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -10,14 +10,14 @@ from hil.study.campaign.parquet import Row, cell, kind
 from hil.study.campaign.settings import Limit, ListedAxis
 
 BINS = 4
-"""Of an axis with more values than MOST: equally many rows in each."""
+"""Bins of a numeric axis with more values than MOST; each has equally many rows."""
 MOST = 12
 HEAD = ("value", "rows", "failed", "pass %", "95 % interval")
-"""Of `Rate.cells`."""
+"""Titles of `Rate.cells`."""
 
 
 class Rate(NamedTuple):
-    """Of some rows: how many there are and pass, and the 95 % interval of the share that passes."""
+    """Number of rows and of passed rows, and the 95 % interval of the pass rate."""
 
     label: str
     rows: int
@@ -27,16 +27,16 @@ class Rate(NamedTuple):
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """What `HEAD` names, as words."""
+        """Cells of a table line, as titled by `HEAD`."""
         percent = f"{100.0 * self.passed / self.rows:.1f}" if self.rows else "-"
         interval = f"{100.0 * self.low:.1f} to {100.0 * self.high:.1f}"
         return self.label, str(self.rows), str(self.rows - self.passed), percent, interval
 
 
 def wilson(passed: int, n: int) -> tuple[float, float]:
-    """95 % score interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) of none.
+    """95 % score interval of a share (Wilson 1927, J. Am. Stat. Assoc. 22, 209); (0, 1) if n is 0.
 
-    Rows are taken as independent draws: points of a low-discrepancy sequence usually scatter less.
+    It assumes independent draws; points of a low-discrepancy sequence usually scatter less.
     """
     from scipy.stats import binomtest  # noqa: PLC0415 - most of a second
 
@@ -47,17 +47,17 @@ def wilson(passed: int, n: int) -> tuple[float, float]:
 
 
 def rate(label: str, rows: Sequence[Row]) -> Rate:
-    """Return how many of some rows pass."""
+    """Pass rate of some rows."""
     passed = sum(row["passed"] for row in rows)
     return Rate(label, len(rows), passed, *wilson(passed, len(rows)))
 
 
 def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
-    """Return the rate of each value of an axis, of many numbers that of each quarter of the rows by value."""
+    """Pass rate of each value of an axis; of many numbers, of each quarter of the rows sorted by value."""
     there = {row[name] for row in rows}
     if len(there) <= MOST or not all(isinstance(value, int | float) for value in there):
         listed = [cell(kind(axis), value) for value in axis.entries]
-        # once each: in a list of axes that go together a value may stand in several rows
+        # once each: with axes that vary together a value may occur in several rows
         ordered = [value for value in dict.fromkeys(listed) if value in there] or sorted(there)
         return [rate(shown(value), [row for row in rows if row[name] == value]) for value in ordered]
     ordered_rows = sorted(rows, key=lambda row: (row[name], row["row"]))
@@ -66,9 +66,9 @@ def by_value(name: str, axis: ListedAxis, rows: Sequence[Row]) -> list[Rate]:
 
 
 def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]:
-    """Return failed rows, the worst of each cause first, then the second of each.
+    """At most `most` failed rows: the worst of each cause first, then the second of each.
 
-    Of a cause those that ended first are the worst, then those that pass a limit by most.
+    Within a cause, rows that ended first are the worst, then rows that exceed a limit by most.
     """
 
     def badness(row: Row) -> tuple[bool, float, float, int]:
@@ -85,17 +85,17 @@ def worst(rows: Sequence[Row], limits: dict[str, Limit], most: int) -> list[Row]
 
 
 def cause(row: Row) -> str:
-    """Return how a failed row ended, with the names of its faults."""
+    """Cause of a failed row: `limit`, or how it ended and the names of its faults."""
     return "limit" if row["ended"] == "complete" else f"{row['ended']} {row['faults']}".strip()
 
 
 def causes(rows: Sequence[Row]) -> list[tuple[str, int]]:
-    """Return how many rows have failed of each cause, the most frequent first."""
+    """Count the failed rows of each cause, the most frequent first."""
     return Counter(cause(row) for row in rows if not row["passed"]).most_common()
 
 
 def why(row: Row, limits: dict[str, Limit]) -> str:
-    """Say in words why a row has failed."""
+    """Reasons why a row failed, as text."""
     ended = ": ".join(filter(None, (row["ended"], row["trouble"].partition("\n")[0])))
     words = [] if ended == "complete" else [ended]
     for name, limit in limits.items():
@@ -106,5 +106,5 @@ def why(row: Row, limits: dict[str, Limit]) -> str:
 
 
 def shown(value: Any) -> str:
-    """Return a value of an axis in four digits."""
+    """Value of an axis as text; floats with four significant digits."""
     return f"{value:.4g}" if isinstance(value, float) else str(value)

@@ -1,4 +1,4 @@
-"""`hil campaign rerun FILE ROW`: one row again, and its figures compared to the bit."""
+"""`hil campaign rerun FILE ROW`: run one row again and compare its figures to the bit."""
 
 from itertools import islice
 from pathlib import Path
@@ -20,16 +20,16 @@ from plant_fmu.faults.plan import FaultPlan
 
 
 def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[str, Any]:
-    """Run a row again, and return the summary (key `success`: the same figures to the bit).
+    """Run a row again; return the summary (key `success`: the same figures to the bit).
 
-    out : the campaign's results, None: the default place.
-    log : where to record it, too, `Path()`: under a new name beside the other logs; None: nowhere.
+    out : folder of the campaign's results, None: the default folder.
+    log : file to record, `Path()`: a new name next to the other logs; None: no recording.
 
-    What is compared: with the row that is stored; the run without a log with that from its log. Where no row
-    is stored, only what is recorded runs, and at the default place alone.
+    The figures of the run, and of its log, are compared with the stored row; without a stored row, those of
+    the log with those of the run. A row that is not stored can only be recorded, and only without `out`.
 
-    Raises ConfigurationError: no such row, or one that has no run to record; LogError: no such row is stored,
-    other campaign, log exists.
+    Raises ConfigurationError: no such row, or the row has no run to record; LogError: the row is not stored,
+    the folder belongs to another campaign, or the log exists.
     """
     parquet.require()
     if not 0 <= number < len(plan):
@@ -39,7 +39,7 @@ def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[s
     stored = stored_rows(folder, identity(plan)).get(number)
     if stored is None and (out is not None or log is None):
         raise LogError(
-            f"{folder}: row {number} of {plan.path} is not stored there; name the folder of its results with "
+            f"{folder}: row {number} of {plan.path} is not stored there; give the folder of its results with "
             "--out, run `hil campaign` first, or add --log without --out to record the row alone"
         )
     job = plan.job(number)
@@ -78,7 +78,7 @@ def rerun(plan: Plan, out: Path | None, number: int, log: Path | None) -> dict[s
 
 
 def _recorded(job: Job, ended: Ended, log: Path) -> dict[str, Any]:
-    """Record the run of a row, which goes on from its end until it parks; return its outcome by its log."""
+    """Record a row's run, which continues until it parks; return the row's outcome from the log."""
     c = row_configuration(job)
     rate = c.loop.rate_Hz
     stop_tick = ended.ticks if ended.stop_tick is None else ended.stop_tick

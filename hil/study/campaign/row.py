@@ -1,4 +1,4 @@
-"""One row of a campaign: its configuration, its run in lockstep, its figures; it reads files, no clock."""
+"""One row of a campaign: its configuration, its lockstep run, its figures. It reads files, but no clock."""
 
 import copy
 import re
@@ -22,24 +22,24 @@ from hil.study.campaign.settings import CampaignSettings
 from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 3600.0
-"""A run that has not ended so long after what it tracks would have, has failed, simulated s."""
+"""Simulated time, s, after the reference; a run that has not ended by then has failed."""
 _SENSORS_SEED = ("plant", "sensors", "seed")
 
 
 class Subject(NamedTuple):
-    """What all rows of a campaign share."""
+    """Data shared by all rows of a campaign."""
 
     base: dict[str, Any]
-    """The configuration with the campaign's changes, plain data."""
+    """Configuration with the campaign's changes, plain data."""
     source: str
     folders: Folders
     settings: CampaignSettings
     files: dict[str, str] = {}
-    """Digest of each file that a row may name, by its path."""
+    """Digest, by path, of each file that a row may name."""
 
 
 class Job(NamedTuple):
-    """A row that is to be run, complete: what a process of its own needs to know."""
+    """Everything that a separate process needs to run a row."""
 
     subject: Subject
     number: int
@@ -48,20 +48,20 @@ class Job(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Why a row's run has ended, and in which ticks."""
+    """How and when a row's run ended."""
 
     how: str
-    """complete, fault, limit, stopped, plant."""
+    """complete, fault, limit, stopped or plant."""
     why: str
     faults: Fault
-    """Those that are latched."""
+    """Latched faults."""
     ticks: int
     stop_tick: int | None = None
-    """At which it was told to park."""
+    """Tick of the command to stop and park."""
 
 
 def row_configuration(job: Job) -> Configuration:
-    """Return the configuration of a row, its text whole. Raises ConfigurationError."""
+    """Build the configuration of a row, with its whole text. Raises ConfigurationError."""
     subject = job.subject
     value = apply(copy.deepcopy(subject.base), subject.settings.axes, job.values)
     own = at(value, _SENSORS_SEED)
@@ -79,18 +79,18 @@ def row_configuration(job: Job) -> Configuration:
 def run_row(job: Job) -> dict[str, Any]:
     """Run a row; return `passed`, `ended`, `ended_s`, `faults`, `trouble` and METRICS as plain values.
 
-    What goes wrong with it is in the outcome. Raises MemoryError, OSError: that is the machine's trouble, and
-    the row may run later; ConfigurationError: a file that rows name is no more what it was.
+    Errors of the row are part of the outcome. Raises MemoryError, OSError: trouble of the machine, the row
+    may run later; ConfigurationError: a file that rows name has changed.
     """
     return performed(job)[0]
 
 
 def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
-    """Run a row; return its outcome, and how its run ended, None for no run. Raises as `run_row`."""
+    """Run a row; return its outcome and the end of its run (None: no run). Raises as `run_row`."""
     ended = None
     try:
         c = row_configuration(job)
-        with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
+        with collector_paused(), np.errstate(all="ignore"):  # a diverging law ends in its fault
             measured = Measurement(travels=job.subject.settings.after_fault == "rest")
             ended = run(c, job, measured)
         found = outcome(job, c.loop.rate_Hz, ended, measured)
@@ -98,28 +98,28 @@ def performed(job: Job) -> tuple[dict[str, Any], Ended | None]:
         raise
     except ConfigurationError as error:
         found = not_run(job, "refused", "\n".join(map(bare, error.problems)))
-    except Exception as error:  # noqa: BLE001 - whatever a law raises that diverges ends its row and no other
+    except Exception as error:  # noqa: BLE001 - any error of a diverging law fails only its row
         kind = "" if isinstance(error, HilError) else f"{type(error).__name__}: "
         found = not_run(job, "error", f"{kind}{error}")
     refuse_changed(job.subject.files)
     for folder in sorted(map(str, job.subject.folders), key=len, reverse=True):
-        found["trouble"] = found["trouble"].replace(f"{folder}/", "")  # where they lie makes no difference
+        found["trouble"] = found["trouble"].replace(f"{folder}/", "")  # the same text wherever the files are
     return found, ended
 
 
 def bare(problem: str) -> str:
-    """Return a problem of a text that was made here without its place there: nobody has that text."""
+    """Problem without its position in the merged text, which no user has seen."""
     return re.sub(r"^.* with the changes of (the campaign|row [0-9]+):([0-9]+:[0-9]+:)? ?", "", problem)
 
 
 def not_run(job: Job, how: str = "died", why: str = "its process died, twice") -> dict[str, Any]:
-    """Return the outcome of a row that has no run."""
+    """Outcome of a row that has no run."""
     end = {"passed": False, "ended": how, "ended_s": None, "faults": "", "trouble": why}
     return {"row": job.number, "seed": job.seed, **job.values, **end, **dict.fromkeys(METRICS)}
 
 
 def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> dict[str, Any]:
-    """Return what a row's line in the table says of its run; a limit of what was not measured is not kept."""
+    """Outcome of a row's run, as in the table. A limit of an unmeasured metric counts as exceeded."""
     figures = measured.figures()
     kept = not any(limit.passed_by(figures.get(name)) for name, limit in job.subject.settings.kept.items())
     return not_run(job) | {
@@ -135,13 +135,14 @@ def outcome(job: Job, rate_Hz: float, ended: Ended, measured: Measurement) -> di
 def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
     """Run both ends of the bus in lockstep until the row's end.
 
-    Raises ConfigurationError, PlantError: the plant does not start.
+    Raises ConfigurationError: invalid configuration, or neither reference nor campaign has an end;
+    PlantError: the plant does not start.
     """
     settings, rate = job.subject.settings, c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
     tracked_s = settings.duration_s or cycle.parts.trajectory.duration_s
     if tracked_s is None:
-        raise ConfigurationError(f"{c.source}: reference: it has no end: give the campaign a duration_s")
+        raise ConfigurationError(f"{c.source}: reference: has no end: add duration_s to the campaign")
     nodes, physics = build_nodes(c, FaultPlan((), job.seed))
     ticks = None if settings.duration_s is None else int(settings.duration_s * rate + 1e-6)
     most = round((tracked_s + LONGEST_S) * rate)
@@ -168,7 +169,7 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
             if ending is not None:
                 parked = mode is Mode.PARKED and not ending.reason
                 return ended("complete" if parked else "stopped", ending.reason)
-            if full and not faulted and _hopeless(settings, measured):
+            if full and not faulted and _limit_exceeded(settings, measured):
                 return ended("limit")
             begun = tick if begun is None and mode is Mode.TRACKING else begun
             over = begun is not None and ticks is not None and tick - begun >= ticks
@@ -176,25 +177,25 @@ def run(c: Configuration, job: Job, measured: Measurement) -> Ended:
                 return ended("complete")
             if over and stop_tick is None:
                 stop_tick = tick + 1
-        why = f"it has not ended {LONGEST_S:g} s after the {tracked_s:g} s that it tracks"
+        why = f"the run has not ended {LONGEST_S:g} s after its {tracked_s:g} s of tracking"
         return ended("stopped", why)._replace(ticks=most)
     finally:
         physics.close()
 
 
-def _hopeless(settings: CampaignSettings, measured: Measurement) -> bool:
-    """Tell whether a peak or a count is past its limit: more ticks do not mend it."""
+def _limit_exceeded(settings: CampaignSettings, measured: Measurement) -> bool:
+    """Check whether a peak or a count exceeds its limit, which more ticks cannot undo."""
     most = {name: limit.max for name, limit in settings.kept.items() if limit.max is not None}
     return any(value > most.get(name, value) for name, value in measured.growing().items())
 
 
 def row_seed(settings: CampaignSettings, values: dict[str, Any], sample: int) -> int:
-    """Return what varies the chance of a row: the value of key `seed`, else the number of its sample.
+    """Seed of a row: the value of key `seed`, else the number of its sample.
 
-    Raises ConfigurationError: a value that is no whole number of 63 bits, which the table has for it.
+    Raises ConfigurationError: not an integer from 0 to 2**63 - 1, the range of the table's column.
     """
     named = [given for name, given in values.items() if SEED in settings.axes[name].targets]
     seed = named[-1] if named else sample
     if type(seed) is not int or not 0 <= seed < 2**63:
-        raise ConfigurationError(f"{SEED}: allowed: whole numbers from 0 to 2**63 - 1, given: {seed!r}")
+        raise ConfigurationError(f"{SEED}: allowed: integers from 0 to 2**63 - 1, given: {seed!r}")
     return seed

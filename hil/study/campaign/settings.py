@@ -1,4 +1,4 @@
-"""The campaign file: which configuration, which keys are swept and how, what a run must keep."""
+"""The campaign file: the configuration, the swept keys and their values, the limits of a run."""
 
 import json
 from collections.abc import Iterator
@@ -15,13 +15,13 @@ from hil.app.sim.commands import LATEST_S
 from hil.study.campaign.figures import METRICS
 
 OWN_COLUMNS = ("row", "seed", "passed", "ended", "ended_s", "faults", "trouble")
-"""Columns of the table beside axes and metrics."""
+"""Columns of the table other than axes and metrics."""
 MOST_ROWS = 10_000_000
 
 
 def _rising(ends: Any) -> Any:
     if ends[0] >= ends[1]:
-        raise ValueError(f"no range, allowed: [low, high] with low < high, given: {list(ends)}")
+        raise ValueError(f"invalid range, allowed: [low, high] with low < high, given: {list(ends)}")
     return ends
 
 
@@ -40,7 +40,7 @@ Method = Literal["sobol", "latin_hypercube", "halton"]
 
 
 class Normal(Section):
-    """A normal distribution cut off at both ends."""
+    """A normal distribution truncated at both ends."""
 
     mean: float
     std: Positive
@@ -54,19 +54,20 @@ class Normal(Section):
 
 
 class ListedAxis(Section):
-    """Values of one axis: of a key of the configuration, or sets of changes by name, or faults by name."""
+    """Values of one axis: of a configuration key, or named sets of changes, or named sets of faults."""
 
     KINDS: ClassVar[tuple[str, ...]] = ("values", "options", "faults")
 
     key: str | list[str] | None = None
-    """Where the value goes: `plant.drives.encoder_resolution_m`, `plant.faults[0].mass_kg`, `seed`; several
-    keys take the same value."""
+    """Key that takes the value: `plant.drives.encoder_resolution_m`, `plant.faults[0].mass_kg`, `seed`;
+    several keys take the same value.
+    """
     values: Annotated[list[Any], Field(min_length=1)] | None = None
     """Values of `key`."""
     options: Annotated[dict[str, dict[str, Any]], Field(min_length=1)] | None = None
     """Name -> changes of the configuration: laws, designs, plants, paths."""
     faults: Annotated[dict[str, list[str]], Field(min_length=1)] | None = None
-    """Name -> faults that are added to `plant.faults`, in the words of `hil sim --fault`; `[]`: none."""
+    """Name -> faults added to `plant.faults`, in the words of `hil sim --fault`; `[]`: no fault."""
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -79,46 +80,46 @@ class ListedAxis(Section):
             raise ValueError(
                 "key is missing, allowed: a key of the configuration, as plant.model.coulomb_friction_N"
                 if not self.key
-                else "key has no meaning beside options or faults, which say themselves what they change"
+                else "options and faults define their own changes; allowed: no key next to them"
             )
         return self
 
     @property
     def targets(self) -> list[str]:
-        """The keys that take its value."""
+        """Keys that take the value of this axis."""
         return [self.key] if isinstance(self.key, str) else self.key or []
 
     @property
     def entries(self) -> list[Any]:
-        """Its listed values, of options and faults their names; of a distribution none."""
+        """Listed values, or the names of options or faults; empty for a distribution."""
         return list(self.values or self.options or self.faults or [])
 
     @property
     def ends(self) -> list[Any]:
-        """The values at which it is tried before a campaign: all listed ones, both ends of others."""
+        """Values checked before a campaign: all listed ones, or both ends of a distribution."""
         return self.entries
 
 
 class SampledAxis(ListedAxis):
-    """An axis that is drawn: from a distribution of a key, or each of the listed ones equally often."""
+    """A sampled axis: the distribution of a key, or listed values that are equally frequent."""
 
     KINDS: ClassVar[tuple[str, ...]] = (*ListedAxis.KINDS, "uniform", "loguniform", "normal", "integers")
 
     uniform: Annotated[tuple[float, float], AfterValidator(_rising)] | None = None
     """Ends of a uniform distribution."""
     loguniform: Annotated[tuple[Positive, Positive], AfterValidator(_rising)] | None = None
-    """Ends, both > 0, between which the logarithm is uniform."""
+    """Ends, both > 0, of a log-uniform distribution."""
     normal: Normal | None = None
     integers: Annotated[tuple[int, int], AfterValidator(_rising)] | None = None
-    """First and last of equally likely whole numbers."""
+    """First and last of equally likely integers."""
 
     @property
     def ends(self) -> list[Any]:
-        """The values at which it is tried before a campaign: all listed ones, both ends of others."""
+        """Values checked before a campaign: all listed ones, or both ends of a distribution."""
         return self.entries or [self.value_at(0.0), self.value_at(1.0)]
 
     def value_at(self, u: float) -> Any:
-        """Return the value at the share `u` of its distribution, [0, 1]."""
+        """Value at the cumulative probability `u`, [0, 1], of its distribution."""
         if self.integers is not None:
             first, last = self.integers
             return min(last, first + floor(u * (last - first + 1)))
@@ -139,26 +140,26 @@ class SampledAxis(ListedAxis):
 
 
 class Sample(Section):
-    """Points of a low-discrepancy sequence or a Latin hypercube, one dimension an axis."""
+    """Points of a low-discrepancy sequence or a Latin hypercube, one dimension per axis."""
 
     method: Method
     count: Annotated[int, Field(ge=1, le=MOST_ROWS)]
     seed: Annotated[int, Field(ge=0)] = 0
-    """Of the draw."""
+    """Seed of the draw."""
     axes: Annotated[dict[AxisName, SampledAxis], Field(min_length=1)]
 
     def draw(self) -> list[tuple[Any, ...]]:
-        """Return the values of every sample, one an axis in the order of the file.
+        """Values of every sample, one per axis in the order of the file.
 
-        Sobol' points are scrambled (Owen 1995), so that none of them is exactly 0 or 1 by construction; they
-        are balanced where their number is a power of two.
+        Sobol' points are scrambled (Owen 1995), so that no point is exactly 0 or 1 by construction; they are
+        balanced if their number is a power of two.
         """
         from scipy.stats import qmc  # noqa: PLC0415 - most of a second, for who samples
 
         engines = {"sobol": qmc.Sobol, "latin_hypercube": qmc.LatinHypercube, "halton": qmc.Halton}
         engine = engines[self.method](len(self.axes), seed=np.random.default_rng(self.seed))
         if self.method == "sobol":
-            # whole powers of two: SciPy warns of any other number, whose balance is a little worse
+            # whole powers of two: SciPy warns about other numbers, whose balance is a little worse
             points = engine.random_base2(max(0, (self.count - 1).bit_length()))[: self.count]
         else:
             points = engine.random(self.count)
@@ -169,7 +170,7 @@ class Sample(Section):
 
 
 class Limit(Section):
-    """What a metric may be."""
+    """Allowed range of a metric."""
 
     min: float | None = None
     max: float | None = None
@@ -177,13 +178,13 @@ class Limit(Section):
     @model_validator(mode="after")
     def _an_end(self) -> Self:
         if self.min is None and self.max is None:
-            raise ValueError("no limit, allowed: min, max or both")
+            raise ValueError("empty limit, allowed: min, max or both")
         if self.min is not None and self.max is not None and self.min > self.max:
             raise ValueError(f"min is above max, allowed: min <= max, given: {self.min}, {self.max}")
         return self
 
     def passed_by(self, value: float | None) -> float:
-        """Return by what share of itself a value passes the limit; 0: kept, inf: not measured."""
+        """Excess of a value over the limit, as a share of the limit; 0: within it, inf: not measured."""
         if value is None:
             return inf
         over = 0.0 if self.max is None else (value - self.max) / abs(self.max or 1.0)
@@ -192,7 +193,7 @@ class Limit(Section):
 
     @property
     def words(self) -> str:
-        """What is allowed, as `>= 1 <= 2`."""
+        """Allowed range as text, `>= 1 <= 2`."""
         ends = ((">=", self.min), ("<=", self.max))
         return " ".join(f"{sign} {end:g}" for sign, end in ends if end is not None)
 
@@ -202,25 +203,25 @@ class CampaignSettings(Section):
 
     kind: Literal["campaign"]
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9._-]{0,100}$")] = ""
-    """Of the folder of results; default is the file's name."""
+    """Name of the results folder; default: the file's name."""
     description: str = ""
     configuration: str = "virtual"
-    """A YAML file, relative to this one, or the name of a shipped configuration."""
+    """YAML file, relative to this one, or the name of a shipped configuration."""
     changes: dict[str, Any] = {}
-    """Sections of the configuration that are changed in all runs, as `hil.sim` changes them."""
+    """Changes of the configuration for all runs, as in `hil.sim`."""
     duration_s: Annotated[float, Field(gt=0, le=LATEST_S)] | None = None
-    """Along the reference; default: to its end."""
+    """Time along the reference; default: to its end."""
     until: Literal["tracking", "parked"] = "tracking"
-    """A run ends with its reference, or parks first."""
+    """A run ends at the end of its reference, or after parking."""
     after_fault: Literal["end", "rest"] = "end"
-    """A run that latches a fault ends at once, or when the platform is at rest: `travel_mm` is known then."""
+    """A run that latches a fault ends at once, or when the platform is at rest; `travel_mm` needs `rest`."""
     sample: Sample | None = None
     list: Annotated[dict[AxisName, ListedAxis], Field(min_length=1)] | None = None
-    """Axes that go together: the first value of each, the second of each ..."""
+    """Axes that vary together: the first value of each, then the second of each ..."""
     grid: Annotated[dict[AxisName, ListedAxis], Field(min_length=1)] | None = None
     """Axes of which every combination runs."""
     limits: dict[Metric, Limit] = {}
-    """Metric -> what it may be. `faulted` is at most 0 unless it is given here."""
+    """Metric -> allowed range. `faulted` is at most 0 unless it is given here."""
 
     @model_validator(mode="after")
     def _rows(self) -> Self:
@@ -230,18 +231,18 @@ class CampaignSettings(Section):
 
     def _wrong(self) -> Iterator[str]:
         if self.sample is None and self.list is None and self.grid is None:
-            yield "nothing is swept, allowed: a section sample, list or grid, or several of them"
+            yield "no swept keys, allowed: a section sample, list or grid, or several of them"
         names: set[str] = {*METRICS, *OWN_COLUMNS}
         owners: dict[str, str] = {}
         for section, axes in self.sections:
             for name, axis in axes.items():
                 if name in names:
-                    yield f"{section}.{name}: a column of the table has that name, allowed: a name of its own"
+                    yield f"{section}.{name}: already a column of the table, allowed: another name"
                 names.add(name)
                 for key in axis.targets:
                     if owners.setdefault(key, name) != name:
                         one = "allowed: one axis for each key"
-                        yield f"{section}.{name}: {key} is swept by {owners[key]}, too, {one}"
+                        yield f"{section}.{name}: {key} is also swept by {owners[key]}, {one}"
         lengths = {name: len(axis.entries) for name, axis in (self.list or {}).items()}
         if len(set(lengths.values())) > 1:
             given = ", ".join(f"{name} {length}" for name, length in lengths.items())
@@ -252,7 +253,7 @@ class CampaignSettings(Section):
             yield f"{rows} rows, allowed: up to {MOST_ROWS} of sample, list and grid"
         if "travel_mm" in self.limits and self.after_fault == "end":
             yield (
-                "limits.travel_mm: not measured in runs that end with their fault, allowed: with "
+                "limits.travel_mm: not measured in runs that end at their fault, allowed: with "
                 "after_fault: rest"
             )
 
@@ -263,18 +264,18 @@ class CampaignSettings(Section):
 
     @property
     def kept(self) -> dict[str, Limit]:
-        """What each row has to keep."""
+        """Limits of each row."""
         return {"faulted": Limit(max=0.0)} | self.limits
 
     @property
     def sections(self) -> tuple[tuple[str, dict[str, ListedAxis]], ...]:
-        """The axes of each section, by its place in the file."""
+        """Axes of each section, by the section's place in the file."""
         sampled: dict[str, ListedAxis] = {} if self.sample is None else dict(self.sample.axes)
         return ("sample.axes", sampled), ("list", self.list or {}), ("grid", self.grid or {})
 
 
 def schema() -> str:
-    """Return the JSON Schema of a campaign file, for editors, as committed beside the shipped campaigns."""
+    """JSON Schema of a campaign file, for editors; committed next to the shipped campaigns."""
     name = CampaignSettings.__name__
     found = described(name, CampaignSettings.model_json_schema(), "hexapod-hil campaign")
     return json.dumps(found, indent=1, ensure_ascii=False) + "\n"

@@ -1,4 +1,4 @@
-"""A campaign on the terminal and as a page: pass rates by every swept value, and the worst rows."""
+"""A campaign on the terminal and as a page: pass rates by swept value, and the worst rows."""
 
 import shlex
 from collections.abc import Iterator
@@ -16,11 +16,11 @@ from hil.study.report.page import document, table, tag
 from hil.study.table import Column, print_rows
 
 WORST, WORST_ON_PAGE = 10, 25
-"""Failed rows that are shown."""
+"""Failed rows shown on the terminal and on the page."""
 
 
 def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
-    """Print the tables of a campaign; `folder`: that of --out, for the commands that repeat a row."""
+    """Print the tables of a campaign. folder : from --out, for the commands that repeat a row."""
     rows = summary["matrix"]
     lines = [
         (name if n == 0 else "", *each.cells)
@@ -34,7 +34,7 @@ def show(plan: Plan, summary: dict[str, Any], folder: Path | None) -> None:
 
 
 def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: int) -> list[str]:
-    """Return the causes of failure, and the worst rows with the command that repeats each; as `show`."""
+    """Causes of failure, and at most `most` failed rows with the commands that repeat them; see `show`."""
     rows, limits = summary["matrix"], plan.settings.kept
     failed = worst(rows, limits, most)
     lines = [f"failed rows by cause: {', '.join(f'{name} {count}' for name, count in causes(rows))}", ""]
@@ -46,18 +46,18 @@ def worst_lines(plan: Plan, summary: dict[str, Any], folder: Path | None, most: 
 
 
 def _values(plan: Plan, row: dict[str, Any], between: str, of: str) -> str:
-    """Return the values of a row as words."""
+    """Values of a row as text."""
     return between.join(f"{name}{of}{shown(row[name])}" for name in plan.settings.axes)
 
 
 def rerun_command(plan: Plan, row: int, folder: Path | None) -> str:
-    """Return the command line that repeats a row with its log."""
+    """Command line that repeats a row and records its log."""
     out = [] if folder is None else ["--out", str(folder)]
     return shlex.join(["hil", "campaign", "rerun", str(plan.path), str(row), *out, "--log"])
 
 
 def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterator[Verdict]:
-    """Yield a case of JUnit for each row, named by its values."""
+    """Yield one JUnit case per row, named by its values."""
     for row in summary["matrix"]:
         yield Verdict(
             group=plan.name,
@@ -68,7 +68,7 @@ def verdicts(plan: Plan, summary: dict[str, Any], folder: Path | None) -> Iterat
 
 
 def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
-    """Return the summary as the terminal has it: without rows, the interval in words."""
+    """Summary for the terminal: without rows, the interval as text."""
     low, high = summary["failed_interval_percent"]
     found = {key: value for key, value in summary.items() if key != "matrix"}
     limits = [f"{name} {limit.words}" for name, limit in plan.settings.kept.items()]
@@ -76,7 +76,7 @@ def summary_lines(plan: Plan, summary: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | None = None) -> None:
-    """Write the page, over an earlier one; `folder`: that of --out. Raises LogError: it cannot be written."""
+    """Write the page, over an earlier one. folder : from --out. Raises LogError: it cannot be written."""
     limits = plan.settings.kept
     low, high = summary["failed_interval_percent"]
     verdict = (
@@ -88,13 +88,13 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
         tag("header", tag("h1", f"Campaign {plan.name}"), tag("p", plan.settings.description)),
         tag("p", verdict, class_="verdict good" if summary["success"] else "verdict bad"),
         tag("h2", "Limits"),
-        table(("metric", "allowed", "unit", "meaning"), kept, "what every row has to keep"),
+        table(("metric", "allowed", "unit", "meaning"), kept, "limits of every row"),
         tag("h2", "By axis"),
         *(
             table(HEAD, (each.cells for each in by_value(name, axis, summary["matrix"])), name)
             for name, axis in plan.settings.axes.items()
         ),
-        tag("p", "Wilson's interval takes rows as independent draws.", class_="note"),
+        tag("p", "Wilson's interval assumes independent rows.", class_="note"),
     ]
     if summary["failed"]:
         lines = worst_lines(plan, summary, folder, WORST_ON_PAGE)
@@ -105,5 +105,5 @@ def write_page(path: Path, plan: Plan, summary: dict[str, Any], folder: Path | N
         write_whole(path, text)
     except OSError as error:
         raise LogError(
-            f"{path}: cannot be written: {error.strerror}; name another file with --page"
+            f"{path}: cannot be written: {error.strerror}; give another file with --page"
         ) from None

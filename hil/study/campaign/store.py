@@ -1,7 +1,7 @@
-"""The folder of a campaign's results: rows as they come, whole after a crash at any instant; then one table.
+"""Results folder of a campaign: finished rows, safe against a crash at any instant; then one table.
 
-campaign.sqlite      what the campaign is made of, and each row as JSON, on the disk once it is added
-table.parquet        all rows by number, once all are there
+campaign.sqlite      identity of the campaign, and each row as JSON, on the disk once it is added
+table.parquet        all rows by number, written at the end
 """
 
 from __future__ import annotations
@@ -24,25 +24,26 @@ DATABASE = "campaign.sqlite"
 
 
 class Store:
-    """Rows of one campaign on the disk, one process at a time.
+    """Rows of one campaign on the disk, for one process at a time.
 
-    Mutable state: the database, in a transaction from its opening to its end: the lock that keeps others out.
+    Mutable state: the database. It is always in a transaction, which locks out other processes.
     """
 
     def __init__(
         self, folder: Path, columns: list[Column], identity: dict[str, str], *, fresh: bool = False
     ) -> None:
-        """Open or make the folder; `fresh` discards the rows that are there, whatever campaign's they are.
+        """Open or create the folder; `fresh` discards its stored rows, of whatever campaign.
 
-        Raises LogError: not the folder of a campaign, of another one, or in use; or it cannot be written.
+        Raises LogError: the folder is not a campaign's, belongs to another campaign, is in use, or cannot be
+        written.
         """
         self.folder, self._columns = folder, columns
         with _explained(folder):
             made_folder(folder)
             if any(folder.iterdir()) and not (folder / DATABASE).is_file():
                 raise LogError(
-                    f"{folder}: holds no results of a campaign of this version; name an empty or new folder "
-                    "with --out"
+                    f"{folder}: is not empty, and has no campaign of this version; give an empty or "
+                    "new folder with --out"
                 )
             self._db = sqlite3.connect(folder / DATABASE, timeout=0.0, isolation_level=None)
         try:
@@ -55,21 +56,21 @@ class Store:
             raise
 
     def close(self) -> None:
-        """Let others in."""
+        """Close the database and release its lock."""
         self._db.close()
 
     def rows(self) -> dict[int, Row]:
-        """Rows on the disk by number. Raises LogError: the file is damaged."""
+        """Read the stored rows by number. Raises LogError: the file is damaged."""
         with _explained(self.folder):
             return _rows(self._db)
 
     def add(self, row: Row) -> None:
-        """Write a row: it is whole and on the disk when this returns. Raises LogError: it is not."""
+        """Write a row; on return it is complete on the disk. Raises LogError: it cannot be written."""
         with _explained(self.folder):
             self._write("INSERT OR REPLACE INTO rows VALUES (?, ?)", (row["row"], json.dumps(row)))
 
     def finish(self, rows: dict[int, Row]) -> Path:
-        """Write the table of all rows by number. Raises LogError: it cannot be written."""
+        """Write the table of all rows by number; return its path. Raises LogError: it cannot be written."""
         table = self.folder / TABLE
         with _explained(self.folder), made_whole(table, overwrite=True) as temporary:
             parquet.write(temporary, self._columns, [rows[number] for number in sorted(rows)])
@@ -81,7 +82,7 @@ class Store:
         self._db.execute("BEGIN IMMEDIATE")
 
     def _take_over(self, identity: dict[str, str], *, fresh: bool) -> None:
-        """Refuse to mix the rows of two campaigns; a new database is this one's."""
+        """Prepare the database for this campaign. Raises LogError: it holds the rows of another campaign."""
         self._db.execute("CREATE TABLE IF NOT EXISTS made_of (name TEXT PRIMARY KEY, digest TEXT)")
         self._db.execute("CREATE TABLE IF NOT EXISTS rows (number INTEGER PRIMARY KEY, cells TEXT)")
         if fresh:
@@ -93,9 +94,9 @@ class Store:
 
 
 def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
-    """Rows of a campaign that are on the disk, by number, while another process adds to them, too.
+    """Read the stored rows of a campaign by number, even while another process adds rows.
 
-    Nothing is written: the folder may be read-only. Raises LogError: another campaign's, or damaged.
+    Nothing is written: the folder may be read-only. Raises LogError: another campaign's rows, or damaged.
     """
     file = folder / DATABASE
     if not file.is_file():
@@ -109,14 +110,13 @@ def stored_rows(folder: Path, identity: dict[str, str]) -> dict[int, Row]:
 
 
 def _refuse_other(folder: Path, db: sqlite3.Connection, identity: dict[str, str]) -> None:
-    """Refuse to take the rows of another campaign for those of this one."""
+    """Raise LogError if the stored rows belong to another campaign."""
     made_of = dict(db.execute("SELECT name, digest FROM made_of").fetchall()) or identity
     changed = [name for name in {**identity, **made_of} if identity.get(name) != made_of.get(name)]
     if changed:
         raise LogError(
-            f"{folder}: its rows are of another campaign, changed since: {', '.join(changed)}; "
-            "allowed: to go on with the same ones. Restore them, name another folder with --out, or "
-            "discard these rows with `hil campaign --fresh`"
+            f"{folder}: its rows belong to another campaign; these parts differ: {', '.join(changed)}. "
+            "Restore them, give another folder with --out, or discard the rows with `hil campaign --fresh`"
         )
 
 
@@ -126,7 +126,7 @@ def _rows(db: sqlite3.Connection) -> dict[int, Row]:
 
 @contextmanager
 def _explained(folder: Path) -> Iterator[None]:
-    """Raise LogError for what the database or the folder cannot do."""
+    """Convert errors of the database or the folder to LogError."""
     try:
         yield
     except OSError as error:
@@ -134,7 +134,7 @@ def _explained(folder: Path) -> Iterator[None]:
     except sqlite3.Error as error:
         if getattr(error, "sqlite_errorcode", None) in {sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED}:
             raise LogError(
-                f"{folder}: another process works on this campaign; wait for it, or name another folder "
+                f"{folder}: another process runs this campaign; wait for it, or give another folder "
                 "with --out"
             ) from None
         damaged = not isinstance(error, sqlite3.OperationalError)

@@ -1,1 +1,1 @@
-"""`hil compare`: all laws on one platform and path."""
+"""`hil compare`: measure all control laws on one platform and path."""

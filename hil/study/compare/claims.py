@@ -1,6 +1,6 @@
-"""What the control chapter says of its laws, and whether it holds here.
+"""Claims of the control chapter about its laws, checked against measurements.
 
-Sections are those of chapter 6, Control of Parallel Manipulators; docs/theory has its equations.
+Section numbers are those of chapter 6, Control of Parallel Manipulators; docs/theory has its equations.
 """
 
 import math
@@ -14,15 +14,15 @@ from hil.study.compare.measure import Outcome
 ID = "inverse_dynamics"
 PEAK, STEADY = "peak_leg_error_mm", "steady_leg_error_mm"
 POOR = 10.0
-"""An error that is so many times another's is of another kind."""
+"""Factor between the error of a poor law and the error of a good one."""
 BETTER = 3.0
-"""So much less error is worth a term more in the law."""
+"""Factor by which an additional term of a law must reduce the error."""
 CLOSE = 1.5
-"""Errors within this factor are the same for an engineer."""
+"""Errors within this factor count as equal."""
 
 
 class Claim(NamedTuple):
-    """A sentence of the chapter: `factor` times the error of `law` is below that of `other`."""
+    """A statement of the chapter: `factor` times the error of `law` is below the error of `other`."""
 
     section: str
     text: str
@@ -47,9 +47,9 @@ Found = dict[str, Any]
 def judge(
     rows: Mapping[str, Outcome], settings: Mapping[str, ControllerSettings], shares: Mapping[str, Share]
 ) -> list[Found]:
-    """Return the claims whose laws were compared, each with `holds` and `figures`.
+    """Claims about the compared laws, each with `holds` and `figures`.
 
-    rows : by law, on the configuration's own path; shares : of the terms of the exact model.
+    rows : outcomes by law, on the configuration's own path; shares : of the exact model's terms in the force.
     """
     compared = [found for claim in CLAIMS if (found := _compared(claim, rows))]
     every = [*compared, *_linear(rows, settings), _H_small(shares["H"])]
@@ -61,7 +61,7 @@ def _found(section: str, text: str, figures: str, *, holds: bool) -> Found:
 
 
 def _compared(claim: Claim, rows: Mapping[str, Outcome]) -> Found | None:
-    """Return whether a claim holds; None where its errors were not measured, or the measure faulted."""
+    """Judge a claim; None if its errors were not measured, or inverse dynamics, its yardstick, faulted."""
     pair = (claim.other, claim.law)
     if not all(law in rows and rows[law].figures for law in pair):
         return None
@@ -90,7 +90,7 @@ def _linear(rows: Mapping[str, Outcome], settings: Mapping[str, ControllerSettin
 
 
 def second_order_bandwidth_Hz(wn: float, zeta: float) -> float:
-    """Return the -3 dB frequency of wn^2 / (s^2 + 2 zeta wn s + wn^2), wn in rad/s, from |G|^2 = 1/2."""
+    """-3 dB frequency, Hz, of wn^2 / (s^2 + 2 zeta wn s + wn^2), wn in rad/s, from |G|^2 = 1/2."""
     a = 1.0 - 2.0 * zeta**2
     return wn / (2.0 * math.pi) * math.sqrt(a + math.sqrt(a**2 + 1.0))
 

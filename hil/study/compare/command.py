@@ -12,7 +12,7 @@ from hil.app.compose import build_nodes
 from hil.app.configuration.changes import unattended
 from hil.app.configuration.compare import CompareSettings, DisturbanceSettings
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.fault_rules import not_brought_about
+from hil.app.configuration.fault_rules import without_effect
 from hil.app.configuration.platform import build_platform
 from hil.app.output import further, picture_path
 from hil.app.reachability import span_s
@@ -28,9 +28,9 @@ from hil.trajectory.build import build_trajectory
 from plant_fmu.config import BenchPlant
 
 OWN = "own"
-"""The configuration's path as it is: what the rows of the table are measured on."""
+"""Unchanged path of the configuration, on which the rows of the table are measured."""
 SHARE_SAMPLES = 2001
-"""Instants along the reference at which the terms of the force are looked at."""
+"""Instants along the reference at which the terms of the force are evaluated."""
 
 
 def compare(
@@ -44,22 +44,22 @@ def compare(
     picture: Path | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Measure laws along the reference of a configuration and at home, draw them, and return the summary.
+    """Measure laws along a configuration's reference and at home, draw them, and return the summary.
 
-    laws : names, default those of section `compare`, else all.
-    path_laws : names of those that are also run with the losses taken out, or `all` or `none`; default the
-        configuration's own.
+    laws : names; default: section `compare`, else all.
+    path_laws : names of the laws that also run with the losses removed, or `all` or `none`; default: the
+        configuration's own law.
     duration_s : along the reference; default one period of it.
-    lift_limits : run without the limits of error, force change and speed.
-    jobs : processes at once; default one a processor, 1 is this one.
+    lift_limits : run without the limits of tracking error, force change and speed.
+    jobs : number of processes; default one per processor, 1: this process.
 
-    A law that faults keeps its row. Raises ConfigurationError for what cannot run, PlantError for a plant
-    that cannot be opened, LogError where the picture could not be written. One that cannot be in the end
-    leaves the figures: `further`.
+    A law that faults keeps its row. Raises ConfigurationError: the configuration cannot run; PlantError: the
+    plant cannot be opened; LogError: the picture cannot be created. If writing it fails at the end, the
+    summary keeps the figures and the reason, see `further`.
     """
     begun = time.perf_counter()
     c.require("sim")
-    c = unattended(c).model_copy(update={"feedforward": None})  # it was learned under one of the laws
+    c = unattended(c).model_copy(update={"feedforward": None})  # learned with one of the laws
     target = picture_path(c.recording.folder, f"{c.name}-compare", picture)
     settings = chosen(c, laws)
     extra = _path_laws(c, settings, path_laws)
@@ -67,7 +67,7 @@ def compare(
     compared = without_limits(c) if lift_limits else c
     duration = _duration(c, duration_s)
     _refuse_load(c, duration)
-    build_nodes(c)[1].close()  # each law would fail of a plant that cannot be opened
+    build_nodes(c)[1].close()  # once, before each law would fail
     work = _jobs(compared, believed, extra, duration)
     done = {(o.law, o.path): o for o in perform(work, measure, _died, jobs, progress)}
     own = {name: done[name, OWN] for name in settings}
@@ -105,7 +105,7 @@ def with_options(
     wrench: tuple[float, float, float, float, float, float] | None = None,
     wrench_at_s: float = 0.0,
 ) -> Configuration:
-    """Return the configuration with what the command line says of its section `compare`; None leaves it."""
+    """Set command-line options in section `compare` of a configuration; None keeps a value."""
     load = wrench and DisturbanceSettings(force_N=wrench[:3], moment_N_m=wrench[3:], start_s=wrench_at_s)
     given = {"compare.inertia_scale": inertia_scale, "compare.disturbance": load}
     return changed(c, {key: value for key, value in given.items() if value is not None})
@@ -133,20 +133,20 @@ def _duration(c: Configuration, given: float | None) -> float:
         return given if whole is None else min(given, whole)
     if not period:
         raise ConfigurationError(
-            f"{c.source}: reference: it has no end, and a comparison needs one: call with --duration"
+            f"{c.source}: reference: has no end, but a comparison needs one: add --duration"
         )
     return period
 
 
 def _refuse_load(c: Configuration, duration: float) -> None:
-    """Refuse a load that the plant cannot carry, or that comes too late."""
+    """Refuse a load that the plant cannot apply, or that begins after the end of the reference."""
     d = c.compare.disturbance
-    if d is not None and c.plant is not None and (why := not_brought_about(c.plant, "wrench_step")):
+    if d is not None and c.plant is not None and (why := without_effect(c.plant, "wrench_step")):
         raise ConfigurationError(f"{c.source}: compare.disturbance (--wrench): {why}")
     if d is not None and d.start_s >= duration:
         raise ConfigurationError(
-            f"{c.source}: compare.disturbance.start_s (--wrench-at): the reference is over before the load "
-            f"comes, allowed: less than {duration:g}, given: {d.start_s:g}"
+            f"{c.source}: compare.disturbance.start_s (--wrench-at): the reference ends before the load "
+            f"begins, allowed: less than {duration:g}, given: {d.start_s:g}"
         )
 
 
@@ -170,9 +170,9 @@ def _died(job: Job) -> Outcome:
 
 
 def _shares(c: Configuration, duration: float) -> dict[str, Share]:
-    """Return what terms of the exact model take of the force along the reference, if there is a platform."""
+    """Shares of the exact model's terms in the force along the reference; empty without a platform."""
     assert c.plant is not None
-    if isinstance(c.plant.model, BenchPlant):  # six legs that carry none say nothing about one
+    if isinstance(c.plant.model, BenchPlant):  # legs without a platform
         return {}
     trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
     model = Model(build_platform(c.platform), leg_spin=c.platform.leg_spin)
@@ -190,7 +190,7 @@ def _title(c: Configuration, *, lift_limits: bool) -> str:
     s: CompareSettings = c.compare
     parts = [f"{c.name}: control laws along the reference"]
     if s.inertia_scale != 1.0:
-        parts.append(f"masses believed to be {100 * s.inertia_scale:g} %")
+        parts.append(f"masses of the models {100 * s.inertia_scale:g} %")
     if (d := s.disturbance) is not None:
         force, moment = (f"({', '.join(f'{x:g}' for x in v)})" for v in (d.force_N, d.moment_N_m))
         parts.append(f"load {force} N, {moment} N m from {d.start_s:g} s")

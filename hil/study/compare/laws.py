@@ -1,4 +1,4 @@
-"""What is compared: laws, with gains from the configuration's own, and paths with losses taken out."""
+"""Laws to compare, with gains derived from the configuration's own law, and paths with losses removed."""
 
 from collections.abc import Iterable, Mapping
 from typing import Any, TypeVar, get_args
@@ -22,19 +22,19 @@ from plant_fmu.config import StewartPlant
 Kind = TypeVar("Kind", bound=Section)
 Part = TypeVar("Part", bound=BaseModel)
 WN_RAD_S = 20.0
-"""Where the configuration's own law says nothing of a frequency."""
+"""Bandwidth if the configuration's own law specifies none."""
 VARIANTS = ("printed", "no_H", "constant", "constant_MG")
-"""Variants of the model with which inverse dynamics is compared, too, under their names."""
+"""Variants of the model that are compared in inverse dynamics, each under its own name."""
 PATHS = ("ideal", "encoders", "bus", "drives")
-"""What is added from one path to the next; the last is the configuration itself."""
+"""Each path adds the losses in its name to the path before it; the last is the configuration itself."""
 IDEAL: dict[str, Any] = {
     "protocol": "legs", "node_ids": [1, 2, 3, 4, 5, 6], "options": {}, "transmission": None, "homing": None
 }  # fmt: skip
-"""Of section `drives`, where there is no bus: its drives speak of the legs, not of motors."""
+"""Section `drives` of a path without a bus: its drives report leg lengths, not motor positions."""
 
 
 def desired_loop(c: Configuration) -> DesiredLoop:
-    """Return what the default gains of a configuration are made of."""
+    """Loop at home, with bandwidth and inertias, from which the default gains are derived."""
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
     J = jacobian(platform, p, R)
@@ -51,7 +51,7 @@ def _largest(inertia: Array) -> float:
 
 
 def _fit(settings: Section | None, kind: type[Kind]) -> Kind:
-    """Return what `settings` have in common with another kind of settings; all defaults of None."""
+    """Make settings of another kind from the keys that it shares with `settings`; None: all defaults."""
     given = {} if settings is None else {key: getattr(settings, key) for key in type(settings).model_fields}
     return kind.model_validate({key: value for key, value in given.items() if key in kind.model_fields})
 
@@ -61,11 +61,11 @@ def _model(c: Configuration) -> ModelSettings:
 
 
 def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, ControllerSettings]:
-    """Return the laws to compare, by name: the given ones, else those of section `compare`, else all.
+    """Laws to compare, by name: the given ones, else section `compare`, else all.
 
-    All are those that have settings: there may be no shipped controller for the loop's rate. The law of
-    section `controller` has the settings that it has there. Raises ConfigurationError for a name that is
-    none, and for a law whose settings need more than the configuration says.
+    "All" leaves out laws without default settings: there may be no shipped controller for the loop's rate.
+    The law of section `controller` keeps its settings there. Raises ConfigurationError: unknown name, or a
+    law whose settings need more than the configuration gives.
     """
     own = c.compare.laws
     known = list(dict.fromkeys((*own, *LAWS, *VARIANTS, c.controller.law)))
@@ -73,7 +73,7 @@ def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, Co
     every = names is None and not own
     unknown = [name for name in wanted if name not in known]
     if unknown:
-        raise ConfigurationError(f"--laws: no law {', '.join(unknown)}; there are {', '.join(known)}")
+        raise ConfigurationError(f"--laws: unknown law {', '.join(unknown)}; allowed: {', '.join(known)}")
     loop = desired_loop(c)
     found: dict[str, ControllerSettings] = {}
     for name in known if every else wanted:
@@ -86,7 +86,7 @@ def chosen(c: Configuration, names: Iterable[str] | None = None) -> dict[str, Co
 
 
 def _default(name: str, c: Configuration, loop: DesiredLoop) -> ControllerSettings:
-    """Return a law's settings. Raises ConfigurationError where the configuration does not give them all."""
+    """Derive the settings of a law. Raises ConfigurationError: the configuration leaves some open."""
     if name == c.controller.law:
         return c.controller
     law = "inverse_dynamics" if name in VARIANTS else name
@@ -116,14 +116,14 @@ def _default(name: str, c: Configuration, loop: DesiredLoop) -> ControllerSettin
 
 
 def _section(annotation: Any) -> type[Section]:
-    """Return the settings among what a field may be: of `ModelSettings | None` the former."""
+    """Find the settings class in the type of a field: `ModelSettings` of `ModelSettings | None`."""
     return next(
         k for k in (annotation, *get_args(annotation)) if isinstance(k, type) and issubclass(k, Section)
     )
 
 
 def with_scale(settings: ControllerSettings, scale: float) -> ControllerSettings:
-    """Return the settings of a law that believes in masses `scale` times its own; PD believes in none."""
+    """Scale the masses in the model of a law; a law without a model, as PD, stays unchanged."""
     model = getattr(settings, "model", None)
     if model is None or scale == 1.0:
         return settings
@@ -131,12 +131,12 @@ def with_scale(settings: ControllerSettings, scale: float) -> ControllerSettings
 
 
 def paths(c: Configuration) -> dict[str, Configuration]:
-    """Return the ideal configuration and what it becomes: encoder quanta, then bus time, then drive lag.
+    """Make the ideal configuration, then add encoder resolution, bus time and drive lag one by one.
 
-    ideal: lengths and rates are exact numbers of the tick, no bus time, the force acts at once. What changes
-    nothing is left out: a configuration without bus time has no bus to add. Where law or wrench observer
-    know of a delay, they know that it is gone; the hold of half a period stays, on every path. Without a bus
-    it is protocol `legs` that carries the numbers: another may have no layout that takes no time.
+    ideal: lengths and rates are exact numbers of the tick, no bus time, the force acts at once. A step that
+    changes nothing is left out: a configuration without bus time has no bus to add. Delay compensation and
+    wrench observer know the delays of each path; the hold of half a period stays on all paths. Without a bus,
+    protocol `legs` carries the numbers, because another may have no layout without bus time.
     """
     without_lag = _no_lag(c)
     on_no_bus = {"bus.layout": "ideal"} | {f"drives.{key}": value for key, value in IDEAL.items()}
@@ -150,7 +150,7 @@ def paths(c: Configuration) -> dict[str, Configuration]:
 
 
 def changed(section: Part, changes: Mapping[str, Any]) -> Part:
-    """Copy of a section with some keys changed, `plant.drives.encoder_resolution_m`; nothing is validated."""
+    """Copy of a section with some keys changed, `plant.drives.encoder_resolution_m`; not validated."""
     for key, value in changes.items():
         head, _, rest = key.partition(".")
         inner = changed(getattr(section, head), {rest: value}) if rest else value
@@ -165,7 +165,7 @@ def _no_lag(c: Configuration) -> Configuration:
 
 
 def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
-    """Return the configuration with other delays for those who reckon with one: law and wrench observer."""
+    """Set other delays in the delay compensation of the law and in the wrench observer."""
     changes: dict[str, Any] = {f"estimation.wrench.{key}": value for key, value in delays_ms.items()}
     if c.controller.lookahead is not None:
         delay = c.controller.lookahead.model_copy(update=delays_ms)
@@ -175,10 +175,10 @@ def _knowing(c: Configuration, **delays_ms: float) -> Configuration:
 
 
 def without_limits(c: Configuration) -> Configuration:
-    """Return the configuration with the limits of error, force change and speed out of the way.
+    """Lift the limits of tracking error, force change and speed.
 
     The drives' rated force, the ends of the stroke, the consistency of the lengths and the condition of J
-    stay: beyond them there is nothing to compare.
+    remain limited: beyond them a comparison has no meaning.
     """
     force = c.drives.force_limit_N
     limits = {"force_N": force, "force_step_N": 2 * force, "force_window_N": 2 * force}

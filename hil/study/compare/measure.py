@@ -1,6 +1,6 @@
-"""One law on one configuration: along the reference, and a step of the set-point at home.
+"""Measurement of one law on one configuration: along the reference, and a set-point step at home.
 
-What a law does wrong is a result: it never raises for it.
+Errors of a law are results; they are never raised.
 """
 
 import math
@@ -30,43 +30,43 @@ from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
 
 SETTLE_PERIODS = 30.0
-"""Time constants 1 / wn before and after a step: exp(-30) is nothing, and an integral is slower."""
+"""Settling time around a step, in time constants 1 / wn: exp(-30) is negligible; an integral is slower."""
 UNKNOWN = np.full(6, np.nan)
-"""True lengths, which a controller does not know."""
+"""True lengths (6,), which are not measured here."""
 
 
 class Job(NamedTuple):
-    """One measurement, complete: what a process of its own needs to know."""
+    """Everything that a separate process needs for one measurement."""
 
     law: str
     path: str
     configuration: Configuration
     duration_s: float
-    """Along the reference."""
+    """Time along the reference."""
     disturbance: DisturbanceSettings | None
     step: StepSettings | None
-    """None: the step is not measured on this path."""
+    """None: no step on this path."""
     settle_s: float
 
 
 class Outcome(NamedTuple):
-    """What became of a job."""
+    """Result of a job."""
 
     law: str
     path: str
     fault: str | None
-    """Names of the latched faults, or why it could not be run; None where it went well."""
+    """Names of the latched faults, or why the job could not run; None: no fault."""
     fault_s: float | None
-    """Along the reference; None where it never got there."""
+    """Time of the fault along the reference; None: no fault, or a fault before tracking."""
     figures: dict[str, Any]
-    """Empty where nothing was measured."""
+    """Empty: nothing was measured."""
     traces: dict[str, Array]
-    """For the picture: t, error, force, step_t, step."""
+    """Curves of the picture: t, error_mm, force_N, step_t, step."""
 
 
 @dataclass(frozen=True)
 class StepTrajectory:
-    """Rests at (p0, R0), from `at_s` on at (p1, R1); no rates: nothing is fed forward."""
+    """At rest at (p0, R0), from `at_s` on at (p1, R1). All rates are zero: nothing is fed forward."""
 
     p0: Array
     R0: Array
@@ -76,16 +76,16 @@ class StepTrajectory:
     duration_s: float | None
 
     def sample(self, t: float) -> PoseSample:
-        """Return the pose of time t, at rest."""
+        """Pose at time t, at rest."""
         still = np.zeros(6)
         p, R = (self.p0, self.R0) if t < self.at_s else (self.p1, self.R1)
         return PoseSample(p, R, still, still)
 
 
 def measure(job: Job) -> Outcome:
-    """Run a job. A fault, or an error of a law or of the plant, is in the outcome."""
+    """Run a job. A fault, or an error of the law or the plant, becomes part of the outcome."""
     try:
-        with collector_paused(), np.errstate(all="ignore"):  # a law that diverges says so by its fault
+        with collector_paused(), np.errstate(all="ignore"):  # a diverging law ends in its fault
             return _measure(job)
     except (HilError, ArithmeticError, np.linalg.LinAlgError) as error:
         return Outcome(job.law, job.path, str(error) or type(error).__name__, None, {}, {})
@@ -119,7 +119,7 @@ def _run(
     trajectory: Trajectory | None = None,
     load: DisturbanceSettings | None = None,
 ) -> Rows:
-    """Return the rows from the start until `duration_s` of the trajectory, its end, or a fault."""
+    """Rows from the start until `duration_s` of tracking, the end of the trajectory, or a fault."""
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3, trajectory=trajectory)
     nodes, physics = build_nodes(c, None if load is None else FaultPlan([_wrench(load)]))
@@ -165,7 +165,7 @@ def _tracking(rows: Rows) -> dict[str, Any]:
 def _at_rest(
     job: Job, c: Configuration, step: StepSettings
 ) -> tuple[dict[str, Any], dict[str, Array], str | None]:
-    """Return figures, traces and fault of three stretches at home: at rest, after a step, under the load."""
+    """Figures, traces and fault of three phases at home: at rest, after a step, under the load."""
     rate, d = c.loop.rate_Hz, job.disturbance
     n = max(20, round(job.settle_s * rate))
     p, R = pose_arrays(c.platform.home)
@@ -202,7 +202,7 @@ def _at_rest(
 
 
 def _moved(rows: Rows, p: Array, R: Array) -> Array:
-    """Return (n, 6) m and rad, how far the pose is from (p, R), base frame."""
+    """Displacement (n, 6), m and rad, of the pose from (p, R), base frame."""
     turned = rotation_errors(rows["R"], np.broadcast_to(R.ravel(), (len(rows), 9)))
     return np.hstack([rows["p"] - p, turned])
 
@@ -217,5 +217,5 @@ def _errors_mm(rows: Rows) -> Array:
 
 
 def _steady_mm(rows: Rows) -> float:
-    """Return the largest mean error of a leg over the last tenth."""
+    """Largest mean error of a leg over the last tenth of the rows, mm."""
     return float(np.abs(_last_tenth(_errors_mm(rows)).mean(axis=0)).max())

@@ -1,4 +1,4 @@
-"""A comparison as a picture: error and force over time, the step, the losses path by path."""
+"""Picture of a comparison: error and force over time, the step response, the losses by path."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,15 +12,15 @@ from hil.study.compare.measure import Outcome
 from hil.study.compare.table import stage_title
 
 LINES = ("-", "--", ":")
-"""Ten colours, then again with the next line."""
+"""Line styles; each serves for ten colours."""
 FLOOR_MM = 1e-4
-"""Errors below are no longer told apart: a tenth of what encoders see."""
+"""Smallest error drawn, a tenth of an encoder's resolution."""
 
 
 def draw(
     laws: Mapping[str, Outcome], paths: Mapping[str, Mapping[str, Outcome]], file: Path, title: str
 ) -> Path:
-    """Draw a comparison into a PNG file. Raises OSError where it cannot be written."""
+    """Draw a comparison into a PNG file. Raises OSError: it cannot be written."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
 
     figure = Figure(figsize=(14, 10), layout="constrained")
@@ -41,7 +41,7 @@ def draw(
     along = "s along the reference"
     errors.set(title="largest leg error (X: fault)", xlabel=along, ylabel="mm")
     forces.set(title="largest leg force sent", xlabel=along, ylabel="N")
-    steps.set(title="answer to a step at home, no rates fed forward", xlabel="ms", ylabel="of the step")
+    steps.set(title="response to a step at home, no rates fed forward", xlabel="ms", ylabel="of the step")
     steps.set_xlim(left=0.0)
     steps.axhline(1.0, color="grey", linewidth=0.8, linestyle=":")
     _losses(losses, paths)
@@ -59,8 +59,8 @@ def draw(
 
 
 def _losses(axes: Any, paths: Mapping[str, Mapping[str, Outcome]]) -> None:
-    """Draw the peak error of each law path by path, crossed out where it faulted."""
-    axes.set(title="peak leg error as the path gets real (X: fault)", ylabel="mm")
+    """Draw the peak error of each law by path; a cross marks a fault."""
+    axes.set(title="peak leg error with the losses of the path (X: fault)", ylabel="mm")
     if not paths:
         axes.text(0.5, 0.5, "not measured: --paths", ha="center", transform=axes.transAxes)
         return

@@ -1,4 +1,4 @@
-"""The comparison as tables on the terminal."""
+"""Tables of a comparison on the terminal."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -11,7 +11,7 @@ Row = dict[str, Any]
 
 
 def _figure(title: str, key: str, form: str = "") -> Column:
-    """Return the column of a law's figure; by default as in summaries, whatever the robot's size."""
+    """Column with one figure of each law; the default format is the one of summaries."""
     return Column(title, lambda row: figure(row[1].get(key), form))
 
 
@@ -48,7 +48,7 @@ CLAIMS = (
 
 
 def show(summary: Row) -> None:
-    """Print the laws, the losses path by path, and the claims."""
+    """Print the laws, the losses by path, and the claims."""
     step, laws = summary["step"], list(summary["laws"].items())
     _part(f"Along {summary['duration_s']:g} s of the reference", PATH, laws)
     _part(f"At home: at rest, then a step of {step['axis']} by {step['size']:g}", STEP, laws)
@@ -57,8 +57,8 @@ def show(summary: Row) -> None:
     paths = summary["paths"]
     stages = list(dict.fromkeys(stage for found in paths.values() for stage in found))
     columns = [LAW, *(Column(stage_title(name, stages), _at(name)) for name in stages)]
-    _part("What the path to the legs costs: peak leg error in mm", columns, list(paths.items()))
-    _part("What the control chapter says, and whether it holds here", CLAIMS, summary["claims"])
+    _part("Losses of the path to the legs: peak leg error in mm", columns, list(paths.items()))
+    _part("Claims of the control chapter, and their results here", CLAIMS, summary["claims"])
 
 
 def _part(title: str, columns: Sequence[Column], rows: Sequence[Any]) -> None:
@@ -70,7 +70,7 @@ def _part(title: str, columns: Sequence[Column], rows: Sequence[Any]) -> None:
 
 
 def shown(summary: Row) -> Row:
-    """Return what the tables do not say, for the lines below them."""
+    """Lines below the tables."""
     terms = {"H": "H", "J_dot": "(dJ/dt) twist", "G": "gravity"}
     shares = [
         f"{terms[k]} up to {100 * s['share']:.3g} % ({s['force_N']:.4g} N)"
@@ -81,8 +81,8 @@ def shown(summary: Row) -> Row:
     return {
         "success": summary["success"],
         "configuration": summary["configuration"],
-        "limits": summary["limits"] + ("; --lift-limits shows what is beyond" if stopped else ""),
-        "masses believed": None if scale == 1.0 else f"{100 * scale:g} % of what each law would",
+        "limits": summary["limits"] + ("; --lift-limits shows the errors beyond them" if stopped else ""),
+        "masses believed": None if scale == 1.0 else f"{100 * scale:g} % of each model's own",
         "share of the force": ", ".join(shares) or None,
         "picture": summary["picture"],
         "wall": f"{summary['wall_s']:.1f} s",
@@ -90,12 +90,12 @@ def shown(summary: Row) -> Row:
 
 
 def unrest(row: Row) -> str:
-    """Return a remark if the step response has not settled, else an empty string."""
-    return "not at rest in the end" if row.get("settled") is False else ""
+    """Remark if the step response has not settled, else empty."""
+    return "not at rest at the end" if row.get("settled") is False else ""
 
 
 def result(row: Row) -> str:
-    """Say what went wrong, nothing where all went well: fault and time, limits that acted."""
+    """Fault and its time, or the ticks in which limits acted; else empty."""
     if row["fault"]:
         return str(row["fault"]) + ("" if row["fault_s"] is None else f" at {row['fault_s']:.3f} s")
     acted = [f"{k.lower()} {n}" for k, n in row.get("limited_ticks", {}).items() if n]
@@ -103,7 +103,7 @@ def result(row: Row) -> str:
 
 
 def stage_title(name: str, stages: Sequence[str]) -> str:
-    """Return the title of a path: what comes to the one before."""
+    """Title of a path: the losses that it adds to the path before it."""
     return name if name in (stages[0], stages[-1]) else f"+ {name}"
 
 

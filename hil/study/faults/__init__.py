@@ -1,1 +1,1 @@
-"""`hil faults`: the matrix of faults and moments, and its verdicts."""
+"""`hil faults`: a matrix of kinds of faults and moments of a run, and its verdicts."""

@@ -1,4 +1,4 @@
-"""One case of the matrix, in lockstep."""
+"""One case of the fault matrix, run in lockstep."""
 
 import time
 from typing import Any, NamedTuple
@@ -20,16 +20,16 @@ from hil.loop.report import NO_WATCHDOG
 from hil.loop.run_end import Course, Ending
 from hil.signals import Operator
 from hil.study.faults.cases import Case
-from hil.study.faults.expected import COMMANDS_LOST, STRANGERS
+from hil.study.faults.diagnoses import COMMANDS_LOST, FOREIGN_COMMANDS
 from hil.study.faults.verdict import REST_S, Bounds, Trace, judge, see
 from plant_fmu.faults.plan import FaultPlan
 
 LONGEST_S = 60.0
-"""A case that has not ended is a failure after so long, and what its configuration asks for, s."""
+"""Time limit of a case, s, in addition to the durations in its configuration."""
 HELD_S = 3.0
-"""A platform that is held with force is watched for so long, s."""
-NO_LATCH = "obey whoever commands: no stop of ours latches"
-"""Of families whose `stop_latches` is False."""
+"""Observation time, s, of a platform that is held with force."""
+NO_LATCH = "obey any sender of commands and do not latch our stop"
+"""Weakness of the families whose `stop_latches` is False."""
 _NAMED_IN = {
     Fault.BRAKE: "legs_moved",
     Fault.ENCODER: "legs_doubted",
@@ -37,18 +37,18 @@ _NAMED_IN = {
     Fault.DUPLICATE_NODE: "doubled",
     Fault.SET_UP: "altered",
 }
-"""Columns in which a fault names legs after the tick in which it struck, too."""
+"""Columns that also list legs of a fault in later ticks than its first."""
 
 
 class Job(NamedTuple):
-    """A case and what it is judged by."""
+    """A case and its bounds."""
 
     case: Case
     bounds: Bounds
 
 
 def run_case(job: Job) -> dict[str, Any]:
-    """Run a case and return what came of it as plain values; key `success` is the verdict."""
+    """Run a case; return its outcome as plain values. Key `success` is the verdict."""
     begun = time.perf_counter()
     try:
         with collector_paused():
@@ -59,7 +59,7 @@ def run_case(job: Job) -> dict[str, Any]:
 
 
 def failed(job: Job, why: str = "its process died") -> dict[str, Any]:
-    """Return the outcome of a case that could not be run."""
+    """Outcome of a case that could not run."""
     return _head(job.case) | {"success": False, "verdict": f"could not be run: {why}"}
 
 
@@ -77,7 +77,7 @@ def _judged(job: Job) -> dict[str, Any]:
     kind, c = str(case.fault.kind), case.configuration
     seen = see(kind, trace)
     good, verdict = judge(kind, trace, seen, job.bounds)
-    verdict += "" if good else _why_of_drives(kind, build_protocol(c.bus, c.drives))
+    verdict += "" if good else _weakness(kind, build_protocol(c.bus, c.drives))
     return _head(case) | {
         "success": good,
         "verdict": verdict,
@@ -94,25 +94,25 @@ def _judged(job: Job) -> dict[str, Any]:
     }
 
 
-def _why_of_drives(kind: str, protocol: Family) -> str:
-    """Say what such drives cannot do that would have kept the motion within its bound; empty for nothing."""
+def _weakness(kind: str, protocol: Family) -> str:
+    """Weakness of the drives that explains why a bound was exceeded; empty if they have none."""
     if kind in COMMANDS_LOST and not protocol.traits.has_watchdog:
         return f"; the drives {NO_WATCHDOG}"
-    return f"; the drives {NO_LATCH}" if kind in STRANGERS and not protocol.traits.stop_latches else ""
+    return f"; the drives {NO_LATCH}" if kind in FOREIGN_COMMANDS and not protocol.traits.stop_latches else ""
 
 
 def _causes(cycle: Cycle, ending: Ending, named: dict[str, int]) -> dict[str, frozenset[int]]:
-    """Return the faults that a run has latched, ENCODER with its doubt, each with the legs named.
+    """Latched faults of a run, ENCODER with its doubt, each with its legs.
 
-    named : of the columns of `_NAMED_IN`, the bits of all ticks.
+    named : for each column of `_NAMED_IN`, the bits of all ticks.
     """
     findings = () if ending.story is None else ending.story.findings
     causes: dict[str, frozenset[int]] = {}
     for fault in Fault(ending.faults):
         ours = (each.leg for each in findings if each.fault == fault.name)
-        told = frozenset(leg for leg in ours if leg is not None)
+        reported = frozenset(leg for leg in ours if leg is not None)
         doubt = Doubt(int(cycle.tick["doubt"])) if fault is Fault.ENCODER else Doubt.NONE
-        legs = told | _legs(named[_NAMED_IN[fault]] if fault in _NAMED_IN else 0)
+        legs = reported | _legs(named[_NAMED_IN[fault]] if fault in _NAMED_IN else 0)
         causes[f"{fault.name}/{doubt.name}" if doubt else str(fault.name)] = legs
     return causes
 
@@ -121,10 +121,11 @@ def _legs(bits: int) -> frozenset[int]:
     return frozenset(leg for leg in range(LEGS) if bits >> leg & 1)
 
 
-def _goes_on(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
-    """Tell whether a run is watched for longer that could have ended first in a tick, and `rested` ticks ago.
+def _still_observed(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
+    """Check whether a run that could have ended is still to be observed.
 
-    Where frames are lost, a held platform goes to closed brakes and comes back again and again.
+    rested : number of ticks in a row in which it could have ended; ended : first such tick. If frames are
+    lost, a held platform repeatedly changes between force and closed brakes.
     """
     rate = cycle.parts.rate_Hz
     if cycle.mode is Mode.HELD:
@@ -133,15 +134,15 @@ def _goes_on(cycle: Cycle, tick: int, rested: int, ended: int) -> bool:
 
 
 def _longest_s(case: Case, durations: Durations) -> float:
-    """Return after how long a case that has not ended is a failure: section engage may ask for minutes."""
-    c, asked = case.configuration, (Mode.LOADING, Mode.RELEASING, Mode.PARKING, Mode.UNLOADING)
+    """Time limit of a case, s. Section `engage` may require minutes."""
+    c, timed = case.configuration, (Mode.LOADING, Mode.RELEASING, Mode.PARKING, Mode.UNLOADING)
     stroke_m = c.platform.length_max_m - c.platform.length_min_m
     moves_s = max(stroke_m / c.engage.approach_speed_m_s, c.engage.blend_s) + case.track_s + c.engage.stop_s
-    return LONGEST_S + sum(map(durations.least, asked)) + moves_s
+    return LONGEST_S + sum(map(durations.least, timed)) + moves_s
 
 
 def _run(case: Case) -> tuple[Trace | None, Ending]:
-    """Return the run's trace, None if the fault did not begin, and how it ended."""
+    """Run a case; return its trace (None: the fault did not begin) and its end."""
     c = case.configuration
     rate = c.loop.rate_Hz
     cycle = build_cycle(c, rate, c.drives.watchdog_ms * 1e-3)
@@ -149,7 +150,7 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
     ticks: list[tuple[Array, Array, int, int]] = []
     named = dict.fromkeys((*_NAMED_IN.values(), "legs_lost"), 0)
     longest_s = _longest_s(case, cycle.durations)
-    last = max(round(case.track_s * rate), 1)  # where the reference is fastest at once, it is followed first
+    last = max(round(case.track_s * rate), 1)  # a reference that is fastest at once is tracked, too
     course, failure, tracked, rested = Course(cycle), "", 0, 0
     ending: Ending | None = None
     begun: int | None = None
@@ -175,10 +176,10 @@ def _run(case: Case) -> tuple[Trace | None, Ending]:
             ending = course.ending(tick)
             rested = 0 if ending is None else rested + 1
             ended = tick if ended is None and ending is not None else ended
-            if ended is not None and _goes_on(cycle, tick, rested, ended):
+            if ended is not None and _still_observed(cycle, tick, rested, ended):
                 ending = None
             if tick >= longest_s * rate:
-                raise RunError(f"it has not ended after {longest_s:.3g} s, in {cycle.mode.name}")
+                raise RunError(f"the run has not ended after {longest_s:.3g} s; mode: {cycle.mode.name}")
     finally:
         physics.close()
     if begun is None:

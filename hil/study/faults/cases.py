@@ -1,4 +1,4 @@
-"""The cases of the matrix: each kind of fault, once at each moment of a run."""
+"""Cases of the matrix: each kind of fault at each moment of a run."""
 
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
@@ -10,7 +10,7 @@ import numpy as np
 from drivers.errors import ConfigurationError
 from drivers.signals import LEGS
 from hil.app.configuration.configuration import Configuration
-from hil.app.configuration.fault_rules import not_brought_about
+from hil.app.configuration.fault_rules import without_effect
 from hil.app.configuration.fault_words import show_fault
 from hil.app.configuration.platform import build_platform
 from hil.app.reachability import span_s
@@ -24,15 +24,15 @@ from plant_fmu.faults.fault import Fault, Moment
 from plant_fmu.faults.kinds import PROCESS
 
 MATRIX: tuple[Moment, ...] = ("LOADING", "APPROACH", "TRACKING", "HOLD", "PARKING", "UNLOADING")
-"""When each fault is injected."""
+"""Moments at which each fault is injected."""
 LEG = 2
-"""Whose fault it is where it is a leg's."""
-LOOKED_AT_S = 3.0
-"""Within so much of the reference its fastest instant is looked for."""
+"""Default leg of a fault that affects one leg."""
+SEARCHED_S = 3.0
+"""Length, s, of the part of the reference that is searched for its fastest instant."""
 AFTER_S = 0.8
-"""So long it goes on after a fault that nobody notices, before it is stopped and parked."""
+"""Time, s, from a fault that causes no reaction to the stop of the run."""
 _BENCH = ("drive_", "frames_")
-"""Kinds for six legs without a platform."""
+"""Prefixes of the kinds for six legs without a platform."""
 
 
 class Case(NamedTuple):
@@ -42,16 +42,16 @@ class Case(NamedTuple):
     fault: Fault
     moment: Moment
     track_s: float
-    """How long the reference is followed before the run is stopped."""
+    """Time along the reference at which the run is stopped."""
 
     @property
     def name(self) -> str:
-        """`KIND/MOMENT`, what --only chooses by."""
+        """`KIND/MOMENT`, for the patterns of --only."""
         return f"{self.fault.kind}/{self.moment}"
 
     @property
     def given(self) -> str:
-        """Leg and size in words; empty where the kind has neither."""
+        """Leg and size as text; empty for a kind with neither."""
         plain = self.fault.model_copy(update={"mode": None, "at_s": 0.0})
         return show_fault(plain).partition(" ")[2]
 
@@ -59,22 +59,21 @@ class Case(NamedTuple):
 def cases(
     c: Configuration, only: Sequence[str] = (), legs: Sequence[int] = (), seed: int | None = None
 ) -> list[Case]:
-    """Return the matrix of a configuration, or what of it matches one of the patterns.
+    """Cases of a configuration; with `only`, those that match one of its patterns.
 
-    legs : whose fault it is where it is a leg's, each once; default LEG.
-    seed : draws leg (of `legs`, by default of all six), size and sign of each case; default none: sizes are
-    the usual ones.
-    Raises ConfigurationError where a pattern matches nothing, for a leg that there is not, and for a
-    reference that waits for set-points.
+    legs : legs for the kinds that affect one leg, a case for each; default LEG.
+    seed : draws leg (of `legs`, by default of all six), size and sign of each case; None: usual sizes.
+    Raises ConfigurationError: a pattern without a match, a leg that does not exist, or a reference that waits
+    for set-points.
     """
     if isinstance(c.reference, LiveReference):
         raise ConfigurationError(
-            f"{c.source}: reference: type live waits for set-points, and the matrix needs a path of its own; "
+            f"{c.source}: reference: type live waits for set-points, but the matrix needs a fixed path; "
             "allowed: any other type"
         )
     for leg in legs:
         if not 0 <= leg < LEGS:
-            raise ConfigurationError(f"--legs: {leg} is no leg, allowed: 0 to {LEGS - 1}")
+            raise ConfigurationError(f"--legs: unknown leg {leg}, allowed: 0 to {LEGS - 1}")
     robot, fastest_s, held = robot_of(c), _fastest_s(c), _held(c)
     offsets = {
         "LOADING": 0.5 * c.engage.force_ramp_s,
@@ -100,7 +99,7 @@ def cases(
 def _sizes(
     r: Robot, name: str, moment: Moment, legs: Sequence[int], seed: int | None
 ) -> Iterator[dict[str, Any]]:
-    """Yield leg and size of a kind, once for each leg of `legs`; of a seed, one that it draws."""
+    """Yield leg and size of a kind, once per leg of `legs`; with a seed, one random draw."""
     fields = FAULTS[name].model_fields
     chance = None if seed is None else np.random.default_rng((seed, crc32(f"{name}/{moment}".encode())))
     whose = legs if legs and "leg" in fields else (LEG,)
@@ -130,25 +129,26 @@ def _fits(c: Configuration, name: str) -> bool:
     assert c.plant is not None
     if isinstance(c.plant.model, BenchPlant) and not name.startswith(_BENCH):
         return False
-    return not not_brought_about(c.plant, name)
+    return not without_effect(c.plant, name)
 
 
 def _held(c: Configuration) -> Configuration:
-    """Return the configuration with a reference that stands at home until the run has been stopped.
+    """Replace the reference by one that rests at home until the run is stopped.
 
-    It ends, as some laws need one that does. What has been learned was learned on another reference.
+    The reference has an end, because some laws need one. Learned feed-forward belongs to another reference
+    and is removed.
     """
     hold = HoldReference(type="hold", duration_s=AFTER_S + c.engage.stop_s)
     return c.model_copy(update={"reference": hold, "feedforward": None})
 
 
 def _fastest_s(c: Configuration) -> float:
-    """Return when within the first seconds of the reference a leg is fastest."""
+    """Time, s, of the fastest leg motion within the first SEARCHED_S of the reference."""
     trajectory, platform = (
         build_trajectory(c.reference, c.platform.home, c.folder),
         build_platform(c.platform),
     )
-    times = np.arange(0.0, min(LOOKED_AT_S, span_s(trajectory) or LOOKED_AT_S), 0.02)
+    times = np.arange(0.0, min(SEARCHED_S, span_s(trajectory) or SEARCHED_S), 0.02)
     samples = [trajectory.sample(t) for t in times.tolist()]
     speeds = [float(np.abs(jacobian(platform, s.p, s.R) @ s.twist).max()) for s in samples]
     return float(times[int(np.argmax(speeds))])

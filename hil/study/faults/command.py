@@ -1,4 +1,4 @@
-"""`hil faults CONFIG`: each kind of fault at each moment of a run, and whether the bounds hold."""
+"""`hil faults CONFIG`: inject each kind of fault at each moment of a run, and check the bounds."""
 
 import time
 from collections import Counter
@@ -26,18 +26,18 @@ def run_matrix(
     jobs: int | None = None,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Run the matrix, or the cases that match `only`, and return the summary (key `success`: all passed).
+    """Run the matrix, or the cases that match `only`; return the summary (key `success`: all passed).
 
-    legs, seed : whose faults, and what draws their sizes, as `cases` says.
-    jobs : processes at once; default one a processor, 1 is this one.
-    Raises ConfigurationError for what cannot run, and for a pattern without a case, PlantError for a plant
-    that cannot be opened.
+    legs, seed : as in `cases`.
+    jobs : number of processes; default one per processor, 1: this process.
+    Raises ConfigurationError: the configuration cannot run, or a pattern matches no case; PlantError: the
+    plant cannot be opened.
     """
     begun = time.perf_counter()
     c.require("sim")
     c = unattended(c)
     chosen = cases(c, only, legs, seed)
-    build_nodes(c)[1].close()  # each case would fail of a plant that cannot be opened
+    build_nodes(c)[1].close()  # once, before each case would fail
     bounds = Bounds(*stopping_distances_m(c), c.limits.following_error_m, c.limits.following_error_s)
     order = {(case.name, case.given): n for n, case in enumerate(chosen)}
     work = [Job(case, bounds) for case in chosen]
@@ -59,7 +59,7 @@ def run_matrix(
 
 
 def show(summary: dict[str, Any]) -> None:
-    """Print one line a case."""
+    """Print one line per case."""
     columns = (
         Column("fault", lambda case: case["kind"], left=True),
         Column("when", lambda case: case["when"], left=True),
@@ -75,7 +75,7 @@ def show(summary: dict[str, Any]) -> None:
 
 
 def reaction(case: dict[str, Any]) -> str:
-    """Return in which mode a case ended, the faults named, and the legs."""
+    """Describe the final mode of a case, its faults and their legs."""
     if "ended" not in case:
         return "-"
     legs = f"leg {', '.join(map(str, case['legs']))}" if case["legs"] else ""
@@ -83,12 +83,12 @@ def reaction(case: dict[str, Any]) -> str:
 
 
 def shown(summary: dict[str, Any]) -> dict[str, Any]:
-    """Return the summary without the table's content."""
+    """Summary without the matrix."""
     return {key: value for key, value in summary.items() if key != "matrix"}
 
 
 def verdicts(summary: dict[str, Any]) -> Iterator[Verdict]:
-    """Yield a case of JUnit for each fault of the matrix."""
+    """Yield one JUnit case per case of the matrix."""
     places = Counter((case["kind"], case["when"]) for case in summary["matrix"])
     for case in summary["matrix"]:
         alone = places[case["kind"], case["when"]] == 1

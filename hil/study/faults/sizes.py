@@ -1,4 +1,4 @@
-"""How large a fault of the matrix is: a sensible size of each kind, or one that is drawn from its range."""
+"""Sizes of the faults in the matrix: the usual one of each kind, or one drawn from its range."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -15,22 +15,22 @@ Chance = np.random.Generator
 
 
 class Robot(NamedTuple):
-    """What sizes depend on."""
+    """Properties of the robot on which sizes depend."""
 
     c: Configuration
     static_N: Array
-    """(6,) N, forces of the legs at home, without their signs."""
+    """(6,) N, magnitudes of the leg forces at rest at home."""
     weight_N: float
     period_ms: float
 
     @property
     def rated_N(self) -> float:
-        """What a drive gives at most, N."""
+        """Largest force of a drive, N."""
         return self.c.drives.force_limit_N
 
 
 def robot_of(c: Configuration) -> Robot:
-    """Return what the sizes of a configuration depend on."""
+    """Properties of a configuration's robot on which sizes depend."""
     platform = build_platform(c.platform)
     home, still = pose_arrays(c.platform.home), np.zeros(6)
     tau = Model(platform, leg_spin=c.platform.leg_spin).inverse_dynamics(*home, still, still)
@@ -39,7 +39,7 @@ def robot_of(c: Configuration) -> Robot:
 
 
 def _log(chance: Chance, low: float, high: float) -> float:
-    """Draw a number whose logarithm is uniform: small ones as often as large ones."""
+    """Draw a number whose logarithm is uniform."""
     return float(np.exp(chance.uniform(np.log(low), np.log(high))))
 
 
@@ -56,7 +56,7 @@ def _whole(chance: Chance, low: float, high: float) -> int:
 
 
 def _of_brake(r: Robot, leg: int, of_need: float) -> float:
-    """Share of a brake's force that is so much of what the leg needs to stand."""
+    """Share of a brake's force that is `of_need` times the force on the leg at rest; at most 1."""
     assert r.c.plant is not None
     model = r.c.plant.model
     whole = model.brake_force_N if isinstance(model, StewartPlant) else r.rated_N
@@ -64,11 +64,11 @@ def _of_brake(r: Robot, leg: int, of_need: float) -> float:
 
 
 class Size(NamedTuple):
-    """The size of a kind that has one key: its range, and what it is in a robot's unit."""
+    """Size of a kind with one key: its usual value, its range, and its conversion to the robot's unit."""
 
     key: str
     usual: float | None
-    """None: the default of the kind."""
+    """None: default of the kind."""
     draw: Callable[[Chance, float, float], float]
     low: float
     high: float
@@ -101,11 +101,11 @@ SIZES: dict[str, Size] = {
     "frames_forged_feedback": Size("by_m", 5e-3, _signed, 1e-3, 0.5),
     "bus_second_controller": Size("force_N", None, _signed, 0.01, 0.2, _RATED),
 }
-"""Of the kinds with one number; loads and a second controller have more."""
+"""Kinds with one number; loads and a second controller have more."""
 
 
 def size_of(kind: str, r: Robot, leg: int, chance: Chance | None) -> dict[str, Any]:
-    """Keys of a kind, drawn ones to four digits: its words give them whole."""
+    """Keys of a kind. Drawn values have four digits, so that the fault's text shows them exactly."""
     found: dict[str, Any] = {"rate_Hz": r.c.loop.rate_Hz} if kind == "bus_second_controller" else {}
     if kind == "wrench_step":  # from above, or from any direction
         force = np.array([0.0, 0.0, -0.25 * r.weight_N])

@@ -1,7 +1,7 @@
-"""What a run with a fault shows: which reaction, when, how far the legs truly moved, and is that good.
+"""Verdict on a run with a fault: its reaction, when it came, and how far the legs truly moved.
 
-All lengths are the plant's true ones. The error before a reaction counts from the reference while the brakes
-are open, else from where the legs stood; the travel after it from where they were then.
+All lengths are the plant's true ones. The error before the reaction counts from the reference while the
+brakes are open, else from where the legs stood. The travel after it counts from the lengths at the reaction.
 """
 
 from collections.abc import Iterable, Mapping
@@ -12,116 +12,117 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.signals import Mode
 from hil.loop.modes import BRAKED, MOVING
-from hil.study.faults.expected import EXPECTED, NAMES_NO_LEG, PLANT_FAILS, bits_of, expects
+from hil.study.faults.diagnoses import EXPECTED, NAMES_NO_LEG, PLANT_FAILS, bits_of, expects
 
 BRAKE_m = 10e-3
-"""No leg of a platform at rest moves by more, and none in motion errs by more because of a brake."""
+"""Largest motion of a leg of a platform at rest, and largest error in motion because of a brake."""
 STANDING_m_s = 0.02
-"""Legs that are slower are at rest: there is no way on which to stop."""
+"""Slower legs are at rest and need no stopping distance."""
 MOTION_m = 1e-4
-"""From the first true motion above this an encoder that jumps or freezes can be found."""
+"""True motion from which an encoder that jumps or freezes can be detected."""
 FOUND_m = 2e-3
-"""It is found by then, after so much true motion of its leg, or within `found_s`; or it leaves no larger
-error."""
+"""Largest true motion of the leg until detection, unless it is detected within `found_s`; without detection,
+the largest error.
+"""
 FORGED_m, FORGED_TICKS = 2e-3, 2
-"""Error until forged or old frames are declared, and how long that takes."""
+"""Largest error until forged or old frames are declared, and largest number of ticks until then."""
 REST_m, REST_S, HELD_REST_S = 5e-5, 0.1, 1.0
-"""Legs that move no more than this in the last so many seconds are at rest; longer where force holds."""
+"""Legs at rest: largest motion within the last seconds of a run, 0.1 s or, held with force, 1 s."""
 NOT_OBSERVABLE = "not observable with these sensors"
 _GROWS = ("encoder_drift", "encoder_scale")
-"""Not observable in motion, and without a bound of what is left: judged by what follows where it shows."""
+"""Not observable in motion, with an unbounded error: judged by the motion after the reaction, if any."""
 _NOT_OBSERVABLE = (*_GROWS, "encoder_late")
 _FOUND = ("encoder_jump", "encoder_freeze")
 _AT_REST = "encoder_freeze"
 """Not observable while its leg does not move."""
 _FORGED = ("frames_forged_command", "frames_forged_feedback", "frames_old", "bus_second_controller")
-_NOBODY: Mapping[str, frozenset[int]] = {}
+_NO_CAUSES: Mapping[str, frozenset[int]] = {}
 
 
 class Trace(NamedTuple):
-    """A run, tick by tick."""
+    """Record of a run, tick by tick."""
 
     length: Array
     """(n, 6) m, true."""
     desired: Array
-    """(n, 6) m, of the reference."""
+    """(n, 6) m, reference."""
     mode: Ints
     """(n,) Mode."""
     faults: Ints
-    """(n,) Fault, the bits so far."""
+    """(n,) Fault, bits latched so far."""
     rate_Hz: float
     begun: int
-    """First tick with the fault; that of a plant that fails in it is the one after the last."""
+    """First tick with the fault; if the plant fails in it, the tick after the last."""
     leg: int | None
-    """Whose fault it is."""
+    """Leg with the fault."""
     success: bool
     failed: str
-    """What the plant's end said when it failed; empty while it lived."""
-    causes: Mapping[str, frozenset[int]] = _NOBODY
-    """Faults that were named, ENCODER with its doubt as `ENCODER/JUMP`, each with the legs named."""
+    """Message of the plant's failure; empty: it did not fail."""
+    causes: Mapping[str, frozenset[int]] = _NO_CAUSES
+    """Reported faults, ENCODER with its doubt as `ENCODER/JUMP`, each with its legs."""
     lost: frozenset[int] = frozenset()
-    """Legs whose encoder counted for nothing any more, while the run went on."""
+    """Legs whose encoder was ignored from some tick on, while the run continued."""
 
 
 class Bounds(NamedTuple):
-    """What a configuration allows, m."""
+    """Bounds of a configuration, m."""
 
     stopping_m: float
-    """The printed stopping distance, by the brakes."""
+    """Stopping distance with the brakes, as `hil check` prints it."""
     controlled_m: float
-    """That of a stop under control, along the path."""
+    """Stopping distance of a controlled stop along the path."""
     harmless_m: float
     harmless_s: float
-    """Tracking error that is no fault: at rest, and more by this times the reference's speed."""
+    """Tracking error that is no fault: at rest, plus this time multiplied by the reference's speed."""
 
 
 class Seen(NamedTuple):
-    """What happened."""
+    """Observations of a run."""
 
     declared: int | None
-    """Ticks from the fault's beginning to the reaction; None: there was none."""
+    """Ticks from the fault's beginning to the reaction; None: no reaction."""
     error_m: float
-    """Largest error of a leg before it."""
+    """Largest error of a leg before the reaction."""
     added_m: float
-    """By how much that is more than when the fault began."""
+    """Increase of the error since the fault began."""
     speed_m_s: float
-    """Largest speed of a leg's reference from then on."""
+    """Largest speed of a leg's reference from the fault's beginning to the reaction."""
     travel_m: float
-    """Largest travel of a leg after it."""
+    """Largest travel of a leg after the reaction."""
     last_m: float
     """Largest motion of a leg in the last `rest_s`."""
     in_motion: bool
-    """Whether the platform moved at the reaction."""
+    """True if the platform moved at the reaction."""
     braked: bool
-    """Whether it stood on closed brakes at the reaction."""
+    """True if the platform stood on closed brakes at the reaction."""
     led: bool
-    """Whether the reaction was a stop under control."""
+    """True if the reaction was a controlled stop."""
     stood: bool
-    """Whether it did so all the time from the fault on."""
-    told: int | None
-    """Ticks from the fault's beginning to a fault that is expected of it; None: there was none."""
+    """True if the platform stood on closed brakes from the fault to the reaction."""
+    diagnosed: int | None
+    """Ticks from the fault's beginning to an expected diagnosis; None: no such diagnosis."""
     found_m: float
-    """True motion of the faulty leg until then, or to the end."""
+    """True motion of the faulty leg until the diagnosis, or to the end."""
     found_ticks: int
-    """Ticks from its first true motion until then, or to the end; 0: it did not move before."""
+    """Ticks from the leg's first true motion until the diagnosis, or to the end; 0: it did not move."""
 
 
 def found_s(rate_Hz: float) -> float:
-    """Return in what time of true motion a jump or a freeze is found, s: a slow loop needs longer."""
+    """Longest true motion, s, until a jump or a freeze must be detected; a slow loop needs longer."""
     period_s = 1.0 / rate_Hz
     return max(float(np.interp(period_s, (1e-3, 4e-3, 10e-3), (20e-3, 44e-3, 70e-3))), 7.0 * period_s)
 
 
 def rest_s(t: Trace) -> float:
-    """Return in what time at the end the platform has to stand still, s."""
+    """Time, s, at the end of a run in which the platform has to stand still."""
     return HELD_REST_S if t.mode[-1] == Mode.HELD else REST_S
 
 
 def see(kind: str, t: Trace) -> Seen:
-    """Return what a run shows since a fault of a kind."""
+    """Observations of a run since a fault of a kind began."""
     n, k0 = len(t.mode), max(t.begun - 1, 0)
     declared = _first(t.faults[t.begun :] != 0)
-    told = _first(t.faults[t.begun :] & bits_of(EXPECTED[kind]) != 0)
+    diagnosed = _first(t.faults[t.begun :] & bits_of(EXPECTED[kind]) != 0)
     end = n - 1 if declared is None else t.begun + declared
     moving, braked = np.isin(t.mode, list(MOVING)), np.isin(t.mode, list(BRAKED))
     error, began, stood = 0.0, 0.0, t.length[k0]
@@ -134,7 +135,7 @@ def see(kind: str, t: Trace) -> Seen:
     travel = 0.0 if declared is None else float(np.abs(t.length[end:] - t.length[end]).max())
     last = t.length[-1 - min(n - 1, round(rest_s(t) * t.rate_Hz)) :]
     own = slice(None) if t.leg is None else [t.leg]
-    until = n - 1 if told is None else t.begun + told
+    until = n - 1 if diagnosed is None else t.begun + diagnosed
     motion = np.abs(t.length[k0 : until + 1, own] - t.length[k0, own]).max(axis=1)
     moved = _first(motion > MOTION_m)
     speed = np.abs(t.length[end] - t.length[end - 1]).max() * t.rate_Hz
@@ -152,24 +153,24 @@ def see(kind: str, t: Trace) -> Seen:
         braked=bool(braked[before]),
         led=bool((t.mode[end:] == Mode.STOPPING).any()) and t.mode[before] != Mode.STOPPING,
         stood=bool(braked[k0 : before + 1].all()),
-        told=told,
+        diagnosed=diagnosed,
         found_m=float(motion.max()),
         found_ticks=0 if moved is None else len(motion) - 1 - moved,
     )
 
 
 def _first(true: Array) -> int | None:
-    """Return where the first true element is."""
+    """Index of the first true element."""
     found = np.flatnonzero(true)
     return int(found[0]) if found.size else None
 
 
 def judge(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
-    """Return whether a run is within the bound of its kind of fault and names cause and leg, and why."""
+    """Check whether a run keeps the bound of its kind and reports cause and leg; return also the reason."""
     if t.failed:
         if kind in PLANT_FAILS:
-            return True, "the plant failed and said so"
-        return False, f"the plant failed, allowed of {', '.join(PLANT_FAILS)} alone"
+            return True, "the plant failed and reported it"
+        return False, f"the plant failed, allowed only for {', '.join(PLANT_FAILS)}"
     if t.faults[max(t.begun - 1, 0)]:
         return False, "there was a fault before this one began"
     if s.last_m > REST_m:
@@ -197,43 +198,43 @@ def _bounded(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
     if not stopped:
         return stopped, text
     if kind in _GROWS:
-        return True, f"{NOT_OBSERVABLE} in motion: leaves {_mm(s.error_m)}; travelled {text}"
+        return True, f"{NOT_OBSERVABLE} in motion: remaining error {_mm(s.error_m)}; travelled {text}"
     if kind in _FOUND:
         late_s, allowed_s = s.found_ticks / t.rate_Hz, found_s(t.rate_Hz)
         good = s.found_m <= FOUND_m or late_s <= allowed_s + 1e-9
         what = f"found after {_mm(s.found_m)} of true motion and {1e3 * late_s:.0f} ms"
         return good, what if good else f"{what}, allowed: {_mm(FOUND_m)} or {1e3 * allowed_s:.0f} ms"
     if kind in _FORGED:
-        told = s.declared if s.told is None else s.told
-        if told is None or told > FORGED_TICKS:
-            return False, f"declared after {told} ticks, allowed: {FORGED_TICKS}"
+        diagnosed = s.declared if s.diagnosed is None else s.diagnosed
+        if diagnosed is None or diagnosed > FORGED_TICKS:
+            return False, f"declared after {diagnosed} ticks, allowed: {FORGED_TICKS}"
         return _at_most("error until declared", s.added_m, FORGED_m)
     return _at_most("moved", s.error_m, BRAKE_m if s.stood else bounds.stopping_m)
 
 
 def _missing(kind: str, t: Trace) -> str:
-    """Say which cause or leg the run should have named and did not; empty where it has."""
+    """Sentence on the cause or leg that the run failed to report; empty if it reported both."""
     expected = EXPECTED[kind]
     right = {cause for cause in t.causes if expects(expected, cause)}
     if not right:
-        return f"the cause is missing: named {_listed(t.causes)}, expected {_listed(expected) or 'none'}"
+        return f"the cause is missing: reported {_listed(t.causes)}, expected {_listed(expected) or 'none'}"
     telling = right - NAMES_NO_LEG
     if t.leg is None or not telling or any(t.leg in t.causes[cause] for cause in telling):
         return ""
     legs = sorted(set().union(*(t.causes[cause] for cause in telling)))
     named = f"leg {', '.join(map(str, legs))}" if legs else "no leg"
-    return f"the leg is missing: {_listed(telling)} names {named}, expected leg {t.leg}"
+    return f"the leg is missing: {_listed(telling)} reports {named}, expected leg {t.leg}"
 
 
 def _without_reaction(kind: str, t: Trace, s: Seen, bounds: Bounds) -> tuple[bool, str]:
-    """Judge a run that has ended parked as if nothing had been."""
+    """Judge a run without a reaction."""
     if not t.success:
-        return False, "ended without a reaction, and not parked"
+        return False, "ended without a reaction, but not parked"
     if kind in _NOT_OBSERVABLE:
-        return True, f"{NOT_OBSERVABLE}: leaves {_mm(s.error_m)}"
+        return True, f"{NOT_OBSERVABLE}: remaining error {_mm(s.error_m)}"
     if t.leg in t.lost:
         good, text = _at_most("error", s.error_m, FOUND_m)
-        return good, f"goes on without the encoder of leg {t.leg}, {text}"
+        return good, f"continues without the encoder of leg {t.leg}, {text}"
     if kind in _FOUND:
         if s.found_ticks == 0 and kind == _AT_REST:
             return True, f"{NOT_OBSERVABLE}: the leg did not move"

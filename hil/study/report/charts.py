@@ -1,4 +1,4 @@
-"""Which curves the page shows: the plots of the viewers, and what no column holds."""
+"""Charts of the page: the plots of the viewers, and curves that are not in any column."""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from hil.study.report.story import mode_name
 from hil.study.report.timing import Traffic
 
 FLAGS = ("faults", "warnings", "foreign", "setpoint_refusal")
-"""Columns whose bits have a row each, where they are ever set."""
+"""Columns of flags; each bit that is ever set has its own line."""
 MODES = "Modes, faults and warnings"
 DOTTED = ("p_d", "q_d", "dq_d", "drive_force", "lyapunov_bound")
 
@@ -25,13 +25,13 @@ class Curve(NamedTuple):
 
     label: str
     values: Array
-    """(n,) in the chart's unit; nan: a gap."""
+    """(n,) in the chart's unit; NaN: a gap."""
     kind: str = "line"
-    """`line`, `dotted`, `steps`, or `area`: steps that are filled to the whole number below."""
+    """`line`, `dotted`, `steps`, or `area`: steps filled down to the next lower integer."""
 
 
 class Chart(NamedTuple):
-    """Curves of one unit over time."""
+    """Curves with one unit over time."""
 
     key: str
     section: str
@@ -41,11 +41,11 @@ class Chart(NamedTuple):
     levels: Sequence[float] = ()
     """Limits, as horizontal lines."""
     names: tuple[tuple[float, str], ...] = ()
-    """What values of the axis are called."""
+    """Names of values on the axis."""
 
 
 def charts(rows: Rows, c: Configuration | None, traffic: Traffic, rate_Hz: float) -> list[Chart]:
-    """Charts of a run in their order. rows has dtype ROW; what a run does not have is left out."""
+    """Charts of a run in their order, without those that have no data. rows has dtype ROW."""
     follows = (rows["mode"] >= Mode.RELEASING) & (rows["mode"] <= Mode.PARKING)
     return [
         *_columns(rows, follows, _levels(c, rate_Hz)),
@@ -66,7 +66,7 @@ def _levels(c: Configuration | None, rate_Hz: float) -> dict[str, Sequence[float
 
 
 def _columns(rows: Rows, follows: Flags, levels: dict[str, Sequence[float]]) -> Iterator[Chart]:
-    """Chart the plots of the viewers, one for each unit; references while they are followed."""
+    """Yield the plots of the viewers, one chart per unit; references only while they are followed."""
     shown = {
         "p": has_pose(rows, "p", "R"),
         "p_d": follows & has_pose(rows, "p_d", "R_d"),
@@ -109,7 +109,7 @@ def _bus(traffic: Traffic, rate_Hz: float) -> Iterator[Chart]:
         yield Chart("answered", "Timing", title, "µs", (curve,), (1e6 / rate_Hz,))
     if traffic.busy_ns:
         busy = tuple(Curve(name, 1e-7 * rate_Hz * busy) for name, busy in sorted(traffic.busy_ns.items()))
-        title = "Bus load: worst-case wire time of a tick's frames, of its period"
+        title = "Bus load: worst-case wire time of a tick's frames, share of the period"
         yield Chart("bus", "Timing", title, "%", busy, (100.0,))
 
 
@@ -124,12 +124,12 @@ def _modes(rows: Rows) -> Iterator[Chart]:
             Curve(label, np.asarray(k + 0.8 * there, float), "area") for k, (label, there) in enumerate(found)
         )
         names = tuple((k + 0.4, label) for k, (label, _) in enumerate(found))
-        title = "faults, warnings and what else was set, one line each"
+        title = "faults, warnings and other bits, one line each"
         yield Chart("flags", MODES, title, "", curves, (), names)
 
 
 def lanes(rows: Rows) -> list[tuple[str, Flags]]:
-    """Each bit of FLAGS that is ever set, in the order of the table: column and bit, and where it is (n,)."""
+    """Bits of FLAGS that are ever set, in the table's order: column and bit, and mask (n,) of the ticks."""
     bits = [(name, text, bit) for name in FLAGS for text, bit in COLUMNS[name].names.items()]
     found = [(f"{name} {text}", (rows[name] & bit) != 0) for name, text, bit in bits]
     return [(label, there) for label, there in found if there.any()]

@@ -1,4 +1,4 @@
-"""`hil report`: from a log to one HTML page."""
+"""`hil report`: write one HTML page about a log."""
 
 import time
 from collections.abc import Sequence
@@ -25,15 +25,15 @@ from hil.study.report import sections
 from hil.study.report.charts import MODES, Chart, charts
 from hil.study.report.margins import margins
 from hil.study.report.page import Html, asset, drawn, figure, page, scene, tag
-from hil.study.report.story import Told, told
+from hil.study.report.story import Failure, failure_of
 from hil.study.report.timing import counts, spreads, traffic
 
 
 def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[str, Any]:
-    """Write the page of a log and return the summary.
+    """Write the page of a log; return the summary.
 
-    Raises LogError: no log of `hil run` or `hil sim`, other columns than this version's, no tick, or `out`
-    exists and `force` is not set.
+    Raises LogError: not a log of `hil run` or `hil sim`, columns of another version, no tick, or `out` exists
+    and `force` is not set.
     """
     begun = time.perf_counter()
     target = new_file(path.with_suffix(".html") if out is None else out, force=force)
@@ -42,9 +42,9 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
         rate_Hz = run_of(found.log, path, ["rate_Hz"])["rate_Hz"]
         refuse_unread(found.log)
         if not len(found.rows):
-            raise LogError("; ".join(filter(None, (f"{path}: has no tick: nothing to report", found.remark))))
+            raise LogError("; ".join(filter(None, (f"{path}: has no tick to report", found.remark))))
         c, why_not = _configuration(found.log)
-        story = told(found.log.metadata, found.rows, rate_Hz)
+        story = failure_of(found.log.metadata, found.rows, rate_Hz)
         text = _page(path, found, c, why_not, story, rate_Hz)
     try:
         write_whole(target, text)
@@ -63,16 +63,16 @@ def report(path: Path, *, out: Path | None = None, force: bool = False) -> dict[
 
 
 def _configuration(log: Log) -> tuple[Configuration | None, str]:
-    """Return the configuration of the run, or None and why it cannot be read."""
+    """Read the configuration of the run; return None and the reason if it cannot be read."""
     try:
         return loads(log.configuration, f"{log.path}:config.yaml"), ""
     except (LogError, ConfigurationError) as error:
         first = str(error).partition("\n")[0]
-        return None, f"without the configuration there are no limits, no bus load and no 3D view: {first}"
+        return None, f"no limits, bus load and 3D view, because the configuration cannot be read: {first}"
 
 
 def _page(
-    path: Path, found: Readable, c: Configuration | None, why_not: str, story: Told, rate_Hz: float
+    path: Path, found: Readable, c: Configuration | None, why_not: str, story: Failure, rate_Hz: float
 ) -> str:
     log, rows, remark = found
     events = log.events()
@@ -109,11 +109,11 @@ def _subtitle(log: Log, rows: Rows, c: Configuration | None, rate_Hz: float) -> 
 
 
 def _curves(shown: Sequence[Chart], t: Array, modes: Sequence[Html]) -> list[Html]:
-    """Section for each kind of chart, in their order; tables of modes follow their charts."""
+    """Sections of charts in their order; the tables of modes follow their charts."""
     hint = (
         "Drag to zoom, double click to see all; with the keyboard: arrows move the cursor, + and - zoom, "
-        "Shift with arrows pans, 0 shows all. All curves share their time. Errors are reference less "
-        "measured, while a reference is followed."
+        "Shift with arrows pans, 0 shows all. All curves share one time axis. Errors are reference "
+        "minus measurement, while a reference is followed."
     )
     made = [tag("p", hint, class_="note")]
     for name in dict.fromkeys(chart.section for chart in shown):

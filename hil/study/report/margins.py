@@ -1,6 +1,6 @@
-"""How near a run came to each limit of the controller, from its recorded rows.
+"""Smallest margin of a run to each limit of the controller, from its recorded rows.
 
-The quantities are those of the rules in `hil.safety`, over the ticks in which each of them is judged.
+The quantities are those of the rules in `hil.safety`, over the ticks in which each rule applies.
 """
 
 from collections.abc import Iterator
@@ -22,19 +22,20 @@ from hil.safety.signals import DEAD_BUS, HARMFUL_STRETCH_NS, HISTORY, STRETCH_FR
 
 Mask = NDArray[np.bool_]
 Judged = tuple[Any, ...]
-"""What a rule judges: its name; the key of its limit, empty for a constant; values (n,) or (n, 6), >= 0; a
-column with their unit, empty for none; the ticks (n,) in which it is judged; the limit, a number or an array
-like the values, where it is not what stands at the key."""
+"""Arguments of a rule: its name; the key of its limit, empty for a constant; values (n,) or (n, 6), >= 0; a
+column with their unit, empty for none; mask (n,) of the ticks in which the rule applies; the limit, a number
+or an array like the values, if it is not the value of the key.
+"""
 _CLOSED = (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
 """Modes in which the legs stand on closed brakes."""
 
 
 class Margin(NamedTuple):
-    """The instant at which a run came nearest to a limit."""
+    """Instant at which a run came nearest to a limit."""
 
     name: str
     key: str
-    """Where the configuration has the limit; empty where it is a constant."""
+    """Key of the limit in the configuration; empty for a constant."""
     value: float
     limit: float
     unit: str
@@ -43,31 +44,31 @@ class Margin(NamedTuple):
 
     @property
     def used_percent(self) -> float:
-        """Share of the limit that was used; beyond 100 the limit was passed."""
+        """Used share of the limit; above 100 the limit was exceeded."""
         return 100.0 * self.value / self.limit if self.limit else float("inf")
 
 
 def margins(rows: Rows, c: Configuration, rate_Hz: float) -> list[Margin]:
-    """Smallest margin of every limit that was judged, the nearest first. rows, n > 0, has dtype ROW."""
+    """Smallest margin of every limit that applied, the nearest first. rows, n > 0, has dtype ROW."""
     mode, well = rows["mode"], rows["faults"] == 0
-    struck = np.concatenate((well[:1], well[:-1]))  # the tick of a fault counts, what its reaction does not
-    before = np.concatenate((mode[:1], mode[:-1]))  # and its rules were those of the mode until then
+    struck = np.concatenate((well[:1], well[:-1]))  # the tick of a fault counts, its reaction does not
+    before = np.concatenate((mode[:1], mode[:-1]))  # with the rules of the mode before
     mode, counts = np.where(well, mode, before), well | struck
     powered = ((mode >= Mode.LOADING) & (mode <= Mode.UNLOADING) | (mode == Mode.HELD)) & counts
     follows = (mode >= Mode.RELEASING) & (mode <= Mode.PARKING) & powered
-    stands, heard = np.isin(mode, _CLOSED) & counts, (mode >= Mode.IDLE) & counts
+    braked, sampled = np.isin(mode, _CLOSED) & counts, (mode >= Mode.IDLE) & counts
     share, confirm = rows["lyapunov_share"], c.monitor.confirm_ticks
     age = _counted_age(rows, mode, c)
-    encoder = "length of an encoder against its rate, of what is allowed"
-    certified = f"Lyapunov function, sqrt(V) of an axis over what is allowed, {confirm} ticks in a row"
+    encoder = "encoder length against its rate, as a share of the limit"
+    certified = f"Lyapunov function, sqrt(V) of an axis as a share of its limit, {confirm} ticks in a row"
     judged: list[Judged] = [
         *_forces(rows, c, rate_Hz, powered & well),
         *_legs(rows, c, powered, follows),
-        ("motion on closed brakes", "limits.standstill_m", _moved(rows, stands), "q", stands),
+        ("motion on closed brakes", "limits.standstill_m", _moved(rows, braked), "q", braked),
         ("residual of forward kinematics", "limits.consistency_m", rows["fk_residual"], "q", powered),
         ("condition number of J", "limits.condition", rows["condition"], "condition", powered),
         ("age of a leg's feedback", "limits.stale_fault_ticks", age, "age", powered),
-        (encoder, "monitor.length_noise_m", rows["encoder_share"], "", heard, 1.0),
+        (encoder, "monitor.length_noise_m", rows["encoder_share"], "", sampled, 1.0),
         (certified, "monitor", _lasting(share, confirm), "", powered & np.isfinite(share), 1.0),
         *_fused(rows, c, rate_Hz, powered),
         *_loop(rows, c, powered),
@@ -112,15 +113,15 @@ def _legs(rows: Rows, c: Configuration, powered: Mask, follows: Mask) -> Iterato
     yield name, key, np.abs(rows["ddq_d"]), "ddq_d", follows
 
 
-def _moved(rows: Rows, stands: Mask) -> Array:
-    """Return how far each leg (n, 6) m is from where it was first heard since the brakes were closed."""
+def _moved(rows: Rows, braked: Mask) -> Array:
+    """Distance (n, 6) m of each leg from its first fresh reading since the brakes were closed."""
     moved = np.zeros((len(rows), LEGS))
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], stands.astype(np.int8), [0]))))
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], braked.astype(np.int8), [0]))))
     for begin, end in edges.reshape(-1, 2).tolist():
-        heard = rows["age"][begin:end] == 0
-        for leg in np.flatnonzero(heard.any(axis=0)).tolist():
+        fresh = rows["age"][begin:end] == 0
+        for leg in np.flatnonzero(fresh.any(axis=0)).tolist():
             q = rows["q"][begin:end, leg]
-            moved[begin:end, leg] = np.where(heard[:, leg], np.abs(q - q[np.argmax(heard[:, leg])]), 0.0)
+            moved[begin:end, leg] = np.where(fresh[:, leg], np.abs(q - q[np.argmax(fresh[:, leg])]), 0.0)
     return moved
 
 
@@ -129,10 +130,10 @@ def _loop(rows: Rows, c: Configuration, powered: Mask) -> Iterator[Judged]:
     total = np.cumsum(skipped)
     missed = total - np.maximum.accumulate(np.where(skipped > 0, 0, total))
     yield "periods missed in a row", "limits.missed_stop_ticks", missed, "age", powered
-    name = f"ticks of {HISTORY} in which the bus did not take our frames"
+    name = f"ticks of {HISTORY} in which the bus did not accept our frames"
     yield name, "", _recent(rows["sends_failed"] > 0), "age", powered, DEAD_BUS
     name = f"ticks of {HISTORY} in which frames were refused"
-    alone = not any(kind for _, kind in c.sensors)  # theirs are counted in the column, and by no rule
+    alone = not any(kind for _, kind in c.sensors)  # the column also counts sensors
     yield name, "", _recent(rows["rejected"] > 0), "age", powered & alone, UNRELIABLE
     stood = rows["stretched_ns"]
     harmful = np.cumsum(np.where(stood >= HARMFUL_STRETCH_NS, stood, 0))
@@ -146,25 +147,25 @@ def _fused(rows: Rows, c: Configuration, rate_Hz: float, powered: Mask) -> Itera
     name, std = "standard deviation of the fused position", np.linalg.norm(rows["pose_std"][:, :3], axis=1)
     yield name, f"{key}.position_std_max_m", std, "q", judged
     tick = rows["tick"]
-    heard = np.maximum.accumulate(np.where(rows["tracker"] > 0, tick, tick[:1]))
-    alone_s = np.where(_excused(rows, c).any(axis=1), (tick - heard) / rate_Hz, 0.0)
-    name, limit = "encoder lost, and no sample of the tracker", 1e-3 * c.estimation.fusion.tracker_gap_max_ms
+    sampled = np.maximum.accumulate(np.where(rows["tracker"] > 0, tick, tick[:1]))
+    alone_s = np.where(_excused(rows, c).any(axis=1), (tick - sampled) / rate_Hz, 0.0)
+    name, limit = "encoder lost and no tracker sample", 1e-3 * c.estimation.fusion.tracker_gap_max_ms
     yield name, f"{key}.tracker_gap_max_ms", alone_s, "reference_time_s", judged, limit
-    asked = (rows["age"] == 0) & ~_legs_of(rows, "legs_used")
-    asked[1:] &= ~_legs_of(rows, "legs_slipped")[:-1]  # a slipped encoder is out of the question
-    against = _lasting(np.where(asked, np.abs(rows["innovation_q"]), 0.0), SLIP_TICKS)
+    compared = (rows["age"] == 0) & ~_legs_of(rows, "legs_used")
+    compared[1:] &= ~_legs_of(rows, "legs_slipped")[:-1]  # a slipped encoder is not compared
+    against = _lasting(np.where(compared, np.abs(rows["innovation_q"]), 0.0), SLIP_TICKS)
     name = f"encoder against the fused pose, {SLIP_TICKS} ticks in a row"
     yield name, f"{key}.encoder_slip_m", against, "q", judged
 
 
 def _legs_of(rows: Rows, column: str) -> Mask:
-    """Bits of a column as legs (n, 6)."""
+    """Mask (n, 6) of the legs whose bits are set in a column."""
     legs: Mask = (rows[column][:, None] >> np.arange(LEGS) & 1) > 0
     return legs
 
 
 def _lasting(values: Array, ticks: int) -> Array:
-    """Return what values (n,) or (n, 6) did not fall below in the last so many rows; nan counts as 0."""
+    """Smallest of the last `ticks` values, (n,) or (n, 6), in each row; NaN counts as 0."""
     n = min(ticks, len(values) + 1)
     filled = np.where(np.isnan(values), 0.0, values)
     least: Array = minimum_filter1d(filled, n, axis=0, origin=(n - 1) // 2, mode="constant")
@@ -172,14 +173,14 @@ def _lasting(values: Array, ticks: int) -> Array:
 
 
 def _recent(which: Mask) -> Array:
-    """In how many of the last HISTORY ticks something was (n,)."""
+    """Count (n,) in how many of the last HISTORY ticks `which` was True."""
     return np.asarray(np.convolve(which, np.ones(HISTORY))[: len(which)], np.float64)
 
 
 def _nearest(
     c: Configuration, name: str, key: str, of: Any, column: str, judged: Mask, given: Any = None
 ) -> Margin | None:
-    """Return the value nearest to its limit among the rows that are judged; None where there is none."""
+    """Value nearest to its limit among the rows in which the rule applies; None without such a value."""
     values = np.asarray(of, np.float64)
     limit = np.asarray(attrgetter(key)(c) if given is None else given, np.float64)
     share = np.where(judged.reshape(-1, *(1,) * (values.ndim - 1)), values / limit, np.nan)
@@ -193,7 +194,7 @@ def _nearest(
 
 
 def _excused(rows: Rows, c: Configuration) -> Mask:
-    """Which encoders do not count although their legs are needed, (n, 6): see `PoseFusion`."""
+    """Mask (n, 6) of lost encoders whose loss is tolerated: see `PoseFusion`."""
     fusion, lost = c.estimation.fusion, _legs_of(rows, "legs_lost")
     may = np.isin(np.arange(LEGS), fusion.may_lose_legs) & (c.estimation.pose == "fused")
     excused: Mask = lost & may & (lost.sum(axis=1) <= fusion.lost_at_once)[:, None]
@@ -201,10 +202,10 @@ def _excused(rows: Rows, c: Configuration) -> Mask:
 
 
 def _counted_age(rows: Rows, mode: Ints, c: Configuration) -> Ints:
-    """Return the age of each leg's feedback as safety judges it, (n, 6) ticks: 0 for a leg that may be lost.
+    """Age (n, 6), ticks, of each leg's feedback as safety judges it: 0 for a leg whose loss is tolerated.
 
-    mode (n,): no estimate proves a brake, so that every leg counts while the brakes are tested; and where
-    its age has just been a fault.
+    mode (n,): every leg counts during brake tests, since an estimate cannot prove a brake, and in rows with
+    a fault of age.
     """
     proves = np.isin(mode, (Mode.LOADING, Mode.UNLOADING)) | ((rows["faults"] & Fault.STALE) != 0)
     age: Ints = np.where(_excused(rows, c) & ~proves[:, None], 0, rows["age"])

@@ -1,7 +1,7 @@
-"""The page: one HTML file with its styles, scripts and numbers in it, that fetches nothing.
+"""The page: one HTML file that contains its styles, scripts and numbers, and loads nothing.
 
-Its content security policy allows the scripts below by their checksums and nothing else. Whatever text goes
-in is escaped; only what `tag` has made stays as it is.
+Its content security policy allows only the scripts below, by their checksums. All text is escaped, except
+what `tag` has made.
 """
 
 import base64
@@ -25,20 +25,20 @@ STYLES = ("uPlot.min.css", "report.css")
 SCRIPTS = ("uPlot.iife.min.js", "scene.js", "report.js")
 LICENCE = "uPlot-LICENSE.txt"
 BINS = 2000
-"""More than a screen has pixels across."""
+"""Bins of a thinned curve, more than a screen has pixels across."""
 FRAMES = 1500
-"""Of the pose, at most; a picture of each moment between two is made by the page."""
+"""Largest number of poses; the page interpolates between them."""
 SHARED = {"scene.js", "uPlot.iife.min.js", "uPlot.min.css", LICENCE}
 
 
 class Html(str):
-    """HTML that is whole: no text of a log."""
+    """Finished HTML, without raw text of a log."""
 
     __slots__ = ()
 
 
 def tag(name: str, *content: object, **attributes: object) -> Html:
-    """Return an element. Content that is not Html is escaped; `class_` is class, `data_x` is data-x."""
+    """Make an element. Content that is not Html is escaped; `class_` is class, `data_x` is data-x."""
     given = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(str(value), quote=True)}"'
         for key, value in attributes.items()
@@ -48,12 +48,12 @@ def tag(name: str, *content: object, **attributes: object) -> Html:
 
 
 def joined(content: Iterable[object]) -> Html:
-    """Return what follows each other."""
+    """Contents one after the other; what is not Html is escaped."""
     return Html("".join(x if isinstance(x, Html) else escape(str(x), quote=True) for x in content))
 
 
 def prose(text: str) -> Html:
-    """Return a text; what stands between two backticks is code."""
+    """Escaped text, in which parts between backticks are code."""
     parts = text.split("`")
     if len(parts) % 2 == 0:
         return joined([text])
@@ -61,7 +61,7 @@ def prose(text: str) -> Html:
 
 
 def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str = "") -> Html:
-    """Return a table in a box that scrolls; the first cell of each row is its heading."""
+    """Make a table in a scrolling box; the first cell of each row is its heading."""
     lines = [
         tag("tr", tag("th", first, scope="row"), *(tag("td", cell) for cell in rest)) for first, *rest in rows
     ]
@@ -71,13 +71,13 @@ def table(head: Iterable[object], rows: Iterable[Iterable[object]], caption: str
 
 
 def asset(name: str) -> str:
-    """Content of a file of the report's assets, or of those that the live page has, too."""
+    """Content of an asset of the report, or of one shared with the live page."""
     room = "hil.app.watch" if name in SHARED else "hil.study.report"
     return importlib.resources.files(room).joinpath("assets", name).read_text("utf-8")
 
 
 def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
-    """Return the whole file. data: what the scripts draw, plain values."""
+    """Make the whole page. data : plain values that the scripts draw."""
     licence = tag(
         "details", tag("summary", "Licence of uPlot, which draws the curves"), tag("pre", asset(LICENCE))
     )
@@ -87,7 +87,7 @@ def page(title: str, body: Sequence[Html], data: dict[str, Any]) -> str:
 
 
 def document(title: str, body: Sequence[Html], styles: Sequence[str], scripts: Sequence[str] = ()) -> str:
-    """Return a file with these assets as styles and these scripts at its end; it fetches nothing."""
+    """HTML file with these assets as styles and these scripts at its end; it loads nothing."""
     sums = [base64.b64encode(hashlib.sha256(s.encode()).digest()).decode() for s in scripts]
     allowed = " ".join(f"'sha256-{each}'" for each in sums) or "'none'"
     policy = f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data:"
@@ -106,13 +106,13 @@ def document(title: str, body: Sequence[Html], styles: Sequence[str], scripts: S
 
 
 def as_script(data: dict[str, Any]) -> str:
-    """Return JSON that cannot end the script element that it stands in."""
+    """JSON that cannot end the script element around it."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"), ensure_ascii=True)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
-    """Charts as the scripts read them, thinned out to what a screen can show. t (n,) s."""
+    """Charts as the scripts read them, thinned to the resolution of a screen. t (n,) s."""
     found = []
     for chart in charts:
         x, series = thin(t, [curve.values for curve in chart.curves])
@@ -123,7 +123,7 @@ def drawn(charts: Sequence[Chart], t: Array) -> list[dict[str, Any]]:
 
 
 def figure(chart: Chart, t: Array) -> Html:
-    """Return the place of a chart, with the extremes of its curves as a table for who cannot see it."""
+    """Place of a chart, with a table of its curves' extremes for readers who cannot see it."""
     title = titled(chart.title, chart.unit)
     caption, named = tag("figcaption", title), {"data_key": chart.key, "aria_label": title}
     place = tag("div", class_="chart", tabindex=0, role="application", **named)
@@ -142,11 +142,11 @@ def figure(chart: Chart, t: Array) -> Html:
 
 
 def thin(t: Array, series: list[Array], bins: int = BINS) -> tuple[Array, list[Array]]:
-    """Return at most two samples a bin of each series: its least and its largest value there.
+    """Thin each series to two samples per bin, its minimum and its maximum there.
 
-    t (n,) s; each of series (n,). Up to 2 bins samples come back as they are. A bin has two instants, its
-    first and its middle sample's; the least comes first where the series rises across the bin. nan counts
-    only where a whole bin is nan.
+    t (n,) s; each of series (n,). Up to 2 bins samples are returned unchanged. A bin has two instants, those
+    of its first and its middle sample; the minimum comes first if the series rises across the bin. NaN
+    remains only if a whole bin is NaN.
     """
     n = len(t)
     if n <= 2 * bins:
@@ -164,7 +164,7 @@ def thin(t: Array, series: list[Array], bins: int = BINS) -> tuple[Array, list[A
 
 
 def packed(values: ArrayLike) -> str:
-    """Any array as little-endian float32 in base 64, row by row; what is not finite becomes nan."""
+    """Any array as little-endian float32 in base 64, row by row; non-finite values become NaN."""
     with np.errstate(over="ignore", invalid="ignore"):
         narrow = np.asarray(values, np.float64).astype("<f4").ravel()
     narrow[~np.isfinite(narrow)] = np.nan
@@ -172,10 +172,10 @@ def packed(values: ArrayLike) -> str:
 
 
 def scene(rows: Rows, t: Array, c: Configuration) -> dict[str, Any] | None:
-    """Return joints, poses and leg forces for the page; None where the log has no pose.
+    """Joints, poses and leg forces for the 3D view of the page; None if the log has no pose.
 
     t (n,) s. p (m, 3) m and R (m, 9) of platform and reference in the base frame; load (m, 6): tau as a share
-    of the largest force that is allowed.
+    of the largest allowed force.
     """
     posed = np.flatnonzero(has_pose(rows, "p", "R"))
     if not len(posed):

@@ -1,4 +1,4 @@
-"""The sections of the page in words: what happened, what was left of each limit, how time was kept."""
+"""Sections of the page: what happened, the margins of the limits, and the timing."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -12,50 +12,50 @@ from hil.record.schema import ENVIRONMENT, SUMMARY
 from hil.study.report.charts import lanes
 from hil.study.report.margins import Margin
 from hil.study.report.page import Html, joined, prose, table, tag
-from hil.study.report.story import HEADINGS, Told, mode_name, quantity
+from hil.study.report.story import HEADINGS, Failure, mode_name, quantity
 from hil.study.report.timing import PERCENTILES
 
 EVENTS = 200
-"""Shown at most, the first ones."""
+"""Largest number of events shown, from the first on."""
 MACHINE = ("cpu", "cpus", "kernel", "scheduler", "affinity", "clock", "git", "version")
-"""What is shown of the machine, and of what the loop of a run in real time was granted."""
+"""Keys shown of the machine and of the settings granted to a loop in real time."""
 UNSEEN = (
-    "Not among them: the leap of a rate, and a reading that stands still while its leg strays. A log has "
-    "these figures only from the moment at which they have raised a fault."
+    "The table lacks jumps of a leg rate, and readings that stand still while their leg moves: a log has "
+    "these figures only after they have raised a fault."
 )
 
 
-def opening(told: Told, rows: Rows, remark: str) -> Html:
-    """Return the first lines: good or bad, and what is missing of the log."""
+def opening(failure: Failure, rows: Rows, remark: str) -> Html:
+    """First lines: good or bad, and what the log lacks."""
     mode = mode_name(int(rows["mode"][-1]))
-    if told.headline:
-        kind, text = "bad", f"Went wrong: {told.headline}"
+    if failure.headline:
+        kind, text = "bad", f"Went wrong: {failure.headline}"
     elif mode == Mode.PARKED.name and not remark:
         kind, text = "good", "Parked without a fault"
     else:
         kind, text = "open", f"No fault in this log; it ends in {mode}"
     lines = [tag("p", text, class_=f"verdict {kind}", role="status")]
     if remark:
-        lines.append(tag("p", f"This page shows what is there: {remark}.", class_="remark"))
+        lines.append(tag("p", f"This page shows the readable part of the log: {remark}.", class_="remark"))
     return tag("section", *lines, id="verdict")
 
 
-def what_went_wrong(told: Told) -> Html:
-    """Story of the faults: leg, value, limit, since when, drives, what was done, what to do."""
+def what_went_wrong(failure: Failure) -> Html:
+    """Story of the faults: leg, value, limit, time, drives, reaction, next steps."""
     head = ("fault", "since, s", "in mode", "leg", "value", "limit", "what happened")
     rows = [
         (f.fault, "" if f.time_s is None else f"{f.time_s:.3f}", f.mode, *f.cells, prose(f.text))
-        for f in told.findings
+        for f in failure.findings
     ]
     parts = [tag("h2", "What went wrong"), *([table(head, rows)] if rows else [])]
-    for key, lines in told.lines.items():
+    for key, lines in failure.lines.items():
         if lines:
             parts += [tag("h3", HEADINGS[key]), tag("ul", *(tag("li", prose(line)) for line in lines))]
     return tag("section", *parts, id="story")
 
 
 def limits(found: Sequence[Margin], t: Array, why_not: str) -> Html:
-    """Return the smallest margin of every limit, the nearest first."""
+    """Smallest margin of every limit, the nearest first."""
     title = tag("h2", "Smallest margin of every limit")
     if why_not:
         return tag("section", title, tag("p", why_not), id="limits")
@@ -73,24 +73,24 @@ def limits(found: Sequence[Margin], t: Array, why_not: str) -> Html:
         )
         for m in found
     ]
-    note = "Each over the ticks in which the rule is judged."
+    note = "Each limit over the ticks in which its rule applies."
     return tag("section", title, table(head, rows), tag("p", f"{note} {UNSEEN}", class_="note"), id="limits")
 
 
 def _used(percent: float) -> Html:
-    """Bar and its number."""
+    """Bar with its number."""
     text, ends = f"{percent:.1f} %", {"min": 0, "max": 100, "low": 80, "high": 95, "optimum": 0}
     bar = tag("meter", text, **ends, value=f"{percent:.2f}", aria_label=text)
     return joined((bar, tag("span", f" {text}")))
 
 
 def figures(values: Sequence[tuple[str, str]]) -> Html:
-    """Return the figures of the run."""
+    """Figures of the run."""
     return tag("section", tag("h2", "The run"), table(("figure", "value"), values), id="figures")
 
 
 def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
-    """Modes, bits that were set and events as tables."""
+    """Tables of modes, of bits that were set, and of events."""
     lines = [
         (mode_name(mode), f"{t[a]:.3f}", f"{t[min(b, len(t) - 1)] - t[a]:.3f}")
         for mode, a, b in spells(rows["mode"])[:EVENTS]
@@ -101,17 +101,17 @@ def modes(rows: Rows, t: Array, events: Sequence[Event]) -> list[Html]:
         parts.append(table(("set", "first at, s", "ticks"), bits, "Faults, warnings and other bits"))
     if events:
         start = int(rows["t_ns"][0])
-        told = [
+        shown = [
             (f"{1e-9 * (e.t_ns - start):.3f}", e.level, prose(e.text.partition("\n")[0]))
             for e in events[:EVENTS]
         ]
         more = f", the first {EVENTS} of {len(events)}" if len(events) > EVENTS else ""
-        parts.append(table(("at, s", "level", "event"), told, f"Events{more}"))
+        parts.append(table(("at, s", "level", "event"), shown, f"Events{more}"))
     return parts
 
 
 def spells(values: Ints) -> list[tuple[int, int, int]]:
-    """Spells of equal values (n,), n > 0: value, first row, row behind the last."""
+    """List spells of equal values (n,), n > 0: value, first row, row after the last."""
     edges = [0, *(np.flatnonzero(np.diff(values)) + 1).tolist(), len(values)]
     return [(int(values[a]), a, b) for a, b in pairwise(edges)]
 
@@ -122,10 +122,12 @@ def timing(
     counted: Sequence[tuple[str, int]],
     stood: Sequence[tuple[str, str]],
 ) -> Html:
-    """Certificate of the loop's time: percentiles, counts, stretches, and the machine they are of."""
+    """Make the timing certificate: percentiles, counts, bench time that stood still, and the machine."""
     parts: list[Html] = [tag("h2", "Timing certificate")]
     if log.lockstep:
-        parts.append(tag("p", "Simulated time: nobody woke up, and no machine was measured.", class_="note"))
+        parts.append(
+            tag("p", "Simulated time: wake-ups and computing time were not measured.", class_="note")
+        )
     if spreads:
         head = ("time", *(f"p{p:g}" if p < 100 else "max" for p in PERCENTILES))
         rows = [(name, *(f"{1e-3 * ns:.1f} µs" for ns in values.tolist())) for name, values in spreads]

@@ -1,4 +1,4 @@
-"""What a log has of its faults: the story of its end, else the faults of its rows."""
+"""Faults of a logged run: the story in its summary, else the faults in its rows."""
 
 from collections.abc import Mapping, Sequence
 from typing import Annotated, NamedTuple
@@ -10,7 +10,7 @@ from drivers.arrays import Rows
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import COLUMNS
 from hil.app.terminal import one_line
-from hil.loop.story.told import GLOSSARY
+from hil.loop.story.story import GLOSSARY
 from hil.record.schema import SUMMARY
 
 HEADINGS = {
@@ -19,11 +19,11 @@ HEADINGS = {
     "drives": "What the drives reported then",
     "in the end": "In the end",
 }
-"""Beginning of a line of the story -> heading of the page."""
+"""Prefix of a line of the story -> heading on the page."""
 
 
 class Finding(BaseModel):
-    """One fault at one leg or as a whole."""
+    """One fault, at one leg or of the whole machine."""
 
     fault: str
     time_s: FiniteFloat | None = None
@@ -37,7 +37,7 @@ class Finding(BaseModel):
 
     @property
     def cells(self) -> tuple[str, str, str]:
-        """Leg, value and limit in words; empty where the log has none."""
+        """Leg, value and limit as text; empty if the log has none."""
         value, limit = (
             quantity(x, self.unit) if isinstance(x, float) else x or "" for x in (self.value, self.limit)
         )
@@ -46,24 +46,24 @@ class Finding(BaseModel):
 
 
 class _Story(BaseModel):
-    """The story of a run's faults as the summary of its log has it."""
+    """Story of a run's faults, as in the summary of its log."""
 
     findings: tuple[Finding, ...] = ()
     lines: tuple[str, ...] = ()
 
 
-class Told(NamedTuple):
-    """What went wrong, as far as a log has it."""
+class Failure(NamedTuple):
+    """Failure of a run, as far as its log describes it."""
 
     headline: str
-    """Empty where nothing is known to have gone wrong."""
+    """Empty: no known failure."""
     findings: Sequence[Finding]
     lines: dict[str, list[str]]
     """Lines of the story by key of HEADINGS."""
 
 
-def told(metadata: Mapping[str, Mapping[str, str]], rows: Rows, rate_Hz: float) -> Told:
-    """Tell what went wrong in a run with this metadata. A story that does not fit counts as none."""
+def failure_of(metadata: Mapping[str, Mapping[str, str]], rows: Rows, rate_Hz: float) -> Failure:
+    """Failure of a run with this metadata. An invalid story counts as missing."""
     ending = metadata.get(SUMMARY, {})
     try:
         story = _Story.model_validate_json(ending.get("story", "{}"))
@@ -77,11 +77,11 @@ def told(metadata: Mapping[str, Mapping[str, str]], rows: Rows, rate_Hz: float) 
     }
     if not story.lines:
         lines["next"] = [f"see {GLOSSARY}#fault-{each.fault.lower()}" for each in found]
-    return Told(one_line(f"latched fault {names}" if names else ending.get("reason", "")), found, lines)
+    return Failure(one_line(f"latched fault {names}" if names else ending.get("reason", "")), found, lines)
 
 
 def _from_rows(rows: Rows, rate_Hz: float) -> list[Finding]:
-    """Faults that are latched in the rows, without the story that is lost."""
+    """Faults latched in the rows, for a log without a story."""
     found = []
     for fault in Fault:
         struck = np.flatnonzero(rows["faults"] & fault).tolist()
@@ -94,12 +94,12 @@ def _from_rows(rows: Rows, rate_Hz: float) -> list[Finding]:
 
 
 def mode_name(mode: int) -> str:
-    """Name of a Mode, or the number where it has none."""
+    """Name of a Mode, or the number if it has none."""
     return Mode(mode).name if mode in {int(m) for m in Mode} else str(mode)
 
 
 def quantity(value: float, unit: str) -> str:
-    """Four digits of a number with its unit; small lengths with the prefix of a thousandth."""
+    """Format a number with four digits and its unit; lengths below 0.1 m in mm."""
     if unit == COLUMNS["q"].unit and 0.0 < abs(value) < 0.1:
         value, unit = 1e3 * value, f"m{unit}"
     text = f"{value:.0f}" if 1e3 <= abs(value) < 1e6 else f"{value:.4g}"

@@ -1,4 +1,4 @@
-"""The loop's own time: how late it woke up, how long it computed, how late the drives answered."""
+"""Timing of the loop: late wake-ups, computing time, and delay of the drives' feedback."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -16,25 +16,24 @@ PERCENTILES = (50.0, 99.0, 99.9, 100.0)
 
 
 class Traffic(NamedTuple):
-    """What was on the bus, tick by tick."""
+    """Traffic on the bus, tick by tick."""
 
     answered_ns: Array
-    """(n,) from the tick's scheduled time to the last frame that it consumed; nan without one."""
+    """(n,) from the scheduled time of the tick to its last received frame; NaN without a frame."""
     busy_ns: dict[str, Array]
-    """By name of the bus: (n,) worst-case wire time of a tick's frames, sent and received; empty without a
-    timing."""
+    """Bus name -> (n,) worst-case wire time of a tick's frames, sent and received; empty without timing."""
 
 
 def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
-    """Read the frames of a log.
+    """Traffic from the frames of a log.
 
-    timings: of each bus, none where frames take no bus time, or nobody knows how much.
+    timings : bit timing of each bus; empty if frames take no bus time or an unknown one.
     """
     n = len(rows)
     answered = np.full(n, np.nan)
     busy: dict[str, Array] = {}
     names = [f"bus {name}" for name in log.can_channels]
-    for k, tick in zip(range(n), log.ticks(), strict=False):  # a log that is being written has more by now
+    for k, tick in zip(range(n), log.ticks(), strict=False):  # a growing log may have more ticks by now
         if tick.received:
             answered[k] = max(r.t_ns for r in tick.received) - int(tick.row["t_ns"])
         if not timings:
@@ -48,13 +47,13 @@ def traffic(log: Log, rows: Rows, timings: Sequence[BitTiming]) -> Traffic:
                 busy[name][k] += frame_time_ns(
                     len(frame.data), frame.flags % BUS, timings[min(bus, len(timings) - 1)]
                 )
-            except BusError:  # a frame that no bus carries takes no time of it
+            except BusError:  # an invalid frame takes no bus time
                 continue
     return Traffic(answered, busy)
 
 
 def spreads(rows: Rows, answered_ns: Array) -> list[tuple[str, Array]]:
-    """Percentiles of wake-up, computing and feedback, ns at PERCENTILES; none of a time that nobody took."""
+    """Percentiles of wake-up, computing and feedback, ns at PERCENTILES; times not measured are left out."""
     times = {
         "wake-up, late by": rows["lateness_ns"],
         "computing of a tick": rows["compute_ns"][1:],
@@ -64,7 +63,7 @@ def spreads(rows: Rows, answered_ns: Array) -> list[tuple[str, Array]]:
 
 
 def counts(rows: Rows) -> list[tuple[str, int]]:
-    """How often the loop woke up late, and what the log lacks; other counts are figures of the run."""
+    """Count late wake-ups and ticks missing from the log; other counts are figures of the run."""
     late = (rows["warnings"] & Warn.LATE) != 0
     missing = np.maximum(np.diff(rows["tick"]) - 1 - rows["skipped"][1:], 0)
     return [

@@ -1,1 +1,1 @@
-"""A log in Rerun, Foxglove, Lichtblick and PlotJuggler: one table of panels, a writer for each viewer."""
+"""A log in Rerun, Foxglove, Lichtblick or PlotJuggler: one table of plots, a writer for each viewer."""

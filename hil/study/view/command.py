@@ -1,4 +1,4 @@
-"""`hil view`: the file that a viewer needs, written beside the log, and the viewer started on it."""
+"""`hil view`: write the file of a viewer next to the log, and start the viewer."""
 
 import importlib.resources
 import shutil
@@ -24,11 +24,11 @@ OPENED = """<root>
   </fileInfo>
  </previouslyLoaded_Datafiles>
 """  # noqa: E501
-"""By which a layout of PlotJuggler 3.16 opens a log without asking which topics."""
+"""Part of a PlotJuggler 3.16 layout that opens a log without a dialogue about topics."""
 
 
 def _layout(name: str, log: Log) -> str:
-    """Return a shipped layout for the topic of a log; a plot whose columns the log lacks stays empty."""
+    """Shipped layout for the topic of a log; plots of missing columns stay empty."""
     text = (importlib.resources.files("configs") / "viewers" / name).read_text("utf-8")
     return text.replace("/tick", log.topic)
 
@@ -42,15 +42,15 @@ class Viewer(NamedTuple):
     """One viewer."""
 
     suffix: str
-    """Of the file, after the name of the log."""
+    """Suffix of the file, after the name of the log."""
     write: Callable[[Log, Path], object]
     """Writes the file."""
     programs: Sequence[str]
-    """The first that is installed is started."""
+    """Candidates; the first installed one is started."""
     words: Sequence[str]
-    """Its arguments; `{log}` and `{file}` are filled in, here and in what follows."""
+    """Arguments of the program; `{log}` and `{file}` are filled in, also in `by_hand`."""
     by_hand: str
-    """What to do where it is not started."""
+    """Instruction for a viewer that is not started."""
 
 
 VIEWERS = {
@@ -58,7 +58,7 @@ VIEWERS = {
         ".rrd",
         lambda log, path: write_rrd(log, path, ()),
         (sys.executable,),
-        ("-m", "rerun", "--bind", "127.0.0.1", "{file}"),  # by itself it listens on all addresses
+        ("-m", "rerun", "--bind", "127.0.0.1", "{file}"),  # by default it listens on all addresses
         "rerun --bind 127.0.0.1 {file}",
     ),
     "foxglove": Viewer(
@@ -82,12 +82,12 @@ VIEWERS = {
 def view(
     path: Path, name: str, *, out: Path | None = None, force: bool = False, start: bool = True
 ) -> dict[str, Any]:
-    """Write what the viewer `name` needs, start it and wait until it is closed; return the summary.
+    """Write the file of viewer `name`, start it and wait until it is closed; return the summary.
 
-    The file goes to `out`, which is not overwritten without `force`; else beside the log, in the place of an
-    earlier one. A viewer that is not installed is no error: the summary says what to do by hand.
+    The file goes to `out`, which is overwritten only with `force`; by default next to the log, in place of an
+    earlier one. A viewer that is not installed is no error: the summary has an instruction for it.
 
-    Raises LogError: no log, the file exists or cannot be written, the extra is missing.
+    Raises LogError: not a log, the file exists or cannot be written, or the extra is missing.
     """
     viewer = VIEWERS[name]
     log = Log(path)
@@ -97,7 +97,7 @@ def view(
     result: dict[str, Any] = {
         "success": not log.cut,
         "kind": "view",
-        "trouble": f"{path}: {log.cut}; what is there is shown" if log.cut else None,
+        "trouble": f"{path}: {log.cut}; shown up to there" if log.cut else None,
         "log": str(path),
         "viewer": name,
         "written": str(file),

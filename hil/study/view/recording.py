@@ -1,6 +1,6 @@
-"""A log as a Rerun recording: scalars and states by name, events, the robot that moves; and its views.
+"""A log as a Rerun recording: scalars and states by name, events, the moving robot, and the views.
 
-The whole log is never in memory: columns go out some thousand rows at a time.
+The log is never in memory as a whole: columns are written some thousand rows at a time.
 """
 
 from __future__ import annotations
@@ -24,47 +24,47 @@ from hil.study.log_columns import Curve, Plot, differences, has_pose, plots, row
 
 APPLICATION = "hexapod-hil"
 SCENE = "/robot"
-"""The robot; its frame is the base frame."""
+"""Entity of the robot, in the base frame."""
 EVENTS = "/events"
 DIFFERENCES = "/differences"
-"""What is one column less another."""
+"""Entity of differences between columns."""
 TIME = "log_time"
 """Time line that is shown: UTC."""
 
 FIRST = ("mode", "command_mode", "faults", "warnings")
-"""States beside the robot; all of them have a tab."""
+"""States next to the robot; all of them have a tab."""
 TICK = "tick"
-"""Time line: number of the tick; the other one is UTC."""
+"""Time line of tick numbers; the other one is UTC."""
 GROUP = 8192
-"""Rows that are written together."""
+"""Rows written at a time."""
 POSES_PER_S = 100
-"""Of the moving parts, at most."""
+"""Largest rate of the moving parts."""
 THICKNESS = 0.03
-"""Of the lines of the robot, as a share of the base's radius."""
+"""Line width of the robot, as a share of the base's radius."""
 _GREY, _BLUE, _ORANGE, _PALE = (115, 122, 133), (31, 107, 181), (237, 140, 36), (31, 107, 181, 90)
 
 
 def write_rrd(log: Log, path: Path, names: Sequence[str]) -> int:
-    """Write columns or components by name (none: all) as a Rerun recording; return the number of rows.
+    """Write columns or components (no names: all) as a Rerun recording; return the number of rows.
 
-    Every component is an entity, `/tick/tau/leg_3`; what has names is a state, written where it changes. The
-    robot moves under `/robot`; the blueprint of the views is in the file.
+    Every component is an entity, `/tick/tau/leg_3`. Enumerations and flags are states, written when they
+    change. The robot moves under `/robot`; the file contains the blueprint of the views.
 
-    Raises LogError: rerun-sdk is not installed, no such column, or the log is damaged.
+    Raises LogError: rerun-sdk is not installed, unknown column, or damaged log.
     """
     try:
         import rerun as rr  # noqa: PLC0415 - an extra
     except ImportError as error:
         raise LogError(
             f"{path.name}: a Rerun recording needs rerun-sdk, which is not installed ({error}): "
-            'pip install "hexapod-hil[viewers]"; .csv needs nothing'
+            'pip install "hexapod-hil[viewers]", or export .csv'
         ) from error
     parts = components(log.columns, names, str(log.path))
     return _Writer(rr, log, path, parts).write()
 
 
 class _Writer:
-    """One recording being written. State: the stream, the last states and pose, events not yet written."""
+    """Writer of one recording. Mutable state: the stream, the last states and pose, pending events."""
 
     def __init__(self, rr: Any, log: Log, path: Path, parts: Sequence[Component]) -> None:
         self._rr, self._log = rr, log
@@ -86,7 +86,7 @@ class _Writer:
         self._stream.save(path, blueprint(log.columns, log.topic, scene=self._joints is not None))
 
     def write(self) -> int:
-        """Write all of the log; return the number of rows."""
+        """Write the whole log; return the number of rows."""
         try:
             self._fixed()
             wanted = [*(curve.part for curve in self._curves), *self._named, *self._poses]
@@ -100,7 +100,7 @@ class _Writer:
             self._stream.disconnect()
 
     def _fixed(self) -> None:
-        """Write what holds at all times: names with units, meanings, and the parts that do not move."""
+        """Write the static data: names with units, meanings, and the fixed shapes."""
         rr, stream = self._rr, self._stream
         stream.send_recording_name(self._log.path.name)
         for curve in self._curves:
@@ -112,7 +112,7 @@ class _Writer:
             self._robot(*self._joints)
 
     def _robot(self, a: Array, b: Array) -> None:
-        """Write the parts that keep their shape; joints (n, 3) m in their own frames."""
+        """Write the rigid shapes; joints (n, 3) m in their own frames."""
         rr, thin = self._rr, THICKNESS * float(np.linalg.norm(a, axis=1).max()) / 2.0
         self._stream.log(SCENE, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         for name, joints, radius, colour in (
@@ -120,7 +120,7 @@ class _Writer:
         ):  # fmt: skip
             ring = rr.LineStrips3D([outline(joints)], radii=radius, colors=[colour])
             self._stream.log(f"{SCENE}/{name}", ring, static=True)
-        # of the legs that move only the ends are written again
+        # of moving legs only the ends are written again
         legs = rr.LineStrips3D.from_fields(radii=[thin] * len(a), colors=[_ORANGE] * len(a))
         self._stream.log(f"{SCENE}/legs", legs, static=True)
 
@@ -135,7 +135,7 @@ class _Writer:
             self._moved(rows, *self._joints)
 
     def _states(self, part: Component, rows: Rows) -> None:
-        """Write a state where it changes."""
+        """Write a state when it changes."""
         values = part.of(rows).astype(np.int64)
         changed = np.flatnonzero(np.diff(values, prepend=self._last.get(part.label, ~values[0])))
         self._last[part.label] = int(values[-1])
@@ -145,7 +145,7 @@ class _Writer:
             self._send(path_of(self._log.topic, part.label), rows[changed], columns)
 
     def _happened(self, rows: Rows) -> None:
-        """Write the events up to the last row, each at its own time and the tick then."""
+        """Write the events up to the last row, each with its own time and the tick at that time."""
         end = int(rows["t_ns"][-1])
         events = [event for event in self._events if event.t_ns <= end]
         self._events = self._events[len(events) :]
@@ -159,7 +159,7 @@ class _Writer:
             self._send(EVENTS, then, self._rr.TextLog.columns(text=texts, level=levels))
 
     def _moved(self, rows: Rows, a: Array, b: Array) -> None:
-        """Write poses and legs, at most POSES_PER_S."""
+        """Write poses and legs, at most POSES_PER_S per second."""
         slots = rows["t_ns"] // (1_000_000_000 // POSES_PER_S)
         rows = rows[np.diff(slots, prepend=self._slot) != 0]
         self._slot = int(slots[-1])
@@ -185,7 +185,7 @@ class _Writer:
 
 
 def _joints(log: Log) -> tuple[Array, Array] | None:
-    """Return the joints of base and platform (n, 3) m; None where the log has no pose or names no robot."""
+    """Joints of base and platform (n, 3) m; None if the log has no pose or no valid configuration."""
     if not {"p", "R"} <= {c.name for c in log.columns}:
         return None
     try:
@@ -196,13 +196,13 @@ def _joints(log: Log) -> tuple[Array, Array] | None:
 
 
 def outline(joints: Array) -> Array:
-    """Joints (n, 3) m by their angle about their centre, the first once more at the end."""
+    """Draw a closed line (n + 1, 3) m through joints (n, 3) m, ordered by angle about their centre."""
     ring = joints[around(joints)]
     return np.concatenate((ring, ring[:1]))
 
 
 def blueprint(columns: Sequence[Column], topic: str, *, scene: bool) -> Any:
-    """Return the blueprint for a log with these columns; `scene` asks for the 3D view. Needs rerun-sdk."""
+    """Blueprint for a log with these columns; `scene` adds the 3D view. Needs rerun-sdk."""
     from rerun import blueprint as rrb  # noqa: PLC0415 - an extra
 
     named = [c.name for c in states(columns)]
@@ -244,7 +244,7 @@ def path_of(topic: str, label: str) -> str:
 
 
 def curve_path(topic: str, curve: Curve) -> str:
-    """Entity of a curve; of a difference `/differences/q_d-q/leg_3`."""
+    """Entity of a curve; `/differences/q_d-q/leg_3` for a difference."""
     if curve.less is None:
         return path_of(topic, curve.label)
     element = curve.part.label.removeprefix(curve.part.column.name)

@@ -1,1 +1,1 @@
-"""`hil replay --what-if`: what another controller would have answered to recorded measurements."""
+"""`hil replay --what-if`: the response of another controller to recorded measurements."""

@@ -1,4 +1,4 @@
-"""`hil replay --what-if CONFIG LOG`: another controller on the recorded measurements."""
+"""`hil replay --what-if CONFIG LOG`: run another controller on recorded measurements."""
 
 import contextlib
 import tempfile
@@ -31,12 +31,12 @@ from hil.record.log import Log
 from hil.record.schema import IDENTITY
 from hil.study import divergences
 from hil.study.table import Column, figure, print_rows
-from hil.study.what_if.allowed import changed, changes, refuse_other_inputs
+from hil.study.what_if.inputs import changed, changes, refuse_other_inputs
 
 OPEN_LOOP = (
-    "The measurements did not follow the changed forces: past the first difference the loop is open. These "
-    "figures say what this controller would have answered to these measurements, not how the robot would "
-    "have moved."
+    "The measurements do not respond to the changed forces: after the first difference the loop is open. "
+    "These figures are the outputs of this controller for these measurements, not the motion that the robot "
+    "would have made."
 )
 SIDES = ("what_if", "recorded")
 
@@ -50,14 +50,14 @@ def what_if_log(
     progress: Callable[[int], None] | None = None,
     trust_code: bool = False,
 ) -> dict[str, Any]:
-    """Give the controller of another configuration the inputs of a log, and return what it answers.
+    """Run the controller of another configuration on the inputs of a log; return the summary.
 
-    config : a file or the name of a shipped configuration, None: the log's own; words : changes to it, as
-    `controller.wn_rad_s=25`; out : a log of what it answers. Key `success` tells whether the log could be
-    read to its end: differences are no failure.
+    config : a file or the name of a shipped configuration, None: the log's own. words : changes to it, as
+    `controller.wn_rad_s=25`. out : log of the controller's outputs. Key `success` is True if the log could
+    be read to its end: differences are no failure.
 
-    Raises ConfigurationError: a configuration that cannot be used, or to which the inputs mean something
-    else; LogError: as `hil.app.replay.open_replayable`, or a file that exists.
+    Raises ConfigurationError: a configuration that cannot be used, or with which the inputs would have
+    another meaning; LogError: as `hil.app.replay.open_replayable`, or `out` exists.
     """
     if out is not None:
         log_path("", "", out)
@@ -65,8 +65,8 @@ def what_if_log(
     here = changed(own if config is None else load(config), words, own=config is None)
     if config is None and here.controller.law != own.controller.law and own.law_file is not None:
         raise ConfigurationError(
-            f"--set controller.law={here.controller.law}: the log carries {own.controller.law} alone; write "
-            "a configuration with the other law, and name it with --what-if"
+            f"--set controller.law={here.controller.law}: the log contains only the law file of "
+            f"{own.controller.law}; write a configuration with the other law, and give it with --what-if"
         )
     here = law_of_log(here, log, run, trust_code=trust_code)
     refuse_other_inputs(own, here, run["rate_Hz"])
@@ -98,7 +98,7 @@ def what_if_log(
 
 
 def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recording:
-    """Start the recorder of a what-if on a log; it never runs ahead of its reader. Raises LogError."""
+    """Start the recorder of a what-if on a log, in lockstep with its reader. Raises LogError."""
     begins_ns = source.origin_ns
     recording = Recording.start(
         path,
@@ -118,7 +118,7 @@ def _record(here: Configuration, cycle: Cycle, path: Path, source: Log) -> Recor
         lockstep=True,
         ring_ticks=here.recording.ring_ticks,
     )
-    recording.event(begins_ns, "warning", f"a what-if on {source.path.name}, no run. {OPEN_LOOP}")
+    recording.event(begins_ns, "warning", f"a what-if on {source.path.name}, not a run. {OPEN_LOOP}")
     return recording
 
 
@@ -138,17 +138,17 @@ def _answer(
         else:
             recording.ticks_of_items(rows, frames, ends)
 
-    there = "" if recording is None else f"what it answered until then: {recording.path}"
-    with leaving(lambda: there), np.errstate(all="ignore"):  # a law that diverges says so by its fault
+    there = "" if recording is None else f"its outputs until then: {recording.path}"
+    with leaving(lambda: there), np.errstate(all="ignore"):  # a diverging law ends in its fault
         return what_if(log, cycle, observe=observe if recording else None, progress=progress)
 
 
 def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path | None) -> Configuration:
-    """Return a configuration whose files are there: changes of the log's own one take those of the log.
+    """Provide the files of a configuration: changes of the log's own one use the files in the log.
 
-    folder : where these go, None: the configuration has a folder of its own.
+    folder : where these files are written, None: the configuration has a folder of its own.
 
-    Raises ConfigurationError: changes that name a file, or with which the learned feed-forward does not go.
+    Raises ConfigurationError: changes name a file, or do not fit the learned feed-forward.
     """
     if folder is None:
         return here
@@ -156,8 +156,8 @@ def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path 
         there, given = getattr(own, section), getattr(here, section)
         if isinstance(given, kind) and getattr(there, key, None) != getattr(given, key):
             raise ConfigurationError(
-                f"--set {section}.{key}={getattr(given, key)}: the configuration in a log names no file on "
-                "this disk; write a configuration that does, and name it with --what-if"
+                f"--set {section}.{key}={getattr(given, key)}: the configuration in a log cannot refer to a "
+                "file on disk; write a configuration with it, and give it with --what-if"
             )
     given = with_attachments(here, log.attachments, folder)
     try:
@@ -171,10 +171,10 @@ def _with_files(own: Configuration, here: Configuration, log: Log, folder: Path 
 
 
 def _other_files(here: Configuration, log: Log) -> list[str]:
-    """Return which files of a configuration have another content than those of the log."""
+    """Files of a configuration whose content differs from the log's."""
     there, given = log.attachments, dict(attachments(here))
     return [
-        f"{section}.{key}: the file has another content than that of the log"
+        f"{section}.{key}: the content of the file differs from the log's"
         for name, section, key, *_ in NAMED_FILES
         if name in there and there[name] != given.get(name, there[name])
     ]
@@ -183,7 +183,7 @@ def _other_files(here: Configuration, log: Log) -> list[str]:
 def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
     found = [one_line(answer.damage)] if answer.damage else []
     found += [
-        f"{count} ticks missing from tick {tick}: nothing after is answered" for tick, count in answer.gaps
+        f"{count} ticks missing from tick {tick} on; the what-if ends there" for tick, count in answer.gaps
     ]
     if not answer.ticks and not found:
         found.append("the log has no tick")
@@ -193,19 +193,19 @@ def _trouble(answer: Answer, written: LogSummary | None) -> str | None:
 
 
 def _remarks(log: Log, answer: Answer) -> list[str]:
-    """Return what else is to be known of the figures."""
+    """Remarks on the validity of the figures."""
     found = [missing] if (missing := lacking(log)) else []
     frames = answer.first_frames
     if frames is not None and any(each["tick"] > frames.tick for each in answer.answered_faults):
         found.append(
-            f"a fault after tick {frames.tick} may come of the open loop alone: encoders, brakes, following "
-            "error and certificate are judged by the motion that the forces sent should bring about"
+            f"a fault after tick {frames.tick} may be caused by the open loop alone: encoders, brakes, "
+            "tracking error and certificate are compared with the motion expected from the forces sent"
         )
     return found
 
 
 def figures(answer: Answer, rate_Hz: float) -> dict[str, Any]:
-    """Return what was found as plain values, of a loop at `rate_Hz`."""
+    """Results as plain values, of a loop at `rate_Hz`."""
     first = [divergences.place(each, each.first, SIDES) for each in answer.columns.first]
     forces = answer.forces
     return {
@@ -246,10 +246,10 @@ def _frame(frame: Frame | None) -> str | None:
 
 
 def shown(result: dict[str, Any]) -> dict[str, Any]:
-    """Return what a terminal shows below the tables."""
+    """Lines that the terminal shows below the tables."""
     warnings = [
-        f"{name} in {each['answered']} ticks, in the log in {each['recorded']}"
-        + ("" if each["first_tick"] is None else f", first of its own at tick {each['first_tick']}")
+        f"{name} in {each['answered']} ticks, in {each['recorded']} ticks of the log"
+        + ("" if each["first_tick"] is None else f", first difference at tick {each['first_tick']}")
         for name, each in result["warnings"].items()
     ]
     frames = result["first_frames"]
@@ -259,7 +259,7 @@ def shown(result: dict[str, Any]) -> dict[str, Any]:
         "changed": result["changed"] or "nothing",
         "different ticks": result["different_ticks"],
         "first difference": [divergences.sentence(each, SIDES) for each in result["first"]],
-        "first other frames": "none: every tick would have sent the same"
+        "first other frames": "none: all frames would have been the same"
         if frames is None
         else f"tick {frames['tick']} ({frames['time_s']:.3f} s), legs {', '.join(map(str, frames['legs']))}: "
         f"recorded {frames['recorded']}, what-if {frames['what_if']}",
@@ -278,18 +278,18 @@ def _faults(result: dict[str, Any]) -> list[str]:
     tick = result["faults_part_at_tick"]
     if tick is not None:
         lines.append(
-            f"from tick {tick} on one of the two has faulted and the other not: {result['forces']['ticks']} "
-            "ticks are compared until then"
+            f"from tick {tick} on only one of the two has a fault: {result['forces']['ticks']} "
+            "ticks before it are compared"
         )
     return lines
 
 
 def tables(result: dict[str, Any]) -> None:
-    """Print the forces by leg and the columns that differ; nothing where all is the same."""
+    """Print the forces by leg and the columns that differ; nothing if there is no difference."""
     if not result["different_ticks"]:
         return
     forces = result["forces"]
-    print(f"force, what-if less recorded, over {forces['ticks']} of {result['ticks']} ticks:")
+    print(f"force, what-if minus recorded, over {forces['ticks']} of {result['ticks']} ticks:")
     by_leg = (
         Column("leg", str),
         Column("largest N", lambda leg: f"{forces['largest_N'][leg]:.4g}"),
@@ -301,7 +301,7 @@ def tables(result: dict[str, Any]) -> None:
 
 
 def story(result: dict[str, Any]) -> Iterator[str]:
-    """Yield what the faults that are latched in the end have to tell."""
+    """Yield the story of the faults that are latched at the end."""
     if result["what_if_story"] is not None:
-        yield "what the faults of the what-if have to tell:"
+        yield "faults of the what-if:"
         yield from (f"  {line}" for line in result["what_if_story"]["lines"])

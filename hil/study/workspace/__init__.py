@@ -1,5 +1,5 @@
-"""Which poses the platform can reach, and how well it moves and carries there.
+"""Poses that the platform can reach, and its dexterity and leg forces there.
 
-A pose counts as reachable if it can be reached from home, on the path that each file names, without leaving
-the limits: a pose on the far side of a singularity or of a gap does not count, however good its lengths are.
+A pose is reachable if a path from home leads to it within the limits; each file states its paths. A pose
+beyond a singularity or a gap does not count, even if its leg lengths are allowed.
 """

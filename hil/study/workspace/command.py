@@ -1,4 +1,4 @@
-"""`hil workspace CONFIG`: which poses the platform can reach within its limits, as figures and picture."""
+"""`hil workspace CONFIG`: poses that the platform can reach within its limits, as figures and picture."""
 
 import time
 from collections.abc import Callable
@@ -13,9 +13,9 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Problem, parse
 from hil.app.output import further, picture_path
-from hil.study.workspace.explore import Workspace, explore
 from hil.study.workspace.kernels import FORCE, LENGTH
 from hil.study.workspace.limits import CHUNK, KINDS, Limits, Surveyor, WorkspaceError
+from hil.study.workspace.maps import Workspace, explore
 from hil.study.workspace.plot import draw
 
 
@@ -32,8 +32,8 @@ def map_workspace(
 ) -> dict[str, Any]:
     """Map the workspace of a configuration, draw it, and return the summary.
 
-    Raises ConfigurationError where home is outside the limits, WorkspaceError where `position` is not
-    reached, LogError where the picture cannot be written.
+    Raises ConfigurationError: home is outside the limits; WorkspaceError: `position` cannot be reached;
+    LogError: the picture cannot be created.
     """
     begun = time.perf_counter()
     path = picture_path(c.recording.folder, f"{c.name}-workspace", picture)
@@ -60,7 +60,7 @@ def build_surveyor(
     payload_at: tuple[float, float, float] = (0.0, 0.0, 0.0),
     leg_diameter_m: float | None = None,
 ) -> Surveyor:
-    """Limits of a configuration, ready to be used. The ends of the stroke are the soft ones.
+    """Surveyor with the limits of a configuration; the stroke ends at its soft ends.
 
     Raises ConfigurationError: home is outside.
     """
@@ -168,7 +168,7 @@ def _home(s: Surveyor) -> dict[str, Any]:
 
 
 def shown(summary: dict[str, Any]) -> dict[str, Any]:
-    """Summary as it is printed: a sentence for each figure that an engineer needs."""
+    """Summarise for the terminal: a sentence for each figure that an engineer needs."""
     m, o, d, home = (summary[key] for key in ("positions", "orientations", "dexterity", "home"))
     sphere, cylinder = summary["largest_sphere"], summary["largest_cylinder"]
     low, high = cylinder["z_m"]
@@ -188,9 +188,9 @@ def shown(summary: dict[str, Any]) -> dict[str, Any]:
         "condition of J": f"{home['condition_number']:.2f} at home, {number['min']:.2f} to "
         f"{number['max']:.2f}",
         "singularity measure": f"{home['smallest_singular_value']:.3f} at home, down to {least['min']:.3f} "
-        "(smallest singular value of J, lengths made comparable)",
-        "static leg force": f"up to {summary['largest_static_force_N']:.0f} N; home holds a payload of up to "
-        f"{home['largest_payload_kg']:.0f} kg in all, at its place",
+        "(smallest singular value of J with lengths / r)",
+        "static leg force": f"up to {summary['largest_static_force_N']:.0f} N; at home the legs hold "
+        f"a payload of up to {home['largest_payload_kg']:.0f} kg in total, at its place",
         "tilt": f"{o['tilt_every_direction_deg']:.2f} deg in every direction, "
         f"{o['tilt_best_direction_deg']:.2f} in the best, at ({at}) m",
         "torsion": f"{o['torsion_deg'][0]:.2f} to {o['torsion_deg'][1]:.2f} deg",

@@ -1,4 +1,4 @@
-"""Many poses at once: the figures that the limits of the workspace are put on."""
+"""Figures of many poses at once, to which the limits of the workspace apply."""
 
 import numpy as np
 
@@ -22,7 +22,7 @@ COLUMNS = 27
 
 @helper
 def segment_distance(x: Vector, u: Vector, y: Vector, v: Vector) -> float:
-    """Return the smallest distance of the segments x..x+u and y..y+v (Ericson, 2005, 5.1.9)."""
+    """Smallest distance of the segments x..x+u and y..y+v (Ericson, 2005, 5.1.9)."""
     w = sub(x, y)
     uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
     det = uu * vv - uv * uv
@@ -42,7 +42,7 @@ def segment_distance(x: Vector, u: Vector, y: Vector, v: Vector) -> float:
 
 @helper
 def determinant_sign(LU: Array, order: Ints) -> float:
-    """Return the sign of det A, +-1, from its factors P A = L U."""
+    """Sign of det A, +-1, from its factors P A = L U."""
     sign = 1.0
     for i in range(6):
         if LU[i, i] < 0.0:
@@ -65,12 +65,12 @@ def survey_kernel(
     RR: Array,
     out: Array,
 ) -> None:
-    """Fill out (n, 27), a row for each pose: row k of P (n, 3) and, as (3, 3), of RR (n, 9).
+    """Fill out (n, 27), one row per pose: row k of P (n, 3) and, as (3, 3), of RR (n, 9).
 
     ``c``: constants of ``hil.robot.dynamics``. ``payload`` (4,): kg and its place in the platform frame, m.
     ``base_axes`` (6, 3) base frame and ``platform_axes`` (6, 3) platform frame: unit, from base to platform.
-    ``watched`` (6, 6): > 0 where the distance of two legs counts. ``r``: as in ``condition_kernel``.
-    tau = J^-T (G - wrench), wrench that of the payload's weight.
+    ``watched`` (6, 6): > 0 if the distance of two legs counts. ``r``: as in ``condition_kernel``.
+    tau = J^-T (G - wrench), where the wrench is the payload's weight.
     """
     a = c[BASE : BASE + 18].reshape(6, 3)
     b = c[PLATFORM : PLATFORM + 18].reshape(6, 3)

@@ -1,6 +1,6 @@
-"""The limits of a pose: stroke, joint angles, static force, singularity, distance of the legs.
+"""Limits of a pose: stroke, joint angles, static force, singularity, distance of the legs.
 
-All other files ask a `Surveyor` whether a pose is inside.
+All other files test poses with a `Surveyor`.
 """
 
 from collections.abc import Callable
@@ -21,20 +21,20 @@ from hil.study.workspace.kernels import survey_kernel
 Paths = Callable[[Array, Ints], tuple[Array, Array]]
 """(t (n,), which (n,)) -> poses P (n, 3), R (n, 3, 3) or (3, 3): path which[k] at t[k]; t = 0 is inside."""
 FREE = -1
-"""Kind of a path that ends without having met a limit."""
+"""Kind of a path that ends without reaching a limit."""
 KINDS = ("stroke", "joint angle", "force", "singularity", "interference")
 """Names of the limits; a kind is an index into it."""
 SINGULARITY = 3
 CHUNK = 4096
-"""Poses surveyed at once: some 1 MB of figures."""
+"""Poses surveyed at once; their figures take some 1 MB."""
 BISECTIONS = 30
-"""Halvings of a step that leaves the workspace: 1e-9 of the step is left."""
+"""Bisections of a step that leaves the workspace; they find its exit to 1e-9 of the step."""
 
 
 class WorkspaceError(ModelError):
-    """Home, or the pose that was requested, lies outside the limits.
+    """Home, or the requested pose, is outside the limits.
 
-    problems: one for each limit that does not hold.
+    problems : one for each violated limit.
     """
 
     def __init__(self, where: str, problems: tuple[str, ...]) -> None:
@@ -44,7 +44,7 @@ class WorkspaceError(ModelError):
 
 @dataclass(frozen=True)
 class Limits:
-    """What a reachable pose has to keep. None: this limit is not looked at."""
+    """Limits of a reachable pose. None: not checked."""
 
     length_min: float
     """m, each leg."""
@@ -53,22 +53,24 @@ class Limits:
     force: float | None = None
     """N, each leg, to hold platform, legs and payload still."""
     condition: float = 1e9
-    """Bound on the condition of J as `hil.mathematics.linear_algebra.condition_kernel` has it, which is what
-    the controller watches. Crossing a singularity (det J = 0) counts as leaving at any value."""
+    """Bound on the condition of J as `hil.mathematics.linear_algebra.condition_kernel` computes it, also for
+    the controller. Crossing a singularity (det J = 0) violates any bound.
+    """
     base_angle: float | None = None
-    """rad, of each leg to the axis of its base joint."""
+    """rad, between each leg and the axis of its base joint."""
     platform_angle: float | None = None
-    """rad, of each leg to the axis of its platform joint."""
+    """rad, between each leg and the axis of its platform joint."""
     leg_diameter: float | None = None
-    """m; the axes of two legs stay further apart. Pairs whose joints lie closer than that at either end are
-    built to meet and are not looked at."""
+    """m, smallest distance between the axes of two legs. Pairs whose joints are closer than that at an end
+    are built to meet and are not checked.
+    """
 
 
 class Surveyor:
-    """Figures of poses, and whether they keep the limits. Every path begins at home, p (3,) m and R (3, 3).
+    """Figures of poses, and their test against the limits. Every path begins at home, p (3,) m and R (3, 3).
 
-    base_axes, platform_axes: (6, 3), axes of the joints from base to platform, in the frame of the base and
-    of the platform, of any length; default: each leg's own direction at home. payload: kg, on the platform at
+    base_axes, platform_axes : (6, 3), joint axes from base to platform, in the frame of the base and of the
+    platform, of any length; default: each leg's own direction at home. payload : kg, on the platform at
     ``payload_at`` (3,) m, platform frame.
 
     Raises WorkspaceError: home is outside the limits; GeometryError, KinematicsError: an argument is not a
@@ -109,7 +111,7 @@ class Surveyor:
             raise WorkspaceError(f"home, p = {self.p.tolist()} m, is outside the limits", problems)
 
     def survey(self, P: Array, R: Array) -> Array:
-        """Return the figures of poses, (n, 27): columns of `hil.study.workspace.kernels`.
+        """Figures of poses, (n, 27): columns of `hil.study.workspace.kernels`.
 
         P (n, 3) or (3,) m; R (n, 3, 3), or (3, 3) for all.
         """
@@ -121,10 +123,10 @@ class Surveyor:
         return out
 
     def margins(self, figures: Array) -> Array:
-        """Return (n, 5), one column of KINDS each: >= 0 where the limit holds, inf where there is none.
+        """Margins (n, 5), one column per limit of KINDS: >= 0 within the limit, inf without a limit.
 
-        Stroke in shares of the stroke; joint angle as difference of cosines; force and condition in shares
-        of the limit; interference in shares of the diameter. -1 beyond a singularity.
+        Stroke as a share of the stroke; joint angle as difference of cosines; force and condition as shares
+        of the limit; interference as a share of the diameter. -1 beyond a singularity.
         """
         m = np.full((len(figures), len(KINDS)), np.inf)
         lim = self.limits
@@ -147,7 +149,7 @@ class Surveyor:
         return m
 
     def inside(self, P: Array, R: Array) -> Flags:
-        """Return (n,): whether each pose keeps all limits and lies on home's side of det J = 0."""
+        """Mask (n,) of the poses within all limits and on home's side of det J = 0."""
         found: Flags = np.ones(len(P), np.bool_)
         for k in range(0, len(P), CHUNK):
             part = R if R.ndim == 2 else R[k : k + CHUNK]
@@ -155,9 +157,10 @@ class Surveyor:
         return found
 
     def first_exit(self, paths: Paths, count: int, step: float, end: float) -> tuple[Array, Ints]:
-        """Return for each path the last t inside, at most ``end``, and the kind of limit met there.
+        """Last t inside of each path, at most ``end``, and the kind of limit that it meets there.
 
-        Followed in steps, the one that leaves is bisected: a gap shorter than ``step`` may be missed.
+        Paths are followed in steps, and the step that leaves is bisected: a gap shorter than ``step`` may be
+        missed.
         """
         low, high = np.zeros(count), np.full(count, np.nan)
         going = np.arange(count)
@@ -186,12 +189,12 @@ class Surveyor:
         return self.first_exit(lines, len(start), step, end)
 
     def dexterity(self, P: Array, R: Array) -> tuple[Array, Array]:
-        """Return condition number (n,) and smallest singular value (n,) of J diag(1, 1, 1, 1/r, 1/r, 1/r).
+        """Condition number (n,) and smallest singular value (n,) of J diag(1, 1, 1, 1/r, 1/r, 1/r).
 
-        r is ``platform.radius``, so that all columns count displacements of the platform joints' circle and
-        both figures have no unit. The smallest singular value is the measure of singularity: the least rate
-        of the legs together for a unit rate of the platform; its reciprocal bounds the leg forces that a
-        unit load can cause. The condition number is the 2-norm's (Merlet, Parallel Robots, 2006, 5.5).
+        r is ``platform.radius``, so that all columns are displacements of the platform joints' circle and
+        both figures have no unit. The smallest singular value measures the distance to a singularity: it is
+        the least norm of the leg rates at a unit rate of the platform. Its reciprocal bounds the leg forces
+        of a unit load. The condition number is that of the 2-norm (Merlet, Parallel Robots, 2006, 5.5).
         """
         r = self.platform.platform_joints @ np.swapaxes(R, -1, -2)
         d = P[:, None] + r - self.platform.base_joints
@@ -201,9 +204,9 @@ class Surveyor:
         return sigma[:, 0] / sigma[:, 5], sigma[:, 5]
 
     def largest_payload(self) -> float:
-        """Return the mass (kg) at the payload's place, its own included, that the legs can hold at home.
+        """Largest mass, kg, at the payload's place that the legs can hold at home, the payload included.
 
-        inf without limit.
+        inf without a limit of force.
         """
         limit = self.limits.force
         if limit is None:
@@ -246,7 +249,7 @@ def levels(below: float, above: float, count: int) -> Array:
 
 
 def _distinct(platform: Platform, diameter: float) -> Array:
-    """Return (6, 6): 1 where two legs have joints further apart than the diameter at both ends."""
+    """Matrix (6, 6): 1 if the joints of two legs are further apart than the diameter at both ends."""
     apart = np.ones((6, 6))
     for joints in (platform.base_joints, platform.platform_joints):
         apart *= np.linalg.norm(joints[:, None] - joints[None, :], axis=2) > diameter

@@ -1,6 +1,6 @@
-"""Rotations at one position: how far the platform tilts in each direction, and turns about its own axis.
+"""Rotations at one position: the tilt in each direction, and the torsion about the platform's own axis.
 
-Path: turn by the torsion without tilt, then tilt.
+Path: torsion without tilt, then tilt.
 
 Tilt and torsion (Bonev and Ryu, 2001): R = R_home Rz(phi) Ry(theta) Rz(sigma - phi). The platform's z axis
 leans by the tilt theta towards the azimuth phi, with the torsion sigma about it; all zero at home.
@@ -18,7 +18,7 @@ from hil.study.workspace.limits import FREE, KINDS, Surveyor, WorkspaceError, le
 from hil.study.workspace.position import PositionMap
 
 STEP = np.deg2rad(1.0)
-"""Of the paths."""
+"""Step along a path."""
 LEVELS = 24
 """Torsions on either side of zero."""
 
@@ -31,13 +31,13 @@ class OrientationMap(NamedTuple):
     azimuth: Array
     """(n,) phi."""
     torsion: Array
-    """(m,) sigma, from the least to the largest that is reached without tilt; zero is in the middle."""
+    """(m,) sigma, from the smallest to the largest reached without tilt; zero is in the middle."""
     tilt: Array
     """(m, n) largest theta at each torsion and azimuth."""
     kinds: Ints
-    """(m, n) index into KINDS, or FREE where the tilt ends at 180 degrees."""
+    """(m, n) index into KINDS, or FREE if the tilt reaches 180 degrees."""
     torsion_kinds: tuple[int, int]
-    """The limits met by the least and the largest torsion."""
+    """Limits at the smallest and the largest torsion."""
 
     @property
     def level(self) -> Array:
@@ -47,7 +47,7 @@ class OrientationMap(NamedTuple):
 
     @property
     def guaranteed(self) -> Array:
-        """Tilt (m,) that is free in all directions, at each torsion."""
+        """Tilt (m,) possible in all directions, at each torsion."""
         tilt: Array = self.tilt.min(axis=1)
         return tilt
 
@@ -66,8 +66,8 @@ def map_orientations(
 ) -> OrientationMap:
     """Map the rotations that can be reached at a position (3,) m, default home's.
 
-    The position itself has to be reached at home's orientation: on a straight line from the nearest of home
-    and the nodes of ``positions``. Raises WorkspaceError: it is not; with the limit that the line meets.
+    The position itself must be reachable at home's orientation: on a straight line from home or the nearest
+    of the nodes of ``positions``. Raises WorkspaceError: the line meets a limit.
     """
     p = surveyor.p if position is None else check_vector("position", position, 3)
     known = surveyor.p[None] if positions is None else np.vstack([surveyor.p, positions.nodes])

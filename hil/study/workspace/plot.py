@@ -1,4 +1,4 @@
-"""The workspace as a picture: three sections, what limits them, tilt and torsion."""
+"""Picture of the workspace: three sections with the limits on their edges, tilt and torsion."""
 
 from pathlib import Path
 from typing import Any
@@ -6,16 +6,16 @@ from typing import Any
 import numpy as np
 
 from drivers.files import whole_file
-from hil.study.workspace.explore import Workspace
 from hil.study.workspace.limits import FREE, KINDS
+from hil.study.workspace.maps import Workspace
 from hil.study.workspace.position import CrossSection
 
 COLOURS = ("tab:red", "tab:purple", "tab:orange", "black", "tab:cyan")
-"""Of KINDS, in their order."""
+"""Colours of KINDS, in their order."""
 
 
 def draw(w: Workspace, path: Path, title: str) -> Path:
-    """Draw a workspace into a PNG file. Raises OSError where it cannot be written."""
+    """Draw a workspace into a PNG file. Raises OSError: it cannot be written."""
     from matplotlib.figure import Figure  # noqa: PLC0415 - half a second
     from matplotlib.lines import Line2D  # noqa: PLC0415
 

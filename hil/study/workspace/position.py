@@ -1,6 +1,6 @@
-"""Translations at home's orientation: a grid flooded from home, its boundary, its volume, its sections.
+"""Translations at home's orientation: a grid, flood-filled from home, its boundary, volume and sections.
 
-Path: along the grid, from node to neighbour; a step counts if its middle and its end keep all limits.
+Path: along the grid, from node to neighbour; a step counts if its middle and its end are within all limits.
 """
 
 from typing import NamedTuple
@@ -13,55 +13,55 @@ from hil.study.workspace.limits import KINDS, Surveyor, WorkspaceError
 
 PLANES = (("x", "z"), ("y", "z"), ("x", "y"))
 ZOOMS = 6
-"""Coarse floods that look for the box of the workspace."""
+"""Coarse flood fills that find the box of the workspace."""
 COARSE = 16
-"""Their steps along the longest side."""
+"""Steps of a coarse flood fill along the longest side."""
 
 
 class Flood(NamedTuple):
-    """A grid flooded from home. Arrays over the grid have one axis for each direction of the grid."""
+    """A grid flood-filled from home. Arrays over the grid have one axis for each direction of the grid."""
 
     axes: tuple[Array, ...]
     """Coordinates of the nodes along each direction, m, relative to home."""
     reached: Flags
     crossings: tuple[Array, ...]
-    """Along each direction: (n, 3) of points where a step leaves the workspace, relative to home, m."""
+    """Along each direction: points (n, 3) m, relative to home, where a step leaves the workspace."""
     kinds: tuple[Ints, ...]
-    """The limit that stops each of these steps."""
+    """Limit that stops each of these steps."""
     lengths: Array
-    """Over the grid of x and y: length of its line along z inside, m."""
+    """Over the grid of x and y: length, m, inside the workspace of the grid's line along z."""
 
 
 class PositionMap(NamedTuple):
     """Constant-orientation workspace at home's orientation, base frame."""
 
     step: float
-    """m, of the grid."""
+    """Step of the grid, m."""
     flood: Flood
     points: Array
     """(n, 3) m, on the boundary to 1e-9 of a step, just inside."""
     kinds: Ints
-    """(n,) index into KINDS: the limit met there."""
+    """(n,) index into KINDS: limit at the point."""
     volume: float
     """m^3."""
     volume_error: float
-    """m^3: how far the volume from a quarter of the lines, twice as far apart, lies away. No bound."""
+    """m^3: largest difference from the volumes of a quarter of the lines, twice as far apart. Not a bound."""
     volumes: tuple[tuple[float, float], ...]
-    """(step, volume) of every fourth line, every second, all: how it converges."""
+    """(step, volume) from every fourth line, every second, all: shows the convergence."""
     extents: Array
     """(3, 2) m, lowest and highest x, y, z."""
     nodes: Array
-    """(n, 3) m, grid nodes reached."""
+    """(n, 3) m, reached nodes of the grid."""
 
     @property
     def shares(self) -> dict[str, float]:
-        """Share of the boundary that each kind of limit makes up, seen along the grid's lines."""
+        """Share of each kind of limit in the boundary, counted along the grid's lines."""
         counts = np.bincount(self.kinds, minlength=len(KINDS))
         return {kind: float(n) / max(len(self.kinds), 1) for kind, n in zip(KINDS, counts, strict=True)}
 
 
 class CrossSection(NamedTuple):
-    """A plane of the grid through home."""
+    """A section of the grid through home."""
 
     plane: tuple[str, str]
     u: Array
@@ -69,7 +69,7 @@ class CrossSection(NamedTuple):
     v: Array
     """(m,) m, second coordinate."""
     condition: Array
-    """(n, m), 2-norm condition number; nan where not reached."""
+    """(n, m), 2-norm condition number; NaN if not reached."""
     points: Array
     """(k, 2) m, on the boundary."""
     kinds: Ints
@@ -79,10 +79,10 @@ class CrossSection(NamedTuple):
 def map_positions(surveyor: Surveyor, resolution: int = 40) -> PositionMap:
     """Map the translations that can be reached from home with home's orientation.
 
-    Grid: home is a node; ``resolution`` steps along the longest side of the workspace's box. The volume is
-    the sum of the lengths of the grid's lines along z inside, whose ends are exact.
+    The grid has a node at home and ``resolution`` steps along the longest side of the workspace's box. The
+    volume is the sum of the lengths inside of the grid's lines along z, whose ends are exact.
 
-    Raises WorkspaceError: the lengths leave no room at all about home.
+    Raises WorkspaceError: the leg lengths leave no room about home.
     """
     whole = stroke_box(surveyor)
     low, high = whole
@@ -101,7 +101,7 @@ def map_positions(surveyor: Surveyor, resolution: int = 40) -> PositionMap:
 
 
 def stroke_box(surveyor: Surveyor) -> tuple[Array, Array]:
-    """Lower and upper corner (3,) m, relative to home: no leg can be short enough outside."""
+    """Lower and upper corner (3,) m, relative to home, of a box outside which some leg is too long."""
     R, lim = surveyor.R, surveyor.limits
     centres = surveyor.platform.base_joints - surveyor.platform.platform_joints @ R.T
     low = np.minimum((centres - lim.length_max).max(axis=0) - surveyor.p, 0.0)
@@ -112,10 +112,10 @@ def stroke_box(surveyor: Surveyor) -> tuple[Array, Array]:
 
 
 def flood_grid(surveyor: Surveyor, low: Array, high: Array, step: float) -> Flood:
-    """Flood a grid of translations about home, with a node there, that covers a box and a step more.
+    """Flood-fill a grid of translations with a node at home; it covers a box and one step more.
 
-    A node is reached if neighbours lead there, each step with end and middle inside the limits; a step over
-    a singularity does not count, since det J has another sign beyond it.
+    A node is reached from a neighbour if the end and the middle of the step are inside the limits. A step
+    over a singularity does not count, since det J changes its sign there.
     """
     first, last = np.floor(low / step) - 1, np.ceil(high / step) + 1
     axes = tuple(step * np.arange(a, b + 1, dtype=np.float64) for a, b in zip(first, last, strict=True))
@@ -157,7 +157,7 @@ def _along(k: int, part: slice, rest: slice = slice(None)) -> tuple[slice, ...]:
 
 
 def cut(surveyor: Surveyor, positions: PositionMap, plane: tuple[str, str]) -> CrossSection:
-    """Section of the workspace through home."""
+    """Section of the workspace in a plane through home."""
     u, v = ("xyz".index(name) for name in plane)
     normal, flood = 3 - u - v, positions.flood
     home = int(np.argmin(np.abs(flood.axes[normal])))
@@ -182,7 +182,7 @@ def _measure(surveyor: Surveyor, flood: Flood, step: float) -> PositionMap:
     home = [int(np.argmin(np.abs(x))) for x in flood.axes]
 
     def volume(n: int, i: int = 0, j: int = 0) -> float:
-        """Of every n-th line, counted from home and an offset."""
+        """Volume from every n-th line, counted from home and an offset."""
         lines = flood.lengths[(home[0] + i) % n :: n, (home[1] + j) % n :: n]
         return float(lines.sum()) * (step * n) ** 2
 

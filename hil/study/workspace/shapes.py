@@ -1,4 +1,4 @@
-"""The largest sphere and cylinder of translations about home: room that is free in every direction.
+"""Largest sphere and cylinder of translations about home, free in every direction.
 
 Paths: straight lines from home, or from the cylinder's axis.
 """
@@ -12,9 +12,9 @@ from hil.study.workspace.limits import Surveyor, levels
 
 DIRECTIONS = 1000
 CAPS = 6
-"""Rounds of refinement about the shortest ray, each in a cap a quarter as wide."""
+"""Refinements about the shortest ray, each in a cap a quarter as wide."""
 LAYERS = 30
-"""Heights looked at on either side of home."""
+"""Heights tested on either side of home."""
 AZIMUTHS = 36
 
 
@@ -23,13 +23,13 @@ class Sphere(NamedTuple):
 
     radius: float
     direction: Array
-    """(3,) unit, towards the point that is met first."""
+    """(3,) unit, of the shortest ray."""
     kind: int
-    """Index into KINDS: the limit there."""
+    """Index into KINDS: limit at the end of that ray."""
 
 
 class Cylinder(NamedTuple):
-    """Vertical (base frame z), its axis through home."""
+    """Vertical cylinder (base frame z) with its axis through home."""
 
     radius: float
     """m."""
@@ -40,14 +40,14 @@ class Cylinder(NamedTuple):
 
     @property
     def volume(self) -> float:
-        """Return pi r^2 h, m^3."""
+        """Volume pi r^2 h, m^3."""
         return float(np.pi * self.radius**2 * (self.high - self.low))
 
 
 def largest_sphere(surveyor: Surveyor, step: float, reach: float) -> Sphere:
-    """Return the largest sphere about home's position, at home's orientation, whose rays stay inside.
+    """Largest sphere about home's position, at home's orientation, whose rays stay inside.
 
-    ``step``: m, along the rays; ``reach``: m, no ray is followed further.
+    ``step``: m, along the rays; ``reach``: m, largest length of a ray.
     """
     directions = fibonacci(DIRECTIONS)
     width = 2.0 / np.sqrt(DIRECTIONS)
@@ -64,10 +64,10 @@ def largest_sphere(surveyor: Surveyor, step: float, reach: float) -> Sphere:
 
 
 def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
-    """Return the vertical cylinder of most volume about home's axis, at home's orientation.
+    """Vertical cylinder of largest volume about home's axis, at home's orientation.
 
-    Its axis and the radii at 2 x LAYERS heights and AZIMUTHS directions stay inside; the one found is then
-    looked at again with eight times as many directions.
+    Its axis and its radii at 2 x LAYERS heights and AZIMUTHS directions stay inside. The result is checked
+    with eight times as many directions, and its radius reduced if needed.
     """
     up = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
     (above, below), _ = surveyor.rays(np.zeros((2, 3)), up, step, reach)
@@ -86,7 +86,7 @@ def largest_cylinder(surveyor: Surveyor, step: float, reach: float) -> Cylinder:
 
 
 def fibonacci(count: int) -> Array:
-    """Return (count, 3) unit vectors spread evenly over the sphere, poles included."""
+    """Spread unit vectors (count, 3) evenly over the sphere, poles included."""
     k = np.arange(count)
     z = 1.0 - 2.0 * k / (count - 1)
     rho = np.sqrt(np.maximum(1.0 - z * z, 0.0))
@@ -95,7 +95,7 @@ def fibonacci(count: int) -> Array:
 
 
 def _radii(surveyor: Surveyor, z: Array, azimuths: int, step: float, reach: float) -> Array:
-    """Return (n,) m: the free radius at each height."""
+    """Free radius (n,) m at each height."""
     phi = 2.0 * np.pi * np.arange(azimuths) / azimuths
     rim = np.stack([np.cos(phi), np.sin(phi), np.zeros(azimuths)], axis=1)
     start = np.zeros((len(z) * azimuths, 3))

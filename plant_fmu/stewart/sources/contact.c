@@ -9,13 +9,13 @@
  * With w = c + h A f the rates at the end of the step (c the rates without f), stick-slip is
  *   minimise f.(h A f)/2 + c.f  subject to |f| <= friction,
  * and a stop adds a row with the compliance 1/(h k + d) and one open bound. The matrix is symmetric and positive
- * definite, so the solution is unique: nothing has to be remembered from the step before.
+ * definite, so the solution is unique: no state is needed from the previous step.
  */
 #include "plant.h"
 
 #include <math.h>
 
-#define ROWS (3 * LEGS) /* of a leg: friction and both stops, where it crosses its whole stroke in one step */
+#define ROWS (3 * LEGS) /* per leg: friction and both stops, if it crosses its whole stroke in one step */
 
 enum { FREE, AT_LOW, AT_HIGH };
 
@@ -24,7 +24,7 @@ typedef struct {
     double c[ROWS], low[ROWS], high[ROWS], f[ROWS], H[ROWS][ROWS];
 } Programme;
 
-/* Solve the rows that are free, the others fixed at their bounds. */
+/* Solve for the free rows; the others are fixed at their bounds. */
 static int solve_free(Programme *q, const int state[ROWS])
 {
     int index[ROWS], n = 0;
@@ -55,7 +55,7 @@ static int solve_free(Programme *q, const int state[ROWS])
     return 0;
 }
 
-/* Change the state of every row that breaks its law, or only of the first one. Returns how many broke it. */
+/* Change the state of all rows that violate their law, or only of the first. Returns the number of violations. */
 static int pivot(const Programme *q, int state[ROWS], int first_only)
 {
     int broken = 0;
@@ -114,10 +114,10 @@ void contact_forces(const Values *v, const Equations *e, double h, double tau[LE
             for (int r = 0; r < 6; r++) A += e->J[r][q.leg[k]] * Y[leg][r];
             q.H[i][k] = q.H[k][i] = h * A;
         }
-        /* The last term keeps the matrix regular at a singular pose: a creep of 1e-12 of the free rate. */
+        /* The last term keeps the matrix regular at a singular pose; it causes a creep of 1e-12 of the free rate. */
         q.H[i][i] = q.H[i][i] * (1.0 + 1e-12) + compliance;
     }
-    /* Block pivoting ends in two or three rounds; least-index pivoting, which always ends, is the reserve.
+    /* Block pivoting ends in two or three rounds; least-index pivoting, which always ends, is the fallback.
      * A stop starts open. */
     for (int i = 0; i < q.n; i++) state[i] = q.low[i] == 0.0 ? AT_LOW : q.high[i] == 0.0 ? AT_HIGH : FREE;
     for (int round = 0; round < 200; round++)

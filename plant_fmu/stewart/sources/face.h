@@ -1,9 +1,9 @@
-/* What both FMI faces share: an instance, its log and saved state, how values are got and set, and functions that
- * this FMU has no use for. Every binary has one face.
- * A face defines before: Ref and Logger; LOG(instance, message), which calls the logger; STANDARD(name), as fmi2Name;
- * FMI(name), with the importer's prefix; STATE(before, after), as before ## FMUstate ## after, and DESERIALISE, the
- * standard's words; TYPE_OF(ref), -1 for an unknown one; OFFSET(ref) and COUNT(ref), the elements of a value
- * reference in Plant.v; VALUES(T), the parameters that hold them, and N_GIVEN of them. */
+/* Common part of both FMI interfaces: an instance, its log and saved state, reading and writing of values, and
+ * unsupported functions. Every binary has one of the interfaces.
+ * The including file first defines: Ref and Logger; LOG(instance, message), which calls the logger; STANDARD(name),
+ * as fmi2Name; FMI(name), with the importer's prefix; STATE(before, after), as before ## FMUstate ## after, and
+ * DESERIALISE, both as the standard spells them; TYPE_OF(ref), -1 for an unknown one; OFFSET(ref) and COUNT(ref), the
+ * elements of a value reference in Plant.v; VALUES(T), the parameters for the values, and N_GIVEN, their number. */
 #ifndef STEWART_FACE_H
 #define STEWART_FACE_H
 
@@ -26,7 +26,7 @@
 #define TEXT2(name) #name
 #define TEXT(name) TEXT2(name)
 
-/* The standard fixes the signatures: a parameter without use is no mistake. */
+/* The standard fixes the signatures, so some parameters are unused. */
 #pragma GCC diagnostic ignored "-Wunused-parameter"
 
 /* Numbers of both standards' status enumerations. */
@@ -35,17 +35,17 @@ typedef enum { OK = 0, ERROR = 3 } Status;
 typedef struct {
     Plant plant;
     char name[128];
-    void *environment; /* given back to the importer's logger */
+    void *environment; /* argument for the importer's logger */
     Logger logger;
 } Instance;
 
-/* A saved state: a copy of the plant behind a header that names this build. */
+/* A saved state: a header that identifies this build, then a copy of the plant. */
 typedef struct {
     char token[48];
     Plant plant;
 } Saved;
 
-/* An error is always reported: whoever asked for no log still has to learn why a call failed. */
+/* An error is always reported, also without logging: the importer needs the reason for a failed call. */
 static Status instance_fail(const Instance *instance, const char *message)
 {
     if (instance && instance->logger) LOG(instance, message);
@@ -59,7 +59,7 @@ static Status instance_unsupported(const Instance *instance, const char *functio
     return instance_fail(instance, text);
 }
 
-/* NULL for the token of another build, and where the importer asks for what is `unsupported`. */
+/* NULL for the token of another build, and if the importer requests something `unsupported`. */
 static Instance *instance_new(const char *name, const char *token, void *environment, Logger logger,
                               const char *unsupported)
 {
@@ -177,14 +177,14 @@ SHARED(DESERIALISE)(const Instance *instance, const Saved *bytes, size_t size, S
 {
     if (!instance || !bytes || !state) return ERROR;
     if (size != sizeof *bytes || strncmp(bytes->token, TOKEN, sizeof bytes->token) != 0)
-        return instance_fail(instance, "these bytes are no state of this build");
+        return instance_fail(instance, "these bytes are not a state of this build");
     if (!*state) *state = malloc(sizeof *bytes);
     if (!*state) return instance_fail(instance, "no memory for the state");
     memcpy(*state, bytes, sizeof *bytes);
     return OK;
 }
 
-/* All references known, of this type, and together as long as the list of values. */
+/* Check that all references are known and of this type, and that their elements are as many as the values. */
 static Status fits(const Instance *instance, const Ref vr[], size_t n, size_t n_values, int type)
 {
     size_t total = 0;
@@ -222,8 +222,8 @@ static Status fits(const Instance *instance, const Ref vr[], size_t n, size_t n_
         return OK;                                                                                                 \
     }
 
-/* Functions of the standard that this FMU has no use for, and those of a type without variables, where an empty
- * list is no error. They name the parameters that they look at: on all our targets the caller removes the rest. */
+/* Functions of the standard that this FMU does not support, and functions of types without variables, which accept
+ * an empty list. They declare only the parameters that they read: on all our targets the caller removes the rest. */
 #define UNSUPPORTED(function) \
     SHARED(function)(const Instance *instance) { return instance_unsupported(instance, TEXT(STANDARD(function))); }
 #define BOTH_UNSUPPORTED(what) UNSUPPORTED(Get##what) UNSUPPORTED(Set##what)

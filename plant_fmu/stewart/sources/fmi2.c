@@ -1,4 +1,4 @@
-/* FMI 2.0 face: every function of the standard, co-simulation. Value reference = place in Plant.v. */
+/* FMI 2.0 interface: every function of the standard, co-simulation. Value reference = place in Plant.v. */
 #ifndef FMI2_FUNCTION_PREFIX
 #define FMI2_FUNCTION_PREFIX
 #endif
@@ -41,7 +41,7 @@ API FMI(fmi2SetupExperiment)(Instance *instance, int tolerance_defined, double t
                              int stop_defined, double stop)
 {
     if (!instance || instance->plant.mode != INSTANTIATED)
-        return instance_fail(instance, "the experiment is set up already");
+        return instance_fail(instance, "the experiment is already set up");
     if (!isfinite(start)) return instance_fail(instance, "the start time is not finite");
     instance->plant.start_time = instance->plant.v.time = start;
     return OK;
@@ -64,7 +64,7 @@ API FMI(fmi2DoStep)(Instance *instance, double time, double dt, int no_set_state
     return instance_step(instance, time, dt);
 }
 
-/* No step is ever pending; status and last time are known after every step all the same. */
+/* No step is ever pending, but status and last time are available after every step. */
 #define KNOWN(function, asked, T, known)                                                                         \
     SHARED(function)(const Instance *instance, int kind, T *value)                                               \
     {                                                                                                            \

@@ -1,4 +1,4 @@
-/* FMI 3.0 face: every function of the standard, co-simulation. Value reference = row of VARIABLES. */
+/* FMI 3.0 interface: every function of the standard, co-simulation. Value reference = row of VARIABLES. */
 #include <stdbool.h>
 #include <stdint.h>
 
@@ -71,7 +71,7 @@ WITHOUT(Int32)
 WITHOUT(UInt32)
 WITHOUT(UInt64)
 
-/* The rest of the standard that this FMU has no use for. */
+/* Other functions of the standard that this FMU does not support. */
 BOTH_UNSUPPORTED(Binary)
 BOTH_UNSUPPORTED(Clock)
 BOTH_UNSUPPORTED(IntervalDecimal)

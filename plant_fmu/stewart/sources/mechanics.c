@@ -40,7 +40,7 @@ static inline Vec rotate(const double R[9], Vec a)
     return (Vec){dot(vec(R), a), dot(vec(R + 3), a), dot(vec(R + 6), a)};
 }
 
-/* Of leg i, from and to an array that has all legs component by component. */
+/* Read and write leg i in an array by component, then leg. */
 static inline Vec leg(double (*a)[LEGS], int i) { return (Vec){a[0][i], a[1][i], a[2][i]}; }
 static inline void put(double (*a)[LEGS], int i, Vec b) { a[0][i] = b.x, a[1][i] = b.y, a[2][i] = b.z; }
 
@@ -58,7 +58,7 @@ void rotation_of(const double q[4], double R[9])
 
 void quaternion_of(const double R[9], double q[4])
 {
-    /* q times each of its components; taken from the largest, so that no small number is divided by. */
+    /* q times each of its components; the largest is the divisor, so that no divisor is small. */
     const double trace = R[0] + R[4] + R[8];
     const double products[4][4] = {{1.0 + trace, R[7] - R[5], R[2] - R[6], R[3] - R[1]},
                                    {R[7] - R[5], 1.0 + R[0] - R[4] - R[8], R[1] + R[3], R[2] + R[6]},
@@ -105,7 +105,7 @@ static void rotated_inertia(const double R[9], const double I[9], double out[9])
                 T[3 * i] * R[3 * j] + T[3 * i + 1] * R[3 * j + 1] + T[3 * i + 2] * R[3 * j + 2];
 }
 
-/* M = L D L^T in place of the lower triangle; d holds 1/D. */
+/* M = L D L^T, stored in the lower triangle; d holds 1/D. */
 static int factorise(double L[6][6], double d[6])
 {
     for (int j = 0; j < 6; j++) {
@@ -151,7 +151,7 @@ static void add_spin(const Plant *plant, int i, Equations *eq)
         for (int k = 0; k <= r; k++) eq->L[r][k] += Ia * N[r] * N[k];
 }
 
-/* What the legs are at rest and in motion, without the platform's acceleration. */
+/* Leg inertias and forces without the platform's acceleration. */
 static void leg_forces(const Values *restrict body, const Motion *restrict x, Equations *restrict e)
 {
     const double m1 = body->cylinder_mass, m2 = body->rod_mass;
@@ -175,7 +175,7 @@ static void leg_forces(const Values *restrict body, const Motion *restrict x, Eq
     }
 }
 
-/* What the legs add to the platform's equations. */
+/* Contribution of the legs to the platform's equations. */
 static void leg_products(Equations *restrict e)
 {
     for (int i = 0; i < LEGS; i++) {
@@ -188,7 +188,7 @@ static void leg_products(Equations *restrict e)
     }
 }
 
-/* sum + part_1 + a_1 b_1 + part_2 + a_2 b_2 ..., leg after leg; without part where it is NULL. */
+/* sum + part_1 + a_1 b_1 + part_2 + a_2 b_2 ..., leg after leg; no part if it is NULL. */
 static inline double summed(double sum, const double *part, const double a[LEGS], const double b[LEGS])
 {
     for (int i = 0; i < LEGS; i++) {

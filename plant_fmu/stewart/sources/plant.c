@@ -76,7 +76,7 @@ static int take_parameters(Plant *plant, char *why)
     const Values *v = &plant->v;
     if (!(v->mass > 0.0)) return refuse(why, "mass = %g kg: it must be positive", v->mass);
     if (!physical(v->inertia))
-        return refuse(why, "inertia is no inertia of a body: it must be symmetric, positive and obey the triangle "
+        return refuse(why, "inertia is not that of a body: it must be symmetric, positive and obey the triangle "
                            "inequality of its principal moments");
     if (v->cylinder_inertia[0] > 2.0 * v->cylinder_inertia[1] * (1.0 + 1e-9) ||
         v->rod_inertia[0] > 2.0 * v->rod_inertia[1] * (1.0 + 1e-9))
@@ -107,7 +107,8 @@ static int take_initial_state(Plant *plant, char *why)
         for (int j = 0; j <= i; j++) {
             const double product = R[3 * i] * R[3 * j] + R[3 * i + 1] * R[3 * j + 1] + R[3 * i + 2] * R[3 * j + 2];
             if (fabs(product - (i == j)) > 1e-6)
-                return refuse(why, "initial_rotation is no rotation: row %d times row %d is %g", i + 1, j + 1, product);
+                return refuse(why, "initial_rotation is not a rotation: row %d times row %d is %g", i + 1, j + 1,
+                              product);
         }
     if (R[0] * (R[4] * R[8] - R[5] * R[7]) - R[1] * (R[3] * R[8] - R[5] * R[6]) + R[2] * (R[3] * R[7] - R[4] * R[6]) < 0)
         return refuse(why, "initial_rotation is a reflection: its determinant is -1");
@@ -136,7 +137,7 @@ int plant_initialise(Plant *plant, char *why)
     return 0;
 }
 
-/* dtwist under the drives' forces, viscous friction and contact forces; where `h` > 0 these are found first. */
+/* dtwist under the drives' forces, viscous friction and contact forces; if `h` > 0, the latter are computed first. */
 static int accelerate(const Plant *plant, const Motion *x, const double force[LEGS], double h, double contact[LEGS],
                       double dtwist[6])
 {
@@ -195,7 +196,7 @@ static int internal_step(Plant *plant)
     memcpy(plant->applied, end, sizeof end);
     plant->steps++;
     for (int i = 0; i < STATES; i++) sum += 0.0 * x[i];
-    return sum == 0.0 ? 0 : -1; /* not where any is infinite or no number */
+    return sum == 0.0 ? 0 : -1; /* -1 if any is infinite or NaN */
 }
 
 int plant_step(Plant *plant, double time, double dt, char *why)
@@ -205,10 +206,10 @@ int plant_step(Plant *plant, double time, double dt, char *why)
     if (!isfinite(time) || !isfinite(dt) || dt < 0.0)
         return refuse(why, "a step of %g s from %g s: both must be finite and the step not negative", dt, time);
     if (fabs(time - now) > 1e-9 * h + 4.0 * rounding + 1e-9 * fabs(now))
-        return refuse(why, "the step starts at %.12g s but the plant stands at %.12g s", time, now);
+        return refuse(why, "the step starts at %.12g s but the plant is at %.12g s", time, now);
     const double count = floor(dt / h + 0.5);
     if (fabs(dt - count * h) > 1e-9 * dt + rounding || count > 1e12)
-        return refuse(why, "a step of %.12g s is no multiple of internal_step = %.12g s", dt, h);
+        return refuse(why, "a step of %.12g s is not a multiple of internal_step = %.12g s", dt, h);
     const Motion x = plant->x;
     const long long steps = plant->steps;
     double applied[LEGS];
@@ -238,7 +239,7 @@ int plant_refresh(Plant *plant, int place, char *why)
         leg_kinematics(plant, &plant->x, &e);
         memcpy(v->length, e.l, sizeof e.l);
         memcpy(v->rate, e.dl, sizeof e.dl);
-        /* An ideal drive applies its command at once. */
+        /* A drive without force lag applies its command at once. */
         memcpy(v->applied_force, plant->decay == 0.0 ? v->force : plant->applied, sizeof plant->applied);
         memcpy(v->position, plant->x.p, sizeof plant->x.p);
         rotation_of(plant->x.q, v->rotation);

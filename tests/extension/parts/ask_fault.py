@@ -1,4 +1,4 @@
-"""Run in the copy: what each drive gives of its command under the new fault, as one line of JSON."""
+"""Runs in the copy: share of its command that each drive applies under the new fault, as one line of JSON."""
 
 import json
 

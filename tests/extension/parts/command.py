@@ -1,4 +1,4 @@
-"""`hil lengths`."""
+"""The command `hil lengths`."""
 
 from __future__ import annotations
 

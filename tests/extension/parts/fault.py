@@ -1,4 +1,4 @@
-"""A drive that gives less than it should."""
+"""Fault: a drive that applies less than its commanded force."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ from plant_fmu.faults.fault import LegFault, Present
 
 
 class Derated(LegFault, kind="derated"):
-    """The leg's force is this share of what its drive means to apply."""
+    """The leg's force is this share of the force that its drive would apply."""
 
     share: float = 0.5
 
     def act(self, present: Present) -> None:
-        """Several shares multiply."""
+        """Apply the share; several faults multiply."""
         present.gain[self.leg] *= self.share

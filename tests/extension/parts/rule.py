@@ -1,4 +1,4 @@
-"""Rule on the height: a hall has a ceiling."""
+"""Safety rule for the height of the platform under a ceiling."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ CEILING_m = 1.15
 
 @helper
 def too_high(z: float) -> bool:
-    """Tell whether the platform origin is above the ceiling; z m in the base frame."""
+    """True if the platform origin is above the ceiling; z m in the base frame."""
     return not z <= CEILING_m

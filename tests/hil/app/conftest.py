@@ -1,4 +1,4 @@
-"""Fixtures of this room: servers of `hil watch`, and a `hil check` without proofs."""
+"""Fixtures of the command tests: servers of `hil watch`, and a `hil check` without proofs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tests.live_run import Watch, operating
 
 @pytest.fixture
 def unproven(monkeypatch):
-    """Let `hil check` leave out what takes most of its time: what is proven of the law, and this process's rights."""
+    """Skip the slow parts of `hil check`: the stability proof and the real-time rights of this process."""
     slow = (figures.stability, figures.permissions)
     monkeypatch.setattr(command, "SECTIONS", tuple(each for each in command.SECTIONS if each not in slow))
 
 
 @pytest.fixture(scope="module")
 def meeting_place():
-    """A folder for sockets and mirrors of its own: a socket's path is short."""
+    """A private folder for sockets and mirrors, with a short path as sockets need."""
     with tempfile.TemporaryDirectory(dir="/tmp") as folder, pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_RUNTIME_DIR", folder)
         yield

@@ -1,4 +1,4 @@
-"""Commands that take a file: a bad one is refused with exit code 2 and its name, and nothing is written."""
+"""Commands that read a file refuse a bad one with exit code 2 and its name, and write nothing."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FIRST_TIME = re.compile(r"^compiling the mathematics, once: .*\n", re.MULTILINE)
 
 
 def contents(folder):
-    """Every file below, with a digest of what is in it."""
+    """Every file below a folder, with a digest of its content."""
     return {
         str(p.relative_to(folder)): hashlib.sha256(p.read_bytes()).hexdigest()
         for p in folder.rglob("*")
@@ -30,7 +30,7 @@ def contents(folder):
 
 @pytest.fixture
 def refused(tmp_path, monkeypatch):
-    """Run a command in an empty folder; it has to refuse, and to leave every file as it was and no new one."""
+    """Run a command in an empty folder; it must refuse, and neither change nor create a file."""
     monkeypatch.chdir(tmp_path)
 
     def run(*words):
@@ -96,7 +96,7 @@ def cases():
 
 
 @pytest.mark.parametrize(("line", "name", "bad"), cases())
-def test_a_bad_file_is_refused_by_its_name(refused, tmp_path, line, name, bad):
+def test_bad_file_is_refused_and_named(refused, tmp_path, line, name, bad):
     content = BAD[bad]
     if callable(content):
         content(tmp_path / name)
@@ -109,7 +109,7 @@ def test_a_bad_file_is_refused_by_its_name(refused, tmp_path, line, name, bad):
 
 
 @pytest.mark.parametrize("command", ["sim", "run", "plant", "check"])
-def test_a_wrong_value_is_one_line_with_file_line_and_column(refused, bench, command):
+def test_invalid_value_is_reported_in_one_line_with_its_place(refused, bench, command):
     said = refused(command, bench(("wn_rad_s: 20\n", "wn_rad_s: .nan\n")))
     line = VIRTUAL[: VIRTUAL.index("wn_rad_s: 20\n")].count("\n") + 1
     assert re.match(rf"hil: \S*bench\.yaml:{line}:\d+: controller.wn_rad_s: not a finite number", said)
@@ -117,7 +117,7 @@ def test_a_wrong_value_is_one_line_with_file_line_and_column(refused, bench, com
 
 
 @pytest.mark.parametrize("command", ["sim", "run", "plant", "check"])
-def test_a_path_beyond_a_limit_is_refused_before_anything_starts(refused, bench, command):
+def test_reference_beyond_a_limit_is_refused_before_the_start(refused, bench, command):
     said = refused(command, bench(("speed_m_s: 2 ", "speed_m_s: 1 ")))
     assert re.search(r"reference: at t = 0\.(\d+) s: leg \d: rate above limits\.speed_m_s 1", said), said
 
@@ -140,7 +140,7 @@ FOREIGN = """\
 
 @pytest.fixture
 def robot(bench, tmp_path):
-    """A bench whose plant is a foreign FMU: ours, copied, with changes to the map; leaves files out of it."""
+    """A bench with a copy of our FMU as a foreign plant, with changes to the mapping; some files left out."""
 
     def write(*changes, without=None):
         with zipfile.ZipFile(build("3.0")) as source, zipfile.ZipFile(tmp_path / "robot.fmu", "w") as target:
@@ -164,17 +164,17 @@ FMUS = {
 
 
 @pytest.mark.parametrize(("changes", "without", "words"), FMUS.values(), ids=FMUS)
-def test_an_fmu_that_does_not_fit_is_refused(refused, robot, changes, without, words):
+def test_unsuitable_fmu_is_refused(refused, robot, changes, without, words):
     assert words in refused("sim", robot(*changes, without=without))
 
 
-def test_a_file_that_is_not_an_fmu_is_refused(refused, robot, tmp_path):
+def test_file_that_is_not_an_fmu_is_refused(refused, robot, tmp_path):
     config = robot()
     (tmp_path / "robot.fmu").write_bytes(b"PK but no more")
     assert "robot.fmu" in refused("sim", config)
 
 
-def test_a_plant_that_starts_within_a_millimetre_is_accepted(robot, tmp_path, monkeypatch):
+def test_plant_that_starts_within_1_mm_of_the_platform_is_accepted(robot, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     config = robot(("[0, 0, 1]", "[0, 0, 1.001]"))
     result = CliRunner().invoke(main, ["sim", str(config), "--duration", "0.2"])
@@ -185,7 +185,7 @@ def test_a_plant_that_starts_within_a_millimetre_is_accepted(robot, tmp_path, mo
 
 
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.999])
-def test_a_cut_log_is_refused_with_the_way_to_salvage_it(refused, log, tmp_path, share):
+def test_cut_log_is_refused_and_the_message_shows_how_to_salvage_it(refused, log, tmp_path, share):
     data = log.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: int(share * len(data))])
     said = refused("replay", "cut.mcap")
@@ -193,7 +193,7 @@ def test_a_cut_log_is_refused_with_the_way_to_salvage_it(refused, log, tmp_path,
     assert "hil replay --salvage" in said
 
 
-def test_salvage_recovers_a_cut_log_into_a_new_file_only(refused, log, tmp_path):
+def test_salvage_writes_a_cut_log_to_a_new_file_only(refused, log, tmp_path):
     data = log.read_bytes()
     (tmp_path / "cut.mcap").write_bytes(data[: len(data) // 2])
     (tmp_path / "there.mcap").write_text("precious")
@@ -203,7 +203,7 @@ def test_salvage_recovers_a_cut_log_into_a_new_file_only(refused, log, tmp_path)
     assert (tmp_path / "cut.mcap").stat().st_size == len(data) // 2
 
 
-def test_a_log_damaged_in_its_ticks_is_refused_with_the_place(refused, log, tmp_path):
+def test_log_with_damaged_ticks_is_refused_with_the_place(refused, log, tmp_path):
     data = bytearray(log.read_bytes())
     with log.open("rb") as file:
         summary = make_reader(file).get_summary()

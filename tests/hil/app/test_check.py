@@ -1,4 +1,4 @@
-"""`hil check`: figures against the book, and the first instant at which a path breaks a limit."""
+"""`hil check`: figures against the book, and the first instant at which a path violates a limit."""
 
 import functools
 import json
@@ -32,7 +32,7 @@ def loaded(*changes):
     return loads(edited(*changes), "my.yaml")
 
 
-def test_the_figures_of_the_books_path_are_the_books():
+def test_figures_of_the_book_path_agree_with_the_book():
     figures = inspect(load("virtual")).figures
     home = BOOK["home_static"]
     assert figures["home"]["leg_lengths_m"] == pytest.approx(home["length"], abs=1e-9)
@@ -60,7 +60,7 @@ BROKEN = [
 
 
 @pytest.mark.parametrize(("old", "new", "message", "column", "limit"), BROKEN)
-def test_the_first_instant_beyond_a_limit_lies_where_the_book_has_it(old, new, message, column, limit):
+def test_first_violation_of_a_limit_is_at_the_book_instant(old, new, message, column, limit):
     with pytest.raises(ConfigurationError) as caught:
         inspect(loaded((old, new)))
     (problem,) = [p for p in caught.value.problems if message in p]
@@ -80,15 +80,15 @@ SPIN = """reference:
 
 
 def spinning(limits=()):
-    """A turn of 160 deg about z: on a platform of this kind J is singular at +-90 deg (Fichter 1986)."""
+    """A turn of 160 deg about z: J of such a platform is singular at +-90 deg (Fichter 1986)."""
     first, last = VIRTUAL.index("\nreference:") + 1, VIRTUAL.index("\nlimits:") + 1
     text = VIRTUAL[:first] + SPIN + "\n" + VIRTUAL[last:]
     wide = ("length_min_m: 0.75", "length_min_m: 0.1"), ("length_max_m: 2.2", "length_max_m: 5")
     return loads(edited(*wide, *limits, base=text), "my.yaml")
 
 
-def test_a_path_through_a_singularity_is_refused_at_its_first_instant():
-    """On this platform det J changes its sign at a turn of 90 deg about z, where opposite legs cross."""
+def test_path_through_a_singularity_is_refused_at_the_first_instant():
+    """det J of this platform changes its sign at a turn of 90 deg about z, where opposite legs cross."""
     with pytest.raises(ConfigurationError) as caught:
         inspect(spinning([("condition: 50 ", "condition: 1e30 ")]))
     (problem,) = [p for p in caught.value.problems if "the path goes through a singularity of J" in p]
@@ -98,7 +98,7 @@ def test_a_path_through_a_singularity_is_refused_at_its_first_instant():
     assert expected <= t <= expected + 1.1e-3
 
 
-def test_a_path_too_near_to_a_singularity_is_refused_before_it():
+def test_path_too_close_to_a_singularity_is_refused_before_it():
     with pytest.raises(ConfigurationError, match=r"condition of J above limits\.condition 50: 50\.\d"):
         inspect(spinning())
 
@@ -112,8 +112,8 @@ SWINGING = """  points:
 limits:"""
 
 
-def test_a_jump_of_force_from_one_pass_to_the_next_is_seen():
-    """Up at the end and up at the start: 6 D/h^2 down, then up, twice what either has against rest."""
+def test_force_step_between_two_passes_of_a_path_is_found():
+    """Acceleration 6 D/h^2 down at the end, up at the next start: twice the step from rest."""
     first, last = VIRTUAL.index("  points:"), VIRTUAL.index("limits:  ")
     text = VIRTUAL[:first] + SWINGING + VIRTUAL[last + len("limits:") :]
     steps = {
@@ -133,12 +133,12 @@ def test_a_jump_of_force_from_one_pass_to_the_next_is_seen():
         inspect(loads(limited, "my.yaml"))
 
 
-def test_a_csv_path_in_mm_is_said_to_be_one_and_nothing_else_is_said(tmp_path):
+def test_csv_path_in_mm_is_reported_as_the_only_problem(tmp_path):
     rows = [f"{t},0,0,{1000 + 10 * t},0,0,0" for t in (0, 1, 2)]
     (tmp_path / "path.csv").write_text("\n".join(["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows]))
     sampled = {"reference": {"type": "sampled", "path": "path.csv"}}
     c = loads(with_changes(load("ideal").text, sampled), "mine.yaml", tmp_path)
-    with pytest.raises(ConfigurationError, match="in mm, where m are meant") as caught:
+    with pytest.raises(ConfigurationError, match="in mm instead of m") as caught:
         inspect(c)
     (problem,) = caught.value.problems
     # legs of 1.5925 m at z = 1 stand 1.2394 m beside their base: at z = 1000 they are 1000 m long
@@ -153,7 +153,7 @@ ROBUST = "  law: robust_inverse_dynamics\n  wn_rad_s: 60\n" + UNCERTAIN
 
 @functools.cache
 def with_law(law):
-    """Return the report on a law."""
+    """Report on a law."""
     changes = ("  law: inverse_dynamics\n", law), ("  wn_rad_s: 20\n", ""), ("  damping_ratio: 1\n", "")
     return inspect(loaded(*changes))
 
@@ -173,7 +173,7 @@ def with_law(law):
         quick=1,
     ),
 )
-def test_a_boundary_layer_has_the_phase_margin_of_its_linear_law(law, margin_deg):
+def test_boundary_layer_has_the_phase_margin_of_its_linear_law(law, margin_deg):
     report = with_law(law)
     assert report.figures["controller"]["phase_margin_deg"] == pytest.approx(margin_deg, abs=0.06)
     assert any("phase margin" in w for w in report.warnings) == (margin_deg < 30)
@@ -184,8 +184,8 @@ def closing(seconds):
 
 
 @pytest.mark.parametrize(("closing_s", "leaves"), [(0.125, False), (0.135, True)])
-def test_silence_warns_where_a_leg_of_the_book_reaches_its_end(closing_s, leaves):
-    """A leg of a platform that falls accelerates by a little more than 9.81 x 1 / 1.5925 = 6.2 m/s^2."""
+def test_warning_if_a_leg_reaches_its_hard_end_after_silence(closing_s, leaves):
+    """A leg of the falling platform accelerates by slightly more than 9.81 x 1 / 1.5925 = 6.2 m/s^2."""
     T, a = 0.01 + closing_s, 6.4
     q, dq = (np.array([state[key] for state in BOOK["states"]]) for key in ("length", "rate"))
     away = q + dq * T + a * T**2 / 2, q + dq * T - a * T**2 / 2
@@ -193,8 +193,8 @@ def test_silence_warns_where_a_leg_of_the_book_reaches_its_end(closing_s, leaves
     assert ("engage.brake_close_s" in inspect(loaded(closing(closing_s))).codes) == leaves
 
 
-def test_the_stopping_distance_counts_watchdog_and_brake():
-    """The distance is v T + a T^2 / 2: its mean speed rises in proportion to T, from the top speed on."""
+def test_stopping_distance_includes_watchdog_and_brake_times():
+    """The distance is v T + a T^2 / 2: its mean speed starts at the top speed and grows linearly with T."""
     text = load("virtual").text
     T = np.array([0.04, 0.06, 0.1])
     closes = [text.replace(closing(0)[0], f"brake_close_s: {t - 0.01:g} ") for t in T]
@@ -213,8 +213,8 @@ def virtual():
     return looked_at(load("virtual"))
 
 
-def test_a_leg_feels_the_mass_of_the_platform_that_it_moves_alone(virtual):
-    """1 / (J M^-1 J^T)_ii at home, kg, the most of any leg."""
+def test_leg_mass_is_the_mass_that_one_leg_moves_alone(virtual):
+    """Largest 1 / (J M^-1 J^T)_ii of the legs at home, kg."""
     platform, home = build_platform(virtual.c.platform), virtual.c.platform.home
     p, R = np.array(home.position_m), np.eye(3)
     J = jacobian(platform, p, R)
@@ -226,7 +226,7 @@ RATE_Hz = 1000.0
 
 
 def stopped(c, model, trajectory, at_s, up=False):
-    """Force (n, 6) and leg acceleration (n, 6) of the rigid body while the speed changes, from the override itself."""
+    """Force (n, 6) and leg acceleration (n, 6) of the rigid body during a speed change."""
     override, period = Override(1.0 / RATE_Hz, c.engage.stop_s), 1.0 / RATE_Hz
     override.place(0, at_s) if up else override.settle(0, 1.0)
     if not up:
@@ -247,7 +247,7 @@ def stopped(c, model, trajectory, at_s, up=False):
 
 
 @pytest.mark.parametrize("up", [False, True])
-def test_a_hold_or_start_on_the_path_stays_within_the_printed_bounds(virtual, up):
+def test_hold_and_start_on_the_path_stay_within_the_printed_bounds(virtual, up):
     c, model, trajectory, w, said = virtual.c, virtual.model, virtual.trajectory, virtual.walk, virtual.slowed
     fastest = float(w.t[np.abs(w.dq).max(axis=1).argmax()])
     found = [stopped(c, model, trajectory, t, up) for t in (fastest - 0.25, fastest - 0.1, 3.0, 7.3, 12.1)]
@@ -275,7 +275,7 @@ def mixed(**changes):
     return loads(with_changes(load("desktop").text, {"drives": {"transmission": MIXED} | changes}), "my.yaml")
 
 
-def test_each_leg_has_what_its_motor_reads_turns_and_gives():
+def test_transmission_figures_of_each_leg_agree_with_a_calculation():
     """q = 0.325 m + s l n / N, F = s 2 pi N tau / l; stroke 0.25 to 0.40 m, 0.25 m/s, 300 N rated."""
     report = inspect(mixed())
     figures, home = report.figures["transmission"], report.figures["home"]["static_forces_N"]
@@ -294,15 +294,15 @@ def test_each_leg_has_what_its_motor_reads_turns_and_gives():
     assert second.split()[1:6] == ["-80", "+0.9375", "to", "-0.9375", "78.54"]
 
 
-def test_too_much_torque_is_refused_with_the_leg_that_needs_most():
-    """Leg 5 alone loses 30 %: 300 N x 0.1 m / (2 pi x 0.7) = 6.82 N m; the DM4310 carries 10."""
+def test_excessive_torque_is_refused_with_the_leg_that_needs_most():
+    """Only leg 5 loses 30 %: 300 N x 0.1 m / (2 pi x 0.7) = 6.82 N m; the DM4310 can send 10."""
     with pytest.raises(
-        ConfigurationError, match=r"450 N need 10\.23 N m of the motor of leg 5 \(62\.83 N a N m"
+        ConfigurationError, match=r"450 N need 10\.23 N m of the motor of leg 5 \(62\.83 N per N m"
     ):
         mixed(force_limit_N=450)
 
 
-def test_standard_deviations_of_a_fused_pose_are_printed():
+def test_standard_deviations_of_the_fused_pose_are_printed():
     changes = {"sensors": {"tracker": {}}, "estimation": {"pose": "fused"}}
     report = inspect(loads(with_changes(load("lab").text, changes), "my.yaml"))
     assert "unknown forces 60 N over 100 ms" in report.sections["fused pose, standard deviations"]

@@ -1,4 +1,4 @@
-"""Warnings of `hil check`: each code at both sides of its border."""
+"""Warnings of `hil check`: each code just below and just above its threshold."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Changes = dict[str, Any]
 
 
 def warned(name: str, changes: Changes) -> list[str]:
-    """Return the codes of the warnings about a shipped configuration with changes."""
+    """Codes of the warnings about a shipped configuration with changes."""
     c = load(name)
     return inspect(loads(with_changes(c.text, changes), "my.yaml", c.folder)).codes
 
@@ -115,11 +115,11 @@ ELSEWHERE = {
     "plant.model.brake", "plant.model.allow_execution_tool", "plant.model force signs", "plant.model coupling",
     "loop.without_realtime", "schema",
 }  # fmt: skip
-"""Codes whose examples need a file, a proof or this machine."""
+"""Codes with examples that need a file, a proof or properties of this machine."""
 
 
 @pytest.mark.parametrize(("code", "name", "changes"), EXAMPLES, ids=[code for code, *_ in EXAMPLES])
-def test_a_dangerous_setting_is_warned_about_from_its_border_on(code, name, changes):
+def test_dangerous_setting_causes_a_warning_above_its_threshold(code, name, changes):
     harmless, dangerous = changes
     if code == "drives.protocol":
         assert code not in warned("virtual", {})
@@ -129,17 +129,17 @@ def test_a_dangerous_setting_is_warned_about_from_its_border_on(code, name, chan
     assert code in warned(name, dangerous)
 
 
-def test_every_code_has_an_example():
+def test_every_warning_code_has_an_example():
     assert {*HARDWARE, *WARNINGS} == {code for code, *_ in EXAMPLES} | ELSEWHERE
 
 
 @pytest.mark.parametrize("name", broad(NAMES, quick=3))
-def test_no_shipped_configuration_has_a_dangerous_limit(name):
+def test_no_shipped_configuration_has_a_dangerous_setting(name):
     allowed = {"drives.protocol", "drives.homing", "loop.without_realtime"}
     assert set(inspect(load(name)).codes) <= allowed
 
 
-def test_lockstep_without_a_bus_endangers_nobody():
+def test_layout_ideal_causes_no_hardware_warning():
     assert "reactions.silence" not in warned("ideal", {"reactions": {"silence": "zero"}})
 
 
@@ -163,7 +163,7 @@ BORDERS = {
 
 
 def loose(subject, **limits):
-    """Return the sentences about far limits of a subject with other limits, which is not walked again."""
+    """Warnings about loose limits of a subject with other limits; its walk is not computed again."""
     other = copy.copy(subject)
     other.c = subject.c.model_copy(update={"limits": subject.c.limits.model_copy(update=limits)})
     return [text for code, text in warnings(other) if code == "limits"]
@@ -175,7 +175,7 @@ def virtual():
 
 
 @pytest.mark.parametrize("name", BORDERS)
-def test_a_limit_far_above_need_is_warned_about_with_a_proposal(virtual, name):
+def test_limit_far_above_its_need_causes_a_warning_with_a_proposal(virtual, name):
     tight, far, needed = BORDERS[name]
     assert loose(virtual, **{name: tight}) == []
     (line,) = loose(virtual, **{name: far})
@@ -191,7 +191,7 @@ def test_a_limit_far_above_need_is_warned_about_with_a_proposal(virtual, name):
 
 
 @pytest.mark.parametrize("name", ["acceleration_m_s2", "force_N", "force_step_N"])
-def test_a_limit_that_breaks_while_the_speed_changes_is_warned_about(virtual, name):
+def test_limit_that_a_speed_change_violates_causes_a_warning(virtual, name):
     slowed = virtual.slowed
     own, most = {
         "acceleration_m_s2": (float(abs(virtual.walk.ddq).max()), slowed.acceleration_m_s2),

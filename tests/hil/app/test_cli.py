@@ -1,4 +1,4 @@
-"""The command line: help, exit codes, summaries on the terminal and as JSON."""
+"""Command line: help, exit codes, summaries on the terminal and as JSON."""
 
 import json
 import re
@@ -18,7 +18,7 @@ from tests.hil.app.texts import edited
 
 
 def commands(group, words=()):
-    """Return every command below a group by the words that call it."""
+    """Every command below a group, by the words that call it."""
     found: dict[tuple[str, ...], click.Command] = {}
     context = click.Context(group)
     for name in group.list_commands(context):
@@ -38,7 +38,7 @@ def hil(*words):
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_the_help_of_every_command_teaches(words):
+def test_help_of_every_command_has_examples_and_guides(words):
     result = hil(*words, "--help")
     assert result.exit_code == 0
     text = result.output
@@ -50,7 +50,7 @@ def test_the_help_of_every_command_teaches(words):
 
 
 @pytest.mark.parametrize("words", COMMANDS, ids=" ".join)
-def test_every_example_in_the_help_is_a_command_line_that_parses(words):
+def test_every_example_in_the_help_parses(words):
     lines = re.findall(r"^    hil (.*?)(?: {2,}.*)?$", hil(*words, "--help").output, re.MULTILINE)
     assert 2 <= len(lines) <= 4
     for line in lines:
@@ -70,7 +70,7 @@ def test_help_lists_commands_exit_codes_and_shipped_configurations():
 
 
 def test_help_imports_nothing_heavy():
-    """Numpy, pydantic, numba and the bus cost half a second; help does without."""
+    """Numpy, pydantic, numba and the bus take half a second to import; help works without them."""
     code = (
         "import sys; from hil.cli import main; main(['run', '--help'], standalone_mode=False); "
         "print('heavy:', [m for m in ('numpy', 'numba', 'pydantic', 'can', 'cantools', 'yaml', 'rich', 'fmpy')"
@@ -90,7 +90,7 @@ def simulated(tmp_path_factory):
     return result, folder
 
 
-def test_a_simulation_that_parks_exits_0(simulated):
+def test_simulation_that_parks_exits_with_0(simulated):
     result, folder = simulated
     assert result.exit_code == 0, result.output
     summary = json.loads((folder / "run.json").read_text())
@@ -102,7 +102,7 @@ def test_a_simulation_that_parks_exits_0(simulated):
     assert re.search(rf"^replay +{summary['ticks']} ticks, 0 differences$", result.stdout, re.MULTILINE)
 
 
-def test_a_replay_exits_0_and_leaves_the_log_alone(simulated, tmp_path):
+def test_replay_exits_with_0_and_does_not_change_the_log(simulated, tmp_path):
     log = simulated[1] / "run.mcap"
     before = log.read_bytes()
     result = hil("replay", log, "--json", tmp_path / "replay.json")
@@ -114,7 +114,7 @@ def test_a_replay_exits_0_and_leaves_the_log_alone(simulated, tmp_path):
     assert log.read_bytes() == before
 
 
-def test_a_latched_fault_exits_1_and_the_summary_names_it(tmp_path):
+def test_latched_fault_exits_with_1_and_is_in_the_summary(tmp_path):
     tight = edited(
         ("following_error_m: 0.01", "following_error_m: 1e-6"),
         ("following_error_s: 0.01 ", "following_error_s: 0 "),
@@ -139,7 +139,7 @@ def test_a_latched_fault_exits_1_and_the_summary_names_it(tmp_path):
     assert json.loads((tmp_path / "b.json").read_text())["story"] == story
 
 
-def test_check_exits_0_with_figures(tmp_path):
+def test_check_prints_figures_and_exits_with_0(tmp_path):
     result = hil("check", "virtual", "--json", tmp_path / "check.json")
     assert result.exit_code == 0, result.output
     assert "total 568.2 us of a 1000.0 us period = 56.8 %" in result.stdout
@@ -148,7 +148,7 @@ def test_check_exits_0_with_figures(tmp_path):
     assert summary["figures"]["bus"]["total_us"] == pytest.approx(568.2)
 
 
-def test_check_exits_2_with_all_problems(tmp_path):
+def test_check_reports_all_problems_and_exits_with_2(tmp_path):
     (tmp_path / "two.yaml").write_text(
         edited(("silence: brake ", "silence: pray "), ("priority: 80", "priorty: 80"))
     )
@@ -161,7 +161,7 @@ def test_check_exits_2_with_all_problems(tmp_path):
         assert problem in result.stderr
 
 
-def test_fmu_build_copies_both_versions_into_a_folder_that_it_makes(tmp_path):
+def test_fmu_build_copies_both_versions_into_a_new_folder(tmp_path):
     result = hil("fmu", "build", "--output", tmp_path / "new" / "fmus", "--json", tmp_path / "fmu.json")
     assert result.exit_code == 0, result.output
     summary = json.loads((tmp_path / "fmu.json").read_text())

@@ -1,4 +1,4 @@
-"""The shipped configurations: valid, equal to their sources, and CiA 402 runs that replay."""
+"""Shipped configurations: valid, equal to their sources, and CiA 402 runs that replay."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NAMES = [
 
 
 class Floats(yaml.SafeLoader):
-    """PyYAML with the one number that its YAML 1.1 does not know."""
+    """PyYAML, with support for the one number that its YAML 1.1 does not parse."""
 
 
 Floats.add_implicit_resolver(
@@ -37,7 +37,7 @@ Floats.add_implicit_resolver(
 )
 
 
-def test_these_are_shipped():
+def test_exactly_the_listed_configurations_are_shipped():
     assert list(shipped()) == NAMES
 
 
@@ -49,14 +49,14 @@ def validator():
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_shipped_file_names_its_schema_and_an_editor_accepts_it(name):
+def test_shipped_file_refers_to_its_schema_and_is_valid_by_it(name):
     text = load(name).text
     assert text.splitlines()[0] == "# yaml-language-server: $schema=hil.schema.json"
     validator().validate(yaml.load(text, Floats))
 
 
 @pytest.mark.parametrize("name", ["bench", "ideal", "lab", "socketcan", "vcan50", "virtual"])
-def test_every_shipped_configuration_passes(name):
+def test_every_shipped_configuration_passes_hil_check(name):
     report = inspect(load(name))
     json.dumps(report.to_dict())
     text = "\n".join(report.lines)
@@ -65,12 +65,12 @@ def test_every_shipped_configuration_passes(name):
     assert [w for w in report.warnings if "SCHED_FIFO" not in w] == []
 
 
-def test_the_committed_schema_is_current():
-    """If not: python -c 'from hil.app.configuration import schema; print(schema.text(), end="")' > configs/hil.schema.json."""
+def test_committed_schema_is_current():
+    """To update: python -c 'from hil.app.configuration import schema; print(schema.text(), end="")' > configs/hil.schema.json."""
     assert (ROOT / "configs/hil.schema.json").read_text() == schema.text()
 
 
-def test_the_schema_refuses_what_the_loader_refuses():
+def test_schema_refuses_an_unknown_key():
     validator = jsonschema.Draft202012Validator(schema.schema())
     data = yaml.load(load("virtual").text, Floats)
     data["loop"]["rate"] = 1000
@@ -78,7 +78,7 @@ def test_the_schema_refuses_what_the_loader_refuses():
 
 
 @pytest.mark.parametrize("name", ["virtual", "ideal", "vcan50"])
-def test_the_books_platform_is_the_books(name):
+def test_book_platform_has_the_figures_of_the_book(name):
     d = platform_dict(load(name).platform)
     book = BOOK["geometry"]
     for key in ("base_joints", "platform_joints", "gravity"):
@@ -93,7 +93,7 @@ def _tuples(value):
 
 
 @pytest.mark.parametrize("name", ["virtual", "ideal"])
-def test_the_books_path_is_the_books(name):
+def test_book_path_agrees_with_the_book(name):
     reference: Any = load(name).reference
     assert reference.interpolation == "cubic"
     for point, knot in zip(reference.points, BOOK["trajectory"]["knots"], strict=True):

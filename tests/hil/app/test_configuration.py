@@ -21,7 +21,7 @@ def problems(text, folder=None):
 
 
 def place(text, needle):
-    """`line:column` of the only occurrence of needle, counted by hand from the text."""
+    """`line:column` of the only occurrence of needle, counted from the text."""
     assert text.count(needle) == 1
     before = text[: text.index(needle)]
     return f"{before.count(chr(10)) + 1}:{len(before) - (before.rfind(chr(10)) + 1) + 1}"
@@ -31,7 +31,7 @@ ONE_PROBLEM = [
     ("rate_Hz: 1000\n", "rate: 1000\n", "rate: 1000\n", "loop.rate: missing unit: the key is rate_Hz"),
     ("watchdog_ms: 10 ", "watchdog_s: 10 ", "watchdog_s", "drives.watchdog_s: wrong unit: the key is watchdog_ms (in ms)"),
     ("channel: hil0", "chanel: hil0", "chanel", "bus.chanel: unknown key, did you mean channel?"),
-    ("  following: sbc ", "  estop: sbc ", "estop: sbc", "reactions.estop: no key: the reactions to estop, bus, second_controller are fixed, always sto"),
+    ("  following: sbc ", "  estop: sbc ", "estop: sbc", "reactions.estop: not a key: the reaction to estop, bus, second_controller is always sto"),
     ("loop:\n", "lop:\n", "lop:\n", "lop: unknown key, did you mean loop?"),
     ("  priority: 80 ", "  zzz: 80 ", "zzz", "loop.zzz: unknown key, allowed: rate_Hz, feedback_window_us"),
     ("    mass_kg: 1150", "    mass: 1150", "mass: 1150", "platform.platform.mass: missing unit: the key is mass_kg"),
@@ -54,10 +54,10 @@ ONE_PROBLEM = [
     ("variant: full", "variant: precise", "precise", "controller.model.variant: unknown value, allowed: full, no_H, printed"),
     ("com_m: [0, 0, 0]", "com_m: [0, 0]", "[0, 0]\n", "platform.platform.com_m: wrong number of entries, allowed: a list of 3 numbers, given: 2 entries"),
     ("[0, 0, 285]]", "[0, 0, 28]]", "[[570, 0, 0], [0, 285, 0], [0, 0, 28]]", "platform.platform.inertia_kg_m2: got principal moments 28, 285, 570"),
-    ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is no whole number of steps, allowed: 1000 us (loop.rate_Hz) divided by a whole number, as 250, given: 300"),
+    ("internal_step_us: 100", "internal_step_us: 300", "300\n", "plant.model.internal_step_us: the period is not a whole number of steps, allowed: 1000 us (loop.rate_Hz) divided by a whole number, as 250, given: 300"),
     ("position_m: [0.25, 0.5, 0.75], ", "position_m: [0.25, 0.5, 1.75], ", "{t_s: 1, ", "reference.points[1]: out of reach, allowed leg lengths: 0.77 to 2.18 m"),
     ("layout: fd ", "layout: classic ", "interface: localcan", "bus: the frames of one tick do not fit at 1 Mbit/s"),
-    ("{t_s: 1, pos", "{t_s: 0, pos", "0, position_m: [0.25", "reference.points[1].t_s: 0 s is not after the point before it"),
+    ("{t_s: 1, pos", "{t_s: 0, pos", "0, position_m: [0.25", "reference.points[1].t_s: 0 s is not after the previous point"),
     ("{t_s: 2, position_m: [0, 0, 1]", "{t_s: 2, position_m: [0, 0, 1.1]", "- {t_s: 0", "reference.points: periods is 10, but the path ends"),
 ]  # fmt: skip
 
@@ -65,13 +65,13 @@ ONE_PROBLEM = [
 @pytest.mark.parametrize(
     ("old", "new", "where", "message"), ONE_PROBLEM, ids=[row[3][:60] for row in ONE_PROBLEM]
 )
-def test_one_wrong_thing_is_one_problem_at_its_place(old, new, where, message):
+def test_each_mistake_is_one_problem_at_its_place(old, new, where, message):
     text = edited((old, new))
     (problem,) = problems(text)
     assert problem.startswith(f"my.yaml:{place(text, where)}: {message}")
 
 
-def test_all_problems_are_reported_at_once_in_order_of_the_file():
+def test_all_problems_are_reported_at_once_in_file_order():
     text = edited(
         ("    mass_kg: 1150", "    mass_kg: heavy"),
         ("channel: hil0", "chanel: hil0"),
@@ -92,7 +92,7 @@ def test_all_problems_are_reported_at_once_in_order_of_the_file():
     ]
 
 
-def test_a_missing_section_and_a_missing_key_are_reported():
+def test_missing_section_and_missing_key_are_reported():
     start, end = VIRTUAL.index("reference:"), VIRTUAL.index("limits:")
     text = edited(("  force_window_N: 12000 ", "  # "), base=VIRTUAL[:start] + VIRTUAL[end:])
     found = problems(text)
@@ -124,11 +124,11 @@ SYNTAX = [
 
 
 @pytest.mark.parametrize(("text", "message"), SYNTAX)
-def test_text_that_is_not_plain_yaml_is_refused_at_its_place(text, message):
+def test_text_that_is_not_plain_yaml_is_refused_with_its_place(text, message):
     assert any(message in p for p in problems(text))
 
 
-def test_scalars_are_those_of_yaml_1_2():
+def test_scalars_are_parsed_as_in_yaml_1_2():
     text = "[1e3, 1E-3, 010, 0o10, 0xff, no, 12:30, 1_000, ~, true, '5', -.5, 1., 1e400]"
     value: Any = (parse(f"a: {text}").value or {})["a"]
     expected = [1000, 0.001, 10, 8, 255, "no", "12:30", "1_000", None, True, "5", -0.5, 1.0, float("inf")]
@@ -136,7 +136,7 @@ def test_scalars_are_those_of_yaml_1_2():
     assert isinstance(value[0], int)
 
 
-def test_a_missing_file_lists_the_shipped_configurations(tmp_path):
+def test_error_for_a_missing_file_lists_the_shipped_configurations(tmp_path):
     with pytest.raises(
         ConfigurationError, match=r"no such file; shipped configurations are: .*ideal.*virtual"
     ):
@@ -149,7 +149,7 @@ def test_a_missing_file_lists_the_shipped_configurations(tmp_path):
         load(latin)
 
 
-def test_a_shipped_name_loads_anywhere_and_a_file_goes_first(tmp_path, monkeypatch):
+def test_shipped_name_loads_in_any_folder_and_files_take_precedence(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert load("virtual").name == "virtual"
     assert {"virtual", "ideal", "socketcan", "lab"} <= set(shipped())
@@ -157,7 +157,7 @@ def test_a_shipped_name_loads_anywhere_and_a_file_goes_first(tmp_path, monkeypat
     assert load("virtual").name == "mine"
 
 
-def test_the_exact_text_is_kept(tmp_path):
+def test_exact_text_of_a_configuration_is_kept(tmp_path):
     file = tmp_path / "a.yaml"
     file.write_bytes(VIRTUAL.replace("\n", "\r\n").replace("name: virtual", "description_: x", 0).encode())
     c = load(file)
@@ -172,14 +172,14 @@ LOCALCAN = "interface: localcan "
 @pytest.mark.parametrize(
     ("name", "new", "command", "reason"),
     [
-        ("virtual", "interface: virtual ", "run", "`virtual` bus lives inside one process"),
-        ("virtual", "interface: virtual ", "plant", "`virtual` bus lives inside one process"),
-        ("ideal", None, "run", "`ideal` is for theory"),
+        ("virtual", "interface: virtual ", "run", "`virtual` bus exists inside one process"),
+        ("virtual", "interface: virtual ", "plant", "`virtual` bus exists inside one process"),
+        ("ideal", None, "run", "`ideal` takes no bus time"),
         ("socketcan", None, "sim", "this configuration is for real drives"),
         ("socketcan", None, "plant", "this configuration is for real drives"),
     ],
 )
-def test_a_command_refuses_what_it_cannot_use(name, new, command, reason):
+def test_command_refuses_a_configuration_that_it_cannot_use(name, new, command, reason):
     c = load(name) if new is None else loads(edited((LOCALCAN, new)), "my.yaml")
     c.require("run" if name == "socketcan" else "sim")
     with pytest.raises(ConfigurationError, match=reason):
@@ -187,12 +187,12 @@ def test_a_command_refuses_what_it_cannot_use(name, new, command, reason):
 
 
 def step_us(text):
-    """Return the plant's step of a configuration."""
+    """Plant step of a configuration."""
     return loads(text).model_dump()["plant"]["model"]["internal_step_us"]
 
 
 @pytest.mark.parametrize("rate_Hz", [800, 700, 999])
-def test_an_unstated_step_of_the_plant_follows_the_rate(rate_Hz):
+def test_default_plant_step_follows_the_rate(rate_Hz):
     text = edited(("    internal_step_us: 100\n", ""), ("rate_Hz: 1000", f"rate_Hz: {rate_Hz}"))
     steps = 1e6 / rate_Hz / step_us(text)
     assert steps == pytest.approx(round(steps), rel=1e-12)

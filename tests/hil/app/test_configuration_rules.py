@@ -1,4 +1,4 @@
-"""Rules of a configuration: each accepts its last good value, and refuses the next at its place."""
+"""Rules of a configuration: each accepts its last valid value, and refuses the next one with its place."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def brakes(**engage: float) -> dict[str, Any]:
 
 
 def homed(limit_m: float) -> dict[str, Any]:
-    """A turn is 80 mm of leg, of leg 3 40 mm."""
+    """A turn moves a leg by 80 mm, leg 3 by 40 mm."""
     gear = {"lead_m": 0.08, "pulley_radius_m": None, "gear_ratio": [1, 1, 1, 2, 1, 1]}
     return {
         "drives": {
@@ -104,7 +104,7 @@ RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
     "plant.drives.brake_close_ms": ("virtual", brakes(), brakes(brake_close_s=0.029), ""),
     "limits.standstill_m": ("virtual", {"plant": {"drives": {"encoder_resolution_m": 1.24e-4}}}, {"plant": {"drives": {"encoder_resolution_m": 1.26e-4}}}, "at least"),
     "sensors.tracker.latency_max_ms": ("virtual", tracked(125.9), tracked(126.1), ""),
-    "sensors.tracker.node_id": ("virtual", tracked(10), tracked(10) | {"drives": {"node_ids": [20, 2, 3, 4, 5, 6]}, "sensors": {"tracker": {"rate_Hz": 100, "latency_max_ms": 10, "node_id": 20}}}, "drives.node_ids does not have"),
+    "sensors.tracker.node_id": ("virtual", tracked(10), tracked(10) | {"drives": {"node_ids": [20, 2, 3, 4, 5, 6]}, "sensors": {"tracker": {"rate_Hz": 100, "latency_max_ms": 10, "node_id": 20}}}, "is also in drives.node_ids"),
     "estimation.fusion.may_lose_legs": ("virtual", tracked(10, **LOST), {"estimation": {"pose": "fused"} | LOST}, "given: [0]"),
     "drives.homing.limit_m": ("desktop", homed(0.00999), homed(0.01001), "less than 0.01"),
     "drives.transmission": ("desktop", {}, {"drives": {"transmission": {"offset_m": [0.325, 0.325, 0.501, 0.325, 0.325, 0.325]}}}, "drive 2 reports ends"),
@@ -120,7 +120,7 @@ RULES: dict[str, tuple[str, dict[str, Any], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("key", "row"), RULES.items(), ids=list(RULES))
-def test_the_next_value_is_refused_at_once_at_its_place(key, row):
+def test_first_invalid_value_is_refused_quickly_with_its_place(key, row):
     name, fine, refused, words = row
     changed(name, fine)
     begun = time.process_time()
@@ -133,25 +133,25 @@ def test_the_next_value_is_refused_at_once_at_its_place(key, row):
 
 
 @pytest.mark.parametrize(("heartbeat_ms", "frames"), [(100, 0), (6.1, 0), (6, 1), (3.1, 1)])
-def test_the_bus_budget_counts_the_heartbeats_of_every_tick(heartbeat_ms, frames):
+def test_bus_budget_includes_the_heartbeats_of_every_tick(heartbeat_ms, frames):
     """A status frame is classic, 5 bytes: 44 + 40 + 3 + floor(73 / 4) = 105 bits, 105 us of 1 ms."""
     c = changed("virtual", {"drives": {"heartbeat_ms": heartbeat_ms}})
     (found,) = bus_budgets(c.bus, c.drives, c.sensors, c.loop.rate_Hz)
     assert found.load_percent == pytest.approx(56.82 + 10.5 * frames, abs=1e-9)
 
 
-def test_heartbeats_that_do_not_fit_are_refused_with_the_arithmetic():
+def test_heartbeats_beyond_the_budget_are_refused_with_the_arithmetic():
     with pytest.raises(ConfigurationError, match=r"6 x classic  5 byte: 105 bit = 105\.0 us each, 630\.0 us"):
         changed("virtual", {"drives": {"heartbeat_ms": 1}})
 
 
 @pytest.mark.parametrize(("closes", "expected"), [(None, 0.1), (0.0, 0.0), (0.05, 0.05), (0.3, 0.3)])
-def test_brakes_close_in_the_time_given_or_else_in_that_to_open(closes, expected):
+def test_brake_closing_time_defaults_to_the_release_time(closes, expected):
     assert EngageSettings(brake_release_s=0.1, brake_close_s=closes).closing_s == expected
 
 
 @pytest.mark.parametrize("reaction", ["ss1", "sbc", "sto"])
-def test_each_fault_leads_to_its_reaction_and_no_other(reaction):
+def test_each_fault_has_exactly_one_reaction(reaction):
     settings = ReactionSettings(stroke="ss1", speed="ss1", drive="sto", stale="sto", law="sto")
     expected = {
         "ss1": {"STROKE", "SPEED", "CERTIFICATE", "REFUSED_FRAMES", "SET_UP"},
@@ -166,12 +166,12 @@ def test_each_fault_leads_to_its_reaction_and_no_other(reaction):
 
 
 @pytest.mark.parametrize(("word", "number"), [("1", 1.0), ("-.5", -0.5), (" 3e-2 ", 0.03), ("1E3", 1000.0)])
-def test_plain_figures_are_a_number(word, number):
+def test_plain_decimal_text_is_a_number(word, number):
     assert plain_number(word) == number
 
 
 @pytest.mark.parametrize("word", ["", ".", "1_0", "nan", "inf", "0x10", "٣", "1 2", "1e", "--1", "1,5"])
-def test_other_characters_are_no_number(word):
+def test_text_with_other_characters_is_not_a_number(word):
     assert plain_number(word) != plain_number(word)
 
 
@@ -199,7 +199,7 @@ PLACES = [(name, path) for name, text in TEXTS.items() for path in numbers(yaml.
 
 
 @pytest.mark.parametrize("number", broad([-1.1e30, 2 * 10**30, 10**300], quick=1), ids="{:.2g}".format)
-def test_an_absurd_number_is_refused_wherever_it_stands(number):
+def test_absurd_number_is_refused_in_every_key(number):
     assert len(PLACES) > 50
     for name, path in PLACES:
         with pytest.raises(ConfigurationError) as refused:
@@ -207,6 +207,6 @@ def test_an_absurd_number_is_refused_wherever_it_stands(number):
         assert f": {path_text(path)}: " in str(refused.value), (name, path)
 
 
-def test_a_limit_of_1e30_stands_for_none():
+def test_limit_of_1e30_is_accepted_as_no_limit():
     text = with_number(load("virtual").text, ("limits", "condition"), 1e30)
     assert loads(text, "a.yaml", CONFIGS).limits.condition == 1e30

@@ -1,4 +1,4 @@
-"""The operator's consent: Enter in a real terminal, and a run that waits for it."""
+"""Consent of the operator: Enter in a real terminal, and a run that waits for it."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def read_until(terminal: int, word: bytes) -> bytes:
     return heard
 
 
-def test_enter_counts_only_once_all_is_ready():
+def test_enter_counts_only_after_the_drives_are_ready():
     pid, terminal = pty.fork()
     if pid == 0:
         os.chdir(ROOT)
@@ -86,8 +86,8 @@ with open(sys.argv[1], "w") as file:
 
 
 @pytest.mark.parametrize("asked", broad(["asked", "at once"], quick=1))
-def test_a_terminal_that_hangs_up_is_one_stop_and_no_defect(tmp_path, asked):
-    """Reading it fails, or gives nothing; SIGHUP may follow."""
+def test_closed_terminal_causes_one_controlled_stop(tmp_path, asked):
+    """Reading from it fails or returns no bytes; SIGHUP may follow."""
     said = tmp_path / "said"
     pid, terminal = pty.fork()
     if pid == 0:
@@ -119,7 +119,7 @@ def test_hil_run_without_consent_ends_before_it_opens_the_bus():
     assert "add --arm" in ended.stderr
 
 
-def test_waiting_for_arm_and_arming_by_itself_exclude_each_other():
+def test_options_arm_and_wait_for_arm_exclude_each_other():
     result = CliRunner().invoke(main, ["run", "virtual", "--arm", "--wait-for-arm"])
     assert result.exit_code == 2
-    assert "leave out --wait-for-arm, or --arm" in result.stderr
+    assert "--arm and --wait-for-arm contradict each other" in result.stderr

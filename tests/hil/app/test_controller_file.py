@@ -1,4 +1,4 @@
-"""The file of law `state_space`: problems at their place, and refused where the loop cannot run it."""
+"""File of law `state_space`: problems with their place, and controllers that the loop cannot run."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("old", WRONG)
-def test_a_mistake_in_the_file_is_reported_by_line_and_column(old, tmp_path):
+def test_mistake_in_the_file_is_reported_with_line_and_column(old, tmp_path):
     new, message = WRONG[old]
     path = changed(tmp_path, old, new)
     with pytest.raises(ConfigurationError, match=message):
@@ -58,19 +58,19 @@ def test_a_mistake_in_the_file_is_reported_by_line_and_column(old, tmp_path):
     assert "controller.controller_file: " in refusal(path.name, tmp_path)
 
 
-def test_a_controller_for_another_rate_is_refused():
+def test_controller_for_another_rate_is_refused():
     message = refusal(GOOD, Path(), rate_Hz=500)
-    assert "controller.controller_file: made for 1000 Hz, and the loop runs at 500 Hz" in message
-    assert "design again for that rate" in message
+    assert "controller.controller_file: made for 1000 Hz, but the loop runs at 500 Hz" in message
+    assert "design the controller again" in message
 
 
-def test_looking_ahead_is_refused_with_the_reason():
+def test_delay_compensation_is_refused_with_the_reason():
     message = refusal(GOOD, Path(), more="  delay_compensation: {bus_ms: 1}\n")
-    assert "designed for an axis with the delay in it" in message
+    assert "an axis that includes the delay" in message
 
 
-def test_the_check_shows_order_and_margins():
-    """Against the continuous loop, in which hold and a controller without a D cost half a period each."""
+def test_check_shows_order_and_margins_of_the_controller():
+    """Compared with the continuous loop; the hold and a zero D matrix cost half a period each."""
     report = inspect(bench(GOOD, Path()))
     found = report.figures["controller"]
     assert found["order"] == 2
@@ -81,7 +81,7 @@ def test_the_check_shows_order_and_margins():
 
 
 def crossing(delay_s, lag_s):
-    """Of ((40 s + 400) / (0.005 s + 1) + 2000 / s) / (lag s + 1) / s^2 e^(-delay s), by its polynomials."""
+    """Margins of ((40 s + 400) / (0.005 s + 1) + 2000 / s) / (lag s + 1) / s^2 e^(-delay s)."""
 
     def loop(w):
         s = 1j * w
@@ -92,8 +92,8 @@ def crossing(delay_s, lag_s):
     return w_c, float(np.angle(-loop(w_c), deg=True))
 
 
-def test_check_warns_about_a_delay_beyond_the_design(tmp_path):
-    """Ten times the gains: over at 400 rad/s, where the lag of 5 ms alone takes 63 deg."""
+def test_check_warns_about_a_delay_above_the_design_delay(tmp_path):
+    """With ten times the gains it crosses over at 400 rad/s, where the lag of 5 ms alone costs 63 deg."""
     path = changed(tmp_path, "C: [[1, 1]]", "C: [[10, 10]]")
     report = inspect(bench(path.name, tmp_path))
     assert any("controller.controller_file: " in w for w in report.warnings)

@@ -1,4 +1,4 @@
-"""`hil ctl`, `hil setpoint` and files of commands: what is sent, and what comes of the answer."""
+"""`hil ctl`, `hil setpoint` and command files: the commands sent, and the effect of the answers."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ STATUS = {
 
 
 class Controller:
-    """Answers on the bus of `virtual`; refuses all that is no key where `why` says so."""
+    """Answers on the bus of `virtual`; with a text in `why` it refuses every command except key."""
 
     def __init__(self) -> None:
         self.why = ""
@@ -73,7 +73,7 @@ def ctl(*words):
     return CliRunner().invoke(main, ["ctl", "virtual", *words])
 
 
-def test_an_accepted_command_is_a_success_and_a_refused_one_is_not(controller):
+def test_accepted_command_succeeds_and_refused_command_fails(controller):
     assert ctl("speed", "40").exit_code == 0
     assert controller.heard == [Order(Operator.SPEED, (0.4,))]
     controller.why = "not now"
@@ -85,7 +85,7 @@ def test_an_accepted_command_is_a_success_and_a_refused_one_is_not(controller):
     assert "speed: -5 %; allowed: 0 .. 100" in result.stderr
 
 
-def test_a_status_is_lines_to_read(controller):
+def test_status_is_printed_as_lines(controller):
     result = ctl("status")
     assert result.exit_code == 0
     lines = dict(line.split("  ", 1) for line in result.output.splitlines())
@@ -96,13 +96,13 @@ def test_a_status_is_lines_to_read(controller):
     assert lines["faults"] == "none"
 
 
-def test_the_key_is_held_for_the_requested_time(controller):
+def test_key_is_held_for_the_requested_time(controller):
     assert ctl("key", "--for", "0.5").exit_code == 0
     assert set(controller.heard) == {Order(Operator.KEY)}
     assert 5 <= len(controller.heard) <= 26
 
 
-def test_a_jog_is_repeated_and_released_or_ends_when_refused(controller):
+def test_jog_repeats_until_released_or_refused(controller):
     assert ctl("jog", "leg3", "-0.5", "--for", "0.3").exit_code == 0
     *said, last = controller.heard
     assert set(said) == {Order(Operator.JOG, (9.0, -0.5))}
@@ -116,12 +116,12 @@ def test_a_jog_is_repeated_and_released_or_ends_when_refused(controller):
     assert controller.heard == [Order(Operator.JOG, (0.0, 1.0))]
 
 
-def test_only_key_and_jog_take_a_time(controller):
+def test_only_key_and_jog_accept_a_duration(controller):
     assert ctl("hold", "--for", "1").exit_code == 2
     assert not controller.heard
 
 
-def test_without_a_controller_a_command_is_refused(monkeypatch):
+def test_command_without_a_running_controller_is_refused(monkeypatch):
     with tempfile.TemporaryDirectory(prefix="op") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         result = ctl("estop")
@@ -141,7 +141,7 @@ assert not heavy, heavy
 
 
 @pytest.mark.parametrize("word", ["estop", "key"])
-def test_a_command_is_sent_without_a_heavy_import(tmp_path, word):
+def test_command_is_sent_without_heavy_imports(tmp_path, word):
     tmp_path.chmod(0o700)
     ended = subprocess.run(
         [sys.executable, "-c", HEAVY, *word.split()],
@@ -162,7 +162,7 @@ def changed(tmp_path, old, new):
     return str(file)
 
 
-def test_a_wrong_value_elsewhere_does_not_delay_an_emergency_stop(controller, tmp_path):
+def test_invalid_value_in_the_file_does_not_delay_an_emergency_stop(controller, tmp_path):
     file = changed(tmp_path, "mass_kg: 1150", "mass_kg: heavy")
     with pytest.raises(ConfigurationError, match=r"platform\.platform\.mass_kg"):
         load(file)
@@ -178,7 +178,7 @@ def test_a_wrong_value_elsewhere_does_not_delay_an_emergency_stop(controller, tm
         ("\nbus:", "\nbuss:", "bus: missing"),
     ],
 )
-def test_a_file_without_a_channel_gets_the_whole_check(controller, tmp_path, old, new, complaint):
+def test_file_without_a_channel_is_validated_completely(controller, tmp_path, old, new, complaint):
     result = CliRunner().invoke(main, ["ctl", changed(tmp_path, old, new), "estop"])
     assert result.exit_code == 2
     assert complaint in result.stderr
@@ -205,7 +205,7 @@ def test_commands_go_to_the_first_of_several_buses(tmp_path, first):
     assert (bus.interface, bus.channel) == ("localcan", first)
 
 
-def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
+def test_set_points_are_accepted_by_a_live_reference_only(controller, tmp_path):
     words = ["--position", "0", "0", "1"]
     result = CliRunner().invoke(main, ["setpoint", "virtual", *words])
     assert result.exit_code == 2
@@ -225,14 +225,14 @@ def test_set_points_go_to_a_live_reference_only(controller, tmp_path):
         ("-1 hold", "time -1.0, allowed: seconds from 0 to"),
         ("nan hold", "time nan"),
         ("1e10 hold", "time 10000000000.0"),
-        ("2 jump", "'jump' is no word"),
+        ("2 jump", "'jump' is not an operator command"),
         ("2 speed 140", "140 %; allowed: 0 .. 100"),
         ("2 jog x 1 for 1e9", "for '1e9', allowed: seconds up to 3600"),
-        ("2 status", "asks a running controller"),
-        ("hold", "'hold' is no time"),
+        ("2 status", "a query to a running controller"),
+        ("hold", "'hold' is not a time"),
     ],
 )
-def test_a_wrong_line_of_a_file_of_commands_has_its_number(tmp_path, line, told):
+def test_invalid_line_of_a_command_file_is_reported_by_number(tmp_path, line, told):
     file = tmp_path / "operator.txt"
     file.write_text(f"1 hold\n\n# then\n{line}\n")
     with pytest.raises(ConfigurationError, match=rf"operator\.txt:4: .*{re.escape(told)}"):
@@ -240,7 +240,7 @@ def test_a_wrong_line_of_a_file_of_commands_has_its_number(tmp_path, line, told)
 
 
 class Ending:
-    """Answers so many lines, and has ended then."""
+    """Answers a number of lines, then has ended."""
 
     def __init__(self, answers: int) -> None:
         self._left = answers
@@ -258,13 +258,13 @@ class Ending:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """There is nothing to give back."""
+        """Nothing to release."""
 
 
 @pytest.mark.parametrize("words", ["key", "jog x 1", "jog leg3 -0.5 --for 9"])
 @pytest.mark.parametrize(("answers", "code"), [(3, 1), (0, 2)])
-def test_a_controller_that_ends_meanwhile_is_a_failure(tmp_path, monkeypatch, words, answers, code):
-    """One that never answered is a refusal."""
+def test_controller_that_ends_during_a_command_is_a_failure(tmp_path, monkeypatch, words, answers, code):
+    """A controller that never answered is a refusal with exit code 2."""
     file = tmp_path / "a.json"
     monkeypatch.setattr(operate, "REPEAT_S", 0.0)
     monkeypatch.setattr("hil.operate.client.OperatorClient", lambda *_: Ending(answers))
@@ -277,7 +277,7 @@ def test_a_controller_that_ends_meanwhile_is_a_failure(tmp_path, monkeypatch, wo
 
 
 def given(rate_Hz: float, *times_s: float, ticks: int = 40) -> list[int]:
-    """Return in which ticks a stop that is to come at each of these times is given."""
+    """Ticks in which stops at these times are given."""
     script = CommandScript([(t, "stop") for t in times_s], rate_Hz)
     return [tick for tick in range(ticks) for each in script(tick).operator if each is Operator.STOP]
 
@@ -292,13 +292,13 @@ def given(rate_Hz: float, *times_s: float, ticks: int = 40) -> list[int]:
         (3000.0, 0.007, 21),
     ],
 )
-def test_a_command_is_given_in_the_first_tick_at_or_after_its_time(
+def test_command_is_given_in_the_first_tick_at_or_after_its_time(
     rate_Hz: float, t_s: float, tick: int
 ) -> None:
     assert given(rate_Hz, t_s) == [tick]
 
 
-def test_a_command_whose_tick_is_skipped_is_given_in_the_next_one() -> None:
+def test_command_of_a_skipped_tick_is_given_in_the_next_tick() -> None:
     script = CommandScript([(0.0045, "stop")], 1000.0)
     assert [script(tick).operator for tick in (4, 10, 11)] == [(), (Operator.STOP,), ()]
     assert script.left == 0
@@ -308,13 +308,13 @@ def test_a_command_whose_tick_is_skipped_is_given_in_the_next_one() -> None:
     ("seconds", "words"),
     [(0.01, 1), (0.03, 2), (0.28, 14), (0.29, 15)],
 )
-def test_a_repeated_command_is_sent_every_20_ms_until_its_end(seconds: float, words: int) -> None:
+def test_repeated_command_is_sent_every_20_ms_until_its_end(seconds: float, words: int) -> None:
     script = CommandScript([(1.0, f"jog x 1 for {seconds}")], 1000.0)
     assert [tick for tick in range(2000) if script(tick).orders] == [1000 + 20 * k for k in range(words)]
 
 
 @pytest.mark.parametrize(("mark", "end"), [("", "\n"), ("\ufeff", "\r\n")], ids=["unix", "windows"])
-def test_a_file_of_commands_is_read_whatever_editor_wrote_it(tmp_path: Path, mark: str, end: str) -> None:
+def test_command_file_of_any_editor_is_read(tmp_path: Path, mark: str, end: str) -> None:
     lines = ["0.5 start # at last", "", "# a remark", "  2  jog x 1 for 1.5 ", "1e1\thold"]
     (tmp_path / "c.txt").write_bytes((mark + end.join(lines) + end).encode())
     assert [(t, " ".join(word.split())) for t, word in read_commands(tmp_path / "c.txt")] == [

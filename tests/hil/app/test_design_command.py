@@ -1,4 +1,4 @@
-"""`hil design`: files in, files out, refusals."""
+"""`hil design`: input files, output files, refusals."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def axis_file(folder, **changes):
 
 
 @pytest.mark.parametrize("method", SHIPPED)
-def test_the_command_writes_controller_figures_and_picture(tmp_path, method):
+def test_command_writes_controller_figures_and_picture(tmp_path, method):
     files = [tmp_path / name for name in ("c.yaml", "d.json", "d.png")]
     done = design(method, "-o", files[0], "--json", files[1], "--plot", files[2], method=method)
     assert done.exit_code == 0, done.output
@@ -60,7 +60,7 @@ def test_the_command_writes_controller_figures_and_picture(tmp_path, method):
         assert design("hinf", "-o", files[0]).exit_code == 0, "an earlier controller is replaced"
 
 
-def test_an_identified_axis_replaces_that_of_the_design(tmp_path):
+def test_identified_axis_replaces_the_axis_of_the_design(tmp_path):
     out = tmp_path / "c.yaml"
     done = design("hinf", "--model", axis_file(tmp_path), "-o", out)
     assert done.exit_code == 0, done.output
@@ -78,13 +78,13 @@ def test_an_identified_axis_replaces_that_of_the_design(tmp_path):
         ({"nominal": {"gain": [1, 1, 0.6, 1, 1, 1]}}, "within 20 % of their mean"),
     ],
 )
-def test_an_axis_that_does_not_fit_the_design_is_refused(changes, says, tmp_path):
+def test_unsuitable_axis_is_refused(changes, says, tmp_path):
     done = design("hinf", "--model", axis_file(tmp_path, **changes))
     assert done.exit_code == 2
     assert says in done.output
 
 
-def test_the_guide_shows_what_the_command_prints():
+def test_guide_shows_the_output_of_the_command():
     page = (ROOT / "docs/guides/design.md").read_text()
     block = page.partition("```text\n")[2].partition("```")[0]
     assert block.split() == design("hinf").output.split()
@@ -98,22 +98,27 @@ def test_the_guide_shows_what_the_command_prints():
         ("hinf", "[error, rate_error]", "[rate_error]", "inputs lacks error"),
         ("hinf", "[error, rate_error]", "[error]", "go together"),
         ("hinf", "limit_m_s2: 20", "limit_m_s2: -20", "weights.control.limit_m_s2"),
-        ("hinf", "delay_order: 1", "delay_order: 1\nmodel: axis.yaml", "nominal and model both say"),
-        ("hinf", "limit_m_s2: 20", "limit_m_s2: 5", "no controller does what the weights ask"),
+        ("hinf", "delay_order: 1", "delay_order: 1\nmodel: axis.yaml", "nominal and model both define"),
+        ("hinf", "limit_m_s2: 20", "limit_m_s2: 5", "no controller meets the weights"),
         ("mu", "inertia: 0.2", "inertia: 1.0", "less than 1"),
-        ("mu", "[0.5, 2.0]", "[2.0, 0.5]", "transport_ms goes from 2 to 0.5, allowed: from less to more"),
+        (
+            "mu",
+            "[0.5, 2.0]",
+            "[2.0, 0.5]",
+            "transport_ms goes from 2 to 0.5, allowed: the smaller value first",
+        ),
         ("mu", "transport_ms: 1.25", "transport_ms: 2.5", "nominal.transport_ms: 2.5, allowed: within"),
         ("mu", "peak_m: 4.6e-3", "peak_m: 4.6e-4", "mu is not below"),
         (
             "mu",
             "low_m: 3.45e-5",
             "low_m: 2.484e-5",
-            "mu is 1.009, the worst at 0.00216 rad/s",
+            "mu is 1.009, with its peak at 0.00216 rad/s",
         ),  # below the grid
         ("mu", "rate_Hz: 1000", "rate_Hz: 1.0e-3", "look for a wrong unit"),
     ],
 )
-def test_a_wrong_design_is_refused_with_what_is_allowed(method, old, new, says, tmp_path):
+def test_invalid_design_is_refused_with_the_allowed_values(method, old, new, says, tmp_path):
     assert old in SHIPPED[method]
     path = tmp_path / "my.yaml"
     path.write_text(SHIPPED[method].replace(old, new, 1))
@@ -123,7 +128,7 @@ def test_a_wrong_design_is_refused_with_what_is_allowed(method, old, new, says, 
     assert not (tmp_path / "c.yaml").exists()
 
 
-def test_a_design_for_h_infinity_lacks_the_uncertainty():
+def test_mu_refuses_a_design_without_uncertainty():
     done = design("hinf", method="mu")
     assert done.exit_code == 2
     assert "has no section uncertainty" in " ".join(done.output.split())

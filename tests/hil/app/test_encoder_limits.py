@@ -1,4 +1,4 @@
-"""Limits of the rules on encoders: what is found, what is not observable, and how legs are pushed."""
+"""Limits of the encoder rules: detectable errors, undetectable errors, and probe pushes."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ pytestmark = pytest.mark.usefixtures("unproven")
 
 
 def doubt_of(length: Array, rate: Array) -> Doubt:
-    """Return what safety doubts of leg 2, which reads (n,) m and m/s at 1 kHz, on `virtual`.
+    """Doubt of safety about leg 2 with the given readings, (n,) m and m/s at 1 kHz, on `virtual`.
 
-    The other legs stand still, and the law follows what is read.
+    The other legs stand still, and the law follows the readings.
     """
     c = load("virtual")
     limits = encoder_limits(c, 1e3)
@@ -51,7 +51,7 @@ def doubt_of(length: Array, rate: Array) -> Doubt:
 
 @functools.cache
 def printed() -> dict[str, Any]:
-    """Return the figures that `hil check virtual` prints of encoders."""
+    """Figures that `hil check virtual` prints about encoders."""
     figures: dict[str, Any] = inspect(load("virtual")).figures["encoders"]
     return figures
 
@@ -62,33 +62,33 @@ SWING = 0.02 * np.sin(np.pi * T_S) ** 2, 0.02 * np.pi * np.sin(2.0 * np.pi * T_S
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.97, Doubt.NONE), (1.03, Doubt.SLIP)])
-def test_a_drift_of_the_length_alone_is_found_beyond_the_printed_speed(share, found):
+def test_drift_of_the_length_is_found_above_the_printed_speed(share, found):
     speed = share * printed()["drift_of_length_alone_m_s"]
     assert doubt_of(1.5 + speed * T_S, np.zeros(len(T_S))) is found
 
 
 @pytest.mark.parametrize("speed_m_s", [0.005, 0.01, 0.019])
-def test_a_drift_that_the_rate_contains_is_never_found_in_motion(speed_m_s):
+def test_drift_in_length_and_rate_is_not_found_in_motion(speed_m_s):
     way, rate = SWING
     drift = speed_m_s * np.maximum(T_S - 0.5, 0.0), speed_m_s * (T_S > 0.5)
     assert doubt_of(1.5 + way + drift[0], rate + drift[1]) is Doubt.NONE
 
 
-def test_a_drift_that_begins_above_the_printed_step_is_a_leap():
+def test_drift_that_starts_above_the_printed_step_is_a_leap():
     step = 1.05 * printed()["leap_m_s"]
     drift = step * np.maximum(T_S - 0.5, 0.0), step * (T_S > 0.5)
     assert doubt_of(1.5 + drift[0], drift[1]) is Doubt.LEAP
 
 
 @pytest.mark.parametrize("factor", [1.05, 1.3, 0.7])
-def test_a_scale_of_length_and_rate_alike_is_never_found(factor):
+def test_common_scale_error_of_length_and_rate_is_not_found(factor):
     way, rate = SWING
     assert doubt_of(1.5 + factor * way, factor * rate) is Doubt.NONE
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.95, Doubt.NONE), (1.08, Doubt.SLIP)])
-def test_a_scale_of_the_rate_alone_is_found_beyond_the_printed_share(share, found):
-    """At a uniform speed, of which the share has to be more than the drift that is found and 1.6 %."""
+def test_scale_error_of_the_rate_is_found_above_the_printed_share(share, found):
+    """At constant speed; the scale error must exceed the detectable drift plus 1.6 %."""
     figures, speed = printed(), 0.2
     wrong = share * (figures["drift_of_length_alone_m_s"] / speed + figures["scale_of_rate_alone"])
     way = np.cumsum(np.minimum(T_S / 0.5, 1.0)) * 1e-3 * speed
@@ -96,7 +96,7 @@ def test_a_scale_of_the_rate_alone_is_found_beyond_the_printed_share(share, foun
     assert doubt_of(1.5 + way, (1.0 + wrong) * rate) is found
 
 
-def test_a_push_overcomes_what_the_transmission_loses():
+def test_probe_push_overcomes_the_losses_of_the_transmission():
     """F = 24 N of a leg at home; with eta_d 0.9 and eta_b 0.85: (F + 3 + m a) / 0.9 - (F - 3) 0.85."""
     c = load("desktop")
     assert c.drives.transmission is not None
@@ -109,7 +109,7 @@ def test_a_push_overcomes_what_the_transmission_loses():
     np.testing.assert_allclose(encoder_limits(c, 400.0).push_N, expected, rtol=1e-12)
 
 
-def test_friction_is_stated_known_or_a_share_of_the_rated_force():
+def test_friction_is_configured_known_or_a_share_of_the_rated_force():
     assert friction_N(load("virtual")) == 0.0
     assert friction_N(load("lab")) == 60.0
     assert friction_N(load("socketcan")) == pytest.approx(75.0), "5 % of 1.5 kN: nobody knows"
@@ -122,8 +122,8 @@ VIRTUAL = load("virtual")
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 6), (800.0, 6), (400.0, 4), (200.0, 3)])
-def test_a_force_acts_as_late_as_the_rate_that_is_run_makes_it(rate_Hz, ticks):
-    """A period until the drives have it, one of the tick, and five lags of 0.796 ms: 3.98 ms.
+def test_delay_of_a_force_follows_the_rate_of_the_loop(rate_Hz, ticks):
+    """One period to the drives, one of the tick, and five lags of 0.796 ms: 3.98 ms.
 
     At 400 Hz 2 x 2.5 + 3.98 ms are 3.6 ticks, at 800 Hz 2 x 1.25 + 3.98 ms are 5.2.
     """
@@ -132,8 +132,8 @@ def test_a_force_acts_as_late_as_the_rate_that_is_run_makes_it(rate_Hz, ticks):
 
 
 @pytest.mark.parametrize("rate_Hz", [400.0, 250.0])
-def test_where_rates_are_differences_a_force_counts_two_ticks_longer(rate_Hz):
-    """A slope is made of three lengths."""
+def test_rates_by_differences_add_two_ticks_to_the_effect_of_a_force(rate_Hz):
+    """A difference uses three lengths."""
     c = load("lab-cia402")
     ticks = {}
     for velocity in ("difference", "pdo"):
@@ -145,7 +145,7 @@ def test_where_rates_are_differences_a_force_counts_two_ticks_longer(rate_Hz):
 
 
 @pytest.mark.parametrize(("rate_Hz", "ticks"), [(1000.0, 60), (500.0, 30)])
-def test_encoders_are_watched_from_when_the_brakes_have_opened(rate_Hz, ticks):
+def test_encoders_are_watched_after_the_brake_release_time(rate_Hz, ticks):
     engage = VIRTUAL.engage.model_copy(update={"brake_release_s": 0.06, "brake_close_s": 0.2})
     c = VIRTUAL.model_copy(update={"engage": engage})
     assert encoder_limits(c, rate_Hz).open_ticks == ticks
@@ -169,7 +169,7 @@ def stated(c, friction):
 
 
 def walked(force, swing=0.0):
-    """A path of 1 s at 1 kHz whose forces change by `swing` to `force`, N."""
+    """A path of 1 s at 1 kHz with a force step of `swing` to `force`, N."""
     n = 1001
     t, tau, nothing = np.linspace(0, 1, n), np.full((n, 6), force), np.zeros((n, 6))
     tau[: n // 2, 2] -= swing
@@ -188,14 +188,14 @@ def walked(force, swing=0.0):
         (-1600.0, 0.0, 390.0, "limits.force_N 2500"),
     ],
 )
-def test_a_push_that_the_limits_would_clip_is_reported(force, swing, friction, key):
+def test_probe_push_beyond_a_limit_is_reported(force, swing, friction, key):
     c = stated(load("lab"), friction)
     told = clipped(c, limits_of(c), walked(force, swing))
     assert (told is None) == (key is None)
     assert key is None or key in str(told)
 
 
-def test_a_clipped_push_refuses_a_run_with_the_value_that_is_allowed():
+def test_probe_push_beyond_a_limit_refuses_the_run_with_the_bound():
     c = edited("lab", (r"^monitor:.*", "monitor:\n  friction_N: 900"))
     line = c.text[: c.text.index("friction_N: 900")].count("\n") + 1
     for entry in (refuse_unreachable, inspect):

@@ -1,4 +1,4 @@
-"""Faults in the configuration and as words of a command: what they mean, and what is refused."""
+"""Faults in the configuration and in the words of a command: meaning and refusals."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ MEANT = [
 
 
 @pytest.mark.parametrize(("text", "fault"), MEANT, ids=[text for text, _ in MEANT])
-def test_words_mean_the_same_as_the_configuration(text, fault):
+def test_words_and_configuration_give_the_same_fault(text, fault):
     assert read_fault(text) == fault
     assert read_fault(show_fault(fault)) == fault
 
@@ -62,7 +62,7 @@ def test_words_mean_the_same_as_the_configuration(text, fault):
         ("drive_reset leg=0 for=1", "for: unknown key, allowed: kind, at_s, mode, leg"),
     ],
 )  # fmt: skip
-def test_wrong_words_are_refused_with_what_is_allowed(text, message):
+def test_invalid_words_are_refused_with_the_allowed_values(text, message):
     with pytest.raises(ConfigurationError) as refused:
         read_fault(text)
     assert str(refused.value).startswith(f'--fault "{text}": ')
@@ -72,7 +72,7 @@ def test_wrong_words_are_refused_with_what_is_allowed(text, message):
 # configuration
 
 
-def test_a_configuration_has_faults_of_its_own_and_words_add_more():
+def test_words_add_faults_to_those_of_the_configuration():
     c = configured("virtual", "{kind: encoder_jump, leg: 0, at_s: 2, by_m: 5e-3}")
     more = with_faults(c, ["drive_silence leg=1"])
     assert c.plant is not None
@@ -97,16 +97,16 @@ def test_a_configuration_has_faults_of_its_own_and_words_add_more():
         ("{kind: frames_loss, probability: 2}", "plant.faults[0].probability: out of range"),
     ],
 )
-def test_wrong_entries_are_refused_at_their_place(entry, message):
+def test_invalid_entries_are_refused_with_their_place(entry, message):
     with pytest.raises(ConfigurationError) as refused:
         configured("virtual", entry)
     assert message in str(refused.value)
 
 
-def test_sim_refuses_process_faults_and_real_time_those_of_a_mode():
+def test_sim_refuses_process_faults_and_plant_refuses_mode_faults():
     process = with_faults(load("virtual"), ["process_kill at=1"])
     process.require("plant")
-    with pytest.raises(ConfigurationError, match="process_kill: a simulation has no process of its own"):
+    with pytest.raises(ConfigurationError, match="process_kill: a simulation has no separate process"):
         process.require("sim")
     mode = with_faults(load("virtual"), ["drive_silence leg=0 mode=PARKING"])
     mode.require("sim")
@@ -121,7 +121,7 @@ def test_sim_refuses_process_faults_and_real_time_those_of_a_mode():
     ("words", "message"),
     [
         (("sim", "virtual", "--fault", "teleport"), "unknown kind 'teleport'"),
-        (("sim", "virtual", "--fault", "process_kill"), "a simulation has no process"),
+        (("sim", "virtual", "--fault", "process_kill"), "a simulation has no separate process"),
         (
             ("plant", "virtual", "--fault", "drive_silence leg=0 mode=HOLD"),
             "does not know the controller's mode",
@@ -129,8 +129,8 @@ def test_sim_refuses_process_faults_and_real_time_those_of_a_mode():
         (("run", "virtual", "--plant", "--fault", "drive_silence leg=0 mode=HOLD"), "does not know"),
         (("run", "virtual", "--fault", "drive_silence leg=0"), "add --plant"),
         (("faults", "virtual", "--only", "nothing*"), "matches no case"),
-        (("faults", "virtual", "--legs", "two"), "two, allowed: numbers of legs with commas"),
-        (("faults", "virtual", "--legs", "0,6"), "6 is no leg, allowed: 0 to 5"),
+        (("faults", "virtual", "--legs", "two"), "two, allowed: leg numbers with commas"),
+        (("faults", "virtual", "--legs", "0,6"), "unknown leg 6, allowed: 0 to 5"),
         (("faults", "virtual", "--only", "plant_nan/HOLD", "--junit", "/nowhere/x.xml"), "no folder"),
     ],
 )

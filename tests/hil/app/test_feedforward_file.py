@@ -1,4 +1,4 @@
-"""The file of a learned feed-forward: what is read, and what a run refuses."""
+"""File of a learned feed-forward: reading it, and runs that refuse it."""
 
 from __future__ import annotations
 
@@ -43,13 +43,13 @@ TEXT = feedforward_text(head_of(VIRTUAL), ROWS, -4, 1e-3)
 
 
 def using(folder: Path, text: str = TEXT, limit_N: float = 500.0, **changes: Any) -> Configuration:
-    """Return the shipped configuration with a feed-forward of this text, and with other changes."""
+    """The shipped configuration with a feed-forward of this text, and with other changes."""
     (folder / "learned.csv").write_text(text)
     section = {"feedforward": {"file": "learned.csv", "limit_N": limit_N}}
     return loads(with_changes(VIRTUAL.text, {"name": "virtual"} | section | changes), "my.yaml", folder)
 
 
-def test_a_file_is_read_as_it_was_written() -> None:
+def test_file_is_read_as_it_was_written() -> None:
     head, tau, start_s, step_s = read_feedforward(TEXT.encode(), "learned.csv")
     assert head == head_of(VIRTUAL).model_copy(update={"digest": head.digest})
     np.testing.assert_array_equal(tau, ROWS)
@@ -64,14 +64,14 @@ def test_a_file_is_read_as_it_was_written() -> None:
         ("# run: 1", "# run: 0", "run"),
         ("# peak_N: 100.0", "# peak_N: .nan", "peak_N"),
         ("# Made by", "Made by", "has no head"),
-        ("-0.004,0.0000", "-0.004,nan", "cut or changed"),
+        ("-0.004,0.0000", "-0.004,nan", "truncated or changed"),
         ("-0.004,0.0000", "-0.004", "number of columns changed"),
-        ("\n-0.002,", "\n-0.0025,", "cut or changed"),
-        (f"\n0.001,{ROWS[5, 0]:.4f}", f"\n0.001,{ROWS[5, 0] + 1e-4:.4f}", "cut or changed"),
-        ("# digest: ", "# digest: '0' #", "cut or changed"),
+        ("\n-0.002,", "\n-0.0025,", "truncated or changed"),
+        (f"\n0.001,{ROWS[5, 0]:.4f}", f"\n0.001,{ROWS[5, 0] + 1e-4:.4f}", "truncated or changed"),
+        ("# digest: ", "# digest: '0' #", "truncated or changed"),
     ],
 )
-def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: str) -> None:
+def test_invalid_file_is_refused_with_the_reason(old: str, new: str, said: str) -> None:
     assert TEXT.count(old) == 1, old
     with pytest.raises(ConfigurationError) as refused:
         read_feedforward(TEXT.replace(old, new).encode(), "learned.csv")
@@ -89,7 +89,7 @@ def test_another_file_is_refused_with_what_is_wrong(old: str, new: str, said: st
         ("reference", {"platform": {"home": {"position_m": [0, 0, 1.01]}}}),
     ],
 )
-def test_learned_forces_are_refused_on_anything_else(what: str, changes: Any, tmp_path: Path) -> None:
+def test_feed_forward_learned_on_another_setup_is_refused(what: str, changes: Any, tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError) as refused:
         using(tmp_path, **changes)
     assert "my.yaml" in str(refused.value)
@@ -99,22 +99,22 @@ def test_learned_forces_are_refused_on_anything_else(what: str, changes: Any, tm
     assert "learn again" in str(refused.value)
 
 
-def test_a_file_that_is_gone_is_refused_with_what_writes_one(tmp_path: Path) -> None:
+def test_missing_file_is_refused_with_the_command_that_writes_one(tmp_path: Path) -> None:
     text = using(tmp_path).text
     (tmp_path / "learned.csv").unlink()
-    with pytest.raises(ConfigurationError, match="allowed: one that `hil learn` wrote, given: ") as refused:
+    with pytest.raises(ConfigurationError, match="allowed: a file of `hil learn`, given: ") as refused:
         loads(text, "my.yaml", tmp_path)
     assert f"given: learned.csv (looked for {tmp_path}/learned.csv)" in str(refused.value)
 
 
-def test_more_than_its_limit_is_refused(tmp_path: Path) -> None:
+def test_force_above_the_feed_forward_limit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigurationError, match=r"above feedforward\.limit_N, allowed: up to 90 N, given: 99"
     ):
         using(tmp_path, limit_N=90.0)
 
 
-def test_a_log_carries_the_file_and_a_replay_reads_nothing_else(tmp_path: Path) -> None:
+def test_log_carries_the_file_and_replay_reads_it_from_there(tmp_path: Path) -> None:
     c = using(tmp_path)
     files = dict(attachments(c))
     assert files["feedforward.csv"] == TEXT.encode()
@@ -130,17 +130,17 @@ REST = {"type": "hold", "duration_s": 0.5, "interpolation": None, "periods": Non
 
 
 def at_rest(folder: Path, size: float = 1.0) -> Configuration:
-    """Return a configuration at rest with learned forces of this size."""
+    """A configuration at rest with learned forces of this size."""
     c = loads(with_changes(VIRTUAL.text, {"name": "virtual", "reference": REST}), "my.yaml", folder)
     return using(folder, feedforward_text(head_of(c), size * ROWS, -4, 1e-3), 5000.0, reference=REST)
 
 
-def test_check_warns_about_forces_beyond_the_certificate(tmp_path: Path) -> None:
+def test_check_warns_about_forces_above_the_stated_disturbance(tmp_path: Path) -> None:
     report = inspect(at_rest(tmp_path, 48.0))
     assert [line for line in report.warnings if "the certificate may alarm" in line]
 
 
-def test_a_bound_of_the_error_says_that_the_feed_forward_is_not_in_it(tmp_path: Path) -> None:
+def test_error_bound_states_that_it_excludes_the_feed_forward(tmp_path: Path) -> None:
     assert any(
         "up to 5000 N in a leg, is not in the bound" in line
         for line in Subject(at_rest(tmp_path), Stated()).unseen

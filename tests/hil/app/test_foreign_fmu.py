@@ -1,4 +1,4 @@
-"""An FMU of the user: what `hil check` reports, and the faults that need an input of it."""
+"""FMU of a user: the report of `hil check`, and faults that need an input of the FMU."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def configured(folder, brake, path=None):
 
 
 def said(name, mobility):
-    """Return what is warned of an FMU with this mobility as the plant of a shipped configuration."""
+    """Warnings about an FMU with this mobility as the plant of a shipped configuration."""
     subject = looked_at(load(name))
     subject.probe = Probe(np.zeros(6), mobility)
     return [
@@ -51,7 +51,7 @@ def said(name, mobility):
     ]
 
 
-def test_uncoupled_legs_are_pointed_to_pd_with_the_largest_mass():
+def test_warning_for_uncoupled_legs_proposes_pd_for_the_largest_mass():
     masses = np.array([40.0, 41.0, 50.0, 42.0, 43.0, 44.0])
     (text,) = said("virtual", np.diag(1 / masses))
     assert "controller.law: pd" in text
@@ -59,7 +59,7 @@ def test_uncoupled_legs_are_pointed_to_pd_with_the_largest_mass():
     assert said("bench", np.diag(1 / masses)) == []
 
 
-def test_coupled_legs_pass_and_a_leg_that_pulls_is_reported():
+def test_coupled_legs_pass_and_a_leg_of_inverted_sign_is_reported():
     platform = 0.02 * np.eye(6) + 0.005
     assert said("virtual", platform) == []
     platform[3] *= -1.0
@@ -81,7 +81,7 @@ def test_check_and_sim_warn_about_a_plant_without_brakes(brake, tmp_path):
     assert printed.find("no brake holds") < printed.find("sim: ")
 
 
-def test_check_prints_units_and_refuses_an_fmu_that_does_not_fit(tmp_path):
+def test_check_prints_units_and_refuses_an_unsuitable_fmu(tmp_path):
     report = inspect(load(configured(tmp_path, "brake")))
     assert "units of force, length and rate are stated" in report.sections["plant FMU"]
     assert report.figures["fmu"]["assumed_units"] == {}
@@ -98,7 +98,7 @@ NAMES = {"brake": "b", "wrench": "w"}
 
 
 def own(*inputs: str, faults: str = "") -> Configuration:
-    """Return a configuration whose FMU has such inputs beside the forces."""
+    """A configuration with an FMU that has these inputs in addition to the forces."""
     mapped = "".join(f"    {name}: [{NAMES[name]}]\n" for name in inputs)
     text = load("virtual").text.partition("\nplant:")[0] + OURS.format(path="own.fmu", brake="")
     text = text.replace("    brake: []\n", mapped) + faults
@@ -109,18 +109,18 @@ def own(*inputs: str, faults: str = "") -> Configuration:
     ("words", "inputs", "why"),
     [
         (WRENCH, ("brake",), "map six in plant.model.wrench"),
-        ("payload_step mass=5", ("brake",), "no FMU of one's own tells"),
-        ("payload_step mass=5", ("brake", "wrench"), "no FMU of one's own tells"),
+        ("payload_step mass=5", ("brake",), "a custom FMU does not report"),
+        ("payload_step mass=5", ("brake", "wrench"), "a custom FMU does not report"),
         *((words, ("wrench",), "map six in plant.model.brake") for words in SLIPS),
     ],
 )
-def test_a_fault_without_effect_at_an_fmu_is_refused(words: str, inputs: tuple[str, ...], why: str) -> None:
+def test_fault_without_effect_on_an_fmu_is_refused(words: str, inputs: tuple[str, ...], why: str) -> None:
     kind = words.partition(" ")[0]
     with pytest.raises(ConfigurationError, match=f"{kind} needs .*{why}"):
         with_faults(own(*inputs), [words])
 
 
-def test_a_fault_with_an_input_is_taken() -> None:
+def test_fault_with_a_mapped_input_is_accepted() -> None:
     taken = with_faults(own("brake", "wrench"), [WRENCH, *SLIPS, "brake_slow leg=1 by=5"])
     assert taken.plant is not None
     assert len(taken.plant.faults) == 5
@@ -135,9 +135,7 @@ def test_a_fault_with_an_input_is_taken() -> None:
         (("wrench",), {"payload_step", "brake_stuck_open", "brake_stuck_closed", "brake_slipping"}),
     ],
 )
-def test_the_fault_matrix_leaves_out_faults_without_effect(
-    inputs: tuple[str, ...], without: set[str]
-) -> None:
+def test_fault_matrix_leaves_out_faults_without_effect(inputs: tuple[str, ...], without: set[str]) -> None:
     found = {case.name for case in cases(own(*inputs))}
     kinds = {kind for kind in FAULTS if not kind.startswith("process")} - without
     assert found == {f"{kind}/{moment}" for kind in kinds for moment in MATRIX}

@@ -1,4 +1,4 @@
-"""The homing file over a power-off: what a run writes, and what the next one refuses."""
+"""Homing file across a power-off: written by one run, checked by the next."""
 
 import os
 import re
@@ -17,7 +17,7 @@ from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.fault_words import with_faults
 from hil.app.homing.command import state_homing
 from hil.app.homing.file import read_homing
-from hil.app.homing.keeping import Keeper
+from hil.app.homing.keeper import Keeper
 from hil.app.homing.last_pose import start_lengths
 from hil.app.sim.command import simulate
 from hil.loop.cycle import Cycle
@@ -25,9 +25,9 @@ from hil.mathematics.rotations import rotation_vector
 from hil.record.log import Log
 
 STEP_M = 0.1 * 2.0 * np.pi * 0.02
-"""What a drive forgets: its encoder sits in front of the gear of 10 : 1, its pinion has a radius of 20 mm."""
+"""Length that a drive forgets: encoder in front of a gear of 10 : 1, pinion of 20 mm radius."""
 RESOLUTION_M = 25.0 / 65535 * 0.02
-"""A step of the position field of Damiao."""
+"""Resolution of the position field of Damiao."""
 HOMING = "  homing: {file: real.yaml, limit_m: 0.0005, forgotten_turns: 0.1}\n"
 START = "  initial_position_m: [0, 0, 0.292]\n"
 
@@ -60,7 +60,7 @@ def begins_where(truth, by_m: float = 0.0) -> str:
     return f"  initial_position_m: {p.tolist()}\n  initial_rotation_vector_deg: {turn.tolist()}\n"
 
 
-def test_a_run_writes_where_it_has_parked(parked):
+def test_run_writes_its_parked_lengths(parked):
     folder, summary, truth = parked
     assert summary["success"], summary["trouble"]
     c = configuration(folder)
@@ -77,7 +77,7 @@ def test_a_run_writes_where_it_has_parked(parked):
     assert not (folder / "real.yaml").exists(), "a simulation speaks of emulated drives alone"
 
 
-def test_after_a_power_off_the_platform_is_where_it_was(parked, tmp_path):
+def test_pose_after_a_power_off_equals_the_pose_before(parked, tmp_path):
     folder, _, truth = parked
     c = configuration(folder, begins_where(truth))
     before = (folder / "bench.yaml").read_text()
@@ -91,7 +91,7 @@ def test_after_a_power_off_the_platform_is_where_it_was(parked, tmp_path):
     assert summary["replay"]["exact"]
 
 
-def test_a_platform_moved_by_hand_is_not_armed_nor_in_the_replay(parked, tmp_path):
+def test_platform_moved_by_hand_is_refused_in_run_and_replay(parked, tmp_path):
     folder, _, truth = parked
     c = configuration(folder, begins_where(truth, 0.002))
     before = (folder / "bench.yaml").read_text()
@@ -115,7 +115,7 @@ def test_a_platform_moved_by_hand_is_not_armed_nor_in_the_replay(parked, tmp_pat
     ("fault", "commands", "state"),
     [((), [(1.2, "estop")], "parked"), (("encoder_lost leg=1 mode=TRACKING at=0.8",), [], "moved")],
 )
-def test_after_a_fault_lengths_are_kept_only_where_known(tmp_path, fault, commands, state):
+def test_lengths_after_a_fault_are_stored_only_if_known(tmp_path, fault, commands, state):
     c = with_faults(configuration(tmp_path, "  initial_position_m: [0, 0, 0.284]\n"), fault)
     state_homing(c, emulated=True, lengths_m=start_lengths(c).tolist())
     summary = simulate(
@@ -145,13 +145,13 @@ def refusal(c: Configuration) -> str:
     return str(refused.value)
 
 
-def test_a_missing_file_is_refused_and_says_how_to_make_one(tmp_path):
+def test_missing_file_is_refused_with_the_command_that_makes_one(tmp_path):
     said = refusal(configuration(tmp_path))
     assert "bench.yaml: no such file" in said
     assert "`hil homing desktop --emulated` --at-home" in said
 
 
-def test_a_half_written_file_is_refused_wherever_it_ends(tmp_path):
+def test_incomplete_file_is_refused_wherever_it_ends(tmp_path):
     c = configuration(tmp_path)
     state(c)
     file = tmp_path / "bench.yaml"
@@ -159,16 +159,16 @@ def test_a_half_written_file_is_refused_wherever_it_ends(tmp_path):
     body = text.index("\n") + 1
     for end in range(0, text.index("turns:"), 23):
         file.write_text(text[:end])
-        assert ("is no whole homing file" in refusal(c)) or end < body, end
+        assert ("not a complete homing file" in refusal(c)) or end < body, end
 
 
-def test_a_file_of_another_robot_is_refused(tmp_path):
+def test_file_of_another_robot_is_refused(tmp_path):
     state(configuration(tmp_path))
     said = refusal(configuration(tmp_path, mass=11))
     assert "for another robot, configuration 'desktop'" in said
 
 
-def test_after_a_run_that_was_killed_the_file_is_not_believed(tmp_path):
+def test_file_of_a_killed_run_is_refused(tmp_path):
     c = configuration(tmp_path)
     state(c)
     keeper = Keeper(c, emulated=True)
@@ -183,7 +183,7 @@ def test_after_a_run_that_was_killed_the_file_is_not_believed(tmp_path):
 # -- the command -------------------------------------------------------------------------------------------
 
 
-def test_one_leg_is_corrected_and_the_others_stay(tmp_path):
+def test_one_leg_is_corrected_and_the_others_keep_their_lengths(tmp_path):
     c = configuration(tmp_path)
     state(c)
     state_homing(c, emulated=True, legs_m={2: 0.35})
@@ -195,7 +195,7 @@ def test_one_leg_is_corrected_and_the_others_stay(tmp_path):
     assert there.turns is None
 
 
-def test_a_stated_length_may_be_off_by_a_quarter_turn(tmp_path):
+def test_stated_length_may_be_wrong_by_a_quarter_turn(tmp_path):
     c = configuration(tmp_path)
     state(c)
     assert limits(c) == pytest.approx([STEP_M / 4] * 6)
@@ -204,7 +204,7 @@ def test_a_stated_length_may_be_off_by_a_quarter_turn(tmp_path):
     assert limits(c) == [0.0005] * 6
 
 
-def test_nothing_is_written_while_a_run_has_the_bus(tmp_path):
+def test_file_is_not_written_while_a_run_uses_the_bus(tmp_path):
     c = configuration(tmp_path)
     state(c)
     before = (tmp_path / "bench.yaml").read_text()
@@ -222,7 +222,7 @@ def test_nothing_is_written_while_a_run_has_the_bus(tmp_path):
     assert (tmp_path / "bench.yaml").read_text() != before
 
 
-def test_a_length_outside_the_stroke_is_refused_and_nothing_is_written(tmp_path):
+def test_length_outside_the_stroke_is_refused_and_not_written(tmp_path):
     c = configuration(tmp_path)
     with pytest.raises(
         ConfigurationError, match=r"leg 3: 0\.45 m: outside the stroke, allowed: 0\.25 to 0\.4 m"

@@ -1,4 +1,4 @@
-"""The homing file in a run: marked while brakes may open, parked only where lengths are known."""
+"""Homing file in a run: marked while brakes may open, `parked` only with known lengths."""
 
 from __future__ import annotations
 
@@ -17,25 +17,25 @@ from drivers.errors import ConfigurationError
 from drivers.signals import DriveState, Fault, Mode
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
-from hil.app.homing import keeping
+from hil.app.homing import keeper
 from hil.app.homing.command import state_homing
 from hil.app.homing.file import HomingFile, read_homing, write_homing
-from hil.app.homing.keeping import Keeper
+from hil.app.homing.keeper import Keeper
 from hil.app.run import command
 from hil.loop.homing import LastPose
 from tests.hil.app.test_homing import configuration
 
 LENGTHS = [0.31, 0.32, 0.33, 0.34, 0.35, 0.36]
 FILES = {False: "real.yaml", True: "bench.yaml"}
-"""Of real and of emulated drives."""
+"""Files of the real and of the emulated drives."""
 
 
 class EndsHere(BaseException):
-    """The process dies as the loop begins."""
+    """Death of the process at the start of the loop."""
 
 
 def cycle_of(**changes: Any) -> Any:
-    """Return what a keeper asks of a cycle: six drives that are off, at rest, measured and known."""
+    """Cycle for a keeper: six drives that are off, at rest, measured and known."""
     state = changes.pop("drive_state", int(DriveState.OFF))
     tick = {
         "age": np.zeros(6, int),
@@ -56,7 +56,7 @@ def cycle_of(**changes: Any) -> Any:
 
 @pytest.fixture
 def stated(tmp_path: Path) -> Configuration:
-    """Drives of both kinds, whose files say other lengths."""
+    """Drives of both kinds, with different lengths in their files."""
     c = configuration(tmp_path)
     state_homing(c, emulated=False, lengths_m=LENGTHS)
     state_homing(c, emulated=True, lengths_m=LENGTHS[::-1])
@@ -65,7 +65,7 @@ def stated(tmp_path: Path) -> Configuration:
 
 @contextlib.contextmanager
 def sockets(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """The path of a socket has 108 bytes."""
+    """Short runtime folder: the path of a socket has at most 108 bytes."""
     with tempfile.TemporaryDirectory(prefix="hil-") as folder:
         monkeypatch.setenv("XDG_RUNTIME_DIR", folder)
         yield
@@ -81,7 +81,7 @@ def nothing(*_: Any, **__: Any) -> Any:
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, build_cycle: Callable[..., Any]) -> None:
-    """Let a run have that cycle, and neither recorder nor plant."""
+    """Run with the given cycle, without recorder and plant."""
     for name in ("record", "SupervisedPlant"):
         monkeypatch.setattr(command, name, nothing)
     monkeypatch.setattr(command, "select_rate", lambda *_, **__: (400.0, 0.01))
@@ -90,7 +90,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, build_cycle: Callable[..., Any]) -
 
 
 @pytest.mark.parametrize("with_plant", [False, True])
-def test_a_run_marks_the_file_of_its_own_drives_before_the_loop(
+def test_run_marks_the_file_of_its_own_drives_before_the_loop(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool
 ) -> None:
     told: list[LastPose] = []
@@ -119,7 +119,7 @@ def test_a_run_marks_the_file_of_its_own_drives_before_the_loop(
 
 
 def pressed(monkeypatch: pytest.MonkeyPatch, moment: str) -> list[str]:
-    """Let Ctrl-C come as the file is first written, before it is there or behind; return what is written."""
+    """Press Ctrl-C just before or just after the first write of the file; return the written states."""
     written: list[str] = []
 
     def write(c: Configuration, path: Path, file: HomingFile) -> None:
@@ -130,13 +130,13 @@ def pressed(monkeypatch: pytest.MonkeyPatch, moment: str) -> list[str]:
         if len(written) == 1 and moment == "behind":
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(keeping, "write_homing", write)
+    monkeypatch.setattr(keeper, "write_homing", write)
     return written
 
 
 @pytest.mark.parametrize("moment", ["before", "behind"])
 @pytest.mark.parametrize("with_plant", [False, True])
-def test_an_interrupt_while_marking_leaves_the_file_as_it_was(
+def test_interrupt_during_marking_does_not_change_the_file(
     stated: Configuration, monkeypatch: pytest.MonkeyPatch, with_plant: bool, moment: str
 ) -> None:
     cycle = cycle_of(tick={"age": np.full(6, 99)})
@@ -166,7 +166,7 @@ UNKNOWN: dict[str, dict[str, Any]] = {
 
 
 def ended(c: Configuration, changes: dict[str, Any]) -> HomingFile:
-    """The file of the real drives once a run with these changes has begun and ended."""
+    """File of the real drives after a run with these changes."""
     keeper = Keeper(c, emulated=False)
     keeper.begin(cycle_of(**changes))
     assert states(c) == {False: "moved", True: "stated"}
@@ -176,18 +176,18 @@ def ended(c: Configuration, changes: dict[str, Any]) -> HomingFile:
 
 
 @pytest.mark.parametrize("why", UNKNOWN)
-def test_a_run_that_does_not_know_where_it_left_the_legs_stays_marked(stated, why):
+def test_file_stays_marked_if_the_final_lengths_are_unknown(stated, why):
     assert ended(stated, UNKNOWN[why]).state == "moved"
 
 
 @pytest.mark.parametrize("fault", BELIEVED)
-def test_lengths_at_rest_after_another_fault_are_kept(stated, fault):
+def test_lengths_at_rest_after_another_fault_are_stored(stated, fault):
     file = ended(stated, {"mode": Mode.FAULT if fault else Mode.PARKED, "faults": fault})
     assert file.state == "parked"
     assert file.lengths_m == pytest.approx([each + 0.005 for each in LENGTHS])
 
 
-def test_a_homing_file_that_cannot_be_written_stays_marked_and_is_reported(stated, monkeypatch):
+def test_homing_file_that_cannot_be_written_stays_marked(stated, monkeypatch):
     def full(path, _):
         raise OSError(errno.ENOSPC, "No space left on device", str(path))
 
@@ -212,7 +212,7 @@ def test_a_homing_file_that_cannot_be_written_stays_marked_and_is_reported(state
     ],
     ids=str,
 )
-def test_a_file_is_not_believed_once_a_leg_counts_other_turns(stated, drives):
+def test_file_is_refused_after_a_change_of_the_transmission(stated, drives):
     other = loads(with_changes(stated.text, {"name": "desktop", "drives": drives}), "desktop", stated.folder)
     for emulated in (False, True):
         assert Keeper(stated, emulated=emulated).last_pose is not None

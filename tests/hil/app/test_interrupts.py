@@ -22,13 +22,13 @@ from hil.record.log import Log
 
 
 def press():
-    """Of the one thread that a command has; the runner of the tests has another one."""
+    """Send SIGINT to this thread, the only one of a command; the test runner has another one."""
     signal.pthread_kill(threading.get_ident(), signal.SIGINT)
 
 
 @pytest.fixture(autouse=True)
 def foreground():
-    """Let SIGINT be as in a terminal: it is ignored in the background of a shell."""
+    """Handle SIGINT as in a terminal; in the background of a shell it is ignored."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -36,7 +36,7 @@ def foreground():
 
 @pytest.fixture
 def process(monkeypatch, capsys):
-    """Be the process of a command: return its exit code and what it says on standard error."""
+    """Run a command in this process; return its exit code and its standard error."""
 
     def run(*words):
         monkeypatch.setattr("sys.argv", ["hil", *map(str, words)])
@@ -48,17 +48,17 @@ def process(monkeypatch, capsys):
 
 
 def interrupted_in(monkeypatch, work):
-    """Let `hil check` do that instead."""
+    """Replace the work of `hil check`."""
     monkeypatch.setattr(check, "load", lambda *_: work())
 
 
-def test_an_interrupt_is_one_line_and_exit_code_130(process, monkeypatch):
+def test_interrupt_prints_one_line_and_exits_with_130(process, monkeypatch):
     interrupted_in(monkeypatch, press)
     assert process("check") == (INTERRUPTED, "hil: interrupted\n") == (130, "hil: interrupted\n")
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_an_error_that_a_library_makes_of_an_interrupt_is_none(process, monkeypatch):
+def test_interrupt_that_a_library_turns_into_an_error_is_reported(process, monkeypatch):
     def work():
         try:
             press()
@@ -69,8 +69,8 @@ def test_an_error_that_a_library_makes_of_an_interrupt_is_none(process, monkeypa
     assert process("check") == (INTERRUPTED, "hil: interrupted\n")
 
 
-def test_an_interrupt_of_a_question_says_which_one(process, monkeypatch, tmp_path):
-    """The end of the input at the same place is a missing answer: 2."""
+def test_interrupt_of_a_dialogue_names_the_question(process, monkeypatch, tmp_path):
+    """The end of the input at the same place is a missing answer, with exit code 2."""
 
     def ended(_: str) -> str:
         raise EOFError
@@ -87,7 +87,7 @@ def test_an_interrupt_of_a_question_says_which_one(process, monkeypatch, tmp_pat
     assert not list(tmp_path.iterdir())
 
 
-def test_a_second_press_does_not_disturb_what_closes_the_files(process, monkeypatch):
+def test_second_interrupt_does_not_disturb_the_closing_of_files(process, monkeypatch):
     closed = []
 
     def work():
@@ -102,7 +102,7 @@ def test_a_second_press_does_not_disturb_what_closes_the_files(process, monkeypa
     assert closed
 
 
-def test_a_press_while_the_recorder_is_started_waits_until_it_is(monkeypatch):
+def test_interrupt_during_the_recorder_start_waits_for_its_end(monkeypatch):
     order: list[str] = []
 
     def start(*_: object, **__: object) -> None:
@@ -115,7 +115,7 @@ def test_a_press_while_the_recorder_is_started_waits_until_it_is(monkeypatch):
     assert order[:2] == ["started", "interrupted"]
 
 
-def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeypatch, tmp_path):
+def test_interrupted_simulation_reports_its_log_which_is_complete(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
     record, ticks = Recording.ticks_of_items, [0]
 
@@ -135,7 +135,7 @@ def test_an_interrupted_simulation_names_its_log_which_is_whole(process, monkeyp
     assert log.metadata["summary"]["reason"] == "interrupted"
 
 
-def test_an_interrupt_while_the_recorder_writes_leaves_a_whole_log(process, monkeypatch, tmp_path):
+def test_interrupt_while_the_recorder_writes_leaves_a_complete_log(process, monkeypatch, tmp_path):
     path = tmp_path / "a.mcap"
     send, answer, answered = child.send, child.answer, []
 
@@ -159,7 +159,7 @@ def test_an_interrupt_while_the_recorder_writes_leaves_a_whole_log(process, monk
     assert (log.cut, log.metadata["summary"]["ending"]) == ("", "PARKED")
 
 
-def test_an_interrupt_of_the_replay_says_how_the_simulation_ended(monkeypatch, tmp_path):
+def test_interrupt_of_the_replay_reports_the_end_of_the_simulation(monkeypatch, tmp_path):
     monkeypatch.setattr(replay, "replay_log", lambda _: press())
     with pytest.raises(
         KeyboardInterrupt, match=r"after the run, which ended in PARKED; its log is whole: .*a\.mcap"
@@ -168,7 +168,7 @@ def test_an_interrupt_of_the_replay_says_how_the_simulation_ended(monkeypatch, t
     assert not Log.open(tmp_path / "a.mcap").cut
 
 
-def test_a_second_press_does_not_disturb_the_end_of_the_start():
+def test_second_interrupt_does_not_disturb_the_end_of_the_start():
     panel = OperatorPanel()
 
     def begin():
@@ -183,8 +183,8 @@ def test_a_second_press_does_not_disturb_the_end_of_the_start():
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
-def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, monkeypatch):
-    """What its steps switched on they switch off on the way out."""
+def test_closed_terminal_ends_a_bring_up_like_ctrl_c(process, number, monkeypatch):
+    """On the way out its steps switch off all that they switched on."""
     let_go = []
 
     def steps(*_, **__):
@@ -202,7 +202,7 @@ def test_a_terminal_that_goes_ends_a_bring_up_as_ctrl_c_does(process, number, mo
 
 
 @pytest.mark.parametrize(("own", "told"), [("", "a log"), ("at 2 s", "at 2 s")])
-def test_an_interrupt_reports_what_there_is_or_its_own_words(own, told):
+def test_interrupt_reports_its_own_text_or_the_existing_outputs(own, told):
     with pytest.raises(KeyboardInterrupt) as interrupt, leaving(lambda: "nothing has moved"):  # noqa: SIM117
         with leaving(lambda: "a log"):
             raise KeyboardInterrupt(*([own] if own else []))

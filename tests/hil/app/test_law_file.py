@@ -1,4 +1,4 @@
-"""`controller.law: ./my_law.py:MyLaw`: a law in one file runs, is recorded, and replays; a log runs no code."""
+"""`controller.law: ./my_law.py:MyLaw`: a law in a file runs, is recorded and replays; a log runs no code."""
 
 import pickle
 import re
@@ -64,7 +64,7 @@ def replay(log, *options):
     return CliRunner().invoke(main, ["replay", str(log), *options])
 
 
-def test_a_law_in_a_file_runs_and_its_log_replays_on_the_same_file_only(file, monkeypatch):
+def test_law_in_a_file_runs_and_replays_with_the_same_file_only(file, monkeypatch):
     log = file.with_name("a.mcap")
     assert hil.sim(file, duration_s=0.2, log=log).summary["replay"]["exact"]
     monkeypatch.chdir("/")
@@ -102,7 +102,7 @@ def test_a_law_in_a_file_runs_and_its_log_replays_on_the_same_file_only(file, mo
         (":SpringSettings", ":Spring", "controller.law", "LawSettings"),
     ],
 )
-def test_a_wrong_section_is_refused_at_its_place(file, old, new, place, words):
+def test_invalid_section_is_refused_with_its_place(file, old, new, place, words):
     file.write_text(file.read_text().replace(old, new))
     with pytest.raises(ConfigurationError, match=rf"mine\.yaml:\d+:\d+: {place}: .*{words}"):
         load(file)
@@ -111,13 +111,13 @@ def test_a_wrong_section_is_refused_at_its_place(file, old, new, place, words):
 @pytest.mark.parametrize(
     ("code", "words"), [("x = 1\n1 / 0\n", r"spring\.py:2: ZeroDiv"), ("def", "SyntaxError")]
 )
-def test_a_law_file_that_fails_is_refused_with_its_line(file, code, words):
+def test_law_file_with_an_error_is_refused_with_its_line(file, code, words):
     (file.with_name("laws") / "spring.py").write_text(code)
     with pytest.raises(ConfigurationError, match=words):
         load(file)
 
 
-def test_a_law_in_a_file_goes_to_other_processes(file):
+def test_law_in_a_file_can_be_sent_to_other_processes(file):
     code = "import pickle, sys; c = pickle.load(sys.stdin.buffer); print(c.controller, c.law_file.path.name)"
     here = pickle.dumps(load(file))
     done = subprocess.run([sys.executable, "-c", code], input=here, capture_output=True, check=True)
@@ -125,7 +125,7 @@ def test_a_law_in_a_file_goes_to_other_processes(file):
     assert b"spring.py" in done.stdout
 
 
-def test_a_file_beside_a_strangers_log_is_not_run(file, tmp_path, monkeypatch):
+def test_law_file_next_to_an_untrusted_log_is_not_run(file, tmp_path, monkeypatch):
     log = file.with_name("a.mcap")
     hil.sim(file, duration_s=0.1, log=log)
     monkeypatch.setattr("hil.app.configuration.law_file._KNOWN", tmp_path / "another user")
@@ -134,6 +134,6 @@ def test_a_file_beside_a_strangers_log_is_not_run(file, tmp_path, monkeypatch):
     assert replay(log).exit_code == 0
 
 
-def test_a_log_of_a_law_with_a_certificate_is_read(file):
+def test_log_of_a_law_with_a_certificate_is_read(file):
     text = file.read_text()
     loads(re.sub(r"^(monitor:.*\n  action: )\w+", r"\1warn", text, flags=re.MULTILINE), "a.mcap")

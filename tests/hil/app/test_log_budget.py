@@ -1,4 +1,4 @@
-"""`recording.budget_GB`: which logs are removed, which stay, and what is refused."""
+"""`recording.budget_GB`: logs that are removed or kept, and refused runs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.record.mcap_file import McapFile
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory):
-    """One log without a fault, one with, one that was cut."""
+    """A log without a fault, one with a fault, and a cut one."""
     folder = tmp_path_factory.mktemp("logs")
     good, bad, cut = (folder / f"{name}.mcap" for name in ("good", "bad", "cut"))
     assert simulate(load("virtual"), log=good, duration_s=0.2, check_replay=False)["success"]
@@ -33,7 +33,7 @@ def configured(folder, budget):
 
 @pytest.fixture
 def runs(logs, tmp_path):
-    """Six runs, the second with a fault, the third cut; a plant's log; files that are none of them."""
+    """Six runs, the second with a fault, the third cut; a plant's log; unrelated files."""
     names = {
         "virtual-20260101T000000": "good",
         "virtual-20260101T000001": "bad",
@@ -58,7 +58,7 @@ def left(folder):
     return {path.stem for path in folder.glob("*.mcap")}
 
 
-def test_the_oldest_logs_without_a_fault_go_first_the_newest_never(runs):
+def test_oldest_logs_without_a_fault_are_removed_first_newest_never(runs):
     removed = [path.rsplit("/", 1)[1].removesuffix(".mcap") for path in make_room(configured(runs, 1e-6), 0)]
     assert removed == [
         "virtual-20260101T000000",
@@ -71,14 +71,14 @@ def test_the_oldest_logs_without_a_fault_go_first_the_newest_never(runs):
     assert left(runs) == OTHERS | {"virtual-20260101T000004"}
 
 
-def test_no_more_goes_than_the_budget_needs(runs):
+def test_only_as_many_logs_are_removed_as_the_budget_needs(runs):
     size = (runs / "mine.mcap").stat().st_size
     total = sum(log.stat().st_size for logs in dated_logs(runs, "virtual").values() for log in logs)
     removed = make_room(configured(runs, (total + 0.5 * size) / 1e9), size)
     assert [path.rsplit("/", 1)[1] for path in removed] == ["virtual-20260101T000000.mcap"]
 
 
-def test_without_a_budget_or_with_a_named_log_nothing_goes(runs, tmp_path):
+def test_no_log_is_removed_without_a_budget_or_for_a_named_log(runs, tmp_path):
     before = left(runs)
     c = loads(load("virtual").text.replace("folder: runs", f"folder: {runs}"), "virtual")
     assert make_room(c, 0) == []
@@ -86,7 +86,7 @@ def test_without_a_budget_or_with_a_named_log_nothing_goes(runs, tmp_path):
     assert left(runs) == before
 
 
-def test_a_run_that_needs_more_than_the_budget_or_the_disk_is_refused(runs):
+def test_run_that_needs_more_than_budget_or_disk_is_refused(runs):
     with pytest.raises(LogError, match=r"budget_GB 0.001: this run may write 0.002 GB"):
         make_room(configured(runs, 1e-3), 2_000_000)
     free = shutil.disk_usage(runs).free
@@ -95,7 +95,7 @@ def test_a_run_that_needs_more_than_the_budget_or_the_disk_is_refused(runs):
     assert len(left(runs)) == 10
 
 
-def test_a_run_that_is_still_recorded_keeps_both_of_its_logs(runs):
+def test_run_that_is_still_recorded_keeps_both_logs(runs):
     own, other = "virtual-20260101T000000-2", "virtual-20260101T000002-2"
     both = {own, f"{own}-plant", other, f"{other}-plant"}
     shutil.copy(runs / "mine.mcap", runs / f"{own}-plant.mcap")

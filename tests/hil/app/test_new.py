@@ -1,4 +1,4 @@
-"""`hil new`: five very different robots, figures by hand, and answers that cannot work."""
+"""`hil new`: five very different robots, calculated figures, and implausible answers."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def new(path, words, *more, answers=None):
 
 
 @pytest.mark.parametrize("name", broad(ROBOTS, quick=1))
-def test_a_new_configuration_passes_check_with_force_in_reserve(name, tmp_path):
+def test_new_configuration_passes_check_with_force_in_reserve(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     done = new(path, ROBOTS[name])
     assert done.exit_code == 0, done.output
@@ -78,7 +78,7 @@ def test_a_new_configuration_passes_check_with_force_in_reserve(name, tmp_path):
         pytest.param("hanging", marks=pytest.mark.long),
     ],
 )
-def test_a_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
+def test_new_robot_tracks_its_path_parks_and_replays(name, tmp_path):
     path = tmp_path / f"{name}.yaml"
     assert new(path, ROBOTS[name]).exit_code == 0
     summary = simulate(load(path), log=tmp_path / "run.mcap", duration_s=3.0)
@@ -112,14 +112,14 @@ LIGHT = (
         ("--rate 5", "'--rate': 5.0 is not in the range"),
         ("", "no default for --base-radius, --platform-radius, --length-min, --stroke, --mass, --leg-mass"),
         ("--drives moteus", "no default for --travel"),
-        ("--drives legs --travel 0.01", "--travel: nothing that drives of legs are asked"),
-        ("--drives moteus --travel 0.01 --model AK80-9", "--model: nothing that drives of moteus are asked"),
+        ("--drives legs --travel 0.01", "--travel: does not apply to drives of legs"),
+        ("--drives moteus --travel 0.01 --model AK80-9", "--model: does not apply to drives of moteus"),
         ("--drives damiao --model AK80-9 --travel 0.1", "--model: allowed with damiao: DM4310"),
         # +-12.5 rad are 3.98 turns, 0.2 m of stroke over them 0.0503 m; 54 N m over 800 N are 0.424 m
         ("--drives damiao --model DM8009 --travel 0.01", "--travel: allowed with DM8009: 0.05077 to 0.4199 m"),
-        ("--drives damiao --model DM3507 --travel 0.06", "--travel: DM3507 suits at no lead"),
+        ("--drives damiao --model DM3507 --travel 0.06", "--travel: DM3507 suits no lead"),
         ("--drives cubemars --travel 0.06", "no default for --model"),
-        ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames alone"),
+        ("--drives moteus --travel 0.01 --layout classic", "--layout: drives of moteus have fd frames only"),
         ("--drives cia402 --travel 0.01 --rate 500", "--rate: bus: the frames of one tick do not fit"),
         # by hand: 2 x 18 N m on 4095 steps, over 0.06 m a turn, are 0.92 N; over 0.13 m 0.42 N
         (f"{LIGHT} --travel 0.06", "allowed with AK80-9: 0.1257 to 0.5598 m a turn"),
@@ -127,7 +127,7 @@ LIGHT = (
         (f"{LIGHT} --travel 0.13 --rate 250", "--rate: at 250 Hz one code of torque is 0.42 N"),
     ],
 )  # fmt: skip
-def test_an_answer_that_cannot_work_is_refused_and_nothing_is_written(words, told, tmp_path):
+def test_implausible_answer_is_refused_and_nothing_is_written(words, told, tmp_path):
     robot = "" if not words or words.startswith(LIGHT) else ROBOTS["table"]
     done = new(tmp_path / "r.yaml", f"{robot} {words}")
     assert done.exit_code == 2
@@ -148,8 +148,8 @@ DRIVES = {
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", DRIVES)
-def test_a_new_robot_runs_at_the_highest_rate_of_its_drives(name, tmp_path):
-    """The rates of the table of docs/guides/drives.md, down to one that is tried."""
+def test_new_robot_runs_at_the_highest_rate_of_its_drives(name, tmp_path):
+    """Rates of the table of docs/guides/drives.md, rounded down to a candidate rate."""
     rate_Hz = {"cia402": 312.5, "odrive": 312.5, "robstride": 312.5}.get(name, 400.0)
     path = tmp_path / f"{name}.yaml"
     done = new(path, f"{ROBOTS['table']} {DRIVES[name]}")
@@ -164,8 +164,8 @@ def test_a_new_robot_runs_at_the_highest_rate_of_its_drives(name, tmp_path):
 HEAVY = ROBOTS["simulator"].replace(" --layout classic", " --drives cia402 --travel 0.01 --rate 500")
 
 
-def test_a_rate_above_one_bus_is_refused_with_the_number_of_buses(tmp_path):
-    """docs/guides/buses.md: six drives take 2005 us of a tick on one bus, three on each 1030 us."""
+def test_rate_too_high_for_one_bus_is_refused_with_a_bus_count(tmp_path):
+    """docs/guides/buses.md: six drives on one bus take 2005 us of a tick, three on a bus 1030 us."""
     path = tmp_path / "r.yaml"
     done = new(path, HEAVY)
     assert done.exit_code == 2
@@ -181,20 +181,20 @@ def test_a_rate_above_one_bus_is_refused_with_the_number_of_buses(tmp_path):
         assert (c.loop.rate_Hz, c.bus.layout, c.bus.bitrate_bit_s) == (500.0, "classic", 1_000_000)
 
 
-def test_a_dialogue_repeats_the_question_that_cannot_work(tmp_path):
+def test_dialogue_repeats_a_question_after_an_implausible_answer(tmp_path):
     path = tmp_path / "r.yaml"
     typed = "0.35 0.25 10 10 0.5 0.9 0.2 standing 42 0 estimate 4 100 800 0.3 5 1e-6 800 50 localcan legs FD 1 1000"
     done = new(path, "", answers="\n".join(typed.split()) + "\n")
     assert done.exit_code == 0, done.output
-    assert done.output.count("cannot work") == 2
-    assert "cannot work: a telescopic leg of 0.5 m" in done.output
+    assert done.output.count("impossible: ") == 2
+    assert "impossible: a telescopic leg of 0.5 m" in done.output
     asked, given = tmp_path / "a.yaml", ROBOTS["table"]
     assert new(asked, given).exit_code == 0
     a, b = (yaml.safe_load(file.read_text()) for file in (path, asked))
     assert {k: v for k, v in a.items() if k != "name"} == {k: v for k, v in b.items() if k != "name"}
 
 
-def test_a_dialogue_that_ends_early_says_where_and_writes_nothing(tmp_path):
+def test_dialogue_that_ends_early_reports_where_and_writes_nothing(tmp_path):
     done = new(tmp_path / "r.yaml", "", answers="0.35\n0.25\n")
     assert done.exit_code == 2
     assert "ended at base_half_angle_deg, nothing is written" in done.output
@@ -202,7 +202,7 @@ def test_a_dialogue_that_ends_early_says_where_and_writes_nothing(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_file_that_is_there_is_not_overwritten_without_force(tmp_path):
+def test_existing_file_is_not_overwritten_without_force(tmp_path):
     path = tmp_path / "r.yaml"
     path.write_text("mine")
     assert new(path, ROBOTS["desktop"]).exit_code == 2
@@ -226,7 +226,7 @@ def test_hil_schema_restores_a_missing_schema(tmp_path):
 
 
 def answered() -> dict[str, Any]:
-    """Answers for the table of 42 kg, those without an option by default."""
+    """Answers for the table of 42 kg; defaults for questions without an option there."""
     typed = dict(zip(ROBOTS["table"].split()[::2], ROBOTS["table"].split()[1::2], strict=True))
     answers: dict[str, Any] = {}
     for question in QUESTIONS:
@@ -241,13 +241,13 @@ def answered() -> dict[str, Any]:
     "words",
     ["--encoder-resolution 1.32500004e-4", "--stroke 0.012344", "--mass 2.36 --platform-radius 0.1862699"],
 )
-def test_rounded_figures_fit_together(words, tmp_path):
-    """Standstill is four steps of an encoder at least; of a disc the moment about its axis is the others' sum."""
+def test_rounded_figures_are_consistent(words, tmp_path):
+    """standstill_m is at least four encoder counts; the axial moment of a disc is the sum of the others."""
     assert new(tmp_path / "r.yaml", f"{ROBOTS['table']} {words}").exit_code == 0
 
 
-def test_a_brake_gets_time_to_act_and_to_stop_the_fastest_leg():
-    """60 kg at 1 m/s: 50 ms, then 1000 N less the 400 N of weight take 100 ms; 0.18 s are written."""
+def test_brake_time_covers_closing_and_stopping_the_fastest_leg():
+    """60 kg at 1 m/s: 50 ms, then 1000 N minus 400 N of weight take 100 ms; 0.18 s are written."""
     a = answered() | {"brake_ms": 50.0, "brake_force_N": 1000.0}
     for held in ([400.0, 0, 0, 0, 0, 0], [100.0, 0, 0, 0, -400.0, 0]):
         bearing = robot_at_home(a)._replace(static_N=np.array(held), leg_mass_kg=60.0)

@@ -1,4 +1,4 @@
-"""Commands that write a file: nothing of others is replaced, no two outputs are one file, nothing is lost."""
+"""Commands that write a file: no foreign file is replaced, no two outputs share a file, no result is lost."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from hil.app.sim.command import simulate
 from hil.cli import main
 from tests.hil.lab.test_calibrate_command import rows, write
 
-SAID = "is another file of this command; name a file of its own"
+SAID = "this command already uses that file; give another file"
 FULL = "No space left on device"
 
 
@@ -41,7 +41,7 @@ def log(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def here(tmp_path, monkeypatch):
-    """An empty folder to work in; no bus of another process is in the way."""
+    """An empty working folder, without a bus of another process."""
     folder = tmp_path / "here"
     folder.mkdir()
     monkeypatch.chdir(folder)
@@ -66,7 +66,7 @@ def here(tmp_path, monkeypatch):
         "new x",
     ],
 )
-def test_a_summary_replaces_no_other_file_of_its_command(line, here):
+def test_summary_does_not_replace_another_file_of_its_command(line, here):
     result = hil(f"{line} --json x")
     assert result.exit_code == 2, result.output
     assert f"--json x: {SAID}" in result.stderr
@@ -81,7 +81,7 @@ def test_a_summary_replaces_no_other_file_of_its_command(line, here):
     ],
 )
 @pytest.mark.parametrize("name", ["x", "../here/x"])
-def test_no_two_outputs_are_one_file_by_whatever_name(line, name, here):
+def test_two_outputs_cannot_be_one_file_under_different_names(line, name, here):
     result = hil(line.format(name))
     assert (result.exit_code, SAID in result.stderr) == (2, True), result.output
     assert list(here.iterdir()) == []
@@ -120,7 +120,7 @@ def files(folder: Path) -> list[Path]:
 
 @pytest.mark.parametrize("line", OUTPUTS)
 @pytest.mark.parametrize("there", ["theirs", "a folder", "another log"])
-def test_nothing_of_others_is_replaced(log, here, line, there):
+def test_foreign_file_is_not_replaced(log, here, line, there):
     name = OUTPUTS[line]
     write(here / "poses.csv", rows())
     if there == "a folder":
@@ -140,7 +140,7 @@ def test_nothing_of_others_is_replaced(log, here, line, there):
 @pytest.mark.parametrize(
     "line", [each for each in OUTPUTS if each.startswith(("report", "plot", "view", "export"))]
 )
-def test_no_log_is_replaced_by_force(log, here, line):
+def test_force_does_not_replace_a_log(log, here, line):
     other = shutil.copy(log, here / OUTPUTS[line])
     result = hil(f"{line.replace('LOG', str(log)).replace('X', OUTPUTS[line])} --force")
     assert (result.exit_code, "no log is ever overwritten" in result.stderr) == (2, True), result.output
@@ -150,11 +150,11 @@ def test_no_log_is_replaced_by_force(log, here, line):
 EARLY = [
     line for line, name in OUTPUTS.items() if not name.endswith("mcap") and not line.startswith("bringup")
 ]
-"""Folders of logs are made; a bring-up looks for that of its state once its log has begun."""
+"""Commands that need an existing folder: not for logs, and a bring-up checks its own later."""
 
 
 @pytest.mark.parametrize("line", EARLY)
-def test_a_missing_folder_is_refused_before_the_work(log, here, line):
+def test_missing_folder_is_refused_before_the_work(log, here, line):
     write(here / "poses.csv", rows())
     result = hil(line.replace("LOG", str(log)).replace("X", f"nowhere/{OUTPUTS[line]}"))
     assert (result.exit_code, "nowhere" in result.stderr) == (2, True), result.output
@@ -162,7 +162,7 @@ def test_a_missing_folder_is_refused_before_the_work(log, here, line):
 
 
 @pytest.mark.parametrize("text", ['["success", 1]', "{}", '{"a": "success"}', "null", "notes", "[" * 100_000])
-def test_only_a_summary_is_replaced_by_a_summary(tmp_path, text):
+def test_summary_replaces_only_an_earlier_summary(tmp_path, text):
     path = tmp_path / "a.json"
     path.write_text(text)
     with pytest.raises(LogError, match="is not a summary of hil and is not overwritten"):
@@ -173,7 +173,7 @@ def test_only_a_summary_is_replaced_by_a_summary(tmp_path, text):
 
 
 @pytest.mark.parametrize("force", [False, True])
-def test_a_pipe_is_never_replaced_by_a_file(tmp_path, force):
+def test_pipe_is_never_replaced_by_a_file(tmp_path, force):
     pipe = tmp_path / "pipe.html"
     os.mkfifo(pipe)
     with pytest.raises(LogError, match="is a device or a pipe"):
@@ -181,7 +181,7 @@ def test_a_pipe_is_never_replaced_by_a_file(tmp_path, force):
     assert pipe.is_fifo()
 
 
-def test_a_link_to_nothing_is_no_name_for_a_log(tmp_path):
+def test_dangling_link_is_refused_as_the_name_of_a_log(tmp_path):
     link = tmp_path / "link.mcap"
     link.symlink_to(tmp_path / "unmounted.mcap")
     with pytest.raises(LogError, match="exists and is not overwritten"):
@@ -199,7 +199,7 @@ def test_logs_of_the_same_second_get_different_names(tmp_path, monkeypatch):
     ]
 
 
-def test_a_summary_with_numbers_that_are_not_finite_is_json(tmp_path):
+def test_summary_with_numbers_that_are_not_finite_is_valid_json(tmp_path):
     write_json(tmp_path / "a.json", {"success": True, "x": float("nan"), "y": [float("inf"), 1.5]})
     assert json.loads((tmp_path / "a.json").read_text()) == {"success": True, "x": None, "y": [None, 1.5]}
 
@@ -209,7 +209,7 @@ def test_a_summary_with_numbers_that_are_not_finite_is_json(tmp_path):
 
 @pytest.fixture
 def small_files():
-    """No file may grow beyond 2 kB, as on a disk that is full."""
+    """Limit of 2 kB for every file, as on a full disk."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2048, before[1]))
@@ -226,14 +226,14 @@ FORMATS = {
 
 
 @pytest.mark.parametrize("ending", FORMATS)
-def test_a_full_disk_leaves_nothing_behind_and_is_reported(log, here, small_files, ending):
+def test_full_disk_is_reported_and_leaves_no_file(log, here, small_files, ending):
     done = hil(f"{FORMATS[ending].replace('LOG', str(log))} a.{ending}")
     assert done.exit_code == 2
     assert f"a.{ending}: cannot be written: " in done.stderr
     assert list(here.iterdir()) == []
 
 
-def test_a_failure_half_way_leaves_the_earlier_file(here):
+def test_failed_write_keeps_the_earlier_file(here):
     out = here / "a.csv"
     out.write_text("old")
 
@@ -248,14 +248,14 @@ def test_a_failure_half_way_leaves_the_earlier_file(here):
     assert out.read_text() == "old"
 
 
-def test_a_file_that_appears_meanwhile_stays(tmp_path):
+def test_file_created_during_the_work_is_not_replaced(tmp_path):
     out = tmp_path / "a.yaml"
     with pytest.raises(LogError, match="exists and is not overwritten"), made_whole(out, overwrite=False):
         out.write_text("theirs")
     assert out.read_text() == "theirs"
 
 
-def test_later_trouble_does_not_hide_earlier_trouble():
+def test_later_error_does_not_hide_an_earlier_one():
     summary: dict[str, Any] = {"success": True, "trouble": None}
     for why in ("", "the recorder stopped", "the picture failed"):
         fail(summary, why)
@@ -263,7 +263,7 @@ def test_later_trouble_does_not_hide_earlier_trouble():
 
 
 @pytest.mark.parametrize("success", [True, False])
-def test_each_output_that_fails_is_listed_and_the_figures_stay(success):
+def test_each_failed_output_is_listed_and_the_figures_are_kept(success):
     summary: dict[str, Any] = {"success": success, "figure": 7}
     with further(summary):
         summary["one"] = 1
@@ -281,7 +281,7 @@ def test_each_output_that_fails_is_listed_and_the_figures_stay(success):
 
 @pytest.fixture
 def full_disk(monkeypatch):
-    """A disk on which there is room for a summary alone."""
+    """A disk with room for the summary only."""
     replace = Path.replace
 
     def full(self, target):
@@ -299,7 +299,7 @@ def full_disk(monkeypatch):
         ("calibrate lab poses.csv --out a.yaml", "a.yaml", "base_joints_m"),
     ],
 )
-def test_a_result_whose_file_cannot_be_written_is_not_lost(here, log, full_disk, line, output, figure):
+def test_result_is_not_lost_if_its_file_cannot_be_written(here, log, full_disk, line, output, figure):
     write(here / "poses.csv", rows())
     result = hil(f"{line.replace('FOLDER', str(log.parent))} --json a.json")
     assert result.exit_code == 1, result.output

@@ -1,4 +1,4 @@
-"""A payload known by ranges: its corners, and what check, safety and stability make of them."""
+"""Payload with ranges: its corners, and their effect on check, safety and stability."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.app.unknown_payload import unknown_payload
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
 from tests.hil.app.texts import edited
-from tests.loop import unrecorded
+from tests.loop import bench
 
 OWN = "    inertia_kg_m2: [[570, 0, 0], [0, 285, 0], [0, 0, 285]]   # about the centre of mass\n"
 POINT = "mass_kg: 40, com_m: [0.05, 0, 0.2], shape: {type: point}"
@@ -24,7 +24,7 @@ BOX = POINT + ", mass_range_kg: [0, 80], com_range_m: [[-0.1, 0.2], [0, 0], [0.1
 
 
 def robot(payload="", *, name="virtual", changes=()):
-    """Return a shipped configuration with this payload, as a flow mapping of YAML, or several."""
+    """A shipped configuration with one or several payloads, each as a flow mapping of YAML."""
     text = edited(*changes, base=load(name).text)
     if payload:
         bodies = [payload] if isinstance(payload, str) else payload
@@ -39,7 +39,7 @@ def carried(mass, x, y, z):
 CORNERS = [(0, 0, 0, 0), *((80, x, 0, z) for x in (-0.1, 0.2) for z in (0.1, 0.3))]
 
 
-def test_each_corner_is_the_robot_with_that_payload():
+def test_each_corner_is_the_robot_with_its_payload():
     found = corners(robot(BOX).platform)
     assert found[0].words == "the model's payload"
     assert len(found) == 1 + len(CORNERS)
@@ -60,7 +60,7 @@ def test_each_corner_is_the_robot_with_that_payload():
             f"{POINT}, com_range_m: [[0, 1], [0, 0], [0, 0.1]]",
             "com_m lies outside its range, allowed: 0 to 0.1",
         ),
-        (f"{POINT}, mass_range_kg: [80, 0]", "the lower end, then the upper one, given: 80, 0"),
+        (f"{POINT}, mass_range_kg: [80, 0]", "the lower end first, then the upper end, given: 80, 0"),
         (f"{POINT}, mass_range_kg: [-1, 80]", "mass_range_kg"),
         ("mass_kg: 0, com_m: [0, 0, 0], shape: {type: point}", "mass_kg 0 needs shape and mass_range_kg"),
         ([f"{POINT}, mass_range_kg: [0, 80]"] * 2, "bodies 0, 1 have ranges, allowed: one body"),
@@ -71,7 +71,7 @@ def test_invalid_ranges_are_refused(payload, words):
         robot(payload)
 
 
-def test_check_refuses_a_payload_that_breaks_a_limit():
+def test_check_refuses_a_payload_that_violates_a_limit():
     peak = inspect(robot(POINT)).figures["reference"]["force_max_N"]
     limit = [(f"force_N: {load('virtual').limits.force_N:.0f}", f"force_N: {peak + 300:.0f}")]
     with pytest.raises(
@@ -83,8 +83,8 @@ def test_check_refuses_a_payload_that_breaks_a_limit():
     assert str(found.value).count("limits.force_N") == 1, "one line for each limit"
 
 
-def test_safety_allows_for_what_the_payload_does_to_the_legs():
-    """At home the forces for the model's payload move each other one: by forward dynamics of its robot."""
+def test_safety_tolerates_the_effect_of_the_payload_on_the_legs():
+    """Motion at home of robots with other payloads under the forces for the model's payload."""
     c = robot(BOX)
     home, still = pose_arrays(c.platform.home), np.zeros(6)
     tau = Model(build_platform(c.platform)).inverse_dynamics(*home, still, still)
@@ -105,7 +105,7 @@ def test_safety_allows_for_what_the_payload_does_to_the_legs():
 
 
 @pytest.mark.long
-def test_the_bound_holds_for_every_corner_in_the_loop():
+def test_bound_holds_for_every_corner_in_closed_loop():
     c = robot(BOX, changes=[("periods: 10", "periods: 1")])
     verdict = judge(c)
     assert verdict.status == "conditional"
@@ -114,9 +114,9 @@ def test_the_bound_holds_for_every_corner_in_the_loop():
     assert 0.9 < least < 1.0 < largest < 1.1
     ratios = []
     for stated in CORNERS:
-        summary, rows = unrecorded.run(c, plant_of=carried(*stated))
-        assert summary["success"], summary
-        worst = np.abs(rows["q_d"] - rows["q"]).max(axis=0)
+        ran = bench.run(c, plant_of=carried(*stated))
+        assert ran.ending.success, ran.ending
+        worst = np.abs(ran.rows["q_d"] - ran.rows["q"]).max(axis=0)
         assert (worst <= bound).all(), stated
         ratios.append((bound / worst).min())
     assert min(ratios) < 4.0

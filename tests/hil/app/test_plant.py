@@ -1,4 +1,4 @@
-"""`hil plant`: how it ends, what it records, and faults of its process."""
+"""`hil plant`: its end, its log, and faults of its process."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ DIED = "its process died of SIGKILL"
 
 
 class Legs:
-    """Six legs of 1.5 m. State: time, whether it lives.
+    """Six legs of 1.5 m. State: time, whether it is alive.
 
-    rates : m/s, at a time; dies_s : from then on it answers nothing; resets : how often it can be reset.
+    rates : m/s, as a function of time; dies_s : end of its life; resets : number of resets that it survives.
     """
 
     internal_step_s = 1e-3
@@ -81,14 +81,14 @@ class Legs:
         return Truth(np.zeros(3), np.eye(3), np.zeros(6), np.zeros(6))
 
     def applied_force(self) -> None:
-        """It knows of no lag."""
+        """No lag."""
 
     def close(self) -> None:
         """Nothing to free."""
 
 
 class Asked:
-    """A bus on which a SYNC comes every `period_ns`. State: its time and the number of the SYNC."""
+    """Bus with a SYNC every `period_ns`. State: its time and the number of the SYNC."""
 
     def __init__(self, sync: Callable[[int], Frame], period_ns: int) -> None:
         self.t_ns = 0
@@ -100,18 +100,18 @@ class Asked:
         return received_array([Received(self.t_ns, self._sync(self.t_ns // self._period_ns))])
 
     def send(self, _frames: Rows) -> None:
-        """Nobody hears the answers."""
+        """Discard the answers."""
 
 
 class Kept:
-    """What a recording was given."""
+    """Stand-in for a recording that keeps its input."""
 
     def __init__(self) -> None:
         self.events: list[tuple[str, str]] = []
         self.closed: dict[str, Any] = {}
 
     def tick_of_items(self, *_: Any) -> None:
-        """No test looks at rows."""
+        """Discard the row."""
 
     def event(self, _t_ns: int, level: str, text: str) -> None:
         self.events.append((level, text))
@@ -123,7 +123,7 @@ class Kept:
 
 @pytest.fixture
 def serve(monkeypatch):
-    """Let the drives be asked every `period_ns` for 50 ms, or until a plant without a daemon ends."""
+    """Send SYNC every `period_ns` for 50 ms, or until an orphaned plant ends."""
 
     def run(legs: Legs, *, period_ns: int = MS, orphan: bool = False) -> tuple[dict[str, Any], Kept, float]:
         c = load("virtual")
@@ -150,7 +150,7 @@ def serve(monkeypatch):
 @pytest.mark.parametrize(
     "legs", [lambda: Legs(dies_s=0.0115), lambda: Legs(resets=1)], ids=["later", "at once"]
 )
-def test_a_dead_plant_is_a_failure_in_summary_and_log(serve, legs):
+def test_dead_plant_is_a_failure_in_summary_and_log(serve, legs):
     summary, log, _ = serve(legs())
     assert (summary["success"], summary["trouble"]) == (False, DIED)
     assert summary["final_states"] == ["BOOT"] * 6
@@ -160,8 +160,8 @@ def test_a_dead_plant_is_a_failure_in_summary_and_log(serve, legs):
 
 @pytest.mark.parametrize("rate_m_s", [0.3, -0.3])
 @pytest.mark.parametrize(("rests_s", "end_s"), [(inf, plant.ORPHAN_S), (1.0, 1.2), (0.0, 0.2)])
-def test_an_orphan_ends_once_its_legs_rest_and_at_a_limit_anyway(serve, rate_m_s, rests_s, end_s):
-    """The daemon is gone from the beginning. All legs but one move."""
+def test_orphaned_plant_ends_at_rest_or_after_a_timeout(serve, rate_m_s, rests_s, end_s):
+    """The daemon has ended before the start. All legs but one move."""
     moving, still = [rate_m_s] * 5 + [0.0], [0.0] * 6
     legs = Legs(lambda t_s: moving if t_s < rests_s else still)
     summary, _, ended_s = serve(legs, period_ns=10 * MS, orphan=True)
@@ -169,7 +169,7 @@ def test_an_orphan_ends_once_its_legs_rest_and_at_a_limit_anyway(serve, rate_m_s
     assert ended_s == pytest.approx(end_s, abs=0.05)
 
 
-def test_the_truth_of_the_plant_comes_back_from_its_log(tmp_path):
+def test_true_state_of_the_plant_is_restored_from_its_log(tmp_path):
     nodes, physics = build_nodes(load("virtual"))
     nodes.start(0)
     nodes.step(5_000_000, ())
@@ -211,12 +211,12 @@ def looping(words: str) -> subprocess.Popen[str]:
     return process
 
 
-def test_a_killed_process_is_gone():
+def test_process_kill_ends_the_process():
     with looping("process_kill at=0.2") as process:
         assert process.wait(30) == -signal.SIGKILL
 
 
-def test_a_stopped_process_goes_on_after_its_time():
+def test_process_stop_continues_after_its_duration():
     with looping("process_stop at=0.2 for=0.5") as process:
         stat = Path(f"/proc/{process.pid}/stat")
         stopped = []
@@ -228,7 +228,7 @@ def test_a_stopped_process_goes_on_after_its_time():
         assert stopped[-1] - stopped[0] == pytest.approx(0.5, abs=0.3)
 
 
-def test_a_slow_process_is_slow_while_the_fault_is_present():
+def test_process_slow_delays_while_the_fault_is_present():
     faults = ProcessFaults([ProcessSlow(by_ms=50.0, at_s=1.0, for_s=1.0), EncoderFreeze(leg=0)], 0)
     took = []
     for t_s in (0.9, 1.0, 1.5, 2.0, 2.1):

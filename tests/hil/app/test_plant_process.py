@@ -1,4 +1,4 @@
-"""`hil run --plant`: a plant that does not serve or has ended, and its last words."""
+"""`hil run --plant`: a plant that does not serve or has ended, and its last output."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SPEAKS = "i=0; while [ $i -lt 3000 ]; do echo step $i of the model >&2; i=$((i+1
 
 @pytest.fixture
 def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
-    """Begin a plant that is a script of a shell; `$report` is the pipe that it says in that it serves."""
+    """Start a shell script as the plant; `$report` is the pipe for its readiness."""
 
     def start(_module: str, *words: str, **options: Any) -> subprocess.Popen[bytes]:
         report = words[words.index("--report") + 1]
@@ -54,7 +54,7 @@ def begin(monkeypatch: pytest.MonkeyPatch) -> Begin:
 
 
 @pytest.mark.parametrize(("given_s", "held_s"), [(0.2, 0.2), (None, 0.01)])
-def test_the_plant_gets_the_watchdog_that_the_run_has_chosen(
+def test_plant_gets_the_watchdog_of_the_run(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, given_s: float | None, held_s: float
 ) -> None:
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
@@ -86,7 +86,7 @@ def test_the_plant_gets_the_watchdog_that_the_run_has_chosen(
 
 
 @pytest.mark.parametrize("said", ["", "it compiles"])
-def test_a_plant_that_does_not_serve_in_time_is_reported(
+def test_plant_that_does_not_serve_in_time_is_reported(
     begin: Begin, monkeypatch: pytest.MonkeyPatch, said: str
 ) -> None:
     slow, waited_s = begin(f"echo {said} >&2; kill -STOP $$; exec sleep 60"), []
@@ -105,10 +105,10 @@ def test_a_plant_that_does_not_serve_in_time_is_reported(
     assert "did not start: it did not serve within 60 s" in text
     assert "`hil sim`" in text
     assert "SIGTERM" not in text
-    assert text.endswith(f"Its last words: {said}" if said else "try again")
+    assert text.endswith(f"Its last output: {said}" if said else "try again")
 
 
-def test_a_plant_that_ends_early_is_reported_with_its_message(
+def test_plant_that_ends_early_is_reported_with_its_message(
     begin: Begin,
 ) -> None:
     with (
@@ -119,7 +119,7 @@ def test_a_plant_that_ends_early_is_reported_with_its_message(
 
 
 @pytest.mark.parametrize("serves", [False, True])
-def test_the_last_lines_of_a_talkative_plant_are_reported(begin: Begin, *, serves: bool) -> None:
+def test_last_lines_of_a_long_plant_output_are_reported(begin: Begin, *, serves: bool) -> None:
     if serves:
         with begin(f"{SERVES}{SPEAKS} kill -SEGV $$") as ended:
             ended._process.wait()

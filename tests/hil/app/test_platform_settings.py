@@ -45,7 +45,7 @@ def problem(text):
     return caught.value.problems[0]
 
 
-def test_circles_give_the_books_platform():
+def test_circles_give_the_platform_of_the_book():
     text = section(VIRTUAL, "base_joints_m", " {radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300]}")
     text = section(
         text, "platform_joints_m", " {radius_m: 1, pair_centres_deg: [30, 150, 270], pair_spacing_m: 0}"
@@ -58,8 +58,8 @@ def test_circles_give_the_books_platform():
     assert np.array(scene.base_joints) == pytest.approx(robot.base_joints)
 
 
-def test_pairs_and_shapes_give_the_laboratory_platform():
-    """The figures of configs/lab.yaml, whose comments say where they come from, to its rounding."""
+def test_joint_pairs_and_shapes_give_the_laboratory_platform():
+    """The figures of configs/lab.yaml, with the sources in its comments, to its rounding."""
     text = section(
         LAB, "base_joints_m", " {radius_m: 0.75, pair_centres_deg: [0, 120, 240], pair_half_angle_deg: 10}"
     )
@@ -127,14 +127,14 @@ def forms():
 
 
 @pytest.mark.parametrize("form", forms())
-def test_every_form_of_the_same_body_gives_the_same_figures(form):
+def test_all_CAD_forms_of_a_body_give_the_same_figures(form):
     now = resolved(body(forms()[form]))
     assert now["mass"] == M
     assert now["com"] == pytest.approx(C, abs=1e-13)
     assert np.array(now["inertia"]) == pytest.approx(TRUE, abs=1e-12)
 
 
-def test_a_payload_in_a_frame_of_its_own_is_turned_and_moved():
+def test_payload_in_its_own_frame_is_rotated_and_moved():
     turn = "{origin_m: [0.3, 0, 0.2], rotation_vector_deg: [0, 90, 0]}"  # its z along platform x
     text = body(
         "mass_kg: 10\n    com_m: [0, 0, 0]\n    shape: {type: sphere, radius_m: 0.1}\n    payload:\n"
@@ -150,7 +150,7 @@ def test_a_payload_in_a_frame_of_its_own_is_turned_and_moved():
 
 HEAD = "mass_kg: 10\n    com_m: [0, 0, 1]\n    "
 BAD = [
-    (HEAD + "inertia_kg_m2: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    inertia_about: {point_m: [0, 0, 0]}", "[[1, 0", "platform.platform.inertia_kg_m2: got principal moments -9, -9, 1 kg m^2 once moved"),
+    (HEAD + "inertia_kg_m2: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    inertia_about: {point_m: [0, 0, 0]}", "[[1, 0", "platform.platform.inertia_kg_m2: got principal moments -9, -9, 1 kg m^2"),
     (HEAD + "payload: []", "mass_kg", "platform.platform: allowed: either inertia_kg_m2 or shape"),
     (HEAD + "shape: {type: box, size_mm: [1, 2, 3]}", "size_mm", "platform.platform.shape.size_mm: wrong unit: the key is size_m (in m)"),
     (HEAD + "shape: {type: point}", "{type: point}", "platform.platform.inertia_kg_m2: got [0.0, 0.0, 0.0], allowed is three principal moments > 0"),
@@ -162,13 +162,13 @@ BAD_CIRCLES = [
     ("{angles_deg: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.radius_m: missing, allowed: a number greater than 0"),
     ("{radius_m: 2}", "platform.base_joints_m: allowed: either angles_deg or pair_centres_deg"),
     ("{radius_m: 2, pair_centres_deg: [0, 120, 240]}", "platform.base_joints_m: allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m"),
-    ("{radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300], pairs_begin: second_leg}", "platform.base_joints_m: angles_deg needs no pairs"),
+    ("{radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300], pairs_begin: second_leg}", "platform.base_joints_m: angles_deg excludes keys of pairs"),
     ("{radius_m: 2, angles_deg: [0, 0, 0, 180, 180, 180]}", "platform.base_joints_m: got legs 0 and 1 with both joints in common"),
 ]  # fmt: skip
 
 
 def located(whole, needle, message, after=""):
-    """A text, the line in which something stands, and what is wrong with it."""
+    """A text, the line of `needle` in it, and the expected message."""
     return whole, whole[: whole.index(needle, whole.index(after))].count("\n") + 1, message
 
 
@@ -179,7 +179,7 @@ WRONG += [
 
 
 @pytest.mark.parametrize(("whole", "line", "message"), WRONG, ids=[message for *_, message in WRONG])
-def test_a_wrong_platform_is_named_where_it_stands(whole, line, message):
+def test_invalid_platform_is_reported_with_its_line(whole, line, message):
     at, _, what = problem(whole).partition(": ")
     assert what.startswith(message)
     if not any(words in message for words in ("platform.platform: ", "moments > 0")):

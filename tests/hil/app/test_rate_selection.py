@@ -1,4 +1,4 @@
-"""The rate of `hil run` where SCHED_FIFO is denied or not kept: slower, refused, or as configured."""
+"""Rate of `hil run` without SCHED_FIFO, or where it is not kept: slower, refused, or as configured."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.app.run import rate_selection
 
 
 class Machine(NamedTuple):
-    """A share of late wake-ups under SCHED_FIFO (None: denied), the rate that is held, and the worst stall in s."""
+    """Share of late wake-ups under SCHED_FIFO (None: denied), holdable rate, and worst stall in s."""
 
     late: float | None = None
     held_Hz: float = 125.0
@@ -57,7 +57,7 @@ CASES: dict[str, tuple[Machine, str, bool, dict[str, Any], float, float, str]] =
 @pytest.mark.parametrize(
     ("machine", "name", "with_plant", "changes", "rate_Hz", "watchdog_s", "words"), CASES.values(), ids=CASES
 )
-def test_the_rate_is_one_that_the_machine_holds(
+def test_selected_rate_is_one_that_the_machine_holds(
     chosen, machine, name, with_plant, changes, rate_Hz, watchdog_s, words
 ):
     found_Hz, found_s, said = chosen(machine, name, with_plant=with_plant, **changes)
@@ -67,13 +67,13 @@ def test_the_rate_is_one_that_the_machine_holds(
 
 
 @pytest.mark.parametrize("held_Hz", [50.0, 299.0])
-def test_real_drives_whose_watchdog_would_trip_do_not_start(chosen, held_Hz):
+def test_run_is_refused_if_the_watchdog_of_real_drives_would_trip(chosen, held_Hz):
     """Three periods of the loop within 10 ms."""
     with pytest.raises(RunError, match=r"watchdog_ms 10 needs at least 300 Hz"):
         chosen(Machine(held_Hz=held_Hz), "virtual", with_plant=False)
 
 
-def test_who_refuses_to_run_without_real_time_does_so_on_any_bench(chosen):
+def test_without_realtime_refuse_holds_for_stretched_benches_too(chosen):
     loop = {"without_realtime": "refuse"}
     with pytest.raises(RunError, match="does not keep SCHED_FIFO"):
         chosen(LATE, "virtual", with_plant=True, stretching=True, loop=loop)

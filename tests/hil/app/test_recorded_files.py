@@ -1,4 +1,4 @@
-"""Files that a configuration names: found next to it, and in a replay only in the log."""
+"""Files of a configuration: found next to it; in a replay found in the log only."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ NAMING: Any = {
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_a_file_in_the_log_replaces_the_one_on_disk(tmp_path, monkeypatch, name):
+def test_file_in_the_log_replaces_the_one_on_disk(tmp_path, monkeypatch, name):
     section, key, settings = NAMING[name]
     naming = VIRTUAL.model_copy(update={section: settings})
     monkeypatch.chdir(tmp_path)
@@ -44,11 +44,11 @@ def test_a_file_in_the_log_replaces_the_one_on_disk(tmp_path, monkeypatch, name)
 
 
 @pytest.mark.parametrize("name", NAMING)
-def test_a_file_missing_from_the_log_is_reported_by_its_key(tmp_path, name):
+def test_file_missing_from_the_log_is_reported_by_its_key(tmp_path, name):
     section, key, settings = NAMING[name]
     naming = VIRTUAL.model_copy(update={section: settings})
     files = {each: b"" for each in NAMING if each != name}
-    with pytest.raises(LogError, match=rf"a file in {section}\.{key}, .* \(attachment {name}\)"):
+    with pytest.raises(LogError, match=rf"a file in {section}\.{key} .* \(attachment {name}\)"):
         with_attachments(naming, files, tmp_path)
     assert list(tmp_path.iterdir()) == []
 
@@ -58,7 +58,7 @@ def text(name: str) -> str:
 
 
 @pytest.mark.parametrize("where", ["here", "beside"])
-def test_a_data_sheet_is_found_here_or_next_to_the_configuration(
+def test_data_sheet_is_found_here_or_next_to_the_configuration(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, where: str
 ) -> None:
     here, beside = tmp_path / "here", tmp_path / "beside"
@@ -69,12 +69,12 @@ def test_a_data_sheet_is_found_here_or_next_to_the_configuration(
     file.write_text(sheet(), encoding="ascii")
     loads(text("drive.eds"), "a.yaml", beside)
     file.write_text(sheet(0x605E), encoding="ascii")
-    with pytest.raises(ConfigurationError, match=r"drives\.options\.eds: by .*0x605E:0 .* is not there"):
+    with pytest.raises(ConfigurationError, match=r"drives\.options\.eds: .*0x605E:0 .* is missing"):
         loads(text("drive.eds"), "a.yaml", beside)
 
 
-def test_the_configuration_of_a_log_opens_no_data_sheet(tmp_path: Path) -> None:
-    """One that is no sheet would be quoted in the refusal."""
+def test_configuration_of_a_log_opens_no_data_sheet(tmp_path: Path) -> None:
+    """The content of an invalid sheet would appear in the refusal."""
     secret = tmp_path / "secret"
     secret.write_text("the key\n")
     for name in (str(secret), str(tmp_path / "nowhere")):

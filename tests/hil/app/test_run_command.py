@@ -1,4 +1,4 @@
-"""`hil run`: how its loop begins, and what comes of its end and of its plant."""
+"""`hil run`: the start of its loop, and the effect of its end and of its plant."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Ran = Callable[..., tuple[Course, Shell, list[int], dict[str, Any]]]
 
 @pytest.fixture
 def ran(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Ran:
-    """Run a loop of no tick on a bus that does nothing: its course, shell, windows of bench time and summary."""
+    """Run a loop of zero ticks on an idle bus; return course, shell, windows of bench time, and summary."""
 
     def run_daemon(
         c: Configuration = VIRTUAL, ending: Ending = PARKED, *, rate_Hz: float = 1000.0, plant_success: bool = True,
@@ -90,7 +90,7 @@ BUSES = pytest.mark.parametrize("options", KINDS, ids=["real", "plant", "bench"]
 
 @BUSES
 @pytest.mark.parametrize("goes_on", [False, True])
-def test_a_run_holds_a_platform_and_goes_on_for_an_operator(
+def test_run_holds_the_platform_and_continues_with_operator_stays(
     ran: Ran, options: dict[str, bool], goes_on: bool
 ) -> None:
     operator = VIRTUAL.operator.model_copy(update={"stays": goes_on})
@@ -102,7 +102,7 @@ def test_a_run_holds_a_platform_and_goes_on_for_an_operator(
 @pytest.mark.parametrize(
     ("rate_Hz", "window_ns"), [(1000.0, 750_000), (500.0, 1_500_000), (125.0, 6_000_000)]
 )
-def test_the_feedback_window_follows_the_rate_that_runs(
+def test_feedback_window_follows_the_rate_of_the_loop(
     ran: Ran, options: dict[str, bool], rate_Hz: float, window_ns: int
 ) -> None:
     """Three quarters of a period; the configured rate is 1000 Hz."""
@@ -115,14 +115,16 @@ def test_the_feedback_window_follows_the_rate_that_runs(
 
 @pytest.mark.parametrize("plant_success", [True, False])
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_run_with_its_plant_succeeds_only_if_both_do(ran: Ran, ending: Ending, plant_success: bool) -> None:
+def test_run_with_a_plant_succeeds_only_if_both_succeed(
+    ran: Ran, ending: Ending, plant_success: bool
+) -> None:
     *_, summary = ran(ending=ending, plant_success=plant_success, with_plant=True)
     assert summary["success"] is (ending is PARKED and plant_success)
     assert summary["plant"]["success"] is plant_success
 
 
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_dead_plant_is_reported_before_what_the_controller_saw(ran: Ran, ending: Ending) -> None:
+def test_dead_plant_is_reported_before_the_controller_fault(ran: Ran, ending: Ending) -> None:
     died = "the plant, process 7, was killed by SIGKILL"
     *_, summary = ran(ending=ending, plant_success=False, plant_trouble=died, with_plant=True)
     assert summary["success"] is False
@@ -141,7 +143,9 @@ def test_a_dead_plant_is_reported_before_what_the_controller_saw(ran: Ran, endin
     ],
     ids=["stale", "stale and stopped", "no drives", "stopped", "parked"],
 )
-def test_a_failed_plant_explains_legs_that_fell_silent(ran: Ran, ending: Ending, seen: str | None) -> None:
+def test_failed_plant_is_reported_as_the_cause_of_silent_legs(
+    ran: Ran, ending: Ending, seen: str | None
+) -> None:
     why = "my.fmu: the FMU did not step within 5 s"
     *_, summary = ran(
         ending=ending, plant_success=False, plant_trouble=why, plant_lives=True, with_plant=True
@@ -153,7 +157,7 @@ def test_a_failed_plant_explains_legs_that_fell_silent(ran: Ran, ending: Ending,
         assert summary["trouble"].startswith(f"{why}; the controller: {seen}")
 
 
-def test_a_run_that_cannot_write_its_homing_file_is_a_failure(
+def test_run_that_cannot_write_its_homing_file_fails(
     ran: Ran,
 ) -> None:
     *_, summary = ran(unsaid="lab.yaml: cannot be written")

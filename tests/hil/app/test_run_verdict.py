@@ -1,4 +1,4 @@
-"""The verdict of `hil run`: a success only with a whole log that replays, or one whose gaps were counted."""
+"""Outcome of `hil run`: success needs a complete log that replays, or one with every gap counted."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drivers.errors import ConfigurationError, LogError
 from drivers.signals import Fault, Mode
 from drivers.tick_columns import ROW
 from hil.app import replay
-from hil.app.output import closing
+from hil.app.output import end_record
 from hil.app.run import command
 from hil.loop.clock import RealTime
 from hil.loop.run_end import Ending
@@ -31,7 +31,7 @@ DAMAGED = "a.mcap: damaged at byte 4711"
 
 @pytest.fixture
 def verdict(tmp_path, monkeypatch):
-    """Sum up a run: ticks missing from the log, dropped, lost, skipped; how its log closes, opens and replays."""
+    """Summary of a run with the given ticks, and the given results of closing, reading and replay."""
 
     def summed(
         *, missing=0, dropped=0, lost=0, skipped=0, ticks=TICKS, different=0, agrees=True, error="",
@@ -66,7 +66,7 @@ def verdict(tmp_path, monkeypatch):
 
 
 def gap(missing: int, dropped: int, **more: Any) -> dict[str, Any]:
-    """Beyond a gap a replay says nothing: it does not agree, and has no tick that differs."""
+    """A replay ends at a gap: it does not agree, and has no different tick."""
     return {"missing": missing, "dropped": dropped, "agrees": False} | more
 
 
@@ -101,7 +101,7 @@ VERDICTS: dict[str, tuple[dict[str, Any], bool, str]] = {
 
 
 @pytest.mark.parametrize(("run", "success", "trouble"), VERDICTS.values(), ids=VERDICTS)
-def test_a_loss_is_never_a_success(verdict, run, success, trouble):
+def test_run_with_an_uncounted_loss_fails(verdict, run, success, trouble):
     found = verdict(**run)
     assert found["success"] is success
     assert (found["trouble"] or "") == trouble
@@ -115,13 +115,13 @@ ENDINGS = {
 
 @pytest.mark.parametrize("mode", ENDINGS)
 @pytest.mark.parametrize("requested", [True, False])
-def test_a_summary_says_how_the_run_ended_and_whether_on_request(verdict, mode, requested):
+def test_summary_reports_the_end_of_the_run_and_whether_requested(verdict, mode, requested):
     found = verdict(ending=replace(PARKED, mode=mode, requested=requested))
     assert found["ending"] == ENDINGS[mode] + (" on request" if requested else "")
     assert found["success"] is (mode is Mode.PARKED)
 
 
 @pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.SPEED])
-def test_the_end_of_a_log_has_the_latched_faults(faults):
+def test_end_record_of_a_log_has_the_latched_faults(faults):
     ending = replace(PARKED, mode=Mode.FAULT, faults=faults)
-    assert closing(ending, "why") == {"ending": "FAULT", "reason": "why", "faults": int(faults)}
+    assert end_record(ending, "why") == {"ending": "FAULT", "reason": "why", "faults": int(faults)}

@@ -1,4 +1,4 @@
-"""The verdict of `hil sim`: a success only if it parked, and its logs are whole and replay."""
+"""Outcome of `hil sim`: success needs a parked platform and complete logs that replay."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ def simulated(
     unreadable: str = "",
     **more: Any,
 ) -> dict[str, Any]:
-    """Return the summary of a simulation of no tick.
+    """Summary of a simulation of zero ticks.
 
-    own, plant: why its log, and that of the plant, is not whole; plant None: there is none. fails: what its
-    replay raises. unreadable: why its log cannot be read.
+    own, plant: errors of its log and of the plant's log, plant None: without that log. fails: exception of
+    its replay. unreadable: error on reading its log.
     """
 
     def replayed(_: Path) -> tuple[None, dict[str, Any]]:
@@ -87,7 +87,7 @@ VERDICTS: dict[str, tuple[dict[str, Any], bool, str]] = {
 
 @pytest.mark.parametrize(("run", "success", "trouble"), VERDICTS.values(), ids=VERDICTS)
 @pytest.mark.parametrize("ending", [PARKED, STOPPED], ids=["parked", "stopped"])
-def test_a_loss_is_never_a_success(monkeypatch, tmp_path, ending, run, success, trouble):
+def test_simulation_with_an_incomplete_log_fails(monkeypatch, tmp_path, ending, run, success, trouble):
     found = simulated(monkeypatch, tmp_path, ending, **run)
     assert found["success"] is (ending is PARKED and success)
     assert (found["trouble"] or "") == "; ".join(filter(None, (ending.trouble, trouble)))
@@ -96,7 +96,7 @@ def test_a_loss_is_never_a_success(monkeypatch, tmp_path, ending, run, success, 
 
 
 def ended(ends: Any, faults: Fault) -> list[tuple[Any, ...]]:
-    """Return what is written into the log of a simulation whose loop ends so in its tick 7, of 2 ms."""
+    """Records in the log of a simulation with this end in its tick 7, of 2 ms."""
     written: list[tuple[Any, ...]] = []
 
     def run(*_: Any, **__: Any) -> Any:
@@ -119,14 +119,14 @@ def ended(ends: Any, faults: Fault) -> list[tuple[Any, ...]]:
 
 
 @pytest.mark.parametrize("faults", [Fault.NONE, Fault.STALE, Fault.STALE | Fault.ESTOP])
-def test_an_interrupted_simulation_closes_its_log_with_its_faults(faults):
+def test_interrupted_simulation_closes_its_log_with_its_faults(faults):
     assert ended(KeyboardInterrupt(), faults) == [
         ("close", {"ending": "TRACKING", "reason": "interrupted", "faults": int(faults)}),
         ("at 0.014 s of simulated time; the log until then: a.mcap",),
     ]
 
 
-def test_an_existing_plant_log_refuses_a_simulation_before_it_begins(monkeypatch, tmp_path):
+def test_existing_plant_log_is_refused_before_the_simulation(monkeypatch, tmp_path):
     begun = []
     (tmp_path / "a-plant.mcap").write_bytes(b"an earlier one")
     monkeypatch.setattr(command, "build_nodes", lambda *_: begun.append("plant"))

@@ -1,4 +1,4 @@
-"""`hil.sim`: a run from Python with changes, its log, its summary and the truth of the plant."""
+"""`hil.sim`: a run from Python with changes, its log, its summary and the true state of the plant."""
 
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ def run(tmp_path_factory):
     )
 
 
-def test_a_run_has_its_log_and_its_summary(run):
+def test_run_returns_its_log_and_its_summary(run):
     assert run.success
     assert run.summary["final_mode"] == "PARKED"
     assert str(run.log.path) == run.summary["log"]
@@ -35,7 +35,7 @@ def test_a_run_has_its_log_and_its_summary(run):
     assert run.log.figures()["tracking"] == run.summary["tracking"]
 
 
-def test_the_log_carries_the_changed_configuration_and_replays(run):
+def test_log_carries_the_changed_configuration_and_replays(run):
     there, shipped = loads(run.log.configuration), load("virtual")
     assert there.controller.model_dump() == shipped.controller.model_dump() | {"wn_rad_s": 25.0}
     assert there.platform == shipped.platform
@@ -43,8 +43,8 @@ def test_the_log_carries_the_changed_configuration_and_replays(run):
     assert replay_log(run.log.path)[0].exact
 
 
-def test_the_truth_of_each_tick_is_what_its_encoders_read(run):
-    """The drives answer with the length at the SYNC, in steps of 1 um; the plant's grid is 50 us off at most."""
+def test_true_lengths_of_each_tick_agree_with_its_encoders(run):
+    """The drives sample the length at the SYNC, quantised to 1 um; the plant's grid is at most 50 us off."""
     labels = [f"leg_{leg}" for leg in range(6)]
     frame = run.log.frame("q", "age", "plant.length", "plant.rate", "mode")
     moving = frame[(frame["mode"] == "TRACKING") & (frame["age.leg_0"] == 0)]
@@ -56,7 +56,7 @@ def test_the_truth_of_each_tick_is_what_its_encoders_read(run):
     assert np.abs(true[1:] - read[:-1]).max() > 5e-4  # a tick beside the right one would be seen
 
 
-def test_sim_answers_mistakes_and_faults_as_the_command_does(tmp_path):
+def test_sim_handles_mistakes_and_faults_like_the_command(tmp_path):
     with pytest.raises(ConfigurationError, match=r"controller\.wn_rad_s"):
         hil.sim("virtual", controller={"wn_rad_s": -1})
     with pytest.raises(ConfigurationError, match="contoller: unknown"):
@@ -88,12 +88,12 @@ CHANGES: dict[str, tuple[Any, Any]] = {
     "plant": ({"model": {"type": "bench"}, "log": None}, {"model": {"type": "bench"}}),
     "name": ("other", "other"),
 }
-"""Section, a change of it, and what it is then: of another `law` or `type` nothing is taken over."""
+"""Section, a change, and the result; another `law` or `type` replaces the whole section."""
 
 
 @pytest.mark.parametrize("section", CHANGES)
-def test_a_change_touches_its_key_alone(section):
-    """What YAML 1.2 reads: PyYAML agrees where text that could be something else is quoted."""
+def test_change_affects_its_own_key_only(section):
+    """Compared through PyYAML, which agrees with YAML 1.2 if ambiguous text is quoted."""
     change, there = CHANGES[section]
     before = yaml.safe_load(TEXT) | {"controller": {"law": "pd", "kp": 1000.0, "gains": [1, 2.5e-7]}}
     assert yaml.safe_load(with_changes(TEXT, {section: change})) == before | {section: there}
@@ -101,14 +101,14 @@ def test_a_change_touches_its_key_alone(section):
 
 
 @pytest.mark.parametrize("duration_s", [0, -1.0, float("nan"), float("inf"), 1e306])
-def test_a_duration_that_is_none_is_refused_before_a_log_is_there(tmp_path, duration_s):
+def test_invalid_duration_is_refused_before_a_log_is_created(tmp_path, duration_s):
     with pytest.raises(ConfigurationError, match=r"^duration_s .*allowed: seconds > 0, up to 1e"):
         hil.sim("virtual", duration_s=duration_s, log=tmp_path / "a.mcap")
     assert list(tmp_path.iterdir()) == []
 
 
-def test_one_run_has_one_identity_and_none_of_another(run, tmp_path):
-    """All that a simulation follows from is in it, and no clock: its log is the same again."""
+def test_run_identity_is_repeatable_and_unique(run, tmp_path):
+    """It covers all inputs of a simulation and no clock, so a repeated run gives the same log."""
     c = loads(run.log.configuration)
     first = run_identity(c, 2.0, None, None, ())
     assert run.log.metadata["hil"]["run"] == run.log.plant.metadata["hil"]["run"] == first
@@ -130,8 +130,8 @@ def test_one_run_has_one_identity_and_none_of_another(run, tmp_path):
 @pytest.mark.parametrize(
     "operator", [{"start": "asked"}, {"deadman_s": 0.2}, {"stays": True}], ids=lambda each: next(iter(each))
 )
-def test_a_lockstep_that_would_wait_for_an_operator_is_refused(operator):
-    """In simulated time nobody attends a run."""
+def test_lockstep_that_would_wait_for_an_operator_is_refused(operator):
+    """Simulated time has no operator."""
     c = loads(with_changes(load("virtual").text, {"operator": operator}), "mine.yaml", Path())
     cycle = build_cycle(c, c.loop.rate_Hz, 0.01)
     nodes, plant = build_nodes(c)

@@ -56,7 +56,7 @@ VERDICTS = [
     ("  law: inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "stay below 0.229 mm"),
     ("  law: inverse_dynamics\n  wn_rad_s: 20\n", True, "conditional", "stay below 0.00212 mm"),
     ("  law: inverse_dynamics\n  wn_rad_s: 500\n", False, "unstable", "1 ms from measurement to force"),
-    (f"  law: inverse_dynamics\n  wn_rad_s: 20\n{CONSTANT}", False, "not proven", "another inertia"),
+    (f"  law: inverse_dynamics\n  wn_rad_s: 20\n{CONSTANT}", False, "not proven", "a wrong inertia"),
     (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", False, "conditional", "stay below 0.0141 mm"),
     (f"  law: inverse_dynamics\n  wn_rad_s: 90\n{DELAY}", True, "conditional", "stay below 0.0021 mm"),
     ("  law: pose_inverse_dynamics\n  wn_rad_s: 20\n", False, "conditional", "0.143 mm and 0.0087 deg"),
@@ -70,14 +70,14 @@ VERDICTS = [
 ]  # fmt: skip
 
 
-def test_every_law_of_the_table_has_its_judge():
-    """A designed controller is judged below."""
+def test_every_law_is_judged():
+    """Designed controllers have their own test below."""
     judged = {re.search(r"law: (\w+)", str(row))[1] for row in map(repr, VERDICTS)}  # type: ignore[index]
     assert judged | {"state_space"} == set(LAWS)
 
 
 @pytest.mark.parametrize(("law", "rest", "status", "because"), VERDICTS)
-def test_the_verdict_on_a_law(law, rest, status, because):
+def test_verdict_on_each_law_has_the_expected_reason(law, rest, status, because):
     verdict = judge(bench(law, rest=rest))
     assert verdict.status == status, verdict
     assert because in verdict.line
@@ -85,8 +85,8 @@ def test_the_verdict_on_a_law(law, rest, status, because):
         assert any("while it moves nothing is proven" in condition for condition in verdict.conditions)
 
 
-def test_a_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
-    """200 kg, pure damping, h = T kv / m, a period late behind its hold: z^2 - z + h = 0, so stable below h = 1."""
+def test_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
+    """200 kg, pure damping, h = T kv / m, a period of delay, a hold: z^2 - z + h = 0, stable for h < 1."""
     text = load("bench").text.replace("force_bandwidth_Hz: 200", "force_bandwidth_Hz: 0")
     (kp,), (kv,) = (
         [line for line in text.splitlines() if line.startswith(f"  {key}: ")]
@@ -97,7 +97,7 @@ def test_a_pd_on_the_bench_is_stable_up_to_its_sampling_limit():
         assert judge(loads(changed, "bench.yaml", Path())).status == status
 
 
-def test_a_sliding_gain_too_small_for_its_load_is_not_proven():
+def test_sliding_gain_too_small_for_its_load_is_not_proven():
     config = bench(SLIDING, rest=True)
     assert judge(config, Stated(Load(15_000.0), 0.1)).status == "conditional"
     verdict = judge(config, Stated(Load(30_000.0), 0.1))
@@ -105,8 +105,8 @@ def test_a_sliding_gain_too_small_for_its_load_is_not_proven():
     assert "do not cover" in verdict.claim
 
 
-def test_a_load_in_pose_space_is_bounded_in_millimetres_and_degrees():
-    """10 kN on 1150 kg and a share of the legs: less than 10 / 1150 of m/s^2 over wn^2, 21.7 mm, and the pushes."""
+def test_bound_of_a_pose_space_law_is_in_millimetres_and_degrees():
+    """10 kN on 1150 kg and part of the legs: below 10 / 1150 of m/s^2 over wn^2, 21.7 mm, and the pushes."""
     law = "  law: pose_inverse_dynamics\n  wn_rad_s: 20\n"
     summary = assess(bench(law, rest=True), force_N=10_000.0)
     least = max(summary["figures"]["ultimate_bound"][:3])
@@ -114,8 +114,8 @@ def test_a_load_in_pose_space_is_bounded_in_millimetres_and_degrees():
     assert "mm and" in summary["claim"]
 
 
-def test_a_designed_controller_is_judged_by_its_loop():
-    """The PD of wn 20 as a controller file gives what inverse dynamics of wn 20 gives."""
+def test_designed_controller_is_judged_by_its_loop():
+    """A controller file with the PD of wn 20 gives the result of inverse dynamics with wn 20."""
     controller = LinearController(
         kind="linear-controller", method="hinf", axes="joint", rate_Hz=1000, inputs=["error", "rate_error"],
         A=[], B=[], C=[[]], D=[[400.0, 40.0]], anti_windup=[], design={},
@@ -130,14 +130,14 @@ def test_a_designed_controller_is_judged_by_its_loop():
     assert designed(Subject(plain, Stated()), wild, ModelSettings(), []).status == "unstable"
 
 
-def test_friction_that_the_law_does_not_know_counts_as_a_disturbance():
-    """The lab's drives lose 250 N of Coulomb and 600 N s/m of viscous friction, and its law knows nothing of it."""
+def test_uncompensated_friction_counts_as_a_disturbance():
+    """The lab's drives have 250 N of Coulomb and 600 N s/m of viscous friction; its law models none."""
     verdict = judge(load("lab"))
     assert max(verdict.figures["disturbance"]) > 1.0
     assert "stay below" in verdict.claim
 
 
-def test_the_check_has_a_line_for_it():
+def test_check_has_a_line_on_stability():
     report = inspect(load("virtual"))
     line = "stability conditional: errors stay below 0.229 mm of leg length along the reference"
     assert line in report.sections["controller"]
@@ -146,7 +146,7 @@ def test_the_check_has_a_line_for_it():
     assert any("eigenvalue of magnitude" in w for w in bad.warnings)
 
 
-def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
+def test_command_prints_bound_and_margins_and_writes_json(tmp_path):
     file = tmp_path / "proof.json"
     options = ["stability", "virtual", "--disturbance-force", "17320", "--json", str(file)]
     result = CliRunner().invoke(main, options)
@@ -160,7 +160,7 @@ def test_the_command_prints_bound_and_margins_and_writes_json(tmp_path):
     assert len(summary["figures"]["ultimate_bound"]) == 6
 
 
-def test_a_refuted_law_ends_with_one_and_a_wrong_option_with_two(tmp_path):
+def test_unstable_law_exits_with_1_and_invalid_option_with_2(tmp_path):
     config = tmp_path / "my.yaml"
     config.write_text(bench("  law: inverse_dynamics\n  wn_rad_s: 500\n").text)
     assert CliRunner().invoke(main, ["stability", str(config)]).exit_code == 1
@@ -171,8 +171,8 @@ def test_a_refuted_law_ends_with_one_and_a_wrong_option_with_two(tmp_path):
 @pytest.mark.parametrize(
     ("at", "alpha", "millimetres"), [("230kg@0,0,0", 0.441, 11.3), ("230@0.5,0.3,0.5", 0.571, 36.9)]
 )
-def test_an_unknown_payload_counts_by_its_inertia_and_weight(at, alpha, millimetres, tmp_path):
-    """Not by its share of the mass, 0.17: where it is away from the middle it turns the platform."""
+def test_unknown_payload_counts_by_its_inertia_and_weight(at, alpha, millimetres, tmp_path):
+    """Its mass share of 0.17 is not enough: away from the centre it also turns the platform."""
     path = tmp_path / "proof.json"
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", at, "--json", str(path)])
     assert done.exit_code == 0, done.output
@@ -184,15 +184,15 @@ def test_an_unknown_payload_counts_by_its_inertia_and_weight(at, alpha, millimet
 
 
 @pytest.mark.parametrize("belief", ["{inertia_scale: 0.9}", "{coulomb_friction_N: 100}"])
-def test_constant_errors_are_not_said_to_die_out(belief):
-    """A wrong weight, or a friction that the law pushes against and the robot has not."""
+def test_constant_error_is_not_reported_as_decaying(belief):
+    """A wrong weight, or friction in the model of the law that the robot does not have."""
     found = judge(bench(f"  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {belief}\n", rest=True))
     assert found.status == "conditional"
     assert "errors stay below" in found.line
     assert "die out" not in found.line
 
 
-def test_dry_friction_counts_even_where_the_law_compensates_it():
+def test_dry_friction_counts_even_if_the_law_compensates_it():
     text = bench(
         "  law: inverse_dynamics\n  wn_rad_s: 20\n  model: {coulomb_friction_N: 250}\n", rest=True
     ).text
@@ -205,7 +205,7 @@ def test_dry_friction_counts_even_where_the_law_compensates_it():
 @pytest.mark.parametrize(
     "given", ["heavy", "-1kg", "230kg@0,0", "230kg@0,0,nan", "inf", "1e300", "230@0,1e300,0", ""]
 )
-def test_a_payload_that_is_none_is_refused(given):
+def test_invalid_payload_is_refused(given):
     done = CliRunner().invoke(main, ["stability", "virtual", "--payload", given])
     assert done.exit_code == 2
     assert "allowed: a mass in kg and its place in m" in done.output

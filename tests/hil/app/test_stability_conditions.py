@@ -1,4 +1,4 @@
-"""`hil stability`: every premise is among the conditions of its verdict."""
+"""`hil stability`: every assumption is among the conditions of its verdict."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import pytest
 
 from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, loads
+from hil.app.stability.assessment import Assessment
 from hil.app.stability.command import judge
 from hil.app.stability.subject import SURVEYED, Stated, Subject
-from hil.app.stability.wording import Assessment
 from hil.config.model import ModelSettings
 from tests.hil.app.test_stability_command import LEGS, POSE, bench
 
@@ -44,11 +44,11 @@ FMU = {
     }
 }
 FINE = {"plant": {"drives": {"encoder_resolution_m": 0}}}
-"""Encoders whose steps move nothing."""
+"""Encoders without quantisation."""
 
 
 def held(law: str, *changes: dict[str, Any]) -> Configuration:
-    """Return a robot that rests under a law, with changes."""
+    """A robot at rest under a law, with changes."""
     text = bench(law, rest=True).text
     for each in changes:
         text = with_changes(text, each)
@@ -56,20 +56,20 @@ def held(law: str, *changes: dict[str, Any]) -> Configuration:
 
 
 def among(found: Assessment, words: str) -> bool:
-    """Tell whether a condition has these words."""
+    """True if a condition contains these words."""
     return any(words in condition for condition in found.conditions)
 
 
 @pytest.fixture
 def linearising(tmp_path: Path) -> list[str]:
-    """Return the same gains as a law of their own and as a designed controller."""
+    """The same gains as inverse dynamics and as a designed controller."""
     file = tmp_path / "gains.yaml"
     file.write_text(GAINS)
     return [LINEAR, DESIGNED.format(file=file)]
 
 
 @pytest.mark.parametrize(("source", "status"), [("none", "proven"), ("observer", "conditional")])
-def test_an_estimated_wrench_is_among_the_conditions(linearising, source, status):
+def test_estimated_wrench_is_among_the_conditions(linearising, source, status):
     for law in linearising:
         found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
         assert "small errors die out" in found.claim
@@ -77,7 +77,7 @@ def test_an_estimated_wrench_is_among_the_conditions(linearising, source, status
         assert among(found, "the estimated wrench is right") == (source == "observer"), law
 
 
-def test_a_law_without_a_wrench_needs_no_condition_about_it():
+def test_law_without_wrench_compensation_has_no_condition_on_it():
     law = "  law: partial_linearisation\n  wn_rad_s: 20\n"
     for source in ("none", "observer"):
         found = judge(held(law, FINE, {"estimation": {"wrench": {"source": source}}}))
@@ -85,14 +85,14 @@ def test_a_law_without_a_wrench_needs_no_condition_about_it():
 
 
 @pytest.mark.parametrize("evaluation", ["online", "offline"])
-def test_a_feed_forward_with_an_estimated_wrench_has_its_condition(evaluation):
+def test_online_feed_forward_has_the_condition_on_the_wrench(evaluation):
     law = f"{SPRINGS['feedforward_pd']}  evaluation: {evaluation}\n"
     found = judge(held(law, {"estimation": {"wrench": {"source": "observer"}}}))
     assert among(found, "the estimated wrench is right") == (evaluation == "online")
     assert not among(judge(held(law)), "wrench")
 
 
-def test_a_fused_pose_is_among_the_conditions(linearising):
+def test_fused_pose_is_among_the_conditions(linearising):
     for law in [*linearising, SPRINGS["pid"], SPRINGS["pd_gravity"]]:
         found = judge(held(law, FINE, FUSED))
         assert among(found, "the fused pose is as good as measured lengths"), law
@@ -102,22 +102,22 @@ def test_a_fused_pose_is_among_the_conditions(linearising):
 
 
 @pytest.mark.parametrize("name", list(SPRINGS))
-def test_springs_on_a_live_reference_are_proven_only_at_rest(name):
+def test_pd_on_a_live_reference_is_proven_at_rest_only(name):
     moves = "the reference rests; while it moves nothing is proven"
     found = judge(held(SPRINGS[name], {"reference": LIVE}))
     assert found.conditions.count(moves) == 1
     assert not among(found, "the bound"), "of these laws there is none"
 
 
-def test_a_bound_on_a_live_reference_is_that_of_its_rest():
+def test_bound_on_a_live_reference_holds_at_rest():
     found = judge(held(LINEAR, FINE, {"reference": LIVE}))
     assert found.status == "conditional"
     assert among(found, "the reference rests at home")
 
 
 @pytest.mark.parametrize("plant", [REAL, FMU])
-def test_an_unknown_robot_has_the_reflected_masses_of_the_law(plant):
-    """Half a tonne in each leg triples the inertia: without it nothing would be left of an exact model."""
+def test_unknown_robot_has_the_reflected_masses_of_the_law(plant):
+    """Half a tonne in each leg triples the inertia: without it the model would not be exact."""
     geared = {"controller": {"model": {"reflected_mass_kg": [500, 480, 460, 440, 420, 400]}}}
     bare, found = judge(held(LINEAR, plant)), judge(held(LINEAR, plant, geared))
     for one in (bare, found):
@@ -125,11 +125,11 @@ def test_an_unknown_robot_has_the_reflected_masses_of_the_law(plant):
         assert "small errors die out" in one.claim
         assert one.figures["gamma_eigenvalues"] == pytest.approx([1.0, 1.0], abs=1e-9)
     assert among(bare, "without friction and reflected mass")
-    assert among(found, "with the friction and the reflected masses that the law believes")
+    assert among(found, "with the friction and the reflected masses of the law's model")
 
 
-def test_compensated_dry_friction_counts_on_an_unknown_plant():
-    """It may meet that of a robot which has as much with the other sign, leg by leg."""
+def test_compensated_dry_friction_counts_on_an_unknown_plant_too():
+    """The robot may have friction of equal size and opposite sign, leg by leg."""
     believed = [0.0, 100.0, 200.0, 300.0, 400.0, 500.0]
     model = ModelSettings(coulomb_friction_N=believed, viscous_friction_N_s_m=1e3)
     found = Subject(held(LINEAR, REAL), Stated()).friction(model)
@@ -147,8 +147,8 @@ def test_compensated_dry_friction_counts_on_an_unknown_plant():
         (1e-6, "conditional", "errors stay below 0.00212 mm"),
     ],
 )
-def test_errors_kept_up_by_encoder_steps_do_not_die_out(linearising, step_m, status, says):
-    """wn 20: 1 um is 4e-4 m/s^2 of what the law asks for, four times what counts as none."""
+def test_errors_by_encoder_resolution_do_not_decay(linearising, step_m, status, says):
+    """wn 20: 1 um makes the law request 4e-4 m/s^2, four times the negligible disturbance."""
     for law in linearising:
         found = judge(held(law, {"plant": {"drives": {"encoder_resolution_m": step_m}}}))
         assert found.status == status, law

@@ -1,4 +1,4 @@
-"""`hil stability`: the bound holds with the steps and losses of the drives."""
+"""`hil stability`: the bound includes resolution and losses of the drives."""
 
 from __future__ import annotations
 
@@ -27,29 +27,29 @@ SLIGHT = merged(SMOOTH, {"drives": {"transmission": {"efficiency": 0.98, "back_d
 
 
 def desktop(*changes):
-    """Return the shipped configuration with changes."""
+    """The shipped configuration with changes."""
     return loads(with_changes(SHIPPED, merged(*changes)), "changed.yaml")
 
 
 def bound_mm(c):
-    """Return the printed bound of the legs."""
+    """The printed bound of the legs."""
     found = judge(c)
     assert found.status == "conditional", found.claim
     return 1e3 * max(found.figures["ultimate_bound"])
 
 
-def test_the_bound_grows_with_the_steps_and_with_the_losses():
+def test_bound_grows_with_resolution_and_losses_of_the_drives():
     fine, lossy, coarse = (bound_mm(desktop(each)) for each in (LOSSLESS, SLIGHT, merged(LOSSLESS, COARSE)))
     assert 0.0525 < fine < 0.3, "52.5 um are met in 20 s"
     assert lossy > 2.0 * fine
     assert coarse > 2.0 * fine
 
 
-def test_losses_that_the_theory_does_not_bear_have_no_bound():
+def test_losses_too_large_for_the_theory_have_no_bound():
     found = judge(desktop(SMOOTH))
     assert found.status == "not proven"
     assert "no bound" in found.claim
-    assert "what a transmission loses where a leg turns round" in found.claim
+    assert "transmission losses at reversals" in found.claim
 
 
 @pytest.mark.long

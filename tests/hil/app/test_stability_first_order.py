@@ -1,4 +1,4 @@
-"""`hil stability` of springs and unlike axes, against eigenvalues by hand."""
+"""`hil stability` of springs and unequal axes, against calculated eigenvalues."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ FROZEN = "{variant: %s, frozen_at: {position_m: [0, 0, 1]}}"
 
 
 def at(pose: dict[str, Any]) -> dict[str, Any]:
-    """Return what makes a configuration rest at a pose."""
+    """Change that makes a configuration rest at a pose."""
     return {"reference": {"pose": pose}}
 
 
 def cartesian(ratio: float, *changes: dict[str, Any], more: str = "") -> Configuration:
-    """Return a PD on the pose whose rates are damped by a ratio of a loop of 1150 kg and 450 kg m^2."""
+    """A PD on the pose with a damping ratio for a body of 1150 kg and 450 kg m^2."""
     return held(
         f"  law: cartesian_pd\n  kp_position_N_m: 4e5\n  kv_position_N_s_m: {2 * ratio * np.sqrt(4e5 * 1150)}\n"
         f"  kp_rotation_N_m_rad: 2e5\n  kv_rotation_N_m_s_rad: {2 * ratio * np.sqrt(2e5 * 450)}\n{more}",
@@ -41,12 +41,12 @@ def cartesian(ratio: float, *changes: dict[str, Any], more: str = "") -> Configu
 
 
 def cross(x: Array) -> Array:
-    """Return the matrix of x times."""
+    """Matrix of the cross product with x."""
     return np.array([[0, -x[2], x[1]], [x[2], 0, -x[0]], [-x[1], x[0], 0]])
 
 
 def by_hand(c: Configuration, stiffness: Array) -> float:
-    """Return the slowest eigenvalue of M x'' = -K_v x' - K x at the reference, 1/s."""
+    """Slowest eigenvalue of M x'' = -K_v x' - K x at the reference, 1/s."""
     subject = Subject(c, Stated())
     p, R = subject.path[0].p, subject.path[0].R
     M = subject.robot.mass_matrix(p, R)
@@ -64,7 +64,7 @@ VECTORS = "  rotation_error: vector_difference\n"
     ("degrees", "ratio", "status"),
     [(0, 0.1, "conditional"), (30, 0.05, "unstable"), (30, 0.5, "conditional"), (-30, 0.05, "unstable")],
 )
-def test_a_difference_of_rotation_vectors_swings_up_where_the_platform_is_turned(degrees, ratio, status):
+def test_rotation_vector_difference_is_unstable_on_a_rotated_platform(degrees, ratio, status):
     """d(phi_d - phi) = -(1 - [phi]x / 2 + ...) dtheta: across phi a spring of 0.977 +- 0.262 i at 30 deg."""
     turned = at({"position_m": [0, 0, 1], "rotation_vector_deg": [0, degrees, 0]})
     c = cartesian(ratio, WEIGHTLESS, turned, more=VECTORS)
@@ -89,7 +89,7 @@ ON_A_POST = {
 
 @pytest.mark.parametrize("stiffness", ["[1e3, 1e3, 1.001e3]", "[1e3, 1e3, 1e3]"])
 @pytest.mark.parametrize("error", ["", VECTORS])
-def test_springs_softer_than_the_weight_are_not_called_stable(stiffness, error):
+def test_springs_softer_than_the_weight_are_not_judged_stable(stiffness, error):
     """300 kg on a post of 1 m have 2943 N m/rad."""
     pose = POSE.replace("kp_rotation_N_m_rad: 2e5", f"kp_rotation_N_m_rad: {stiffness}").partition("  model")[
         0
@@ -101,7 +101,7 @@ def test_springs_softer_than_the_weight_are_not_called_stable(stiffness, error):
 
 
 def sag_mm(c: Configuration) -> float:
-    """Return how far the leg lengths are off where the forces of the law that runs hold the weight."""
+    """Largest error of a leg length at the pose where the law's forces balance the weight."""
     subject = Subject(c, Stated())
     start, tau = subject.path[0], law_forces(subject, c.controller)  # type: ignore[arg-type]
 
@@ -127,8 +127,8 @@ def sag_mm(c: Configuration) -> float:
         f"  law: cartesian_pd\n{POSE.partition('  model')[0]}",
     ],
 )
-def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, variant):
-    """Frozen 0.15 m and 10 deg away."""
+def test_frozen_model_makes_the_platform_sag_to_its_force_balance(law, variant):
+    """Model frozen 0.15 m and 10 deg away."""
     c = held(f"{law}  model: {FROZEN % variant}\n", at(AT))
     deepest = sag_mm(c)
     assert deepest > 0.05
@@ -142,7 +142,7 @@ def test_a_frozen_weight_leaves_the_platform_where_what_is_sent_holds_it(law, va
 
 
 def changed(law, *changes):
-    """Return the bench that holds a pose under a law, with parts of its text replaced."""
+    """The bench holding a pose under a law, with parts of its text replaced."""
     return loads(edited(*changes, base=bench(law, rest=True).text), "my.yaml", Path())
 
 
@@ -156,8 +156,8 @@ def changed(law, *changes):
         ),
     ],
 )
-def test_a_rest_beyond_a_soft_end_is_not_called_stable(law, soft_end):
-    """Home is inside; the springs of 40 kN/m carry the weight, or what is held up too much, 0.09 m away from it."""
+def test_rest_pose_beyond_a_soft_end_is_not_judged_stable(law, soft_end):
+    """Home is inside. Springs of 40 kN/m balance the weight, or its overcompensation, 0.09 m from it."""
     inside = judge(changed(law))
     assert inside.status == "conditional"
     assert inside.figures["energy"]["sag_mm"] > 60.0
@@ -167,7 +167,7 @@ def test_a_rest_beyond_a_soft_end_is_not_called_stable(law, soft_end):
 
 
 @pytest.mark.parametrize("down", [-9.81, 9.81])
-def test_an_integral_has_to_carry_the_weight_in_push_and_pull(down):
+def test_integral_must_hold_the_weight_in_push_and_in_pull(down):
     """3.66 kN a leg: 102 % of the one limit and 99 % of the other; with gravity upwards the legs pull."""
     gravity = "gravity_m_s2: [0, 0, -9.81]", f"gravity_m_s2: [0, 0, {down}]"
     for limit, status in ((3500.0, "not proven"), (3800.0, "conditional")):
@@ -176,7 +176,7 @@ def test_an_integral_has_to_carry_the_weight_in_push_and_pull(down):
 
 
 @pytest.mark.parametrize("leg", [0, 5])
-def test_one_unstable_axis_is_enough(leg):
+def test_one_unstable_axis_makes_the_verdict_unstable(leg):
     wn = [600.0 if k == leg else 2.0 for k in range(6)]
     found = judge(bench(f"  law: inverse_dynamics\n  wn_rad_s: {wn}\n", rest=True))
     assert found.status == "unstable"

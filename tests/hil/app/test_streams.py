@@ -1,4 +1,4 @@
-"""Output that nobody reads or that a full disk refuses costs no result."""
+"""Output to a closed pipe or a full disk loses no result."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def json_file(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def invoked(monkeypatch: pytest.MonkeyPatch, json_file: Path) -> Invoked:
-    """Be the process of a command that does some work; its exit code."""
+    """Run a command with the given work in this process; return its exit code."""
 
     def invoke(work: Callable[[Path], Any]) -> int:
         monkeypatch.setattr("sys.argv", ["hil", "check", "--json", str(json_file)])
@@ -57,13 +57,13 @@ ENDS: dict[str, Callable[[Path], Any]] = {
 
 @pytest.fixture(params=[-1, 0], ids=["buffered", "unbuffered"])
 def full(request: pytest.FixtureRequest) -> Iterator[TextIO]:
-    """A file on a full disk; Python leaves out the buffer where PYTHONUNBUFFERED is set."""
+    """A file on a full disk, with and without a buffer (PYTHONUNBUFFERED)."""
     with contextlib.suppress(OSError), Path("/dev/full").open("wb", buffering=request.param) as file:
         yield io.TextIOWrapper(file)
 
 
 @pytest.mark.parametrize("end", ENDS.values(), ids=ENDS)
-def test_a_full_disk_behind_the_output_loses_no_result(
+def test_standard_output_on_a_full_disk_loses_no_result(
     invoked: Invoked,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -78,7 +78,7 @@ def test_a_full_disk_behind_the_output_loses_no_result(
 
 
 @pytest.mark.parametrize("end", list(ENDS.values())[:2], ids=list(ENDS)[:2])
-def test_the_json_is_written_although_nobody_reads_the_summary(
+def test_json_is_written_even_if_the_output_pipe_is_closed(
     invoked: Invoked,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
@@ -95,10 +95,10 @@ def test_the_json_is_written_although_nobody_reads_the_summary(
 
 
 @pytest.mark.parametrize("kept", [0, 900])
-def test_the_time_left_is_that_of_the_jobs_of_this_command(
+def test_remaining_time_counts_only_the_jobs_of_this_command(
     kept: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Also of a campaign that goes on, whose first count has the rows of before."""
+    """A continued campaign starts its count with the earlier rows."""
     now = 0.0
     monkeypatch.setattr("hil.cli.shared.time.monotonic", lambda: now)
     with shared.counted("rows") as count:
@@ -108,7 +108,7 @@ def test_the_time_left_is_that_of_the_jobs_of_this_command(
     assert capsys.readouterr().err == f"rows: {kept + 25} of {kept + 100}, 0:01:30 left\n"
 
 
-def test_an_output_that_is_closed_from_the_start_changes_no_exit_code(tmp_path: Path) -> None:
+def test_output_closed_at_the_start_does_not_change_the_exit_code(tmp_path: Path) -> None:
     command = f"{shlex.quote(sys.executable)} -m hil.cli schema --help >&- 2>{tmp_path / 'err'}"
     done = subprocess.run(["sh", "-c", command], check=False, timeout=60.0)
     assert (done.returncode, "Traceback" in (tmp_path / "err").read_text()) == (0, False)

@@ -1,4 +1,4 @@
-"""Untrusted input: control characters, files that a log names, and damage at random from a seed."""
+"""Untrusted input: control characters, paths in a log, and random damage from a seed."""
 
 import os
 import re
@@ -23,7 +23,7 @@ def pipe(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["../up", "a b", "a/b", "", "x" * 101, "\\e[31m", "a\\n"])
-def test_a_name_that_would_be_a_strange_file_name_is_refused(name):
+def test_name_that_is_unsafe_as_a_file_name_is_refused(name):
     text = VIRTUAL.replace("name: virtual\n", f'name: "{name}"\n', 1)
     with pytest.raises(
         ConfigurationError, match=re.escape("name: wrong form, allowed: text of the form [A-Za-z")
@@ -31,7 +31,7 @@ def test_a_name_that_would_be_a_strange_file_name_is_refused(name):
         loads(text)
 
 
-def test_what_steers_a_terminal_is_shown_and_not_sent():
+def test_control_characters_are_escaped_on_the_terminal():
     assert visible("red \x1b[31m\r\x07 back \u202e \x9b\n") == "red \\x1b[31m\\r\\x07 back \\u202e \\x9b\n"
     assert visible("plain é ✓") == "plain é ✓"
     assert one_line("a\nb\u2028c") == "a\\nb\\u2028c"
@@ -40,7 +40,7 @@ def test_what_steers_a_terminal_is_shown_and_not_sent():
 
 @pytest.fixture
 def names_a_file():
-    """The shipped configuration with a reference from a file, as a log has it: not looked for."""
+    """The shipped configuration with a reference from a file, as in a log, without a search for the file."""
 
     def make(file):
         head, _, rest = VIRTUAL.partition("\nreference:")
@@ -50,12 +50,12 @@ def names_a_file():
     return make
 
 
-def test_replay_opens_no_file_that_a_log_names(names_a_file, pipe, tmp_path):
+def test_replay_opens_no_path_from_a_log(names_a_file, pipe, tmp_path):
     secret = tmp_path / "secret"
     secret.write_text("the first line of another file\n")
     for file in (secret, pipe):
         c = loads(names_a_file(file), "log:config.yaml")
-        with pytest.raises(LogError, match=r"reference\.path, and the log does not carry it") as found:
+        with pytest.raises(LogError, match=r"reference\.path that the log does not carry") as found:
             with_attachments(c, {}, tmp_path)
         assert "first line" not in str(found.value)
 
@@ -70,7 +70,7 @@ def sound(tmp_path_factory):
 
 
 @pytest.mark.parametrize("target", TARGETS)
-def test_damaged_input_is_answered(sound, target):
+def test_damaged_input_is_refused_without_a_crash(sound, target):
     results = [case.run(seed, sound, target) for seed in range(QUICK[target])]
     assert [r for r in results if r.problem not in {"", "hang"}] == []
     slow = [r for r in results if r.seconds > case.LONGEST_S]
@@ -79,6 +79,6 @@ def test_damaged_input_is_answered(sound, target):
 
 @pytest.mark.long
 @pytest.mark.parametrize("target", TARGETS)
-def test_damaged_input_is_answered_from_many_seeds(sound, target):
+def test_damaged_input_of_many_seeds_is_refused_without_a_crash(sound, target):
     results = [case.run(seed, sound, target) for seed in range(1000, 1000 + 20 * QUICK[target])]
     assert [r for r in results if r.problem] == []

@@ -1,4 +1,4 @@
-"""Limits along a path: each breaks in any leg and direction, on long paths too."""
+"""Limits along a path: violations by any leg and direction, on long paths too."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ LIMITS = C.limits.model_copy(
 )  # fmt: skip
 ROWS = 9
 HERE = 4
-"""The row at which one leg does something; the others have it at rest, in the middle of the stroke."""
+"""Row with the event of one leg; the other legs are at rest in the middle of the stroke."""
 
 STEP_S = 1e-3
 LEGS = range(6)
@@ -33,7 +33,7 @@ WAYS = (1.0, -1.0)
 
 
 def walked(leg: int, *, q: float = MIDDLE, dq: float = 0.0, ddq: float = 0.0, tau: float = 0.0) -> Walk:
-    """Return a walk of which one leg has other values in one row."""
+    """A walk with other values for one leg in one row."""
     q_m, rest = np.full((ROWS, 6), MIDDLE), np.zeros((2, 6))
     rate, acceleration, force = (np.zeros((ROWS, 6)) for _ in range(3))
     for rows, value in ((q_m, q), (rate, dq), (acceleration, ddq), (force, tau)):
@@ -43,7 +43,7 @@ def walked(leg: int, *, q: float = MIDDLE, dq: float = 0.0, ddq: float = 0.0, ta
 
 
 def broken(w: Walk, *, but: str = "") -> list[str]:
-    """Return the messages of the limits that break, but for those that have a word in them."""
+    """Messages of the violated limits, except those that contain one of the given words."""
     found = violations(w, C.platform, LIMITS, STEP_S)
     assert all(each.t == pytest.approx(STEP_S * HERE) for each in found)
     return [each.message for each in found if not but or but not in each.message]
@@ -51,8 +51,8 @@ def broken(w: Walk, *, but: str = "") -> list[str]:
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize("way", WAYS)
-def test_a_leg_too_fast_to_stop_before_its_end_breaks_the_limit(leg, way):
-    """With 10 m/s^2 over 50 mm: 1 m/s. The end behind it does not count, however near."""
+def test_leg_too_fast_to_stop_before_its_end_violates_the_limit(leg, way):
+    """With 10 m/s^2 over 50 mm: 1 m/s. The end behind the leg does not count, at any distance."""
     ahead, behind = (HIGH - 0.02, LOW + 0.02)[:: int(way)]
     assert broken(walked(leg, q=ahead - 0.05 * way, dq=0.99 * way)) == []
     (message,) = broken(walked(leg, q=ahead - 0.05 * way, dq=1.01 * way))
@@ -71,7 +71,7 @@ def test_a_leg_too_fast_to_stop_before_its_end_breaks_the_limit(leg, way):
         ("ddq", 5.0, "acceleration above limits.acceleration_m_s2 5"),
     ],
 )
-def test_a_limit_of_size_holds_for_both_signs_of_each_leg(leg, key, limit, words):
+def test_limit_of_a_magnitude_holds_for_both_signs_of_each_leg(leg, key, limit, words):
     for way in WAYS:
         assert broken(walked(leg, **{key: 0.99 * limit * way}), but="force changes") == []
         (message,) = broken(walked(leg, **{key: 1.01 * limit * way}), but="force changes")
@@ -79,7 +79,7 @@ def test_a_limit_of_size_holds_for_both_signs_of_each_leg(leg, key, limit, words
 
 
 @pytest.mark.parametrize("leg", LEGS)
-def test_a_leg_beyond_a_soft_end_breaks_the_limit(leg):
+def test_leg_beyond_a_soft_end_violates_the_limit(leg):
     for end, way in ((HIGH - 0.02, 1.0), (LOW + 0.02, -1.0)):
         assert broken(walked(leg, q=end - 1e-4 * way)) == []
         (message,) = broken(walked(leg, q=end + 1e-4 * way))
@@ -88,7 +88,7 @@ def test_a_leg_beyond_a_soft_end_breaks_the_limit(leg):
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize(("size_N", "limits"), [(299, []), (301, ["step"]), (701, ["step", "window"])])
-def test_a_force_that_changes_too_much_breaks_its_limits_either_way(leg, size_N, limits):
+def test_large_force_change_violates_its_limits_in_both_directions(leg, size_N, limits):
     for way in WAYS:
         found = sorted(broken(walked(leg, tau=size_N * way)))
         words = [f"leg {leg}: force changes by more than limits.force_{each}_N" for each in limits]
@@ -96,12 +96,12 @@ def test_a_force_that_changes_too_much_breaks_its_limits_either_way(leg, size_N,
 
 
 SILENCE = Silence(T=0.1, a=6.0)
-"""Of 1 m/s it leaves 0.1 m + 6 x 0.01 / 2 m = 0.13 m."""
+"""From 1 m/s: 0.1 m + 6 x 0.01 / 2 m = 0.13 m."""
 
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize("way", WAYS)
-def test_after_silence_a_leg_hits_the_end_that_it_runs_into_alone(leg, way):
+def test_travel_after_silence_counts_towards_the_end_ahead_only(leg, way):
     ahead, behind = (HIGH, LOW)[:: int(way)]
     found = SILENCE.beyond(walked(leg, q=ahead - 0.12 * way, dq=1.0 * way), LOW, HIGH)
     assert found == pytest.approx({"t": STEP_S * HERE, "leg": leg, "travel_m": 0.13, "free_m": 0.12})
@@ -114,15 +114,15 @@ def test_after_silence_a_leg_hits_the_end_that_it_runs_into_alone(leg, way):
 
 
 def forces(model: StewartPlant | BenchPlant, q_m: float, rate: float, ddq: float) -> tuple[Array, Array]:
-    """Return forces and forces at rest of a plant whose legs do so by turns: leg k is k + 1 times as fast."""
+    """Forces, in motion and at rest, of a plant with the rate of leg k in proportion to k + 1."""
     q, dq = np.full((3, 6), q_m), np.zeros((3, 6))
     dq[1] = rate * np.arange(1.0, 7.0)
     return drive_forces(PlantSettings(model=model), q, dq, np.full((3, 6), ddq), np.full((3, 6), 50.0), np.full((2, 6), 50.0))  # fmt: skip
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_friction_and_rotors_need_force_along_the_motion(way):
-    """50 N of the rigid bodies, 10 N of dry friction, 200 N s/m, 4 kg at 2 m/s^2; none at rest."""
+def test_friction_and_reflected_mass_add_force_along_the_motion(way):
+    """50 N of the rigid bodies, 10 N of dry friction, 200 N s/m, 4 kg at 2 m/s^2; only the first at rest."""
     model = StewartPlant(
         type="stewart", viscous_friction_N_s_m=200.0, coulomb_friction_N=10.0, reflected_mass_kg=4.0
     )
@@ -147,11 +147,11 @@ def along(points, interpolation="cubic", force_step_N=4000):
 
 
 LATE = [(0, 1.0), (40.0, 1.0), (40.5, 1.05), (80.0, 1.05)]
-"""Rest for 40 s, then a cubic move of half a second, whose acceleration jumps: 6 x 0.05 / 0.5^2 = 1.2 m/s^2."""
+"""Rest for 40 s, then a cubic move of 0.5 s with an acceleration step of 6 x 0.05 / 0.5^2 = 1.2 m/s^2."""
 
 
-def test_a_jump_in_the_middle_of_a_long_path_is_seen_as_on_a_short_one():
-    """The same move alone, looked at in every tick, has the same jump of the leg forces."""
+def test_force_step_within_a_long_path_is_found_as_on_a_short_one():
+    """The same move alone, sampled in every tick, has the same step of the leg forces."""
     w, _ = along(LATE)
     short, _ = along([(0, 1.0), (0.5, 1.05)])
     assert not w.every_tick
@@ -164,7 +164,7 @@ def test_a_jump_in_the_middle_of_a_long_path_is_seen_as_on_a_short_one():
     assert t[np.abs(step).max(axis=1).argmax()] == pytest.approx(40.0, abs=2.5e-3)
 
 
-def test_a_jump_beyond_the_limit_is_refused_on_a_long_path_too():
+def test_force_step_above_the_limit_is_refused_on_a_long_path_too():
     _, found = along(LATE, force_step_N=200)
     assert any("limits.force_step_N 200 in one tick" in each for each in found)
     assert not along(LATE, force_step_N=800)[1]

@@ -1,4 +1,4 @@
-"""The live page: requests, who may look and operate, and the state of the legs."""
+"""The live page: requests, rights to view and to operate, and the state of the legs."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def status_of(check, *arguments):
 
 
 class Deaf:
-    """A controller that answers nothing until it is `free`, but for the emergency stop."""
+    """A controller that answers only the emergency stop until it is `free`."""
 
     def __init__(self):
         self.stops = 0
@@ -89,13 +89,13 @@ def opened(port, data):
 
 
 def answered(connection):
-    """Return all that is sent, and the number of its status; 0 where the connection is closed without."""
+    """The whole answer and its status; 0 if the connection is closed without an answer."""
     with connection, connection.makefile("rb") as file:
         found = file.read()
     return found, int(found[9:12] or 0)
 
 
-def test_a_page_is_given_once_and_the_connection_closed(port):
+def test_connection_serves_one_request_and_closes(port):
     found, status = answered(opened(port, b"GET /?a=1&a=%3d HTTP/1.1\r\nHOST\r\nGET / HTTP/1.1\r\nHOST\r\n"))
     assert status == HTTPStatus.OK
     assert found.count(b"page") == 1
@@ -120,20 +120,20 @@ def test_a_page_is_given_once_and_the_connection_closed(port):
         (b"POST / HTTP/1.1\r\nHOSTContent-Length: 1\r\n\r\n1", HTTPStatus.UNAUTHORIZED),
     ],
 )  # fmt: skip
-def test_a_malformed_or_too_large_request_is_refused(data, status, port):
+def test_malformed_or_too_large_request_is_refused(data, status, port):
     found, given = answered(opened(port, data))
     assert given == status
     assert b"\r\nConnection: close\r\n" in found
     assert not found.endswith(b"page")
 
 
-def test_a_request_that_never_ends_is_given_up(port, monkeypatch):
+def test_incomplete_request_times_out(port, monkeypatch):
     monkeypatch.setattr("hil.app.watch.server.REQUEST_S", 0.1)
     assert answered(opened(port, b"GET / HTTP/1.1\r\n"))[1] == 0
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
 
 
-def test_an_idle_connection_is_closed_for_a_new_one(port, monkeypatch):
+def test_idle_connection_is_closed_for_a_new_one(port, monkeypatch):
     monkeypatch.setattr("hil.app.watch.server.MOST_CONNECTIONS", 3)
     waiting = [opened(port, b"GET") for _ in range(4)]
     assert answered(opened(port, b"GET / HTTP/1.1\r\nHOST\r\n"))[1] == HTTPStatus.OK
@@ -142,7 +142,7 @@ def test_an_idle_connection_is_closed_for_a_new_one(port, monkeypatch):
         each.close()
 
 
-def test_of_too_many_pages_the_oldest_makes_room_for_one_with_the_token(port, monkeypatch):
+def test_oldest_page_is_closed_for_a_new_one_with_the_token(port, monkeypatch):
     def stream(cookie=b""):
         connection = opened(port, b"GET /stream HTTP/1.1\r\n%sHOST\r\n" % cookie)
         return connection, connection.recv(17)[9:12]
@@ -179,7 +179,7 @@ def test_of_too_many_pages_the_oldest_makes_room_for_one_with_the_token(port, mo
         (request(sec_fetch_site="same-origin", sec_fetch_mode="cors"), HTTPStatus.OK),
     ],
 )
-def test_the_loopback_is_for_its_own_page_alone(given, status):
+def test_loopback_serves_only_requests_of_its_own_page(given, status):
     assert status_of(LOCAL.check, given) is status
 
 
@@ -197,7 +197,7 @@ def test_the_loopback_is_for_its_own_page_alone(given, status):
         (request(host="evil.example:8642", cookie=TOKEN), HTTPStatus.FORBIDDEN),
     ],
 )
-def test_beyond_the_loopback_all_need_the_token(given, status):
+def test_beyond_the_loopback_every_request_needs_the_token(given, status):
     assert status_of(BEYOND.check, given) is status
 
 
@@ -218,13 +218,13 @@ GOOD = {"origin": f"http://{HOST}", "content_type": "application/json"}
         (request("/operate", "POST", TOKEN, host="evil:8642", **GOOD), HTTPStatus.FORBIDDEN),
     ],
 )
-def test_who_operates_has_the_token_and_the_page(given, status):
+def test_operating_needs_the_token_and_the_origin_of_the_page(given, status):
     assert status_of(LOCAL.check_operate, given) is status
     closed = Access(TOKEN, 8642, LOCAL.names, beyond=False, operate=False)
     assert status_of(closed.check_operate, given) is not HTTPStatus.OK, "the configuration decides first"
 
 
-def test_the_words_of_the_page_are_passed_on_and_no_others():
+def test_only_the_commands_of_the_page_are_forwarded():
     for line in (
         "arm",
         "start",
@@ -260,13 +260,13 @@ def operate(port, line, length=None):
 
 
 @pytest.mark.parametrize("length", [b"-1", b"1_0", b"513", b"9" * 20, b""])
-def test_a_command_of_wrong_or_excessive_length_is_refused(length, port, deaf):
+def test_command_of_invalid_or_excessive_length_is_refused(length, port, deaf):
     assert answered(operate(port, b"estop", b" " + length))[1] == HTTPStatus.REQUEST_ENTITY_TOO_LARGE
     assert deaf.stops == 0
 
 
-def test_an_emergency_stop_passes_where_other_commands_wait(port, deaf):
-    """Eight commands wait; further ones get 503, but each emergency stop is passed on."""
+def test_emergency_stop_passes_while_other_commands_wait(port, deaf):
+    """Eight commands wait; further ones get 503, but every emergency stop is forwarded."""
     waiting = [operate(port, b"hold") for _ in range(MOST_COMMANDS)]
     for _ in range(MOST_COMMANDS):
         deaf.asked.acquire()
@@ -282,11 +282,11 @@ def test_an_emergency_stop_passes_where_other_commands_wait(port, deaf):
 
 ABOUT = run_description(load("virtual"), Path("runs/x.mcap"), 1000.0, 20.0)
 SHORTEST, LONGEST, SILENT = 0.75, 2.2, 5
-"""m, the ends of the stroke, and the ticks from which a leg is silent, in configs/virtual.yaml."""
+"""Ends of the stroke, m, and ticks after which a leg is silent, in configs/virtual.yaml."""
 
 
 def legs_of(**columns):
-    """Return what is shown of the legs of a row."""
+    """Part of the state that shows the legs, for a row."""
     row = np.zeros((), ROW)
     for name, value in columns.items():
         row[name] = value
@@ -295,14 +295,14 @@ def legs_of(**columns):
     return state(Piece(1, False, there, figures, []), ABOUT, 0)["legs"]
 
 
-def test_the_margin_of_a_leg_is_the_way_to_the_nearer_of_its_two_ends():
+def test_margin_of_a_leg_is_the_distance_to_its_nearer_end():
     low, high = SHORTEST + 0.01, LONGEST - 0.02
     found = legs_of(q=[low, high, 0.5 * (SHORTEST + LONGEST), SHORTEST - 0.003, LONGEST + 0.004, high])
     assert found["margin"] == pytest.approx([10.0, 20.0, 725.0, -3.0, -4.0, 20.0], abs=0.01)
 
 
 @pytest.mark.parametrize("leg", range(6))
-def test_the_mark_of_each_leg_says_all_that_is_wrong_with_it(leg):
+def test_mark_of_a_leg_lists_all_its_problems(leg):
     age, fault = np.zeros(6, int), np.zeros(6, int)
     age[leg], fault[leg] = 200, DriveFault.OVERFORCE
     found = legs_of(

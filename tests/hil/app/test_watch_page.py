@@ -1,4 +1,4 @@
-"""The live page in a browser: content, keyboard, emergency stop, controls that let go."""
+"""The live page in a browser: content, keyboard, emergency stop, held controls."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = [needs_chromium, pytest.mark.usefixtures("meeting_place")]
 
 @pytest.fixture(scope="module")
 def rows(tmp_path_factory):
-    """From the second at which the platform follows its path."""
+    """Rows from the start of TRACKING on."""
     path = tmp_path_factory.mktemp("watch") / "good.mcap"
     simulate(load("virtual"), log=path, duration_s=6.0, check_replay=False)
     found = Log.open(path).rows()
@@ -40,7 +40,7 @@ def text(browser, name):
 
 
 @pytest.mark.parametrize("width", broad([360, 1200], quick=1))
-def test_the_page_shows_a_run_without_errors_or_foreign_requests(rows, watch, width):
+def test_page_shows_a_run_without_errors_or_foreign_requests(rows, watch, width):
     with LiveRun(rows), Browser(width=width) as browser:
         browser.go(watch.link)
         until(browser, "watching.counts.drawn > 20")
@@ -59,7 +59,7 @@ def test_the_page_shows_a_run_without_errors_or_foreign_requests(rows, watch, wi
         assert {url.partition("?")[0].rpartition("/")[0] for url in browser.requests} == {watch.base}
 
 
-def test_faults_are_shown_in_words_and_legs_are_marked(rows, watch):
+def test_faults_are_listed_by_name_and_their_legs_are_marked(rows, watch):
     bad = rows[:1].copy()
     bad["mode"], bad["faults"] = Mode.FAULT, Fault.DRIVE | Fault.BRAKE
     bad["drive_fault"][0, 3], bad["legs_moved"] = DriveFault.OVERFORCE, 1 << 5
@@ -79,7 +79,7 @@ def test_faults_are_shown_in_words_and_legs_are_marked(rows, watch):
 
 
 @pytest.mark.long
-def test_old_data_are_marked_and_the_next_run_is_shown(rows):
+def test_stale_data_are_marked_and_the_next_run_is_shown(rows):
     with Watch("virtual") as watch, Browser() as browser:
         browser.go(watch.link)
         until(browser, "document.getElementById('banner').textContent === 'nothing runs on this bus yet'")
@@ -109,7 +109,7 @@ def tab_to(browser, condition):
 
 
 @pytest.mark.long
-def test_every_control_works_by_the_keyboard(rows, operated):
+def test_every_control_works_with_the_keyboard(rows, operated):
     with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
@@ -140,7 +140,7 @@ window.fetch = (to, {body}) => new Promise((answer) => {
 """
 
 
-def test_nothing_delays_or_overtakes_an_emergency_stop(rows, operated):
+def test_emergency_stop_is_neither_delayed_nor_overtaken(rows, operated):
     def click(*words):
         for word in words:
             browser.value(f"document.querySelector('[data-line={word}], button#{word}').click()")
@@ -171,7 +171,7 @@ def press(browser, kind, key=" "):
 
 
 def not_shown(run, browser):
-    """The page cannot see any more what it moves."""
+    """The data on the page become stale."""
     run.freeze()
     until(browser, "document.body.classList.contains('stale')")
 
@@ -189,7 +189,7 @@ LET_GO = {
 
 
 @pytest.mark.long
-def test_a_held_control_sends_until_it_is_released(rows, operated):
+def test_held_control_sends_until_it_is_released(rows, operated):
     with LiveRun(rows) as run, Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")
@@ -213,7 +213,7 @@ def test_a_held_control_sends_until_it_is_released(rows, operated):
         assert browser.errors == []
 
 
-def test_a_jog_holds_the_key(rows, operated):
+def test_jog_also_holds_the_key(rows, operated):
     with LiveRun(rows), Listening() as controller, Browser() as browser:
         browser.go(operated.link)
         until(browser, "!document.getElementById('estop').hidden && watching.counts.drawn > 5")

@@ -1,4 +1,4 @@
-"""The server of the live page: watchers, hostile connections, and the token."""
+"""The server of the live page: viewers, hostile connections, and the token."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def rows():
 
 
 def ask(watch, method, path, body=None, **headers):
-    """Return status, headers and body of one request."""
+    """Status, headers and body of one request."""
     connection = http.client.HTTPConnection("127.0.0.1", watch.port, timeout=10.0)
     connection.request(method, path, body, {name.replace("_", "-"): value for name, value in headers.items()})
     answer = connection.getresponse()
@@ -48,14 +48,14 @@ STREAM = b"GET /stream HTTP/1.1\r\nHost: localhost:%d\r\n\r\n"
 
 
 class Reading:
-    """A stream that is read."""
+    """Client of a stream."""
 
     def __init__(self, watch):
         self._socket = opened(watch, STREAM % watch.port)
         self.text = b""
 
     def read(self, seconds, states=0):
-        """Read for a time, or until so many states have come."""
+        """Read for a time, or until a number of states have arrived."""
         end = time.monotonic() + seconds
         while time.monotonic() < end and not 0 < states <= self.text.count(b"event: state\n"):
             self._socket.settimeout(max(0.01, end - time.monotonic()))
@@ -74,7 +74,7 @@ class Reading:
         self._socket.close()
 
 
-def test_a_watcher_sees_the_run_and_its_events(rows, watch):
+def test_viewer_receives_the_run_and_its_events(rows, watch):
     with LiveRun(rows, name="first"):
         watcher = Reading(watch)
         watcher.read(5.0, states=40)
@@ -93,7 +93,7 @@ def test_a_watcher_sees_the_run_and_its_events(rows, watch):
         watcher.close()
 
 
-def test_ten_watchers_see_the_run_despite_hostile_connections(rows, watch):
+def test_ten_viewers_receive_the_run_despite_hostile_connections(rows, watch):
     with LiveRun(rows):
         first = Reading(watch)
         first.read(1.0, states=1)
@@ -133,7 +133,7 @@ def post(watch, line, **headers):
     return ask(watch, "POST", "/operate", body, **{name: value for name, value in given.items() if value})
 
 
-def test_without_the_token_nothing_reaches_the_controller(rows, operated):
+def test_no_command_reaches_the_controller_without_the_token(rows, operated):
     with LiveRun(rows), Listening() as controller:
         assert len(operated.token) >= 32
         for headers in (
@@ -149,14 +149,14 @@ def test_without_the_token_nothing_reaches_the_controller(rows, operated):
         assert controller.lines == ["hold"]
 
 
-def test_without_watch_operate_nobody_operates(rows, watch):
+def test_operating_is_refused_without_watch_operate(rows, watch):
     with LiveRun(rows), Listening() as controller:
         assert len(watch.token) >= 32, "who has it keeps his place among many"
         assert post(watch, "hold")[0] == 403
         assert controller.lines == []
 
 
-def test_the_page_is_told_that_no_controller_listens(rows, operated):
+def test_page_shows_that_no_controller_listens(rows, operated):
     with LiveRun(rows):
         status, _, body = post(operated, "hold")
         assert status == 200
@@ -164,7 +164,7 @@ def test_the_page_is_told_that_no_controller_listens(rows, operated):
         assert "no controller runs on bus localcan:hil0" in json.loads(body)["why"]
 
 
-def test_the_link_sets_the_cookie_and_the_policy(rows, operated):
+def test_link_sets_the_cookie_and_the_security_policy(rows, operated):
     with LiveRun(rows):
         status, headers, _ = ask(operated, "GET", f"/?token={operated.token}")
         assert status == 200
@@ -182,7 +182,7 @@ def test_the_link_sets_the_cookie_and_the_policy(rows, operated):
         assert ask(operated, "POST", "/")[0] == 401
 
 
-def test_beyond_the_loopback_nothing_is_shown_without_the_token(rows):
+def test_beyond_the_loopback_no_page_is_served_without_the_token(rows):
     with Watch("virtual", "--host", "0.0.0.0") as watch, LiveRun(rows):
         cookie = f"hil-watch-{watch.port}={watch.token}"
         for path in ASSETS:

@@ -1,4 +1,4 @@
-"""Text of a configuration with parts replaced, each of which stands in it exactly once."""
+"""Text of a configuration with parts replaced, each of which occurs in it exactly once."""
 
 from __future__ import annotations
 

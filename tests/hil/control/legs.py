@@ -1,4 +1,4 @@
-"""States of the book and of the rigid-body engines, and the acceleration that a law asks of the legs."""
+"""States of the book and of independent rigid-body engines, and the acceleration that a law requests."""
 
 import json
 from pathlib import Path
@@ -26,7 +26,7 @@ def context_of(platform=PLATFORM, period_s=1e-3, **more):
 
 
 def engines(case):
-    """A case of the engines: its platform, its state as columns of a tick, and the sample of that state."""
+    """Platform, state as columns of a tick, and sample of one case of the rigid-body engines."""
     s, e = case["state"], case["expected"]
     p, R, twist = np.array(s["p"]), np.array(s["R"]), np.array(s["v"] + s["omega"])
     J, q, dq = (np.array(e[key]) for key in ("jacobian", "lengths", "rates"))
@@ -36,7 +36,7 @@ def engines(case):
 
 
 def cases(step):
-    """Every so many of the engines' cases, as a parameter `case`."""
+    """Parametrise `case` with every `step`-th case of the engines."""
     return pytest.mark.parametrize("case", TRUTH["cases"][::step], ids=lambda c: c["id"])
 
 
@@ -45,7 +45,7 @@ def close(found, expected, share=1e-9):
 
 
 def at_rest(e, de):
-    """The platform at rest at one pose, with errors e and de of the lengths and rates; and its inertia."""
+    """The platform at rest with errors e and de of leg lengths and rates; and its inertia in leg space."""
     tick = arrived(PLATFORM, PoseSample(*HOME, NONE, NONE))
     tick["q"] -= e
     tick["dq"] -= de
@@ -54,7 +54,7 @@ def at_rest(e, de):
 
 
 def answer(law, e, de):
-    """The acceleration that the law asks for beyond the reference's."""
+    """Leg acceleration that the law requests for the errors, in addition to the reference's."""
     tick, inertia = at_rest(e, de)
     tau = asked(law, tick) - asked(law, at_rest(NONE, NONE)[0])
     return np.linalg.solve(inertia, tau)

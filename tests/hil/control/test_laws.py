@@ -1,4 +1,4 @@
-"""Every control law: the contract, weight, load and gains."""
+"""All control laws: contract suite, weight, load and gains."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ SETTINGS: dict[str, ControllerSettings] = {name: settings_of(name) for name in G
 
 
 def pd_lag_integral(axes: AxisSpace) -> LinearController:
-    """400 e + 40 de through a lag of 5 ms, and 2000 times the integral of e, of which limits take 0.2 a tick."""
+    """400 e + 40 de through a lag of 5 ms, plus 2000 times the integral of e with an anti-windup gain of 0.2 per tick."""
     a = float(np.exp(-0.2))
     return LinearController(
         kind="linear-controller",
@@ -89,7 +89,7 @@ EXACT = (
     "state_space",
     "state_space, pose",
 )
-"""Laws whose effort without error is the inverse dynamics of an exact model."""
+"""Laws whose force at zero error is the inverse dynamics of an exact model."""
 CONTEXT = legs.context_of()
 NONE = np.zeros(6)
 laws = pytest.mark.parametrize("name", SETTINGS)
@@ -109,7 +109,7 @@ def on_reference(s):
     return arrived(PLATFORM, s)
 
 
-def test_every_law_of_the_table_is_under_contract():
+def test_contract_suite_covers_every_registered_law():
     assert {n.split(",")[0] for n in SETTINGS} == set(LAWS)
 
 
@@ -129,12 +129,12 @@ class TestLaws(LawContract):
 
 
 NO_INVERSE = {"pd", "pid", "inverse_dynamics, constant"}
-"""Laws without the inverse of a current J."""
+"""Laws that do not invert the present J."""
 
 
 @laws
-def test_a_pose_without_an_inverse_of_J_gives_no_number(name):
-    """J has no inverse then: nan, which safety turns into a latched fault."""
+def test_laws_that_invert_J_give_nan_at_a_singular_pose(name):
+    """J is singular: the force is nan, which safety turns into a latched fault."""
     law = make(name)
     p = PLATFORM.base_joints[0] - PLATFORM.platform_joints[0]
     there = {"p": p, "R": np.eye(3), "J": 0.0, "p_d": p, "R_d": np.eye(3)}
@@ -143,12 +143,12 @@ def test_a_pose_without_an_inverse_of_J_gives_no_number(name):
 
 
 STATIC_SHARE = dict.fromkeys(SETTINGS, 1.0) | {"pd": 0.0, "pid": 0.0, "cartesian_pd": 0.0}
-"""How much of the static force a law feeds forward."""
+"""Share of the static force in a law's feed-forward."""
 
 
 @laws
-def test_at_rest_without_error_a_law_is_its_feedforward_of_the_weight(name):
-    """3618.6 N in each leg at the book's home, or nothing where a law knows no model."""
+def test_at_rest_without_error_the_force_is_the_gravity_feedforward(name):
+    """3618.6 N in each leg at the book's home; 0 for a law without a model."""
     home = BOOK["home_static"]
     tau = asked(make(name), on_reference(sample(home)))
     np.testing.assert_allclose(tau, STATIC_SHARE[name] * np.array(home["force"]), rtol=1e-9, atol=1e-6)
@@ -156,15 +156,15 @@ def test_at_rest_without_error_a_law_is_its_feedforward_of_the_weight(name):
 
 @pytest.mark.parametrize("name", EXACT)
 @pytest.mark.parametrize("case", BOOK["states"], ids=lambda c: f"t={c['t']:.2f}")
-def test_without_error_a_law_with_the_whole_model_gives_the_books_forces(case, name):
+def test_laws_with_an_exact_model_give_the_books_forces_at_zero_error(case, name):
     """41 states of the book's trajectory; forces confirmed by an independent engine to 1.6e-11 N."""
     tau = asked(make(name), on_reference(sample(case)))
     np.testing.assert_allclose(tau, case["force"], rtol=0, atol=1e-8 * np.abs(case["force"]).max())
 
 
 @laws
-def test_a_known_load_is_taken_off_by_laws_with_a_whole_model_alone(name):
-    """J^T (tau without it - tau with it) = wrench, ON the platform; constant dynamics has J of its pose."""
+def test_only_laws_with_an_exact_model_compensate_a_known_load(name):
+    """J^T (tau without load - tau with load) = wrench ON the platform; the constant model has a frozen J."""
     law, load = make(name), np.array([1e3, -2e3, 3e3, 100.0, 200.0, -300.0])
     tick = on_reference(sample(BOOK["states"][5]))
     less = asked(law, tick) - asked(law, tick, wrench=load)
@@ -173,13 +173,13 @@ def test_a_known_load_is_taken_off_by_laws_with_a_whole_model_alone(name):
     np.testing.assert_allclose(J.T @ less, load if constant or name in EXACT else NONE, rtol=0, atol=1e-6)
 
 
-def test_pd_feeds_the_acceleration_of_each_leg_forward_times_its_mass():
+def test_pd_feedforward_is_mass_times_acceleration_of_each_leg():
     law = settings_of("pd", feedforward_mass_kg=[100, 200, 300, 400, 500, 0]).build(CONTEXT)
     tau = asked(law, on_reference(sample(BOOK["states"][0])), ddq_d=[1.0, -2.0, 3.0, 0.5, 0.0, 7.0])
     assert tau.tolist() == [100.0, -400.0, 900.0, 200.0, 0.0, 0.0]
 
 
-def test_pd_without_error_is_zero_and_with_error_is_the_gains():
+def test_pd_force_is_zero_without_error_and_gain_times_error_otherwise():
     law = make("pd")
     tick = on_reference(sample(BOOK["states"][0]))
     assert not asked(law, tick).any()
@@ -188,8 +188,8 @@ def test_pd_without_error_is_zero_and_with_error_is_the_gains():
     np.testing.assert_allclose(asked(law, tick, dq=tick["dq"] - e), 5e4 * e, atol=1e-9)
 
 
-def test_exact_inverse_dynamics_answers_an_error_with_the_reflected_inertia():
-    """An error E in the lengths adds J^-T M J^-1 K_P E, and that inertia is symmetric and positive definite."""
+def test_inverse_dynamics_scales_an_error_by_the_leg_space_inertia():
+    """A length error E adds J^-T M J^-1 K_P E; this leg-space inertia is symmetric and positive definite."""
     law = make("inverse_dynamics")
     tick = on_reference(sample(BOOK["states"][10]))
     base = asked(law, tick)
@@ -210,7 +210,7 @@ BAD_GAINS = [
 
 
 @pytest.mark.parametrize(("name", "gain"), BAD_GAINS)
-def test_a_gain_is_positive_and_finite_for_all_legs_and_for_each(name, gain):
+def test_gains_that_are_not_positive_and_finite_are_refused(name, gain):
     for bad in (0.0, -1.0, float("inf"), float("nan")):
         for value in (bad, [1.0, 1.0, bad, 1.0, 1.0, 1.0], [1.0, 1.0, bad]):
             with pytest.raises(ValidationError, match=gain):
@@ -228,12 +228,12 @@ TOO_UNSURE = {"disturbance_m_s2": 1.0, "model_error": 1.0, "acceleration_m_s2": 
         ("robust_inverse_dynamics", {"damping_ratio": -1.0}, "damping_ratio"),
         ("sliding_mode", {"uncertainty": TOO_UNSURE}, "model_error"),
         ("sliding_mode", {"uncertainty": {"disturbance_m_s2": 1.0, "model_error": 0.1}}, "acceleration_m_s2"),
-        ("sliding_mode", {"uncertainty": {"disturbance_m_s2": 0.0}}, "nothing is uncertain"),
+        ("sliding_mode", {"uncertainty": {"disturbance_m_s2": 0.0}}, "uncertainty is zero"),
         ("partial_linearisation", {"model": {"variant": "full"}}, "variant"),
         ("state_space", {"delay_compensation": {"bus_ms": 1.0}}, "delay"),
     ],
 )
-def test_settings_without_meaning_are_refused(name, changes, words):
+def test_invalid_settings_are_refused_and_name_the_key(name, changes, words):
     with pytest.raises(ValidationError, match=words):
         settings_of(name, **changes)
 
@@ -246,7 +246,7 @@ PER_LEG: dict[str, dict[str, Any]] = {
     "pd": PD | FED, "pid": PID | FED | {"integral_limit_N": 60.0}, "pd_gravity": PD, "feedforward_pd": PD,
 }  # fmt: skip
 ERRORS = np.random.default_rng(5).uniform(-1e-3, 1e-3, (10, 3, 6)) + np.array([2e-3, 0.0, 0.0])[:, None]
-"""Of lengths and rates, and accelerations, tick by tick: the integral comes to its limit."""
+"""Errors of lengths and rates, and accelerations, tick by tick; the integral reaches its limit."""
 
 
 def forces(law, gains, side):
@@ -261,7 +261,7 @@ def forces(law, gains, side):
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 @pytest.mark.parametrize(("law", "gain"), [(law, gain) for law, gains in PER_LEG.items() for gain in gains])
-def test_each_leg_has_its_own_gain(law, gain, side):
+def test_each_leg_can_have_its_own_gain(law, gain, side):
     gains = PER_LEG[law]
     together = forces(law, gains | {gain: (gains[gain] * SIX).tolist()}, side)
     alone = [forces(law, gains | {gain: gains[gain] * share}, side)[:, leg] for leg, share in enumerate(SIX)]
@@ -281,8 +281,8 @@ OF_THE_POSE = [
 @pytest.mark.parametrize(
     ("law", "motions"), [("pd", OF_LEGS), ("pid", OF_LEGS), ("cartesian_pd", OF_THE_POSE)]
 )
-def test_default_gains_give_the_frequency_and_the_damping_that_are_set(law, motions):
-    """The roots of m s^2 + K_v s + K_p."""
+def test_default_gains_give_the_requested_frequency_and_damping(law, motions):
+    """Roots of m s^2 + K_v s + K_p."""
     gains = LAWS[law].derived(LOOP)
     for stiffness, damping, inertia in motions:
         roots = np.roots([inertia, gains[damping], gains[stiffness]])
@@ -292,8 +292,8 @@ def test_default_gains_give_the_frequency_and_the_damping_that_are_set(law, moti
     assert settings.bandwidth(LOOP.leg_mass, LOOP.mass) == pytest.approx((LOOP.wn, LOOP.zeta))
 
 
-def test_the_integral_is_a_tenth_of_what_makes_the_loop_oscillate():
-    """m s^3 + K_v s^2 + K_p s + 10 K_i has roots on the imaginary axis, at the loop's own frequency."""
+def test_default_integral_gain_is_a_tenth_of_the_stability_limit():
+    """m s^3 + K_v s^2 + K_p s + 10 K_i has roots on the imaginary axis, at the loop's natural frequency."""
     gains = LAWS["pid"].derived(LOOP)
     assert gains["integral_limit_N"] == LOOP.force_limit
     roots = np.roots([LOOP.leg_mass, gains["kv_N_s_m"], gains["kp_N_m"], 10.0 * gains["ki_N_m_s"]])

@@ -1,4 +1,4 @@
-"""Laws with a part of the model, against the forces, weights and Jacobians of the rigid-body engines."""
+"""Laws that use parts of the model, against the forces, weights and Jacobians of the rigid-body engines."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ def law_of(name, platform, **given):
 
 @pytest.mark.parametrize("model", [None, {}], ids=["", "gravity"])
 @cases(4)
-def test_the_wrench_of_the_error_is_carried_by_the_legs(case, model):
-    """J^T tau = K_p [p_d - p; rotation vector of R_d R^T] + K_v (twist_d - twist) + G, turns up to 170 degrees."""
+def test_cartesian_pd_leg_forces_produce_the_wrench_of_the_pose_error(case, model):
+    """J^T tau = K_p [p_d - p; rotation vector of R_d R^T] + K_v (twist_d - twist) + G, for turns up to 170 degrees."""
     random = np.random.default_rng(5)
     platform, state, _ = engines(case)
     p, R, twist = state["p"], state["R"], state["twist"]
@@ -53,7 +53,7 @@ def test_the_wrench_of_the_error_is_carried_by_the_legs(case, model):
 
 
 @cases(8)
-def test_the_error_may_be_the_difference_of_two_rotation_vectors(case):
+def test_rotation_error_can_be_the_difference_of_rotation_vectors(case):
     platform, state, _ = engines(case)
     phi_d = np.array([0.3, -0.2, 0.4])
     R_d = np.ascontiguousarray(Rotation.from_rotvec(phi_d).as_matrix())
@@ -64,7 +64,7 @@ def test_the_error_may_be_the_difference_of_two_rotation_vectors(case):
 
 
 @cases(3)
-def test_the_compensation_is_the_engines_gravity_at_the_measured_pose(case):
+def test_pd_gravity_compensates_the_engines_gravity_at_the_measured_pose(case):
     platform, state, sample = engines(case)
     ahead = PoseSample(sample.p + 0.01, sample.R, NONE, np.ones(6))
     tick = referred(platform, ahead, **state)
@@ -74,7 +74,7 @@ def test_the_compensation_is_the_engines_gravity_at_the_measured_pose(case):
 
 
 @cases(1)
-def test_it_asks_for_the_engines_inertia_and_weight_and_leaves_H_and_load_out(case):
+def test_partial_linearisation_uses_M_and_G_but_not_H_or_the_load(case):
     """ddq_d - (dJ/dt) twist = J dtwist on the reference; an error E adds J^-T M J^-1 (K_P E + K_D dE)."""
     platform, state, sample = engines(case)
     M, G, J = np.array(case["expected"]["M"]), np.array(case["expected"]["G"]), state["J"]
@@ -87,7 +87,7 @@ def test_it_asks_for_the_engines_inertia_and_weight_and_leaves_H_and_load_out(ca
 
 
 @cases(4)
-def test_the_feedforward_is_the_engines_force_on_the_reference_less_the_load(case):
+def test_feedforward_is_the_engines_force_on_the_reference_minus_the_load(case):
     platform, _, sample = engines(case)
     astray = {
         "p": np.array([0.0, 0.0, 1.0]),
@@ -101,8 +101,8 @@ def test_the_feedforward_is_the_engines_force_on_the_reference_less_the_load(cas
     close(asked(law_of("feedforward_pd", platform, **PD), gone), expected, 2e-9)
 
 
-def test_a_model_of_nine_tenths_feeds_nine_tenths_of_the_forces_forward():
-    """On massless legs every force is proportional to the platform's mass, its inertia and com."""
+def test_inertia_scale_scales_the_feedforward_of_massless_legs():
+    """With massless legs every force is proportional to the platform's mass, its inertia and com."""
     light = {
         half: BOOK["geometry"][half] | {"mass": 0, "inertia_transverse": 0} for half in ("cylinder", "rod")
     }
@@ -114,7 +114,7 @@ def test_a_model_of_nine_tenths_feeds_nine_tenths_of_the_forces_forward():
     np.testing.assert_allclose(less, 0.9 * full, rtol=1e-9)
 
 
-def test_every_key_of_the_section_model_arrives_in_SI():
+def test_every_key_of_section_model_reaches_the_model_in_SI_units():
     case = next(c for c in TRUTH["cases"] if np.abs(c["state"]["omega"]).min() > 0)
     platform, state, sample = engines(case)
     p, R, J = sample.p, sample.R, state["J"]
@@ -137,7 +137,7 @@ def test_every_key_of_the_section_model_arrives_in_SI():
 
 
 @pytest.mark.parametrize(("evaluation", "share"), [("online", 1.0), ("offline", 0.0)])
-def test_a_feedforward_as_if_made_before_the_run_leaves_the_load_out(evaluation, share):
+def test_offline_feedforward_omits_the_external_load(evaluation, share):
     settings = FeedforwardPDSettings.model_validate({"law": "feedforward_pd", **PD, "evaluation": evaluation})
     law, load = settings.build(context_of()), np.array([1e3, 2e3, 3e3, 100.0, 200.0, 300.0])
     bare = arrived(PLATFORM, PoseSample(*HOME, NONE, NONE))

@@ -1,4 +1,4 @@
-"""The integral of the PID: what it adds, what limits do to it, and what is left of an error at rest."""
+"""The integral of the PID: its growth, its anti-windup, and the remaining error at rest."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hil.app.configuration.configuration import load, loads
 from hil.contracts.records import asked, record_of
 from hil.control.pd import JointPD
 from hil.control.pid import JointPID
-from tests.loop import unrecorded
+from tests.loop import bench
 
 NONE = np.zeros(6)
 PERIOD = 1e-3
@@ -30,7 +30,7 @@ def error(e):
     return record_of(q_d=e, R=np.eye(3), R_d=np.eye(3), J=np.eye(6))
 
 
-def test_the_integral_is_the_sum_of_the_errors_times_the_period_within_its_limit():
+def test_integral_sums_errors_times_period_up_to_its_limit():
     law, limited = pid(), pid(limit=300.0)
     errors = np.random.default_rng(3).normal(0.0, 1e-3, (50, 6))
     for e in errors:
@@ -43,7 +43,7 @@ def test_the_integral_is_the_sum_of_the_errors_times_the_period_within_its_limit
 
 
 def held_at(law, e, limit, calls):
-    """Ask for an error's effort again and again while only `limit` N is given; return the last one asked."""
+    """Apply a constant error while the force is limited to `limit` N; return the last force requested."""
     shortfall = NONE
     for _ in range(calls):
         tau = asked(law, error(e), shortfall=shortfall)
@@ -52,8 +52,8 @@ def held_at(law, e, limit, calls):
 
 
 @pytest.mark.parametrize("e", [2e-3, -2e-3])
-def test_under_a_limit_it_settles_where_growth_and_back_calculation_meet(e):
-    """K_i e + (limit - tau) / T_t = 0, so it asks for T_t K_i e beyond the limit, however long that lasts."""
+def test_integral_settles_under_a_force_limit_by_back_calculation(e):
+    """K_i e + (limit - tau) / T_t = 0: the request settles at T_t K_i e above the limit, after any number of calls."""
     law = pid()
     expected = np.sign(e) * 1000.0 + T_T * K_I * e
     for calls in (2_000, 20_000):
@@ -61,8 +61,8 @@ def test_under_a_limit_it_settles_where_growth_and_back_calculation_meet(e):
         np.testing.assert_allclose(held_at(law, e, 1000.0, calls), expected, rtol=1e-9)
 
 
-def test_it_leaves_the_limit_as_soon_as_the_error_turns():
-    """After 20 s at the limit: with back-calculation at once, without it the stored force takes 20 s more."""
+def test_force_leaves_the_limit_as_soon_as_the_error_changes_sign():
+    """After 20 s at the limit: at once with back-calculation; the stored force takes 20 s more without it."""
     law = pid()
     held_at(law, 2e-3, 1000.0, 20_000)
     assert asked(law, error(-1e-4)).max() < 1000.0
@@ -72,7 +72,7 @@ def test_it_leaves_the_limit_as_soon_as_the_error_turns():
     assert asked(blind, error(-1e-4)).min() > 100_000.0
 
 
-def test_a_tracking_time_is_taken_as_given_and_never_overshoots():
+def test_given_tracking_time_is_used_and_at_least_one_period():
     for T_t, share in ((0.25, 0.004), (1e-9, 1.0)):
         law = pid(T_t=T_t)
         asked(law, error(0.0), shortfall=-100.0)
@@ -81,7 +81,7 @@ def test_a_tracking_time_is_taken_as_given_and_never_overshoots():
 
 @pytest.fixture(scope="module")
 def held():
-    """2.5 s at home under PID on the virtual bus, from brakes shut to brakes shut."""
+    """2.5 s at home under PID on the virtual bus, with the brakes engaged at both ends."""
     text = load("virtual").text
     law = "law: pid\n  kp_N_m: 2.0e+6\n  kv_N_s_m: 5.0e+4\n  ki_N_m_s: 2.0e+7\n  integral_limit_N: 8000\n\n"
     for first, last, new in (
@@ -90,20 +90,20 @@ def held():
     ):
         a, b = text.index("\n" + first) + 1, text.index("\n" + last) + 1
         text = text[:a] + new + text[b:]
-    summary, rows = unrecorded.run(loads(text, "pid.yaml", Path()))
-    assert summary["success"], summary
-    return rows
+    ran = bench.run(loads(text, "pid.yaml", Path()))
+    assert ran.ending.success, ran.ending
+    return ran.rows
 
 
-def test_at_rest_under_gravity_no_error_is_left(held):
-    """The static force of the book is 3618.6 N in each leg: the PD alone sags by 1.81 mm."""
+def test_pid_removes_the_steady_error_under_gravity(held):
+    """The book's static force is 3618.6 N in each leg: the PD alone sags by 1.81 mm."""
     tracking = held[held["mode"] == Mode.TRACKING]
     assert np.abs(tracking["tau"][-1] - 3618.6).max() < 5.0
     assert np.abs(tracking["q_d"] - tracking["q"])[-1].max() < 5e-6
 
 
-def test_the_integral_takes_over_the_holding_force_without_a_bump(held):
-    """The offset F fades by a quintic within 0.5 s: the error stays below max|dF/dt| / K_i."""
+def test_integral_takes_over_the_holding_force_without_a_bump(held):
+    """The offset F fades as a quintic within 0.5 s: the error stays below max|dF/dt| / K_i."""
     moving = held[(held["mode"] >= Mode.RELEASING) & (held["mode"] <= Mode.TRACKING)]
     assert np.abs(np.diff(moving["tau"], axis=0)).max() < 20.0
     bound = 1.875 * 3618.6 / 0.5 / 2e7

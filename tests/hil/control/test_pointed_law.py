@@ -1,4 +1,4 @@
-"""Laws called by their address: the compiled ones, and one in plain Python behind the same pointer."""
+"""Laws called by address: compiled laws, and laws in plain Python behind a callback."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ def call_law(address, gains, constants, code, tick):
 
 
 def by_pointer(law, tick):
-    """Call a law as a compiled pass does; return what has kept it."""
+    """Call a law as compiled code does; return the owner of its pointer."""
     pointer = called_by_pointer(law)
     call_law(*pointer[:4], tick)
     return pointer.keeps
 
 
 class Constant:
-    """Asks for the same always, after something else. State: the ticks that it was given."""
+    """A law with a constant force, after an optional action. State: the ticks received."""
 
     def __init__(self, first=lambda tick: None, tau=(1.0, 2.0, 3.0, 4.0, 5.0, 6.0)):
         self.first, self.tau, self.given = first, tau, []
 
     def reset(self):
-        """Nothing is accumulated."""
+        """Do nothing: the law has no state."""
 
     def effort(self, tick):
         self.given.append(tick)
@@ -43,7 +43,7 @@ class Constant:
 
 
 @pytest.mark.parametrize("name", SETTINGS)
-def test_a_law_gives_the_same_bits_by_its_address_as_from_python(name):
+def test_a_law_gives_equal_bits_by_address_and_from_python(name):
     one, other = make(name), make(name)
     for case in BOOK["states"][::4]:
         tick = on_reference(sample(case))
@@ -54,7 +54,7 @@ def test_a_law_gives_the_same_bits_by_its_address_as_from_python(name):
         assert tick["tau_law"].tobytes() == expected.tobytes()
 
 
-def test_a_law_in_python_fills_its_force_and_nothing_else():
+def test_a_python_law_changes_only_tau_law_of_the_tick():
     def spoil(tick):
         for column in TICK.names or ():
             tick[column] = -7
@@ -67,7 +67,7 @@ def test_a_law_in_python_fills_its_force_and_nothing_else():
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError("a defect"), KeyboardInterrupt()])
-def test_a_law_that_raises_asks_for_no_number_in_that_call_and_its_error_is_kept(error):
+def test_exception_of_a_python_law_gives_nan_force_and_is_stored(error):
     def raising(tick):
         tick["tau_law"] = 5.0
         raise error
@@ -81,8 +81,8 @@ def test_a_law_that_raises_asks_for_no_number_in_that_call_and_its_error_is_kept
         assert np.isnan(tick["tau_law"]).all() == (raised is not None)
 
 
-def test_a_callback_that_ends_before_its_first_line_asks_for_no_number():
-    """As ctypes has it where Ctrl-C strikes there: status 0, and nothing is filled in."""
+def test_a_callback_that_ends_before_its_first_line_gives_nan_force():
+    """Like ctypes on Ctrl-C at the first instruction: status 0, tau_law not filled."""
     address, keeps = of_python(lambda *_: 0, *[INTEGER] * 4)
     tick = record_of(tau_law=99.0)
     call_law(address, 0, 0, 0, tick)
@@ -91,7 +91,7 @@ def test_a_callback_that_ends_before_its_first_line_asks_for_no_number():
 
 
 @pytest.mark.parametrize("tau", [None, np.nan])
-def test_a_law_without_an_answer_asks_for_no_number_until_it_has_one(tau):
+def test_undefined_force_of_a_python_law_is_nan_in_that_tick_only(tau):
     law = Constant(tau=tau)
     pointer = called_by_pointer(law)
     for law.tau, answered in ((tau, False), ((1.0,) * 6, True)):
@@ -101,7 +101,7 @@ def test_a_law_without_an_answer_asks_for_no_number_until_it_has_one(tau):
         assert np.isfinite(tick["tau_law"]).all() == answered
 
 
-def test_an_effort_in_python_overrides_that_of_a_compiled_law():
+def test_effort_overridden_in_python_replaces_the_compiled_function():
     class Doubled(JointPD):
         def effort(self, tick):
             super().effort(tick)

@@ -1,4 +1,4 @@
-"""Inverse dynamics in pose space: the engines' forces without error, and linear error dynamics with one."""
+"""Inverse dynamics in pose space: the engines' forces at zero error, and linear error dynamics."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def law_of(platform):
 
 
 @cases(1)
-def test_forces_and_the_answer_to_an_error_are_those_of_the_engines(case):
+def test_force_and_its_response_to_an_error_match_the_engines(case):
     platform, state, sample = engines(case)
     tick = referred(platform, sample, **state, wrench=case["state"]["wrench"])
     law = law_of(platform)
@@ -41,7 +41,7 @@ SPIN, TUMBLE = np.array([0.9, -1.4, 0.6]), np.array([0.5, 0.8, -0.7])
 
 
 def moving_reference(t):
-    """R_d = exp(t a) exp(sin(t) b): turns, and accelerates, about changing axes; p_d on a parabola."""
+    """R_d = exp(t a) exp(sin(t) b): accelerated rotation about changing axes; p_d on a parabola."""
     outer = Rotation.from_rotvec(t * SPIN)
     R = (outer * Rotation.from_rotvec(np.sin(t) * TUMBLE)).as_matrix()
     w = SPIN + outer.apply(np.cos(t) * TUMBLE)
@@ -59,10 +59,10 @@ def turned(R, w):
     return Rotation.from_rotvec(w).as_matrix() @ R
 
 
-def test_a_large_error_of_position_and_rotation_dies_out_linearly():
-    """The closed form of e'' + 2 zeta wn e' + wn^2 e = 0 from 103 degrees on, six components with their own wn.
+def test_large_pose_errors_obey_the_linear_error_dynamics():
+    """Closed form of e'' + 2 zeta wn e' + wn^2 e = 0 from 103 degrees on, with a different wn per component.
 
-    The motion is integrated by scipy from dtwist* alone.
+    SciPy integrates the motion from dtwist* only.
     """
     p_d, R_d, twist_d, _ = moving_reference(0.0)
     p, R = p_d - [0.3, -0.2, 0.1], turned(R_d, -np.array([1.2, -0.8, 1.1]))

@@ -1,4 +1,4 @@
-"""Outer loops against uncertainty: sliding mode, the robust one against scipy's Lyapunov equation, and margins."""
+"""Robust outer loops: sliding mode, Lyapunov redesign against SciPy's Lyapunov equation, and phase margins."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def errors(scale):
     return [(random.normal(0, 1e-3 * scale, 6), random.normal(0, 0.05 * scale, 6)) for _ in range(20)]
 
 
-def test_sliding_inside_the_layer_is_inverse_dynamics_with_these_gains():
+def test_sliding_mode_inside_its_layer_is_linear_inverse_dynamics():
     """Natural frequency sqrt(lambda k / phi), damping (lambda + k / phi) / 2 wn: here 54.8 and 1.004."""
     w_n = (SLOPE * K / PHI) ** 0.5
     e = np.array([1e-3, -2e-3, 0.0, 3e-3, 0.5e-3, -1e-3])
@@ -72,7 +72,7 @@ def test_sliding_inside_the_layer_is_inverse_dynamics_with_these_gains():
 
 
 @pytest.mark.parametrize("phi", [0.0, PHI])
-def test_sliding_outside_the_layer_corrects_by_k_whatever_the_error(phi):
+def test_sliding_mode_outside_its_layer_corrects_by_k_for_any_error(phi):
     law = sliding(boundary_layer_m_s=phi).build(CONTEXT)
     e = np.array([10e-3, -10e-3, 20e-3, -0.1, PHI / SLOPE * (1 + 1e-9), -6e-3])
     np.testing.assert_allclose(answer(law, e, NONE), K * np.sign(e), rtol=1e-8)
@@ -83,7 +83,7 @@ def test_sliding_outside_the_layer_corrects_by_k_whatever_the_error(phi):
         np.testing.assert_allclose(answer(law, tiny, NONE), K * np.sign(tiny), rtol=1e-7, atol=1e-7)
 
 
-def test_the_gain_follows_from_the_bound():
+def test_switching_gain_and_layer_follow_from_the_uncertainty():
     """By hand: (13 + 0.1 12 + 1) / 0.9 = 16.889; a layer of k / lambda = 0.2111 at lambda = 80."""
     uncertainty = {"disturbance_m_s2": 13.0, "model_error": 0.1, "acceleration_m_s2": 12.0}
     s = sliding(lambda_rad_s=80.0, uncertainty=uncertainty, reaching_m_s2=1.0, boundary_layer_m_s=None)
@@ -93,14 +93,14 @@ def test_the_gain_follows_from_the_bound():
     assert (dynamics.K_P[5], dynamics.K_D[5]) == pytest.approx((6400.0, 160.0)), "two poles at lambda"
 
 
-def test_the_bound_covers_a_model_that_is_wrong_by_its_share():
-    """A law with this much to give can cancel every d = alpha (a + k) + disturbance: k = d at equality."""
+def test_uncertainty_bound_covers_the_model_error_of_the_law_itself():
+    """A law with gain k can cancel every d = alpha (a + k) + disturbance: equality at k = d."""
     bound = UncertaintySettings(disturbance_m_s2=4.0, model_error=0.25, acceleration_m_s2=10.0).bound()
     assert bound == pytest.approx(0.25 * (10.0 + bound) + 4.0)
 
 
 @pytest.mark.parametrize("scale", [0.3, 3.0, 30.0])
-def test_the_robust_correction_points_along_b_p_x_and_never_exceeds_rho(scale):
+def test_robust_correction_points_along_b_p_x_and_is_at_most_rho(scale):
     law = robust().build(CONTEXT)
     for e, de in errors(scale):
         y = (P @ np.concatenate([e, de]))[6:]
@@ -110,7 +110,7 @@ def test_the_robust_correction_points_along_b_p_x_and_never_exceeds_rho(scale):
     assert np.linalg.norm(without_layer) == pytest.approx(RHO, rel=1e-4)
 
 
-def test_outside_the_layer_no_uncertainty_within_the_bound_keeps_v_from_falling():
+def test_outside_the_layer_v_decreases_for_every_bounded_uncertainty():
     """dV/dt = 2 x^T P dx/dt <= -x^T Q x for the worst d, which points along -y."""
     law = robust().build(CONTEXT)
     outside = 0
@@ -126,8 +126,8 @@ def test_outside_the_layer_no_uncertainty_within_the_bound_keeps_v_from_falling(
     assert outside > 10
 
 
-def test_the_robust_law_inside_the_layer_is_inverse_dynamics_with_these_gains():
-    """rho / epsilon K_D / 2 more stiffness, rho / epsilon more damping; without uncertainty no more of either."""
+def test_robust_law_inside_its_layer_is_linear_inverse_dynamics():
+    """Additional stiffness rho / epsilon K_D / 2, additional damping rho / epsilon; both 0 without uncertainty."""
     K_P1, K_D1 = K_P + RHO / EPSILON * K_D / 2, K_D + RHO / EPSILON
     e, de = errors(0.3)[0]
     np.testing.assert_allclose(
@@ -143,8 +143,8 @@ GAINS = [(20.0**2, 40.0), (92.0**2, 184.0), (8000.0, 210.0), (100.0, 300.0), (25
 
 
 @pytest.mark.parametrize(("K_P", "K_D"), GAINS)
-def test_a_delay_that_eats_the_margin_puts_a_root_on_the_imaginary_axis(K_P, K_D):
-    """s^2 + (K_D s + K_P) exp(-s T) = 0 at s = j w_c: more delay than that and the loop is unstable."""
+def test_a_delay_equal_to_the_margin_puts_a_root_on_the_imaginary_axis(K_P, K_D):
+    """s^2 + (K_D s + K_P) exp(-s T) = 0 at s = j w_c: with more delay the loop is unstable."""
     w = cross_over(K_P, K_D)
     T = radians(phase_margin_deg(K_P, K_D)) / w
     assert phase_margin_deg(K_P, K_D, T) == pytest.approx(0.0, abs=1e-9)
@@ -152,8 +152,8 @@ def test_a_delay_that_eats_the_margin_puts_a_root_on_the_imaginary_axis(K_P, K_D
     assert abs(s * s + (K_D * s + K_P) * cmath.exp(-s * T)) < 1e-9 * w * w
 
 
-def test_the_margin_of_critical_damping():
-    """It crosses over at 2.06 wn with 76 degrees; wn T = 0.39 leaves 30 of them, a law that switches none."""
+def test_crossover_and_phase_margin_at_critical_damping():
+    """Crossover at 2.06 wn with a margin of 76 degrees; 30 degrees at wn T = 0.39; none for a switching law."""
     assert cross_over(400.0, 40.0) == pytest.approx(20.0 * sqrt(2.0 + sqrt(5.0)), rel=1e-12)
     assert phase_margin_deg(400.0, 40.0) == pytest.approx(76.345, abs=1e-3)
     assert phase_margin_deg(1.0, 2.0, 0.393) == pytest.approx(30.0, abs=0.1)

@@ -1,4 +1,4 @@
-"""The law that runs a designed controller: known answers, the peer's recursion, and what limits take from it."""
+"""The law that runs a designed controller: known answers, SciPy's recursion, and anti-windup."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def law(given, model=None):
 
 
 def astray():
-    """The platform on the book's path, and 1 cm, 6 degrees and some speed away from its reference."""
+    """The platform near the book's path: 1 cm, 6 degrees and some speed away from its reference."""
     R = rotation_from_vector(np.array(CASE["rotvec"]))
     twist, dtwist = np.array(CASE["v"] + CASE["omega"]), np.array(CASE["a"] + CASE["alpha"])
     p_d, R_d = np.array(CASE["p"]), R
@@ -74,15 +74,15 @@ models = pytest.mark.parametrize("model", MODELS.values(), ids=MODELS)
         ("pose", PoseInverseDynamicsSettings(law="pose_inverse_dynamics", wn_rad_s=20.0)),
     ],
 )
-def test_a_gain_on_error_and_rate_is_inverse_dynamics_with_these_gains(axes, settings, model):
-    """u = wn^2 e + 2 wn de without a state."""
+def test_a_static_controller_is_inverse_dynamics_with_its_gains(axes, settings, model):
+    """u = wn^2 e + 2 wn de, a controller without states."""
     given = controller([], [], [[]], [[400.0, 40.0]], axes=axes)
     expected = asked(settings.model_copy(update={"model": model}).build(CONTEXT), astray())
     np.testing.assert_allclose(asked(law(given, model), astray()), expected, rtol=1e-12)
 
 
-def test_the_state_moves_as_the_peers_recursion_says():
-    """scipy's dlsim; each leg an error of its own, and the same controller."""
+def test_controller_output_matches_scipys_recursion():
+    """SciPy's dlsim, with a different error for each leg and one controller."""
     random = np.random.default_rng(5)
     A = random.normal(size=(5, 5))
     A *= 0.9 / np.abs(np.linalg.eigvals(A)).max()
@@ -98,7 +98,7 @@ def test_the_state_moves_as_the_peers_recursion_says():
 
 
 def demanded(mine, e, de, **columns):
-    """u (6,) of one call, read back from the forces."""
+    """u (6,) of one call, computed from the forces."""
     tick, inertia = at_rest(e, de)
     return np.linalg.solve(inertia, asked(mine, tick, **columns) - asked(law(STILL), tick))
 
@@ -107,8 +107,8 @@ def demanded(mine, e, de, **columns):
     ("inputs", "expected"),
     [(["error"], [3.0, 0.0]), (["rate_error"], [0.0, 3.0]), (["rate_error", "error"], [5.0, 3.0])],
 )
-def test_the_inputs_are_what_the_file_names_in_its_order(inputs, expected):
-    """u = 3 times the first and 5 times the second of them."""
+def test_controller_inputs_follow_the_order_in_the_file(inputs, expected):
+    """u = 3 times the first input plus 5 times the second."""
     mine = law(controller([], [], [[]], [[3.0, 5.0][: len(inputs)]], inputs=inputs))
     e, de = np.full(6, 2e-3), np.full(6, -7e-3)
     u = expected[0] * e + expected[1] * de
@@ -120,15 +120,15 @@ def test_the_inputs_are_what_the_file_names_in_its_order(inputs, expected):
 
 @models
 @pytest.mark.parametrize("axes", ["joint", "pose"])
-def test_it_is_the_inverse_of_what_the_law_makes_of_a_demand(axes, model):
-    """u = x = a: a law that demands what the missing force would do asks for that force."""
+def test_anti_windup_maps_missing_force_by_the_inverse_of_the_law(axes, model):
+    """u = x = a: the law requests the acceleration of the missing force, and so exactly this force."""
     given = controller([[0.0]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], [1.0], axes=axes)
     whole = asked(law(given, model), astray())
     np.testing.assert_allclose(asked(law(given, model), astray(), shortfall=PUSH) - whole, PUSH, atol=1e-6)
 
 
-def test_the_state_moves_by_its_share_of_what_was_taken():
-    """x' = 0.5 x + 2 a and u = x: forces of 1 m/s^2 too little on every leg take 2 m/s^2 from u."""
+def test_anti_windup_gain_times_the_reduction_is_added_to_the_state():
+    """x' = 0.5 x + 2 a and u = x: a shortfall of 1 m/s^2 on every leg reduces u by 2 m/s^2."""
     mine = law(controller([[0.5]], [[0.0, 0.0]], [[1.0]], [[0.0, 0.0]], [2.0]))
     inertia = at_rest(NONE, NONE)[1]
     for missing, u in ((-1.0, -2.0), (0.0, -1.0)):
@@ -136,6 +136,6 @@ def test_the_state_moves_by_its_share_of_what_was_taken():
         np.testing.assert_allclose(found, np.full(6, u), rtol=1e-9)
 
 
-def test_a_rate_other_than_the_one_it_was_made_for_is_refused():
+def test_a_controller_sampled_for_another_rate_is_refused():
     with pytest.raises(ConfigurationError, match="made for 500 Hz"):
         law(controller([], [], [[]], [[1.0, 1.0]], rate_Hz=500.0))

@@ -1,4 +1,4 @@
-"""Calibration recovers a perturbed robot as surely as it says, and names what the poses do not tell."""
+"""Calibration recovers a perturbed robot within the reported uncertainty, and lists undetermined parameters."""
 
 import numpy as np
 import pytest
@@ -58,7 +58,7 @@ def estimate(fit):
     return np.hstack([fit.base_joints, fit.platform_joints, fit.offsets[:, None]])
 
 
-def test_exact_pairs_give_the_robot_back():
+def test_robot_is_recovered_from_exact_pairs():
     true, measured = synthetic(1, length=0.0)
     fit = calibrate(NOMINAL, unweighted(measured))
     assert estimate(fit) == pytest.approx(true, abs=1e-9)
@@ -70,8 +70,8 @@ def test_exact_pairs_give_the_robot_back():
 @pytest.mark.parametrize(
     "kind", [{}, {"position": 3e-5, "rotation": 6e-5}], ids=["lengths noisy", "poses noisy, too"]
 )
-def test_errors_are_as_large_as_the_reported_uncertainty(kind):
-    """Over seeds: normalised errors are standard normal, within 3 sigma as often as they should; chi-square."""
+def test_errors_agree_with_the_reported_uncertainty(kind):
+    """Over seeds: normalised errors have a standard normal distribution; chi-square has its own."""
     errors, energy, chi_square = [], [], []
     for seed in range(40):
         true, measured = synthetic(seed, **kind)
@@ -91,7 +91,7 @@ def test_errors_are_as_large_as_the_reported_uncertainty(kind):
     assert kstest(chi_square, chi2(198).cdf).pvalue > 1e-3
 
 
-def test_without_deviations_they_come_from_the_residuals():
+def test_deviations_are_estimated_from_the_residuals_if_not_given():
     sigma, scaled = [], []
     for seed in range(20):
         true, measured = synthetic(seed)
@@ -104,7 +104,7 @@ def test_without_deviations_they_come_from_the_residuals():
 
 
 @pytest.mark.parametrize("noise", [{}, {"position": 2e-5, "rotation": 5e-5}], ids=["exact", "noisy"])
-def test_poses_that_do_not_tilt_leave_base_and_platform_together_open(noise):
+def test_poses_without_tilt_leave_common_shifts_of_joints_undetermined(noise):
     true, measured = synthetic(2, tilt_deg=0.0, **noise)
     fit = calibrate(NOMINAL, measured)
     assert fit.dof == 240 - 24
@@ -137,7 +137,7 @@ def test_poses_that_do_not_tilt_leave_base_and_platform_together_open(noise):
         ),
     ],
 )
-def test_another_unit_or_direction_is_recognised(change, words):
+def test_wrong_unit_or_direction_is_recognised(change, words):
     _, measured = synthetic(7)
     assert suspicion(NOMINAL, measured) is None
     assert words in (suspicion(NOMINAL, change(measured)) or "")

@@ -1,4 +1,4 @@
-"""`hil calibrate`: from a CSV file to a report and a fragment that can be pasted; wrong files are refused by line."""
+"""`hil calibrate`: report and fragment from a CSV file; invalid files are refused with the line."""
 
 import csv
 import json
@@ -65,7 +65,7 @@ def refused(tmp_path, table, header=HEADER):
     return result.stderr.replace(str(tmp_path) + "/", "")
 
 
-def test_robot_is_found_and_the_fragment_replaces_the_joints(tmp_path):
+def test_robot_is_found_and_the_fragment_replaces_its_joints(tmp_path):
     poses = write(tmp_path / "poses.csv", rows())
     out = tmp_path / "joints.yaml"
     result = hil("calibrate", "lab", poses, "--out", out, "--json", tmp_path / "c.json")
@@ -107,14 +107,14 @@ def test_columns_may_come_in_any_order_and_deviations_give_a_chi_square(tmp_path
     assert (0.001 < figures["p_value"] < 0.999) == (share == 1.0)
 
 
-def test_poses_without_tilt_are_named(tmp_path):
+def test_poses_without_tilt_are_reported_as_not_observable(tmp_path):
     text, figures = calibrated(tmp_path, rows(tilt_deg=0.0))
     assert "not observable" in " ".join(text.split())
     assert len(figures["undetermined"]) == 18
     assert figures["std_m"][0][0] is None
 
 
-def test_combinations_that_are_hardly_known_are_named(tmp_path):
+def test_poorly_determined_combinations_are_reported(tmp_path):
     text, figures = calibrated(tmp_path, rows(tilt_deg=2.0))
     assert "warning: weak, uncertain by more than 1 mm: l1: " in " ".join(text.split())
     assert figures["undetermined"] == []
@@ -123,7 +123,7 @@ def test_combinations_that_are_hardly_known_are_named(tmp_path):
     assert all(each["std_m"] > 1e-3 for each in figures["weak"])
 
 
-def test_slip_is_named_by_its_line_though_lines_are_blank(tmp_path):
+def test_outlier_is_reported_with_its_line_despite_blank_lines(tmp_path):
     table = rows()
     table[20][7] += 2e-3
     text, _ = calibrated(tmp_path, [*table[:5], [], [" ", ""], *table[5:15], [], *table[15:]])
@@ -160,5 +160,5 @@ BAD = [
 
 
 @pytest.mark.parametrize(("table", "header", "message"), BAD)
-def test_wrong_file_is_refused_with_the_place(tmp_path, table, header, message):
+def test_invalid_file_is_refused_with_the_place(tmp_path, table, header, message):
     assert message in refused(tmp_path, table, header)

@@ -1,4 +1,4 @@
-"""`hil prove`: a file in, findings out; nothing of the file is evaluated."""
+"""`hil prove`: input files, findings and errors; text of a file is never executed."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_a_refuted_claim_shows_its_counterexample_and_exits_with_1(tmp_path, old
     assert found["counterexample"].keys() >= {"theta", "omega"}
 
 
-def test_V_is_proposed_where_the_file_has_none(tmp_path):
+def test_V_is_proposed_if_the_file_has_none(tmp_path):
     result = prove(tmp_path, "kind: proof\nstates: {x: v, v: -x - v + x**3}\n")
     assert result.exit_code == 0
     assert "V = v**2 + v*x + 3*x**2/2, proposed" in result.output
@@ -74,14 +74,14 @@ def test_text_outside_the_grammar_is_refused(text):
         expression(text)
 
 
-def test_problems_of_a_file_are_listed_with_their_places(tmp_path):
+def test_problems_of_a_file_are_listed_with_line_and_column(tmp_path):
     result = prove(tmp_path, "kind: proof\nstates: {x: system(x), y: y}\nbox: {x: [0]}\n")
     assert result.exit_code == 2
     assert "question.yaml:2:13: states.x: system(x)" in result.output
     assert ":3:10: box.x" in result.output
 
 
-def test_an_unknown_state_of_the_box_is_refused(tmp_path):
+def test_an_unknown_state_in_the_box_is_refused(tmp_path):
     result = prove(tmp_path, PENDULUM.replace("box: {theta", "box: {phi"))
     assert result.exit_code == 2
     assert "phi" in result.output

@@ -1,4 +1,4 @@
-"""Systems of the chapter and of textbooks, whose stability is known."""
+"""Systems of the chapter and of textbooks with known stability."""
 
 from typing import Any
 
@@ -42,7 +42,7 @@ def test_the_damped_pendulum_is_asymptotically_stable_below_the_upright_energy()
     assert report.equilibrium.level == 2
 
 
-def test_the_energy_of_the_damped_pendulum_is_no_global_certificate():
+def test_the_energy_of_the_damped_pendulum_is_not_a_global_certificate():
     report = verify({theta: omega, omega: -omega - sp.sin(theta)}, PENDULUM)
     assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
     assert abs(report.certificate.at[theta]) == 2 * sp.pi
@@ -50,7 +50,7 @@ def test_the_energy_of_the_damped_pendulum_is_no_global_certificate():
     assert 0 < report.equilibrium.level <= 2
 
 
-def test_a_bad_V_says_nothing_of_the_system():
+def test_an_invalid_V_gives_no_conclusion_on_the_system():
     report = verify({x: -x, y: -y}, x**2 - y**2)
     assert report.certificate.status is Certificate.NOT_POSITIVE_DEFINITE
     at = report.certificate.at
@@ -59,7 +59,7 @@ def test_a_bad_V_says_nothing_of_the_system():
     assert report.linearisation is Eigenvalues.LEFT
 
 
-def test_it_is_undecided_where_the_budget_ends():
+def test_a_claim_is_undecided_when_the_budget_ends():
     report = verify({x: sp.sin(x) ** 2 - x}, x**2, budget=Budget(3))
     assert report.certificate.status is Certificate.UNDECIDED
     assert report.certificate.truth is Truth.UNDECIDED
@@ -116,7 +116,7 @@ def test_a_textbook_system_is_unstable(name):
     assert report.equilibrium.asymptotic is Truth.REFUTED
 
 
-def test_an_equilibrium_elsewhere_is_moved_to_the_origin():
+def test_an_equilibrium_other_than_the_origin_is_moved_to_it():
     upright = {theta: omega, omega: -omega - sp.sin(theta)}
     moved = PENDULUM.subs(theta, theta - 2 * sp.pi)
     report = verify(upright, moved, at={theta: 2 * sp.pi}, box={theta: (5, 7), omega: (-1, 1)})
@@ -133,7 +133,7 @@ def test_parameters_may_have_ranges():
     assert report.certificate.at[k] < 0
 
 
-def test_without_V_the_linearisation_speaks():
+def test_without_V_the_linearisation_decides():
     assert verify({x: v, v: -x - v}).equilibrium.asymptotic is Truth.PROVEN
     assert verify({x: v, v: -x}).equilibrium.status is Equilibrium.NO_CONCLUSION
     third = {x: y, y: z, z: -k0 * x - y - z}  # Routh: stable where k0 < 1
@@ -153,19 +153,19 @@ def test_without_V_the_linearisation_speaks():
         ({x: -x}, {"box": {x: (2, 1)}}, "lower first"),
         ({x: -m * x}, {"parameters": {m: (0, sp.oo)}}, "has no end"),
         ({}, {}, "no state"),
-        ({"x": "-x"}, {}, "no symbol"),
-        ({x: -x}, {"box": {y: (-1, 1)}}, "which is no state"),
-        ({x: y - x, y: y}, {"at": {x: y}}, "is no parameter"),
+        ({"x": "-x"}, {}, "not a SymPy symbol"),
+        ({x: -x}, {"box": {y: (-1, 1)}}, "which is not a state"),
+        ({x: y - x, y: y}, {"at": {x: y}}, "is not a parameter"),
         ({x: 1 - m * x}, {"at": {x: 1 / m}, "box": {x: (0, 5)}}, "it must be a number"),
         ({x: x**3 - x}, {"parameters": {x: (-R(1, 2), R(1, 2))}}, "which is a state"),
         ({x: -x}, {"parameters": {m: (1, 2)}}, "neither f nor V"),
         ({x: -x - x ** (10**9 + 1)}, {}, "exponent beyond 10000"),
         ({x: -(10**1001) * x}, {}, "more than 1000 digits"),
         ({x: -x * sp.Float("1e-2000")}, {}, "more than 1000 digits"),
-        ({sp.Symbol("x_{1}"): -sp.Symbol("x_{1}")}, {"box": {y: (-1, 1)}}, "which is no state"),
+        ({sp.Symbol("x_{1}"): -sp.Symbol("x_{1}")}, {"box": {y: (-1, 1)}}, "which is not a state"),
     ],
 )
-def test_a_question_without_meaning_is_refused(f, options, words):
+def test_invalid_input_is_refused_with_the_reason(f, options, words):
     with pytest.raises(ModelError, match=words):
         verify(f, x**2, **options)
 
@@ -174,13 +174,13 @@ def test_a_question_without_meaning_is_refused(f, options, words):
     ("assumption", "side"),
     [({"negative": True}, None), ({"integer": True}, None), ({"positive": True}, (-1, 1))],
 )
-def test_a_parameter_is_not_less_than_what_is_claimed_of_it(assumption, side):
+def test_parameters_with_stronger_assumptions_than_the_claim_are_refused(assumption, side):
     k = sp.Symbol("k", **assumption)
     with pytest.raises(ModelError, match="assumption"):
         verify({x: -k * x}, x**2, parameters=None if side is None else {k: side})
 
 
-def test_a_state_is_any_real_number():
+def test_states_may_be_declared_real_but_not_positive():
     s = sp.Symbol("s", positive=True)  # sympy makes s of sqrt(s^2), which is |s|
     with pytest.raises(ModelError, match="assumption"):
         verify({s: -sp.sqrt(s**2)}, s**2)
@@ -188,7 +188,7 @@ def test_a_state_is_any_real_number():
     assert verify({r: -k * r}, r**2, parameters={k: (1, 2)}).certificate.status is Certificate.VALID
 
 
-def test_the_report_says_for_which_parameters():
+def test_the_report_lists_the_parameters_and_their_ranges():
     report = verify({x: -m * k0 * x}, x**2, parameters={m: (R(1, 2), 2)})
     assert report.parameters == {k0: (0, sp.oo), m: (R(1, 2), 2)}
     assert str(report).endswith("for all k0 > 0, m in [1/2, 2]")

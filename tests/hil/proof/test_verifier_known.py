@@ -1,4 +1,4 @@
-"""Sixty systems whose stability is known: half unstable, a third with parameters named like sympy's own things."""
+"""Sixty systems of known stability: half unstable, a third with parameter names that SymPy uses itself."""
 
 import pytest
 import sympy as sp
@@ -85,7 +85,7 @@ ASYMPTOTIC = {U: Truth.REFUTED, M: Truth.REFUTED, A: Truth.PROVEN, G: Truth.PROV
 
 
 def decided(case):
-    """Whether it is known whether the equilibrium is asymptotically stable; nothing false may be said."""
+    """True if asymptotic stability is proven or refuted; asserts that no finding is false."""
     f, V, truth, options = case
     report = verify(f, V, **options)
     assert report.equilibrium.status in ALLOWED[truth] | {Equilibrium.NO_CONCLUSION}
@@ -96,10 +96,10 @@ def decided(case):
 
 
 @pytest.mark.parametrize("case", KNOWN[::4], ids=lambda case: str(case[0]))
-def test_a_known_system_is_answered_rightly(case):
+def test_a_system_of_known_stability_is_decided_correctly(case):
     assert decided(case)
 
 
 @pytest.mark.long
-def test_all_known_systems_are_answered_rightly():
+def test_all_systems_of_known_stability_are_decided_correctly():
     assert sum(map(decided, KNOWN)) >= 59

@@ -1,4 +1,4 @@
-"""Linear systems: eigenvalues against numpy and closed forms, quadratic V of many states, and V that is proposed."""
+"""Linear systems: eigenvalues against NumPy and closed forms, quadratic V of many states, and a proposed V."""
 
 import itertools
 import random
@@ -34,13 +34,13 @@ NAMES = [
         ([[0, 1, 0], [0, 0, 1], [-6, -11, -6]], "L"), ([[-1, 100], [0, -1]], "L"),
     ],
 )  # fmt: skip
-def test_a_matrix_of_fractions_is_decided_exactly(A, where):
+def test_eigenvalues_of_rational_matrices_are_located_exactly(A, where):
     found = {"L": Eigenvalues.LEFT, "R": Eigenvalues.RIGHT, "0": Eigenvalues.UNKNOWN}[where]
     assert of_rationals(sp.Matrix(A)) is found
 
 
 @pytest.mark.parametrize("digits", [20, 60, 200])
-def test_no_damping_is_too_small(digits):
+def test_even_the_smallest_damping_is_decided(digits):
     small = R(1, 10**digits)
     assert of_rationals(sp.Matrix([[0, 1], [-1, -small]])) is Eigenvalues.LEFT
     assert of_rationals(sp.Matrix([[0, 1], [-1, small]])) is Eigenvalues.RIGHT
@@ -51,7 +51,7 @@ def test_no_damping_is_too_small(digits):
 
 
 def loop(pole, order):
-    """A chain of integrators under feedback, with one pole as often as there are states."""
+    """A chain of integrators under feedback with one multiple pole."""
     coefficients = sp.Poly(sp.expand((z - pole) ** order), z).all_coeffs()
     q = sp.symbols(f"q0:{order}")
     last = sum(-c * s for c, s in zip(coefficients[:0:-1], q, strict=True))
@@ -60,7 +60,7 @@ def loop(pole, order):
 
 @pytest.mark.parametrize("order", [2, 3, 5])
 @pytest.mark.parametrize("pole", [-sp.sqrt(2), -sp.pi, -w, -sp.sqrt(2) * w])
-def test_where_poles_coincide_is_shown(pole, order):
+def test_multiple_poles_are_located(pole, order):
     ranges = {w: (R(3, 4), R(5, 4))} if order < 5 else {w: (1, R(51, 50))}
     ranges = {p: side for p, side in ranges.items() if p in pole.free_symbols}
     for sign, where in ((1, Eigenvalues.LEFT), (-1, Eigenvalues.RIGHT)):
@@ -68,7 +68,7 @@ def test_where_poles_coincide_is_shown(pole, order):
         assert eigenvalues(signs) is where
 
 
-def test_loops_about_critical_damping_are_stable():
+def test_loops_near_critical_damping_are_proven_stable():
     report = verify({x: v, v: -2 * sp.sqrt(2) * v - 2 * x})
     assert report.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
     assert report.certificate.status is Certificate.VALID
@@ -84,7 +84,7 @@ def coupled(n, seed=1, stable=True):
     return {q[i]: sum(a * s for a, s in zip(A[i], q, strict=True)) for i in range(n)}, q
 
 
-def test_a_quadratic_V_of_twelve_coupled_states_is_decided_at_once():
+def test_a_quadratic_V_of_twelve_coupled_states_is_decided_within_5_s():
     f, q = coupled(12)
     V = sum(s**2 for s in q) + sum(a * b for a, b in itertools.pairwise(q)) / 2
     began = time.process_time()
@@ -99,7 +99,7 @@ def test_a_quadratic_V_of_twelve_coupled_states_is_decided_at_once():
     assert any(at.values())
 
 
-def test_a_V_is_proposed_and_proven_for_the_whole_system():
+def test_a_proposed_V_is_proven_for_the_nonlinear_system():
     report = verify({x: v, v: -x - v + x**3})
     assert report.certificate.status is Certificate.VALID
     V, V_dot = report.certificate.V, report.certificate.V_dot
@@ -117,7 +117,7 @@ def test_a_V_is_proposed_and_proven_for_the_whole_system():
     assert "proposed" in str(report)
 
 
-def test_a_proposed_V_is_global_for_what_is_linear_and_local_for_what_is_not():
+def test_a_proposed_V_proves_linear_systems_globally_others_locally():
     a, b = sp.symbols("a b")
     linear = verify({x: v, v: -a * x - b * v})
     assert linear.equilibrium.status is Equilibrium.GLOBALLY_ASYMPTOTICALLY_STABLE
@@ -133,7 +133,7 @@ def test_a_proposed_V_is_global_for_what_is_linear_and_local_for_what_is_not():
 
 
 def _system(chance):
-    """A stable or unstable random matrix of 2 to 6 states in up to three parameters, and what they may be."""
+    """A stable or unstable random matrix of 2 to 6 states in up to three parameters, and their ranges."""
     n = chance.randint(2, 6)
     m = chance.randint(1, 3)
     names = chance.sample(NAMES, m)
@@ -150,7 +150,7 @@ def _system(chance):
 
 
 def _rightmost(A, ranges, chance):
-    """The least and the greatest real part of the rightmost eigenvalue at 20 points, by numpy."""
+    """Smallest and largest real part of the rightmost eigenvalue at 20 points, by NumPy."""
     numbers = sp.lambdify(list(ranges), A, "numpy")
     at = [[chance.uniform(float(low), float(high)) for low, high in ranges.values()] for _ in range(20)]
     right = [max(np.linalg.eigvals(np.array(numbers(*p), float)).real) for p in at]
@@ -158,7 +158,7 @@ def _rightmost(A, ranges, chance):
 
 
 def judge(count, seed):
-    """How many random systems were contradicted, decided, and how many have one verdict at 20 points."""
+    """Numbers of wrong findings, of decided systems, and of systems with one verdict at 20 points."""
     chance = random.Random(seed)
     wrong = decided = uniform = 0
     for _ in range(count):
@@ -175,7 +175,7 @@ def judge(count, seed):
     return wrong, decided, uniform
 
 
-def test_random_linear_systems_are_not_contradicted():
+def test_findings_on_random_linear_systems_agree_with_numpy():
     wrong, decided, uniform = judge(20, seed=7)
     assert wrong == 0
     assert decided >= 0.8 * uniform

@@ -1,4 +1,4 @@
-"""The parts of the verifier, each against what is known without it."""
+"""The parts of the verifier, each against an independent result."""
 
 import runpy
 import signal
@@ -26,7 +26,7 @@ EXAMPLE = Path(__file__).parents[3] / "docs/examples/lyapunov_picture.py"
 
 
 class _Spins:
-    """Spends time in its finalizer, where Python drops what is raised."""
+    """An object with a slow finalizer, in which Python ignores exceptions."""
 
     def __del__(self):
         end = time.monotonic() + 0.1
@@ -35,7 +35,7 @@ class _Spins:
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
-def test_the_time_ends_although_a_finalizer_swallows_the_alarm():
+def test_the_time_limit_holds_although_a_finalizer_ignores_the_alarm():
     began = time.monotonic()
 
     def question():
@@ -51,7 +51,7 @@ def test_the_time_ends_although_a_finalizer_swallows_the_alarm():
     assert time.monotonic() < began + 3.0
 
 
-def test_an_alarm_after_the_answer_loses_nothing(monkeypatch):
+def test_an_alarm_after_the_answer_keeps_the_answer(monkeypatch):
     before, setitimer = signal.getsignal(signal.SIGALRM), signal.setitimer
 
     def late(which, seconds, interval=0.0):
@@ -75,14 +75,14 @@ SMOOTH = [x**2 - y, x**3 * y, sp.sin(x) * y, sp.Abs(x) ** R(3, 2), sp.exp(-x) / 
 
 
 @pytest.mark.parametrize("e", [*SMOOTH, x**-2 + y])
-def test_an_enclosure_holds_the_value_at_every_point(e):
+def test_an_enclosure_contains_the_value_at_every_point(e):
     box = Enclosure(e, (x, y)).on(((0.25, 1.5), (-1.0, 0.5)))
     for a in (R(1, 4), R(7, 10), R(3, 2)):
         for b in (-1, R(-1, 3), R(1, 2)):
             assert box.contains(arb(str(sp.N(e.subs({x: a, y: b}), 30))).mid())
 
 
-def test_exact_cancellation_leaves_what_textbooks_print():
+def test_exact_cancellation_gives_the_textbook_derivative():
     v, m, b = x, sp.Symbol("m", positive=True), sp.Symbol("b", positive=True)
     k = sp.Symbol("k", positive=True)
     field = {y: v, v: -(b * v * sp.Abs(v) + k * y) / m}
@@ -91,7 +91,7 @@ def test_exact_cancellation_leaves_what_textbooks_print():
     assert cancelled(x * sp.sin(y) ** 2 + x * sp.cos(y) ** 2 - x) == 0
 
 
-def test_a_jump_is_told_from_a_kink():
+def test_a_jump_is_refused_and_a_kink_is_accepted():
     assert continuous(sp.diff(sp.Abs(x) ** 3, x)) == 3 * x * sp.Abs(x)
     assert continuous(x * sp.sign(x)) == sp.Abs(x)
     assert continuous(x * sp.sign(x) ** 2) == x
@@ -100,7 +100,7 @@ def test_a_jump_is_told_from_a_kink():
             continuous(jump)
 
 
-def test_the_lowest_order_form_sees_a_minimum_that_an_enclosure_cannot():
+def test_the_lowest_order_form_proves_a_minimum_at_the_origin():
     assert definite_near(1 - sp.cos(x) + y**2, (x, y), {}, Budget())
     assert weights_of(y**2 + x**4, (x, y)) == (1, 2)
     assert definite_near(y**2 + x**4 - x**2 * y, (x, y), {}, Budget())
@@ -113,7 +113,7 @@ def test_the_lowest_order_form_sees_a_minimum_that_an_enclosure_cannot():
     assert definite_near(sp.sqrt(sp.Abs(x)), (x,), {}, Budget()) is None
 
 
-def test_the_tail_bound_is_a_radius_beyond_which_it_is_true():
+def test_the_tail_bound_gives_a_radius_beyond_which_g_is_positive():
     radii = definite_far(x**2 - 100 * x * sp.sin(x), (x,), {}, Budget())
     assert radii is not None
     assert 100 <= radii[0] <= 1024
@@ -122,7 +122,7 @@ def test_the_tail_bound_is_a_radius_beyond_which_it_is_true():
         assert definite_far(g, tuple(sorted(g.free_symbols, key=str)), {}, Budget()) is None
 
 
-def test_semidefinite_functions_name_their_zeros():
+def test_zeros_of_semidefinite_functions_are_found():
     s = signs()
     assert s.nonnegative(x**2) == ((x,),)
     assert s.nonnegative(x**2 * (2 + sp.sin(y))) == ((x,),)
@@ -136,9 +136,10 @@ def test_semidefinite_functions_name_their_zeros():
 
 
 @pytest.mark.parametrize("direction", [1, -1])
-def test_powers_beside_a_sine_hold_at_the_place_where_its_derivative_is_taken(direction):
-    """x^2 / 10 - 200 x^3 / 3 + ...: positive up to x = 0.0015 alone. At x itself, powers beside the second
-    derivative elsewhere would seem to be positive up to 0.06."""
+def test_the_remainder_evaluates_powers_and_derivatives_at_one_point(direction):
+    """x^2 / 10 - 200 x^3 / 3 + ... is positive only up to x = 0.0015. Powers at x, next to a second derivative at
+    another point, would seem to be positive up to 0.06.
+    """
     at = direction * x
     e = at**2 - 100 * at**3 - R(9, 5) * (1 - sp.cos(at)) + R(100, 3) * sp.sin(at) ** 3
     assert sp.N(e.subs(x, direction * R(16, 10**4))) < 0
@@ -147,7 +148,7 @@ def test_powers_beside_a_sine_hold_at_the_place_where_its_derivative_is_taken(di
     assert near[0][0][1] < 0.0015
 
 
-def test_the_level_is_the_least_value_on_the_boundary():
+def test_the_level_is_the_smallest_value_on_the_boundary():
     box = {x: (-1, 1), y: (-2, 3)}
     assert largest_level(x**2 + y**2, signs(box)) == 1
     level = largest_level(x**2 + x * y + y**2, signs({x: (-1, 1), y: (-5, 5)}))
@@ -155,7 +156,7 @@ def test_the_level_is_the_least_value_on_the_boundary():
     assert 0.98 * 3 / 4 < level <= R(3, 4)
 
 
-def test_two_states_are_drawn(tmp_path):
+def test_the_example_draws_a_system_of_two_states(tmp_path):
     example = runpy.run_path(str(EXAMPLE))
     v = sp.Symbol("v")
     f, V, box = {x: v, v: -v - sp.sin(x)}, 1 - sp.cos(x) + v**2 / 2, {x: (-3, 3), v: (-3, 3)}

@@ -1,4 +1,4 @@
-"""`hil compare`: laws from the configuration, paths, what disturbs, what faults, and what is written."""
+"""`hil compare`: laws from the configuration, paths, disturbances, faults, and output files."""
 
 import json
 from pathlib import Path
@@ -31,22 +31,23 @@ WN = 20.0
 SHIPPED_RATE_HZ = 1000.0
 DESIGNED = f"{{law: state_space, controller_file: {DATA / 'controller.yaml'}}}"
 HOLD_S = 0.5e-3
-"""A force held for a period of 1 ms is late by half of it."""
+"""A force held for a period of 1 ms is delayed by half of it on average."""
 BUS_S = (6 * 64.6 + 60.0 + 105.6) * 1e-6
-"""Six feedbacks of 12 bytes, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s: the error is that
-of the lengths as they are measured, at the end of SYNC."""
+"""Six feedbacks of 12 bytes, the controller's 60 us, a command of 32 bytes, at 1 and 5 Mbit/s. The tracking
+error counts at the measurement of the lengths, the end of SYNC.
+"""
 LENGTH = np.sqrt(1.0 + 2.0**2 + 1.0**2 - 2 * 2.0 * 1.0 * np.cos(np.pi / 6))
 """m, of every leg of the book's platform at home: 1 m up, joint circles of 2 and 1 m, 30 degrees apart."""
 S_Z = 1.0 / LENGTH
 ROD, CYLINDER = 22.0, 85.0
-"""kg, centres of mass 0.75 m from the platform's and from the base joint."""
+"""kg, centres of mass 0.75 m from the platform's joint and from the base joint."""
 TURNING = (CYLINDER * 0.75**2 + 16.0 + ROD * (LENGTH - 0.75) ** 2 + 4.1) / LENGTH**2
 """kg, a leg's inertia about its base joint as a mass at the platform."""
 VERTICAL_MASS = 1150.0 + 6 * (ROD * S_Z**2 + TURNING * (1 - S_Z**2))
 """kg, for vertical motion: a rod moves along its leg, both halves turn."""
 LEVER = (CYLINDER * 0.75 + ROD * (LENGTH - 0.75)) / LENGTH
 VERTICAL_WEIGHT = 9.81 * (1150.0 + 6 * (ROD * S_Z**2 + LEVER * (1 - S_Z**2)))
-"""N, what the platform's vertical motion lifts."""
+"""N, weight that the platform's vertical motion lifts."""
 LAG_S = 1 / (2 * np.pi * 200.0)
 """First-order force loop of 200 Hz."""
 
@@ -79,7 +80,7 @@ def with_section(text):
 
 
 def every_law(c):
-    """All of the table, where a controller made for the loop's rate is shipped."""
+    """All laws of the table for which a controller at the loop's rate is shipped."""
     designed = "hinf" in shipped("controllers") and c.loop.rate_Hz == SHIPPED_RATE_HZ
     return (set(LAWS) | set(VARIANTS)) - (set() if designed else {"state_space"})
 
@@ -90,7 +91,7 @@ def test_every_law_has_a_row_by_default(virtual):
     assert found["inverse_dynamics"] == virtual.controller, "the configuration's own law is as configured"
 
 
-def test_pd_gains_are_those_of_the_heaviest_motion_of_the_legs(virtual):
+def test_pd_gains_are_derived_from_the_largest_inertia_of_the_legs(virtual):
     """J^-T M J^-1 of the book's platform at home: the largest eigenvalue is 1595.67 kg."""
     pd = chosen(virtual, ["pd"])["pd"]
     assert isinstance(pd, PDSettings)
@@ -98,7 +99,7 @@ def test_pd_gains_are_those_of_the_heaviest_motion_of_the_legs(virtual):
     assert pd.kv_N_s_m == pytest.approx(2 * 1595.673 * WN, rel=1e-6)
 
 
-def test_a_configuration_with_pd_gives_the_others_its_frequency_and_damping(virtual):
+def test_frequency_and_damping_of_a_pd_law_are_used_for_all_other_laws(virtual):
     c = with_law(virtual, chosen(virtual, ["pd"])["pd"])
     f = desired_loop(c)
     assert (f.wn, f.zeta) == pytest.approx((WN, 1.0))
@@ -128,7 +129,7 @@ compare:
 """
 
 
-def test_the_section_names_own_laws_which_then_are_the_default():
+def test_laws_of_section_compare_are_the_default():
     c = loads(with_section(OWN), "my.yaml")
     assert list(chosen(c)) == ["stiff", "light"]
     assert list(chosen(c, ["stiff", "pd"])) == ["stiff", "pd"]
@@ -145,14 +146,14 @@ def test_the_section_names_own_laws_which_then_are_the_default():
         ("inertia_scale: 0", "compare.inertia_scale: out of range, allowed: a number greater than 0"),
     ],
 )
-def test_a_section_that_cannot_be_is_refused_with_its_place(section, message):
+def test_an_invalid_section_compare_is_refused_with_its_place(section, message):
     with pytest.raises(ConfigurationError) as caught:
         loads(with_section(f"\ncompare:\n  {section}\n"), "my.yaml")
     assert message in str(caught.value)
     assert str(caught.value).startswith("my.yaml:")
 
 
-def test_an_ideal_bench_has_one_path_and_a_real_one_four(virtual, ideal):
+def test_an_ideal_configuration_has_one_path_and_a_real_one_four(virtual, ideal):
     assert list(paths(ideal)) == ["ideal"]
     found = paths(virtual)
     assert list(found) == ["ideal", "encoders", "bus", "drives"]
@@ -174,7 +175,7 @@ def delay_of_law(c):
     return c.controller.delay_compensation
 
 
-def test_on_each_path_law_and_observer_know_of_the_delays_that_are_left(virtual):
+def test_law_and_observer_compensate_the_remaining_delays_of_each_path(virtual):
     wrench = virtual.estimation.wrench.model_copy(update={"bus_ms": 0.5, "drive_lag_ms": 0.8})
     c = virtual.model_copy(
         update={
@@ -192,8 +193,8 @@ def test_on_each_path_law_and_observer_know_of_the_delays_that_are_left(virtual)
     assert delay_of_law(paths(without_hold)["ideal"]) is None
 
 
-def test_drives_behind_a_transmission_have_an_ideal_path_too():
-    """Without a bus the numbers are those of the legs: motors, and the turns that they forget, are out of it."""
+def test_drives_with_a_transmission_also_have_an_ideal_path():
+    """Without a bus the drives report leg lengths: motors and their lost turns play no part."""
     c = load("virtual-cia402")
     homing = HomingSettings(file="legs.yaml", limit_m=1e-4)
     c = c.model_copy(update={"drives": c.drives.model_copy(update={"homing": homing})})
@@ -207,8 +208,8 @@ def test_drives_behind_a_transmission_have_an_ideal_path_too():
 
 
 @pytest.mark.long
-def test_each_path_costs_its_delay(virtual):
-    """The error of exact inverse dynamics is proportional to the delay; that of the hold is known from outside."""
+def test_the_error_of_each_path_is_proportional_to_its_delay(virtual):
+    """The error of exact inverse dynamics is proportional to the delay; the delay of the hold is known."""
     zoh = BOOK["joint_IDC_exact_wn20_1kHz_ZOH"]["peak_leg_err_mm"]
     found = {
         name: measure(job(bench, duration_s=2.0)).figures["peak_leg_error_mm"]
@@ -225,8 +226,8 @@ def measured(ideal):
     return measure(job(ideal, duration_s=0.3, step=StepSettings(), settle_s=0.6))
 
 
-def test_a_step_has_the_rise_and_bandwidth_of_the_linear_loop(measured):
-    """wn 20 rad/s, zeta 1: 10 to 90 % in 3.358 / wn, -3 dB at 0.6436 wn; the hold is late by half a tick."""
+def test_rise_time_and_bandwidth_agree_with_the_linear_loop(measured):
+    """wn 20 rad/s, zeta 1: 10 to 90 % in 3.358 / wn, -3 dB at 0.6436 wn; the hold delays by half a tick."""
     assert measured.fault is None
     found = measured.figures
     assert found["rise_ms"] == pytest.approx(3358 / WN, rel=0.01)
@@ -240,8 +241,8 @@ def believing(c, scale):
     return with_law(c, with_scale(chosen(c, ["inverse_dynamics"])["inverse_dynamics"], scale))
 
 
-def test_masses_believed_too_small_make_the_loop_slower(ideal):
-    """s M (K_D dE + K_P E) instead of M (...): wn and zeta become sqrt(s) of what they were. Without weight."""
+def test_too_small_model_masses_make_the_loop_slower(ideal):
+    """s M (K_D dE + K_P E) instead of M (...): wn and zeta are multiplied by sqrt(s). Without weight."""
     s = 0.25
     weightless = ideal.platform.model_copy(update={"gravity_m_s2": (0.0, 0.0, 0.0)})
     c = believing(ideal.model_copy(update={"platform": weightless}), s)
@@ -254,7 +255,7 @@ def test_masses_believed_too_small_make_the_loop_slower(ideal):
     assert found["overshoot_percent"] == pytest.approx(100 * overshoot, rel=0.05)
 
 
-def test_masses_believed_too_small_let_the_platform_sag(ideal):
+def test_too_small_model_masses_let_the_platform_sag(ideal):
     """At rest s M wn^2 dz = (1 - s) G, every leg s_z dz short."""
     s = 0.9
     found = measure(job(ideal, configuration=believing(ideal, s), step=StepSettings(), settle_s=0.6)).figures
@@ -262,7 +263,7 @@ def test_masses_believed_too_small_let_the_platform_sag(ideal):
     assert found["steady_leg_error_mm"] == pytest.approx(1e3 * S_Z * sag, rel=0.01)
 
 
-def test_a_load_that_no_law_knows_is_borne_by_the_stiffness(ideal):
+def test_an_unknown_load_deflects_the_platform_against_the_loops_stiffness(ideal):
     """At rest M wn^2 dz = 500 N, every leg s_z dz short."""
     load = DisturbanceSettings(force_N=(0, 0, -500), start_s=0.05)
     quiet = measure(job(ideal)).figures
@@ -273,7 +274,7 @@ def test_a_load_that_no_law_knows_is_borne_by_the_stiffness(ideal):
     assert found["steady_leg_error_mm"] < 1e-6
 
 
-def test_a_law_that_faults_keeps_what_it_did_until_then(virtual):
+def test_a_law_that_faults_keeps_its_figures_until_the_fault(virtual):
     o = measure(job(virtual, "pd", duration_s=2.0))
     assert o.fault == "FOLLOWING"
     assert o.fault_s is not None
@@ -297,14 +298,14 @@ def compared(tmp_path_factory):
     return folder, result.output, json.loads((folder / "a.json").read_text())
 
 
-def test_the_table_has_a_row_a_law_and_says_which_faulted(compared):
+def test_the_table_has_one_row_per_law_and_marks_faults(compared):
     lines = compared[1].splitlines()
     assert {"pd", "inverse_dynamics", "printed"} <= {line.split()[0] for line in lines if line.strip()}
     assert "FOLLOWING at 0." in next(line for line in lines if line.startswith("pd "))
     assert "--lift-limits" in compared[1]
 
 
-def test_picture_and_json_file_hold_figures_settings_losses_and_claims(compared):
+def test_the_json_file_has_figures_settings_losses_and_claims(compared):
     folder, _, summary = compared
     (file,) = folder.glob("virtual-compare-*.png")
     assert summary["picture"] == str(file)
@@ -326,16 +327,16 @@ def test_picture_and_json_file_hold_figures_settings_losses_and_claims(compared)
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--laws", "lqr"), "no law lqr; there are cartesian_pd, "),
+        (("--laws", "lqr"), "unknown law lqr; allowed: cartesian_pd, "),
         (("--laws", ","), "Invalid value for '--laws': no name in it"),
         (("--wrench", "nan", *"00000"), "'nan', allowed in size"),
-        (("--wrench-at", 0.5), "--wrench-at says when --wrench comes"),
-        (("--wrench", *"100000", "--wrench-at", 2), "the reference is over before the load comes"),
+        (("--wrench-at", 0.5), "--wrench-at is the time of --wrench"),
+        (("--wrench", *"100000", "--wrench-at", 2), "the reference ends before the load begins"),
         (("--laws", "pd", "--paths", "printed"), "printed is not among the compared laws: pd"),
         (("--picture", "a.pdf"), "let its name end in .png"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_runs(arguments, message):
+def test_invalid_options_are_refused_before_anything_runs(arguments, message):
     result = hil("virtual", *arguments)
     assert result.exit_code == 2
     assert message in result.output
@@ -343,11 +344,11 @@ def test_what_cannot_be_is_refused_before_anything_runs(arguments, message):
 
 def test_a_reference_without_end_needs_a_duration(virtual, tmp_path):
     c = changed(virtual, {"reference": HoldReference(type="hold")})
-    with pytest.raises(ConfigurationError, match="it has no end"):
+    with pytest.raises(ConfigurationError, match="has no end"):
         compare(c, laws=["inverse_dynamics"], picture=tmp_path / "a.png")
 
 
-def test_the_section_in_the_guide_is_one():
+def test_the_example_section_in_the_guide_is_valid():
     guide = (Path(__file__).parents[3] / "docs/guides/compare.md").read_text()
     section = guide.split("```yaml\n")[1].split("```")[0]
     c = loads(with_section("\n" + section), "my.yaml")

@@ -1,4 +1,4 @@
-"""What `hil compare` says of the control chapter: claims follow the figures, and are made only with them."""
+"""Claims of the control chapter in `hil compare`: they follow the figures, and need them."""
 
 import math
 
@@ -39,17 +39,17 @@ def verdicts(rows, settings, shares):
         ),
     ],
 )
-def test_claims_follow_the_figures(claim, good, bad):
+def test_claims_hold_or_fail_according_to_the_figures(claim, good, bad):
     assert [verdicts(*evidence(errors))[claim] for errors in (good, bad)] == [True, False]
 
 
-def test_the_share_of_H_decides_its_claim_and_needs_no_law():
+def test_the_claim_about_H_depends_only_on_its_share_of_the_force():
     small = "H takes less than 1 % of the force"
     assert [verdicts(*evidence({}, H=share)) for share in (0.005, 0.02)] == [{small: True}, {small: False}]
     assert list(verdicts(*evidence({"pd": 1.0}))) == [small], "its partners were not compared"
 
 
-def test_a_claim_without_its_figure_is_not_made():
+def test_a_claim_without_its_figure_is_left_out():
     rows, *rest = evidence({"pd": 5.0, "pd_gravity": 0.1})
     claim = "gravity compensation takes PD's static error away"
     assert claim in verdicts(rows, *rest)
@@ -58,8 +58,8 @@ def test_a_claim_without_its_figure_is_not_made():
     assert claim not in verdicts(rows, *rest)
 
 
-def test_where_the_law_that_is_the_measure_faulted_nothing_is_claimed():
-    """Any error is less than that of a law that was stopped: that makes no law good enough."""
+def test_claims_against_inverse_dynamics_are_left_out_if_it_faulted():
+    """Any error is smaller than the infinite error of a stopped law, which proves nothing."""
     rows, *rest = evidence({ID: 5.0, "partial_linearisation": 500.0, "printed": 500.0, "pd": 500.0})
     stopped = rows | {ID: rows[ID]._replace(fault="FOLLOWING")}
     assert set(verdicts(rows, *rest)) - set(verdicts(stopped, *rest)) == {
@@ -70,7 +70,7 @@ def test_where_the_law_that_is_the_measure_faulted_nothing_is_claimed():
 
 
 @pytest.mark.parametrize(("factor", "holds"), [(1.04, True), (0.96, True), (0.94, False), (1.06, False)])
-def test_the_loop_is_the_linear_one_only_where_its_bandwidth_is_neither_less_nor_more(factor, holds):
+def test_the_linear_loop_claim_holds_within_5_percent_of_its_bandwidth(factor, holds):
     """wn 20 rad/s, zeta 1: -3 dB at 0.6436 wn."""
     rows, *rest = evidence({ID: 0.1})
     figures = rows[ID].figures | {"bandwidth_Hz": factor * 0.6436 * WN / (2 * math.pi)}

@@ -1,4 +1,4 @@
-"""`hil export`: what other tools read back is what was recorded, at the right instant, and nothing is lost."""
+"""`hil export`: other tools read back the recorded values, at the right instant, without loss."""
 
 import json
 import re
@@ -44,7 +44,7 @@ def hil(*words):
 
 
 def recorded():
-    """Every frame of TICKS in the order of its time: s, frame, whether it was sent."""
+    """Every frame of TICKS in the order of time: s, frame, True if sent."""
     found = []
     for tick in TICKS:
         found += [(t_ns, frame, False) for t_ns, frame in tick.received]
@@ -96,7 +96,7 @@ def test_python_can_reads_back_every_frame_at_its_absolute_time(path, tmp_path, 
 
 @pytest.mark.parametrize("ending", READERS)
 @pytest.mark.parametrize("start", ["2026-01-31T13:00:00.250001+01:00", "2026-01-31T12:00:00.250001"])
-def test_the_start_is_the_instant_of_the_first_tick(path, tmp_path, ending, start):
+def test_start_sets_the_instant_of_the_first_tick(path, tmp_path, ending, start):
     out = tmp_path / f"a.{ending}"
     summary = export_log(path, [out], start=start)
     begin = datetime(2026, 1, 31, 12, 0, 0, 250_001, tzinfo=UTC).timestamp() - FIRST_NS * 1e-9
@@ -108,7 +108,7 @@ def test_the_start_is_the_instant_of_the_first_tick(path, tmp_path, ending, star
 
 
 @pytest.mark.parametrize("ending", READERS)
-def test_a_frame_that_was_consumed_seconds_late_keeps_its_own_time(tmp_path, ending):
+def test_a_frame_consumed_seconds_late_keeps_its_own_time(tmp_path, ending):
     late = Received(100_500_000, Frame(0x7AA, b"late"))
     rows = np.zeros(3000, TICKS[0].row.dtype)
     rows["tick"], rows["t_ns"] = np.arange(3000), np.arange(3000) * 1_000_000
@@ -145,7 +145,7 @@ def test_pandas_reads_the_parquet_as_the_frame_of_the_log(path, tmp_path):
     assert b"base frame" in schema.field("wrench.fx").metadata[b"meaning"]
 
 
-def test_the_csv_names_units_and_gives_every_number_back(path, tmp_path):
+def test_the_csv_has_units_and_every_number_exactly(path, tmp_path):
     export_log(path, [tmp_path / "a.csv"], columns=["tau.leg_3", "mode", "twist"])
     found, log = pd.read_csv(tmp_path / "a.csv"), Log(path)
     assert list(found.columns) == [
@@ -158,7 +158,7 @@ def test_the_csv_names_units_and_gives_every_number_back(path, tmp_path):
     assert found["mode"].astype(str).tolist() == log.frame("mode")["mode"].astype(str).tolist()
 
 
-def test_many_rows_with_new_names_on_the_way_come_back(tmp_path):
+def test_values_that_first_occur_late_are_exported_by_name(tmp_path):
     count = 40_000
     rows = np.zeros(count, TICKS[0].row.dtype)
     rows["tick"], rows["t_ns"] = np.arange(count), np.arange(count) * 1_000_000
@@ -175,7 +175,7 @@ def test_many_rows_with_new_names_on_the_way_come_back(tmp_path):
 # -- refusals ------------------------------------------------------------------------------------------------
 
 
-def test_a_cut_log_is_exported_as_far_as_it_goes_and_says_so(path, tmp_path):
+def test_a_truncated_log_is_exported_to_its_end_and_reported(path, tmp_path):
     bad = tmp_path / "cut.mcap"
     size = path.stat().st_size // 2
     bad.write_bytes(path.read_bytes()[:size])
@@ -190,7 +190,7 @@ def test_a_cut_log_is_exported_as_far_as_it_goes_and_says_so(path, tmp_path):
     assert summary["written"][str(tmp_path / "a.csv")] == {"rows": there.ticks}
 
 
-def test_a_damaged_log_leaves_no_half_of_a_file(path, tmp_path):
+def test_a_damaged_log_leaves_no_partial_file(path, tmp_path):
     content = bytearray(path.read_bytes())
     content[len(content) // 2] ^= 0x10
     bad = tmp_path / "bad.mcap"
@@ -207,18 +207,16 @@ def test_a_damaged_log_leaves_no_half_of_a_file(path, tmp_path):
     [
         (["a.mat"], "allowed: .log, .candump, .asc, .blf, .csv, .parquet"),
         (["a.csv", "--start", "2026-01-31"], "leave it out"),
-        (["a.log", "--column", "q"], "no such file is named"),
+        (["a.log", "--column", "q"], "no output is such a file"),
         (["a.log", "--start", "yesterday"], "ISO 8601"),
         (["a.csv", "--column", "taus"], "did you mean tau"),
-        (["a.log", "./a.log"], "name each once"),
+        (["a.log", "./a.log"], "give each file once"),
         (["own.log"], "no log is ever overwritten"),
         (["no/a.log"], "there is no folder"),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
-def test_what_cannot_be_done_is_refused_before_anything_is_written(
-    path, tmp_path, monkeypatch, words, message
-):
+def test_invalid_options_are_refused_before_anything_is_written(path, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     Path("own.log").write_bytes(path.read_bytes())
     done = hil("export", path, *words)

@@ -1,4 +1,4 @@
-"""A case of the fault matrix whose plant fails by itself, before or after the fault has begun."""
+"""Cases of the fault matrix whose plant fails by itself, before or after the fault begins."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hil.config.reference import HoldReference
 from hil.study.faults import case_run
 from hil.study.faults.case_run import Job, run_case
 from hil.study.faults.cases import cases
-from hil.study.faults.expected import PLANT_FAILS
+from hil.study.faults.diagnoses import PLANT_FAILS
 from hil.study.faults.verdict import Bounds
 from tests.hil.lab.bringup.families import family
 
@@ -26,7 +26,7 @@ REFUSED = "the FMU refused to step"
 
 @pytest.fixture
 def refuses(monkeypatch):
-    """Let the plant of a case refuse every step once it has lived for so long, s, or since its fault began."""
+    """Make the plant of a case refuse every step after a time, s, or after the fault's beginning."""
     build = compose.build_nodes
 
     def from_s(at_s: float | None) -> None:
@@ -52,14 +52,14 @@ def refuses(monkeypatch):
 
 
 def run(name: str, *own: str) -> dict[str, Any]:
-    """Run a case of a configuration that has faults of its own."""
+    """Run a case of a configuration with faults of its own."""
     (case,) = cases(with_faults(load("virtual"), own), [name])
     return run_case(Job(case, BOUNDS))
 
 
 @pytest.mark.parametrize("kind", [*PLANT_FAILS, "encoder_jump"])
 @pytest.mark.parametrize("at_s", [0.0, 0.02], ids=["in the first tick", "later"])
-def test_a_plant_that_fails_before_the_fault_has_begun_is_not_judged_as_that_fault(refuses, kind, at_s):
+def test_a_plant_failure_before_the_fault_is_no_verdict_on_the_fault(refuses, kind, at_s):
     refuses(at_s)
     found = run(f"{kind}/LOADING")
     assert not found["success"]
@@ -68,22 +68,22 @@ def test_a_plant_that_fails_before_the_fault_has_begun_is_not_judged_as_that_fau
 
 
 @pytest.mark.parametrize("kind", PLANT_FAILS)
-def test_a_plant_that_fails_by_its_fault_has_said_so(kind):
+def test_a_plant_that_fails_because_of_its_fault_passes(kind):
     found = run(f"{kind}/LOADING")
     assert found["success"], found
     assert (found["ended"] == "plant failed") is (kind != "plant_hang")
 
 
-def test_a_plant_that_fails_after_a_fault_of_another_kind_has_begun_is_a_failure(refuses):
+def test_a_plant_failure_after_a_fault_of_another_kind_is_a_failed_case(refuses):
     refuses(None)
     found = run("encoder_jump/LOADING")
     assert not found["success"]
-    assert found["verdict"].startswith("the plant failed, allowed of ")
+    assert found["verdict"].startswith("the plant failed, allowed only for ")
     assert found["reason"].startswith(REFUSED)
 
 
 @pytest.mark.parametrize("own", ["encoder_noise leg=1 sigma=1e-9", "payload_step mass=10"])
-def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(refuses, own):
+def test_reaction_time_counts_from_the_cases_fault_not_the_configurations(refuses, own):
     found = run("drive_silence/LOADING", own)
     assert found["after_ms"] == pytest.approx(4), found
     assert found["success"], found
@@ -95,42 +95,42 @@ def test_a_case_is_dated_by_its_own_fault_and_not_by_those_of_the_configuration(
 LEARNED = {"file": "learned.csv", "limit_N": 500.0}
 
 
-def test_the_reference_that_stands_serves_forces_learned_on_another_reference():
+def test_a_hold_case_runs_without_feed_forward_of_another_reference():
     c = loads(with_changes(load("virtual").text, {"feedforward": LEARNED}), "my.yaml")
     (case,) = cases(c, ["plant_crash/HOLD"])
-    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
+    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and reported it"
 
 
 @pytest.mark.parametrize("moment", ["LOADING", "UNLOADING"])
-def test_a_reference_that_is_fastest_at_once_is_followed_before_the_run_is_stopped(moment):
-    """One that stands, for example: no instant of it is faster than the first."""
+def test_a_reference_fastest_at_its_start_is_tracked_before_the_stop(moment):
+    """For example a constant reference, which is nowhere faster than at its start."""
     c = load("virtual")
     held = c.model_copy(update={"reference": HoldReference(type="hold", duration_s=10.0)})
     (case,) = cases(held, [f"plant_crash/{moment}"])
-    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and said so"
+    assert run_case(Job(case, BOUNDS))["verdict"] == "the plant failed and reported it"
 
 
 @pytest.mark.parametrize(
     ("name", "watched"), [("cubemars", False), pytest.param("damiao", True, marks=pytest.mark.long)]
 )
-def test_a_dead_bus_in_motion_is_a_failure_of_drives_without_a_watchdog_and_says_why(name, watched):
+def test_a_dead_bus_in_motion_fails_drives_without_a_watchdog(name, watched):
     (case,) = cases(family(name), ["bus_off/TRACKING"])
     found = run_case(Job(case, DESKTOP))
     assert found["faults"] == ["BUS"]
     assert found["success"] is watched, found["verdict"]
-    told = (
+    reported = (
         "the platform moves at the end" in found["verdict"]
         and "they keep the last torque" in found["verdict"]
     )
-    assert told is not watched
+    assert reported is not watched
     assert watched or "have no watchdog that is set from here" in found["verdict"]
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(("name", "stands"), [("moteus_stopped", False), ("damiao", True)])
-def test_drives_that_a_strangers_torque_enables_again_are_a_failure_and_it_says_why(name, stands):
+def test_drives_that_a_forged_command_enables_again_fail(name, stands):
     (case,) = cases(family(name), ["frames_forged_command/HOLD"])
     found = run_case(Job(case, DESKTOP))
     assert found["faults"] == ["SECOND_CONTROLLER"]
     assert found["success"] is stands, found["verdict"]
-    assert ("obey whoever commands" in found["verdict"]) is not stands
+    assert ("obey any sender of commands" in found["verdict"]) is not stands

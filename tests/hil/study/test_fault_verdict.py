@@ -1,4 +1,4 @@
-"""The verdicts of the matrix, on runs that are made up: both sides of every bound."""
+"""Verdicts of the matrix on artificial runs: both sides of every bound."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drivers.signals import Fault, Mode
-from hil.study.faults.expected import EXPECTED
+from hil.study.faults.diagnoses import EXPECTED
 from hil.study.faults.verdict import Bounds, Trace, judge, see
 from plant_fmu.faults import FAULTS
 
@@ -25,7 +25,7 @@ NAMED = {
     "frames_forged_feedback": "DUPLICATE_NODE",
     "drive_gain": "FOLLOWING",
 }
-"""As what a kind is named here unless a test says more; others as ENCODER."""
+"""Fault reported for a kind unless a test says otherwise; ENCODER for all other kinds."""
 
 
 def run(
@@ -38,9 +38,9 @@ def run(
     ending: Mode = Mode.FAULT,
     causes: dict[str, set[int]] | None = None,
 ) -> Trace:
-    """Leg 2 leaves the reference by `drift` m a tick from the fault to the reaction, then goes `after` m on.
+    """Leg 2 drifts from the reference by `drift` m per tick from fault to reaction, then moves by `after` m.
 
-    causes: what is named at the reaction, ENCODER of leg 2 by default, each with its legs.
+    causes : faults reported at the reaction, each with its legs; default: ENCODER of leg 2.
     """
     named = {} if reacts is None else {"ENCODER": {2}} if causes is None else causes
     length, desired = np.full((N, 6), 1.5), np.full((N, 6), 1.5)
@@ -61,7 +61,7 @@ def run(
 
 
 def shaped(kind: str, **shape: Any) -> Trace:
-    """Return a run whose reaction names what its kind is expected to be named as."""
+    """A run whose reaction reports the expected fault of its kind."""
     return run(**({"causes": {NAMED.get(kind, "ENCODER"): {2}}} | shape))
 
 
@@ -69,7 +69,7 @@ def verdict(kind: str, t: Trace) -> tuple[bool, str]:
     return judge(kind, t, see(kind, t), BOUNDS)
 
 
-def test_error_counts_until_the_reaction_and_travel_from_there():
+def test_error_counts_until_the_reaction_and_travel_after_it():
     s = see("encoder_jump", run(reacts=10, drift=1e-4, after=7e-3))
     assert s.declared == 10
     assert s.error_m == pytest.approx(11e-4)
@@ -77,27 +77,27 @@ def test_error_counts_until_the_reaction_and_travel_from_there():
     assert s.last_m == 0
 
 
-def test_motion_along_the_reference_is_no_error():
+def test_motion_along_the_reference_is_not_an_error():
     t = run(reacts=50, drift=1e-3)
     moving = t._replace(desired=t.length)
     assert see("encoder_jump", moving).error_m == 0
     assert see("encoder_jump", moving).found_m == pytest.approx(51e-3)
 
 
-def test_on_closed_brakes_the_error_counts_from_where_the_legs_stood():
+def test_on_closed_brakes_the_error_counts_from_the_resting_lengths():
     t = run(Mode.UNLOADING, reacts=20, drift=1e-4)
     off = t._replace(desired=t.desired + 0.3)
     assert see("encoder_jump", off).error_m == pytest.approx(21e-4)
 
 
-def test_another_leg_than_the_faulty_one_counts_as_error_and_not_as_its_motion():
+def test_motion_of_a_healthy_leg_counts_as_error_not_as_faulty_motion():
     s = see("encoder_jump", run(reacts=20, drift=1e-4, leg=3))
     assert s.error_m == pytest.approx(21e-4)
     assert (s.found_m, s.found_ticks) == (0, 0)
 
 
 @pytest.mark.parametrize(("speed_m_s", "good"), [(0.019, False), (0.021, True)])
-def test_in_motion_a_brake_has_the_stopping_distance_beside_its_error(speed_m_s, good):
+def test_a_brake_fault_in_motion_may_travel_the_stopping_distance(speed_m_s, good):
     t = shaped("brake_stuck_closed", reacts=5, after=40e-3)
     length = t.length.copy()
     length[: BEGUN + 5] -= 1e-3 * speed_m_s
@@ -109,7 +109,7 @@ def test_in_motion_a_brake_has_the_stopping_distance_beside_its_error(speed_m_s,
     ("ending", "after_mm", "good"),
     [(Mode.PARKING, 51, False), (Mode.STOPPING, 51, True), (Mode.STOPPING, 81, False)],
 )
-def test_a_stop_under_control_has_the_way_of_its_own_along_the_path(ending, after_mm, good):
+def test_a_controlled_stop_may_travel_its_own_stopping_distance(ending, after_mm, good):
     t = shaped("drive_gain", reacts=5, after=1e-3 * after_mm, ending=ending)
     length = t.length.copy()
     length[: BEGUN + 5] -= 1e-3
@@ -117,7 +117,7 @@ def test_a_stop_under_control_has_the_way_of_its_own_along_the_path(ending, afte
 
 
 @pytest.mark.parametrize(("speed_m_s", "good"), [(1.01, True), (0.95, False)])
-def test_a_harmless_error_may_grow_with_the_speed_of_the_reference(speed_m_s, good):
+def test_the_harmless_error_grows_with_the_speed_of_the_reference(speed_m_s, good):
     t = run(drift=0.098e-3)
     way = np.zeros((N, 6))
     way[:, 4] = 1e-3 * speed_m_s * np.minimum(np.arange(N), 299)
@@ -126,7 +126,7 @@ def test_a_harmless_error_may_grow_with_the_speed_of_the_reference(speed_m_s, go
 
 @pytest.mark.parametrize(("ending", "ticks"), [(Mode.HELD, 1000), (Mode.FAULT, 100), (Mode.PARKED, 100)])
 @pytest.mark.parametrize(("creep_m", "good"), [(4.9e-5, True), (5.1e-5, False)])
-def test_a_platform_that_creeps_at_the_end_is_not_held(ending, ticks, creep_m, good):
+def test_a_platform_that_creeps_at_the_end_fails(ending, ticks, creep_m, good):
     t = shaped("drive_gain", reacts=10, ending=ending)
     length = t.length.copy()
     length[-1 - ticks :, 4] += np.linspace(0, creep_m, 1 + ticks)
@@ -134,7 +134,7 @@ def test_a_platform_that_creeps_at_the_end_is_not_held(ending, ticks, creep_m, g
     assert (found, "the platform moves at the end" in words) == (good, not good)
 
 
-def test_what_moved_before_the_last_second_has_come_to_rest():
+def test_motion_before_the_last_second_does_not_fail_the_rest_check():
     t = shaped("drive_gain", reacts=10, ending=Mode.HELD)
     length = t.length.copy()
     length[:-1001, 4] -= 1e-3
@@ -178,11 +178,11 @@ CASES: list[tuple[str, dict[str, Any], bool, str]] = [
     ("frames_loss", {"drift": 0.049e-3}, True, "harmless"),
     ("frames_loss", {"drift": 0.051e-3}, False, "no reaction: error 10 mm"),
     # what six encoders cannot see
-    ("encoder_drift", {"drift": 1e-4}, True, "not observable with these sensors: leaves 20 mm"),
+    ("encoder_drift", {"drift": 1e-4}, True, "not observable with these sensors: remaining error 20 mm"),
     ("encoder_late", {}, True, "not observable"),
     ("encoder_late", {"reacts": 99, "drift": 0.49e-3}, True, "within 50 mm"),
     ("encoder_late", {"reacts": 99, "drift": 0.51e-3}, False, "moved 51 mm"),
-    ("encoder_drift", {"reacts": 99, "drift": 0.51e-3}, True, "not observable with these sensors in motion: leaves 51 mm"),
+    ("encoder_drift", {"reacts": 99, "drift": 0.51e-3}, True, "not observable with these sensors in motion: remaining error 51 mm"),
     ("encoder_drift", {"reacts": 9, "after": 51e-3}, False, "travelled 51 mm"),
     ("encoder_scale", {"before": Mode.UNLOADING, "reacts": 9, "after": 10.1e-3}, False, "travelled 10 mm"),
     # on closed brakes: 10 mm for everything
@@ -199,7 +199,7 @@ CASES: list[tuple[str, dict[str, Any], bool, str]] = [
 
 
 @pytest.mark.parametrize(("kind", "shape", "good", "text"), CASES)
-def test_the_bound_of_a_kind_holds_on_one_side_and_not_on_the_other(kind, shape, good, text):
+def test_each_kind_passes_below_its_bound_and_fails_above_it(kind, shape, good, text):
     found, words = verdict(kind, shaped(kind, **shape))
     assert (found, text in words) == (good, True), words
 
@@ -209,44 +209,44 @@ def test_the_bound_of_a_kind_holds_on_one_side_and_not_on_the_other(kind, shape,
 
 NAMING: list[tuple[str, dict[str, set[int]], bool, str]] = [
     ("encoder_jump", {"ENCODER/JUMP": {2}}, True, "found after"),
-    ("encoder_jump", {"STROKE": {2}}, False, "the cause is missing: named STROKE, expected ENCODER"),
+    ("encoder_jump", {"STROKE": {2}}, False, "the cause is missing: reported STROKE, expected ENCODER"),
     ("encoder_jump", {"ENCODER/JUMP": {2}, "STROKE": {2}}, True, "found after"),
-    ("encoder_jump", {"ENCODER/JUMP": {1}}, False, "the leg is missing: ENCODER/JUMP names leg 1, expected leg 2"),
+    ("encoder_jump", {"ENCODER/JUMP": {1}}, False, "the leg is missing: ENCODER/JUMP reports leg 1, expected leg 2"),
     ("encoder_jump", {"ENCODER/JUMP": {1}, "STROKE": {2}}, False, "the leg is missing"),
     ("encoder_jump", {"ENCODER/JUMP": {1, 2}}, True, "found after"),
-    ("encoder_jump", {"ENCODER/JUMP": set()}, False, "ENCODER/JUMP names no leg, expected leg 2"),
+    ("encoder_jump", {"ENCODER/JUMP": set()}, False, "ENCODER/JUMP reports no leg, expected leg 2"),
     ("drive_gain", {"ENCODER/LEAP": {2}}, True, "within"),
-    ("drive_gain", {"ENCODER/JUMP": {2}}, False, "the cause is missing: named ENCODER/JUMP"),
+    ("drive_gain", {"ENCODER/JUMP": {2}}, False, "the cause is missing: reported ENCODER/JUMP"),
     ("drive_gain", {"ENCODER/JUMP": {2}, "FOLLOWING": {0, 2}}, True, "within"),
     ("drive_gain", {"CERTIFICATE": set()}, True, "within"),
-    ("drive_gain", {"CERTIFICATE": set(), "FOLLOWING": {1}}, False, "FOLLOWING names leg 1, expected leg 2"),
-    ("drive_silence", {"STALE": set()}, False, "STALE names no leg"),
-    ("frames_duplicate", {"STALE": {0}}, False, "the cause is missing: named STALE, expected none"),
-    ("brake_stuck_open", {"FOLLOWING": {2}}, False, "the cause is missing: named FOLLOWING, expected BRAKE"),
+    ("drive_gain", {"CERTIFICATE": set(), "FOLLOWING": {1}}, False, "FOLLOWING reports leg 1, expected leg 2"),
+    ("drive_silence", {"STALE": set()}, False, "STALE reports no leg"),
+    ("frames_duplicate", {"STALE": {0}}, False, "the cause is missing: reported STALE, expected none"),
+    ("brake_stuck_open", {"FOLLOWING": {2}}, False, "the cause is missing: reported FOLLOWING, expected BRAKE"),
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize(("kind", "causes", "good", "text"), NAMING)
-def test_a_reaction_has_to_name_a_right_cause_and_the_leg(kind, causes, good, text):
+def test_a_reaction_must_report_a_correct_cause_and_the_leg(kind, causes, good, text):
     found, words = verdict(kind, run(reacts=1, causes=causes, ending=Mode.HELD))
     assert (found, text in words) == (good, True), words
 
 
-def test_of_a_fault_that_is_no_legs_no_leg_need_be_named():
+def test_a_fault_that_affects_no_single_leg_needs_no_leg_in_the_report():
     t = run(reacts=1, causes={"STALE": set()}, leg=None)
     assert verdict("frames_loss", t)[0]
 
 
-def test_what_is_missing_stands_beside_the_bound_that_is_broken():
+def test_an_exceeded_bound_and_a_missing_cause_are_both_reported():
     _, words = verdict("drive_gain", run(reacts=9, after=51e-3, causes={"STALE": set()}))
-    assert words.startswith("travelled 51 mm, allowed: 50 mm; the cause is missing: named STALE")
+    assert words.startswith("travelled 51 mm, allowed: 50 mm; the cause is missing: reported STALE")
 
 
 @pytest.mark.parametrize(
     ("rate_Hz", "ticks", "allowed_ms"),
     [(4000.0, 80, 20), (1000.0, 20, 20), (500.0, 14, 28), (250.0, 11, 44), (100.0, 7, 70), (50.0, 7, 140)],
 )
-def test_a_slow_loop_has_longer_to_find_a_freeze(rate_Hz, ticks, allowed_ms):
+def test_a_slow_loop_has_more_time_to_detect_a_frozen_encoder(rate_Hz, ticks, allowed_ms):
     kind = "encoder_freeze"
     assert verdict(kind, shaped(kind, reacts=ticks, drift=1e-3, after=1e-3)._replace(rate_Hz=rate_Hz))[0]
     late = shaped(kind, reacts=ticks + 1, drift=1e-3, after=1e-3)._replace(rate_Hz=rate_Hz)
@@ -254,7 +254,7 @@ def test_a_slow_loop_has_longer_to_find_a_freeze(rate_Hz, ticks, allowed_ms):
     assert f"allowed: 2.00 mm or {allowed_ms} ms" in verdict(kind, late)[1]
 
 
-def test_a_jump_is_found_when_its_encoder_is_named_and_not_when_something_else_is():
+def test_a_jump_is_detected_only_when_its_encoder_is_reported():
     t = run(reacts=10, drift=1e-4, causes={"STROKE": {2}, "ENCODER": {2}})
     late = t.faults.copy()
     late[: BEGUN + 45] &= int(Fault.STROKE)
@@ -267,13 +267,13 @@ def test_a_jump_is_found_when_its_encoder_is_named_and_not_when_something_else_i
 
 
 @pytest.mark.parametrize(("leg", "good"), [(2, True), (1, False)])
-def test_a_run_may_go_on_without_the_encoder_that_failed(leg, good):
+def test_a_run_may_continue_without_the_failed_encoder(leg, good):
     t = run()._replace(lost=frozenset({leg}))
     assert verdict("encoder_jump", t)[0] is good
     assert not verdict("encoder_jump", run(drift=1.01e-5)._replace(lost=frozenset({2})))[0]
 
 
-def test_a_fault_before_the_one_that_is_injected_is_none_of_its_reaction():
+def test_a_fault_before_the_injected_one_fails_the_case():
     t = run(reacts=10)
     early = t.faults.copy()
     early[BEGUN - 1 :] = int(Fault.ENCODER)
@@ -283,29 +283,29 @@ def test_a_fault_before_the_one_that_is_injected_is_none_of_its_reaction():
     )
 
 
-def test_every_kind_of_the_matrix_has_its_causes():
+def test_every_kind_of_the_matrix_has_expected_causes():
     assert set(EXPECTED) == {name for name in FAULTS if not name.startswith("process")}
 
 
-def test_a_run_that_does_not_park_without_a_reaction_is_bad():
+def test_a_run_with_neither_reaction_nor_parking_fails():
     good, words = verdict("frames_loss", run()._replace(success=False))
     assert not good
     assert "not parked" in words
 
 
 @pytest.mark.parametrize("kind", ["plant_crash", "plant_nan", "plant_hang"])
-def test_a_plant_that_is_made_to_fail_may_say_so(kind):
+def test_a_failure_of_the_plant_passes_for_kinds_that_make_it_fail(kind):
     assert verdict(kind, run()._replace(failed="the plant crashed"))[0]
 
 
 @pytest.mark.parametrize("kind", ["encoder_jump", "drive_sign", "frames_loss", "wrench_step", "bus_off"])
-def test_a_plant_that_fails_by_another_fault_is_a_failure(kind):
+def test_a_failure_of_the_plant_fails_every_other_kind(kind):
     good, words = verdict(kind, run()._replace(failed="the plant crashed"))
     assert not good
     assert "the plant failed" in words
 
 
-def test_the_guide_names_the_causes_of_every_kind():
+def test_the_guide_lists_the_causes_of_every_kind():
     guide = (Path(__file__).parents[3] / "docs/guides/faults.md").read_text()
     rows = guide.partition("| kinds | a right cause is any of |")[2].partition("\n\n")[0].splitlines()[2:]
     named: dict[str, set[str]] = {}

@@ -1,4 +1,4 @@
-"""JUnit XML: what a CI server counts, and what it can parse."""
+"""JUnit XML that CI servers can parse and count."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drivers.errors import LogError
 from hil.study.junit import Verdict, check_junit_path, write_junit
 
 
-def test_cases_failures_and_texts_are_counted_and_parse_whatever_signs_they_have(tmp_path):
+def test_cases_with_any_characters_are_counted_and_parsed(tmp_path):
     path = tmp_path / "j.xml"
     cases = [
         Verdict("g", "good", output="fine", wall_s=1.25),
@@ -33,7 +33,7 @@ def test_cases_failures_and_texts_are_counted_and_parse_whatever_signs_they_have
     assert ET.parse(path).getroot().attrib == {"name": "none", "tests": "0", "failures": "0"}
 
 
-def test_an_earlier_report_may_be_replaced_and_nothing_else(tmp_path):
+def test_only_an_earlier_report_may_be_replaced(tmp_path):
     check_junit_path(tmp_path / "new.xml")
     write_junit(tmp_path / "old.xml", "old", [])
     check_junit_path(tmp_path / "old.xml")

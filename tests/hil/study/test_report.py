@@ -1,4 +1,4 @@
-"""What `hil report` tells of a log: the story of a fault; and logs that are cut, damaged or hostile."""
+"""`hil report`: the story of a fault; logs that are truncated, damaged or hostile."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from hil.record.schema import IDENTITY, SUMMARY
 from hil.study.report import command, sections
 from hil.study.report.command import report
 from hil.study.report.page import as_script, prose, tag
-from hil.study.report.story import told
+from hil.study.report.story import failure_of
 from tests.broad import broad
 from tests.hil.samples import random_ticks, record
 from tests.hil.study.test_report_limits import RATE_Hz, rows_of
@@ -40,7 +40,7 @@ def logs(tmp_path_factory):
 # -- the story -----------------------------------------------------------------------------------------------
 
 
-def test_the_page_opens_with_leg_value_limit_instant_reaction_and_advice(logs, tmp_path):
+def test_the_page_begins_with_leg_value_limit_time_reaction_and_advice(logs, tmp_path):
     out = tmp_path / "bad.html"
     summary = report(logs / "bad.mcap", out=out)
     assert summary["went_wrong"] == "latched fault ENCODER"
@@ -62,11 +62,11 @@ def test_the_page_opens_with_leg_value_limit_instant_reaction_and_advice(logs, t
     assert "RUN" in opening
 
 
-def test_without_the_end_of_the_log_the_faults_come_from_its_rows():
+def test_faults_come_from_the_rows_if_the_log_has_no_story():
     rows = rows_of(100)
     rows["mode"][40:], rows["faults"][40:] = Mode.FAULT, Fault.SPEED
     rows["faults"][70:] = Fault.SPEED | Fault.STALE
-    found = told({}, rows, RATE_Hz)
+    found = failure_of({}, rows, RATE_Hz)
     faults = [(each.fault, each.time_s, each.mode) for each in found.findings]
     assert faults == [("SPEED", 0.04, "TRACKING"), ("STALE", 0.07, "FAULT")]
     assert found.headline == "latched fault SPEED, STALE"
@@ -77,8 +77,8 @@ HUGE = int("7" * 400)
 
 
 @pytest.mark.parametrize("story", ["", "{", "[]", "7", '{"findings": 3}', '{"findings": [null]}', "[" * 9999])
-def test_a_story_that_is_none_of_ours_breaks_nothing(story):
-    found = told({SUMMARY: {"story": story}}, rows_of(5), RATE_Hz)
+def test_a_story_in_an_unknown_form_is_ignored(story):
+    found = failure_of({SUMMARY: {"story": story}}, rows_of(5), RATE_Hz)
     assert "<" in sections.what_went_wrong(found)
 
 
@@ -86,20 +86,20 @@ def test_a_story_that_is_none_of_ours_breaks_nothing(story):
     "number", [HUGE, 1.7e308, 1e-320, 2**63, -1, True, "7" * 400, None, [HUGE], {"a": HUGE}]
 )
 @pytest.mark.parametrize("name", ["time_s", "value", "limit", "leg", "mode", "fault", "text", "unit"])
-def test_a_finding_may_have_any_number_anywhere(name, number):
-    """One that no field can hold leaves what the rows show: here no fault, and no traceback."""
+def test_any_number_in_a_finding_is_handled(name, number):
+    """A number that no field can hold invalidates the story; then the rows count, here without fault."""
     finding = {"fault": "STALE", "time_s": 0.003, "unit": "m"} | {name: number}
     story = json.dumps({"findings": [finding], "lines": ["done: stopped"]})
-    found = told({SUMMARY: {"story": story}}, rows_of(9), RATE_Hz)
+    found = failure_of({SUMMARY: {"story": story}}, rows_of(9), RATE_Hz)
     assert [each.fault for each in found.findings] in ([], ["STALE"], [number])
     assert "<" in sections.what_went_wrong(found)
 
 
-def test_texts_of_a_log_are_escaped_wherever_they_stand():
+def test_texts_of_a_log_are_escaped_everywhere():
     finding = dict.fromkeys(("fault", "mode", "value", "limit", "unit", "limit_key", "text"), HOSTILE)
     lines = [f"{key}: {HOSTILE}" for key in ("next", "done", "drives", "in the end")]
     story = json.dumps({"findings": [finding], "lines": lines})
-    found = told({SUMMARY: {"story": story, "reason": HOSTILE}}, rows_of(5), RATE_Hz)
+    found = failure_of({SUMMARY: {"story": story, "reason": HOSTILE}}, rows_of(5), RATE_Hz)
     parts = [
         sections.opening(found, rows_of(5), HOSTILE),
         sections.what_went_wrong(found),
@@ -120,29 +120,29 @@ def test_texts_of_a_log_are_escaped_wherever_they_stand():
 @pytest.mark.parametrize(
     ("remark", "verdict"), [("", "Parked without a fault"), ("the log is damaged", "ends in PARKED")]
 )
-def test_a_log_of_which_something_is_missing_is_not_called_a_run_without_a_fault(remark, verdict):
+def test_an_incomplete_log_is_never_reported_as_free_of_faults(remark, verdict):
     rows = rows_of(5, mode=Mode.PARKED)
-    made = sections.opening(told({}, rows, RATE_Hz), rows, remark)
+    made = sections.opening(failure_of({}, rows, RATE_Hz), rows, remark)
     assert verdict in made
-    assert ("This page shows what is there" in made) is bool(remark)
+    assert ("This page shows the readable part" in made) is bool(remark)
 
 
 # -- logs that are cut or strange ----------------------------------------------------------------------------
 
 
-def test_a_cut_log_is_shown_as_far_as_it_goes_and_the_page_says_so(logs, tmp_path):
+def test_a_truncated_log_is_shown_to_its_end_with_a_remark(logs, tmp_path):
     whole = (logs / "good.mcap").read_bytes()
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(whole[: len(whole) * 2 // 3])
     summary = report(cut)
     assert summary["remark"] == f"the log is cut at {cut.stat().st_size} bytes, the end is missing"
     text = cut.with_suffix(".html").read_text()
-    assert "This page shows what is there" in text
+    assert "This page shows the readable part" in text
     assert "Parked without a fault" not in text
     assert sorted(tmp_path.iterdir()) == [cut.with_suffix(".html"), cut], "nothing else is left behind"
 
 
-def test_a_damaged_log_is_refused_with_the_way_to_salvage_it(logs, tmp_path):
+def test_a_damaged_log_is_refused_with_the_command_that_salvages_it(logs, tmp_path):
     content = bytearray((logs / "good.mcap").read_bytes())
     content[content.rindex(b"\x28\xb5\x2f\xfd", 0, len(content) // 2) + 1000] ^= 0x10  # zstd's magic number
     bad = tmp_path / "bad.mcap"
@@ -152,7 +152,7 @@ def test_a_damaged_log_is_refused_with_the_way_to_salvage_it(logs, tmp_path):
 
 
 @pytest.mark.parametrize("said", ["0", "-1", "nan", "inf", "100001", "fast", "9" * 400])
-def test_a_rate_that_no_loop_has_is_refused_as_windows_of_ticks_grow_with_it(tmp_path, said):
+def test_an_impossible_loop_rate_is_refused(tmp_path, said):
     path = tmp_path / "a.mcap"
     options = {"kind": "sim", "rate_Hz": said}
     with Recording.start(path, configuration="", lockstep=True, metadata=options) as recording:
@@ -169,7 +169,9 @@ def test_a_rate_that_no_loop_has_is_refused_as_windows_of_ticks_grow_with_it(tmp
         ({"kind": "sim", "rate_Hz": RATE_Hz}, RECORDED[1:], r"its columns differ \(.*, which made it"),
     ],
 )
-def test_a_log_that_has_no_page_is_refused_with_what_draws_it(tmp_path, monkeypatch, options, columns, said):
+def test_a_log_of_another_kind_or_version_is_refused_with_advice(
+    tmp_path, monkeypatch, options, columns, said
+):
     log = SimpleNamespace(path="a.mcap", columns=columns, metadata={IDENTITY: options})
     monkeypatch.setattr(command, "readable", lambda _: SimpleNamespace(log=log))
     with pytest.raises(LogError, match=f"{said}.*; `hil plot` draws its columns$"):
@@ -180,7 +182,7 @@ EXTREMES = {"i": (-(2**63), -1, 2**40, 2**63 - 1), "f": (np.nan, np.inf, -np.inf
 
 
 @pytest.mark.parametrize("seed", broad(range(6), quick=3))
-def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
+def test_a_log_with_any_numbers_gives_a_page(logs, tmp_path, monkeypatch, seed):
     rng = np.random.default_rng(seed)
 
     def rows(log):
@@ -202,7 +204,7 @@ def test_any_numbers_in_a_log_give_a_page(logs, tmp_path, monkeypatch, seed):
 
 
 @pytest.mark.parametrize("count", [1, 2, 33])
-def test_a_log_of_few_ticks_of_any_content_gives_a_page(tmp_path, count):
+def test_a_log_with_few_ticks_of_any_content_gives_a_page(tmp_path, count):
     path = tmp_path / "a.mcap"
     options = {"kind": "sim", "rate_Hz": RATE_Hz}
     with Recording.start(
@@ -216,16 +218,16 @@ def test_a_log_of_few_ticks_of_any_content_gives_a_page(tmp_path, count):
     assert str(last) in path.with_suffix(".html").read_text(encoding="utf-8")
 
 
-def test_without_its_configuration_a_log_still_tells_what_went_wrong(logs, tmp_path, monkeypatch):
+def test_a_log_without_configuration_still_shows_its_faults(logs, tmp_path, monkeypatch):
     monkeypatch.setattr(Log, "configuration", "nonsense: 1\n")
     summary = report(logs / "bad.mcap", out=tmp_path / "bare.html")
     text = (tmp_path / "bare.html").read_text()
     assert "its encoder jumped" in text
     for place in (summary["remark"], text):
-        assert "without the configuration there are no limits" in place
+        assert "no limits, bus load and 3D view" in place
     assert 'id="scene"' not in text
 
 
-def test_commands_of_an_advice_are_set_as_code_and_a_lone_backtick_stays():
+def test_text_between_backticks_becomes_code_and_a_lone_backtick_stays():
     assert prose("say `hil check`, then `<b>`") == "say <code>hil check</code>, then <code>&lt;b&gt;</code>"
     assert prose("a ` b") == "a ` b"

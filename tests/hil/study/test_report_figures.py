@@ -1,4 +1,4 @@
-"""The figures of a page, computed again from the log's table by other means: curves, extremes, percentiles, bus load."""
+"""The figures of a page, recomputed from the log's table: curves, extremes, percentiles, bus load."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def unpacked(text):
 
 
 def cells(text):
-    """The cells of each row of a table."""
+    """Cells of each row of a table."""
     rows = re.findall(r"<tr>(.*?)</tr>", text)
     return [
         [re.sub(r"<.*?>", "", c).strip() for c in re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", r)] for r in rows
@@ -44,7 +44,7 @@ def cells(text):
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
-    """The page of a run that a curve has all samples of, and the log as a table."""
+    """Page of a run short enough for curves with all samples, and its log as a table."""
     folder = tmp_path_factory.mktemp("page")
     simulate(load("virtual"), log=folder / "a.mcap", duration_s=1.6, check_replay=False)
     text = (report(folder / "a.mcap")["page"], (folder / "a.html").read_text(encoding="utf-8"))[1]
@@ -64,7 +64,7 @@ def curves(chart):
 
 
 def expect(chart, labels, values, follows=None):
-    """Assert that curves are values (n, m), and nan where nothing is followed."""
+    """Assert that curves equal values (n, m), and are NaN while no reference is followed."""
     found = curves(chart)
     for label, y in zip(labels, values.T, strict=True):
         wanted = y if follows is None else np.where(follows, y, np.nan)
@@ -72,7 +72,7 @@ def expect(chart, labels, values, follows=None):
         np.testing.assert_allclose(found[label], wanted, rtol=0, atol=1e-6 * scale, err_msg=label)
 
 
-def test_errors_are_reference_less_measured_in_thousandths(page):
+def test_errors_are_reference_minus_measurement_in_mm_or_mrad(page):
     shown, _, frame, _ = page
     follows = frame["mode"].between(Mode.RELEASING, Mode.PARKING).to_numpy()
     assert 0 < follows.sum() < len(frame)
@@ -103,7 +103,7 @@ def test_errors_are_reference_less_measured_in_thousandths(page):
         ("Share [1]", ("lyapunov_share",), [1.0]),
     ],
 )
-def test_a_chart_has_the_curves_of_the_log_and_the_limits(page, key, names, levels):
+def test_a_chart_has_the_columns_of_the_log_and_the_limits(page, key, names, levels):
     shown, _, frame, _ = page
     assert shown[key]["levels"] == levels
     for name in names:
@@ -111,7 +111,7 @@ def test_a_chart_has_the_curves_of_the_log_and_the_limits(page, key, names, leve
         expect(shown[key], labels, frame[labels].to_numpy())
 
 
-def test_a_reference_is_dotted_and_modes_stand_under_their_names(page):
+def test_references_are_dotted_and_modes_are_labelled_by_name(page):
     shown, _, frame, _ = page
     kinds = {c["label"]: c["kind"] for c in shown["Leg length [m]"]["curves"]}
     assert (kinds["q_d.leg_3"], kinds["q.leg_3"]) == ("dotted", "line")
@@ -120,7 +120,7 @@ def test_a_reference_is_dotted_and_modes_stand_under_their_names(page):
     assert named == [Mode(mode).name for mode in frame["mode"].tolist()]
 
 
-def test_the_bus_is_as_busy_as_its_frames_are_long(page):
+def test_bus_load_is_the_sum_of_the_frame_times(page):
     """SYNC 75 us, 32 bytes 105.6 us, six times 12 bytes 64.6 us: 568.2 of 1000 us, see drivers/can/bus_time.py."""
     shown, _, frame, log = page
     busy = curves(shown["bus"])["bus hil0"]
@@ -136,7 +136,7 @@ def test_the_bus_is_as_busy_as_its_frames_are_long(page):
     assert shown["answered"]["levels"] == [1000.0]
 
 
-def test_what_plays_has_the_joints_poses_and_loads_of_the_run(page):
+def test_the_3d_view_has_joints_poses_and_forces_of_the_run(page):
     _, scene, frame, _ = page
     c = load("virtual")
     np.testing.assert_allclose(scene["base"], np.array(c.platform.base_joints_m))
@@ -151,7 +151,7 @@ def test_what_plays_has_the_joints_poses_and_loads_of_the_run(page):
 # -- from made-up rows ---------------------------------------------------------------------------------------
 
 
-def test_force_and_moment_of_a_wrench_are_charts_of_their_own():
+def test_force_and_moment_of_a_wrench_have_separate_charts():
     rows = rows_of(5, wrench=[1000.0, -2000.0, 3000.0, 40.0, 50.0, -60.0])
     shown = {c.key: c for c in charts(rows, None, Traffic(np.full(5, np.nan), {}), 1000.0)}
     for key, unit, labels, values in (
@@ -163,13 +163,13 @@ def test_force_and_moment_of_a_wrench_are_charts_of_their_own():
         assert [c.values[0] for c in shown[key].curves] == pytest.approx(values)
 
 
-def test_extremes_are_least_largest_and_the_root_of_the_mean_square():
+def test_extremes_are_minimum_maximum_and_rms():
     y = np.array([3.0, np.nan, -4.0, 0.0, 1.0])
     made = figure(Chart("x", "X", "x", "m", (Curve("a", y),)), np.array([0.0, 0.1, 0.2, 0.3, 0.4]))
     assert cells(made)[1] == ["a", "-4 at 0.200 s", "3 at 0.000 s", f"{sqrt(26 / 4):.5g}"]
 
 
-def test_percentiles_are_those_of_all_ticks():
+def test_percentiles_cover_all_ticks():
     rows = rows_of(1001, lateness_ns=1000 * np.arange(1001)[::-1])
     rows["compute_ns"] = 2_000
     rows["compute_ns"][0] = 10**9
@@ -185,7 +185,7 @@ def test_percentiles_are_those_of_all_ticks():
     ]
 
 
-def test_late_ticks_and_those_that_the_log_lacks_are_counted():
+def test_late_ticks_and_missing_ticks_are_counted():
     rows = rows_of(100)
     rows["skipped"][[0, 50]] = 7, 2
     rows["tick"][50:] += 2
@@ -194,7 +194,7 @@ def test_late_ticks_and_those_that_the_log_lacks_are_counted():
     assert [n for _, n in counts(rows)] == [2, 5]
 
 
-def test_what_is_left_of_a_limit_is_the_limit_less_the_value():
+def test_the_margin_is_the_limit_minus_the_value():
     found = Margin("leg rate", "limits.speed_m_s", 0.5, 2.0, "m/s", 3, 4)
     made = sections.limits([found], np.linspace(0.0, 0.9, 10), "")
     assert cells(made)[1][2:] == ["0.5 m/s", "2 m/s", "1.5 m/s", "4", "0.300", "limits.speed_m_s"]
@@ -202,14 +202,14 @@ def test_what_is_left_of_a_limit_is_the_limit_less_the_value():
 
 
 @pytest.mark.parametrize(("of_controller", "least"), [(25000.0, 25000.0), (40000.0, 30000.0)])
-def test_the_line_of_the_forces_is_the_smaller_limit_whichever_that_is(of_controller, least):
+def test_the_force_chart_shows_the_smaller_of_both_force_limits(of_controller, least):
     rows = rows_of(5, tau=1.0)
     shown = charts(rows, limited(force_N=of_controller), Traffic(np.full(5, np.nan), {}), 1000.0)
     (force,) = (chart for chart in shown if chart.title == "Leg force")
     assert force.levels == (-least, least), "30 kN are those of the drives"
 
 
-def test_each_bus_is_as_busy_as_its_own_bit_rate_makes_it():
+def test_the_load_of_each_bus_follows_from_its_own_bit_rate():
     frame = Frame(0x80, bytes(8))
     sent = (frame, frame._replace(flags=BUS), frame._replace(flags=BUS))
     log: Any = SimpleNamespace(
@@ -221,7 +221,7 @@ def test_each_bus_is_as_busy_as_its_own_bit_rate_makes_it():
 
 
 @pytest.mark.parametrize("at", [0, 1, 4999, 12345, 99_998, 99_999])
-def test_thinning_out_keeps_a_peak_of_one_sample_and_its_place(at):
+def test_thinning_keeps_a_peak_of_one_sample_and_its_place(at):
     t = np.linspace(0.0, 99.999, 100_000)
     y, z = np.sin(t), np.full(100_000, np.nan)
     y[at], z[at] = 50.0, -7.0

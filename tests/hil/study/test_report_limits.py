@@ -1,4 +1,4 @@
-"""How near a run came to each limit, from rows that are made by hand."""
+"""Margins of a run to each limit, from artificial rows."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RATE_Hz = 1000.0
 
 
 def rows_of(n, **columns):
-    """Rows of a platform that tracks and rests in mid-stroke, with other columns."""
+    """Rows of a platform that tracks at rest in mid-stroke, with some columns changed."""
     c = load("virtual").platform
     rows = np.zeros(n, ROW)
     rows["tick"], rows["t_ns"], rows["mode"] = np.arange(n), 1_000_000 * np.arange(n), Mode.TRACKING
@@ -33,7 +33,7 @@ def limited(**limits):
 
 
 def margin(rows, key, name="", c=None, rate_Hz=RATE_Hz):
-    """The one margin with this key (or any), whose name has `name`."""
+    """The only margin with this key (or any), with `name` in its name."""
     (found,) = (
         m for m in margins(rows, c or load("virtual"), rate_Hz) if m.key == (key or m.key) and name in m.name
     )
@@ -56,7 +56,7 @@ def nearest(rows, key, name="", c=None, rate_Hz=RATE_Hz):
         ("ddq_d", "limits.acceleration_m_s2", {"acceleration_m_s2": 0.5}),
     ],
 )
-def test_a_margin_has_leg_instant_value_and_limit_in_both_directions(column, key, limit, sign):
+def test_a_margin_has_leg_time_value_and_limit_in_both_directions(column, key, limit, sign):
     rows = rows_of(9)
     rows[column][5, 4] += sign * 0.4
     rows[column][6, 2] -= sign * 0.3
@@ -65,7 +65,7 @@ def test_a_margin_has_leg_instant_value_and_limit_in_both_directions(column, key
     assert (found.limit, found.used_percent) == (0.5, pytest.approx(80.0))
 
 
-def test_what_happens_while_a_rule_is_not_judged_is_no_margin():
+def test_ticks_in_which_a_rule_does_not_apply_give_no_margin():
     rows = rows_of(100)
     rows["dq"][70:, 0], rows["dq"][10, 1] = 1.9, 0.5
     rows["mode"][70:] = Mode.FAULT
@@ -76,7 +76,7 @@ def test_what_happens_while_a_rule_is_not_judged_is_no_margin():
     assert (found.row, found.leg) == (10, 1)
 
 
-def test_a_leg_error_is_measured_against_what_its_own_speed_allows():
+def test_the_limit_of_a_leg_error_depends_on_the_legs_own_speed():
     limits = load("virtual").limits
     rows = rows_of(10)
     rows["q_d"][3, 0] += 0.9 * limits.following_error_m
@@ -87,7 +87,7 @@ def test_a_leg_error_is_measured_against_what_its_own_speed_allows():
     assert found.used_percent == pytest.approx(90.0)
 
 
-def test_the_change_of_force_within_the_window_is_that_of_all_pairs_of_ticks():
+def test_the_force_change_in_a_window_covers_all_pairs_of_ticks():
     rng = np.random.default_rng(5)
     tau = np.cumsum(rng.normal(0.0, 10.0, (900, 6)), axis=0)
     found = margin(rows_of(900, tau=tau), "limits.force_window_N")
@@ -101,7 +101,7 @@ def test_the_change_of_force_within_the_window_is_that_of_all_pairs_of_ticks():
     assert (found.value, found.row, found.leg) == (pytest.approx(value), row, leg)
 
 
-def test_motion_on_closed_brakes_counts_from_where_a_leg_was_first_heard():
+def test_motion_on_closed_brakes_counts_from_the_first_fresh_reading():
     rows = rows_of(60)
     rows["mode"][:30], rows["mode"][50:] = Mode.LOADING, Mode.UNLOADING
     rows["age"][:5] = 3
@@ -112,7 +112,7 @@ def test_motion_on_closed_brakes_counts_from_where_a_leg_was_first_heard():
     assert nearest(rows, "limits.standstill_m") == (55, 1, 3e-4)
 
 
-def test_braking_is_judged_towards_the_end_that_a_leg_moves_to():
+def test_braking_distance_counts_towards_the_end_that_a_leg_approaches():
     c = load("virtual")
     soft = c.platform.length_max_m - c.limits.stroke_margin_m
     rows = rows_of(10)
@@ -129,7 +129,7 @@ def test_missed_periods_add_up_until_a_tick_is_on_time():
     assert margin(rows, "limits.missed_stop_ticks").value == 3
 
 
-def test_of_32_ticks_those_with_refused_frames_are_counted():
+def test_ticks_with_rejected_frames_are_counted_within_32_ticks():
     rows = rows_of(200)
     rows["rejected"][[10, 20, 41, 42, 43, 120]] = 4
     assert nearest(rows, "", "frames were refused") == (43, None, 4), (
@@ -137,7 +137,7 @@ def test_of_32_ticks_those_with_refused_frames_are_counted():
     )
 
 
-def test_a_force_step_is_one_between_ticks_that_follow_each_other():
+def test_a_force_step_counts_only_between_consecutive_ticks():
     rows = rows_of(400)
     rows["tau"][:, 1] = 100.0
     rows["tau"][200:, 1] = 1000.0
@@ -149,7 +149,7 @@ def test_a_force_step_is_one_between_ticks_that_follow_each_other():
     assert nearest(rows, "limits.force_step_N") == (200, 1, 900.0), "a skipped tick holds the force"
 
 
-def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
+def test_the_force_window_is_a_time_even_if_ticks_are_missing():
     rows = rows_of(300)
     rows["tau"][:100, 3] = 700.0
     rows["tick"][110:] += 500
@@ -162,7 +162,7 @@ def test_the_window_of_forces_is_one_of_time_where_ticks_are_missing():
     assert margin(rows, "limits.force_window_N").value == 90.0, "500 lost ticks are longer than 250 ms"
 
 
-def test_the_certificate_is_used_up_by_what_lasts_and_not_by_one_tick():
+def test_the_certificate_margin_counts_lasting_values_not_single_ticks():
     assert load("virtual").monitor.confirm_ticks == 3
     rows = rows_of(60, lyapunov_share=0.1)
     rows["lyapunov_share"][:3] = np.nan
@@ -172,7 +172,7 @@ def test_the_certificate_is_used_up_by_what_lasts_and_not_by_one_tick():
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor"]
 
 
-def test_the_margin_of_an_encoder_names_its_leg_and_counts_at_rest_too():
+def test_the_encoder_margin_has_its_leg_and_also_counts_at_rest():
     rows = rows_of(40, encoder_share=np.nan)
     assert not [m for m in margins(rows, load("virtual"), RATE_Hz) if m.key == "monitor.length_noise_m"]
     rows["encoder_share"][:] = 0.25
@@ -191,7 +191,7 @@ def fused(**settings):
     )
 
 
-def test_the_uncertainty_of_a_fused_position_is_that_of_all_three_directions():
+def test_the_uncertainty_of_a_fused_position_covers_all_three_directions():
     rows = rows_of(30)
     rows["pose_std"][12] = [2e-3, 1e-3, 2e-3, 9.0, 9.0, 9.0]
     found = margin(rows, "", "standard deviation", fused(position_std_max_m=6e-3))
@@ -222,7 +222,7 @@ def test_a_lost_encoder_counts_the_time_without_the_tracker():
     ],
     ids=["may be lost", "may not", "too many", "proves a brake", "was the fault"],
 )
-def test_the_age_of_a_leg_that_may_be_lost_is_no_margin(lost, mode, faults, age):
+def test_the_age_of_a_leg_that_may_be_lost_gives_no_margin(lost, mode, faults, age):
     rows = rows_of(30)
     rows["age"][10, 0] = 2
     rows["age"][20] = [900 * (lost >> leg & 1) for leg in range(6)]
@@ -231,7 +231,7 @@ def test_the_age_of_a_leg_that_may_be_lost_is_no_margin(lost, mode, faults, age)
     assert margin(rows, "limits.stale_fault_ticks", c=fused()).value == age
 
 
-def test_an_encoder_is_against_the_fused_pose_three_ticks_in_a_row_until_it_has_slipped():
+def test_slip_of_an_encoder_counts_three_ticks_in_a_row():
     rows = rows_of(60, legs_used=0b111111)
     rows["innovation_q"][5] = 1.0
     rows["legs_used"][20:22] = rows["legs_used"][30:] = 0b011111
@@ -245,13 +245,13 @@ def test_an_encoder_is_against_the_fused_pose_three_ticks_in_a_row_until_it_has_
 @pytest.mark.parametrize(
     ("of_controller", "key"), [(25000.0, "limits.force_N"), (40000.0, "drives.force_limit_N")]
 )
-def test_a_force_is_measured_against_the_smaller_of_both_limits(of_controller, key):
+def test_the_smaller_of_both_force_limits_counts(of_controller, key):
     rows = rows_of(9)
     rows["tau"][3, 2] = -5000.0
     assert margin(rows, key, c=limited(force_N=of_controller)).limit == min(of_controller, 30000.0)
 
 
-def test_a_length_is_measured_from_the_middle_to_the_nearer_end():
+def test_a_leg_length_counts_from_mid_stroke_to_the_nearer_end():
     rows = rows_of(9)
     rows["q"][2, 3], rows["q"][5, 0] = 0.80, 2.10
     found = margin(rows, "platform.length_max_m")
@@ -259,7 +259,7 @@ def test_a_length_is_measured_from_the_middle_to_the_nearer_end():
     assert found.used_percent == pytest.approx(100 * 0.675 / 0.725)
 
 
-def test_the_nearest_limit_comes_first_and_a_stretch_has_its_share_of_the_run():
+def test_the_nearest_limit_comes_first():
     rows = rows_of(5000)
     rows["stretched_ns"][[1000, 3000]] = 400_000_000, 3_000_000
     used = [m.used_percent for m in margins(rows, load("virtual"), RATE_Hz)]
@@ -270,8 +270,8 @@ def test_the_nearest_limit_comes_first_and_a_stretch_has_its_share_of_the_run():
 
 
 @pytest.mark.parametrize("settings", [{"tracker": TrackerSettings()}, {"imu": ImuSettings()}], ids=list("ti"))
-def test_refused_frames_have_no_margin_where_those_of_sensors_are_among_them(settings: dict[str, Any]):
-    """They never fault, and a log does not tell them from those of the drives."""
+def test_rejected_frames_have_no_margin_if_sensors_are_on_the_bus(settings: dict[str, Any]):
+    """Rejected frames of sensors never fault, and a log does not distinguish them from those of drives."""
     rows = rows_of(200, rejected=1)
     assert margin(rows, "", "frames were refused").used_percent == 400.0
     c = load("virtual").model_copy(update={"sensors": SensorSettings(**settings)})

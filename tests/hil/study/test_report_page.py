@@ -1,4 +1,4 @@
-"""The page of `hil report` in a browser: no error, no request to elsewhere, keyboard, a phone's width."""
+"""The page of `hil report` in a browser: no error, no external request, keyboard, a phone's width."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NOT_OURS = {
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory):
-    """A run of 1.5 s that is good, and one whose encoder jumps: logs and pages."""
+    """Logs and pages of a good run of 1.5 s, and of one with an encoder jump."""
     folder = tmp_path_factory.mktemp("pages")
     good = simulate(load("virtual"), log=folder / "good.mcap", duration_s=1.5, check_replay=False)
     faulted = with_faults(load("virtual"), ("encoder_jump leg=3 at=2 by=5e-3",))
@@ -41,14 +41,14 @@ def pages(tmp_path_factory):
 
 
 @pytest.mark.long
-def test_chromium_is_here_for_the_tests_of_pages():
+def test_chromium_is_installed():
     assert CHROMIUM is not None, "apt install chromium: the tests of pages have not run"
 
 
 @needs_chromium
 @pytest.mark.parametrize("name", ["good", "bad"])
 @pytest.mark.parametrize("width", broad([1200, 390], quick=1))
-def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pages, tmp_path, name, width):
+def test_a_page_opens_without_errors_external_requests_or_overflow(pages, tmp_path, name, width):
     file = pages / f"{name}.html"
     with Browser(width=width) as browser:
         browser.open(file)
@@ -65,7 +65,7 @@ def test_a_page_opens_without_an_error_a_request_to_elsewhere_or_a_wide_line(pag
 
 @needs_chromium
 @pytest.mark.long
-def test_a_page_plays_and_zooms_by_the_keyboard_alone(pages, tmp_path):
+def test_a_page_plays_and_zooms_with_the_keyboard(pages, tmp_path):
     with Browser() as browser:
         browser.open(pages / "good.html")
         browser.value("document.getElementById('play').focus()")
@@ -80,7 +80,7 @@ def test_a_page_plays_and_zooms_by_the_keyboard_alone(pages, tmp_path):
         browser.value("document.querySelectorAll('.chart')[0].focus()")
         browser.key("+", "+")
         zoomed = browser.value("document.querySelectorAll('.chart')[3].plot.scales.x.max")
-        assert zoomed == pytest.approx(0.75 * whole, rel=0.02), "all curves share their time"
+        assert zoomed == pytest.approx(0.75 * whole, rel=0.02), "all curves share one time axis"
         browser.key("0", "0")
         assert browser.value("document.querySelectorAll('.chart')[3].plot.scales.x.max") == pytest.approx(
             whole
@@ -92,7 +92,7 @@ def test_a_page_plays_and_zooms_by_the_keyboard_alone(pages, tmp_path):
 
 
 @needs_chromium
-def test_what_plays_is_the_pose_of_the_log(pages, tmp_path):
+def test_the_3d_view_plays_the_pose_of_the_log(pages, tmp_path):
     rows = Log.open(pages / "good.mcap").rows()
     at = int(np.argmax(rows["p"][:, 0]))
     t = float((rows["t_ns"][at] - rows["t_ns"][0]) * 1e-9)
@@ -112,8 +112,8 @@ def test_what_plays_is_the_pose_of_the_log(pages, tmp_path):
 
 
 @needs_chromium
-def test_a_turned_platform_is_drawn_where_its_turned_joints_are(pages, tmp_path):
-    """x = p + R b: the same picture as of a platform that is not turned and whose joints are R b."""
+def test_a_rotated_platform_is_drawn_at_its_rotated_joints(pages, tmp_path):
+    """x = p + R b: the picture equals that of a platform without rotation whose joints are at R b."""
     R = Rotation.from_rotvec([0.3, -0.5, 0.7]).as_matrix()
     joints = np.array(
         [[1, 0, 0], [0.6, 0.8, 0.1], [-0.5, 0.9, 0], [-1, 0, 0.2], [-0.5, -0.8, 0], [0.5, -0.9, 0]]
@@ -143,7 +143,7 @@ def test_a_turned_platform_is_drawn_where_its_turned_joints_are(pages, tmp_path)
 
 
 @needs_chromium
-def test_a_text_of_a_log_never_becomes_part_of_the_page(pages, tmp_path):
+def test_text_of_a_log_never_becomes_markup(pages, tmp_path):
     hostile = '<img src=x onerror="document.title=1"><script>document.title=2</script>'
     page = (pages / "bad.html").read_text()
     name = tmp_path / "run<b>&\"'.mcap"
@@ -160,11 +160,11 @@ def test_a_text_of_a_log_never_becomes_part_of_the_page(pages, tmp_path):
 
 
 @pytest.mark.parametrize("name", NOT_OURS)
-def test_what_is_not_ours_is_what_its_makers_released(name):
+def test_third_party_assets_equal_their_released_files(name):
     assert hashlib.sha256(asset(name).encode()).hexdigest() == NOT_OURS[name]
 
 
-def test_the_page_names_no_address_but_those_in_licences(pages):
+def test_the_page_has_no_url_outside_licences(pages):
     text = (pages / "good.html").read_text()
     assert not re.search(r"""(?:src|href|url)\s*[=(]\s*["']?\s*(?:https?:)?//""", text)
     assert "Permission is hereby granted" in text

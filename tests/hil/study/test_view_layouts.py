@@ -1,4 +1,4 @@
-"""The layouts for Foxglove, Lichtblick and PlotJuggler: what they name is in the log, and of a kind they draw."""
+"""Layouts for Foxglove, Lichtblick and PlotJuggler: each name is in the log, with a type that can be drawn."""
 
 import json
 import re
@@ -23,7 +23,7 @@ LAYOUTS = Path(__file__).parents[3] / "configs" / "viewers"
 SCRIPT_TOPIC = "/studio_script/differences"
 DOUBLE, BOOL, ENUM = 1, 8, 14
 NUMBERS = {DOUBLE, 2, 3, 7, BOOL, 13, 16}
-"""Types of fields of protobuf."""
+"""Numeric field types of protobuf."""
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +55,7 @@ def messages(path):
 
 
 def kind_at(descriptor, names):
-    """Kind of the value at names of fields, `x[3]` of a repeated one; None where there is none."""
+    """Type of the value at a list of field names, `x[3]` for repeated fields; None: no such field."""
     for k, name in enumerate(names):
         plain, indexed, _ = name.partition("[")
         field = descriptor.fields_by_name.get(plain)
@@ -70,7 +70,7 @@ def kind_at(descriptor, names):
 
 
 def resolve(found, value):
-    """Kind of the value at a message path of Foxglove."""
+    """Type of the value at a message path of Foxglove."""
     topic = next((t for t in found if value.startswith(f"{t}.")), None)
     return topic and kind_at(found[topic], value[len(topic) + 1 :].split("."))
 
@@ -80,7 +80,7 @@ def parts():
     return content, content["configById"]
 
 
-def test_each_path_of_a_foxglove_plot_is_a_number_of_the_log(log):
+def test_each_path_of_a_foxglove_plot_is_a_number_in_the_log(log):
     found = messages(log.path)
     content, panels = parts()
     paths = [p["value"] for name, c in panels.items() if name.startswith("Plot!") for p in c["paths"]]
@@ -129,7 +129,7 @@ def test_every_panel_of_the_foxglove_layout_is_shown_once():
 
 
 def names_in_plotjuggler(descriptor, prefix):
-    """Series of numbers that PlotJuggler's reader of protobuf makes of a message: fields joined by `/`."""
+    """Number series that PlotJuggler's protobuf reader makes of a message: fields joined by `/`."""
     for field in descriptor.fields:
         name = f"{prefix}/{field.name}"
         if field.is_repeated:
@@ -140,7 +140,7 @@ def names_in_plotjuggler(descriptor, prefix):
             yield name
 
 
-def test_each_curve_of_plotjuggler_is_a_number_of_the_log_or_made_of_two(log):
+def test_each_plotjuggler_curve_is_a_number_in_the_log_or_a_difference(log):
     there = set(names_in_plotjuggler(messages(log.path)[log.topic], log.topic))
     root = ET.parse(LAYOUTS / "plotjuggler.xml").getroot()
     made = set()
@@ -158,7 +158,7 @@ def test_each_curve_of_plotjuggler_is_a_number_of_the_log_or_made_of_two(log):
     assert made <= set(curves)
 
 
-def test_plotjuggler_opens_the_log_and_its_rows_alone(path, tmp_path):
+def test_plotjuggler_opens_only_the_row_topic_of_the_log(path, tmp_path):
     view(path, "plotjuggler", out=tmp_path / "a.xml", start=False)
     root = ET.parse(tmp_path / "a.xml").getroot()
     (file,) = root.findall("previouslyLoaded_Datafiles/fileInfo")
@@ -202,7 +202,7 @@ def test_the_viewer_is_started_with_its_file(path, tmp_path, monkeypatch, viewer
     assert hil("view", log, "--with", viewer).exit_code == 0, "a second time, too"
 
 
-def test_a_viewer_that_fails_or_is_not_there_is_reported(path, tmp_path, monkeypatch):
+def test_a_viewer_that_fails_or_is_missing_is_reported(path, tmp_path, monkeypatch):
     fake, out = tmp_path / "plotjuggler", tmp_path / "a.xml"
     monkeypatch.setenv("PATH", f"{tmp_path}:/bin")
     done = hil("view", path, "--with", "plotjuggler", "--out", out)

@@ -1,4 +1,4 @@
-"""A log as a Rerun recording: Rerun's own check and its own query find the scalars, the states, the robot."""
+"""A log as a Rerun recording: Rerun's own tools find the scalars, the states and the robot."""
 
 import subprocess
 import sys
@@ -21,7 +21,7 @@ EXTRA = "optional extra `viewers`: pip install 'hexapod-hil[viewers]'"
 
 
 def simulated(path):
-    """A short run with a fault: an encoder jumps, the brakes close."""
+    """A short run with a fault: an encoder jumps, and the brakes close."""
     words = ["sim", "virtual", "--duration", "3", "--fault", "encoder_jump leg=0 at=2.5 by=5e-3"]
     done = CliRunner().invoke(main, [*words, "--log", str(path)])
     assert path.exists(), done.output
@@ -52,7 +52,7 @@ def recording(path):
 
 @pytest.fixture(scope="module")
 def query(recording):
-    """Ask Rerun's catalog: entity and component -> ticks and values, without those that are missing."""
+    """Read entity and component -> ticks and values from Rerun's catalog, without missing values."""
     pytest.importorskip("datafusion", reason=EXTRA)
     from rerun.server import Server  # noqa: PLC0415 - needs the extra
 
@@ -74,7 +74,7 @@ def query(recording):
 
 @pytest.mark.long
 @pytest.mark.parametrize(("entity", "column", "element"), [("tau/leg_3", "tau", 3), ("p/z", "p", 2)])
-def test_a_component_is_a_scalar_of_its_name_in_every_tick(query, rows, entity, column, element):
+def test_each_component_is_a_named_scalar_in_every_tick(query, rows, entity, column, element):
     ticks, values = zip(*query(f"/tick/{entity}", "Scalars:scalars"), strict=True)
     np.testing.assert_array_equal(ticks, rows["tick"])
     np.testing.assert_array_equal(np.ravel(values), rows[column][:, element])
@@ -84,13 +84,13 @@ def test_a_component_is_a_scalar_of_its_name_in_every_tick(query, rows, entity, 
 
 
 @pytest.mark.long
-def test_the_error_of_a_leg_is_there_although_no_log_has_it(query, rows):
+def test_the_leg_error_is_computed_although_it_is_not_in_the_log(query, rows):
     values = [v[0] for _, v in query("/differences/q_d-q/leg_5", "Scalars:scalars")]
     np.testing.assert_allclose(values, rows["q_d"][:, 5] - rows["q"][:, 5], rtol=0, atol=0)
 
 
 @pytest.mark.long
-def test_modes_and_flags_stand_by_name_at_the_ticks_where_they_change(query, rows):
+def test_modes_and_flags_are_recorded_by_name_when_they_change(query, rows):
     expected = []
     for number, ticks in groupby(rows[["tick", "mode"]].tolist(), key=lambda pair: pair[1]):
         expected.append((next(ticks)[0], [Mode(number).name]))
@@ -101,7 +101,7 @@ def test_modes_and_flags_stand_by_name_at_the_ticks_where_they_change(query, row
 
 
 @pytest.mark.long
-def test_the_platform_moves_as_the_log_says(query, rows):
+def test_the_platform_moves_as_in_the_log(query, rows):
     pose = dict(query("/robot/platform", "Transform3D:translation"))
     turned = dict(query("/robot/platform", "Transform3D:quaternion"))
     assert len(pose) > 50
@@ -116,7 +116,7 @@ def test_the_platform_moves_as_the_log_says(query, rows):
 
 
 @pytest.mark.long
-def test_events_stand_with_their_level(query, path):
+def test_events_are_recorded_with_their_level(query, path):
     texts = [v for _, v in query("/events", "TextLog:text")]
     levels = [v for _, v in query("/events", "TextLog:level")]
     events = Log(path).events()
@@ -144,7 +144,7 @@ def test_a_log_without_a_platform_is_written_without_a_robot(tmp_path):
 
 @pytest.mark.long
 @pytest.mark.parametrize("what", ["empty", "cut", "whole"])
-def test_rerun_finds_nothing_wrong_in_an_empty_a_cut_and_a_whole_log(tmp_path, path, what):
+def test_rerun_verifies_recordings_of_empty_truncated_and_whole_logs(tmp_path, path, what):
     pytest.importorskip("rerun", reason=EXTRA)
     log = tmp_path / "a.mcap"
     if what != "empty":
@@ -163,7 +163,7 @@ def test_rerun_finds_nothing_wrong_in_an_empty_a_cut_and_a_whole_log(tmp_path, p
 
 
 @pytest.mark.long
-def test_rerun_is_started_on_the_recording_and_listens_on_this_machine_alone(path, tmp_path, monkeypatch):
+def test_rerun_is_started_on_the_recording_and_listens_on_loopback_only(path, tmp_path, monkeypatch):
     pytest.importorskip("rerun", reason=EXTRA)
     started: list[list[str]] = []
 

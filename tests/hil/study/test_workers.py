@@ -1,4 +1,4 @@
-"""Jobs in processes: each has one outcome, whichever dies, and none is made long before its turn."""
+"""Jobs in processes: each has one outcome, whichever process dies, and none is made long in advance."""
 
 import os
 import signal
@@ -15,7 +15,7 @@ from tests.realtime.rig import wait_until_gone
 
 
 class Work(list):  # type: ignore[type-arg]
-    """Jobs, and how many of them were asked for."""
+    """Jobs, and a count of how many were taken."""
 
     made = 0
 
@@ -25,7 +25,7 @@ class Work(list):  # type: ignore[type-arg]
             yield job
 
 
-def test_a_process_that_dies_takes_few_jobs_with_it_and_none_of_a_million_is_made_before_its_turn():
+def test_a_dead_process_repeats_few_jobs_and_jobs_are_made_only_when_due():
     work = Work([os.getpid] * 40)
     work[5] = partial(os._exit, 1)
     outcomes = perform(work, call, lambda _: "died", 2, None)
@@ -49,11 +49,11 @@ with attached():
     for found in perform([os.getpid] * 8 + [partial(time.sleep, 100.0)] * 4, call, str, 2, None):
         print(found, flush=True)
 """
-"""Tells its workers' numbers, and has them sleep."""
+"""Prints its workers' process numbers, and lets them sleep."""
 
 
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
-def test_workers_end_with_who_started_them_in_the_middle_of_their_jobs(how):
+def test_workers_end_when_their_parent_dies_in_the_middle_of_jobs(how):
     with subprocess.Popen(
         [sys.executable, "-c", LONG], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
     ) as process:
@@ -66,8 +66,8 @@ def test_workers_end_with_who_started_them_in_the_middle_of_their_jobs(how):
     assert process.returncode != 0
 
 
-def test_one_job_has_a_process_of_its_own_unless_this_one_is_asked_for():
-    """One that crashes would take the command with it."""
+def test_a_single_job_runs_in_a_separate_process_unless_jobs_is_1():
+    """A crashing job in this process would end the command."""
     (found,) = perform([os.getpid], call, str, None, None)
     assert found != os.getpid()
     assert list(perform([partial(os._exit, 1)], call, lambda _: "died", None, None)) == ["died"]

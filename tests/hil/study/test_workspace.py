@@ -24,7 +24,7 @@ NO_MASS = {"mass": 0.0, "com": 0.0, "inertia_axial": 0.0, "inertia_transverse": 
 
 
 def light_legs(geometry):
-    """The same platform on legs that weigh nothing: its statics fit on one line."""
+    """The same platform with massless legs, for statics in closed form."""
     return {**geometry, "cylinder": NO_MASS, "rod": NO_MASS}
 
 
@@ -38,7 +38,7 @@ OFFSETS = np.array(
 PAIRS = light_legs({**BOOK, "base_joints": OFFSETS + CENTRES.repeat(2, 0), "platform_joints": OFFSETS})
 PAIRS_HOME = np.array([0.0, 0.0, 0.4])
 HALF_LENS = np.pi * (4 * REACH + 2 * D) * (2 * REACH - 2 * D) ** 2 / 12 / 2
-"""Two unit spheres 1.2 m apart (the third holds all that they share), cut at z = 0 where det J = 0."""
+"""Two unit spheres 1.2 m apart (the third contains their intersection), cut at z = 0 where det J = 0."""
 
 
 @pytest.fixture(scope="module")
@@ -63,23 +63,23 @@ def lengths(platform, P, R=UPRIGHT):
 
 
 def static_forces(platform, p, R, payload=0.0, at=(0.0, 0.0, 0.0)):
-    """Of legs that weigh nothing: J^T tau holds the two weights up."""
+    """Statics with massless legs: J^T tau supports the weights of platform and payload."""
     up, load = -platform.platform.mass * platform.gravity, -payload * platform.gravity
     moment = np.cross(R @ platform.platform.com, up) + np.cross(R @ np.array(at), load)
     return np.linalg.solve(jacobian(platform, p, R).T, np.concatenate([up + load, moment]))
 
 
-def test_the_volume_of_half_a_lens_is_the_closed_form(half_lens):
+def test_the_volume_of_half_a_lens_agrees_with_the_closed_form(half_lens):
     assert half_lens.volume == pytest.approx(HALF_LENS, rel=1e-2)
     assert abs(half_lens.volume - HALF_LENS) <= half_lens.volume_error
 
 
-def test_the_extents_of_half_a_lens_are_the_closed_form(half_lens):
+def test_the_extents_of_half_a_lens_agree_with_the_closed_form(half_lens):
     rim = np.sqrt(REACH**2 - D**2)
     assert half_lens.extents == pytest.approx(np.array([[D - 1, 1 - D], [-rim, rim], [0, rim]]), abs=5e-3)
 
 
-def test_what_lies_behind_a_singularity_is_not_reached(pairs, half_lens):
+def test_poses_beyond_a_singularity_are_not_reached(pairs, half_lens):
     mirrored = half_lens.nodes * [1, 1, -1]
     q = lengths(pairs.platform, mirrored)
     assert ((q > 1e-3) & (q < REACH)).all()
@@ -91,13 +91,13 @@ def test_what_lies_behind_a_singularity_is_not_reached(pairs, half_lens):
     assert beyond.any()  # the grid goes on there
 
 
-def test_the_largest_sphere_is_the_closed_form(pairs):
+def test_the_largest_sphere_agrees_with_the_closed_form(pairs):
     sphere = largest_sphere(pairs, 0.02, 1.0)
     assert sphere.radius == pytest.approx(REACH - np.hypot(D, PAIRS_HOME[2]), abs=1e-6)
     assert KINDS[sphere.kind] == "stroke"
 
 
-def test_the_largest_cylinder_nearly_has_the_volume_of_the_closed_form(pairs):
+def test_the_largest_cylinder_nearly_agrees_with_the_closed_form(pairs):
     # Radius r about z, from the singular plane to the edge of the lens: (r + d)^2 + z^2 = 1.
     best = minimize_scalar(
         lambda r: -np.pi * r**2 * np.sqrt(1 - (r + D) ** 2), bounds=(0, 1 - D), method="bounded"
@@ -112,7 +112,7 @@ def book(limits, geometry=BOOK, R=UPRIGHT, **more):
 
 
 def boundary(surveyor, kind, resolution=12):
-    """Points of the boundary that a limit makes up."""
+    """Points of the boundary at one kind of limit."""
     mapped = map_positions(surveyor, resolution)
     met = mapped.points[mapped.kinds == KINDS.index(kind)]
     assert len(met) > 10
@@ -132,7 +132,7 @@ def test_the_volume_of_six_shells_agrees_with_quasi_monte_carlo():
     assert mapped.volume == pytest.approx(good.mean() * np.prod(far - corner), rel=4e-3)
 
 
-def test_a_stroke_boundary_has_a_leg_exactly_at_its_end():
+def test_a_leg_is_exactly_at_its_end_on_a_stroke_boundary():
     low, high = 1.1, 1.9
     surveyor = book(Limits(low, high))
     met = boundary(surveyor, "stroke", 16)
@@ -143,11 +143,11 @@ def test_a_stroke_boundary_has_a_leg_exactly_at_its_end():
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.12, -0.12])
-def test_torsion_and_tilt_of_the_book_platform_are_the_closed_form(turn):
-    """The ends stay where they are when home is turned: it is nearer to one.
+def test_torsion_and_tilt_of_the_book_platform_agree_with_closed_forms(turn):
+    """The range stays when home is rotated, so home is nearer to one end.
 
     Joints at radius 2 and 1, 30 degrees apart, 1 m above: l^2 = 6 - 4 cos(30 deg + torsion). Leaning towards
-    +y sinks no joint on the way: l^2 = 6 - 4 cos(30 deg + tilt) for the legs at (0, -1, 0).
+    +y lowers no joint at first: l^2 = 6 - 4 cos(30 deg + tilt) for the legs at (0, -1, 0).
     """
     high, R = 2.18, Rotation.from_rotvec([0.0, 0.0, turn]).as_matrix()
     found = map_orientations(book(Limits(0.5, high), R=R), azimuths=72)
@@ -159,7 +159,7 @@ def test_torsion_and_tilt_of_the_book_platform_are_the_closed_form(turn):
         assert found.guaranteed[0] == pytest.approx(0, abs=1e-6)
 
 
-def test_a_force_boundary_has_a_leg_exactly_at_the_limit():
+def test_a_leg_force_is_exactly_at_its_limit_on_a_force_boundary():
     limit, payload, at = 6000.0, 150.0, (0.2, -0.1, 0.3)
     surveyor = book(Limits(0.3, 3.0, force=limit), light_legs(BOOK), payload=payload, payload_at=at)
     met = boundary(surveyor, "force")
@@ -168,7 +168,7 @@ def test_a_force_boundary_has_a_leg_exactly_at_the_limit():
         assert np.abs(tau).max() == pytest.approx(limit, rel=1e-6)
 
 
-def test_a_joint_boundary_has_a_leg_exactly_at_its_largest_angle():
+def test_a_joint_is_exactly_at_its_largest_angle_on_a_joint_boundary():
     base_limit, platform_limit = np.deg2rad([18.0, 19.0])
     platform = Platform.from_dict(BOOK)
     home = jacobian(platform, HOME, UPRIGHT)[:, :3]
@@ -182,7 +182,7 @@ def test_a_joint_boundary_has_a_leg_exactly_at_its_largest_angle():
         assert max(base, other) == pytest.approx(0, abs=1e-8)
 
 
-def test_the_axis_of_a_platform_joint_turns_with_the_platform():
+def test_platform_joint_axes_rotate_with_the_platform():
     limit = np.deg2rad(20.0)
     surveyor = book(Limits(0.1, 5.0, platform_angle=limit))
     orientations = map_orientations(surveyor, azimuths=12)
@@ -206,7 +206,7 @@ def test_dexterity_agrees_with_numpy():
         assert least[k] == pytest.approx(1 / np.linalg.norm(np.linalg.inv(J), 2), rel=1e-9)
 
 
-def test_a_singularity_boundary_is_where_the_controller_stops():
+def test_the_singularity_boundary_is_the_controllers_condition_limit():
     surveyor = book(Limits(0.3, 3.0, condition=6.0))
     met = boundary(surveyor, "singularity")
     numbers = np.array([np.linalg.cond(jacobian(surveyor.platform, p, UPRIGHT)) for p in met])
@@ -214,7 +214,7 @@ def test_a_singularity_boundary_is_where_the_controller_stops():
     assert (numbers >= 6.0 / 1.2511).all()
 
 
-def test_an_interference_boundary_has_two_legs_a_diameter_apart():
+def test_two_legs_are_a_diameter_apart_on_an_interference_boundary():
     diameter = 1.5  # the book's legs are 1.73 m apart at home, but for those that share a joint
     surveyor = book(Limits(0.6, 2.2, leg_diameter=diameter))
     met = boundary(surveyor, "interference")
@@ -230,7 +230,7 @@ def test_an_interference_boundary_has_two_legs_a_diameter_apart():
         assert min(gaps) == pytest.approx(diameter, abs=1e-6)
 
 
-def test_a_section_holds_the_nodes_of_its_plane_and_points_on_the_boundary():
+def test_a_section_has_the_nodes_of_its_plane_and_boundary_points():
     surveyor = book(Limits(0.77, 2.18, force=25000.0, condition=50.0))
     mapped = map_positions(surveyor, 16)
     for plane in PLANES:
@@ -259,7 +259,7 @@ OUTSIDE = [
 
 
 @pytest.mark.parametrize(("limits", "message"), OUTSIDE)
-def test_a_home_outside_a_limit_is_refused_with_its_value(limits, message):
+def test_home_outside_a_limit_is_refused_with_value_and_limit(limits, message):
     upwards = np.tile([0.0, 0.0, 1.0], (6, 1))
     book(Limits(1.0, 2.0, 20000.0, 3.0, np.deg2rad(52)), base_axes=upwards)
     with pytest.raises(WorkspaceError) as caught:
@@ -268,13 +268,13 @@ def test_a_home_outside_a_limit_is_refused_with_its_value(limits, message):
     assert message in problem
 
 
-def test_orientations_at_a_position_that_is_not_reached_are_refused(pairs, half_lens):
+def test_orientations_at_an_unreachable_position_are_refused(pairs, half_lens):
     with pytest.raises(WorkspaceError, match="not reached from home: the straight line meets the limit sing"):
         map_orientations(pairs, (0.0, 0.0, -0.4), half_lens)
 
 
 @pytest.mark.parametrize("R", [UPRIGHT, TURNED], ids=["upright", "turned"])
-def test_home_holds_the_largest_payload_and_no_more_however_it_is_turned(R):
+def test_home_supports_exactly_the_largest_payload_at_any_rotation(R):
     loaded = book(Limits(0.3, 3.0, force=20000.0), light_legs(BOOK), R, payload_at=AT)
     tau = static_forces(loaded.platform, HOME, R, loaded.largest_payload(), AT)
     assert np.abs(tau).max() == pytest.approx(20000.0, rel=1e-9)

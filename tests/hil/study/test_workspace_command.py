@@ -1,4 +1,4 @@
-"""`hil workspace`: summary, picture, JSON, and what it refuses."""
+"""`hil workspace`: summary, picture, JSON, and refusals."""
 
 import json
 
@@ -37,7 +37,7 @@ def mapped(tmp_path_factory):
     return folder, result.output
 
 
-def test_json_file_and_summary_have_the_figures(mapped):
+def test_json_file_and_summary_have_all_figures(mapped):
     folder, output = mapped
     summary = json.loads((folder / "lab.json").read_text())
     assert summary["success"]
@@ -71,7 +71,7 @@ def test_json_file_and_summary_have_the_figures(mapped):
     assert summary["limits"]["base_joint_angle_deg"] is None
 
 
-def test_the_map_keeps_to_the_joint_angles_of_the_configuration():
+def test_the_map_respects_the_joint_angles_of_the_configuration():
     more = "  base_joint_angle_max_deg: 8\n  platform_joint_angle_max_deg: 100\n"
     c = loads(edited((ANGLES, ANGLES + more)), "my.yaml")
     surveyor = build_surveyor(c)
@@ -80,7 +80,7 @@ def test_the_map_keeps_to_the_joint_angles_of_the_configuration():
     assert surveyor.limits.base_angle == pytest.approx(np.deg2rad(8))
 
 
-def test_a_home_beyond_a_joint_angle_is_refused_with_its_line():
+def test_home_beyond_a_joint_angle_is_refused_with_its_line():
     upwards = "[" + ", ".join(["[0, 0, 1]"] * 6) + "]"
     text = edited((ANGLES, f"{ANGLES}  base_joint_angle_max_deg: 5\n  base_joint_axes: {upwards}\n"))
     line = text[: text.index("\n  home:")].count("\n") + 2
@@ -102,7 +102,7 @@ def test_a_home_beyond_a_joint_angle_is_refused_with_its_line():
         ),
     ],
 )
-def test_joint_limits_that_are_none_are_refused(line, message):
+def test_invalid_joint_limits_are_refused(line, message):
     with pytest.raises(ConfigurationError, match=message):
         loads(edited((ANGLES, f"{ANGLES}  {line}\n")), "my.yaml")
 
@@ -114,7 +114,7 @@ def test_joint_limits_that_are_none_are_refused(line, message):
         (("--resolution", 8, "--position", 0, 0, 2), "the straight line meets the limit stroke"),
     ],
 )
-def test_a_load_or_a_position_beyond_the_limits_is_refused(tmp_path, words, said):
+def test_a_payload_or_position_beyond_the_limits_is_refused(tmp_path, words, said):
     result = hil("lab", *words, "--picture", tmp_path / "x.png")
     assert result.exit_code == 2
     assert said in " ".join(result.output.split())

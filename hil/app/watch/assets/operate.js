@@ -1,11 +1,11 @@
 "use strict";
-/* The controls. A control that is held speaks for as long as it is held, and nothing else makes it speak. */
+/* The controls. A held control sends its command only while it is held. */
 (() => {
   const HELD_MS = 50, MOST = 8;
   const at = (id) => document.getElementById(id);
   const held = new Set();
 
-  /* In their order, one at a time: no word overtakes another. An emergency stop waits for none: what waits is dropped. */
+  /* Commands are sent in order, one at a time. An emergency stop is sent at once, and waiting commands are dropped. */
   let before = Promise.resolve(), waiting = 0, stops = 0;
   async function say(line) {
     if (line === "estop") {
@@ -14,10 +14,10 @@
       before = Promise.all([before, answer]);
       return answer;
     }
-    if (waiting >= MOST) return told(line, false, MOST + " commands still wait for their answers");
+    if (waiting >= MOST) return show(line, false, MOST + " commands still wait for their answers");
     waiting += 1;
     const since = stops;
-    const answer = before.then(() => since === stops ? post(line) : told(line, false, "the emergency stop came first"));
+    const answer = before.then(() => since === stops ? post(line) : show(line, false, "the emergency stop came first"));
     before = answer;
     try { return await answer; } finally { waiting -= 1; }
   }
@@ -25,14 +25,14 @@
     try {
       const answer = await fetch("/operate", { method: "POST", headers: { "Content-Type": "application/json" },
         body: JSON.stringify({ line }), keepalive: line === "estop" });
-      if (!answer.ok) return told(line, false, (await answer.text()).trim());
+      if (!answer.ok) return show(line, false, (await answer.text()).trim());
       const { taken, why } = await answer.json();
-      return told(line, taken, why);
+      return show(line, taken, why);
     } catch (error) {
-      return told(line, false, "no connection to hil watch");
+      return show(line, false, "no connection to hil watch");
     }
   }
-  function told(line, taken, why) {
+  function show(line, taken, why) {
     const word = line.split(" ")[0];
     if (!taken || (word !== "key" && word !== "jog")) at("answer").textContent = taken ? line + ": taken" : line + ": refused: " + why;
     at("answer").classList.toggle("bad", !taken);
@@ -63,9 +63,9 @@
       down = true;
       held.add(release);
       button.classList.add("down");
-      if (speaking) return;  // what was pressed before still waits for its answer, and goes on
+      if (speaking) return;  // the earlier press still waits for its answer, and continues
       speaking = true;
-      while (down) {  // one command at a time: nothing waits in a queue when the button goes up
+      while (down) {  // one command at a time: none is queued when the button is released
         const begun = performance.now();
         for (const line of lines()) if (down && !(await say(line))) release();
         await new Promise((done) => setTimeout(done, Math.max(0, HELD_MS - (performance.now() - begun))));
@@ -108,12 +108,12 @@
   watching.on("may", ({ operate, allowed }) => {
     document.querySelectorAll(".operate").forEach((each) => { each.hidden = !operate; });
     at("read-only").hidden = operate || !allowed;
-    at("read-only").textContent = "Read only: open the link with the token that hil watch has printed to operate.";
+    at("read-only").textContent = "Read only: to operate, open the link with the token that hil watch has printed.";
     if (!operate) releaseAll();
   });
   watching.on("said", (said) => {
     if (!said) return;
-    at("speed-now").textContent = said.speed_now_percent.toFixed(0) + " % now, " + said.speed_percent.toFixed(0) + " % asked for";
+    at("speed-now").textContent = said.speed_now_percent.toFixed(0) + " % now, " + said.speed_percent.toFixed(0) + " % requested";
     if (document.activeElement !== at("speed")) at("speed").value = String(said.speed_percent);
     at("key-state").textContent = "key: " + said.key;
   });

@@ -1,5 +1,5 @@
 "use strict";
-/* Curves over the last seconds: numbers go in one at a time, the oldest fall out. */
+/* Curves over the last seconds: samples are added one at a time, the oldest are dropped. */
 function makeRolling(place, labels, levels) {
   const SPAN_S = 20, MOST = 1100;
   const COLOURS = ["#1f5fae", "#d1600a", "#2e7d32", "#b3261e", "#6a3fa0", "#7a5230"];

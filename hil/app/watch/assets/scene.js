@@ -1,6 +1,6 @@
 "use strict";
-/* The pose as lines in space: a camera that turns about the middle, drawn on a plain canvas. */
-/* The order of joints by their angle about their centre, whatever plane they lie in: hil.robot.joints.around. */
+/* Wire frame of the pose on a canvas, seen by a camera that turns about the middle. */
+/* Order of joints by their angle about their centre, in any plane: hil.robot.joints.around. */
 function around(points) {
   const n = points.length;
   const middle = [0, 1, 2].map((i) => points.reduce((s, q) => s + q[i], 0) / n);
@@ -18,7 +18,7 @@ function makeScene(canvas, given, unpack) {
   const baseOrder = around(base), topOrder = around(joints);
   const placed = (points, p, R, k) => points.map((b) => [0, 1, 2].map((i) =>
     p[3 * k + i] + R[9 * k + 3 * i] * b[0] + R[9 * k + 3 * i + 1] * b[1] + R[9 * k + 3 * i + 2] * b[2]));
-  /* The box that all poses so far are in. It only grows, so that the picture does not breathe. */
+  /* Bounding box of all poses so far. It only grows, so that the scale stays steady. */
   const low = [0, 1, 2].map((i) => Math.min(...base.map((q) => q[i])));
   const high = [0, 1, 2].map((i) => Math.max(...base.map((q) => q[i])));
   const MARGIN = { left: 16, right: 34, top: 12, bottom: 24 };  // px, of joints, lines and labels
@@ -27,7 +27,7 @@ function makeScene(canvas, given, unpack) {
   const reach = 20 * Math.max(...base.map((q) => Math.hypot(...q.map((y, i) => y - (low[i] + high[i]) / 2))));
 
   function hold(points) {
-    if (!points.every((q) => q.every((y) => Math.abs(y) < reach))) return;  // a pose that makes no sense
+    if (!points.every((q) => q.every((y) => Math.abs(y) < reach))) return;  // an implausible pose
     points.forEach((q) => q.forEach((y, i) => {
       if (y < low[i]) low[i] = y;
       if (y > high[i]) high[i] = y;
@@ -122,7 +122,7 @@ function makeScene(canvas, given, unpack) {
     const by = { ArrowLeft: [-0.1, 0], ArrowRight: [0.1, 0], ArrowUp: [0, 0.1], ArrowDown: [0, -0.1] }[e.key];
     if (by) { turn(by[0], by[1]); e.preventDefault(); }
   });
-  /* Shows one pose that was not given at the start; frame.marks: what is wrong with each leg, or nothing. */
+  /* Shows a new pose; frame.marks: the problems of each leg, or nothing. */
   function place(frame) {
     p.set(frame.p); R.set(frame.R); pRef.set(frame.p_d); RRef.set(frame.R_d); load.set(frame.load);
     marks = frame.marks;

@@ -1,5 +1,5 @@
 "use strict";
-/* Shows what the server sends of a run. All texts go in as text, never as HTML. */
+/* Shows the state of a run from the server. Texts are inserted as text, never as HTML. */
 const watching = (() => {
   const STALE_S = 0.5, PLOT_MS = 100;
   const at = (id) => document.getElementById(id);
@@ -9,7 +9,7 @@ const watching = (() => {
   const tell = (name, what) => listeners[name].forEach((each) => each(what));
   let about = {}, last = null, dirty = false, heardAt = -Infinity, connected = false, view = null, plotted = 0;
   const counts = { states: 0, drawn: 0 };
-  if (location.search) history.replaceState(null, "", "/");  // the token goes into no history and no screenshot
+  if (location.search) history.replaceState(null, "", "/");  // keeps the token out of history and screenshots
 
   const curves = {
     tau: makeRolling(at("plot-tau"), [0, 1, 2, 3, 4, 5].map((i) => "leg " + i), []),
@@ -41,9 +41,9 @@ const watching = (() => {
   const poseCells = Array.from(at("pose").tBodies[0].rows, (line) =>
     [0, 1, 2, 3, 4, 5].map(() => line.appendChild(document.createElement("td"))));
   const figureCells = {};
-  [["wake", "wake-up late, now and worst of the last second"], ["step", "step, now and worst"], ["stale", "ticks with stale feedback"],
-    ["skipped", "periods skipped"], ["V", "Lyapunov function, share of what is allowed"], ["tick", "tick, at the rate"],
-    ["dropped", "ticks lost by the recorder"], ["waiting", "ticks that wait in the ring"], ["log", "log"], ["file", "file"]]
+  [["wake", "wake-up late, now and worst of the last second"], ["step", "computing time, now and worst"], ["stale", "ticks with stale feedback"],
+    ["skipped", "periods skipped"], ["V", "Lyapunov function / its bound"], ["tick", "tick, at the rate"],
+    ["dropped", "ticks lost by the recorder"], ["waiting", "ticks waiting in the ring"], ["log", "log"], ["file", "file"]]
     .forEach(([name, label]) => {
       const term = document.createElement("dt"), value = document.createElement("dd");
       term.textContent = label;
@@ -85,7 +85,7 @@ const watching = (() => {
     curves.e.clear([]);
     curves.late.clear([]);
     put(figureCells.file, given.log.split("/").pop());
-    const canvas = at("scene").cloneNode();  // without the listeners of the run before
+    const canvas = at("scene").cloneNode();  // without the listeners of the earlier run
     at("scene").replaceWith(canvas);
     const none = (n) => new Array(n).fill(0);
     view = makeScene(canvas, { t: [0], base: given.base, platform: given.platform, p: given.home_p, R: given.home_R,

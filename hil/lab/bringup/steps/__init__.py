@@ -1,1 +1,1 @@
-"""The steps of a bring-up, a check a file."""
+"""The steps of a bring-up, one check per file."""

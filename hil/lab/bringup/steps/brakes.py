@@ -1,6 +1,7 @@
-"""Each brake holds when shut, and opens for its own drive: by hand, with all encoders watched.
+"""Brake test by hand, with all encoders watched: each brake holds when shut and opens for its own drive.
 
-The hand has a force gauge: what it reads as a leg gives way is the leg's friction, whatever its drive does.
+The operator pushes with a force gauge. Its reading as a leg gives way is the leg's friction, whatever the
+drive does.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -14,15 +15,15 @@ from hil.lab.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Req
 
 PUSH_S = 0.15
 RATE_WITHIN = 0.6, 1.6
-"""A rate is so many times what its reading changes by: beyond that it has another sign or unit."""
+"""Allowed ratio of integrated rate to change of length; outside, the rate has a wrong sign or unit."""
 RATE_STEPS, RATE_STEP_M, RATE_STEP_S = 3, 2e-4, 0.2
-"""So many steps of a reading, each by so much within such a time, tell its rate."""
+"""Steps of a reading needed to judge its rate; least size and longest duration of each."""
 HIGH = 1.7
-"""Friction of so many times the median of the legs is high,"""
+"""Friction above this multiple of the median of all legs is high"""
 HIGH_SHARE = 0.003
-"""and by this share of the rated force above it."""
+"""if it is also this share of the rated force above the median."""
 FEWEST = 3
-"""Legs of which a median says something."""
+"""Least number of legs for a meaningful median."""
 
 
 def find(c: Context) -> None:
@@ -48,7 +49,7 @@ def find(c: Context) -> None:
 
 
 class Steps:
-    """The steps of a reading, and what its rates make of them. Mutable state: all."""
+    """Steps in the length read by a drive, and the integral of its rate. Mutable state: all attributes."""
 
     def __init__(self, c: Context, drive: int, keep: Callable[[], object]) -> None:
         self._c, self._drive, self._keep = c, drive, keep
@@ -57,7 +58,7 @@ class Steps:
         self._steps: list[tuple[float, float]] = []
 
     def keep(self) -> None:
-        """Do a tick, and take what the drive reads in it."""
+        """Do a tick and take the drive's reading, if fresh."""
         self._keep()
         record, drive = self._c.drives.record, self._drive
         if record["age"][drive] != 0:
@@ -73,14 +74,14 @@ class Steps:
         self._begun, self._by_rates_m = here, 0.0
 
     def share(self) -> float | None:
-        """Return how many times its change the rates make of a reading; None where it moved too little."""
+        """Least-squares ratio of integrated rate to change of length; None after too few steps."""
         if len(self._steps) < RATE_STEPS:
             return None
         return sum(by_m * rate_m for by_m, rate_m in self._steps) / sum(by_m**2 for by_m, _ in self._steps)
 
 
 def gives_way(c: Context, leg: int, keep: Callable[[], object]) -> tuple[bool, float]:
-    """Have a leg pushed with a brake open; tell whether it has moved, and with how many N."""
+    """Have a leg pushed with a brake open; return True if it moved, and the breakaway force, N."""
     before = c.lengths()
     c.ask(Request("push", leg, 0.0, f"Push leg {leg} along its axis and keep pushing; brake: open"), keep)
     for _ in range(c.drives.ticks(PUSH_S)):
@@ -110,7 +111,7 @@ def holds(c: Context, leg: int) -> dict[str, Any]:
 
 
 def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[int]:
-    """Have all legs but one pushed with a drive's brake open; return which of `others` move."""
+    """Have all legs but one pushed with a drive's brake open; return those of `others` that move."""
     before, moved = c.lengths(), set[int]()
 
     def keep() -> None:
@@ -126,23 +127,23 @@ def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[in
 
 
 def judge(c: Context) -> list[Finding]:
-    """Name brakes that do not hold, do not open or belong to another drive, and exchanged drives."""
+    """Findings: brakes that do not hold, do not open or belong to another drive; exchanged drives."""
     found: list[Finding] = []
 
-    def name(finding: str, legs: Iterable[int], text: str, mend: str) -> None:
-        found.append(Finding(finding, tuple(sorted(legs)), text, mend))
+    def name(finding: str, legs: Iterable[int], text: str, remedy: str) -> None:
+        found.append(Finding(finding, tuple(sorted(legs)), text, remedy))
 
     counts = {drive: leg for drive, (leg, _) in c.reads().items()}
     opens = {drive: fact["legs"] for drive, fact in c.table("opens").items()}
     loose = [leg for leg, fact in c.table("held").items() if fact["moved"]]
     inverted = {counts.get(d, d): d for d in range(LEGS) if not opens[d] and counts.get(d, d) in loose}
     for leg, drive in inverted.items():
-        text = f"leg {leg}, behind drive {drive}, gives way to a hand on a shut brake, holds on an open one"
-        mend = "Turn the output or the brake's relay round: without power this leg falls; do not load it."
-        name("brake_inverted", {leg, drive}, text, mend)
+        text = f"leg {leg}, behind drive {drive}, yields to a push on a shut brake and holds on an open one"
+        remedy = "Invert the output or the brake's relay. Without power this leg falls; do not load it."
+        name("brake_inverted", {leg, drive}, text, remedy)
     for leg in set(loose) - inverted.keys():
-        mend = "Look at brake, its supply and its air gap; do not load this leg."
-        name("brake_stuck_open", [leg], "it gives way to a hand with its brake commanded shut", mend)
+        remedy = "Look at brake, its supply and its air gap; do not load this leg."
+        name("brake_stuck_open", [leg], "it yields to a push by hand with its brake commanded shut", remedy)
     crossed = {d: j for d, j in counts.items() if j != d and has_crossed_encoder(d, counts, opens)}
     exchanged = {d: j for d, j in counts.items() if j != d and d not in crossed}
     if exchanged:
@@ -151,21 +152,21 @@ def judge(c: Context) -> list[Finding]:
         for drive, leg in exchanged.items():
             order[leg] = nodes[drive]
         text = "; ".join(f"node {nodes[d]} is the drive of leg {j}, not {d}" for d, j in exchanged.items())
-        mend = f"Write drives.node_ids: {order}, or give the drives the numbers of their legs."
+        remedy = f"Write drives.node_ids: {order}, or give the drives the numbers of their legs."
         if len(set(order)) < LEGS:
-            mend = "Mend the rest first: which number is whose will be seen then."
-        name("ids", exchanged, text, mend)
+            remedy = "Fix the other findings first, then test again: the node numbers are not clear yet."
+        name("ids", exchanged, text, remedy)
     if crossed:
         text = "; ".join(f"drive {d} counts leg {j}" for d, j in crossed.items())
         name("encoder_crossed", crossed, text, "Exchange these drives' encoder cables.")
     for drive, legs in opens.items():
         if not legs and drive not in inverted.values():
-            mend = "Look at the brake, its cable, its supply. More friction than the push looks the same."
-            name("brake_stuck_shut", [drive], "its brake does not open: no leg gives way", mend)
+            remedy = "Look at the brake, its cable, its supply. More friction than the push looks the same."
+            name("brake_stuck_shut", [drive], "its brake does not open: no leg gives way", remedy)
         elif len(legs) > 1:
             text = f"drive {drive} opens the brakes of legs {', '.join(map(str, sorted(legs)))} at once"
-            mend = "Give each brake an output of its own; do not load these legs."
-            name("brake_crossed", {drive, *legs}, text, mend)
+            remedy = "Give each brake an output of its own; do not load these legs."
+            name("brake_crossed", {drive, *legs}, text, remedy)
     wrong = {d: legs[0] for d, legs in opens.items() if len(legs) == 1 and legs != [d] and d not in exchanged}
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
@@ -174,15 +175,16 @@ def judge(c: Context) -> list[Finding]:
         share = fact["rate_share"]
         if share is not None and not RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
             finding = "rate_sign" if share < -RATE_WITHIN[0] else "rate_scale"
-            text = f"as it moves its rate is {share:.3g} times what its reading changes by"
+            text = f"while it moves, its rate is {share:.3g} times the change of its reading"
             name(finding, [drive], text, "Look at sign and unit of the speed in the drive.")
     return found + friction(c)
 
 
 def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[int, list[int]]) -> bool:
-    """Tell whether a drive that counts another leg has its own brake, or may have, and is among such.
+    """True if a drive that counts another leg has a crossed encoder rather than an exchanged node number.
 
-    A brake that opens no leg says nothing of whose drive it is; those whose readings go round with it do.
+    A drive with a crossed encoder opens its own brake. If its output opens neither its own leg nor the
+    counted one, the cycle of drives that count each other's legs decides: one opening its own is enough.
     """
     if drive in opens[drive] or counts[drive] in opens[drive]:
         return drive in opens[drive]
@@ -193,27 +195,27 @@ def has_crossed_encoder(drive: int, counts: Mapping[int, int], opens: Mapping[in
 
 
 def friction(c: Context) -> list[Finding]:
-    """Name legs that need more force than the others to give way to a hand."""
+    """Findings: legs that need more force than the others to give way to a hand."""
     facts = [fact for fact in c.table("opens").values() if fact["legs"]]
     if len(facts) < FEWEST:
         return []
     usual = median(fact["hand_N"] for fact in facts)
-    mend = "Look at guide, nut, seals, and a brake that drags."
+    remedy = "Look at guide, nut, seals, and a brake that drags."
     return [
-        Finding("friction", (legs[0],), f"it gives way at {N:.4g} N, the median is {usual:.4g} N", mend)
+        Finding("friction", (legs[0],), f"it gives way at {N:.4g} N, the median is {usual:.4g} N", remedy)
         for legs, N in ((fact["legs"], fact["hand_N"]) for fact in facts)
         if max(HIGH * usual, usual + HIGH_SHARE * c.machine.rated_N) < N
     ]
 
 
 def gap(c: Context) -> Finding | None:
-    """Say whose rate was not seen: a leg that gave way too slowly, or too little."""
+    """Drives with an unproven rate: their legs gave way too slowly or too little."""
     unseen = [drive for drive, fact in c.table("opens").items() if fact["rate_share"] is None]
     if not unseen:
         return None
     legs = ", ".join(map(str, unseen))
     return gap_of(
-        f"drives {legs} moved too little, or too slowly, for their rate to be compared with what they read",
+        f"drives {legs} moved too little or too slowly to compare their rate with their reading",
         f"Push again after `--again`, by {1e3 * RATE_STEPS * RATE_STEP_M:g} mm or more at "
         f"{1e3 * RATE_STEP_M / RATE_STEP_S:g} mm/s or more; or compare sign and unit of their speed by hand",
     )
@@ -224,7 +226,7 @@ STEP = Step(
     "brakes, by hand",
     "has you push each leg on its shut brake; then opens one brake after the other, without force, the five "
     "others shut, while you push its leg and then the others",
-    "Ctrl-C, or the emergency stop; brakes shut by themselves when this program falls silent",
+    "Ctrl-C, or the emergency stop; brakes shut by themselves when this program stops sending",
     find,
     judge,
     gate=False,

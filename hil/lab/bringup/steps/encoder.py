@@ -1,4 +1,4 @@
-"""Sign, scale and zero of each encoder, by tape at both ends of the stroke and between, and the stroke."""
+"""Sign, scale and zero of each encoder, and the stroke: tape at both ends of the stroke and at its middle."""
 
 from collections.abc import Iterator
 from math import sqrt
@@ -9,13 +9,13 @@ from hil.lab.bringup.context import TAPE_M, Context, Finding, Request, Step
 from hil.lab.bringup.steps.ids import drive_of
 
 ENDS_M = 2e-3
-"""A leg that ends so far before its configured length does not reach it."""
+"""A leg that ends this far before its configured length does not reach it."""
 ZERO_M = 1.5e-3
-"""Largest accepted difference of reading and tape."""
+"""Largest accepted difference between reading and tape."""
 FAR = 4.0
-"""A leg that is measured so many times longer than configured, or shorter, was measured in another unit."""
+"""A tape reading more than this factor off the configured lengths is taken for a wrong unit."""
 SIGMAS = 4.0
-"""Differences of so many standard deviations of the tape are real."""
+"""Differences beyond this many standard deviations of the tape are significant."""
 
 
 def find(c: Context) -> None:
@@ -46,12 +46,12 @@ def find(c: Context) -> None:
 
 
 def tolerance(spread: float) -> float:
-    """Return the error of a scale that two lengths by tape allow, at least 0.3 %."""
+    """Error of a scale from two lengths by tape, at least 0.3 %."""
     return max(SIGMAS * sqrt(2.0) * TAPE_M / spread, 3e-3)
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Name strokes that are not reached, and encoders that count otherwise than the tape."""
+    """Findings: strokes that are not reached, and encoders that disagree with the tape."""
     m, ends = c.machine, {}
     for leg, fact in c.table("encoder").items():
         low, high = fact["tape_m"]
@@ -63,13 +63,13 @@ def judge(c: Context) -> Iterator[Finding]:
     if len(ends) == LEGS:
         lows, highs = zip(*ends.values(), strict=True)
         text = f"all end at {max(lows):.4f} and {min(highs):.4f} m, {configured}"
-        mend = "Write the stroke into platform.length_min_m and platform.length_max_m."
-        yield Finding("stroke", tuple(range(LEGS)), text, mend)
+        remedy = "Write the stroke into platform.length_min_m and platform.length_max_m."
+        yield Finding("stroke", tuple(range(LEGS)), text, remedy)
         return
     for leg, (low, high) in ends.items():
         text = f"it ends at {low:.4f} and {high:.4f} m, {configured}"
-        mend = "Take the end stop out of the way, or shorten the configured stroke."
-        yield Finding("end_stop", (leg,), text, mend)
+        remedy = "Take the end stop out of the way, or shorten the configured stroke."
+        yield Finding("end_stop", (leg,), text, remedy)
 
 
 def _encoder(drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:
@@ -80,19 +80,19 @@ def _encoder(drive: int, fact: dict[str, Any], spread: float) -> list[Finding]:
         return [Finding("encoder_frozen", (drive,), text, "Look at encoder, coupling and cable.")]
     if abs(bent) > max(1.0, abs(scale)) * max(ZERO_M, SIGMAS * sqrt(1.5) * TAPE_M):
         text = f"at mid-stroke it reads {1e3 * bent:+.2f} mm off the straight line between its ends"
-        mend = "Look at coupling, belt, play and signal: it jumps, stops half way, or slips."
-        return [Finding("encoder_jumps", (drive,), text, mend)]
+        remedy = "Look at coupling, belt, play and signal: it jumps, stops half way, or slips."
+        return [Finding("encoder_jumps", (drive,), text, remedy)]
     if scale < 0.0:
         text = f"its reading falls as the leg grows: {scale:.3f} m a m by tape"
         found.append(Finding("encoder_sign", (drive,), text, "Turn the sign of the encoder in the drive."))
     if abs(abs(scale) - 1.0) > within:
         text = f"it reads {abs(scale):.4f} m a m by tape, +- {within:.4f}"
-        mend = f"Multiply counts per m in the drive by {abs(scale):.4f}; look at lead and gear, too."
-        found.append(Finding("encoder_scale", (drive,), text, mend))
+        remedy = f"Multiply counts per m in the drive by {abs(scale):.4f}; look at lead and gear, too."
+        found.append(Finding("encoder_scale", (drive,), text, remedy))
     if not found and abs(offset) > max(ZERO_M, SIGMAS * TAPE_M):
         text = f"it reads {1e3 * offset:+.2f} mm off the tape"
-        mend = f"Home the drive again, or move its zero by {-1e3 * offset:+.2f} mm."
-        found.append(Finding("offset", (drive,), text, mend))
+        remedy = f"Home the drive again, or move its zero by {-1e3 * offset:+.2f} mm."
+        found.append(Finding("offset", (drive,), text, remedy))
     return found
 
 

@@ -1,9 +1,9 @@
 """Sign of each force and friction of each leg: a slow ramp both ways with one brake open.
 
-The ramp ends as soon as a leg has moved by MOVED_M, at FORCE_SHARE of the rated force at the latest, and a
-leg that has gone TRAVEL_M is a runaway. A coarse field of torque may have no code of zero, and half a code
-may move a leg of little friction: the ramp begins where a force has its sign, START_STEPS steps of the field,
-and what a leg moves by itself before it is taken off.
+The ramp ends when a leg has moved by MOVED_M, at the latest at FORCE_SHARE of the rated force. A leg that
+travels TRAVEL_M is a runaway. A coarse torque field may have no code for zero, and half a code may move a
+leg with little friction. So the ramp begins at START_STEPS steps of the field, where the force has its sign;
+the leg's own drift before the ramp is subtracted.
 """
 
 from collections.abc import Iterator
@@ -15,13 +15,13 @@ from hil.lab.bringup.context import FORCE_SHARE, MOVED_M, TRAVEL_M, Context, Fin
 
 RAMP_S = 0.8
 SETTLE_S = 0.02
-"""For how long a leg may coast, still watched, before its brake shuts."""
+"""Time for a leg to coast, still watched, before its brake shuts."""
 WATCH_S = 0.02
-"""For how long a leg is watched without command before each ramp."""
+"""Time for which a leg is watched without force before each ramp."""
 START_STEPS = 1.5
-"""Steps of the commanded force: rounded or truncated, it is not zero and has its sign."""
+"""First force of a ramp in steps of the command: rounded or truncated, it is not zero and has its sign."""
 MOVES = 0.75
-"""A leg that gives way to a hand at this share of the most force of a step must move by its drive."""
+"""A leg that yields to a hand at this share of the largest step force must also move by its drive."""
 
 
 def find(c: Context) -> None:
@@ -36,9 +36,9 @@ def find(c: Context) -> None:
 
 
 def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
-    """Let the force of a drive grow until a leg moves; return the force, the leg, and the way it went.
+    """Increase a drive's force until a leg moves; return the force, the leg, and its direction.
 
-    The brake opens for one ramp alone: a leg that a code of zero moves is at rest again before the next.
+    The brake opens for one ramp only: a leg that a code for zero moves is at rest again before the next.
     """
     found: dict[str, Any] = {"force_N": None, "leg": None, "way": 0}
     ticks, watched = c.drives.ticks(RAMP_S), c.drives.ticks(WATCH_S)
@@ -68,46 +68,48 @@ def _watch(c: Context, drive: int, origin: Array, ticks: int) -> None:
 
 
 def step_of(c: Context, drive: int) -> float:
-    """Return the step of the force that a drive is commanded, N at the leg."""
+    """Step of a drive's force command, N at the leg."""
     return float(c.drives.protocol.traits.resolution.force[drive])
 
 
 def guard(c: Context, drive: int, origin: Array) -> None:
-    """Raise StoppedError, with all drives off, where a leg is further than TRAVEL_M from `origin`."""
+    """Switch all drives off and raise StoppedError if a leg is further than TRAVEL_M from `origin`."""
     away = c.travelled(origin)
     leg = max(away, key=lambda k: abs(away[k]))
     if abs(away[leg]) > TRAVEL_M:
         c.drives.off()
         text = f"leg {leg} went {1e3 * away[leg]:+.2f} mm under drive {drive}, allowed: {1e3 * TRAVEL_M:g} mm"
-        mend, own = "Look at force scale, brake and load of it.", c.reads()[drive][0]
+        remedy, own = "Look at its force scale, brake and load.", c.reads()[drive][0]
         if leg != own:
-            mend = f"Look at the encoder of leg {leg}, whose brake was shut, and at what drive {drive} moves."
-        raise StoppedError(Finding("runaway", (drive,) if leg == own else (drive, leg), text, mend))
+            remedy = (
+                f"Check the encoder of leg {leg}, whose brake was shut, and which leg drive {drive} moves."
+            )
+        raise StoppedError(Finding("runaway", (drive,) if leg == own else (drive, leg), text, remedy))
 
 
 def breakaway(fact: dict[str, Any]) -> float | None:
-    """Return the commanded force at which a leg begins to move, mean of both ways; None where it did not."""
+    """Commanded force at which a leg begins to move, mean of both directions; None if it did not move."""
     forces = fact["plus"]["force_N"], fact["minus"]["force_N"]
     return None if None in forces else 0.5 * (forces[0] + forces[1])
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Name forces of the wrong sign, and legs that do not move by their drives."""
+    """Findings: forces of the wrong sign, and legs that their drives do not move."""
     still = []
     limit = f"{100 * FORCE_SHARE:g} % of the rated force, {c.machine.force_N:g} N"
     for drive, fact in c.table("force").items():
         plus, minus = fact["plus"]["way"], fact["minus"]["way"]
         if plus < 0 < minus:
             text = "a force that should extend it shortens it"
-            mend = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
-            yield Finding("force_sign", (drive,), text, mend)
+            remedy = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
+            yield Finding("force_sign", (drive,), text, remedy)
         elif plus < 0 or minus > 0:
-            text = f"it moves {'shorter' if plus < 0 else 'longer'}, one way under either sign of force"
-            mend = (
+            text = f"it moves {'shorter' if plus < 0 else 'longer'}under either sign of force"
+            remedy = (
                 "Lay the leg level on its trestle, look for play, and try again; one code of torque, "
                 f"{step_of(c, drive):.3g} N, may be more than its friction."
             )
-            yield Finding("one_way", (drive,), text, mend)
+            yield Finding("one_way", (drive,), text, remedy)
         elif plus and minus:
             continue
         else:
@@ -115,17 +117,19 @@ def judge(c: Context) -> Iterator[Finding]:
             opens, text = c.known("opens", drive), f"its drive {does}, with {limit}"
             if opens["hand_N"] > MOVES * c.machine.force_N:
                 text += f"; a hand needs {opens['hand_N']:.4g} N"
-                mend = "Look at guide, nut, seals, a brake that drags."
-                yield Finding("friction", (opens["legs"][0],), text, mend)
+                remedy = "Look at guide, nut, seals, a brake that drags."
+                yield Finding("friction", (opens["legs"][0],), text, remedy)
             elif plus or minus:
-                mend = "Lay the leg level on its trestle; look at motor phases, supply, limits and end stops."
-                yield Finding("force_one_way", (drive,), text, mend)
+                remedy = (
+                    "Lay the leg level on its trestle; look at motor phases, supply, limits and end stops."
+                )
+                yield Finding("force_one_way", (drive,), text, remedy)
             else:
                 still.append(drive)
     if still:
         name = "no_force" if len(still) == 1 else "motor_crossed"
-        mend = "Look at motor cables, whether any are exchanged, and at the scale of the drive's torque."
-        yield Finding(name, tuple(still), f"moved by hand, and not by its drive with {limit}", mend)
+        remedy = "Check whether motor cables are exchanged; look at the scale of the drive's torque."
+        yield Finding(name, tuple(still), f"it moves by hand, but not by its drive with {limit}", remedy)
 
 
 STEP = Step(

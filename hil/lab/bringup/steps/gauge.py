@@ -1,4 +1,4 @@
-"""Scale of each force, by a force gauge, and what follows from all that was measured leg by leg."""
+"""Scale of each force, by a force gauge; and findings that combine it with lengths and friction."""
 
 from collections.abc import Iterator
 from functools import partial
@@ -13,21 +13,22 @@ from hil.lab.bringup.steps.encoder import tolerance
 from hil.lab.bringup.steps.force import breakaway, guard
 
 LEVELS = (0.4, 0.6, 0.8, 1.0)
-"""Of the most force of a step."""
+"""Gauge levels as shares of the largest step force."""
 RAMP_S, HOLD_S = 0.12, 0.06
 BEYOND = 1.15
-"""Levels beyond so many times the breakaway force count."""
+"""Only levels above this multiple of the breakaway force count."""
 FLAT = 0.35
-"""A force whose upper levels grow by less than this share of what its lower ones do has met a limit."""
+"""A force saturates if its slope at the upper levels is below this share of the slope at the lower ones."""
 WITHIN = 0.06
-"""Accepted error of a force scale, beside the losses of a transmission."""
+"""Accepted error of a force scale, in addition to the losses of a transmission."""
 SAME = 0.08
-"""Scales of encoder and force that are both wrong and differ by less have one cause: lead or gear. No lead is
-off by less."""
+"""Wrong scales of encoder and force that differ by less have one cause: lead or gear. A wrong lead is off by
+more than this.
+"""
 
 
 def find(c: Context) -> None:
-    """Clamp each leg that moves to the gauge and read it at some forces."""
+    """Have each leg that moves clamped to the gauge, and the gauge read at several forces."""
     for drive, (leg, _) in sorted(c.reads().items()):
         fact = c.known("force", drive)
         if fact is None or breakaway(fact) is None or c.known("gauge", drive) is not None:
@@ -55,15 +56,15 @@ def find(c: Context) -> None:
 
 
 class Gain(NamedTuple):
-    """N at the leg a commanded N."""
+    """Force scale of a drive: N at the leg per N commanded."""
 
     value: float
     error: float
-    """What the steps of a coarse command make of it: a leg overshoots by one, and friction keeps it."""
+    """Error from coarse command steps: a leg overshoots by one step, and friction holds it there."""
 
 
 def gains(c: Context) -> dict[int, Gain]:
-    """Return the gain of each drive, where enough levels were beyond its friction."""
+    """Gain of each drive that had enough levels above its friction."""
     found = {}
     for drive, fact in c.table("gauge").items():
         least = BEYOND * (breakaway(c.known("force", drive)) or 0.0)
@@ -77,25 +78,25 @@ def gains(c: Context) -> dict[int, Gain]:
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Name forces of the wrong scale, and a wrong lead."""
+    """Findings: force scales, saturation, and a wrong lead."""
     gain, read = gains(c), c.reads()
     set_scale = "Set torque constant, current scale or rated force of the drive"
     stiff = {leg for finding in friction(c) for leg in finding.legs}
     for drive in c.table("gauge").keys() - gain.keys():
         if c.known("opens", drive)["legs"][0] not in stiff:
-            text = "its forces are too close to its friction, or to each other, to tell their scale"
-            mend = f"{set_scale}; look at friction, and at the steps of its torque."
-            yield Finding("force_scale", (drive,), text, mend)
+            text = "its forces are too close to its friction, or to each other, to determine their scale"
+            remedy = f"{set_scale}; look at friction, and at the steps of its torque."
+            yield Finding("force_scale", (drive,), text, remedy)
     for drive, (g, error) in gain.items():
         leg, scale = read.get(drive, (drive, 0.0))
         most = _limited(c, drive)
         if most is not None:
             text = f"its force grows no further than {most:.4g} N of {c.machine.force_N:.4g} N commanded"
-            mend = "Look at current limit, supply and rated torque of the drive."
-            yield Finding("force_saturates", (drive,), text, mend)
+            remedy = "Look at current limit, supply and rated torque of the drive."
+            yield Finding("force_saturates", (drive,), text, remedy)
             continue
         if scale <= 0.0:
-            continue  # the drive takes its losses the wrong way round, or no encoder says how long its leg is
+            continue  # the drive corrects its losses with the wrong sign, or no encoder measures its leg
         low, high = c.known("encoder", leg)["tape_m"]
         off = abs(abs(scale) - 1.0) > tolerance(high - low)
         right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)
@@ -105,15 +106,15 @@ def judge(c: Context) -> Iterator[Finding]:
             continue
         elif same:
             text = f"both its lengths and its forces are {abs(scale):.4f} times what they should be"
-            mend = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, in drive or configuration."
-            yield Finding("wrong_lead", (drive,), text, mend)
+            remedy = f"Divide lead, or multiply gear ratio, by {abs(scale):.4f}, in drive or configuration."
+            yield Finding("wrong_lead", (drive,), text, remedy)
         else:
             text = f"it gives {abs(g):.3f} N for each N commanded"
             yield Finding("force_scale", (drive,), text, f"{set_scale}.")
 
 
 def _limited(c: Context, drive: int) -> float | None:
-    """Return the force, N, at which a drive meets a limit; None where it grows as far as it is commanded."""
+    """Force, N, at which a drive saturates; None if it follows all commands."""
     levels = sorted(dict(c.known("gauge", drive)["pairs_N"]).items())
     if len(levels) < 3:
         return None
@@ -124,7 +125,7 @@ def _limited(c: Context, drive: int) -> float | None:
 
 
 def _fits(gain: float, scale: float | None, error: float, losses: float) -> tuple[bool, bool]:
-    """Return whether a gain is right, and whether it is the lengths' scale; None: these are right."""
+    """Pair: the gain is right; it equals the scale of the lengths. scale None: the lengths are right."""
     for slack in (error, error + losses):
         right = abs(gain - 1.0) <= WITHIN + slack
         same = scale is not None and abs(gain - scale) < (SAME + slack) * scale
@@ -134,16 +135,15 @@ def _fits(gain: float, scale: float | None, error: float, losses: float) -> tupl
 
 
 def _scale_or_lead(drive: int, scale: float, gain: Gain) -> Finding:
-    """Name both causes of a length that is wrong where the force fits either."""
     text = (
         f"its lengths are {scale:.4f} times what they should be; its forces, {gain.value:.2f} +- "
         f"{gain.error:.2f} times, fit a wrong encoder scale, and a wrong lead or gear, too"
     )
-    mend = (
+    remedy = (
         "Turn its shaft by one turn, by hand, and measure by tape how far the leg goes: if that is the "
-        f"configured way, multiply counts a turn in the drive by {scale:.4f}; else mend lead or gear."
+        f"configured, multiply counts per turn in the drive by {scale:.4f}; else correct lead or gear."
     )
-    return Finding("scale_or_lead", (drive,), text, mend)
+    return Finding("scale_or_lead", (drive,), text, remedy)
 
 
 STEP = Step(

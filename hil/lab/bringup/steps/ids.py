@@ -1,4 +1,4 @@
-"""Which drive counts which leg: each leg is moved by hand, and the readings are watched."""
+"""Assignment of drives to legs: each leg is moved by hand while all readings are watched."""
 
 import numpy as np
 
@@ -6,11 +6,11 @@ from drivers.signals import LEGS
 from hil.lab.bringup.context import Context, Finding, Request, Step
 
 MOVE_SHARE = 0.1
-"""Of the stroke, by hand."""
+"""Distance of the move by hand, as a share of the stroke."""
 COUNTS = 5e-3
-"""A reading that changes by this share of the move, and not by RESPONDS, counts far too little."""
+"""A reading counts far too little if it changes by this share of the move, but less than RESPONDS."""
 RESPONDS = 0.1
-"""A reading that changes by this share of the move responds to it."""
+"""A reading that changes by more than this share of the move responds to it."""
 
 
 def find(c: Context) -> None:
@@ -29,40 +29,40 @@ def find(c: Context) -> None:
 
 
 def drive_of(c: Context) -> dict[int, int]:
-    """Return for each leg that an encoder counts the drive of that encoder: its own, if that does."""
+    """Drive whose encoder counts each leg; the leg's own drive if it is one of several."""
     drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
     return {leg: leg if leg in counted else counted[0] for leg, counted in drives.items() if counted}
 
 
 def judge(c: Context) -> list[Finding]:
-    """Name encoders that stand still or count a second leg; exchanged ones need motor and brake to name."""
+    """Findings: encoders that stand still or count a second leg; exchanged ones show at the brakes."""
     drives = {leg: fact["drives"] for leg, fact in c.table("ids").items()}
-    text, mend = "the encoder of its drive counts leg {}, as that leg's own does", "Mend the encoder's cable."
+    text, remedy = "the encoder of its drive counts leg {}, like that leg's own", "Fix the encoder's cable."
     found = [
-        Finding("encoder_counts_another", (drive, leg), text.format(leg), mend)
+        Finding("encoder_counts_another", (drive, leg), text.format(leg), remedy)
         for leg, counted in drives.items()
         for drive in counted
         if len(counted) > 1 and drive != leg
     ]
     found += [_unmoved(c, k) for k in range(LEGS) if not any(k in counted for counted in drives.values())]
-    named, mend = {f.legs[0] for f in found}, "Look at encoder, coupling and cable."
+    named, remedy = {f.legs[0] for f in found}, "Look at encoder, coupling and cable."
     return found + [
-        Finding("encoder_unseen", (leg,), "no encoder counts it", mend)
+        Finding("encoder_unseen", (leg,), "no encoder counts it", remedy)
         for leg, counted in drives.items()
         if not counted and leg not in named
     ]
 
 
 def _unmoved(c: Context, drive: int) -> Finding:
-    """Name an encoder that counts no leg: it stands still, or counts far too little."""
+    """Finding about an encoder that counts no leg: it stands still, or counts far too little."""
     changes = [fact["changes_m"][drive] for fact in c.table("ids").values()]
     most, by_m = max(changes, key=abs), MOVE_SHARE * c.machine.stroke
     if abs(most) > COUNTS * by_m:
         text = f"its reading changes by {1e3 * most:.2f} mm as a leg is moved by about {1e3 * by_m:.0f} mm"
-        mend = "Look at counts per m in the drive, lead and gear; and whether the leg went so far."
-        return Finding("encoder_scale", (drive,), text, mend)
-    text, mend = "its encoder stands still while its leg moves", "Look at encoder, coupling, cable and leg."
-    return Finding("encoder_frozen", (drive,), text, mend)
+        remedy = "Look at counts per m in the drive, lead and gear; and check that the leg went so far."
+        return Finding("encoder_scale", (drive,), text, remedy)
+    text, remedy = "its encoder stands still while its leg moves", "Look at encoder, coupling, cable and leg."
+    return Finding("encoder_frozen", (drive,), text, remedy)
 
 
 STEP = Step(

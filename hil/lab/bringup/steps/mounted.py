@@ -1,4 +1,4 @@
-"""Each leg at its own joints: leg lengths at known poses of the hanging platform."""
+"""Check of the mounting: leg lengths while the platform hangs at known poses."""
 
 from collections.abc import Iterator
 
@@ -9,24 +9,24 @@ from drivers.signals import LEGS
 from hil.lab.bringup.context import Context, Finding, Request, Step, gap_of
 
 FIT_M = 4e-3
-"""Largest accepted difference of a length at a pose that is known by a jig."""
+"""Largest accepted error of a leg length at a pose fixed by a jig."""
 SAME_M = 1e-3
-"""Differences at the poses that differ by less are one."""
+"""Errors at the two poses that differ by less count as equal."""
 MANY = 4
-"""Lengths of so many legs that are off at once, and fit no other joints, have one cause: the pose."""
-AFTER = "Take the platform off the legs first: what is mended is measured again on legs that carry nothing."
-MEND = f"Mount it at its joints, or mend the geometry. {AFTER}"
+"""Wrong lengths of this many legs that fit no other joints have one cause: the pose."""
+AFTER = "Take the platform off the legs first: repaired parts are measured again on legs without load."
+REMEDY = f"Mount it at its joints, or correct the geometry. {AFTER}"
 LOAD_WITHIN = 0.1
-"""Accepted error of the platform's mass: its weight is what the legs push as the brakes open."""
+"""Accepted relative error of the platform's mass; the legs push with its weight as the brakes open."""
 HEAVIEST = 500.0
-"""A mass that is so many times the configured one was read in another unit."""
+"""A mass above this multiple of the configured one is taken for a wrong unit."""
 UPRIGHT = 0.3
-"""Cosine between gravity and the way from base to platform from which its weight presses or pulls."""
+"""Least cosine between gravity and the leg direction for a weight that compresses or stretches the legs."""
 WAYS = {1: "presses the legs", 0: "neither presses the legs nor pulls at them", -1: "pulls at the legs"}
 
 
 def find(c: Context) -> None:
-    """Have the platform weighed, hung at the known poses, and read the legs, all drives off."""
+    """Have the platform weighed and hung at the known poses, and read the legs, all drives off."""
     weigh = "Weigh the platform with all that is fixed to it, kg; 0: it cannot be weighed"
     way = "Will its weight press the legs together, 1, pull at them, -1, or neither, 0"
     for name, act, text, least, most in (
@@ -45,7 +45,7 @@ def find(c: Context) -> None:
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Name legs whose lengths fit other joints, or none."""
+    """Findings: legs with lengths that fit other joints, or none; load and gravity."""
     yield from _load(c)
     m = c.machine
     q = np.array([c.known("mounted", k)["q_m"] for k in range(len(m.pose_lengths))])
@@ -57,53 +57,55 @@ def judge(c: Context) -> Iterator[Finding]:
     joints = {leg: _joints(m.joint_distances, q[:, leg]) for leg in wrong}
     if len(wrong) >= MANY and not any(joints.values()):
         legs = "; ".join(f"leg {leg} {off_mm[leg]}" for leg in wrong)
-        text = f"so many at once, and none fits other joints: the platform hangs elsewhere ({legs})"
-        mend = f"Hang it at the known poses, or mend platform.home and the joints. {AFTER}"
-        yield Finding("wrong_home", (), text, mend)
+        text = f"{len(wrong)} legs are off and fit no other joints: the platform hangs elsewhere ({legs})"
+        remedy = f"Hang it at the known poses, or correct platform.home and the joints. {AFTER}"
+        yield Finding("wrong_home", (), text, remedy)
         return
     tilted = "See that the platform hangs at the known poses, not tilted. " * (len(wrong) > 1)
     for leg in wrong:
         text, fits = f"at the known poses it is {off_mm[leg]} off", joints[leg]
-        name, mend = "mounted_elsewhere", tilted + MEND
+        name, remedy = "mounted_elsewhere", tilted + REMEDY
         if fits is not None:
             text += f", and fits between base joint {fits[0]} and platform joint {fits[1]}"
         elif np.ptp(away[:, leg]) < SAME_M:
             name = "slipped"
-            mend = f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {mend}"
-        yield Finding(name, (leg,), text, mend)
+            remedy = (
+                f"Encoder, belt or coupling has slipped since the tape, or its joint is elsewhere. {remedy}"
+            )
+        yield Finding(name, (leg,), text, remedy)
 
 
 def _load(c: Context) -> Iterator[Finding]:
-    """Name a weight, or a way of gravity, that the controller would be wrong about as the brakes open."""
+    """Findings: a weight or a direction of gravity that would mislead the controller as the brakes open."""
     m, load = c.machine, c.facts["load"]
     mass = load["mass_kg"]
     if mass > 0.0 and abs(mass / m.platform_kg - 1.0) > LOAD_WITHIN:
         text = f"the platform weighs {mass:.4g} kg, configured are {m.platform_kg:.4g} kg"
-        mend = f"Write what it weighs into platform, or take off what is not part of it. {AFTER}"
-        yield Finding("payload", (), text, mend)
+        remedy = f"Write this mass into section platform, or take off parts that do not belong to it. {AFTER}"
+        yield Finding("payload", (), text, remedy)
     seen, configured = round(load["presses"]), round(np.sign(m.presses)) if abs(m.presses) > UPRIGHT else 0
     if seen != configured:
         text = f"the platform's weight {WAYS[seen]}; by the configuration it {WAYS[configured]}"
-        yield Finding("gravity", (), text, f"Mend platform.gravity_m_s2 or platform.home. {AFTER}")
+        yield Finding("gravity", (), text, f"Correct platform.gravity_m_s2 or platform.home. {AFTER}")
 
 
 def _joints(distances: Array, q: Array) -> tuple[int, int] | None:
-    """Return base and platform joint between which lengths (poses,) m fit best, None where none do."""
+    """Base and platform joint whose distances fit lengths (poses,) m best; None if no pair fits."""
     worst = np.abs(distances - q[:, None, None]).max(axis=0)
     base, platform = np.unravel_index(int(np.argmin(worst)), worst.shape)
     return (int(base), int(platform)) if worst[base, platform] <= FIT_M else None
 
 
 def gap(c: Context) -> Finding | None:
-    """Say where drives that forget their turns read alike at other joints, and that nothing was weighed."""
+    """Unproven: joints that read alike after forgotten turns; a mass that was not weighed."""
     gaps, forgotten = [], c.machine.forgotten_m
     least_m = np.inf if forgotten is None else float(forgotten.min())
     if least_m <= 4.0 * FIT_M:
-        text = f"they forget multiples of {1e3 * least_m:.3g} mm, so a leg elsewhere may read as it should"
+        text = f"they forget multiples of {1e3 * least_m:.3g} mm, so a leg at wrong joints may read correctly"
         gaps.append((text, "Compare the length of each leg at both poses by tape"))
     if c.facts["load"]["mass_kg"] == 0.0:
         text = "the platform was not weighed, so it may drop or leap as the brakes open"
-        gaps.append((text, f"See that all of it weighs {c.machine.platform_kg:.4g} kg"))
+        gaps.append((text, f"Make sure that all of it weighs {c.machine.platform_kg:.4g} kg"))
     texts, instead = zip(*gaps, strict=True) if gaps else ((), ())
     return gap_of("; ".join(texts), ". ".join(instead)) if gaps else None
 

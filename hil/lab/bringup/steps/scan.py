@@ -1,4 +1,4 @@
-"""Who answers on the bus, and whether six drives take their set-up."""
+"""Scan of the bus: which nodes answer, and whether six drives accept their set-up."""
 
 from collections import Counter
 from collections.abc import Collection, Iterator
@@ -10,19 +10,19 @@ from hil.lab.bringup.context import Context, Finding, Step, forget_legs
 
 LISTEN_S = 0.4
 TWICE = 1.5
-"""So many answers a tick, of one that is polled once in it, are those of two drives."""
+"""More answers per poll than this come from two drives."""
 CANOPEN_HEARTBEAT = 0x700
 """CiA 301: identifier of a heartbeat less the node number."""
 
 
 def find(c: Context) -> None:
-    """Poll all drives, commanded off, and set them up: at every start, since drives forget."""
+    """Poll all drives, commanded off, and set them up; at every start, since drives forget."""
     c.drives.spoken = frames = set[tuple[int, int]]()
-    heard, doubled, bus = _listened(c)
+    heard, doubled, bus = _listen(c)
     lacks = ("",) * LEGS
     if not doubled and not bus["foreign"]:
         lacks = c.drives.prepare(None)
-        heard, doubled, bus = _listened(c, often=True)  # some answer only once set up, or otherwise then
+        heard, doubled, bus = _listen(c, often=True)  # some answer only once set up, or otherwise then
     c.drives.spoken = None
     spoken = [sorted(identifier for sender, identifier in frames if sender == leg) for leg in range(LEGS)]
     c.keep("scan", "bus", bus)
@@ -41,23 +41,23 @@ def find(c: Context) -> None:
 
 
 def _recognise(c: Context, heard: Collection[int]) -> None:
-    """Drop what is known of legs whose drive is another than the one that was measured, and say so."""
+    """Drop the facts about legs whose drive was replaced since they were measured, and report it."""
     found, others = c.drives.identities(heard), []
     double = [leg for leg, serials in enumerate(c.drives.serials) if len(serials) > 1]
-    for leg in double:  # either of the two may have told last
+    for leg in double:  # either of the two may have answered last
         c.keep("scan", leg, c.known("scan", leg) | {"twice": True})
     before = [c.known("identity", leg) or {} for leg in range(LEGS)]
     for leg in set(range(LEGS)) - set(double):
-        known, said = before[leg], found[leg]
-        changes = [f"{k} {v} -> {said[k]}" for k, v in known.items() if said.get(k, v) != v]
+        known, reported = before[leg], found[leg]
+        changes = [f"{k} {v} -> {reported[k]}" for k, v in known.items() if reported.get(k, v) != v]
         text = f"  leg {leg}, node {c.machine.node_ids[leg]}: "
         if changes:
             others.append(leg)
-            text += f"another drive or firmware than was measured ({', '.join(changes)}): "
-            c.operator.tell(f"{text}its steps are done again")
-        elif SERIAL in known and SERIAL not in said and c.known("scan", leg)["answers"]:
-            text += f"it does not tell its serial number, which was {known[SERIAL]} when it was measured; "
-            c.operator.tell(f"{text}if it was exchanged, begin anew with --again")
+            text += f"other drive or firmware than measured before ({', '.join(changes)}): "
+            c.operator.tell(f"{text}its steps are repeated")
+        elif SERIAL in known and SERIAL not in reported and c.known("scan", leg)["answers"]:
+            text += f"it does not report its serial number ({known[SERIAL]} when it was measured); "
+            c.operator.tell(f"{text}if it was replaced, start over with --again")
     if others:
         forget_legs(c.facts, others)
         c.save()  # before who is there now is known: an end between the two leads here again
@@ -66,10 +66,11 @@ def _recognise(c: Context, heard: Collection[int]) -> None:
             c.keep("identity", leg, found[leg] if leg in others else before[leg] | found[leg])
 
 
-def _listened(c: Context, *, often: bool = False) -> tuple[list[int], int, dict[str, Any]]:
-    """Poll the drives, commanded off; return ticks in which each answers, bits of doubled ones, the bus.
+def _listen(c: Context, *, often: bool = False) -> tuple[list[int], int, dict[str, Any]]:
+    """Poll the drives, commanded off; return answered ticks per drive, bits of duplicate drives, the bus.
 
-    often: who answers each poll twice is doubled, too; not where readings are sent unasked.
+    often: a node that answers each poll twice also counts as duplicate, unless drives send readings
+    unsolicited.
     """
     heard, doubled, foreign, refused = [0] * LEGS, 0, 0, 0
     strange: set[int] = set()
@@ -91,11 +92,11 @@ def _listened(c: Context, *, often: bool = False) -> tuple[list[int], int, dict[
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Name drives that are absent, double, of another protocol, or not set up."""
+    """Findings: drives that are absent, duplicate, of another protocol, or not set up."""
     m, bus = c.machine, c.facts["scan"]["bus"]
     if bus["foreign"]:
         names = ", ".join(str(f.name) for f in Foreign if f and f.value & bus["foreign"])
-        text = f"somebody else sends {names}"
+        text = f"another controller sends {names}"
         yield Finding("second_controller", (), text, "End the other controller.")
     facts = c.table("scan")
     silent = [leg for leg, fact in facts.items() if not fact["answers"]]
@@ -109,9 +110,9 @@ def judge(c: Context) -> Iterator[Finding]:
             text += f"; no drive answers as node {nodes}"
         yield Finding("same_id", (leg, *silent), text, "Give one of the two its own node number.")
     if len(silent) == LEGS and not bus["strange"] and not bus["refused"]:
-        text = f"nobody answers, neither node {nodes} nor another"
-        mend = "Look at bit rate, layout, cable, termination and the drives' supply."
-        yield Finding("absent", tuple(silent), text, mend)
+        text = f"no drive answers, neither node {nodes} nor any other"
+        remedy = "Look at bit rate, layout, cable, termination and the drives' supply."
+        yield Finding("absent", tuple(silent), text, remedy)
         return
     for leg in silent if not double else []:
         yield _silent(c, leg, bus)
@@ -133,23 +134,23 @@ def _silent(c: Context, leg: int, bus: dict[str, Any]) -> Finding:
     node = f"node {m.node_ids[leg]}"
     spoken, strange, refused = fact["spoken"], bus["strange"], bus["refused"]
     names = ", ".join(f"{identifier:#x}" for identifier in spoken or strange)
-    name, mend = "wrong_protocol", f"Set the drive to {m.protocol}, or drives.protocol; compare bus.layout."
+    name, remedy = "wrong_protocol", f"Set the drive to {m.protocol}, or drives.protocol; compare bus.layout."
     if CANOPEN_HEARTBEAT + m.node_ids[leg] in strange:
         text = f"{node} speaks CANopen: its heartbeat is {CANOPEN_HEARTBEAT + m.node_ids[leg]:#x}"
     elif refused:
-        text = f"{node} is heard, but {refused} frames are refused: length, check or state"
+        text = f"{node} sends, but {refused} frames are invalid: length, checksum or state"
     elif spoken and not m.unasked_identifiers.issuperset(spoken):
-        name, mend = "set_up", _SET_UP
-        text = f"{node} is heard, but does not answer the polls: {fact['lacks'] or 'it confirms its set-up'}"
+        name, remedy = "set_up", _SET_UP
+        text = f"{node} sends, but does not answer the polls: {fact['lacks'] or 'it confirms its set-up'}"
     elif spoken:
-        text = f"{node} sends {names} unasked, and answers nothing: {fact['lacks'] or 'no poll'}"
+        text = f"{node} sends {names} unsolicited, but does not answer: {fact['lacks'] or 'no poll'}"
     else:
         name, text = "absent", f"{node} does not answer"
-        mend = "Look at its power, its cable, its bit rate and its node number."
+        remedy = "Look at its power, its cable, its bit rate and its node number."
         if strange:
-            text += f"; identifiers of no drive of {m.protocol} are heard: {names}"
-            mend += " If these frames end as it is switched off, it speaks another protocol."
-    return Finding(name, (leg,), text, mend)
+            text += f"; identifiers unknown to {m.protocol} were received: {names}"
+            remedy += " If these frames end as it is switched off, it speaks another protocol."
+    return Finding(name, (leg,), text, remedy)
 
 
 STEP = Step(

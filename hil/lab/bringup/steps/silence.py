@@ -1,8 +1,9 @@
-"""Each drive's own watchdog, proven by silence.
+"""Proof of each drive's own watchdog: the controller stops sending.
 
-Drives that are powered on shut brakes are proven all at once. The others know no state between off and
-enabled: the brake of a leg on its trestle opens meanwhile, one at a time. What a drive sends unasked, at a
-SYNC that does not feed its watchdog, is watched; other drives are asked before and after their time.
+Drives that can be powered on shut brakes are proven all at once. Drives without a state between off and
+enabled open the brake of their leg, so they are proven one at a time, on trestles. A drive is watched
+throughout if it reports at a SYNC that does not feed its watchdog. Other drives are polled before and after
+the time of the watchdog.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -15,42 +16,42 @@ from hil.lab.bringup.context import Context, Finding, Step, gap_of
 
 POWER_S = 0.1
 WAIT, WAIT_S = 6.0, 0.4
-"""Silence ends after so many times the configured watchdog, and not before this."""
+"""The silence lasts this multiple of the configured watchdog, and at least WAIT_S."""
 EARLY, LATE = 0.5, 1.5
-"""A watchdog that takes less or more than so many times the configured one is wrong."""
-ASKS = 3
-"""So many ticks a drive is asked whether it is still powered: an answer may be late, or lost."""
+"""Accepted range of a watchdog, as multiples of the configured one."""
+POLLS = 3
+"""Ticks in which a drive is polled for its power state, since an answer may be late or lost."""
 SEEN_EARLY = 0.7
-"""One that is watched is seen a period late, and takes less than EARLY if it is seen before this share."""
+"""Limit in place of EARLY for a watched drive, whose reaction is seen a period late."""
 TRIES = 5
-"""So often it is measured again where a late tick hides whether a watchdog is right."""
+"""Measurements at most, if a late tick leaves a result open."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 Fact = dict[str, Any]
-"""`powered` before the silence; its watchdog acts after `since_s` and before `until_s`."""
+"""`powered` before the silence; the watchdog acts between `since_s` and `until_s`."""
 
 
 def find(c: Context) -> None:
-    """Power the drives, stop commanding them, and take the time until each is no longer powered.
+    """Power the drives, stop commanding them, and measure the time until each loses power.
 
-    Times are the clock's, between ticks as they were. What does not tell since a tick came late is measured
-    again.
+    Times are measured by the clock at ticks, however late they came. A result left open by a late tick is
+    measured again.
     """
     traits = c.drives.protocol.traits
     missing = list(c.missing("watchdog")) if _observable(c) else []
-    asked = traits.command_delay_ticks > 0 or traits.power_told == "heartbeat"
-    find_some = _find_shut if traits.force_on_brakes else _find_asked if asked else _find_watched
+    polled = traits.command_delay_ticks > 0 or traits.power_told == "heartbeat"
+    find_some = _find_shut if traits.force_on_brakes else _find_polled if polled else _find_watched
     together = [list(range(LEGS))] if missing else []
     for legs in together if traits.force_on_brakes else [[leg] for leg in missing]:
         for _ in range(TRIES):
             facts = find_some(c, legs)
-            if all(_tells(c, fact) for fact in facts):
+            if all(_is_conclusive(c, fact) for fact in facts):
                 break
         for leg, fact in zip(legs, facts, strict=True):
             c.keep("watchdog", leg, fact)
 
 
-def _tells(c: Context, fact: Fact) -> bool:
-    """Whether a watchdog is known to be right, or not to be."""
+def _is_conclusive(c: Context, fact: Fact) -> bool:
+    """True if a fact decides whether the watchdog is right."""
     until, since = fact["until_s"], fact["since_s"]
     if not fact["powered"] or until is None:
         return True
@@ -76,7 +77,7 @@ def _wait_s(c: Context) -> float:
 
 
 def _find_shut(c: Context, legs: Sequence[int]) -> list[Fact]:
-    """Power all drives on shut brakes, fall silent, and watch what they answer to SYNC."""
+    """Power all drives on shut brakes, stop commanding, and watch their answers to SYNC."""
     drives = c.drives
     drives.prepare(None)
     for _ in range(drives.ticks(POWER_S)):
@@ -90,33 +91,33 @@ def _find_shut(c: Context, legs: Sequence[int]) -> list[Fact]:
 
 
 def _find_watched(c: Context, legs: Sequence[int]) -> list[Fact]:
-    """Enable a drive alone, fall silent, and watch what it answers to SYNC."""
+    """Enable a drive alone, stop commanding, and watch its answers to SYNC."""
     with c.opened(legs[0]):
         return _watched(c, legs, lambda: c.drives.step(DriveMode.RUN, legs[0], silent=True))
 
 
 def _watched(c: Context, legs: Sequence[int], silent: Callable[[], Record]) -> list[Fact]:
-    """Fall silent, and take the time of the tick in which each drive is first not powered."""
+    """Stop commanding, and measure the time to the first tick in which each drive is not powered."""
     facts: list[Fact] = [{"powered": _powered(c, k), "until_s": None, "since_s": None} for k in legs]
     period_ns = 1e9 / c.drives.line.rate_Hz
-    told_ns = before_ns = int(c.drives.record["t_ns"])
+    last_ns = before_ns = int(c.drives.record["t_ns"])
     for _ in range(c.drives.ticks(_wait_s(c))):
         now_ns = int(silent()["t_ns"])
         for k, fact in zip(legs, facts, strict=True):
             if fact["until_s"] is None and not _powered(c, k):
-                fact["until_s"] = 1e-9 * (now_ns - told_ns)
-                fact["since_s"] = max(0.0, 1e-9 * (before_ns - told_ns - period_ns))
+                fact["until_s"] = 1e-9 * (now_ns - last_ns)
+                fact["since_s"] = max(0.0, 1e-9 * (before_ns - last_ns - period_ns))
         before_ns = now_ns
         if all(fact["until_s"] is not None for fact in facts):
             break
     return facts
 
 
-def _find_asked(c: Context, legs: Sequence[int]) -> list[Fact]:
-    """Ask a drive alone before and after its time: commands feed the watchdog, and bring no power back.
+def _find_polled(c: Context, legs: Sequence[int]) -> list[Fact]:
+    """Poll a drive before and after its watchdog time: commands feed the watchdog but do not restore power.
 
-    Where the heartbeat tells, commands go on until the next one. What a watchdog outlasts, or not, is the
-    longest time between two commands.
+    If only the heartbeat reports the power state, commands go on until the next heartbeat. The result is the
+    longest time between two commands that the watchdog outlasted, or did not.
     """
     leg, rate, wait = legs[0], c.drives.line.rate_Hz, c.machine.watchdog_s
     late_s = c.machine.heartbeat_s if c.drives.protocol.traits.power_told == "heartbeat" else 0.0
@@ -125,36 +126,38 @@ def _find_asked(c: Context, legs: Sequence[int]) -> list[Fact]:
     with c.opened(leg):
         powered = _powered(c, leg)
         for ticks in (early, ceil(LATE * wait * rate), c.drives.ticks(_wait_s(c))):
-            told_ns, longest_ns = int(c.drives.record["t_ns"]), 0
+            last_ns, longest_ns = int(c.drives.record["t_ns"]), 0
             for _ in range(ticks):
                 c.drives.step(DriveMode.RUN, leg, silent=True)
-            for _ in range(ASKS + ceil(late_s * rate)):
+            for _ in range(POLLS + ceil(late_s * rate)):
                 now_ns = int(c.drives.step(DriveMode.RUN, leg)["t_ns"])
-                longest_ns, told_ns = max(longest_ns, now_ns - told_ns), now_ns
-            gone = not _powered(c, leg)
-            bounds[gone] = 1e-9 * longest_ns
-            if gone:
+                longest_ns, last_ns = max(longest_ns, now_ns - last_ns), now_ns
+            lost = not _powered(c, leg)
+            bounds[lost] = 1e-9 * longest_ns
+            if lost:
                 break
     return [{"powered": powered, "until_s": bounds[1], "since_s": bounds[0]}]
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Name drives whose watchdog is missing, too slow or too fast."""
+    """Findings: watchdogs that are missing, too slow or too fast."""
     wait = c.machine.watchdog_s
     for leg, fact in c.table("watchdog").items():
         until, since_ms = fact["until_s"], 1e3 * (fact["since_s"] or 0.0)
-        mend = "Set the drive's watchdog, or its unit."
+        remedy = "Set the drive's watchdog, or its unit."
         if not fact["powered"]:
             name, text = "not_powered", "the drive does not take power, or does not keep it"
-            mend = "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
+            remedy = (
+                "Look at the drive's fault, its enable, and a watchdog shorter than the one that was set."
+            )
         elif until is None:
             name, text = "watchdog_missing", f"it is still powered after {1e3 * _wait_s(c):g} ms of silence"
-            mend = "Switch its watchdog on: nothing stops this leg when the controller dies."
+            remedy = "Switch its watchdog on: nothing stops this leg when the controller dies."
         else:
             text = f"it reacts within {since_ms:g} to {1e3 * until:g} ms of silence"
-            if not _tells(c, fact):
+            if not _is_conclusive(c, fact):
                 name = "watchdog_unmeasured"
-                mend = f"Ticks were late {TRIES} times: end what else works here, and give the command again."
+                remedy = f"Ticks were late {TRIES} times: close other programs, and repeat the command."
             elif until > _latest_s(c):
                 name = "watchdog_long"
             elif until < SEEN_EARLY * wait:
@@ -162,28 +165,28 @@ def judge(c: Context) -> Iterator[Finding]:
             else:
                 continue
         if until is not None or not fact["powered"] or c.drives.protocol.traits.has_watchdog:
-            yield Finding(name, (leg,), f"{text}, set were {1e3 * wait:g} ms", mend)
+            yield Finding(name, (leg,), f"{text}, configured: {1e3 * wait:g} ms", remedy)
 
 
 def gap(c: Context) -> Finding | None:
-    """Say which drives have no watchdog that can be proven, if they are of a family without one."""
+    """Drives without a provable watchdog, for families in which it cannot be set over the bus."""
     legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
     if c.drives.protocol.traits.has_watchdog or not legs:
         return None
     shown = f"those of legs {', '.join(map(str, legs))} stay enabled in silence"
     if not _observable(c):
-        shown = "their answers do not tell whether they are enabled"
+        shown = "their answers do not show whether they are enabled"
     return gap_of(
-        f"they have no watchdog that is set from here, and {shown}",
-        "When the program dies a drive keeps its last torque. See that something independent of program and "
-        "bus cuts the drives' power and shuts the brakes, try it now, and keep it in reach",
+        f"they have no watchdog that can be set over the bus, and {shown}",
+        "When the program dies a drive keeps its last torque. Make sure that a switch independent of program "
+        "and bus cuts the drives' power and shuts the brakes, try it now, and keep it in reach",
     )
 
 
 STEP = Step(
     "watchdog",
     "watchdogs, by silence",
-    "powers the drives without force on shut brakes and falls silent; drives that know no such state are "
+    "powers the drives without force on shut brakes and stops sending; drives without such a state are "
     "enabled one at a time, on trestles",
     "Ctrl-C, or the emergency stop",
     find,

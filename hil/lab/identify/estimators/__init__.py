@@ -1,1 +1,1 @@
-"""Identification from a log: the delay from command to force, linearised axes, masses and friction."""
+"""Estimators for data from logs: the delay from command to force, linearised axes, masses and friction."""

@@ -12,18 +12,19 @@ from hil.lab.identify.estimators.response import Response
 
 
 def axis_response(frequency_Hz: Array, period_s: float, transport_s: float, lag_s: float) -> ComplexArray:
-    """Return the response (n,) s^2 of P(s) = exp(-transport s) / (lag s + 1) / s^2 behind a zero-order hold.
+    """Response (n,) s^2 of P(s) = exp(-transport s) / (lag s + 1) / s^2 after a zero-order hold.
 
-    From the samples of the demanded acceleration to those of the position, exactly: the hold makes steps of
-    the samples, the step response of P without its delay is y(t) = t^2/2 - lag t + lag^2 (1 - exp(-t/lag)),
-    and G(z) = (1 - 1/z) sum y(k T - transport) z^-k. That is the modified z-transform of a plant whose delay
-    is no multiple of the period T (E. I. Jury, Theory and Application of the z-Transform Method, 1964). Far
-    below the rate it is (1 - exp(-s T)) / (s T) P(s): at 30 Hz and 1 kHz within 0.001 %.
+    It is exact from samples of the demanded acceleration to samples of the position. The hold turns the
+    samples into steps; the step response of P without its delay is y(t) = t^2/2 - lag t + lag^2 (1 -
+    exp(-t/lag)), and G(z) = (1 - 1/z) sum y(k T - transport) z^-k. This is the modified z-transform of a
+    plant with a delay that is not a multiple of the period T (E. I. Jury, Theory and Application of the
+    z-Transform Method, 1964). Far below the rate it is (1 - exp(-s T)) / (s T) P(s): at 30 Hz and 1 kHz
+    within 0.001 %.
     """
     T, tau = period_s, lag_s
     w = np.exp(-2j * np.pi * np.asarray(frequency_Hz, float) * T)  # 1/z
     d = max(ceil(transport_s / T - 1e-12), 0)
-    delta = d * T - transport_s  # of a period, what the first sample after the delay sees
+    delta = d * T - transport_s  # rest of the period at the first sample after the delay
     s0 = 1.0 / (1.0 - w)
     s1 = w * s0**2  # sum k w^k
     s2 = w * (1.0 + w) * s0**3  # sum k^2 w^k
@@ -35,23 +36,23 @@ def axis_response(frequency_Hz: Array, period_s: float, transport_s: float, lag_
 
 COHERENT = 0.9
 FEWEST_LINES = 6
-"""Of each axis."""
+"""Least number of coherent lines of each axis."""
 SYSTEMATIC = 2e-3
-"""Least relative error of a spectral line: coupling and the change of the pose do not average out."""
+"""Least relative error of a spectral line; errors from coupling and changing pose do not average out."""
 LONGEST_PERIODS = 20.0
 SEPARATED = 10.0
-"""Largest condition number of the directions of six lines that still determine a coupling matrix."""
+"""Largest condition number of the directions of six lines for a coupling matrix."""
 
 
 class Delays(NamedTuple):
-    """From measurement to force, s, with standard deviations."""
+    """Delays from measurement to force, s, with standard deviations."""
 
     transport_s: float
     transport_std_s: float
     lag_s: float
     lag_std_s: float
     total_s: float
-    """Transport, lag and half a period, which the force is held: slope of the phase at low frequency."""
+    """Transport, lag and half a period of hold: slope of the phase at low frequency."""
     total_std_s: float
 
 
@@ -63,26 +64,27 @@ class Fit(NamedTuple):
     gain_std: Array
     delays: Delays
     used: Flags
-    """(lines, 6) what the fit was made from: excited and coherent."""
+    """(lines, 6): lines used in the fit, excited and coherent."""
 
 
 class Uncertainty(NamedTuple):
-    """What the measured axes differ from the nominal one by, with confidence."""
+    """Bound of the relative error between measured axes and the nominal one, with confidence."""
 
     frequency_Hz: Array
     bound: Array
     coupled: bool
-    """Whether the coupling of the axes is covered: everywhere six neighbouring lines moved them in six
-    directions."""
+    """True if the bound covers the coupling of the axes: everywhere six neighbouring lines moved them in six
+    independent directions.
+    """
 
 
 def fit_axes(response: Response) -> Fit:
-    """Return the nominal axis that leaves the smallest relative error, each line weighted by its certainty.
+    """Fit the nominal axis with the smallest relative error, each line weighted by its certainty.
 
     The loss is soft: a model error in weight or friction distorts only the lowest lines, which have the least
-    noise; it belongs into the bound, not into the gain.
+    noise. It belongs to the bound, not to the gain.
 
-    Raises IdentificationError: too few coherent lines on an axis, or responses that are no such axis.
+    Raises IdentificationError: too few coherent lines on an axis, or responses unlike the nominal axis.
     """
     used = response.excited & (response.coherence >= COHERENT) & np.isfinite(response.G)
     for axis, lines in enumerate(used.sum(axis=0).tolist()):
@@ -119,9 +121,9 @@ def fit_axes(response: Response) -> Fit:
     if worst > 0.5:
         raise IdentificationError(
             f"the measured responses are {100 * worst:.0f} % from any gain, delay and lag in front of a "
-            "double integrator, allowed: 50 %; the model is of another robot, or the axes are not linearised"
+            "double integrator, allowed: 50 %; the model is of another robot, or the axes are not linear"
         )
-    # Scaled by what is left, so that a systematic misfit counts, too; a parameter at its end has no slope.
+    # Scaled by the residual, so that a systematic misfit counts; a parameter at its bound has no slope.
     scale = max(1.0, 2.0 * float(best.cost) / (2 * len(f) - 8))
     C = scale * np.linalg.pinv(best.jac.T @ best.jac)
     std = np.sqrt(np.diag(C))
@@ -133,18 +135,18 @@ def fit_axes(response: Response) -> Fit:
 
 
 def uncertainty(response: Response, fit: Fit) -> Uncertainty:
-    """Return a bound of the relative error over frequency: what was measured, and its 95 % circle.
+    """Bound of the relative error over frequency: the measured error plus its 95 % circle.
 
-    For each axis by itself it is the relative error plus the radius of its 95 % circle; an excited line that
-    is not coherent counts, with a large circle. Six neighbouring lines that move the axes in six directions
-    determine the coupling, too, all of Delta in Y = P0 (1 + Delta) V: six equal controllers have to tolerate
+    For a single axis it is the relative error plus the radius of its 95 % circle. An excited line that is not
+    coherent counts with a large circle. Six neighbouring lines that move the axes in six directions also
+    determine the coupling, the full matrix Delta in Y = P0 (1 + Delta) V. Six equal controllers must tolerate
     its largest singular value (K. Zhou and J. C. Doyle, Essentials of Robust Control, Prentice Hall, 1998,
-    ch. 8). It is convex in Delta, so noise only adds to its mean.
+    ch. 8). This value is convex in Delta, so noise only raises its mean.
 
-    The bound goes from the first to the last coherent line, each value over six neighbouring lines; where an
-    axis has none among them, there is no bound.
+    The bound extends from the first to the last coherent line, each value over six neighbouring lines. If an
+    axis has no line among the six, there is no bound.
 
-    Raises IdentificationError: nowhere can all six axes be bounded.
+    Raises IdentificationError: all six axes can be bounded at fewer than two lines.
     """
     measured = response.excited & np.isfinite(response.G) & np.isfinite(response.radius)
     coherent = np.flatnonzero(fit.used.any(axis=1))
@@ -171,14 +173,14 @@ def uncertainty(response: Response, fit: Fit) -> Uncertainty:
     bounded = np.isfinite(bound)
     if bounded.sum() < 2:
         raise IdentificationError(
-            f"the axes are excited at frequencies too far apart: six neighbouring lines hold all of them at "
+            f"the axes are excited at frequencies too far apart: six neighbouring lines cover all axes at "
             f"{bounded.sum()} lines, allowed: at least 2; give each axis lines in the same band"
         )
     return Uncertainty(f[bounded], bound[bounded], coupled)
 
 
 def _largest_singular_value(D: ComplexArray, V: ComplexArray) -> float | None:
-    """Return that of Delta with D = Delta V, six lines as rows; None where they are not six directions."""
+    """Largest singular value of Delta in D = Delta V, six lines as rows; None without six directions."""
     size = np.linalg.norm(V, axis=1)
     if len(V) < 6 or not (size > 0.0).all():
         return None

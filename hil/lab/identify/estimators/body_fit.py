@@ -1,15 +1,15 @@
-"""Masses and friction by weighted least squares of leg forces, and the nearest body that physics allows.
+"""Masses and friction by weighted least squares of leg forces, and the nearest physically possible body.
 
-Each leg counts by the variance of its residual. Unknowns are measured in the size of the platform itself. A
-direction among them keeps what is believed, not shown by the motion, where its standard deviation would
-exceed FAINT of that size, or where the errors of reading the lengths make more than DROWNED of what the
-equations hold of it: least squares takes them for motion, and is wrong by any number of standard errors
+Each leg is weighted by the variance of its residual. Unknowns are scaled by the platform's own size. A
+direction of the unknowns counts as hidden, and keeps its believed value, in two cases: its standard
+deviation would exceed FAINT of that size, or errors of the length readings make up more than DROWNED of its
+regressor. Least squares would take such errors for motion, and be wrong by any number of standard errors
 (W. A. Fuller, Measurement Error Models, 1987, ch. 1).
 
-Residuals are coloured: filtered noise, and a model that is nearly right. Standard errors follow from their
-products with the regressors, in the cosine series of lowest frequencies over the whole log, which do not leak
-(U. K. Mueller, J. Econometrics 141, 2007; Y. Sun, Econometrics J. 16, 2013): noise that grows with frequency
-counts at the frequencies of the motion, not at its own.
+Residuals are coloured: filtered noise, and errors of the model. Standard errors follow from the products of
+residuals and regressors, expanded in the lowest terms of a cosine series over the whole log, which do not
+leak (U. K. Mueller, J. Econometrics 141, 2007; Y. Sun, Econometrics J. 16, 2013). So noise that grows with
+frequency counts at the frequencies of the motion, not at its own.
 """
 
 from typing import NamedTuple
@@ -30,62 +30,63 @@ from hil.lab.identify.estimators.rigid_body import (
 from hil.robot.geometry import Platform
 
 WEIGHT = 9.81
-"""m/s^2: makes a mass a force of common size; no gravity of a model."""
+"""m/s^2: scales a mass to a force; not the gravity of a model."""
 FAINT = 0.3
-"""Of the platform's own size: a standard deviation above says that nothing is known."""
+"""Standard deviation, relative to the platform's size, above which a direction is hidden."""
 DROWNED = 0.1
-"""Share of errors, rms, in a regressor from which it shows nothing; its square is the share of a parameter
-that is lost."""
+"""Rms share of reading errors in a regressor above which its direction is hidden; its square is the relative
+bias of a parameter.
+"""
 SERIES = 16
 """Terms of the cosine series."""
 FEWEST_SAMPLES = 100
 ROUNDS = 3
-"""Of weighting by the residuals."""
+"""Rounds of weighting by the residuals."""
 
 
 class Estimate(NamedTuple):
-    """What the equations say of the unknowns, before physics has a word."""
+    """Least-squares estimate of the unknowns, before the constraint to a possible body."""
 
     theta: Array
-    """(29,), as the columns of `Equations`."""
+    """(29,), in the order of the columns of `Equations`."""
     covariance: Array
-    """(29, 29); infinite standard deviations are not in it: see `shown`."""
+    """(29, 29), of the shown directions only: hidden ones have no finite standard deviation."""
     shown: Array
     """(29, k) columns: directions of theta / scale that the motion shows."""
     hidden: Array
-    """(29, h) columns: directions that it does not show."""
+    """(29, h) columns: directions that the motion does not show."""
     condition: float
-    """Of the columns, each scaled to unit length."""
+    """Condition number of the columns, each scaled to unit length."""
     residual_N: Array
     """(6,) rms of each leg."""
     root: Array
-    """(29, 29): |root (theta - x)|^2 is what the weighted residuals of x have more, squared and summed."""
+    """(29, 29): |root (theta - x)|^2 is the increase of the weighted sum of squares from theta to x."""
     scale: Array
     """(29,): the platform's own size of each unknown."""
     samples: int
 
     @property
     def std(self) -> Array:
-        """(29,) standard errors. For a hidden one that of what is shown of it."""
+        """(29,) standard errors; for a partly hidden unknown, of its shown part."""
         return np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
 
     @property
     def unknown(self) -> Array:
-        """(29,): share of each unknown, 0 .. 1, that lies in hidden directions."""
+        """(29,): share of each unknown, 0 .. 1, in hidden directions."""
         return np.asarray((self.hidden**2).sum(axis=1), np.float64)
 
 
 def unknowns_scale(platform: Platform) -> Array:
-    """Return the sizes (29,): mass m, first moments m r, inertia m r^2; friction: weight at 1 m/s; 1 ms."""
+    """Sizes (29,): mass m, first moments m r, inertia m r^2; friction: weight at 1 m/s; 1 ms; m / 6."""
     m, r = platform.platform.mass, platform.radius
     return np.array([m, *3 * (m * r,), *6 * (m * r * r,), *12 * (m * WEIGHT / 6.0,), 1e-3, *6 * (m / 6.0,)])
 
 
 def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
-    """Return the weighted least squares of the equations of all logs.
+    """Weighted least squares of the equations of all logs.
 
-    believed (29,) is kept in the directions that are not shown; scale: `unknowns_scale`. Raises
-    IdentificationError: too few samples.
+    believed (29,): kept in hidden directions; scale: `unknowns_scale`. Raises IdentificationError: too few
+    samples.
     """
     count = np.bincount(equations.leg, minlength=6)
     if count.min() < FEWEST_SAMPLES:
@@ -120,7 +121,7 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
 
 
 def _directions(X: Array, noise: Array) -> tuple[Array, Array]:
-    """Return the directions of all unknowns that weighted equations show, and do not; columns, orthonormal.
+    """Orthonormal columns of the shown and the hidden directions of weighted equations.
 
     X (m, n) has a residual of unit variance; noise (m, n) is its error.
     """
@@ -130,11 +131,11 @@ def _directions(X: Array, noise: Array) -> tuple[Array, Array]:
 
 
 def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
-    """Return the covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
+    """Covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
 
     A^-1 (mean over j of L_j L_j^T) A^-1, A = Z^T Z, L_j = sqrt(2) sum_t cos(pi j (t - 1/2) / n) s_t with the
-    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 16. Rows as many as unknowns are
-    taken off: m / (m - k).
+    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 16. The factor m / (m - k)
+    accounts for the k fitted unknowns.
     """
     m, k = Z.shape
     instant = np.unique(sample, return_inverse=True)[1]
@@ -148,46 +149,48 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
 
 
 def prediction_error(equations: Equations, theta: Array) -> float:
-    """Return the rms (N) of what theta (29,) leaves of the equations."""
+    """Rms (N) of the residual of the equations at theta (29,)."""
     return float(np.sqrt(np.mean((equations.y - equations.A @ theta) ** 2)))
 
 
 def halves(equations: Equations) -> list[Equations]:
-    """Return the rows of the first and of the second half of the time."""
+    """Rows of the first and of the second half of the time."""
     first = equations.sample <= np.median(equations.sample)
     return [equations.part(first), equations.part(~first)]
 
 
 LEAST = 1e-9
-"""Smallest eigenvalue from which the search begins, of the largest there is."""
+"""Smallest eigenvalue at the start of the search, relative to the largest."""
 FARTHEST = 15.0
 """Bound of the logarithms: a body may be as thin as exp(-15) of the platform."""
 _POWERS = np.array([0, 1, 1, 1, 2, 2, 2, 2, 2, 2])
 
 
 class Consistent(NamedTuple):
-    """An estimate that a body can have."""
+    """Estimate constrained to a possible body."""
 
     theta: Array
     """(29,)."""
     smallest: float
-    """Smallest eigenvalue of the pseudo-inertia that least squares alone gave, lengths in radii, kg; <= 0: no
-    body has it, and `theta` is another one."""
+    """Smallest eigenvalue of the unconstrained pseudo-inertia, lengths in radii, kg.
+
+    If <= 0, no body has it, and `theta` is that of the nearest body.
+    """
     shift: float
-    """Largest change for that along a direction that the motion shows, in standard errors."""
+    """Largest change by the constraint along a shown direction, in standard errors."""
 
 
 def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) -> Consistent:
-    """Return the least squares among bodies.
+    """Least squares constrained to possible bodies.
 
-    The pseudo-inertia is that of the carrier plus one in log-Cholesky form, so no constraint is needed (C.
-    Rucker and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022). Directions that the motion
-    does not show stay as believed, as far as a body can. Friction and reflected masses are unknowns
-    beside it, without bounds: what a model error leaves of a friction of zero may be negative, and a bound
-    would push that into the inertia.
+    The pseudo-inertia is the carrier's plus one in log-Cholesky form, so no constraint is needed (C. Rucker
+    and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022). Hidden directions stay as believed,
+    as far as a body permits. Friction and reflected masses are further unknowns without bounds: with an
+    imperfect model, the estimate of a zero friction may be negative, and a bound would push that error into
+    the inertia.
 
-    estimate: least squares alone. radius: m, makes the lengths of the pseudo-inertia comparable. carrier
-    (10,): a body that is known; what comes on top of it has to be a body by itself.
+    estimate: unconstrained least squares. radius: m, makes the lengths of the pseudo-inertia comparable.
+    carrier (10,): a known body; the rest on top of it must be a possible body by itself.
     """
     base = np.zeros(SIZE) if carrier is None else carrier
     own = (estimate.theta[:SIZE] - base) / radius**_POWERS
@@ -222,7 +225,7 @@ def consistent(estimate: Estimate, radius: float, carrier: Array | None = None) 
 
 
 def _nearest(theta: Array) -> Array:
-    """Return theta with a positive definite pseudo-inertia: too small eigenvalues are raised."""
+    """Theta with a positive definite pseudo-inertia: eigenvalues that are too small are raised."""
     values, vectors = np.linalg.eigh(pseudo_inertia(theta))
     values = np.maximum(values, LEAST * np.abs(values).max())
     return from_pseudo_inertia(vectors @ np.diag(values) @ vectors.T)

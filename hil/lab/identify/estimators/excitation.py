@@ -1,6 +1,6 @@
 """Small motions about a pose that excite the loop: one to find its delay, one to identify its axes.
 
-Each gives a `reference` section, so that the run is an ordinary one.
+Each is a `reference` section, so the run is an ordinary one.
 """
 
 from math import ceil, pi
@@ -20,33 +20,33 @@ from hil.robot.kinematics import jacobian
 from hil.trajectory.multisine import schroeder
 
 DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST = 6, 10.0, 0.3
-"""Lines of each axis, no two axes sharing one; their band in Hz and times the rate of the loop."""
+"""Lines per axis, each line on one axis only; band: lowest in Hz, highest as a share of the loop's rate."""
 DELAY_SLOW_Hz = 150.0
-"""Of a slower loop the band is in proportion to that of this rate: it has no room for whole frequencies."""
+"""Below this rate the band shrinks in proportion, since it has no room for whole frequencies."""
 CARRIER_Hz, CARRIER_m = 1.0, 3e-3
-"""All legs together, slowly: it keeps them sliding, or Coulomb friction would hold the small motion."""
+"""Slow motion of all legs together: it keeps them sliding despite Coulomb friction."""
 DELAY_RAMP_S = 0.5
 LINES, LOWEST_Hz, HIGHEST = 12, 1.0, 0.1
-"""The same to identify the axes."""
+"""Lines per axis and band for identifying the axes."""
 PERIOD_S = 2.0
-"""At least; a slow loop needs longer ones to have room for all lines."""
+"""Shortest period; a slow loop needs a longer one for all lines."""
 PERIODS = 5
 RAMP_S, SETTLING_S = 1.0, 0.5
 SLIDING = 1.5
-"""Speed of the legs underneath, times the largest that the lines make: no leg ever turns back."""
+"""Speed of the slow leg motion, as a multiple of the lines' largest leg speed, so no leg reverses."""
 SLOWEST_m_s = 4e-3
-"""Below, legs with friction stick and slip."""
+"""Below this speed, legs with friction stick and slip."""
 DRIFT_Hz = 5e-4
-"""Of a sinusoid of which only the straight part is seen."""
+"""Frequency of a sinusoid of which only the straight part is used, as a drift."""
 
 
 class _Directions(NamedTuple):
-    """What one m or rad of each axis is, at a pose; columns are axes."""
+    """Effect of one m or rad on each axis, at a pose; columns are axes."""
 
     forces: Array
     """(6, 6) N of the legs for one m/s^2 or rad/s^2."""
     leg_rates: Array
-    """(6, 6)."""
+    """(6, 6) leg rates."""
     words: Array
     """(6, 6) m, deg of the pose."""
     together: Array
@@ -56,11 +56,11 @@ class _Directions(NamedTuple):
 def delay_excitation(
     model: Model, pose: Pose, rate_Hz: float, force_N: float, duration_s: float
 ) -> SinusoidReference:
-    """Return sinusoids about `pose` whose largest leg force is `force_N` beyond what holds the platform.
+    """Sinusoids about `pose` with a largest leg force of `force_N` on top of the static force.
 
-    All lines of an axis accelerate it equally, so each amplitude falls with the square of the frequency; the
-    axes load the legs equally. Underneath, all legs extend and retract slowly by 3 mm. duration_s includes
-    fading in and out.
+    All lines of an axis have equal accelerations, so each amplitude falls with the square of the frequency.
+    The axes load the legs equally. In addition, all legs extend and retract slowly by 3 mm. duration_s
+    includes fading in and out.
     """
     slower = min(1.0, rate_Hz / DELAY_SLOW_Hz)
     lines = _spread(6 * DELAY_LINES, DELAY_LOWEST_Hz, DELAY_HIGHEST * rate_Hz / slower)
@@ -77,19 +77,19 @@ def delay_excitation(
 def axis_excitation(
     model: Model, pose: Pose, space: AxisSpace, rate_Hz: float, force_N: float, duration_s: float | None
 ) -> SinusoidReference:
-    """Return sinusoids about `pose` with 12 lines on each axis, from 1 Hz to a tenth of the rate.
+    """Sinusoids about `pose` with 12 lines on each axis, from 1 Hz to a tenth of the rate.
 
-    The lines of an axis move it equally fast, so their accelerations grow with the frequency as what an
-    encoder makes of them falls; axes load the legs equally, and the largest leg force of all is `force_N`
-    beyond what holds the platform. Lines are multiples of 1/period, and neighbours belong to different axes,
-    so whole periods separate the axes. A leg moves alone when the pose moves along a column of J^-1.
+    The lines of an axis have equal speeds: as the frequency grows, accelerations grow and positions, read by
+    the encoders, fall. The axes load the legs equally; the largest leg force is `force_N` on top of the
+    static force. Lines are multiples of 1/period and neighbours belong to different axes, so whole
+    periods separate the axes. A leg moves alone when the pose moves along a column of J^-1.
 
-    Underneath, all legs extend at one speed, faster than the lines ever move them back: Coulomb friction
-    stays constant, and each period meets the steps of the encoders elsewhere, so that their rounding is
-    noise, which averages out and shows in the standard deviations. duration_s includes fading; default:
-    five periods.
+    In addition, all legs extend at one speed, faster than the lines ever move them back. So Coulomb friction
+    is constant. Each period also meets the encoder steps at other places, so their rounding acts as noise,
+    which averages out and shows in the standard deviations. duration_s includes fading; default: five
+    periods.
 
-    Raises IdentificationError: no room for four periods.
+    Raises IdentificationError: shorter than four periods.
     """
     n = 6 * LINES
     period_s = max(PERIOD_S, float(ceil(2.5 * n / (HIGHEST * rate_Hz))))
@@ -114,10 +114,10 @@ def axis_excitation(
 def _multisine(
     at: _Directions, frequency: Array, period_s: float, force_N: float, *, equal: int
 ) -> tuple[list[Sinusoid], float]:
-    """Make lines at frequencies (n,) Hz, neighbours on different axes; return the largest leg rate, m/s, too.
+    """Lines at frequencies (n,) Hz, neighbours on different axes; and the largest leg rate, m/s.
 
-    The axes load the legs equally, by force_N at most. The lines of an axis are alike in the derivative of
-    order `equal`: 1 their rates, 2 their accelerations.
+    The axes load the legs equally, by force_N at most. The lines of an axis are equal in the derivative of
+    order `equal`: 1 rates, 2 accelerations.
     """
     n, w = len(frequency), 2.0 * pi * frequency
     phases, axis = np.array(schroeder(n, 0)), np.arange(n) % 6
@@ -135,7 +135,7 @@ def _multisine(
 
 
 def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid]:
-    """Return the components of one line: amplitudes (6,) m, deg of the words, phase in rad."""
+    """Components of one line: amplitudes (6,) m, deg of the pose, phase in rad."""
     return [
         Sinusoid(
             axis=axis,
@@ -149,7 +149,7 @@ def _sinusoids(moved: Array, frequency_Hz: float, phase: float) -> list[Sinusoid
 
 
 def _spread(n: int, lowest: float, highest: float) -> Ints:
-    """Return n different whole numbers, spread evenly on a logarithmic scale where there is room."""
+    """Distinct integers (n,), evenly spread on a logarithmic scale where possible."""
     found = np.geomspace(lowest, highest, n).round().astype(np.int64)
     for k in range(1, n):
         found[k] = max(found[k], found[k - 1] + 1)

@@ -1,15 +1,15 @@
 """The delay from command to force.
 
-The leg forces are known twice: from the commands, through a transport delay and a first-order lag
-(`hil.robot.force_path`), and from the motion, through the rigid-body model: the mean force over a period is
-the one that changes the momentum as observed. The two are compared period by period and leg by leg,
+The leg forces follow from two sources: from the commands, through a transport delay and a first-order lag
+(`hil.robot.force_path`), and from the motion, through the rigid-body model. The mean force over a period is
+the one that changes the momentum as observed. Both are compared period by period and leg by leg,
 
     needed = gain * force(transport, lag) + offset - viscous * rate - coulomb * sgn(rate),
 
-over periods in which the leg slides: a leg that sticks hides any force. Gain, offset and friction of each leg
-absorb the errors of the model; they do not change the time. Transport and lag, common to all legs, minimise
-the sum of squares (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay,
-but only the lag attenuates high frequencies: slow motion gives their sum alone.
+over periods in which the leg slides, since a leg that sticks hides any force. Gain, offset and friction of
+each leg absorb model errors but do not change the time. Transport and lag, common to all legs, minimise the
+sum of squares (separable least squares: Golub and Pereyra, SIAM J. Numer. Anal. 10, 1973). Both delay, but
+only the lag attenuates high frequencies: slow motion determines only their sum.
 
 Standard deviations are those of all parameters together, linearised at the least squares, for coloured
 residuals (`coloured_covariance`).
@@ -33,21 +33,21 @@ from hil.robot.kinematics_kernels import jacobian_kernel
 LONGEST_PERIODS = 8.0
 """Longest delay considered, in periods."""
 FEWEST_PERIODS = 100
-"""Usable periods of motion that each leg needs."""
+"""Least number of usable periods of motion per leg."""
 SURE_S = 2e-4
-"""Largest standard deviation, s, of a delay that is reported."""
+"""Largest standard deviation, s, of a reported delay."""
 STARTS = [(transport, lag) for transport in (0.25, 1.5, 3.5) for lag in (0.1, 1.0)]
-"""Transport and lag, in periods, from which the search begins."""
+"""Start values of the search: transport and lag, in periods."""
 DIFFERENCE = 0.01
-"""Periods to either side, of the slopes of a force over transport and lag."""
+"""Half step, in periods, of difference quotients over transport and lag."""
 
 
 class Motion(NamedTuple):
-    """Commands and motion of a run, one element a tick, all ticks in a row."""
+    """Commands and motion of a run, one element per consecutive tick."""
 
     period_s: float
     tau: Array
-    """(n, 6) N, the commands that answer each tick's measurement."""
+    """(n, 6) N, the commands computed from each tick's measurement."""
     p: Array
     """(n, 3) m."""
     R: Array
@@ -61,23 +61,23 @@ class Motion(NamedTuple):
 
 
 class Delay(NamedTuple):
-    """Delays, and how sure they are."""
+    """Identified delays and their quality."""
 
     delays: Delays
     separable: bool
-    """Whether transport and lag could be separated; if not, lag is 0 and transport is their sum."""
+    """True if transport and lag could be separated; otherwise lag is 0 and transport is their sum."""
     explained: float
-    """Share of the varying force that is explained, 0 .. 1."""
+    """Explained share of the varying force, 0 .. 1."""
     gain: Array
-    """(6,) of each leg: 1 where model and drives agree."""
+    """(6,) of each leg: 1 if model and drives agree."""
     periods: int
-    """In which the leg that moved least was used."""
+    """Usable periods of the leg that moved least."""
 
 
 def force_delay(motion: Motion, model: Model) -> Delay:
     """Estimate the delays from commanded to acting force.
 
-    Raises IdentificationError: too little motion, or nothing in it that the commands explain.
+    Raises IdentificationError: too little motion, or forces that the commands do not explain.
     """
     T, fit = motion.period_s, _Fit(motion, needed_forces(motion, model))
     periods = min(map(len, fit.rows))
@@ -89,7 +89,7 @@ def force_delay(motion: Motion, model: Model) -> Delay:
     found = fit.search(STARTS)
     covariance = fit.covariance(found)
     std = T * np.sqrt(np.diag(covariance))
-    # at the end of what is possible its slope says nothing
+    # at its bound the slope of a delay is meaningless
     at_end = found[0] < 1e-3 and found[1] > 0.02
     separable = bool(std.max() <= SURE_S) and not at_end
     if not separable:
@@ -110,7 +110,7 @@ def force_delay(motion: Motion, model: Model) -> Delay:
 
 
 def needed_forces(motion: Motion, model: Model) -> Array:
-    """Return the mean leg forces (n - 1, 6) N that the motion of each period took; nan where not usable."""
+    """Mean leg forces (n - 1, 6) N required by the motion of each period; nan if not usable."""
     found = np.full((len(motion.tau) - 1, 6), np.nan)
     a, b = model.platform.base_joints, model.platform.platform_joints
     for k in np.flatnonzero(motion.usable):
@@ -122,9 +122,9 @@ def needed_forces(motion: Motion, model: Model) -> Array:
 
 
 def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -> Array:
-    """Return the mean force (n - 1, 6) N over the period after each tick; see `hil.robot.force_path`.
+    """Mean force (n - 1, 6) N over the period after each tick; see `hil.robot.force_path`.
 
-    tau (n, 6) N, commands; before the first one, the force was as that.
+    tau (n, 6) N: commands; before the first tick the first command applies.
     """
     whole = int(transport_s / period_s)
     first = transport_s - whole * period_s
@@ -144,7 +144,7 @@ def mean_forces(tau: Array, period_s: float, transport_s: float, lag_s: float) -
 
 
 class _Fit:
-    """The separable least squares of one log: a row for each leg and period in which the leg slides one way.
+    """Separable least squares of one log: a row for each leg and period in which the leg slides one way.
 
     Delays x are transport and lag in periods, or transport alone.
     """
@@ -167,17 +167,17 @@ class _Fit:
         return np.column_stack([self._force(*x), np.ones(len(self.needed)), self._friction])
 
     def coefficients(self, x: Sequence[float] | Array) -> Array:
-        """Return gain, offset, viscous and Coulomb friction (6, 4) of the legs with delays."""
+        """Gain, offset, viscous and Coulomb friction (6, 4) of the legs for given delays."""
         A = self._regressors(x)
         return np.array([np.linalg.lstsq(A[k], self.needed[k], rcond=None)[0] for k in self.rows])
 
     def residual(self, x: Sequence[float] | Array) -> Array:
-        """Return what delays leave of the forces, (m,) N."""
+        """Residual of the forces for given delays, (m,) N."""
         of_rows = self.coefficients(x)[self._leg]
         return np.asarray(self.needed - (self._regressors(x) * of_rows).sum(axis=1), np.float64)
 
     def search(self, starts: Sequence[tuple[float, ...]]) -> Array:
-        """Return the delays that leave least, from the best of some starts."""
+        """Delays with the smallest residual, from the best of several starts."""
         fits = [
             least_squares(
                 self.residual,
@@ -190,7 +190,7 @@ class _Fit:
         return np.asarray(min(fits, key=lambda fit: float(fit.cost)).x, np.float64)
 
     def covariance(self, x: Array) -> Array:
-        """Return the covariance of the delays, beside the coefficients of the legs; inf: none are shown."""
+        """Covariance of the delays, the legs' coefficients free; inf if they are not determined."""
         A, n = self._regressors(x), len(x)
         Z = np.empty((len(A), n))
         for k in range(n):
@@ -198,7 +198,7 @@ class _Fit:
             low[k], high[k] = max(x[k] - DIFFERENCE, 0.0), x[k] + DIFFERENCE
             Z[:, k] = (self._force(*high) - self._force(*low)) / (high[k] - low[k])
         Z *= self.coefficients(x)[self._leg, :1]
-        for rows in self.rows:  # what the coefficients of a leg make up for says nothing
+        for rows in self.rows:  # changes that the leg's coefficients absorb carry no information
             Z[rows] -= A[rows] @ np.linalg.lstsq(A[rows], Z[rows], rcond=None)[0]
         if np.linalg.matrix_rank(Z) < n:
             return np.full((n, n), np.inf)

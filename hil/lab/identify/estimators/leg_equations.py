@@ -1,14 +1,14 @@
 """The leg forces of a log as linear equations in the platform's ten parameters and the drives' friction.
 
 tau - legs = J^-T Y theta + viscous dq + coulomb sgn(dq) + reflected ddq - late dtau/dt, a row for each leg
-and sample: the part of the legs, their weight included, is the model's.
+and sample: the forces of the legs themselves, their weight included, come from the model.
 
-Forces and lengths are not of one instant: drives report what acted some 10 us before or after the latch, and
-what is known of the delay of a command may be off by half a period. An inertia that is looked at too late
-looks like viscous friction, so the time is an unknown, too: tau(t) = acting(t - late), to first order.
+Forces and lengths are not simultaneous: drives report forces from some 10 us before or after the latch, and
+the known delay of a command may be off by half a period. An inertia evaluated too late looks like viscous
+friction, so this time is an unknown, too: tau(t) = acting(t - late), to first order.
 
-Both sides go through one filter and are thinned out (M. Gautier, Proc. IEEE ICRA 1997). A leg that is slow or
-turns back under the filter gives no row: what sticks hides any force.
+Both sides go through one filter and are decimated (M. Gautier, Proc. IEEE ICRA 1997). A leg that is slow or
+reverses under the filter gives no row, since a leg that sticks hides any force.
 """
 
 from typing import NamedTuple
@@ -32,38 +32,39 @@ from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 
 VISCOUS, COULOMB, REFLECTED = SIZE, SIZE + 6, SIZE + 13
-"""First columns of the drives' parts, one column a leg; the platform's ten stand before."""
+"""First columns of the drives' parameters, one column per leg; the platform's ten come first."""
 LATE = SIZE + 12
-"""Column of the time by which the forces are late, common to all legs."""
+"""Column of the common delay of the forces."""
 COLUMNS = SIZE + 19
 WIDER = 3
-"""Times the filter of the lengths: that of both sides, which costs nothing but noise."""
+"""Width of the filter of both sides, as a multiple of the lengths' filter; it reduces noise without bias."""
 
 
 class Equations(NamedTuple):
-    """A theta = y, row by row in the order of time; sum over logs by `joined`."""
+    """A theta = y, rows in the order of time; `joined` appends several logs."""
 
     A: Array
-    """(m, 29): ten parameters of the platform; viscous and coulomb friction of each leg; the time by which
-    forces are late, s; reflected mass of each leg."""
+    """(m, 29): ten parameters of the platform; viscous and Coulomb friction of each leg; common delay of the
+    forces, s; reflected mass of each leg.
+    """
     y: Array
     """(m,) N."""
     noise: Array
-    """(m, 29): what A changes by where each length is read with one more error of its own size."""
+    """(m, 29): change of A if each length had one more reading error of its own size."""
     leg: Ints
     """(m,) 0..5."""
     sample: Ints
-    """(m,): the instant, counted over all logs; rows of one instant are neighbours."""
+    """(m,): index of the instant over all logs; rows of one instant are neighbours."""
 
     def part(self, which: Flags) -> "Equations":
-        """Return some of the rows."""
+        """The selected rows."""
         return Equations(self.A[which], self.y[which], self.noise[which], self.leg[which], self.sample[which])
 
 
 def equations_of(model: Model, signals: LegSignals) -> Equations:
-    """Return what a log says of platform and drives.
+    """Equations of a log for platform and drives.
 
-    Of the model legs, joints, gravity and sliding speed count, neither other masses nor friction.
+    The model contributes legs, joints, gravity and sliding speed, but no other masses and no friction.
     """
     motion = platform_motion(model.platform, signals)
     c = model.constants.copy()
@@ -96,7 +97,7 @@ def equations_of(model: Model, signals: LegSignals) -> Equations:
 
 
 def _columns(platform: Platform, motion: PlatformMotion) -> Array:
-    """Return A (n, 6, 29) at every tick."""
+    """A (n, 6, 29) at every tick."""
     A = np.zeros((len(motion.p), 6, COLUMNS))
     Y = regressor(motion.R, motion.twist, motion.dtwist, platform.gravity)
     A[:, :, :SIZE] = np.linalg.solve(motion.J.transpose(0, 2, 1), Y)
@@ -109,14 +110,14 @@ def _columns(platform: Platform, motion: PlatformMotion) -> Array:
 
 
 def without(equations: Equations, given: Array, first: int) -> Equations:
-    """Return the equations with the unknowns from `first` on known, given (29,): their columns are 0."""
+    """Equations with the unknowns from column `first` on fixed at `given` (29,): their columns are 0."""
     A, noise = equations.A.copy(), equations.noise.copy()
     A[:, first:] = noise[:, first:] = 0.0
     return equations._replace(A=A, y=equations.y - equations.A[:, first:] @ given[first:], noise=noise)
 
 
 def joined(logs: list[Equations]) -> Equations:
-    """Return the equations of several logs as one system."""
+    """The equations of several logs as one system."""
     begun, samples = 0, []
     for each in logs:
         samples.append(each.sample + begun)

@@ -1,9 +1,8 @@
-"""Motion of the platform from leg lengths alone, differentiated without phase, and forces smoothed alike.
+"""Motion of the platform from leg lengths alone, differentiated without phase; forces smoothed alike.
 
-A smooth bell of finite length slides over the lengths. Its derivatives slide in place of the signal's (M.
-Shinbrot, Trans. ASME 79, 1957): lengths, rates, accelerations and forces go through one and the same filter,
-so that none is late against another (M. Gautier, Proc. IEEE ICRA 1997), and each value has been made of a
-known stretch of ticks only.
+A smooth bell of finite length is convolved with the lengths. Its derivatives replace those of the signal
+(M. Shinbrot, Trans. ASME 79, 1957). Lengths, rates, accelerations and forces pass the same filter, so none
+lags another (M. Gautier, Proc. IEEE ICRA 1997), and each value depends on a known range of ticks only.
 """
 
 from math import comb
@@ -17,17 +16,18 @@ from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import forward_kinematics_kernel
 
 SMOOTHING_S = 0.015
-"""Half length of the bell: long enough for the encoders' steps, short enough that the pose hardly changes
-under it: the filtered force is compared with the force at the filtered pose."""
+"""Half length of the bell: long enough for the encoders' steps, short enough for a nearly constant pose. The
+filtered force is compared with the force at the filtered pose.
+"""
 FEWEST_TICKS = 4
-"""At least, or its samples would not do for its derivatives."""
+"""Least half length of the bell; fewer samples would not suffice for its derivatives."""
 TOLERANCE_m = 1e-11
 DIFFERENCES = 6
-"""Order of the differences that leave of lengths the noise alone."""
+"""Order of the differences that remove the motion from lengths and leave the noise."""
 
 
 class LegSignals(NamedTuple):
-    """What a log holds of six legs, one row a tick, all ticks in a row."""
+    """Signals of six legs from a log, one row per consecutive tick."""
 
     period_s: float
     length: Array
@@ -35,14 +35,14 @@ class LegSignals(NamedTuple):
     force: Array
     """(n, 6) N at the instant of the length, > 0 extends."""
     p: Array
-    """(n, 3) m, R (n, 3, 3): poses from which forward kinematics begins."""
+    """(n, 3) m, and R (n, 3, 3): start poses of the forward kinematics."""
     R: Array
     good: Flags
     """(n,): brakes open, all legs fresh."""
 
 
 class PlatformMotion(NamedTuple):
-    """Platform and legs at the ticks of a log; only `good` ones count."""
+    """Motion of platform and legs at the ticks of a log; only `good` ones count."""
 
     R: Array
     """(n, 3, 3), x_base = p + R x_platform."""
@@ -63,11 +63,11 @@ class PlatformMotion(NamedTuple):
     dforce: Array
     """(n, 6) N/s, its rate."""
     good: Flags
-    """(n,): nothing under the bell is missing."""
+    """(n,): no tick under the bell is missing."""
 
 
 class Bell(NamedTuple):
-    """A smooth filter of finite length, and the first two derivatives of what it makes."""
+    """Weights of a smooth filter of finite length, and of its first two derivatives."""
 
     half: int
     """Ticks to either side."""
@@ -77,16 +77,16 @@ class Bell(NamedTuple):
 
 
 def half_ticks(period_s: float) -> int:
-    """Return half the length of the bell that smooths the lengths, ticks."""
+    """Half the length, in ticks, of the bell that smooths the lengths."""
     return max(FEWEST_TICKS, round(SMOOTHING_S / period_s))
 
 
 def bell(half: int, period_s: float) -> Bell:
-    """Return the filter that reaches `half` ticks to either side.
+    """The filter that reaches `half` ticks to either side.
 
     With u = 1 - x^2 it is u^4 (a + b x^2), its derivatives u^3 (a x + b x^3) and u^2 (a + b x^2 + c x^4).
-    What is left free makes each exact for polynomials up to the third degree, sampled as it is: a filter
-    that bends no parabola leaves nonlinear functions of the lengths where they are.
+    The free coefficients make each exact for sampled polynomials up to the third degree: a filter that keeps
+    parabolas does not shift nonlinear functions of the lengths.
     """
     x = np.arange(-half, half + 1) / half
     u, t = 1.0 - x * x, half * period_s * x
@@ -97,7 +97,7 @@ def bell(half: int, period_s: float) -> Bell:
 
 
 def _with_moments(basis: list[Array], t: Array, moments: dict[int, float]) -> Array:
-    """Return the sum of the basis functions whose sums over t^k are the moments."""
+    """Sum of the basis functions with the given moments, sums over t^k."""
     B = np.array(basis)
     scaled = t / t[-1]
     A = np.array([B @ scaled**k for k in moments])
@@ -106,7 +106,7 @@ def _with_moments(basis: list[Array], t: Array, moments: dict[int, float]) -> Ar
 
 
 def smooth(weights: Array, x: Array) -> Array:
-    """Return sum_k weights_k x_{n+k} for x (n, m); zero where the weights reach beyond the ends."""
+    """sum_k weights_k x_{n+k} for x (n, m); zero where the weights reach beyond the ends."""
     half = len(weights) // 2
     y = np.zeros_like(x)
     if len(x) >= len(weights):
@@ -115,7 +115,7 @@ def smooth(weights: Array, x: Array) -> Array:
 
 
 def all_under(half: int, good: Flags) -> Flags:
-    """Return where every tick up to `half` to either side is good; x (n,) or (n, m)."""
+    """True at ticks with only good ticks up to `half` on either side; x (n,) or (n, m)."""
     inside = np.zeros_like(good)
     if len(good) > 2 * half:
         inside[half : len(good) - half] = all_good(2 * half + 1, good)
@@ -123,14 +123,14 @@ def all_under(half: int, good: Flags) -> Flags:
 
 
 def all_good(count: int, good: Flags) -> Flags:
-    """Return for each stretch of so many ticks whether all of it is good; x (n,) or (n, m)."""
+    """For each window of `count` ticks: True if all its ticks are good; x (n,) or (n, m)."""
     return np.asarray(sliding_window_view(good, count, axis=0).all(axis=-1), np.bool_)
 
 
 def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
-    """Return pose, twist and acceleration at every tick, of the smoothed lengths; forces smoothed alike.
+    """Pose, twist and acceleration at every tick, of the smoothed lengths; forces smoothed alike.
 
-    Forward kinematics begins at the logged poses; where it does not get to the lengths, the tick is not good.
+    Forward kinematics starts at the logged poses; a tick at which it does not converge is not good.
     """
     b = bell(half_ticks(signals.period_s), signals.period_s)
     good = all_under(b.half, signals.good)
@@ -152,7 +152,7 @@ def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
 
 
 def reading_errors(signals: LegSignals) -> Array:
-    """Return the deviation (6,) m of one reading from a slow motion, by sixth differences."""
+    """Standard deviation (6,) m of a reading about a slow motion, by sixth differences."""
     d = np.diff(signals.length, DIFFERENCES, axis=0)[all_good(DIFFERENCES + 1, signals.good)]
     return np.sqrt(np.mean(d**2, axis=0) / comb(2 * DIFFERENCES, DIFFERENCES)) if len(d) else np.zeros(6)
 
@@ -160,7 +160,7 @@ def reading_errors(signals: LegSignals) -> Array:
 def leg_to_platform(
     platform: Platform, p: Array, R: Array, dq: Array, ddq: Array
 ) -> tuple[Array, Array, Array]:
-    """Return twist (n, 6), its rate (n, 6) and J (n, 6, 6) of leg rates and accelerations at n poses.
+    """Twist (n, 6), its rate (n, 6) and J (n, 6, 6) from leg rates and accelerations at n poses.
 
     J twist = dq and J dtwist = ddq - s.(w x (w x r)) - (|u|^2 - dq^2) / l: velocity u of the platform
     joint at r from the origin, l ds = u - dq s (J.-P. Merlet, Parallel Robots, 2nd ed., 2006, ch. 5).

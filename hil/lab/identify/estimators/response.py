@@ -1,23 +1,23 @@
 """Frequency response of each axis, its coherence and its standard deviation.
 
-In a closed loop the noise of the measurement comes back in the demanded acceleration, and the quotient of
-their spectra is biased towards the inverse of the law. The reference is not correlated with any noise, so
+In a closed loop, measurement noise returns in the demanded acceleration, so the quotient of the two spectra
+is biased towards the inverse of the law. The reference is uncorrelated with any noise, so the quotient
 
     G = S_yr / S_vr,    S_ab = sum over blocks of A conj(R),
 
-reference to position over reference to demanded acceleration, is not (joint input-output method; R. Pintelon
-and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley, 2012, ch. 2 and 9). With
-an excitation that repeats this is the quotient of the means over the periods. What is left in each block,
-E = Y - G V, has the variance that the standard deviation follows from.
+from reference to position over reference to demanded acceleration, has no such bias (joint input-output
+method; R. Pintelon and J. Schoukens, System Identification: A Frequency Domain Approach, 2nd ed., Wiley,
+2012, ch. 2 and 9). For a periodic excitation this is the quotient of the means over the periods. The
+standard deviation follows from the variance of the remainder in each block, E = Y - G V.
 
-Blocks are weighted by the power of the reference in them: a chirp passes a line in one or two, the others
-hold noise alone. h = |R|^2 / sum |R|^2 is the leverage of a block; it draws the estimate towards itself, so
-that its own |E|^2 is too small by 1 - h (D. V. Hinkley, Technometrics 19, 1977). The effective number of
-blocks is 1 / sum h^2, which is their number if they are equal.
+Blocks are weighted by the power of the reference in them: a chirp passes a line in one or two blocks, the
+others contain noise only. h = |R|^2 / sum |R|^2 is the leverage of a block; it draws the estimate towards
+itself, so its own |E|^2 is too small by 1 - h (D. V. Hinkley, Technometrics 19, 1977). The effective number
+of blocks is 1 / sum h^2, which is their number if they are equal.
 
-Behind a double integrator most of the position is slow, and must not leak into the other lines. An excitation
-that repeats is cut into whole periods, less a drift; of any other, second differences are transformed and
-divided by their gain for a sinusoid.
+After a double integrator most of the position is slow and must not leak into the other lines. A periodic
+excitation is cut into whole periods, less a drift. For any other excitation, second differences are
+transformed and divided by their gain for a sinusoid.
 """
 
 from typing import NamedTuple
@@ -29,24 +29,27 @@ from drivers.arrays import Array, ComplexArray, Flags, Ints
 from drivers.errors import IdentificationError
 
 FEWEST_BLOCKS = 4
-"""With fewer, noise alone is coherent too often."""
+"""With fewer blocks, noise alone is coherent too often."""
 SEGMENT_S = 2.0
-"""Of a log whose excitation does not repeat."""
+"""Length of a segment if the excitation is not periodic."""
 SEGMENT_LINES = 60
-"""Of such a log, evenly spread on a logarithmic scale."""
+"""Lines of such a log, evenly spread on a logarithmic scale."""
 HIGHEST = 0.3
-"""Times the rate."""
+"""Highest line, as a share of the rate."""
 BESIDE = np.array([-4, -2, 0, 2, 4])
-"""Harmonics averaged for a line of such a log, up to 2 Hz beside it. A chirp passes a line within a segment
-or two; its neighbours show the noise. The noise of harmonics two apart correlates by 1/6."""
+"""Harmonics averaged for a line of such a log, up to 2 Hz on either side.
+
+A chirp passes a line within a segment or two; its neighbours show the noise. The noise of harmonics two apart
+correlates by 1/6.
+"""
 
 
 class AxisSignals(NamedTuple):
-    """Six axes of a run, one row a tick, all ticks in a row."""
+    """Signals of six axes of a run, one row per consecutive tick."""
 
     period_s: float
     v: Array
-    """(n, 6) m/s^2, rad/s^2: acceleration that the forces sent demand."""
+    """(n, 6) m/s^2, rad/s^2: acceleration demanded by the sent forces."""
     y: Array
     """(n, 6) m, rad: measured position."""
     r: Array
@@ -70,11 +73,11 @@ class Spectra(NamedTuple):
 
 
 def periodic(signals: AxisSignals, length: int, harmonics: Ints) -> Spectra:
-    """Return the spectra of whole periods of `length` ticks, at multiples of 1/(length T).
+    """Spectra of whole periods of `length` ticks, at multiples of 1/(length T).
 
-    A whole period of what repeats needs no window and leaks nothing. A drift may lie underneath, its speed
-    changing steadily: it follows from the means of the periods and is taken off. Periods with a tick that
-    does not count are left out.
+    Whole periods of a periodic signal need no window and do not leak. A drift with a steadily changing speed
+    may be superposed; it follows from the means of the periods and is subtracted. Periods with a bad tick are
+    left out.
 
     Raises IdentificationError: fewer than four whole periods.
     """
@@ -101,7 +104,7 @@ def periodic(signals: AxisSignals, length: int, harmonics: Ints) -> Spectra:
 
 
 def segmented(signals: AxisSignals) -> Spectra:
-    """Return the spectra of half-overlapping segments under a Hann window, for any excitation.
+    """Spectra of half-overlapping segments under a Hann window, for any excitation.
 
     P. D. Welch, The use of fast Fourier transform for the estimation of power spectra, IEEE Trans. Audio
     Electroacoust. 15, 1967.
@@ -134,10 +137,10 @@ def segmented(signals: AxisSignals) -> Spectra:
         return np.asarray(4.0 / length * X[:, harmonics] * there[:, :, None], np.complex128)
 
     frequency_Hz = lines / (length * T)
-    # That of the line for those beside it, too: an axis changes far less than 1/s^2 from one to the other.
+    # The line's gain also for its neighbours: between them an axis changes far less than 1/s^2.
     difference = 2.0 * np.cos(2.0 * np.pi * frequency_Hz * T) - 2.0
     V, Y, R = spectrum(signals.v), spectrum(second) / difference[:, None], spectrum(signals.r)
-    # The stronger side weighs what the weaker does: else the line would have the phase of another frequency.
+    # Equal weights on both sides; otherwise the line would have the phase of another frequency.
     power = (np.abs(R) ** 2).sum(axis=(0, 3))
     even = np.sqrt(np.minimum(power, power[::-1]) / np.where(power == 0.0, 1.0, power))[:, :, None]
     V, Y, R = ((even * x).reshape(-1, len(lines), 6) for x in (V, Y, R))
@@ -145,12 +148,11 @@ def segmented(signals: AxisSignals) -> Spectra:
 
 
 def _blocks(starts: list[int], length: int) -> Ints:
-    """Return the ticks of each block (blocks, length)."""
     return np.array(starts, np.int64)[:, None] + np.arange(length)
 
 
 def _starts(good: Flags, length: int, step: int) -> list[int]:
-    """Return where blocks begin that are good throughout, as many as fit, `step` apart but for gaps."""
+    """First ticks of as many blocks of good ticks as fit, `step` apart except at gaps."""
     starts, k = [], 0
     bad = np.flatnonzero(~good)
     while k + length <= len(good):
@@ -164,10 +166,10 @@ def _starts(good: Flags, length: int, step: int) -> list[int]:
 
 
 OWN = 0.3
-"""An axis counts as excited at a line where its reference has this share of the axis that has most."""
+"""An axis is excited at a line if its reference has at least this share of the strongest axis."""
 SURE = 0.95
 FEWEST_COUNTING = 3.0
-"""Least 1 / sum h^2. A line with fewer blocks counts as not excited: its noise is not known."""
+"""Least 1 / sum h^2. A line with fewer effective blocks is not excited, since its noise is unknown."""
 
 
 class Response(NamedTuple):
@@ -179,11 +181,11 @@ class Response(NamedTuple):
     G: ComplexArray
     """Position over demanded acceleration, s^2."""
     std: Array
-    """Of |G| / |true G|: of the magnitude, relative, and of the phase in rad."""
+    """Standard deviation of |G| / |true G|: of the relative magnitude, and of the phase in rad."""
     radius: Array
-    """Around G, relative to it, with 95 % confidence."""
+    """Radius of the 95 % circle around G, relative to |G|."""
     coherence: Array
-    """Of the reference with position and demanded acceleration, the smaller one, 0 .. 1."""
+    """Coherence of the reference with position or demanded acceleration, the smaller one, 0 .. 1."""
     excited: Flags
     V: ComplexArray
     """Mean demanded acceleration, in phase with the reference: the direction of each line."""
@@ -192,7 +194,7 @@ class Response(NamedTuple):
 
 
 def estimate(spectra: Spectra) -> Response:
-    """Return the frequency responses of six axes, each by itself.
+    """Frequency responses of six axes, each by itself.
 
     The 95 % circle is that of a complex normal with variance estimated from m blocks: |error|^2 / variance is
     distributed as F(2, 2 m - 2), m = 1 / sum h^2.
@@ -228,7 +230,7 @@ def estimate(spectra: Spectra) -> Response:
 
 
 def _coherence(A: ComplexArray, R: ComplexArray) -> Array:
-    """Return |S_ar|^2 / (S_aa S_rr) over the blocks, 0 where there is nothing."""
+    """|S_ar|^2 / (S_aa S_rr) over the blocks; 0 if a spectrum is zero."""
     both = (np.abs(A) ** 2).sum(axis=0) * (np.abs(R) ** 2).sum(axis=0)
     return np.asarray(
         np.minimum(np.abs((A * R.conj()).sum(axis=0)) ** 2 / np.where(both == 0.0, np.inf, both), 1.0)

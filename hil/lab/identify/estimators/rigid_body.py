@@ -1,9 +1,9 @@
-"""A rigid body as ten parameters: what its motion takes, and which ten numbers a body can have.
+"""A rigid body as ten parameters: the force that its motion needs, and the parameters possible for a body.
 
 theta = [m, m c, I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]: mass, first moments and inertia about the platform's
 origin, platform axes. Force and moment are linear in them (C. G. Atkeson, C. H. An and J. M. Hollerbach,
-Int. J. Robotics Research 5(3), 1986). A body has them if and only if its pseudo-inertia is positive definite
-(P. M. Wensing, S. Kim and J.-J. E. Slotine, IEEE Robotics and Automation Letters 3(1), 2018).
+Int. J. Robotics Research 5(3), 1986). They belong to a body if and only if the pseudo-inertia is positive
+definite (P. M. Wensing, S. Kim and J.-J. E. Slotine, IEEE Robotics and Automation Letters 3(1), 2018).
 """
 
 import numpy as np
@@ -16,32 +16,32 @@ NAMES = ("mass", "m x", "m y", "m z", "I_xx", "I_yy", "I_zz", "I_xy", "I_xz", "I
 UNITS = ("kg", "kg m", "kg m", "kg m", *6 * ("kg m^2",))
 SIZE = len(NAMES)
 _TENSOR = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])
-"""Which of the six elements stands where in the tensor."""
+"""Index of the element at each place of the tensor."""
 _ELEMENTS = (0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)
-"""Where in the tensor each of the six stands."""
+"""Row and column in the tensor of each of the six elements."""
 
 
 def tensor(elements: Array) -> Array:
-    """Return the inertia (3, 3) kg m^2 of [I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]."""
+    """Inertia tensor (3, 3) kg m^2 from [I_xx, I_yy, I_zz, I_xy, I_xz, I_yz]."""
     I: Array = elements[_TENSOR]
     return I
 
 
 def parameters_of(body: Body) -> Array:
-    """Return theta (10,) of a body in platform axes."""
+    """Parameters theta (10,) of a body in platform axes."""
     I = body.inertia + steiner(body.mass, body.com)
     return np.array([body.mass, *(body.mass * body.com), *I[_ELEMENTS]])
 
 
 def body_of(theta: Array) -> Body:
-    """Return the body of theta (10,), mass > 0: its inertia is about its centre of mass."""
+    """Body with parameters theta (10,), mass > 0: its inertia is about its centre of mass."""
     m = float(theta[0])
     c = theta[1:4] / m
     return Body(m, c, tensor(theta[4:]) - steiner(m, c))
 
 
 def pseudo_inertia(theta: Array) -> Array:
-    """Return [[tr(I)/2 1 - I, m c], [m c^T, m]], (4, 4): the integral of [x; 1] [x; 1]^T dm."""
+    """[[tr(I)/2 1 - I, m c], [m c^T, m]], (4, 4): the integral of [x; 1] [x; 1]^T dm."""
     I = tensor(theta[4:])
     P = np.empty((4, 4))
     P[:3, :3] = 0.5 * np.trace(I) * np.eye(3) - I
@@ -51,13 +51,13 @@ def pseudo_inertia(theta: Array) -> Array:
 
 
 def from_pseudo_inertia(P: Array) -> Array:
-    """Return theta (10,) of a pseudo-inertia (4, 4): I = tr(S) 1 - S, S its upper left block."""
+    """Parameters theta (10,) from a pseudo-inertia (4, 4): I = tr(S) 1 - S, S its upper left block."""
     I = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
     return np.array([P[3, 3], *P[:3, 3], *I[_ELEMENTS]])
 
 
 def from_log_cholesky(x: Array) -> Array:
-    """Return theta (10,) of [a, d1, d2, d3, s12, s23, s13, t1, t2, t3]: any ten numbers make a body.
+    """Parameters theta (10,) from any ten numbers [a, d1, d2, d3, s12, s23, s13, t1, t2, t3]; always a body.
 
     The pseudo-inertia is U U^T with U = exp(a) [[e^d1, s12, s13, t1], [0, e^d2, s23, t2], [0, 0, e^d3, t3],
     [0, 0, 0, 1]] (C. Rucker and P. M. Wensing, IEEE Robotics and Automation Letters 7(2), 2022).
@@ -69,7 +69,7 @@ def from_log_cholesky(x: Array) -> Array:
 
 
 def log_cholesky(theta: Array) -> Array:
-    """Return the ten numbers of `from_log_cholesky`. Raises LinAlgError where theta is no body."""
+    """Inverse of `from_log_cholesky`. Raises LinAlgError if theta is impossible for a body."""
     turned = np.linalg.cholesky(pseudo_inertia(theta)[::-1, ::-1])
     U = turned[::-1, ::-1]  # upper triangular, U U^T as wanted
     u = U / U[3, 3]
@@ -78,11 +78,11 @@ def log_cholesky(theta: Array) -> Array:
 
 
 def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
-    """Return Y (n, 6, 10): Y theta is force and moment about the platform's origin that move the body.
+    """Regressor Y (n, 6, 10): Y theta is the force and moment about the platform's origin that move the body.
 
-    F = m (dv - g) + dw x h + w x (w x h), N = I dw + w x I w + h x (dv - g), h = m c (Newton, Euler), each in
-    platform axes and turned by R (n, 3, 3), x_base = p + R x_platform, into those of the base. twist, dtwist
-    (n, 6) m/s, rad/s and their rates, of the platform's origin, and gravity (3,) m/s^2: base frame.
+    F = m (dv - g) + dw x h + w x (w x h), N = I dw + w x I w + h x (dv - g), h = m c (Newton, Euler), both in
+    platform axes and rotated to base axes by R (n, 3, 3), x_base = p + R x_platform. twist, dtwist (n, 6)
+    m/s, rad/s and their rates, of the platform's origin, and gravity (3,) m/s^2: base frame.
     """
     a = np.einsum("nji,nj->ni", R, dtwist[:, :3] - gravity)
     w = np.einsum("nji,nj->ni", R, twist[:, 3:])
@@ -99,12 +99,12 @@ def regressor(R: Array, twist: Array, dtwist: Array, gravity: Array) -> Array:
 
 
 def _cross(x: Array) -> Array:
-    """Return the matrices (n, 3, 3) of x cross."""
+    """Cross product matrices (n, 3, 3) of x."""
     return np.asarray(np.cross(x[:, None], np.eye(3)).transpose(0, 2, 1), np.float64)
 
 
 def _inertia_times(x: Array) -> Array:
-    """Return L (n, 3, 6) with L elements = I x."""
+    """L (n, 3, 6) with L elements = I x."""
     L = np.zeros((len(x), 3, 6))
     for row in range(3):
         for column in range(3):

@@ -1,4 +1,7 @@
-"""MyActuator RMD V3 motors: a status request and a torque a tick; angles in whole degrees of the output."""
+"""MyActuator RMD V3 motors: one status request and one torque per tick.
+
+Angles in whole degrees of the output.
+"""
 
 from functools import cached_property
 from typing import Any
@@ -58,7 +61,7 @@ class RmdProtocol(MotorProtocol):
         return self.to_each(Frame(node, bytes((command, *bytes(7)))) for node in self.nodes)
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Frames that shut a drive down, again for a reset, release its brake, are its torque, prepare it."""
+        """Frames that shut a drive down, reset it, release its brake, set its torque, and prepare it."""
         return tuple(map(self._each, (SHUTDOWN, SHUTDOWN, RELEASE_BRAKE, TORQUE, SHUTDOWN)))
 
     @cached_property

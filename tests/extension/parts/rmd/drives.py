@@ -10,7 +10,7 @@ from rmd import codec as c
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Answer STATUS; take a torque while enabled."""
+    """Answer STATUS; accept a torque while enabled."""
     if frame.flags & STRANGE:
         return 0
     command, count = int(frame.data[0]), 0

@@ -1,4 +1,4 @@
-"""Lyapunov functions, peak gains and reaching conditions of an axis, against scipy, closed forms and brute force."""
+"""Lyapunov functions, peak gains and reaching conditions of an axis, against SciPy, closed forms and brute force."""
 
 import itertools
 
@@ -44,8 +44,8 @@ def test_the_bound_of_critical_damping_in_closed_form():
 
 
 @axes
-def test_V_falls_as_the_certificate_says_whatever_the_disturbance(K_P, K_D):
-    """dV/dt + 2 alpha (V - d^2) is a quadratic form in e, de and d: none of its eigenvalues is above zero."""
+def test_V_decreases_as_certified_under_every_disturbance(K_P, K_D):
+    """dV/dt + 2 alpha (V - d^2) is a quadratic form in e, de and d; its largest eigenvalue is zero."""
     found = certificate(K_P, K_D)
     A, P, alpha = matrix(K_P, K_D), found.P[0], found.alpha[0]
     form = np.block([[A.T @ P + P @ A + 2 * alpha * P, P @ B], [B.T @ P, np.array([[-2 * alpha]])]])
@@ -59,8 +59,8 @@ def test_an_unstable_axis_has_no_certificate():
         certificate(1.0, -1.0)
 
 
-def test_a_disturbance_by_the_impulse_response_attains_the_peak_gain():
-    """Bang-bang: d(t) = sgn h(T - t), here of a lightly damped axis, each period in forty parts."""
+def test_the_worst_bang_bang_disturbance_attains_the_peak_gain():
+    """Bang-bang: d(t) = sgn h(T - t) for a lightly damped axis, each period divided into forty parts."""
     period, parts = 5e-3, 40
     found = analyse(Axis(period), gains(400.0, 8.0, period))
     step = np.array([[1.0, period], [0.0, 1.0]])
@@ -80,13 +80,13 @@ LINEAR = (SLOPE * K / PHI, SLOPE + K / PHI)
 
 
 def largest(d, gamma=1.0):
-    """The largest |s| of the linear loop without sampling, by the area under its impulse response."""
+    """Largest |s| of the linear loop without sampling, from the area under its impulse response."""
     t = np.linspace(0.0, 3.0, 30_001)
     _, h = impulse(([1.0, SLOPE], [1.0, gamma * LINEAR[1], gamma * LINEAR[0]]), T=t)
     return d * float(np.trapezoid(np.abs(h), t))
 
 
-def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance():
+def test_with_an_exact_model_the_gain_must_exceed_the_disturbance():
     for d in (7.9, 8.1):
         found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
         assert found.covered is (d < K)
@@ -94,7 +94,7 @@ def test_with_an_exact_model_the_gain_has_to_exceed_the_disturbance():
         assert found.room == np.inf
 
 
-def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
+def test_the_reaching_time_holds_for_a_disturbance_away_from_the_layer():
     d, s0 = 6.0, 2.0
     found = sliding(SLOPE, K, PHI, gamma=1.0, alpha=0.0, d=d, inside=largest(d))
 
@@ -112,7 +112,7 @@ def test_the_reaching_time_is_that_of_a_disturbance_that_pushes_out():
 
 
 def test_a_model_that_is_too_light_needs_more_gain():
-    """gamma = 0.8: the linear part of the law is short, too; a disturbance below gamma k may leave the layer."""
+    """gamma = 0.8 also weakens the linear part of the law: a disturbance below gamma k may leave the layer."""
     assert sliding(SLOPE, K, PHI, gamma=0.8, alpha=0.2, d=5.0, inside=largest(5.0, 0.8)).covered
     d = 0.8 * K - 1e-3
     close = sliding(SLOPE, K, PHI, gamma=0.8, alpha=0.2, d=d, inside=largest(d, 0.8))
@@ -121,8 +121,8 @@ def test_a_model_that_is_too_light_needs_more_gain():
 
 
 @pytest.mark.parametrize("gamma_matrix", [[[1.2, 0.2], [0.2, 1.2]], [[0.8, -0.1], [-0.1, 0.8]]])
-def test_legs_as_fast_as_is_allowed_still_reach_the_layer_at_half_the_rate(gamma_matrix):
-    """d|s|/dt of the first of two coupled legs, over all signs of the other's correction, of rates and disturbance."""
+def test_legs_at_the_error_limit_reach_the_layer_at_half_the_surplus(gamma_matrix):
+    """Largest d|s|/dt of one of two coupled legs, over all signs of the other's correction, of rates and disturbance."""
     G, d = np.array(gamma_matrix), 2.0
     rest = abs(G[0, 1])
     gamma, alpha = G[0, 0] - rest, abs(G[0, 0] - 1.0) + rest
@@ -137,8 +137,8 @@ def test_legs_as_fast_as_is_allowed_still_reach_the_layer_at_half_the_rate(gamma
     assert worst == pytest.approx(-0.5 * found.surplus)
 
 
-def test_the_redesign_reaches_its_layer_with_the_disturbance_as_correction():
-    """Its linear part is what is left: dy/dt = -wn y at the edge, at damping ratio 1."""
+def test_redesign_reaches_its_layer_with_rho_equal_to_the_disturbance():
+    """The linear part remains as surplus: dy/dt = -wn y at the edge of the layer, at damping ratio 1."""
     w_n, rho, epsilon = 20.0, 5.0, 0.2
     inside = rho / (w_n + rho / epsilon)
     found = redesign(w_n**2, 2 * w_n, rho, epsilon, gamma=1.0, alpha=0.0, d=rho, inside=inside)

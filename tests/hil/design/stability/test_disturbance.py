@@ -1,4 +1,4 @@
-"""What the model does not know, as accelerations of the axes: friction, weight off the reference, coupling."""
+"""Model errors as accelerations of the axes: friction, inertia, and delayed forces."""
 
 import numpy as np
 import pytest
@@ -8,8 +8,8 @@ from hil.app.configuration.configuration import load
 from hil.app.configuration.platform import build_platform
 from hil.config.model import ModelSettings
 from hil.control.model import build_model
+from hil.design.stability.delay_effect import DelayEffect
 from hil.design.stability.disturbance import Friction, Linearised, Load, Survey
-from hil.design.stability.lateness import Late
 from hil.design.stability.ultimate import Extra, _bound
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
@@ -32,7 +32,7 @@ def linearised(platform, axes, *, scale=1.0, coulomb_N=0.0):
     return robot, Linearised(robot, believed, axes, Load(), friction)
 
 
-def test_the_friction_of_every_leg_moves_each_in_the_worst_of_its_senses(platform):
+def test_friction_disturbance_takes_the_worst_sign_of_each_leg(platform):
     robot, loop = linearised(platform, "joint", coulomb_N=250.0)
     J = jacobian(platform, HOME.p, HOME.R)
     mobility = J @ np.linalg.inv(robot.mass_matrix(HOME.p, HOME.R)) @ J.T
@@ -42,8 +42,8 @@ def test_the_friction_of_every_leg_moves_each_in_the_worst_of_its_senses(platfor
     np.testing.assert_allclose(loop.at([HOME]).d[0], worst, rtol=1e-9)
 
 
-def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
-    """Six axes alike, each off by s of the sum of all u: d / (1 - 6 s g), g the L1 norm from d to u."""
+def test_an_inertia_error_amplifies_the_disturbance():
+    """Six equal axes, each disturbed by s times the sum of all u: d / (1 - 6 s g), g the L1 norm from d to u."""
     t = np.linspace(0.0, 2.0, 200_001)
     _, h = impulse(([40.0, 400.0], [1.0, 40.0, 400.0]), T=t)
     g = float(np.trapezoid(np.abs(h), t))
@@ -52,7 +52,7 @@ def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
 
     def bound(spread):
         survey = Survey(np.ones(6), 1.0, np.full((6, 6), spread), np.zeros((6, 6)), np.zeros((6, 6)), 1.0)
-        return _bound(survey, gains, Late.none(), none)
+        return _bound(survey, gains, DelayEffect.none(), none)
 
     for s in (0.02, 0.1):
         found = bound(s)
@@ -61,12 +61,12 @@ def test_what_the_inertia_is_wrong_by_feeds_the_disturbance():
     assert "small gain" in str(bound(1.0 / 6.0))
 
 
-def test_forces_of_a_moment_ago_miss_by_what_place_and_rate_changed_since():
+def test_delayed_forces_add_a_disturbance_by_position_and_rate_change():
     """One axis by hand: d' = 1 + T (S_e (r + g_de d') + S_v (u + g_u d' + d')) + alpha (u + g_u d')."""
     g_e, g_de, g_u, T, S_e, S_v, alpha = 2.0, 3.0, 1.5, 0.01, 4.0, 5.0, 0.1
     survey = Survey(np.ones(6), 1.0, np.zeros((6, 6)), S_e * np.eye(6), S_v * np.eye(6), 1.0)
     u, r = 0.7, 0.2
-    late = Late(np.full(6, 0.01), np.full(6, r), np.full(6, u), T)
+    late = DelayEffect(np.full(6, 0.01), np.full(6, r), np.full(6, u), T)
     gains = np.outer([g_e, g_de, g_u], np.ones(6))
     found = _bound(
         survey, gains, late, Extra(STILL, STILL, alpha, np.full(6, 1e-3), STILL, STILL, STILL, NOT_LOST)

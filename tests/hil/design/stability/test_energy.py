@@ -1,4 +1,4 @@
-"""The energy function on the book's platform, and where its springs carry the weight."""
+"""The energy function on the book's platform, and the pose at which springs carry the weight."""
 
 import numpy as np
 import pytest
@@ -16,8 +16,8 @@ K_P, K_V = np.full(6, 4e5), np.full(6, 4e4)
 NOTHING = np.zeros(6)
 
 
-def test_the_energy_falls_by_what_the_dampers_take():
-    """Forces of the law, acceleration of the model, V by its definition a step later and earlier."""
+def test_energy_decreases_by_the_power_of_the_damping():
+    """Forces of the law, acceleration of the model, and V by its definition one step later and earlier."""
     p_d, R_d = HOME
     q_d = leg_lengths(PLATFORM, p_d, R_d)
 
@@ -45,7 +45,7 @@ def test_the_energy_falls_by_what_the_dampers_take():
     assert (V(h) - V(-h)) / (2 * h) == pytest.approx(-dq @ (K_V * dq), rel=1e-4)
 
 
-def test_a_pd_without_compensation_sags_to_where_its_springs_carry_the_weight():
+def test_a_pd_without_compensation_sags_until_its_springs_carry_the_weight():
     q_d = leg_lengths(PLATFORM, *HOME)
 
     def tau(p, R, twist):

@@ -1,4 +1,4 @@
-"""The sampled loop of one axis and of six coupled ones, against hand calculation and roots found elsewhere."""
+"""The sampled loop of one axis and of six coupled ones, against hand calculation and independent root finding."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ def test_a_double_integrator_under_pd_has_the_eigenvalues_of_its_polynomial():
 
 
 @pytest.mark.parametrize("K_D", [40.0, 400.0])
-def test_jurys_criterion_tells_the_largest_gain(K_D):
-    """|a_0| < 1 gives K_P < 2 K_D / T; 1 - a_1 + a_0 > 0 gives K_D < 2 / T: times the gain, the first is none."""
+def test_the_upper_gain_margin_matches_jurys_criterion(K_D):
+    """|a_0| < 1 gives K_P < 2 K_D / T, for every gain; 1 - a_1 + a_0 > 0 gives K_D < 2 / T, which limits the gain."""
     K_P = K_D**2 / 4
     margins = margins_of(Axis(T), gains(K_P, K_D, T))
     assert margins.gain_up == pytest.approx(2 / (K_D * T), rel=1e-6)
@@ -53,7 +53,7 @@ def test_jurys_criterion_tells_the_largest_gain(K_D):
     ("transport", "lag"), [(0.0, 0.0), (0.4e-3, 0.0), (0.5e-3, 1 / 1257), (2.3e-3, 0.8e-3)]
 )
 @pytest.mark.parametrize("w_n", [20.0, 90.0])
-def test_the_delay_margin_is_where_the_eigenvalues_leave_the_circle(transport, lag, w_n):
+def test_at_the_delay_margin_the_eigenvalues_leave_the_unit_circle(transport, lag, w_n):
     controller = gains(w_n**2, 2 * w_n, T)
     margin = margins_of(Axis(T, transport, lag), controller).delay_s
 
@@ -66,7 +66,7 @@ def test_the_delay_margin_is_where_the_eigenvalues_leave_the_circle(transport, l
 
 
 def test_a_delay_within_a_period_is_exact():
-    """One step of u from rest: the position of a lagging, late double integrator, integrated by scipy."""
+    """Response to one period of u from rest: position of a delayed double integrator with lag, by SciPy."""
     axis = Axis(T, 1.3e-3, 0.8e-3, 0.9)
     system = disturbed_axis(axis)
     x, found = np.zeros((system.order, 1)), []
@@ -96,7 +96,7 @@ def test_the_peak_gain_is_the_compliance_and_grows_with_the_delay():
     assert analyse(Axis(T, 12e-3), gains(1600.0, 80.0, T)).peak_gains()[0] > 1.05 / 1600.0
 
 
-def test_a_files_controller_is_told_error_and_rate_in_this_order():
+def test_inputs_of_a_controller_file_are_reordered_to_error_and_rate():
     given = LinearController(
         kind="linear-controller",
         method="mu",
@@ -120,7 +120,7 @@ def test_a_files_controller_is_told_error_and_rate_in_this_order():
 @pytest.mark.parametrize("lag", [0.0, 0.8e-3])
 @pytest.mark.parametrize("bus", [0.0, 0.5e-3, 1e-3, 2.3e-3])
 def test_an_exact_prediction_leaves_the_slow_poles_of_the_loop_without_delay(bus, lag):
-    """Critically damped, wn 20: continuous poles at -20 twice."""
+    """Critically damped, wn 20: a double continuous pole at -20."""
     controller = predicting(400.0, 40.0, T, bus_s=bus, lag_s=lag, hold_s=0.5e-3)
     found = analyse(Axis(T, bus, lag), controller)
     slow = np.log(found.poles[np.argsort(-np.abs(found.poles))][:2]) / T
@@ -139,18 +139,18 @@ def springs(mobility, K_p, K_v, own=0.0, K_i=0.0):
     return Springs(mobility, *each)
 
 
-def test_equal_gains_fall_into_the_modes_of_the_inertia():
+def test_with_equal_gains_the_slowest_mode_of_the_inertia_decides():
     modes = [np.abs(analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).poles).max() for m in MASSES]
     assert springs(MOBILITY, 1e6, 2e4).growth(AXIS) == pytest.approx(max(modes), abs=1e-9)
 
 
-def test_the_delay_margin_is_the_least_of_the_modes():
+def test_the_delay_margin_is_the_smallest_over_the_modes():
     found = [analyse(AXIS, gains(1e6 / m, 2e4 / m, T)).margins for m in MASSES]
     least = min(m.delay_s for m in found if m is not None)
     assert springs(MOBILITY, 1e6, 2e4).delay_margin_s(AXIS) == pytest.approx(least, rel=0.01)
 
 
-def test_an_integral_has_the_limit_of_routh_and_hurwitz():
+def test_the_integral_gain_limit_is_that_of_routh_and_hurwitz():
     """m s^3 + K_v s^2 + K_p s + K_i: stable for K_i < K_p K_v / m; a period of 0.1 ms is nearly continuous."""
     m, K_p, K_v, fine = 200.0, 1e5, 1e4, Axis(1e-4)
     for share, stable in ((0.97, True), (1.03, False)):
@@ -159,8 +159,8 @@ def test_an_integral_has_the_limit_of_routh_and_hurwitz():
         assert (found.slowest() < 0.0) is stable
 
 
-def test_springs_of_the_axes_act_at_once_and_the_law_late():
-    """m p'' = -k p + u of one period before: exact by sine and cosine."""
+def test_axis_springs_act_without_delay_and_the_law_with_delay():
+    """m p'' = -k p + u, u one period old: exact solution with sine and cosine."""
     m, K_p, K_v = 20.0, 1e4, 1e3
     for k in (0.0, 1e5, 1e7, 1e8):
         w = np.sqrt(k / m)

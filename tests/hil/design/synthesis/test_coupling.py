@@ -1,4 +1,4 @@
-"""Axes that a wrong inertia couples: the poles of the loop are those of one axis at the eigenvalues of Gamma."""
+"""Axes coupled by an inertia error: the poles of the loop are those of one axis at the eigenvalues of Gamma."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ PAYLOADS = [
     (-200.0, (0.1, 0.0, 0.1)),
     (5000.0, (1.0, 1.0, 1.0)),
 ]
-"""kg that the law does not know of, and where, m. Negative: that it takes to be there and are not."""
+"""Mass, kg, missing in the law's model, and its position, m; negative: mass in the model only."""
 
 
 def gamma(mass_kg, at_m):
-    """J M^-1 M_believed J^-1 of the book's platform at home."""
+    """J M^-1 M_model J^-1 of the book's platform at home."""
     c = load("virtual")
     platform = build_platform(c.platform)
     p, R = pose_arrays(c.platform.home)
@@ -37,9 +37,9 @@ def gamma(mass_kg, at_m):
 
 
 def coupled(G, K):
-    """The loop's matrix of six axes whose drives accelerate all of them by G (6, 6), each with controller K.
+    """Loop matrix of six axes with drives coupled by G (6, 6), each with controller K.
 
-    An axis is affine in its gain: what the gain multiplies is coupled, the rest is each axis's own.
+    An axis is affine in its gain: the part with the gain is coupled, the rest is separate for each axis.
     """
     own, per_gain = true_axes(0.0, [T], [LAG], H), true_axes(1.0, [T], [LAG], H)
     A0, A1 = own.A[0], per_gain.A[0] - own.A[0]
@@ -52,7 +52,7 @@ def coupled(G, K):
 
 
 def nearest(these, those):
-    """How far each number is from the nearest of the others, the farthest."""
+    """Largest distance of a number in `these` to its nearest number in `those`."""
     return np.abs(these[:, None] - those[None, :]).min(axis=1).max()
 
 
@@ -66,7 +66,7 @@ def test_the_eigenvalues_of_Gamma_are_real_and_positive(mass_kg, at_m):
 
 
 @pytest.mark.parametrize(("mass_kg", "at_m"), PAYLOADS)
-def test_the_coupled_loop_has_the_poles_of_one_axis_at_the_eigenvalues_of_Gamma(mass_kg, at_m):
+def test_coupled_poles_are_those_of_one_axis_at_Gammas_eigenvalues(mass_kg, at_m):
     K, G = system(shipped()), gamma(mass_kg, at_m)
     gains = np.linalg.eigvals(G).real
     single = np.concatenate([np.linalg.eigvals(A) for A in closed(true_axes(gains, T, LAG, H), K)])

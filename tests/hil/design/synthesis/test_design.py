@@ -1,4 +1,4 @@
-"""Designs: what ships is what the command makes, reaches its gamma, and what cannot be is refused."""
+"""Designs: the command reproduces the shipped ones, they reach their gamma, and infeasible ones are refused."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ def system(controller):
 
 @pytest.fixture(scope="module", params=SHIPPED)
 def made(request):
-    """(name, controller, design) as the command makes them now."""
+    """(name, controller, designed, design, axis) as computed now."""
     controller, designed, design, axis = run_design("hinf", request.param, None, lambda _: None)
     return request.param, controller, designed, design, axis
 
 
-def test_the_shipped_controller_is_what_the_command_makes_of_the_shipped_design(made):
+def test_the_command_reproduces_the_shipped_controller(made):
     name, controller, *_ = made
     file = shipped(name)
     for key in ("A", "B", "C", "D", "anti_windup"):
@@ -58,8 +58,8 @@ def test_gamma_is_within_a_tenth_of_the_optimum_and_all_weights_are_met(made):
     assert gamma <= 1.0
 
 
-def test_the_optimum_is_set_by_what_the_loop_can_do_and_not_by_noise_at_rest(made):
-    """At rest the true error is the encoder's: no controller gets below error_m / low_m."""
+def test_the_loop_and_not_the_noise_at_rest_limits_the_optimum(made):
+    """At rest the encoder error remains: no controller is better than error_m / low_m."""
     _, controller, _, design, _ = made
     weights = design.weights
     at_rest = weights.noise.error_m / weights.error.low_m
@@ -74,8 +74,8 @@ def test_the_norm_of_the_continuous_loop_is_below_gamma(made):
     assert top / (1 + 3e-6) <= norm(closed) < controller.design["gamma"]
 
 
-def test_the_norm_of_the_sampled_loop_is_within_a_hundredth_of_gamma(made):
-    """As the file has it, behind the exact hold and delay, weights at j w, d a sinusoid in continuous time."""
+def test_the_norm_of_the_sampled_loop_exceeds_gamma_by_at_most_1_percent(made):
+    """The controller of the file with exact hold and delay, weights at j w, d a sinusoid in continuous time."""
     name, _, _, design, axis = made
     K, legs = system(shipped(name)), sampled_axis(axis, design.rate_Hz, design.inputs)
     omega = np.concatenate([np.geomspace(1e-3, 1.0, 200), grid(1e-3)[::4]])
@@ -113,10 +113,10 @@ def changed(**changes):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"weights__error__low_m": 4e-6}, "no controller does what the weights ask.*noise of"),
+        ({"weights__error__low_m": 4e-6}, "no controller meets the weights.*noise of"),
         (
             {"weights__control__limit_m_s2": 8},
-            "no controller does what the weights ask.*disturbance to control",
+            "no controller meets the weights.*disturbance to control",
         ),
         ({"weights__noise__rate_error_m_s": 1e-4}, "pole of the controller at .* half the Nyquist"),
         (
@@ -133,7 +133,7 @@ def changed(**changes):
         ({"nominal__transport_ms": 6.0}, "no controller"),
     ],
 )
-def test_a_design_that_cannot_be_is_refused_with_the_reason(changes, says):
+def test_an_infeasible_design_is_refused_with_the_reason(changes, says):
     design = changed(**changes)
     assert design.nominal is not None
     with pytest.raises(SynthesisError, match=says):

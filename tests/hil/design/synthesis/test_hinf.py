@@ -1,4 +1,4 @@
-"""H-infinity synthesis: optima known in closed form, and a peer's."""
+"""H-infinity synthesis: optima in closed form, and optima of slycot."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ def scalar(a):
 
 
 @pytest.mark.parametrize("a", [-2.0, -0.3, 0.0, 1.0, 5.0])
-def test_the_optimum_of_a_first_order_plant_is_the_closed_form(a):
-    """Both equations are 2 a X + (1 / gamma^2 - 1) X^2 + 1 = 0; X Y = gamma^2 makes gamma^2 = 2 a gamma + 2."""
+def test_the_optimum_of_a_first_order_plant_has_its_closed_form(a):
+    """Both equations are 2 a X + (1 / gamma^2 - 1) X^2 + 1 = 0; X Y = gamma^2 gives gamma^2 = 2 a gamma + 2."""
     assert hinf(scalar(a), 1, 1).gamma_opt == pytest.approx(a + sqrt(a * a + 2.0), rel=1e-5)
 
 
 def coprime(A, B, C):
-    """w = [at the input of the plant, at its output], z = [y, u]: D11 is not zero."""
+    """w = [at the plant's input, at its output], z = [y, u]: D11 is not zero."""
     n = len(A)
     zero, one = np.zeros((n, 1)), np.eye(1)
     D = np.block([[0 * one, one, 0 * one], [0 * one, 0 * one, one], [0 * one, one, 0 * one]])
     return LinearSystem(A, np.hstack([B, zero, B]), np.vstack([C, np.zeros((1, n)), C]), D)
 
 
-def test_the_optimum_of_the_double_integrator_is_the_closed_form():
+def test_the_optimum_of_the_double_integrator_has_its_closed_form():
     """sqrt(1 + lambda_max(X Z)), X = Z = [[sqrt 2, 1], [1, sqrt 2]]: Glover and McFarlane (1989)."""
     A, B, C = np.array([[0.0, 1], [0, 0]]), np.array([[0.0], [1]]), np.array([[1.0, 0]])
     found = hinf(coprime(A, B, C), 1, 1, 1.05)
@@ -57,7 +57,7 @@ def samples():
 
 
 @pytest.mark.parametrize("case", [2, 3, 5])
-def test_general_problems_have_the_optimum_that_slycot_finds(case):
+def test_the_optima_of_random_plants_match_slycot(case):
     pytest.importorskip("slycot")
     P, n_y, n_u = samples()[case]
     *_, gamma, _ = control.hinfsyn(control.ss(*P[:4]), n_y, n_u)
@@ -83,13 +83,13 @@ UNDISTURBED = ((0, 0), (0, 0))
     [
         (double_integrator(DISTURBED, 0.0, 1.0), "D12 has no full column rank"),
         (double_integrator(DISTURBED, 1.0, 0.0), "D21 has no full row rank"),
-        (double_integrator(UNDISTURBED, 1.0, 1.0), "ill posed: no w excites it"),
-        (double_integrator(DISTURBED, 1.0, 1.0, B2=((0.0,), (0.0,))), "cannot be moved by u"),
-        (double_integrator(DISTURBED, 1.0, 1.0, C2=((0.0, 0.0),)), "is not seen in y"),
+        (double_integrator(UNDISTURBED, 1.0, 1.0), "ill posed: not excited by w"),
+        (double_integrator(DISTURBED, 1.0, 1.0, B2=((0.0,), (0.0,))), "not controllable by u"),
+        (double_integrator(DISTURBED, 1.0, 1.0, C2=((0.0, 0.0),)), "not observable in y"),
         (double_integrator(DISTURBED, 1.0, 1.0)._replace(period_s=1e-3), "sampled"),
         (double_integrator(((0, 0), (np.nan, 0)), 1.0, 1.0), "not finite"),
     ],
 )
-def test_what_the_theory_does_not_cover_is_refused_with_the_reason(P, says):
+def test_a_plant_that_violates_an_assumption_is_refused_with_the_reason(P, says):
     with pytest.raises(SynthesisError, match=says):
         hinf(P, 1, 1)

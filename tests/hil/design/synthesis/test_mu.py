@@ -1,4 +1,4 @@
-"""The structured singular value: textbook matrices, its own proofs, and a peer."""
+"""The structured singular value: textbook matrices, proofs by the scales, and bounds of SLICOT."""
 
 import numpy as np
 import pytest
@@ -24,14 +24,14 @@ def bound(matrix, blocks):
     return upper_bound(one(matrix), blocks, accuracy=1e-6).bound[0]
 
 
-def test_of_the_textbooks_matrix_mu_is_3_below_its_singular_value():
+def test_mu_of_the_textbook_matrix_is_3_and_its_singular_value_sqrt_10():
     """Skogestad and Postlethwaite, section 8.8: sqrt 10 for a full block, 3 for a diagonal one."""
     M = [[2.0, 2.0], [-1.0, -1.0]]
     assert bound(M, [Block(2, 2)]) == pytest.approx(np.sqrt(10.0), rel=1e-6)
     assert bound(M, [SCALAR, SCALAR]) == pytest.approx(3.0, rel=1e-6)
 
 
-def test_of_a_dyad_mu_is_the_sum_of_the_products():
+def test_mu_of_a_dyad_is_the_sum_of_the_products():
     """M = a b': det(I - M Delta) = 1 - sum a_i b_i delta_i, so mu = sum |a_i b_i|."""
     a, b = np.array([3.0, -0.2, 0.7]), np.array([0.1, 5.0, 2.0])
     M, mu = np.outer(a, b), np.abs(a * b).sum()
@@ -39,7 +39,7 @@ def test_of_a_dyad_mu_is_the_sum_of_the_products():
     assert mu < 0.5 * np.linalg.norm(M, 2)
 
 
-def test_the_bound_carries_its_proof_and_no_perturbation_exceeds_it():
+def test_the_scales_prove_the_bound_and_no_perturbation_exceeds_it():
     M = samples(30, 5, 6)
     upper = upper_bound(M, BLOCKS)
     left = np.repeat(upper.D, [1, 1, 1, 2], axis=1)
@@ -57,7 +57,7 @@ def test_the_bound_carries_its_proof_and_no_perturbation_exceeds_it():
     assert (largest > 0.3 * upper.bound).all()
 
 
-def test_no_bound_is_looser_than_that_of_slicot():
+def test_the_bound_is_as_tight_as_slicots():
     slycot = pytest.importorskip("slycot")
     M = samples(40, 5, 5, seed=3)
     reference = [slycot.ab13md(m, np.array([1, 1, 1, 2]), np.array([2, 2, 2, 2]))[0] for m in M]
@@ -66,6 +66,6 @@ def test_no_bound_is_looser_than_that_of_slicot():
     assert (found <= np.array(reference) * (1 + 1e-3)).all()
 
 
-def test_blocks_that_do_not_fit_are_refused():
+def test_blocks_that_do_not_fit_the_matrix_are_refused():
     with pytest.raises(ModelError, match="blocks for a matrix of 1 x 1, given 2 x 2"):
         upper_bound(one(np.eye(2)), [SCALAR])

@@ -1,4 +1,4 @@
-"""The mu design that ships: below 1 for all that its uncertainty states, and so are the true axes."""
+"""The shipped mu design: mu is below 1 for its uncertainty, and real axes within it meet the weights."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ D, NOISE = 14.95, np.array([2.3e-5, 0.023])
 
 
 def W_e(omega):
-    """1 / W_e: 34.5 um at rest, rising from 0.3 rad/s on, 4.6 mm above 40 rad/s."""
+    """Inverse of the allowed error: 34.5 um at rest, rising above 0.3 rad/s, 4.6 mm above 40 rad/s."""
     s = 1j * omega
     return (s + 40.0) / (s + 40.0 * 3.45e-5 / 4.6e-3) / 4.6e-3
 
@@ -55,7 +55,7 @@ def made():
     return controller, designed, lines
 
 
-def test_the_shipped_controller_is_what_the_command_makes_of_the_shipped_design(made):
+def test_the_command_reproduces_the_shipped_controller(made):
     now, then = system(made[0]), system(shipped())
     omega = np.geomspace(0.1, 0.99 * pi / H, 200)  # at the Nyquist frequency both are 0 but for rounding
     assert now.response(omega) == pytest.approx(then.response(omega), rel=1e-4)
@@ -63,7 +63,7 @@ def test_the_shipped_controller_is_what_the_command_makes_of_the_shipped_design(
     assert made[0].design["uncertainty"] == shipped().design["uncertainty"]
 
 
-def test_mu_on_a_dense_grid_is_below_1_and_that_of_the_file(made):
+def test_mu_on_a_dense_grid_is_below_1_and_matches_the_file(made):
     controller, designed, _ = made
     problem = structured_plant(DESIGN, AXIS, RANGES)
     M = problem.plant.closed_with(designed.K)
@@ -73,8 +73,8 @@ def test_mu_on_a_dense_grid_is_below_1_and_that_of_the_file(made):
     assert bound.max() == pytest.approx(controller.design["mu_upper"], rel=2e-3)
 
 
-def test_the_covers_hold_every_delay_and_lag_of_the_ranges():
-    """|true / nominal - 1| <= |W|, delay, hold, lag and Pade written out."""
+def test_the_weights_cover_every_delay_and_lag_of_the_ranges():
+    """|real / nominal - 1| <= |W|, with delay, hold, lag and Pade approximation written out."""
     omega = np.geomspace(0.5, 3e4, 700)
     s = 1j * omega
     W_delay, W_lag = (np.abs(W.response(omega)[:, 0, 0]) for W in covers(DESIGN, AXIS, RANGES))
@@ -92,8 +92,8 @@ def test_the_covers_hold_every_delay_and_lag_of_the_ranges():
     assert lag_error(omega, (1e3 * LAG_S[0], 1e3 * LAG_S[1]), 0.85) == pytest.approx(lag.max(0), rel=1e-9)
 
 
-def test_every_axis_of_the_uncertainty_is_a_perturbation_of_size_1_at_most():
-    """Inertia, delay, hold and lag written out, as far off as they may be; mass and inertia enter exactly."""
+def test_every_uncertain_axis_is_a_perturbation_of_norm_1_at_most():
+    """Inertia, delay, hold and lag written out, at the ends of their ranges; the inertia enters exactly."""
     omega = np.geomspace(0.5, 2e4, 50)
     s = 1j * omega
     P = structured_plant(DESIGN, AXIS, RANGES).plant.response(omega)
@@ -131,7 +131,7 @@ def weighted_loop(G, k, omega):
     return np.stack(rows, -2) * inputs
 
 
-def test_a_thousand_true_axes_are_stable_and_meet_all_weights():
+def test_a_thousand_exact_axes_are_stable_and_meet_all_weights():
     """Inertia, delay and lag at random and at all corners; exact delay, lag, hold; the sampled controller."""
     rng = np.random.default_rng(5)
     corners = np.array(np.meshgrid([-1, 1], [0.5e-3, 2e-3], [120, 300])).reshape(3, -1)
@@ -150,8 +150,8 @@ def test_a_thousand_true_axes_are_stable_and_meet_all_weights():
     assert gain.max() > 0.9, "the bound is not met by a loop that does nothing"
 
 
-def test_a_step_of_the_disturbance_moves_no_axis_by_two_millimetres():
-    """The weights ask in frequency; in time they keep what is asked of the platform: 2 mm, 50 um from 0.3 s on."""
+def test_a_disturbance_step_moves_every_axis_by_less_than_2_mm():
+    """Weights bound the response in frequency; in time it meets the platform's limits: 2 mm, 50 um after 0.3 s."""
     delta, T, bandwidth = np.array(np.meshgrid([-1, 0, 1], [0.5e-3, 1.25e-3, 2e-3], [120, 300])).reshape(
         3, -1
     )
@@ -166,14 +166,14 @@ def test_a_step_of_the_disturbance_moves_no_axis_by_two_millimetres():
     assert np.max(error[300:]) < 5e-5
 
 
-def test_a_loop_that_only_its_sampling_breaks_is_seen_at_the_corners():
+def test_the_corner_check_finds_a_loop_that_is_unstable_when_sampled():
     worst = sampled_corners(DESIGN, AXIS, RANGES, system(shipped()))
     assert worst == pytest.approx(shipped().design["norm_sampled_corners"], rel=1e-6)
     wider = RANGES.model_copy(update={"transport_ms": (0.5, 9.0)})
     assert sampled_corners(DESIGN, AXIS, wider, system(shipped())) == inf
 
 
-def test_mu_is_proven_at_every_frequency_not_only_where_it_was_looked_at():
-    """Scales as rational functions: the norm of D M D^-1 is a bound at all frequencies, by the Hamiltonian."""
+def test_mu_is_proven_at_all_frequencies_and_not_only_on_the_grid():
+    """Rational scales: the norm of D M D^-1, by the Hamiltonian, is a bound at all frequencies."""
     design = shipped().design
     assert design["mu_upper"] <= design["mu_proven"] < 1.02 * design["mu_upper"] < 1.0

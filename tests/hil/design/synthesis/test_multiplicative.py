@@ -1,4 +1,4 @@
-"""Measured axes as an uncertainty: its bound, its cover, and what of it a loop stands, alone and coupled."""
+"""Uncertainty of measured axes: its bound, its cover, and the robustness of single and coupled loops."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def profile(*points, flat=FLAT):
     return Relative(2 * np.pi * hertz, bound, flat)
 
 
-def test_the_bound_holds_for_every_axis_within_its_own(file):
+def test_the_common_bound_covers_every_axis_within_its_own_bound(file):
     model = read_section(file, AxisModel)[0]
     found = relative(model, 1.0)
     circle = np.exp(2j * np.pi * np.arange(720) / 720)
@@ -55,7 +55,7 @@ def test_the_bound_holds_for_every_axis_within_its_own(file):
         assert w == pytest.approx(farthest, rel=1e-4)
 
 
-def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():
+def test_coupled_axes_are_stable_for_every_uncertainty_in_their_margin():
     _, designed, design, axis = run_design("hinf", "hinf", None, lambda _: None)
     L, w = loop(designed, axis, design), profile((1, 0.3), (100, 0.3))
     Gamma = gamma(230.0, (0.5, 0.3, 0.5))
@@ -73,7 +73,7 @@ def test_coupled_axes_stand_what_their_margin_says_whatever_each_of_them_is():
 
 
 @pytest.mark.long
-def test_mu_takes_it_as_a_block_of_its_own():
+def test_mu_design_treats_measured_uncertainty_as_a_separate_block():
     design, _ = load_design("mu")
     axis = design.nominal
     assert axis is not None
@@ -86,7 +86,7 @@ def test_mu_takes_it_as_a_block_of_its_own():
     assert margin(measured, loop(made, axis, modest), RATE_HZ).norm < 1
 
 
-def test_a_file_of_identify_brings_it_and_the_report_says_what_is_left(file):
+def test_the_report_states_the_margin_to_measured_axes(file):
     axis, measured = axis_of(load_design("hinf")[0], file.parent, file)
     assert measured is not None
     assert axis.gain == pytest.approx(1.0, abs=0.01)
@@ -99,7 +99,7 @@ def test_a_file_of_identify_brings_it_and_the_report_says_what_is_left(file):
     assert f"{again.norm:.3f}, nearest to 1 at {hertz:.3g} Hz" in line
 
 
-def test_axes_that_no_loop_of_the_design_stands_are_refused(file):
+def test_measured_axes_beyond_every_loop_of_the_design_are_refused(file):
     file.write_text((AXES + 6 * ONE).replace("[0.045, 0.01, 0.03, 0.09]", "[0.045, 1.3, 1.5, 3.0]"))
     with pytest.raises(
         SynthesisError, match=r"gamma is .* allowed: below 1|differ from the nominal one by more"
@@ -111,6 +111,6 @@ def test_axes_that_no_loop_of_the_design_stands_are_refused(file):
     ("robot", "says"),
     [("bench", "six uncoupled legs"), ("vcan50", "loop.rate_Hz: 50, allowed: that of the design, 1000")],
 )
-def test_a_robot_of_another_loop_is_refused(robot, says):
+def test_a_robot_configuration_with_another_loop_is_refused(robot, says):
     with pytest.raises(ConfigurationError, match=says):
         run_design("hinf", "hinf", None, lambda _: None, robot)

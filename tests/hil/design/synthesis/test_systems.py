@@ -1,4 +1,4 @@
-"""Systems of a synthesis: the axis, norms, diagrams, reduction and scales, against closed forms and a peer."""
+"""Systems of a synthesis: the axis, norms and block diagrams, against closed forms and slycot."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_pade_delays_and_does_not_amplify(order):
     assert np.angle(found[1]) == pytest.approx(-10.0 * T, abs=1e-6)
 
 
-def test_the_four_blocks_are_those_of_the_drawing():
+def test_the_four_block_problem_matches_its_transfer_functions():
     """e = -(d + a) / s^2, y = [e, e'] + n, at one frequency by hand."""
     path = actuator(DesignAxis(gain=0.9, transport_ms=0.5, lag_ms=0.796), 1000.0, 2)
     s = 1j * 50.0
@@ -41,7 +41,7 @@ def test_the_four_blocks_are_those_of_the_drawing():
 
 @pytest.mark.parametrize("transport_ms", [0.0, 0.5, 1.0, 1.3, 2.0])
 @pytest.mark.parametrize("lag_ms", [0.0, 0.8])
-def test_the_sampled_axis_answers_a_step_at_every_tick_as_the_closed_form(transport_ms, lag_ms):
+def test_the_step_response_of_the_sampled_axis_has_its_closed_form(transport_ms, lag_ms):
     h, T, L = 1e-3, 1e-3 * transport_ms, 1e-3 * lag_ms
     axis = sampled_axis(DesignAxis(gain=2.0, transport_ms=transport_ms, lag_ms=lag_ms), 1.0 / h, INPUTS)
     x = np.zeros(axis.order)
@@ -54,7 +54,7 @@ def test_the_sampled_axis_answers_a_step_at_every_tick_as_the_closed_form(transp
 
 
 @pytest.mark.parametrize("zeta", [0.001, 0.1, 0.5])
-def test_a_resonance_has_the_height_and_place_of_the_closed_form(zeta):
+def test_the_norm_of_a_resonance_has_its_closed_form(zeta):
     system = LinearSystem(
         np.array([[0.0, 1.0], [-1.0, -2.0 * zeta]]),
         np.array([[0.0], [1.0]]),
@@ -78,14 +78,14 @@ def random(seed, period_s=None):
 
 @pytest.mark.parametrize("period_s", [None, 1e-3])
 @pytest.mark.parametrize("seed", range(3))
-def test_the_norm_is_the_one_that_slycot_finds(seed, period_s):
+def test_the_norm_of_random_systems_matches_slycot(seed, period_s):
     pytest.importorskip("slycot")
     system = random(seed, period_s)
     peer = control.linfnorm(control.ss(*system[:4], 0 if period_s is None else 1.0))[0]
     assert norm(system) == pytest.approx(peer, rel=1e-5)
 
 
-def test_a_gain_has_its_own_norm_and_an_unstable_system_none():
+def test_a_static_gain_has_its_norm_and_an_unstable_system_is_refused():
     assert norm(static(np.diag([2.0, -3.0]))) == pytest.approx(3.0)
     one = np.eye(1)
     for unstable in (LinearSystem(0 * one, one, one, one), LinearSystem(one, one, one, one, 1e-3)):
@@ -101,7 +101,7 @@ def first_order(pole: float, gain: float = 1.0, through: float = 0.0) -> LinearS
     return LinearSystem(np.array([[-pole]]), np.eye(1), np.array([[gain]]), np.array([[through]]))
 
 
-def test_a_diagram_has_the_responses_that_its_algebra_gives():
+def test_a_wired_block_diagram_has_the_response_computed_by_hand():
     parts = {"a": (first_order(3.0), {"r": 1.0, "b": -2.0}), "b": (first_order(5.0), {"a": 1.0, "d": 1.0})}
     G = wired(parts, ["r", "d"], [{"b": 1.0}, {"a": 1.0, "r": 1.0}]).response(OMEGA)
     a, b = 1.0 / (S + 3.0), 1.0 / (S + 5.0)

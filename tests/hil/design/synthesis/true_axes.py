@@ -1,4 +1,4 @@
-"""Axes as they are: exact delay, lag and hold, many at once, in closed form; nothing of it from hil.design.synthesis."""
+"""Exact axes with delay, lag and hold in closed form, many at once, independent of hil.design.synthesis."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 PAST = 3
-"""Periods that the longest delay spans."""
+"""Number of periods in the longest delay."""
 
 
 class Axes(NamedTuple):
@@ -57,7 +57,7 @@ def response(axes, omega, h):
 
 
 def closed(axes, K):
-    """The loop's matrix (N, n, n) with a sampled controller u = K [e; de]."""
+    """Loop matrix (N, n, n) with a sampled controller u = K [e; de]."""
     N, n, _ = axes.A.shape
     C = np.zeros((2, n))
     C[0, 2] = C[1, 1] = -1.0

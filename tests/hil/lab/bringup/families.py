@@ -1,4 +1,4 @@
-"""A desktop hexapod by every drive family: what differs from configs/desktop.yaml."""
+"""A desktop hexapod with every drive family, as changes of configs/desktop.yaml."""
 
 from functools import cache
 from importlib import resources
@@ -60,6 +60,6 @@ FAMILIES: dict[str, dict[str, Any]] = {
 
 @cache
 def family(name: str) -> Configuration:
-    """The configuration of a family's machine."""
+    """Configuration of a machine with this drive family."""
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     return loads(with_changes(text, FAMILIES[name]), name)

@@ -1,4 +1,4 @@
-"""What an operator may type, and which mistakes a rehearsal may be given."""
+"""Input of the operator at the terminal, and the text form of mistakes."""
 
 import io
 import os
@@ -22,7 +22,7 @@ DOWN = Request("take_down", text="Take the platform off", word="down")
 
 @pytest.fixture
 def typing():
-    """A terminal, what it has said, and a function that types."""
+    """A terminal, the list of its output, and the pipe to type into."""
     reading, writing = os.pipe()
     said: list[str] = []
     with os.fdopen(reading) as source, os.fdopen(writing, "wb", buffering=0) as pipe:
@@ -38,7 +38,7 @@ def typing():
     ],
     ids=["a number", "Enter", "a word"],
 )
-def test_question_is_asked_again_until_its_answer_is_one(typing, request_, refused, typed, answer):
+def test_question_is_repeated_until_the_answer_is_valid(typing, request_, refused, typed, answer):
     terminal, said, pipe = typing
     terminal.ask(request_)
     assert terminal.answer() is None
@@ -51,8 +51,8 @@ def test_question_is_asked_again_until_its_answer_is_one(typing, request_, refus
     assert terminal.answer() == answer
 
 
-def test_what_was_typed_ahead_waits_its_turn(typing):
-    """A buffered reader takes all lines at once: the second answer then waits for a third one."""
+def test_line_typed_ahead_answers_the_next_question(typing):
+    """A buffered reader would take all lines at once: the second answer would then wait for a third line."""
     terminal, _, pipe = typing
     pipe.write(b"0.3\n0.4\n\n")
     for expected in (0.3, 0.4):
@@ -63,7 +63,7 @@ def test_what_was_typed_ahead_waits_its_turn(typing):
 
 
 @pytest.mark.parametrize("how", ["closed", "no"])
-def test_end_of_the_input_or_no_ends_in_the_middle_of_a_question(typing, how):
+def test_no_or_end_of_input_ends_the_bring_up_during_a_question(typing, how):
     terminal, _, pipe = typing
     terminal.ask(MEASURE)
     if how == "closed":
@@ -74,7 +74,7 @@ def test_end_of_the_input_or_no_ends_in_the_middle_of_a_question(typing, how):
         terminal.answer()
 
 
-def test_consent_is_asked_until_it_is_enter_or_no(typing):
+def test_consent_is_requested_until_enter_or_no_is_typed(typing):
     terminal, _, pipe = typing
     pipe.write(b"what?\n\nno\n")
     assert terminal.consent("step", "does", "Ctrl-C")
@@ -98,18 +98,18 @@ REFUSED = [
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_mistake_that_cannot_be_is_refused_with_what_is_allowed(words):
+def test_invalid_mistake_is_refused_and_lists_the_allowed_ones(words):
     with pytest.raises(ConfigurationError, match=r"--mistake.*allowed"):
         wiring_of([words], VIRTUAL)
 
 
-def test_drives_without_a_watchdog_cannot_have_a_wrong_one():
+def test_watchdog_mistakes_are_refused_for_drives_without_a_watchdog():
     with pytest.raises(ConfigurationError, match="no watchdog"):
         wiring_of(["watchdog_long leg=1"], build_protocol(family("cubemars")))
     assert wiring_of(["watchdog_long leg=1"], build_protocol(family("damiao"))) != Wiring()
 
 
-def test_legs_of_a_mistake_are_those_that_are_named():
+def test_mistake_changes_the_wiring_of_the_given_legs_only():
     assert wiring_of(["ids_rotated leg=1 other=2 third=4"], VIRTUAL).motor == (0, 2, 4, 3, 1, 5)
     assert wiring_of(["payload value=3", "upside_down"], VIRTUAL) == Wiring(payload=3.0, gravity=-1.0)
     brakes = wiring_of(["brake_of_another leg=1 other=4"], VIRTUAL).brake

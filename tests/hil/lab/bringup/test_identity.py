@@ -1,4 +1,4 @@
-"""Who each drive is: asked again where answers are lost, two drives on one number, a drive that was exchanged."""
+"""Identity of the drives: repeated requests, two drives on one node number, and replaced drives."""
 
 from __future__ import annotations
 
@@ -10,18 +10,21 @@ import pytest
 from drivers.cia402 import objects
 from drivers.protocol import REVISION, SERIAL, Frame
 from hil.app.compose import build_protocol
-from hil.lab.bringup.drives import ASKED_TIMES
+from hil.lab.bringup.drives import MOST_REQUESTS
 from hil.lab.bringup.procedure import STEPS
 from plant_fmu.drives.cia402_dictionary import PLACE, defaults
 from tests.broad import broad
 from tests.hil.lab.bringup.families import FAMILIES, family
-from tests.hil.lab.bringup.kit import Rehearsal, named
+from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
 SCAN, BY_HAND = STEPS[:1], STEPS[:4]
 
 
 def asked_over(name, lost):
-    """Ask drives whose first answers are lost; return what is known then, and the number of requests."""
+    """Request identities while the first `lost` answers are lost.
+
+    Return the identities and number of requests.
+    """
     rehearsal, left = Rehearsal(name), dict.fromkeys(range(6), lost)
     protocol, line = rehearsal.drives.protocol, rehearsal.drives.line
     asking = {frame for asked in protocol.traits.identity_requests for frame in asked}
@@ -48,25 +51,25 @@ def asked_over(name, lost):
 
 
 @pytest.mark.parametrize("name", ["damiao", "odrive"])
-def test_only_drives_whose_answers_are_lost_are_requested_again(name):
+def test_request_is_repeated_only_to_drives_that_did_not_answer(name):
     rounds = {"damiao": 2, "odrive": 1}[name]
     whole, requests = asked_over(name, 0)
     assert requests == 6 * rounds
-    late, _ = asked_over(name, ASKED_TIMES - 1)
+    late, _ = asked_over(name, MOST_REQUESTS - 1)
     assert late == whole
     assert [who[SERIAL] for who in whole] == [1, 2, 3, 4, 5, 6]
     never, requests = asked_over(name, 100)
     assert never == ({},) * 6
-    assert requests == 6 * rounds * ASKED_TIMES
+    assert requests == 6 * rounds * MOST_REQUESTS
 
 
 _LOWEST = {"damiao": 4, "odrive": 1, "robstride": 0, "cia402_pdo": 4}
-"""Where in an answer the lowest byte of a serial number is."""
+"""Index of the lowest byte of the serial number in an answer."""
 
 
 @pytest.mark.parametrize("name", broad([*_LOWEST], quick=2))
-def test_two_serial_numbers_of_one_node_are_two_drives(name):
-    """A second drive of that number at the same length: it differs by its serial number alone."""
+def test_two_serial_numbers_from_one_node_are_two_drives(name):
+    """The second drive reads the same length and differs only in its serial number."""
     rehearsal = Rehearsal(name)
 
     def twin(heard, _):
@@ -92,7 +95,7 @@ def measured():
 
 
 def scanned(facts, said, monkeypatch):
-    """Scan where the drives say this of themselves; return the rehearsal and what the operator was told."""
+    """A rehearsal in which the drives report these identities, and the list of texts for the operator."""
     rehearsal = Rehearsal("odrive", facts=copy.deepcopy(facts))
     told: list[str] = []
     monkeypatch.setattr(rehearsal.hands, "tell", told.append)
@@ -106,11 +109,11 @@ CHANGES = {
     "another": ({SERIAL: 77}, {SERIAL: 77}, False),
     "one more figure": ({SERIAL: 3, REVISION: 7}, {SERIAL: 3, REVISION: 7}, True),
 }
-"""What drive 2 tells in the next session, what is known of it then, and whether its facts stay."""
+"""Identity reported by drive 2 in the next session, the stored identity after it, and whether facts are kept."""
 
 
 @pytest.mark.parametrize("case", CHANGES)
-def test_facts_of_a_drive_go_with_its_number_and_stay_where_it_is_silent(case, monkeypatch):
+def test_facts_are_dropped_only_if_a_drive_reports_another_serial_number(case, monkeypatch):
     tells, known, stay = CHANGES[case]
     others = tuple(tells if leg == 2 else {SERIAL: leg + 1} for leg in range(6))
     rehearsal, _ = scanned(measured(), others, monkeypatch)
@@ -132,7 +135,7 @@ def asked_legs(rehearsal):
 
 
 def with_another(monkeypatch, node, key, value):
-    """Let the drive of a node be another one, by one object of its dictionary."""
+    """Give the drive of a node another value of one object in its dictionary."""
 
     def of_one(n, *figures):
         values = defaults(n, *figures)
@@ -147,7 +150,7 @@ def with_another(monkeypatch, node, key, value):
     ("key", "told"),
     broad([(objects.SERIAL, "serial number 3 -> 77"), (objects.REVISION, "revision 1 -> 77")], quick=1),
 )
-def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
+def test_only_a_replaced_drive_is_measured_again(monkeypatch, key, told):
     first = Rehearsal("cia402_pdo")
     assert first.run(STEPS[:4]).success
     facts = first.context.facts
@@ -158,7 +161,7 @@ def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
     monkeypatch.setattr(again.hands, "tell", said.append)
     assert again.run(STEPS[:4]).success
     assert asked_legs(again) == set()
-    assert not any("another drive" in text for text in said)
+    assert not any("other drive" in text for text in said)
 
     with_another(monkeypatch, 3, key, 77)
     third = Rehearsal("cia402_pdo", facts=copy.deepcopy(facts) | {"mounted": {"0": {}}})
@@ -170,7 +173,7 @@ def test_exchanged_drive_alone_is_measured_again(monkeypatch, key, told):
     assert third.context.facts["watchdog"].keys() == set("012345")
 
 
-def test_each_family_with_identities_reports_them():
+def test_identities_of_each_family_are_read():
     told = {}
     for name in ("cia402_pdo", "robstride", "odrive", "damiao", "moteus_stopped", "cubemars", "legs_fd"):
         rehearsal = Rehearsal(name)

@@ -1,4 +1,4 @@
-"""The second pose of a bring-up is one that the legs reach, of whatever size a robot is."""
+"""The second pose of a bring-up is within reach, whatever the size of the robot."""
 
 import numpy as np
 import pytest
@@ -11,20 +11,20 @@ from hil.robot.kinematics import leg_lengths
 
 
 def with_stroke(c, half_m):
-    """A configuration whose stroke ends so far from the lengths at home."""
+    """A configuration with a stroke that ends `half_m` from the lengths at home."""
     q = leg_lengths(build_platform(c.platform), *pose_arrays(c.platform.home))
     ends = {"length_min_m": float(q.min()) - half_m, "length_max_m": float(q.max()) + half_m}
     return c.model_copy(update={"platform": c.platform.model_copy(update=ends)})
 
 
 def tilt_deg(c):
-    """How far the second pose is tilted from the first."""
+    """Tilt of the second pose against the first, deg."""
     (_, home), (_, tilted) = known_poses(c)
     return np.degrees(np.arccos((np.trace(home.T @ tilted) - 1.0) / 2.0))
 
 
 def reach_m(c):
-    """How much the legs change by the whole tilt."""
+    """Largest change of a leg length by the whole tilt, m."""
     p, R = pose_arrays(c.platform.home)
     turned = np.add(c.platform.home.rotation_vector_deg, TILT_deg)
     tilted = c.platform.home.model_copy(update={"rotation_vector_deg": tuple(turned.tolist())})
@@ -33,7 +33,7 @@ def reach_m(c):
 
 
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
-def test_tilt_is_as_large_as_the_stroke_allows(name):
+def test_tilt_is_the_largest_share_within_the_stroke(name):
     c = load(name)
     whole = np.linalg.norm(TILT_deg)
     reach = reach_m(c)
@@ -43,7 +43,7 @@ def test_tilt_is_as_large_as_the_stroke_allows(name):
     assert tilt_deg(with_stroke(c, 0.3 * reach)) == pytest.approx(0.25 * whole, rel=1e-6)
 
 
-def test_home_at_the_end_of_the_stroke_is_refused_with_the_leg():
+def test_home_at_the_end_of_the_stroke_is_refused_and_names_the_leg():
     c = load("virtual")
     narrow = with_stroke(c, 0.1 * reach_m(c))
     with pytest.raises(ConfigurationError, match=r"leg \d"):

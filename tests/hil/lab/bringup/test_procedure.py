@@ -1,4 +1,4 @@
-"""The procedure: one brake, little force, a short way; ended at any moment; resumed."""
+"""The procedure: one brake at a time, small force, short travel; it can be interrupted and resumed."""
 
 import json
 from pathlib import Path
@@ -14,7 +14,7 @@ from hil.lab.bringup.procedure import STEPS, merged
 from hil.lab.bringup.steps import scan
 from tests.broad import broad
 from tests.hil.lab.bringup.families import FAMILIES, family
-from tests.hil.lab.bringup.kit import Rehearsal, named
+from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
 ALONE = STEPS[:5]
 
@@ -26,7 +26,7 @@ def good():
     return rehearsal, rehearsal.run()
 
 
-def test_good_machine_passes_with_one_brake_little_force_a_short_way(good):
+def test_good_machine_passes_with_one_brake_small_force_and_short_travel(good):
     rehearsal, outcome = good
     assert outcome.findings == ()
     assert outcome.passed == tuple(step.name for step in STEPS)
@@ -35,7 +35,7 @@ def test_good_machine_passes_with_one_brake_little_force_a_short_way(good):
     assert 1e-4 < rehearsal.watched.most_travel_m < 1e-3
 
 
-def test_watchdog_friction_scale_and_sign_are_those_of_the_bench(good):
+def test_watchdog_friction_scale_and_sign_agree_with_the_bench(good):
     rehearsal, _ = good
     for leg in range(6):
         watchdog = rehearsal.context.known("watchdog", leg)
@@ -54,7 +54,7 @@ def test_at_the_end_all_drives_are_off_with_their_own_watchdogs(good):
 
 
 @pytest.mark.long
-def test_no_two_brakes_are_open_where_each_leg_has_a_bus_of_its_own(tmp_path):
+def test_one_brake_at_a_time_is_open_with_one_bus_per_leg(tmp_path):
     text = (Path(hil.__file__).parents[1] / "configs" / "two_buses.yaml").read_text()
     first = text.index("  channels:")
     last = text.index("\n\n", first)
@@ -66,7 +66,7 @@ def test_no_two_brakes_are_open_where_each_leg_has_a_bus_of_its_own(tmp_path):
     assert rehearsal.watched.most_open == 1
 
 
-def test_what_was_not_measured_has_not_passed():
+def test_step_without_measurements_has_not_passed():
     rehearsal = Rehearsal("virtual", "brake_stuck_open leg=5")
     outcome = rehearsal.run()
     assert ("brake_stuck_open", (5,)) in named(outcome)
@@ -74,13 +74,13 @@ def test_what_was_not_measured_has_not_passed():
 
 
 @pytest.mark.parametrize("mistake", ["watchdog_missing", "watchdog_long", "watchdog_short"])
-def test_drive_without_its_watchdog_is_named_before_any_brake_opens(mistake):
+def test_wrong_watchdog_is_found_before_any_brake_opens(mistake):
     rehearsal = Rehearsal("virtual", f"{mistake} leg=4")
     assert named(rehearsal.run()) == {(mistake, (4,))}
     assert rehearsal.watched.most_open == 0
 
 
-def test_no_brake_opens_beside_a_drive_that_cannot_be_locked_out():
+def test_no_brake_opens_if_another_drive_cannot_be_locked_out():
     rehearsal = Rehearsal("virtual", "watchdog_missing leg=4")
     rehearsal.run((scan.STEP,))
     why = rehearsal.drives.power(0)
@@ -89,7 +89,7 @@ def test_no_brake_opens_beside_a_drive_that_cannot_be_locked_out():
     assert DriveState(int(rehearsal.drives.record["drive_state"][0])) == DriveState.OFF
 
 
-def test_ctrl_c_with_a_brake_open_takes_force_and_power_away():
+def test_ctrl_c_with_a_brake_open_removes_force_and_power():
     rehearsal = Rehearsal("virtual", stop_at=61)
     with pytest.raises(KeyboardInterrupt):
         rehearsal.run(ALONE)
@@ -109,8 +109,8 @@ def test_ctrl_c_with_a_brake_open_takes_force_and_power_away():
     assert resumed.context.known("opens", 5)["legs"] == [5]
 
 
-def test_brake_that_nobody_has_pushed_on_has_not_held():
-    """The brake of leg 3 does not shut; the operator pushes only once the gauge's 0 N has been refused."""
+def test_brake_has_not_held_unless_it_was_pushed():
+    """The brake of leg 3 does not shut; the operator pushes only after the gauge's 0 N was refused."""
     rehearsal = Rehearsal("virtual", "brake_stuck_open leg=3")
     ask, reads = rehearsal.hands.ask, []
 
@@ -132,7 +132,7 @@ def test_brake_that_nobody_has_pushed_on_has_not_held():
     assert reads == [(600.0, 30_000.0)] * 2
 
 
-def test_without_consent_nothing_is_polled_or_powered():
+def test_without_consent_no_drive_is_polled_or_powered():
     rehearsal = Rehearsal("virtual")
     rehearsal.hands.agrees = False
     with pytest.raises(RefusedError, match="before step scan"):
@@ -142,14 +142,14 @@ def test_without_consent_nothing_is_polled_or_powered():
     assert "scan" not in rehearsal.context.facts
 
 
-def test_nothing_after_a_mistake_that_a_gate_has_named():
+def test_no_step_follows_a_finding_of_a_gate():
     rehearsal = Rehearsal("virtual", "encoder_frozen leg=1")
     outcome = rehearsal.run()
     assert (outcome.stopped, outcome.passed) == ("ids", ("scan", "watchdog"))
     assert not {r.act for r in rehearsal.hands.requests} - {"move"}
 
 
-def test_one_cause_has_one_name():
+def test_reversed_drive_is_one_finding_instead_of_two():
     sign = [Finding(name, (2,), "", "") for name in ("encoder_sign", "force_sign")]
     other = Finding("force_sign", (4,), "", "")
     assert [(f.name, f.legs) for f in merged([*sign, other])] == [
@@ -162,28 +162,28 @@ POLLED = ["moteus_stopped", *[name for name in FAMILIES if "legs" not in name an
 
 
 @pytest.mark.parametrize("name", broad(POLLED, quick=1))
-def test_brakes_that_act_at_once_open_one_at_a_time(name):
-    """An enabling of one tick opens no brake that takes 40 ms: only one that takes none shows it."""
+def test_brakes_without_delay_open_one_at_a_time(name):
+    """A drive enabled for one tick opens no brake that takes 40 ms, so only a brake without delay shows it."""
     c, at_once = family(name), {"plant": {"drives": {"brake_open_ms": 0, "brake_close_ms": 0}}}
     rehearsal = Rehearsal(loads(with_changes(c.text, at_once), name, c.folder))
     assert rehearsal.run(STEPS[:2]).findings == ()
     assert rehearsal.watched.most_open <= 1
 
 
-def test_what_is_not_proven_is_accepted_by_a_word_and_has_not_passed():
+def test_unproven_step_is_accepted_by_a_word_and_has_not_passed():
     rehearsal = Rehearsal("cubemars")
     outcome = rehearsal.run(STEPS[:2])
     assert outcome.passed == ("scan",)
     ((step, gap),) = outcome.gaps
     assert step == "watchdog"
-    assert gap.mend
+    assert gap.remedy
     assert [(r.act, r.word) for r in rehearsal.hands.requests] == [("accept", "accept")]
     assert rehearsal.watched.most_open == 0
 
 
 @pytest.mark.parametrize("family", ["cia402_difference", "odrive"])
-def test_drives_with_frames_of_their_own_are_powered_alone(family):
-    """The five others are commanded off; nothing is locked out, since these drives cannot be."""
+def test_drives_with_their_own_command_frames_are_powered_alone(family):
+    """The five others are commanded off; these drives cannot be locked out and need not be."""
     rehearsal = Rehearsal(family)
     assert not rehearsal.drives.locks
     rehearsal.run(STEPS[:1])
@@ -195,7 +195,7 @@ def test_drives_with_frames_of_their_own_are_powered_alone(family):
     assert not {DriveState.READY, DriveState.RUN} & {*states[:3], *states[4:]}
 
 
-def test_brake_is_open_or_shut_once_a_slow_heartbeat_reports_it():
+def test_procedure_waits_for_a_slow_heartbeat_to_report_the_brake():
     c = family("odrive")
     slow = with_changes(c.text, {"drives": {"heartbeat_ms": 250}})
     rehearsal = Rehearsal(loads(slow, "odrive", c.folder))
@@ -213,12 +213,12 @@ SLOW = {
     "engage": {"brake_release_s": 0.03, "brake_close_s": 0.16},
     "plant": {"drives": {"brake_open_ms": 25, "brake_close_ms": 150}},
 }
-"""Brakes that close more slowly than they open: longer than a drive needs to be powered."""
+"""Brakes that close more slowly than they open, and take longer than powering a drive."""
 
 
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
 def test_slow_brake_is_shut_before_the_next_one_opens(name):
-    """One command for all drives, and one for each: every leg, its neighbour, and the first leg again."""
+    """With one command frame for all drives and with one for each: every leg, and the first leg again."""
     rehearsal = Rehearsal(loads(with_changes(load(name).text, SLOW), name))
     rehearsal.drives.prepare(None)
     for leg in (0, 1, 2, 3, 4, 5, 0):
@@ -228,7 +228,7 @@ def test_slow_brake_is_shut_before_the_next_one_opens(name):
     assert rehearsal.watched.most_open == 1
 
 
-def test_two_brakes_on_one_output_are_found_and_carry_no_force():
+def test_two_brakes_on_one_output_are_found_and_get_no_force():
     rehearsal = Rehearsal("virtual", "brake_of_another leg=1 other=4")
     outcome = rehearsal.run(STEPS[:6])
     assert named(outcome) == {("brake_crossed", (1, 4))}
@@ -239,8 +239,8 @@ def test_two_brakes_on_one_output_are_found_and_carry_no_force():
 
 
 @pytest.mark.long
-def test_killed_after_any_fact_it_goes_on_from_there_and_ends_well():
-    """SIGKILL leaves what was saved last: the facts of some moments, each read back as JSON."""
+def test_bring_up_killed_after_any_fact_resumes_there_and_succeeds():
+    """SIGKILL leaves the last saved state: the facts at several moments are read back from JSON."""
     rehearsal = Rehearsal("virtual")
     moments: list[str] = []
     rehearsal.context.save = lambda: moments.append(json.dumps(rehearsal.context.facts))

@@ -1,4 +1,4 @@
-"""The end of a bring-up: six legs move once all has passed and an operator agrees; what its files say then."""
+"""End of a bring-up: six legs move after all steps passed and the operator agreed; text of its files."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from hil.app.homing.command import state_homing
 from hil.app.homing.file import read_homing
 from hil.lab.bringup import command
 from hil.lab.bringup.command import mark_moved, run_bringup, state_lengths
+from hil.lab.bringup.connection import served_bench
 from hil.lab.bringup.context import Finding, RefusedError
-from hil.lab.bringup.ends import served_bench
 from hil.lab.bringup.procedure import STEPS, Outcome
 from hil.lab.bringup.rehearsal import six_legs
 from hil.lab.bringup.store import Store
 from hil.lab.bringup.terminal import Terminal
 from hil.record.recording import LogSummary
-from tests.hil.lab.bringup.kit import Rehearsal, named
+from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
 FULL = "No space left on device"
 
 
 class Recorder:
-    """A recording in memory, which may fail at some event."""
+    """A recording in memory that may fail at one of its events."""
 
     def __init__(self, path, fails_at):
         self.path, self.fails_at, self.events, self.trouble = path, fails_at, [], ""
@@ -54,7 +54,7 @@ _FACTS: dict[str, Any] = {
 
 @pytest.fixture
 def ended(tmp_path, monkeypatch):
-    """A function that does a rehearsal whose steps have all passed, with another end; summary, texts, state."""
+    """Run a rehearsal with given results of its steps and first motion; return summary and texts."""
     monkeypatch.chdir(tmp_path)
 
     def end(six_legs, *, yes=True, fails_at=0, name="virtual", facts=None, findings=()):
@@ -88,7 +88,7 @@ def ran(*, success=True, faults=Fault(0)):  # noqa: B008
     return lambda *_: SimpleNamespace(success=success, trouble="", faults=faults)
 
 
-def test_file_is_released_once_six_legs_have_moved(ended, tmp_path):
+def test_file_is_released_after_six_legs_have_moved(ended, tmp_path):
     summary, _ = ended(ran())
     assert summary["success"]
     text = (tmp_path / FOUND).read_text()
@@ -97,7 +97,7 @@ def test_file_is_released_once_six_legs_have_moved(ended, tmp_path):
     assert (tmp_path / summary["checklist"]).read_text().startswith("REHEARSAL")
 
 
-def test_what_the_file_makes_up_for_stands_apart_from_what_is_to_be_fixed(ended, tmp_path):
+def test_what_the_file_corrected_for_stands_apart_from_what_is_to_be_fixed(ended, tmp_path):
     encoder = {"drive": 3, "tape_m": [0.25, 0.4], "scale": 0.98, "offset_m": 0.0, "bent_m": 0.0}
     findings = (
         Finding("wrong_lead", (3,), "too long", "Shorten it."),
@@ -105,19 +105,19 @@ def test_what_the_file_makes_up_for_stands_apart_from_what_is_to_be_fixed(ended,
     )
     _, said = ended(ran(), name="desktop", facts={"encoder": {"3": encoder}}, findings=findings)
     head = (tmp_path / "desktop.rehearsal.yaml").read_text().split("\nname:")[0].splitlines()
-    released, makes_up = (
-        k for k, line in enumerate(head) if line.startswith(("# NOT", "# This file makes up"))
+    released, corrected = (
+        k for k, line in enumerate(head) if line.startswith(("# NOT", "# This file already corrects"))
     )
-    assert [line.split(":")[0] for line in head[released + 1 : makes_up]] == ["#   brake_stuck_open"]
-    assert [line.split(":")[0] for line in head[makes_up + 1 :]] == ["#   wrong_lead"]
+    assert [line.split(":")[0] for line in head[released + 1 : corrected]] == ["#   brake_stuck_open"]
+    assert [line.split(":")[0] for line in head[corrected + 1 :]] == ["#   wrong_lead"]
     (line,) = [text for text in said if text.startswith("next: ")]
     assert "desktop.rehearsal.yaml --rehearse" in line
 
 
-def test_brake_that_failed_is_tested_again_and_nothing_is_released(ended, tmp_path):
+def test_failed_brake_is_tested_again_and_no_file_is_released(ended, tmp_path):
     summary, _ = ended(ran(success=False, faults=Fault.BRAKE))
     assert not summary["success"]
-    assert "# NOT RELEASED: the step together has not passed" in (tmp_path / FOUND).read_text()
+    assert "# NOT RELEASED: the step `together` has not passed" in (tmp_path / FOUND).read_text()
     kept = Store(tmp_path / "virtual.rehearsal.state.json", {}).facts
     assert kept == {"platform": {"hung": True}}
 
@@ -130,7 +130,7 @@ def raising(error):
 
 
 @pytest.mark.parametrize("error", [RefusedError("ended"), KeyboardInterrupt()], ids=["no", "Ctrl-C"])
-def test_without_consent_six_legs_do_not_move_and_nothing_is_released(ended, tmp_path, monkeypatch, error):
+def test_without_consent_no_leg_moves_and_no_file_is_released(ended, tmp_path, monkeypatch, error):
     monkeypatch.setattr(Terminal, "consent", raising(error))
     summary, _ = ended(lambda *_: pytest.fail("six legs have moved"), yes=False)
     assert not summary.get("success")
@@ -138,14 +138,14 @@ def test_without_consent_six_legs_do_not_move_and_nothing_is_released(ended, tmp
     assert "NOT RELEASED" in (tmp_path / FOUND).read_text()
 
 
-def test_nothing_is_released_where_the_program_died_meanwhile(ended, tmp_path):
+def test_file_is_not_released_if_the_program_dies_during_first_motion(ended, tmp_path):
     with pytest.raises(SystemExit):
         ended(raising(SystemExit()))
-    assert "# NOT RELEASED: the step together" in (tmp_path / FOUND).read_text()
+    assert "# NOT RELEASED: the step `together`" in (tmp_path / FOUND).read_text()
 
 
 @pytest.mark.parametrize("fails_at", [2, 4], ids=["in the steps", "at the end"])
-def test_log_that_was_cut_is_no_success_and_in_the_steps_no_six_legs_move(ended, tmp_path, fails_at):
+def test_incomplete_log_is_a_failure_and_prevents_the_first_motion(ended, tmp_path, fails_at):
     summary, _ = ended(
         ran() if fails_at == 4 else lambda *_: pytest.fail("they have moved"), fails_at=fails_at
     )
@@ -155,7 +155,7 @@ def test_log_that_was_cut_is_no_success_and_in_the_steps_no_six_legs_move(ended,
 
 @pytest.mark.parametrize("served", [True, False])
 @pytest.mark.parametrize("agrees", [True, False])
-def test_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees, served):
+def test_homing_file_is_written_only_after_consent_at_a_machine(monkeypatch, agrees, served):
     done: list[str] = []
     monkeypatch.setattr(Terminal, "consent", (lambda *_: True) if agrees else raising(RefusedError("ended")))
     monkeypatch.setattr(command, "state_lengths", lambda *_: done.append("stated"))
@@ -165,7 +165,7 @@ def test_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees
         return {"success": False, "trouble": "x", "faults": ["BRAKE"]}
 
     monkeypatch.setattr(command, "run_daemon", run)
-    said = command._Said(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
+    said = command._Journal(lambda _: None, Recorder("x", 0))  # type: ignore[arg-type]
     agree = Terminal(said).consent
     together = command._release(load("virtual"), None, None, said, agree, served=served)  # type: ignore[arg-type]
     assert done == (["on a bench"] if served else ["stated", "ran"]) * agrees
@@ -173,7 +173,7 @@ def test_homing_file_is_written_when_the_operator_has_agreed(monkeypatch, agrees
 
 
 def forgetful(folder, radius_m=0.004) -> Configuration:
-    """The desktop with motors that forget their turns: multiples of 25 mm."""
+    """The desktop hexapod with motors that forget their turns: multiples of 25 mm."""
     text = resources.files("configs").joinpath("desktop.yaml").read_text(encoding="utf-8")
     homing = {"file": "legs.homing.yaml", "limit_m": 5e-3}
     drives = {
@@ -184,7 +184,7 @@ def forgetful(folder, radius_m=0.004) -> Configuration:
     return loads(with_changes(text, {"drives": drives}), "forgetful", folder)
 
 
-def test_whole_turns_that_were_forgotten_are_no_offset_and_the_rest_is(tmp_path):
+def test_offset_beyond_forgotten_whole_turns_is_found(tmp_path):
     rehearsal = Rehearsal(forgetful(tmp_path), "offset leg=2")
     forgotten = rehearsal.machine.forgotten_m
     assert forgotten is not None
@@ -193,14 +193,14 @@ def test_whole_turns_that_were_forgotten_are_no_offset_and_the_rest_is(tmp_path)
 
 
 @pytest.mark.long
-def test_rehearsal_with_such_motors_ends_with_six_legs_that_move(tmp_path):
+def test_six_legs_move_after_a_rehearsal_with_motors_that_forget_turns(tmp_path):
     rehearsal = Rehearsal(forgetful(tmp_path))
     outcome = rehearsal.run()
     assert outcome.success, outcome.findings
     assert six_legs(rehearsal.c, rehearsal.bench).success
 
 
-def test_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tmp_path):
+def test_homing_file_is_marked_as_moved_and_gets_the_last_pose_at_the_end(tmp_path):
     c = forgetful(tmp_path)
     said: list[str] = []
     mark_moved(c, said.append)
@@ -221,7 +221,7 @@ def test_homing_file_is_marked_as_moved_and_says_the_last_pose_at_the_end(tmp_pa
 
 @pytest.fixture
 def stated(tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """A machine whose homing file says where its legs stand."""
+    """A machine with a homing file that states its leg lengths."""
     monkeypatch.chdir(tmp_path)
     text = forgetful(tmp_path).text.replace("folder: runs", f"folder: {tmp_path}/runs")
     c = loads(text, "forgetful", tmp_path)
@@ -231,7 +231,7 @@ def stated(tmp_path: Path, folder: str, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.fixture
 def begun(stated: Configuration, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the homing file said as the steps of each bring-up began."""
+    """State in the homing file at the start of the steps of each bring-up."""
     said: list[str] = []
 
     def proceed(*_: Any, **__: Any) -> Any:
@@ -251,9 +251,9 @@ def homing(c: Configuration) -> str:
     return read_homing(c, c.folder / "legs.homing.yaml").state
 
 
-def test_nobody_agrees_to_all_steps_at_a_machine_beforehand(stated: Configuration, begun: list[str]) -> None:
+def test_agreeing_to_all_steps_is_refused_at_a_machine(stated: Configuration, begun: list[str]) -> None:
     before = sorted(stated.folder.iterdir())
-    with pytest.raises(RunError, match="for a bench: leave it out at a machine"):
+    with pytest.raises(RunError, match="for a bench only: leave it out at a machine"):
         run_bringup("forgetful", stated, yes=True, say=lambda _: None)
     assert begun == []
     assert homing(stated) == "stated"
@@ -265,14 +265,12 @@ def test_homing_file_is_marked_before_the_first_leg_is_moved_by_hand(
 ) -> None:
     for _ in range(2):
         run_bringup("forgetful", stated, say=lambda _: None)
-        assert homing(stated) == "moved", "it stays so until somebody says where the legs are"
+        assert homing(stated) == "moved", "it stays until the lengths are stated again"
         state_homing(stated, at_home=True)
     assert begun == ["moved"] * 2
 
 
-def test_file_of_another_robot_ends_the_bring_up_before_it_begins(
-    stated: Configuration, begun: list[str]
-) -> None:
+def test_homing_file_of_another_robot_prevents_the_bring_up(stated: Configuration, begun: list[str]) -> None:
     state_homing(forgetful(stated.folder, 0.005), at_home=True)
     with pytest.raises(ConfigurationError, match="another robot"):
         run_bringup("forgetful", stated, say=lambda _: None)
@@ -280,7 +278,7 @@ def test_file_of_another_robot_ends_the_bring_up_before_it_begins(
 
 
 @pytest.mark.parametrize("served", [False, True])
-def test_rehearsal_leaves_the_homing_file_of_the_machine_alone(
+def test_rehearsal_does_not_change_the_homing_file_of_the_machine(
     stated: Configuration, begun: list[str], served: bool
 ) -> None:
     with served_bench(stated, []) if served else contextlib.nullcontext():
@@ -291,7 +289,7 @@ def test_rehearsal_leaves_the_homing_file_of_the_machine_alone(
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
-def test_rehearsal_ends_with_six_legs_that_move_and_files_that_load(name, tmp_path, monkeypatch):
+def test_rehearsal_ends_with_moving_legs_and_valid_files(name, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     said: list[str] = []
     summary = run_bringup(name, load(name), mistakes=[], yes=True, say=said.append)

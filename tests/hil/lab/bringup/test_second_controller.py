@@ -1,14 +1,14 @@
-"""A second controller on the bus is noticed whenever it sends in the scan, and its drives are let alone."""
+"""A second controller is found whenever it sends during the scan, and its drives are left alone."""
 
 import pytest
 
 from drivers.signals import DriveState, Foreign
 from hil.lab.bringup.steps import scan
-from tests.hil.lab.bringup.kit import Rehearsal, named
+from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
 
 def disturbed(at, name="virtual"):
-    """A machine on whose bus somebody sends in some ticks; at: tick -> what."""
+    """A machine with foreign frames on its bus in some ticks; at: tick -> kind."""
     rehearsal = Rehearsal(name)
     step = rehearsal.drives.step
 
@@ -28,7 +28,7 @@ def last(name):
 
 @pytest.mark.parametrize("name", ["virtual", "desktop"])
 @pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
-def test_one_frame_of_another_controller_is_named_whenever_it_comes(name, share):
+def test_one_frame_of_another_controller_is_found_in_any_tick(name, share):
     rehearsal = disturbed({round(share * last(name)): int(Foreign.COMMAND)}, name)
     outcome = rehearsal.run((scan.STEP,))
     assert named(outcome) == {("second_controller", ())}

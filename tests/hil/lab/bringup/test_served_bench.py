@@ -1,4 +1,4 @@
-"""A bench that is served: its hands by a socket, what it refuses, whose time is held, and what the log has."""
+"""A bench served by another process: its hands on a socket, refused faults, held time, and its log."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from hil.app.configuration.fault_words import with_faults
 from hil.app.run.stretching import STRANGER
 from hil.lab.bringup import command
 from hil.lab.bringup.command import run_bringup
+from hil.lab.bringup.connection import RemoteHands, hands_socket, served_bench, served_end
 from hil.lab.bringup.context import Request
-from hil.lab.bringup.ends import RemoteHands, hands_socket, served_bench, served_end
 from hil.lab.bringup.procedure import Outcome
 from hil.lab.bringup.terminal import Terminal
 
@@ -30,16 +30,16 @@ C = load("virtual")
 @pytest.mark.parametrize(
     "fault", ["drive_silence leg=2", "frames_loss probability=0.5", "bus_second_controller rate=100"]
 )
-def test_fault_that_would_never_strike_at_a_bench_is_refused(fault: str) -> None:
+def test_fault_without_effect_on_a_bench_is_refused(fault: str) -> None:
     c = with_faults(C, ["process_slow by=1", fault])
     with pytest.raises(ConfigurationError, match=r"plant\.faults\[1\].*--mistake"), served_bench(c, []):
         pass
     assert not hands_socket(C.bus.interface, C.bus.channel).exists()
 
 
-def test_hands_of_a_served_bench_are_asked_by_a_socket(folder):
+def test_hands_of_a_served_bench_answer_through_a_socket(folder):
     c, address = C, BusAddress(C.bus.interface, C.bus.channel)
-    with pytest.raises(RunError, match="nobody serves a bench"):
+    with pytest.raises(RunError, match="no bench is served"):
         RemoteHands(address, lambda *_: True, lambda _: None)
     with served_bench(c, ["end_stop leg=2 value=0.5"]) as bench:
         with contextlib.closing(RemoteHands(address, lambda *_: True, lambda _: None)) as hands:
@@ -58,7 +58,7 @@ def test_hands_of_a_served_bench_are_asked_by_a_socket(folder):
     assert lengths == [0.0, pytest.approx(2.2 + 0.02 * 1.45 - 0.5 * 1.45, abs=1e-3)]
 
 
-def test_what_a_served_bench_has_shown_says_nothing_of_a_machine(tmp_path, folder, monkeypatch):
+def test_facts_from_a_served_bench_are_not_used_at_a_machine(tmp_path, folder, monkeypatch):
     def stopped(context, *, hang):
         context.keep("held", 0, {"moved": False, "hand_N": 700.0})
         return Outcome((), (), stopped="ended"), "ended"
@@ -75,7 +75,7 @@ def test_what_a_served_bench_has_shown_says_nothing_of_a_machine(tmp_path, folde
     assert any("other hardware" in text for text in said)
 
 
-def test_time_is_held_in_the_steps_and_not_while_a_person_thinks(folder):
+def test_bench_time_is_held_during_steps_but_not_during_consent(folder):
     c = loads(with_changes(C.text, {"recording": {"folder": f"{folder}/runs"}}), "virtual", C.folder)
     protocol, said, held = build_protocol(c), list[str](), list[bool]()
     with Bus.open(c.bus, role="controller") as bus, Bus.open(c.bus, role="bench"), served_bench(c, []):

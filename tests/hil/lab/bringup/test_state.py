@@ -1,4 +1,4 @@
-"""The state file of a bring-up: what is kept, what goes with a leg, a drive or other hardware, and damage."""
+"""State file of a bring-up: facts that are kept or dropped with a leg, a drive or hardware; damaged files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hil.lab.bringup.context import Finding, forget_legs
 from hil.lab.bringup.procedure import STEPS
 from hil.lab.bringup.steps import gauge
 from hil.lab.bringup.store import Store, identity
-from tests.hil.lab.bringup.kit import Rehearsal
+from tests.hil.lab.bringup.rehearsals import Rehearsal
 
 STATE = json.dumps({"version": 6, "identity": {}, "facts": {"held": {"0": {"moved": True}}}, "check": ""})
 DAMAGED = {
@@ -30,7 +30,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("case", DAMAGED)
-def test_damaged_state_is_refused_in_one_line_and_stays_as_it_is(tmp_path, case):
+def test_damaged_state_file_is_refused_in_one_line_and_left_unchanged(tmp_path, case):
     path = tmp_path / "state.json"
     store = Store(path, {"stroke": 1})
     store.facts["held"] = {"0": {"moved": True, "hand_N": None}}
@@ -45,7 +45,7 @@ def test_damaged_state_is_refused_in_one_line_and_stays_as_it_is(tmp_path, case)
     assert path.read_text() == damaged
 
 
-def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):
+def test_kept_facts_are_read_and_only_missing_ones_measured(tmp_path):
     rehearsal = Rehearsal("virtual")
     store = Store(tmp_path / "state.json", {})
     rehearsal.context.facts = store.facts
@@ -62,10 +62,10 @@ def test_kept_facts_are_read_again_and_missing_ones_measured(tmp_path):
         *[("read_gauge", 1)] * 4,
     ]
     store.facts["encoder"]["3"]["scale"] = 0.0
-    assert list(gauge.judge(again.context)) == [], "what no encoder counts has no lead"
+    assert list(gauge.judge(again.context)) == [], "no lead finding without a working encoder"
 
 
-def test_state_that_cannot_be_written_is_one_line_with_its_path(tmp_path):
+def test_unwritable_state_file_is_a_run_error(tmp_path):
     store = Store(tmp_path / "gone" / "s.json", {})
     with pytest.raises(RunError, match="cannot be written"):
         store.save()
@@ -80,11 +80,11 @@ OF_LEGS = {
     "force": lambda k: {"plus": {}, "minus": {}},
     "gauge": lambda k: {"pairs_N": []},
 }
-"""All that is proven of one leg or its drive."""
+"""Facts about one leg or its drive, by step."""
 
 
 def all_facts() -> dict[str, dict[str, Any]]:
-    """The facts of a machine that has passed every step."""
+    """Facts of a machine that has passed every step."""
     facts: dict[str, dict[str, Any]] = {
         step: {str(k): fact(k) for k in range(6)} for step, fact in OF_LEGS.items()
     }
@@ -98,7 +98,7 @@ def all_facts() -> dict[str, dict[str, Any]]:
 
 @pytest.mark.parametrize("legs", [{0}, {1}, {2}, {3}, {4}, {5}, {1, 4}])
 @pytest.mark.parametrize("by_finding", [False, True])
-def test_nothing_that_was_proven_of_a_leg_or_its_drive_outlives_it(
+def test_all_facts_about_a_replaced_leg_or_drive_are_dropped(
     legs: set[int], by_finding: bool, tmp_path: Any
 ) -> None:
     facts = all_facts()
@@ -110,7 +110,7 @@ def test_nothing_that_was_proven_of_a_leg_or_its_drive_outlives_it(
         forget_legs(facts, legs)
     others = {str(k) for k in range(6)} - {str(k) for k in legs}
     assert {step: facts[step].keys() for step in OF_LEGS} == dict.fromkeys(OF_LEGS, others)
-    assert facts.keys() == {*OF_LEGS, "platform", "identity"}, "the platform hangs whoever was exchanged"
+    assert facts.keys() == {*OF_LEGS, "platform", "identity"}, "the hanging platform is never forgotten"
 
 
 @pytest.mark.parametrize(
@@ -122,9 +122,7 @@ def test_nothing_that_was_proven_of_a_leg_or_its_drive_outlives_it(
         ("opens", {"legs": [1, 4]}),
     ],
 )
-def test_behind_exchanged_numbers_a_fact_that_names_the_drive_goes_with_it(
-    step: str, fact: dict[str, Any]
-) -> None:
+def test_facts_of_other_legs_that_name_a_replaced_drive_are_dropped(step: str, fact: dict[str, Any]) -> None:
     facts = all_facts()
     facts[step]["1"] |= fact
     forget_legs(facts, {4})
@@ -143,7 +141,7 @@ OTHERS: dict[str, tuple[str, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", OTHERS)
-def test_with_other_hardware_in_the_configuration_everything_is_proven_again(case, tmp_path):
+def test_all_facts_are_dropped_for_other_configured_hardware(case, tmp_path):
     name, changes, changed = OTHERS[case]
     c, path = load(name), tmp_path / "s.json"
     store = Store(path, identity(c, ()))
@@ -157,7 +155,7 @@ def test_with_other_hardware_in_the_configuration_everything_is_proven_again(cas
 
 
 @pytest.mark.long
-def test_after_a_finding_the_mended_leg_alone_is_asked_for(tmp_path, monkeypatch):
+def test_only_the_repaired_leg_is_measured_again_after_a_finding(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     c = load("virtual")
     state = tmp_path / "s.json"

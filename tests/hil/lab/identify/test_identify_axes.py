@@ -1,4 +1,4 @@
-"""The estimator of the linearised axes against loops of known plant, noise and coupling."""
+"""The estimator of the linearised axes, on simulated loops with known plant, noise and coupling."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ GAIN = np.array([1.0, 0.9, 1.1, 1.0, 1.2, 0.8])
 
 
 def plant(lag=LAG):
-    """1 / (lag s + 1) / s^2 behind a hold, by scipy: A, B, C; whole samples of delay come on top."""
+    """A, B, C of 1 / (lag s + 1) / s^2 after a zero-order hold, by scipy; without whole samples of delay."""
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1 / lag]])
     B, C = np.array([[0.0], [0.0], [1 / lag]]), np.array([[1.0, 0.0, 0.0]])
     return cont2discrete((A, B, C, np.zeros((1, 1))), T)[:3]
@@ -31,7 +31,7 @@ def sampled(f, lag=LAG, samples=1):
 
 
 def run(r, coupling=None, noise=0.0, w_n=20.0):
-    """Six axes under inverse dynamics, delay one period; r (n, 6) accelerates the reference."""
+    """Six axes under inverse dynamics with a delay of one period; r (n, 6): acceleration of the reference."""
     A, B, C = plant()
     mix = np.diag(GAIN) if coupling is None else np.diag(GAIN) @ (np.eye(6) + coupling)
     rng = np.random.default_rng(3)
@@ -51,7 +51,7 @@ def run(r, coupling=None, noise=0.0, w_n=20.0):
 
 
 def multisine(periods, harmonics):
-    """Axis j has every sixth harmonic; begins and goes on at a speed that makes its mean zero."""
+    """Reference acceleration; axis j has every sixth harmonic."""
     t = np.arange(periods * PERIOD) * T
     r = np.zeros((len(t), 6))
     for k, h in enumerate(harmonics):
@@ -85,13 +85,13 @@ def noisy():
 
 @pytest.mark.parametrize("samples", [0, 1, 3])
 @pytest.mark.parametrize("lag", [0.2e-3, LAG, 5e-3])
-def test_nominal_axis_is_what_scipy_samples(samples, lag):
+def test_nominal_axis_agrees_with_scipy(samples, lag):
     f = np.array([0.5, 3.0, 30.0, 200.0, 450.0])
     np.testing.assert_allclose(axis_response(f, T, samples * T, lag), sampled(f, lag, samples), rtol=1e-6)
 
 
-def test_noise_in_the_loop_biases_the_plain_quotient_alone():
-    """Under noise alone position over demanded acceleration is -1 over the law, not the plant."""
+def test_noise_in_the_loop_biases_only_the_plain_quotient():
+    """With noise only, position over demanded acceleration is -1 over the law, not the plant."""
     signals = run(multisine(27, HARMONICS), noise=24e-6, w_n=200.0)
     signals.good[: 3 * PERIOD] = False
     spectra = periodic(signals, PERIOD, HARMONICS)
@@ -109,8 +109,8 @@ def test_noise_in_the_loop_biases_the_plain_quotient_alone():
     assert mean_error(plain) > 3.0 * sure
 
 
-def test_circles_hold_the_truth_as_often_as_they_say(noisy):
-    """On four parts of the run with 40 lines each, independent: 95 % give or take 1.7."""
+def test_95_percent_circles_contain_the_true_response_in_95_percent(noisy):
+    """Four parts of the run with 40 lines each, independent: 95 % within a standard deviation of 1.7 %."""
     inside = []
     for part in range(4):
         good = np.zeros_like(noisy.good)
@@ -124,8 +124,8 @@ def test_circles_hold_the_truth_as_often_as_they_say(noisy):
     assert 0.89 < share < 0.995
 
 
-def test_bound_holds_the_coupling_of_the_axes():
-    """Delta is known: its largest singular value, not its diagonal, is what a controller meets."""
+def test_bound_covers_the_coupling_of_the_axes():
+    """Delta is known; its largest singular value, not its diagonal, matters to a controller."""
     coupling = 0.1 * np.random.default_rng(8).normal(size=(6, 6))
     np.fill_diagonal(coupling, 0.0)
     signals = run(multisine(9, HARMONICS), coupling)
@@ -140,7 +140,7 @@ def test_bound_holds_the_coupling_of_the_axes():
     assert within.max() < 1.3
 
 
-def test_without_noise_response_gain_transport_and_lag_are_the_plants(quiet):
+def test_without_noise_response_gain_and_delays_are_exact(quiet):
     for axis in range(6):
         own = quiet.excited[:, axis] & (quiet.frequency_Hz < 50)
         assert own.sum() >= 5
@@ -152,7 +152,7 @@ def test_without_noise_response_gain_transport_and_lag_are_the_plants(quiet):
     assert fit.delays.total_s == pytest.approx(T + LAG + T / 2, abs=0.005e-3)
 
 
-def test_axes_that_move_together_tell_no_coupling(quiet):
+def test_coupling_is_unknown_if_all_axes_move_together(quiet):
     t = np.arange(9 * PERIOD) * T
     heave = sum(np.sin(2 * np.pi * h * t / (PERIOD * T) + 2.4 * k * k) for k, h in enumerate(HARMONICS))
     signals = run(0.1 * heave[:, None] * np.ones(6))
@@ -162,7 +162,7 @@ def test_axes_that_move_together_tell_no_coupling(quiet):
     assert uncertainty(quiet, fit_axes(quiet)).coupled
 
 
-def test_noise_another_shape_and_a_short_run_are_refused(quiet):
+def test_noise_an_unlike_response_and_a_short_run_are_refused(quiet):
     noise = np.random.default_rng(2).normal(size=(3, 9000, 6))
     response = estimate(segmented(AxisSignals(T, noise[0], noise[1], noise[2], np.ones(9000, bool))))
     with pytest.raises(IdentificationError, match="coherent"):

@@ -1,4 +1,4 @@
-"""How `hil identify` excites the axes, and which part of a log it takes."""
+"""Excitation of the axes by `hil identify`, and the part of a log that it uses."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from hil.lab.identify.linearised import linearised_law, repeating
 
 
 @pytest.mark.parametrize("space", ["joint", "pose"])
-def test_about_a_pose_that_is_turned_each_line_moves_its_own_axis_alone(space):
-    """By differences: legs, or shifts and turns about the axes of the base, of a small way along each line."""
+def test_each_line_moves_only_its_own_axis_at_a_rotated_pose(space):
+    """By differences: change of the legs, or shift and rotation in base axes, for a small step along each line."""
     model = linearised_law(load("virtual")).model
     home = Pose(position_m=(0.05, -0.1, 1.05), rotation_vector_deg=(14.0, -11.0, 17.0))
     made = axis_excitation(model, home, space, 1000.0, 300.0, None)
@@ -42,7 +42,7 @@ def test_about_a_pose_that_is_turned_each_line_moves_its_own_axis_alone(space):
             counted[axis] += 1
             assert np.delete(moved, axis).max() < 1e-4 * moved[axis]
         elif space == "joint":
-            assert np.ptp(moved) < 1e-4 * moved.max(), "underneath all legs extend at one speed"
+            assert np.ptp(moved) < 1e-4 * moved.max(), "in the slow motion all legs extend at one speed"
     assert (counted == 12).all()
     assert len(lines) == 73
 
@@ -66,6 +66,6 @@ def sinusoids(*frequencies, duration_s=10.0):
     ],
     ids=["all lines", "too fast", "never", "too long", "other motion"],
 )
-def test_period_is_the_one_in_which_all_lines_repeat(reference, rate_Hz, expected):
+def test_period_is_that_of_all_lines_together_or_none(reference, rate_Hz, expected):
     lines = repeating(reference, rate_Hz)
     assert (None if lines is None else (lines[0], lines[1].tolist())) == expected

@@ -1,4 +1,4 @@
-"""`hil identify --delay` against the plant's own figures."""
+"""`hil identify --delay`, against the delays built into the plant."""
 
 import inspect
 import json
@@ -44,7 +44,7 @@ def measured(tmp_path_factory):
 
 
 @pytest.mark.parametrize("bandwidth_Hz", broad([200.0, 100.0], quick=1))
-def test_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwidth_Hz):
+def test_delay_built_into_the_virtual_bench_is_found(measured, bandwidth_Hz):
     _, _, summary = measured(bandwidth_Hz)
     lag_ms = 1e3 / (2 * pi * bandwidth_Hz)
     assert summary["total_ms"] == pytest.approx(TRANSPORT_MS + lag_ms + HOLD_MS, abs=0.05)
@@ -56,7 +56,7 @@ def test_virtual_bench_has_the_delay_that_it_was_built_with(measured, bandwidth_
     assert summary["gain"] == pytest.approx([1.0] * 6, abs=0.01)
 
 
-def test_run_is_small_and_its_log_gives_the_same_figures(measured, tmp_path):
+def test_excitation_is_small_and_its_log_gives_the_same_delay(measured, tmp_path):
     result, log, summary = measured(200.0)
     run = summary["run"]
     assert not any(run["limited_ticks"].values())
@@ -82,7 +82,7 @@ def test_run_is_small_and_its_log_gives_the_same_figures(measured, tmp_path):
         (["nothing.yaml", "--delay"], "no such file"),
     ],
 )
-def test_what_cannot_be_measured_is_refused_before_anything_runs(arguments, said, tmp_path):
+def test_invalid_request_is_refused_before_a_run(arguments, said, tmp_path):
     result = identify(*arguments, "--log", tmp_path / "a.mcap")
     assert result.exit_code == 2
     assert said in result.stderr
@@ -90,16 +90,16 @@ def test_what_cannot_be_measured_is_refused_before_anything_runs(arguments, said
 
 
 @pytest.mark.parametrize("excite", [excited, excited_axes])
-def test_identification_run_has_the_limits_of_any_other(excite):
-    """So a stall that ends it would have ended `hil run` as well: name and reference alone differ."""
+def test_identification_run_differs_only_in_name_and_reference(excite):
+    """So its limits are those of `hil run`, and a stall has the same effect."""
     c = load("virtual")
     made, _ = excite(c, None, None)
     differ = {key for key in type(c).model_fields if getattr(made, key) != getattr(c, key)}
     assert differ == {"name", "reference"}
 
 
-def test_identify_run_starts_the_daemon_as_run_does(monkeypatch, tmp_path):
-    """Rate selection, drives' watchdog, consent, plant: the same call, but for picture and file."""
+def test_identify_run_starts_the_daemon_like_hil_run(monkeypatch, tmp_path):
+    """Rate selection, drives' watchdog, consent, plant: the same call except for picture and log file."""
     calls = []
 
     def daemon(*arguments, **options):

@@ -1,4 +1,4 @@
-"""The motions that excite a loop lie in the band that their loop can sample, at any rate."""
+"""Excitations stay within the requested force and the frequency band of their loop, at any rate."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ UPRIGHT = Rotation.from_rotvec([-np.pi / 2, 0.0, 0.0]).as_matrix()
 
 
 def same_robot(base, platform):
-    """The book's robot and its home with axes of base and of platform turned by these rotations."""
+    """The book's robot and its home, with base and platform axes rotated by these matrices."""
     g = BOOK["geometry"]
     body = {
         "mass": 1150.0, "com": [0.0, 0.0, 0.0],
@@ -50,7 +50,7 @@ TURNED = pytest.mark.parametrize(
 
 
 def shaken(base, platform, frequencies):
-    """The model, and trajectory and home of those components alone, without their fading."""
+    """The model, and the trajectory of the selected components without fading."""
     model, home = same_robot(base, platform)
     made = delay_excitation(model, home, 100.0, FORCE_N, 20.0)
     some = [s for s in made.components if frequencies(s.frequency_Hz)]
@@ -59,7 +59,7 @@ def shaken(base, platform, frequencies):
 
 @TURNED
 def test_largest_leg_force_is_the_requested_one_at_any_home(base, platform):
-    """Beyond the weight and the slow motion; lines at multiples of 2/3 Hz repeat after 1.5 s."""
+    """Without weight and slow motion; lines at multiples of 2/3 Hz repeat after 1.5 s."""
     model, path = shaken(base, platform, lambda f: f != CARRIER_Hz)
     rest = model.inverse_dynamics(*path.sample(0.0)[:2], np.zeros(6), np.zeros(6))
     times = 1.0 + np.arange(0.0, 1.5, 1 / 400)
@@ -68,9 +68,9 @@ def test_largest_leg_force_is_the_requested_one_at_any_home(base, platform):
 
 
 @pytest.mark.parametrize("rate_Hz", [25.0, 100.0, 149.0, 150.0, 1000.0])
-def test_lines_that_find_a_delay_end_at_three_tenths_of_any_rate(rate_Hz: float) -> None:
+def test_lines_for_the_delay_end_at_three_tenths_of_the_rate(rate_Hz: float) -> None:
     c = load("virtual")
     reference = delay_excitation(exact_model(c), excitation_pose(c), rate_Hz, 100.0, 20.0)
     lines = np.unique([s.frequency_Hz for s in reference.components if s.frequency_Hz != CARRIER_Hz])
     assert lines.max() <= 0.3 * rate_Hz * (1.0 + 1e-9)
-    assert len(lines) == 36, "six of each axis, and none of two"
+    assert len(lines) == 36, "six lines per axis, none shared by two axes"

@@ -1,4 +1,4 @@
-"""Twist and acceleration from leg lengths alone, against the analytic motion that made the lengths."""
+"""Twist and acceleration from leg lengths alone, against the analytic motion of the lengths."""
 
 import json
 from pathlib import Path
@@ -28,7 +28,7 @@ CENTRE = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0])
 
 
 def state(t, axes=range(6)):
-    """P, R, twist, dtwist of sinusoids on some axes."""
+    """Position, rotation, twist and its rate, for sinusoids on some axes."""
     moved = AMPLITUDE * np.isin(np.arange(6), list(axes))
     chi = CENTRE + moved * np.sin(OMEGA * t)
     rate, second = moved * OMEGA * np.cos(OMEGA * t), -moved * OMEGA**2 * np.sin(OMEGA * t)
@@ -54,8 +54,8 @@ def test_filter_differentiates_parabolas_exactly(half):
     assert b.value.sum() == pytest.approx(1.0, abs=1e-14)
 
 
-def test_value_rate_and_acceleration_pass_one_and_the_same_filter():
-    """Each is the sinusoid's own, times one number, without a shift in time."""
+def test_value_rate_and_acceleration_pass_the_same_filter():
+    """Each is that of the sinusoid times one factor, without a phase shift."""
     b = bell(10, T)
     w, t = 2 * np.pi * 15.0, np.arange(400) * T
     x = np.sin(w * t)[:, None]
@@ -66,7 +66,7 @@ def test_value_rate_and_acceleration_pass_one_and_the_same_filter():
     assert smooth(b.second, x)[k, 0] / (-(w**2) * np.sin(w * t[k])) == pytest.approx(share, rel=2e-3)
 
 
-def test_legs_to_platform_is_the_inverse_of_the_kinematics():
+def test_leg_to_platform_inverts_the_kinematics():
     p, R, twist, dtwist = state(0.43)
     J = jacobian(PLATFORM, p, R)
     ddq = J @ dtwist + jacobian_rate(PLATFORM, p, R, twist) @ twist
@@ -76,7 +76,7 @@ def test_legs_to_platform_is_the_inverse_of_the_kinematics():
     np.testing.assert_allclose(found[2][0], J, rtol=0, atol=1e-14)
 
 
-def test_twist_and_acceleration_come_from_the_lengths_alone():
+def test_twist_and_acceleration_follow_from_lengths_alone():
     made, states = signals(300)
     begin = made._replace(
         p=made.p + 1e-3, R=np.array([rotation_from_vector(np.full(3, 1e-3)) @ R for R in made.R])

@@ -1,4 +1,4 @@
-"""Masses and friction from made-up motion: the forces are those of the model of the loop, plus what is known."""
+"""Masses and friction from synthetic motion: forces from the loop's model, with known load and friction."""
 
 from typing import Any
 
@@ -48,7 +48,7 @@ FRICTION: dict[str, Any] = {
 
 
 def made(model, seconds=6.0, axes=range(6), late_s=0.0):
-    """What a noiseless log would hold of a motion; the forces are those of `late_s` before."""
+    """Signals of a noiseless log of a motion; the forces are those of `late_s` earlier."""
     states = [state(k * T, axes) for k in range(round(seconds / T))]
     force = [model.inverse_dynamics(*state(k * T - late_s, axes)) for k in range(len(states))]
     return LegSignals(
@@ -71,8 +71,8 @@ def laden():
 
 
 @pytest.mark.long
-def test_platform_friction_reflected_mass_and_lateness_are_found_all_at_once(laden):
-    """Left is what a filter of 20 ms makes of a nonlinear model."""
+def test_platform_friction_reflected_mass_and_delay_are_found_together(laden):
+    """The remaining error comes from a filter of 20 ms on a nonlinear model."""
     found = fitted(laden)
     body = parameters_of(LADEN.platform)
     assert found.theta[0] == pytest.approx(1380.0, rel=1e-4)
@@ -86,8 +86,8 @@ def test_platform_friction_reflected_mass_and_lateness_are_found_all_at_once(lad
     assert found.condition < 20.0
 
 
-def test_what_one_axis_cannot_show_stays_as_believed_and_is_named():
-    """Straight up and down: mass shows, and where it is across; no inertia, no height."""
+def test_unknowns_hidden_from_one_axis_stay_as_configured():
+    """Vertical motion shows the mass and its horizontal position, but neither its height nor the inertia."""
     found = fitted(made(Model(LADEN), 6.0, axes=[2]))
     assert found.theta[0] == pytest.approx(1380.0, rel=1e-3)
     assert found.theta[1:3] == pytest.approx([115.0, 69.0], abs=0.2)
@@ -111,7 +111,7 @@ def noisy(signals, rng, sigma_m=5e-6, sigma_N=3.0):
     )
 
 
-def test_payload_without_size_comes_out_as_a_body():
+def test_point_mass_as_payload_is_found_as_a_possible_body():
     point = Body(230.0, np.array([0.5, 0.3, 0.5]), 1e-9 * np.eye(3))
     whole = combine([PLATFORM.platform, point])
     keys = {k: np.asarray(v).tolist() for k, v in vars(whole).items()}
@@ -135,8 +135,8 @@ def test_payload_without_size_comes_out_as_a_body():
     ],
     ids=["differentiated", "slow"],
 )
-def test_coloured_residuals_count_at_the_frequency_of_the_regressor(series, white_over_spread):
-    """A sine in noise of known spread, which white noise of that variance would over- or understate."""
+def test_standard_error_with_coloured_noise_has_the_right_size(series, white_over_spread):
+    """A sine in coloured noise; the formula for white noise would overstate or understate its error."""
     rng, n = np.random.default_rng(8), 4000
     Z = np.sin(2 * np.pi * 0.002 * np.arange(n))[:, None]
     found, said, white = [], [], []
@@ -153,8 +153,8 @@ def test_coloured_residuals_count_at_the_frequency_of_the_regressor(series, whit
 
 
 @pytest.mark.long
-def test_standard_errors_are_the_spread_over_seeds():
-    """Noise of encoders and forces alone, each unknown. Both are known to some 15 %."""
+def test_standard_errors_agree_with_the_spread_over_seeds():
+    """Only encoder and force noise, for each unknown. Both figures are known to some 15 %."""
     signals = made(Model(LADEN, **FRICTION), 6.0)
     found = [fitted(noisy(signals, np.random.default_rng(seed))) for seed in range(30)]
     ratio = np.sqrt(np.mean([f.std**2 for f in found], axis=0)) / np.std(

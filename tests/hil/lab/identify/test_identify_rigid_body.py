@@ -1,4 +1,4 @@
-"""Ten parameters of a body against a cloud of points that Newton moves, and against the model of the loop."""
+"""Ten parameters of a body, against a cloud of points by Newton's law, and against the loop's model."""
 
 import numpy as np
 import pytest
@@ -56,7 +56,7 @@ def omega(t):
 
 
 @pytest.mark.parametrize("t", [0.1, 0.7, 1.9])
-def test_force_is_what_newton_asks_of_every_point(t):
+def test_force_is_the_sum_of_newtons_law_over_the_points(t):
     (p, R), a = pose(t), second_difference(places, t)
     each = MASSES[:, None] * (a - GRAVITY)
     expected = np.concatenate([each.sum(axis=0), np.cross(places(t) - p, each).sum(axis=0)])
@@ -67,8 +67,8 @@ def test_force_is_what_newton_asks_of_every_point(t):
 
 
 @pytest.mark.parametrize("case", CASES[:12])
-def test_another_platform_takes_the_difference_of_the_parameters(case):
-    """The legs, with their inertia, cancel: the model is linear in the platform's parameters."""
+def test_force_for_another_platform_differs_by_the_parameter_difference(case):
+    """The legs and their inertia cancel: the model is linear in the platform's parameters."""
     p, R, twist, dtwist, wrench, _ = state_of(case)
     platform = PLATFORMS[case["geometry"]]
     other = Body(1.7 * platform.platform.mass, np.array([0.1, -0.2, 0.15]), np.diag([90.0, 100.0, 120.0]))
@@ -88,7 +88,7 @@ def test_pseudo_inertia_is_the_second_moment_of_the_points():
     np.testing.assert_allclose(from_pseudo_inertia(expected), cloud(), rtol=0, atol=1e-12)
 
 
-def test_body_and_its_ten_parameters_are_the_same_thing():
+def test_body_and_its_ten_parameters_convert_into_each_other():
     body = body_of(cloud())
     com = MASSES @ POINTS / MASSES.sum()
     away = POINTS - com
@@ -98,7 +98,7 @@ def test_body_and_its_ten_parameters_are_the_same_thing():
     np.testing.assert_allclose(parameters_of(body), cloud(), rtol=0, atol=1e-12)
 
 
-def test_any_ten_numbers_make_a_body_and_every_body_has_them():
+def test_any_ten_log_cholesky_numbers_make_a_body_and_are_recovered():
     for x in RNG.normal(0.0, 1.5, (50, 10)):
         theta = from_log_cholesky(x)
         assert theta[0] > 0.0

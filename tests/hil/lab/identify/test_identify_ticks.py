@@ -1,4 +1,4 @@
-"""Which ticks of a log `hil identify` counts as measured, and beside which friction it looks."""
+"""Ticks of a log that `hil identify` uses, and refused configurations."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ def by_axes(rows):
 
 @pytest.fixture(params=[by_delay, by_axes])
 def usable(request):
-    """Of which periods both ends count as measured, by each command."""
+    """A function for the usable periods of rows, by each command."""
     return lambda rows: request.param(rows).tolist()
 
 
 def without(*ticks):
-    """The periods that are left where these ticks do not count."""
+    """Usable periods if these ticks are bad."""
     return [k not in ticks and k + 1 not in ticks for k in range(COUNT - 1)]
 
 
-def test_missing_ticks_and_stale_legs_are_not_measured(usable):
+def test_missing_ticks_and_stale_legs_are_not_used(usable):
     assert usable(running()) == without()
     assert usable(running([k for k in range(COUNT) if k not in {3, 7, 8}])) == without(3, 7, 8)
     for leg in range(6):
@@ -57,8 +57,8 @@ def test_missing_ticks_and_stale_legs_are_not_measured(usable):
         assert usable(rows) == without(5, 9)
 
 
-def test_wrench_is_taken_off_the_demand_of_a_law_that_compensates_it():
-    """By hand: legs of the acceleration J M^-1 wrench, which a law that answers the wrench takes off its forces."""
+def test_compensated_wrench_is_removed_from_the_demanded_acceleration():
+    """By hand: leg accelerations J M^-1 wrench, which a compensating law subtracts from its forces."""
     law = linearised_law(load("virtual"))
     rows, w = running(), np.array([300.0, -200.0, 500.0, 40.0, 60.0, -90.0])
     plain = signals_of(rows, law, 1000.0)[0].v
@@ -76,7 +76,7 @@ def fused(c):
 
 
 @pytest.mark.parametrize("excite", [excited, excited_axes])
-def test_fused_pose_is_refused_before_anything_runs(excite):
+def test_fused_pose_is_refused_before_a_run(excite):
     c = fused(load("virtual"))
     with pytest.raises(ConfigurationError, match="fused"):
         excite(c, None, None)

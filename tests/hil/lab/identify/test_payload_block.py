@@ -1,4 +1,4 @@
-"""The block that `hil identify payload` prints: pasted into the configuration, it is what was found."""
+"""The block printed by `hil identify payload`: pasted into the configuration, it gives the identified body."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hil.lab.identify.estimators.leg_equations import COLUMNS, REFLECTED
 from hil.lab.identify.estimators.rigid_body import SIZE, parameters_of
 from hil.lab.identify.payload_report import block_text
 from hil.robot.geometry import Body
-from tests.loop.laden import changed
+from tests.loop.loaded_plant import changed
 
 FIGURES: dict[str, Any] = {
     "mass_kg": 80, "com_m": [0.012, -0.003, 0.21],
@@ -34,7 +34,7 @@ BODY = Body(85.0, np.array([0.02, 0.03, 0.15]), TENSOR)
 
 
 def whole(c, hidden=0.0, reflected_kg=None):
-    """A body that is another than that of section `platform`, and drives, as found from a log."""
+    """An identified body unlike section `platform`, and drives."""
     theta = np.zeros(COLUMNS)
     theta[:SIZE] = parameters_of(BODY)
     theta[REFLECTED:] = REFLECTED_KG
@@ -54,7 +54,7 @@ def whole(c, hidden=0.0, reflected_kg=None):
 
 
 def of_platform(body, scale=1.0):
-    """The shipped robot with another platform, and a law that scales its masses."""
+    """The shipped robot with another platform, and a law with scaled masses."""
     document = yaml.safe_load(load("lab").text)
     document["platform"]["platform"] = body
     document["controller"]["model"] |= {"inertia_scale": scale, "reflected_mass_kg": 5.0}
@@ -71,7 +71,7 @@ def of_platform(body, scale=1.0):
         BOX | {"frame": READ["frame"]},
     ],
 )
-def test_pasted_block_is_the_body_that_was_found(body):
+def test_pasted_block_gives_the_identified_body(body):
     c = of_platform(body)
     pasted = changed(c, **yaml.safe_load(block_text(whole(c))))
     theta = parameters_of(build_platform(pasted.platform).platform)
@@ -79,8 +79,8 @@ def test_pasted_block_is_the_body_that_was_found(body):
 
 
 @pytest.mark.parametrize(("hidden", "reset"), [(0.0, True), (0.5, False)])
-def test_scale_of_all_masses_goes_with_the_body_and_stays_where_it_is_not_shown(hidden, reset):
-    """Pasted, reflected masses are those that were found."""
+def test_inertia_scale_is_reset_only_if_the_body_is_in_the_block(hidden, reset):
+    """After pasting, the scaled reflected masses are the identified ones."""
     c = of_platform(FIGURES, 0.8)
     keys = yaml.safe_load(block_text(whole(c, hidden)))
     assert ("platform" in keys) == ("inertia_scale" in keys["controller"]["model"]) == reset

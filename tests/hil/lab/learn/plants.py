@@ -1,7 +1,7 @@
-"""Six legs under a law, in simulated time, written for these tests alone: what learning is tried on.
+"""Simulation of six legs under a law, written for the tests of learning.
 
-Each leg obeys y'' = gain F(v) + d, F a delay of whole ticks, a lag and, where asked for, a resonance; the law
-asks for v = a_d + K_P e + K_D de + a. Steps are a tenth of a tick, by the semi-implicit Euler method.
+Each leg obeys y'' = gain F(v) + d, F a delay of whole ticks, a lag and optionally a resonance; the law
+demands v = a_d + K_P e + K_D de + a. Steps are a tenth of a tick, by the semi-implicit Euler method.
 """
 
 from dataclasses import dataclass, field
@@ -23,7 +23,7 @@ FAULT_M = 0.01
 
 @dataclass(frozen=True)
 class Plant:
-    """What the six legs are like; the defaults are the nominal ones of the tests."""
+    """Parameters of the six legs; the defaults are the nominal ones."""
 
     gain: Any = 1.0
     delay: int = 1
@@ -32,10 +32,10 @@ class Plant:
     resonance_Hz: float = 0.0
     damping: float = 0.02
     share: float = 1.0
-    """Of the force that goes through the resonance."""
+    """Share of the force that passes the resonance."""
     coupling: Any = field(default_factory=lambda: np.eye(6))
     learned: Any = field(default_factory=lambda: np.eye(6))
-    """What becomes of the learned accelerations on their way."""
+    """Matrix (6, 6) applied to the learned accelerations."""
     friction: float = 0.0
     """m/s^2."""
     stiffness: float = 0.0
@@ -55,9 +55,9 @@ def path(n: int) -> tuple[Any, Any, Any]:
 
 
 def run(plant: Plant, a: Any, believed: float, seed: int = 0) -> tuple[Any, Any] | None:
-    """Errors and their rates (LEAD + 1000, 6), measured; None where one of them ended the run.
+    """Measured errors and their rates (LEAD + 1000, 6); None if the following error ended the run.
 
-    a: learned acceleration (LEAD + 1000, 6); believed: share of the motion's acceleration that the law asks for.
+    a: learned acceleration (LEAD + 1000, 6); believed: share of the reference acceleration in the law.
     """
     count = len(a) - LEAD
     q_d, dq_d, ddq_d = path(count)
@@ -88,6 +88,6 @@ def run(plant: Plant, a: Any, believed: float, seed: int = 0) -> tuple[Any, Any]
 
 
 def nominal(e: Any) -> tuple[list[AxisLoop], Any]:
-    """The nominal loop of each leg, and its frequencies, for errors (n, 6)."""
+    """Nominal loop of each leg, and its frequencies, for errors (n, 6)."""
     f = frequencies(len(e), T)
     return [axis_loop(sampled_axis(1e-3, lag(0.8e-3), T), gains(K_P, K_D, T), f, looks_ahead=False)] * 6, f

@@ -1,4 +1,4 @@
-"""A series of learning runs: from run to run, what ends it, its limit, and the file that it leaves."""
+"""A series of learning runs: its steps, its end, its force limit, and the written file."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def head_of(run: int) -> FeedforwardHead:
 
 
 def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun:
-    """The run with what so many runs have taught, next to nothing, its error a share of ERROR."""
+    """Run after `number` updates, with nearly no learned acceleration; its error is a share of ERROR."""
     still = np.zeros_like(ERROR)
     there = trial(T, LEAD, share * ERROR, still, 1e-6 * number * ERROR, np.full(6, 20.0))
     masses = np.broadcast_to(100.0 * np.eye(6), (LEAD + COUNT, 6, 6))
@@ -61,7 +61,7 @@ def run_of(number: int, share: float = 1.0, c: Configuration = C) -> LearningRun
 
 
 @pytest.mark.parametrize("number", [0, 1, 5])
-def test_error_that_grows_contradicts_wherever_in_a_series_it_does(number: int) -> None:
+def test_growing_error_is_a_contradiction_at_any_place_in_a_series(number: int) -> None:
     outcome = learned([run_of(number), run_of(number + 1, 2.0)], Knowledge())
     assert (outcome.state, outcome.text) == ("contradicted", "")
     found = outcome.steps[-1].contradicted
@@ -70,7 +70,7 @@ def test_error_that_grows_contradicts_wherever_in_a_series_it_does(number: int) 
 
 
 @pytest.mark.parametrize("number", [0, 1, 5])
-def test_error_of_the_first_run_goes_from_file_to_file(number: int) -> None:
+def test_error_of_the_first_run_is_passed_from_file_to_file(number: int) -> None:
     outcome = learned([run_of(number), run_of(number + 1, 0.5)], Knowledge())
     assert outcome.state == "learned"
     head, _, start_s, _ = read_feedforward(outcome.text.encode(), "next.csv")
@@ -83,15 +83,15 @@ def test_error_of_the_first_run_goes_from_file_to_file(number: int) -> None:
 
 @pytest.mark.parametrize("what", ["reference", "controller", "platform"])
 @pytest.mark.parametrize("other", [0, 2])
-def test_runs_of_another_machine_do_not_teach_one_feed_forward(what: str, other: int) -> None:
+def test_runs_of_different_machines_are_refused(what: str, other: int) -> None:
     series = [run_of(0), run_of(1), run_of(2)]
     series[other] = series[other]._replace(made_for=MADE_FOR.model_copy(update={what: "another"}))
-    with pytest.raises(LogError, match=f"another {what}"):
+    with pytest.raises(LogError, match=f"its {what} differs"):
         learned(series, Knowledge())
 
 
 def printed(outcome: Outcome, limit_N: float) -> dict[str, Any]:
-    """The section that is printed for a file."""
+    """The printed section for a file."""
     series = Series(outcome.steps, outcome, limit_N, outcome.text)
     line = next(line for line in lines(series, OUT) if line.startswith("feedforward:"))
     section: dict[str, Any] = yaml.safe_load(line)["feedforward"]
@@ -99,7 +99,7 @@ def printed(outcome: Outcome, limit_N: float) -> dict[str, Any]:
 
 
 def taken(folder: Path, text: str, section: dict[str, Any]) -> float:
-    """The largest force that a run takes of a file and its section."""
+    """Largest force that a run reads from a file and its section."""
     c = load("virtual")
     (folder / "next.csv").write_text(text)
     settings = FeedforwardSettings.model_validate(section)
@@ -116,7 +116,7 @@ def taken(folder: Path, text: str, section: dict[str, Any]) -> float:
         (0.00007, 0.0),
     ],
 )
-def test_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
+def test_run_accepts_forces_cut_at_a_limit_with_many_digits(
     tmp_path: Path, limit_N: float, peak_N: float
 ) -> None:
     outcome = learned([run_of(0)], Knowledge(limit_N=limit_N))
@@ -126,12 +126,12 @@ def test_run_takes_forces_that_were_cut_at_a_limit_of_any_digits(
 
 
 SHARES = {"learned": 0.5, "floor": 0.98, "contradicted": 2.0}
-"""State -> error of the second run as a share of the first one's."""
+"""State -> error of the second run as a share of the first run's error."""
 
 
 @pytest.mark.parametrize("state", SHARES)
 @pytest.mark.parametrize("trouble", ["", "run 2: a fault", "interrupted"])
-def test_series_is_a_success_where_no_run_contradicts_and_none_failed(state: str, trouble: str) -> None:
+def test_series_succeeds_without_contradiction_and_failure(state: str, trouble: str) -> None:
     outcome = learned([run_of(0), run_of(1, SHARES[state])], Knowledge())
     interrupted = trouble == "interrupted"
     found = summary(Series(outcome.steps, outcome, 300.0, outcome.text, trouble, interrupted), OUT)
@@ -146,7 +146,7 @@ FAILURES = [
     ("learning_run", LogError("limits cut the forces")),
     ("learned", ModelError("no filter makes the error fall")),
 ]
-"""What a run of a series calls, and how that may fail."""
+"""Calls made by a run of a series, and an error of each."""
 
 
 class _Step(NamedTuple):
@@ -154,7 +154,7 @@ class _Step(NamedTuple):
 
 
 class _Learned(NamedTuple):
-    """An outcome that goes on; its text is of the file of the next run."""
+    """An outcome that goes on; its text is that of the next run's file."""
 
     text: str
     steps: list[_Step]
@@ -163,7 +163,7 @@ class _Learned(NamedTuple):
 
 @pytest.fixture
 def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Let each run have half the error of the one before; return what makes a run fail at a call."""
+    """Halve the error from run to run; return a function that makes a run fail at a call."""
     calls: dict[str, int] = {}
 
     def learn(*_: Any) -> Any:
@@ -198,20 +198,18 @@ def runs(monkeypatch: pytest.MonkeyPatch) -> Any:
 @pytest.mark.parametrize(
     ("number", "call", "error"), [(1 + k % 2, *each) for k, each in enumerate(FAILURES)], ids=str
 )
-def test_later_run_that_fails_ends_the_series_and_what_was_best_is_kept(
+def test_failure_of_a_later_run_ends_the_series_and_keeps_the_best_file(
     runs: Any, tmp_path: Path, number: int, call: str, error: Exception
 ) -> None:
     runs(number, call, error)
     found = rehearse(C, 5, Knowledge(), tmp_path, lambda _: None)
     assert (found.trouble, found.interrupted) == (f"run {number}: {error}", False)
     assert [step.rms_mm for step in found.steps] == [1.0, 0.5][:number]
-    assert found.best == ("" if number == 1 else "of run 1"), "the first run is without a file"
+    assert found.best == ("" if number == 1 else "of run 1"), "the first run has no file"
 
 
 @pytest.mark.parametrize(("call", "error"), FAILURES, ids=str)
-def test_first_run_that_fails_has_taught_nothing_and_its_error_is_told(
-    runs: Any, tmp_path: Path, call: str, error: Exception
-) -> None:
+def test_failure_of_the_first_run_is_raised(runs: Any, tmp_path: Path, call: str, error: Exception) -> None:
     runs(0, call, error)
     with pytest.raises((HilError, OSError)) as told:
         rehearse(C, 5, Knowledge(), tmp_path, lambda _: None)

@@ -1,4 +1,4 @@
-"""Campaign files for tests, and what several of them ask for."""
+"""Campaign files and helpers shared by several tests."""
 
 import os
 import signal
@@ -29,7 +29,7 @@ grid:
       none: []
       jump: ["encoder_jump leg=1 mode=RELEASING by=5e-3"]
 """
-"""Four rows, the second and the last of which end in a fault."""
+"""Four rows; the second and the last end in a fault."""
 
 
 MANY = SMALL.replace("count: 2", "count: 40")
@@ -45,7 +45,7 @@ def written(folder, text, name="c.yaml"):
 
 @contextmanager
 def started(plan, out, *words):
-    """Start `hil campaign` of a plan as a process, in a group of its own of which nothing stays behind."""
+    """Start `hil campaign` in its own process group, which is killed at the end."""
     process = subprocess.Popen(
         [sys.executable, "-m", "hil.cli", "campaign", str(plan.path), "--out", str(out), *words],
         env=os.environ | {"PYTHONPATH": str(ROOT)},
@@ -80,9 +80,9 @@ def _has_rows(database):
 
 
 def kill_thrice(plan, out, chance, *words):
-    """Start a campaign three times, and end each with kill -9 at a random instant, the first while rows run.
+    """Start a campaign three times and kill -9 it at a random instant, the first time while rows run.
 
-    Its own workers end with it: nothing is left of the group.
+    Its workers must end with it: no process of the group remains.
     """
     for k in range(3):
         with started(plan, out, *words) as process:
@@ -96,7 +96,7 @@ def kill_thrice(plan, out, chance, *words):
 
 
 def _gone(group, within_s):
-    """Tell whether all processes of a group end within some time."""
+    """True if all processes of a group end within some time."""
     end = time.monotonic() + within_s
     while time.monotonic() < end:
         try:

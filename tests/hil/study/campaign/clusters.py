@@ -1,4 +1,4 @@
-"""A Dask scheduler and its workers as processes of their own, by address on the loopback."""
+"""A Dask scheduler and its workers as separate processes on the loopback."""
 
 import os
 import signal
@@ -10,11 +10,11 @@ from contextlib import contextmanager, suppress
 from tests.hil.study.campaign.campaigns import ROOT
 
 START_S = 200.0
-"""For an interpreter, Dask and a handshake, on a machine that does something else, too."""
+"""Timeout for starting an interpreter, Dask and a handshake, on a busy machine."""
 
 
 class Cluster:
-    """Mutable state: the processes that were started, all of which `close` ends."""
+    """Mutable state: the started processes, which `close` ends."""
 
     def __init__(self, folder):
         self.folder = folder
@@ -32,7 +32,7 @@ class Cluster:
         return self
 
     def add(self, *words, preload=None):
-        """Start a worker, and wait until the scheduler has it."""
+        """Start a worker, and wait until it has registered at the scheduler."""
         name = f"worker{len(self.workers)}"
         loaded = [] if preload is None else ["--preload", str(preload)]
         worker = self._start(
@@ -44,7 +44,7 @@ class Cluster:
         return worker
 
     def close(self):
-        """End what still runs, children included."""
+        """End the remaining processes, children included."""
         for process in filter(None, (*self.workers, self.scheduler)):
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
@@ -59,7 +59,7 @@ class Cluster:
             )  # fmt: skip
 
     def _said(self, name, words):
-        """Return the first line of a process that has these words."""
+        """First output line of a process that contains these words."""
         end = time.monotonic() + START_S
         while time.monotonic() < end:
             lines = (self.folder / f"{name}.log").read_text().splitlines()
@@ -71,7 +71,7 @@ class Cluster:
 
 @contextmanager
 def cluster(folder, workers, *words, preload=None):
-    """Yield a running cluster; `words` go to each worker (default: --no-nanny, killed is gone)."""
+    """Yield a running cluster. words : options of each worker (default --no-nanny: not restarted)."""
     running = Cluster(folder)
     try:
         yield running.start(workers, *words, preload=preload)

@@ -1,4 +1,4 @@
-"""Whole campaigns: the same table for any number of workers and any interruption; what is shown of them."""
+"""Whole campaigns: the same table for any number of workers and any interruption; tables, page and JSON."""
 
 import json
 import random
@@ -29,13 +29,13 @@ from tests.hil.study.campaign.campaigns import MANY, SMALL, kill_thrice, written
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """Return a campaign of four rows that has run in this process, and its folder."""
+    """A campaign of four rows that has run in this process, its folder and its summary."""
     folder = tmp_path_factory.mktemp("campaign")
     plan = read_plan(written(folder, SMALL))
     return plan, folder / "results", run_campaign(plan, folder / "results", jobs=1)
 
 
-def test_a_row_is_its_values_and_what_came_of_it(small):
+def test_a_row_contains_its_axis_values_and_its_outcome(small):
     plan, folder, summary = small
     rows = pq.read_table(folder / "table.parquet").to_pylist()
     assert rows == summary["matrix"]
@@ -51,7 +51,7 @@ def test_a_row_is_its_values_and_what_came_of_it(small):
     assert summary["failed_interval_percent"] == pytest.approx([15.0, 85.0], abs=0.1)
 
 
-def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(small, tmp_path):
+def test_an_interrupted_campaign_continues_to_the_same_table(small, tmp_path):
     plan, folder, _ = small
 
     def press(done, _):
@@ -59,7 +59,7 @@ def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(sma
             raise KeyboardInterrupt
 
     with pytest.raises(
-        KeyboardInterrupt, match=r"with 2 of 4 rows in .*; the same command goes on from there"
+        KeyboardInterrupt, match=r"with 2 of 4 rows in .*; the same command continues from there"
     ):
         run_campaign(plan, tmp_path, jobs=1, progress=press)
     seen = []
@@ -72,7 +72,7 @@ def test_an_interrupted_campaign_goes_on_and_two_workers_make_the_same_table(sma
     assert again["matrix"] == summary["matrix"]
 
 
-def test_a_row_again_has_the_same_bits_and_its_log_does(small, tmp_path):
+def test_a_repeated_row_and_its_log_give_bitwise_equal_figures(small, tmp_path):
     plan, folder, summary = small
     with pytest.raises(ConfigurationError, match="row 4: allowed: 0 to 3"):
         rerun(plan, folder, 4, None)
@@ -90,7 +90,7 @@ def test_a_row_again_has_the_same_bits_and_its_log_does(small, tmp_path):
         assert log[name] == pytest.approx(row[name], rel=1e-12)
 
 
-def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
+def test_a_difference_of_one_bit_to_the_stored_figure_is_reported(small, tmp_path):
     plan, _, summary = small
     rows = [dict(row) for row in summary["matrix"]]
     rows[2]["peak_force_N"] = float(np.nextafter(rows[2]["peak_force_N"], np.inf))
@@ -103,7 +103,7 @@ def test_a_stored_figure_that_is_another_by_one_bit_is_found(small, tmp_path):
     assert "peak_force_N of run again" in found["trouble"]
 
 
-def test_a_limit_ends_a_run_that_is_past_it(small, tmp_path):
+def test_a_run_ends_as_soon_as_it_exceeds_a_limit(small, tmp_path):
     text = SMALL.replace("0.05", "0.5") + "limits: {peak_true_leg_error_mm: {max: 1e-4}}\n"
     plan = read_plan(written(tmp_path, text))
     row = run_row(plan.job(0))
@@ -113,8 +113,8 @@ def test_a_limit_ends_a_run_that_is_past_it(small, tmp_path):
     assert small[2]["matrix"][0]["passed"]
 
 
-def test_a_combination_that_cannot_run_is_a_failed_row_that_says_why(tmp_path):
-    """The path needs 0.847 m: each end alone leaves that, both together do not."""
+def test_an_impossible_combination_is_a_failed_row_with_its_reason(tmp_path):
+    """The path needs 0.847 m: each value alone allows it, both together do not."""
     text = """
     kind: campaign
     duration_s: 0.05
@@ -131,7 +131,7 @@ def test_a_combination_that_cannot_run_is_a_failed_row_that_says_why(tmp_path):
     assert {row[name] for name in METRICS} == {None}
 
 
-def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small, tmp_path, monkeypatch):
+def test_any_exception_of_a_law_fails_only_its_row_and_is_reproducible(small, tmp_path, monkeypatch):
     def diverging(*_):
         raise ValueError("array must not contain infs or NaNs")
 
@@ -145,7 +145,7 @@ def test_whatever_a_law_raises_ends_its_row_and_the_row_again_is_the_same(small,
         rerun(plan, tmp_path, 2, tmp_path / "row.mcap")
 
 
-def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
+def test_until_parked_and_after_fault_rest_run_to_the_end(tmp_path):
     text = SMALL.replace("duration_s: 0.05", "duration_s: 0.05\nuntil: parked\nafter_fault: rest")
     plan = read_plan(written(tmp_path, text))
     parked, stopped = run_row(plan.job(0)), run_row(plan.job(1))
@@ -155,7 +155,7 @@ def test_a_run_that_parks_and_one_that_rests_after_its_fault(tmp_path):
     assert 0.0 < stopped["travel_mm"] < 10.0
 
 
-def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(small, tmp_path):
+def test_the_page_loads_nothing_and_lists_commands_for_the_worst_rows(small, tmp_path):
     plan, _, summary = small
     write_page(tmp_path / "page.html", plan, summary, tmp_path / "<out>")
     text = (tmp_path / "page.html").read_text()
@@ -169,8 +169,8 @@ def test_the_page_fetches_nothing_and_names_the_worst_rows_with_their_command(sm
     assert command.replace("<", "&lt;").replace(">", "&gt;").replace("'", "&#x27;") in text
 
 
-def test_the_command_line(small, tmp_path, monkeypatch):
-    """Kept rows are shown, written as JUnit and JSON; exit code 1, as some failed; 2 for bad input."""
+def test_the_command_shows_stored_rows_and_writes_junit_and_json(small, tmp_path, monkeypatch):
+    """Exit code 1 for failed rows, 2 for invalid input."""
     plan, folder, _ = small
     out = ["--out", str(folder)]
     files = ["--junit", str(tmp_path / "j.xml"), "--json", str(tmp_path / "j.json")]
@@ -192,7 +192,10 @@ def test_the_command_line(small, tmp_path, monkeypatch):
 
     changed = written(tmp_path, SMALL.replace("seed: 3", "seed: 4"))
     result = CliRunner().invoke(main, ["campaign", str(changed), *out])
-    assert (result.exit_code, "changed since: campaign, values of the rows" in result.stderr) == (2, True)
+    assert (result.exit_code, "these parts differ: campaign, values of the rows" in result.stderr) == (
+        2,
+        True,
+    )
     page = tmp_path / "page.html"
     page.write_text("mine")
     result = CliRunner().invoke(main, ["campaign", str(plan.path), *out, "--page", str(page)])
@@ -201,11 +204,11 @@ def test_the_command_line(small, tmp_path, monkeypatch):
     (tmp_path / "payload").mkdir()
     assert len(read_plan(Path("payload"))) == 500  # the shipped one, whatever folder has that name
     result = CliRunner().invoke(main, ["campaign", "nosuch"])
-    assert (result.exit_code, "shipped campaigns are: builds, payload, wear" in result.stderr) == (2, True)
+    assert (result.exit_code, "campaign; shipped: builds, payload, wear" in result.stderr) == (2, True)
 
 
 @pytest.mark.long
-def test_after_kill_9_at_three_random_instants_the_table_is_the_same(tmp_path):
+def test_the_table_is_the_same_after_kill_9_at_three_random_instants(tmp_path):
     plan = read_plan(written(tmp_path, MANY))
     run_campaign(plan, tmp_path / "whole", jobs=2)
     kill_thrice(plan, tmp_path / "killed", random.Random(1), "--jobs", "2")

@@ -1,4 +1,4 @@
-"""Campaigns on a Dask cluster: the table of the processes here, whoever dies; and what is said of a cluster."""
+"""Campaigns on a Dask cluster: the same table as local processes, whichever process dies; cluster errors."""
 
 import os
 import random
@@ -33,18 +33,18 @@ if not hasattr(row, "harmless"):
 
     row.performed = deadly
 """
-"""What a worker loads whose process row 1 kills."""
+"""Preload of a worker whose process is killed by row 1."""
 
 
 def campaign(folder, text):
-    """Return a campaign, and the bytes of its table from processes of this machine."""
+    """A campaign, and the bytes of its table from processes of this machine."""
     plan = read_plan(written(folder, text))
     run_campaign(plan, folder / "here", jobs=2 if len(plan) > 2 else 1)
     return plan, (folder / "here" / "table.parquet").read_bytes()
 
 
 def local_cluster(workers, threads, *, processes):
-    """Return a cluster that listens on the loopback only; its usual port may be taken."""
+    """A cluster that listens only on the loopback; its default port may be in use."""
     return distributed.LocalCluster(
         n_workers=workers,
         threads_per_worker=threads,
@@ -66,12 +66,12 @@ def many(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def threads():
-    """Return the address of a cluster in this process: a worker of two threads."""
+    """Address of a cluster in this process, with one worker of two threads."""
     with local_cluster(1, 2, processes=False) as running:
         yield running.scheduler_address
 
 
-def test_two_threads_of_a_worker_make_the_table_of_one_process(two, threads, tmp_path):
+def test_a_worker_with_two_threads_makes_the_table_of_one_process(two, threads, tmp_path):
     plan, table = two
     seen = []
     run_campaign(plan, tmp_path, scheduler=threads, progress=lambda *counts: seen.append(counts))
@@ -79,7 +79,7 @@ def test_two_threads_of_a_worker_make_the_table_of_one_process(two, threads, tmp
     assert seen == [(0, 2), (1, 2)]
 
 
-def test_a_worker_of_another_version_runs_no_row(two, threads, tmp_path, monkeypatch):
+def test_a_worker_with_another_version_is_refused(two, threads, tmp_path, monkeypatch):
     def version(_):
         return "1.0.0" if threading.current_thread() is threading.main_thread() else "0.9.0"
 
@@ -89,7 +89,7 @@ def test_a_worker_of_another_version_runs_no_row(two, threads, tmp_path, monkeyp
         run_campaign(two[0], tmp_path, scheduler=threads)
 
 
-def test_a_worker_with_another_file_at_the_same_path_is_named(threads, tmp_path):
+def test_a_worker_with_different_content_of_a_file_is_refused(threads, tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))
     plan = read_plan(written(tmp_path, SAMPLED))
@@ -99,8 +99,10 @@ def test_a_worker_with_another_file_at_the_same_path_is_named(threads, tmp_path)
     assert stored_rows(tmp_path / "out", identity(plan)) == {}
 
 
-def test_whatever_a_worker_raises_arrives(two, threads, tmp_path, monkeypatch):
-    """A traceback as deep as this one cannot be pickled."""
+def test_an_exception_at_a_worker_reaches_the_client_even_if_not_picklable(
+    two, threads, tmp_path, monkeypatch
+):
+    """The traceback of this recursion is too deep to be pickled."""
 
     def deeper(job):
         return deeper(job)
@@ -110,7 +112,7 @@ def test_whatever_a_worker_raises_arrives(two, threads, tmp_path, monkeypatch):
         run_campaign(two[0], tmp_path, scheduler=threads)
 
 
-def test_an_address_where_nobody_answers_is_refused_with_what_is_allowed(two, tmp_path, monkeypatch):
+def test_a_dead_scheduler_address_is_refused_with_an_example(two, tmp_path, monkeypatch):
     monkeypatch.setattr(dask_cluster, "WAIT_S", 0.3)
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
@@ -120,8 +122,8 @@ def test_an_address_where_nobody_answers_is_refused_with_what_is_allowed(two, tm
 
 
 @pytest.mark.long
-def test_the_table_is_the_same_by_address_after_kill_9_of_the_command_and_of_a_worker(many, tmp_path):
-    """The command dies at three random instants; then one of the two workers, for good."""
+def test_the_table_is_the_same_after_kill_9_of_command_and_worker(many, tmp_path):
+    """The command dies at three random instants; then one of the two workers dies for good."""
     plan, table = many
     with cluster(tmp_path, 2) as running:
         kill_thrice(plan, tmp_path / "out", random.Random(1), "--scheduler", running.address)
@@ -138,8 +140,8 @@ def test_the_table_is_the_same_by_address_after_kill_9_of_the_command_and_of_a_w
 
 
 @pytest.mark.long
-def test_a_row_that_kills_its_workers_takes_no_other_with_it(tmp_path):
-    """Its neighbours wait at the same workers; alone they run."""
+def test_a_row_that_kills_its_workers_fails_alone(tmp_path):
+    """The other rows wait at the same workers and run again, one at a time."""
     plan = read_plan(written(tmp_path, SMALL))
     (tmp_path / "deadly.py").write_text(DEADLY)
     with cluster(tmp_path, 1, "--nanny", preload=tmp_path / "deadly.py") as running:
@@ -149,7 +151,7 @@ def test_a_row_that_kills_its_workers_takes_no_other_with_it(tmp_path):
 
 
 @pytest.mark.long
-def test_a_scheduler_that_dies_ends_the_command_and_the_rows_so_far_are_kept(many, tmp_path):
+def test_a_dying_scheduler_ends_the_command_and_finished_rows_are_kept(many, tmp_path):
     plan, table = many
     with cluster(tmp_path, 1) as running:
 
@@ -165,7 +167,7 @@ def test_a_scheduler_that_dies_ends_the_command_and_the_rows_so_far_are_kept(man
 
 
 @pytest.mark.long
-def test_ctrl_c_takes_its_rows_off_the_cluster(tmp_path):
+def test_ctrl_c_removes_the_rows_from_the_cluster(tmp_path):
     plan = read_plan(written(tmp_path, MANY.replace("count: 40", "count: 400")))
     with (
         cluster(tmp_path, 1) as running,

@@ -1,4 +1,4 @@
-"""What is measured of ticks, against figures written by hand, in blocks of any share of the ticks."""
+"""Metrics of ticks against figures computed by hand, in blocks of any part of the ticks."""
 
 import numpy as np
 import pytest
@@ -8,11 +8,11 @@ from drivers.tick_columns import ROW
 from hil.study.campaign.figures import BLOCK, METRICS, Measurement
 
 N = BLOCK + 37
-"""Ticks: a block and a part of one."""
+"""Ticks: one block and a part of the next."""
 
 
 def ticks():
-    """Return rows at rest at the pose p_d = p, R_d = R = 1, tracking from tick 10 on, and true lengths."""
+    """Rows at rest at p_d = p, R_d = R = 1, tracking from tick 10 on, and true lengths."""
     rows = np.zeros(N, ROW)
     rows["mode"] = np.where(np.arange(N) < 10, Mode.APPROACH, Mode.TRACKING)
     rows["R"] = rows["R_d"] = np.eye(3)
@@ -29,7 +29,7 @@ def figures(rows, lengths, *, travels=False):
     return measured.figures()
 
 
-def test_peaks_and_means_are_of_the_ticks_that_track():
+def test_peaks_and_means_cover_only_tracking_ticks():
     rows, lengths = ticks()
     rows["q"][5, 0] = 2.0  # still on the way to the reference
     rows["q"][20, 3] = 0.998
@@ -51,7 +51,7 @@ def test_peaks_and_means_are_of_the_ticks_that_track():
     assert found["tracked_s"] == rows["reference_time_s"][-1]
 
 
-def test_forces_are_of_the_whole_run_and_their_changes_go_on_over_blocks():
+def test_peak_force_covers_the_run_and_variation_continues_across_blocks():
     rows, lengths = ticks()
     rows["tau"][3, 2] = -500.0  # before it tracks
     rows["tau"][BLOCK:, 1] = 40.0  # a jump between two blocks
@@ -61,7 +61,7 @@ def test_forces_are_of_the_whole_run_and_their_changes_go_on_over_blocks():
     assert found["force_variation_N"] == 40.0 + 2 * 20.0
 
 
-def test_what_is_counted():
+def test_limited_and_stale_ticks_and_the_certificate_are_counted():
     rows, lengths = ticks()
     rows["warnings"][7] = Warn.FORCE_LIMIT
     rows["warnings"][[8, N - 1]] = Warn.FORCE_STEP | Warn.FORCE_WINDOW
@@ -77,18 +77,18 @@ POWERED = {
     Mode.LOADING, Mode.RELEASING, Mode.APPROACH, Mode.TRACKING, Mode.STOPPING, Mode.PARKING, Mode.UNLOADING,
     Mode.HELD,
 }  # fmt: skip
-"""Modes in which the drives are, and feedback of every leg is expected."""
+"""Modes with powered drives, in which feedback of every leg is expected."""
 
 
 @pytest.mark.parametrize("mode", Mode)
-def test_a_tick_without_feedback_of_a_leg_is_stale_wherever_the_drives_are_powered(mode):
+def test_a_tick_without_feedback_of_a_leg_is_stale_in_every_powered_mode(mode):
     rows, lengths = ticks()
     rows["mode"] = mode
     rows["age"][[4, 70, N - 1], [0, 3, 5]] = 1, 2, 9
     assert figures(rows, lengths)["stale_ticks"] == (3 if mode in POWERED else 0)
 
 
-def test_travel_counts_from_the_first_latched_fault_where_a_run_goes_on():
+def test_travel_counts_from_the_first_latched_fault_if_the_run_continues():
     rows, lengths = ticks()
     lengths[:50, 0] = 5.0
     rows["faults"][50:] = Fault.DRIVE
@@ -100,7 +100,7 @@ def test_travel_counts_from_the_first_latched_fault_where_a_run_goes_on():
     assert found["faulted"] == 1
 
 
-def test_what_was_not_measured_is_none():
+def test_metrics_that_were_not_measured_are_none():
     rows, lengths = ticks()
     rows["mode"] = Mode.LOADING
     found = figures(rows, lengths)
@@ -110,8 +110,8 @@ def test_what_was_not_measured_is_none():
     }  # fmt: skip
 
 
-def test_what_is_no_finite_number_is_not_measured_and_keeps_no_limit():
-    """A peak, a mean and a sum: in the table none of them may pass for a figure, or stop the page."""
+def test_a_non_finite_metric_counts_as_not_measured_and_fails_its_limit():
+    """A peak, a mean and a sum: none may appear as a figure in the table, or break the page."""
     rows, lengths = ticks()
     rows["q"][20, 3] = np.nan
     lengths[30, 1] = 1e200  # its square is infinite

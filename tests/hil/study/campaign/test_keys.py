@@ -1,4 +1,4 @@
-"""Keys that reach into each other: every axis acts in every row, however the file orders and spells them."""
+"""Keys inside other keys: every axis acts in every row, whatever their order and spelling in the file."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def base() -> dict[str, Any]:
     return {"plant": {"model": {"type": "bench"}, "faults": [{"kind": "drive_gain", "leg": 1}]}}
 
 
-def test_an_axis_acts_whichever_of_those_that_reach_into_it_is_written_first() -> None:
+def test_nested_keys_are_set_whatever_the_order_of_their_axes() -> None:
     expected = {"type": "stewart", "coulomb_friction_N": 250.0, "gravity_m_s2": [0, 0.5, -3.7]}
     for order in permutations(AXES):
         found = apply(base(), {name: AXES[name] for name in order}, VALUES)
@@ -36,7 +36,7 @@ def test_an_axis_acts_whichever_of_those_that_reach_into_it_is_written_first() -
 
 
 @pytest.mark.parametrize("key", ["plant", "plant.faults"])
-def test_faults_of_an_axis_come_to_those_of_a_section_that_another_brings(key: str) -> None:
+def test_faults_of_an_axis_are_added_to_faults_set_by_another_axis(key: str) -> None:
     faults = [{"kind": "drive_gain", "leg": 4, "factor": 0.9}]
     axes = {
         "bent": AXES["bent"],

@@ -1,4 +1,4 @@
-"""The campaign file: which rows it means, and what is wrong with one, each with its place."""
+"""The campaign file: its rows, and its errors, each with its place."""
 
 import json
 from pathlib import Path
@@ -43,7 +43,7 @@ def plan(tmp_path_factory):
     return read_plan(written(tmp_path_factory.mktemp("plan"), text))
 
 
-def test_every_sample_comes_with_every_row_of_the_list_and_every_combination_of_the_grid(plan):
+def test_samples_list_rows_and_grid_are_fully_combined(plan):
     rows = [plan.values(k) for k in range(len(plan))]
     (a, b) = dict.fromkeys(row.pop("mass_kg") for row in rows)
     listed = [{"wn": 10, "place_m": 0.1}, {"wn": 20, "place_m": 0.2}]
@@ -52,8 +52,8 @@ def test_every_sample_comes_with_every_row_of_the_list_and_every_combination_of_
     assert {10 <= a <= 20, 10 <= b <= 20, a != b} == {True}
 
 
-def test_a_row_is_its_configuration(plan):
-    """Row 7: the first sample, the second line of the list, law pd, two more faults."""
+def test_a_row_has_the_configuration_of_its_axis_values(plan):
+    """Row 7: the first sample, the second line of the list, law pd, two additional faults."""
     c = row_configuration(plan.job(7))
     shipped = load("virtual")
     assert c.controller.model_dump() == {**c.controller.model_dump(), "law": "pd", "kp_N_m": 1e6}
@@ -67,7 +67,7 @@ def test_a_row_is_its_configuration(plan):
     assert c.platform == shipped.platform
 
 
-def test_rows_of_one_sample_share_their_chance_and_the_key_seed_sets_it(plan, tmp_path):
+def test_rows_of_one_sample_share_a_seed_which_the_key_seed_overrides(plan, tmp_path):
     assert [plan.job(k).seed for k in range(len(plan))] == [0] * 8 + [1] * 8
     text = "kind: campaign\ngrid: {s: {key: seed, values: [4, 9223372036854775807]}}\nduration_s: 1\n"
     seeded = read_plan(written(tmp_path, text))
@@ -100,31 +100,31 @@ SENSED = "changes: {sensors: {tracker: {rate_Hz: 200}}}"
 
 
 def sampled(words):
-    """Return a section with one drawn axis."""
+    """A section with one sampled axis."""
     return f"sample: {{method: sobol, count: 2, axes: {{a: {{key: x.y, {words}}}}}}}"
 
 
 WRONG = [
-    ("", ":1:1: nothing is swept, allowed: a section sample, list or grid"),
+    ("", ":1:1: no swept keys, allowed: a section sample, list or grid"),
     ("grid: {a: {key: plant.drives.encoder_resolution, values: [1]}}", ":2:8: grid.a: plant.drives.encoder_resolution"),
     ("grid: {a: {key: controller.wn_rad_s, values: [20, -1]}}", ":2:8: grid.a: controller.wn_rad_s: out of range"),
     ("grid:\n  a: {key: 'plant.faults[0].mass_kg', values: [1]}", ":3:3: grid.a: plant.faults[0].mass_kg: plant.faults has no"),
-    ("grid:\n  a: {key: loop.rate_Hz.x, values: [1]}", ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a value"),
-    ("grid:\n  a: {key: 'plant faults', values: [1]}", ":3:3: grid.a: plant faults: no key"),
+    ("grid:\n  a: {key: loop.rate_Hz.x, values: [1]}", ":3:3: grid.a: loop.rate_Hz.x: loop.rate_Hz is a plain value"),
+    ("grid:\n  a: {key: 'plant faults', values: [1]}", ":3:3: grid.a: plant faults: malformed key"),
     ("grid:\n  a: {faults: {jump: ['encoder_jmp leg=1']}}", "unknown kind 'encoder_jmp', did you mean encoder_jump?"),
     ("grid:\n  a: {key: x.y, values: [1], options: {b: {}}}", "grid.a: allowed: exactly one of values, options, faults"),
     ("grid: {a: {values: [1]}}", "key is missing, allowed: a key of the configuration"),
     ("list:\n  a: {key: x.y, values: [1]}\n  b: {key: x.z, values: [1, 2]}", "list: allowed: axes with equally many values"),
     (f"grid: {{a: {AXIS}}}\nlimits: {{peak_leg_eror_mm: {{max: 1}}}}", ":3:28: limits.peak_leg_eror_mm: unknown metric"),
-    (f"grid: {{ended: {AXIS}}}", "grid.ended: a column of the table has that name"),
+    (f"grid: {{ended: {AXIS}}}", "grid.ended: already a column of the table"),
     (f"configuration: nosuch\ngrid: {{a: {AXIS}}}", ":2:1: configuration: nosuch: no such file; shipped"),
     (f"changes: {{loop: {{rate: 5}}}}\ngrid: {{a: {AXIS}}}", ":2:1: changes: loop.rate: "),
-    (f"grid:\n  a: {AXIS}\n  b: {{key: [x.z, x.y], values: [1]}}", "grid.b: x.y is swept by a, too"),
+    (f"grid:\n  a: {AXIS}\n  b: {{key: [x.z, x.y], values: [1]}}", "grid.b: x.y is also swept by a"),
     (f"grid: {{a: {AXIS}}}\nlimits: {{travel_mm: {{max: 1}}}}", "limits.travel_mm: not measured in runs that end"),
     (f"grid: {{a: {AXIS}}}\nlimits: {{tracked_s: {{min: 1, max: 0.1}}}}", ":3:21: limits.tracked_s: min is above max"),
     (f"{SENSED}\ngrid: {{a: {{key: plant, values: [null]}}}}", "plant"),
-    ("grid: {a: {key: [seed], values: [true]}}", "seed: allowed: whole numbers from 0 to 2**63 - 1, given: True"),
-    ("list: {a: {key: seed, values: [1, -1]}}", "seed: allowed: whole numbers from 0 to 2**63 - 1, given: -1"),
+    ("grid: {a: {key: [seed], values: [true]}}", "seed: allowed: integers from 0 to 2**63 - 1, given: True"),
+    ("list: {a: {key: seed, values: [1, -1]}}", "seed: allowed: integers from 0 to 2**63 - 1, given: -1"),
     (f'grid: {{"a b": {AXIS}}}', "2:8: grid.a b: wrong form"),
     (sampled("normal: {mean: 3, std: 1, min: 9, max: 0}"), "[low, high] with low < high, given: [9.0, 0.0]"),
     (sampled("loguniform: [0, 1]"), "sample.axes.a.loguniform[0]: out of range"),
@@ -136,7 +136,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("text", "message"), WRONG)
-def test_what_is_wrong_has_its_place_and_what_is_allowed(tmp_path, text, message):
+def test_an_invalid_campaign_is_refused_with_place_and_allowed_values(tmp_path, text, message):
     path = written(tmp_path, f"kind: campaign\n{text}\n")
     with pytest.raises(ConfigurationError) as error:
         read_plan(path)
@@ -145,14 +145,14 @@ def test_what_is_wrong_has_its_place_and_what_is_allowed(tmp_path, text, message
     assert "row 0" not in str(error.value)  # rows are not the user's yet
 
 
-def test_a_limit_may_be_one_value(tmp_path):
-    """As where each run has to end in a fault."""
+def test_minimum_and_maximum_of_a_limit_may_be_equal(tmp_path):
+    """For runs that must end in a fault."""
     text = "kind: campaign\ngrid: {a: {key: seed, values: [1]}}\nlimits: {faulted: {min: 1, max: 1}}\n"
     limit = read_plan(written(tmp_path, text)).settings.kept["faulted"]
     assert [limit.passed_by(value) > 0.0 for value in (0, 1, None)] == [True, False, True]
 
 
-def test_what_is_wrong_with_one_axis_is_not_said_of_another(tmp_path):
+def test_an_error_of_one_axis_is_reported_only_for_that_axis(tmp_path):
     text = """
     kind: campaign
     grid:
@@ -167,7 +167,7 @@ def test_what_is_wrong_with_one_axis_is_not_said_of_another(tmp_path):
     assert "grid.c.faults.x: --fault" in second  # which of the options or faults, too
 
 
-def test_an_axis_may_reach_into_what_another_brings(tmp_path):
+def test_an_axis_may_set_a_key_that_another_axis_creates(tmp_path):
     text = """
     kind: campaign
     grid:
@@ -179,13 +179,13 @@ def test_an_axis_may_reach_into_what_another_brings(tmp_path):
 
 
 def emulated(plan, row):
-    """Return section `plant` of a row's configuration."""
+    """Section `plant` of a row's configuration."""
     plant = row_configuration(plan.job(row)).plant
     assert plant is not None
     return plant
 
 
-def test_an_axis_that_reaches_into_the_value_of_another_changes_its_own_row_alone(tmp_path):
+def test_an_axis_inside_the_value_of_another_changes_only_its_own_row(tmp_path):
     text = """
     kind: campaign
     duration_s: 0.05
@@ -200,15 +200,15 @@ def test_an_axis_that_reaches_into_the_value_of_another_changes_its_own_row_alon
     assert [plan.values(k)["place"] for k in (1, 3)] == [[0, 0, 0], [0, 0, 0.1]]
 
 
-def test_no_row_waits_for_an_operator(tmp_path):
-    """It would stand at the start of its path, without an error, and pass."""
+def test_rows_never_wait_for_an_operator(tmp_path):
+    """Otherwise it would wait at the start of its path, without an error, and pass."""
     text = SMALL + "changes: {operator: {start: asked, deadman_s: 0.2, stays: true}}\n"
     operator = row_configuration(read_plan(written(tmp_path, text)).job(0)).operator
     assert (operator.start, operator.deadman_s, operator.stays) == ("automatic", None, False)
 
 
-def test_the_committed_schema_is_current_and_an_editor_accepts_the_shipped_campaign():
-    """Else: python -c 'from hil.study.campaign.settings import schema; print(schema(), end="")' > its file."""
+def test_the_committed_schema_is_current_and_accepts_shipped_campaigns():
+    """Update: python -c 'from hil.study.campaign.settings import schema; print(schema(), end="")' > its file."""
     folder = Path(__file__).parents[4] / "configs/campaigns"
     committed = (folder / "campaign.schema.json").read_text()
     assert committed == schema()

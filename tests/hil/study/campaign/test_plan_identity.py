@@ -1,4 +1,4 @@
-"""What a campaign is made of: its identity, and the files that its rows name."""
+"""Identity of a campaign, and the files that its rows name."""
 
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from tests.drivers.cia402_sheet import sheet
 from tests.hil.study.campaign.campaigns import SMALL, written
 
 
-def test_the_identity_changes_with_what_makes_the_rows_and_with_nothing_else(tmp_path):
+def test_the_identity_depends_on_rows_and_configuration_only(tmp_path):
     def parts(text, name="c.yaml"):
         return identity(read_plan(written(tmp_path, text, name)))
 
@@ -29,7 +29,7 @@ def test_the_identity_changes_with_what_makes_the_rows_and_with_nothing_else(tmp
 
 
 def path_csv(end_m):
-    """Return a path along z as CSV, which ends so high."""
+    """A path along z as CSV, which ends at this height."""
     rows = [f"{t},0,0,{1 + (end_m - 1) * (t > 1)},0,0,0" for t in range(4)]
     return "\n".join(("t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows))
 
@@ -37,8 +37,8 @@ def path_csv(end_m):
 SAMPLED = SMALL + "changes: {reference: {type: sampled, path: path.csv}}\n"
 
 
-def test_a_file_that_a_configuration_names_is_part_of_the_identity_wherever_it_lies(tmp_path):
-    """Beside the configuration; or beside the campaign, as the shipped configuration's folder is nobody's."""
+def test_the_content_of_a_named_file_is_part_of_the_identity(tmp_path):
+    """Next to the configuration, or next to the campaign if the configuration is a shipped one."""
     (tmp_path / "own.yaml").write_text(load("virtual").text)
     for text in (SAMPLED, SAMPLED.replace("configuration: virtual", "configuration: own.yaml")):
         found = []
@@ -52,7 +52,7 @@ def test_a_file_that_a_configuration_names_is_part_of_the_identity_wherever_it_l
         assert other == elsewhere
 
 
-def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign(tmp_path):
+def test_a_file_next_to_the_configuration_is_found_before_the_campaigns(tmp_path):
     (tmp_path / "robot").mkdir()
     (tmp_path / "robot" / "own.yaml").write_text(load("virtual").text)
     (tmp_path / "path.csv").write_text(path_csv(1.001))
@@ -64,8 +64,8 @@ def test_a_path_is_that_beside_the_configuration_before_that_beside_the_campaign
     assert found.model_dump()["path"] == str(tmp_path / "robot" / "path.csv")
 
 
-def test_no_row_of_a_file_that_changed_while_rows_ran_is_stored(tmp_path):
-    """Neither restored nor read anew is it in a table with the rows of before."""
+def test_rows_with_a_file_that_changed_during_the_campaign_are_not_stored(tmp_path):
+    """Whether the file is restored or read again, its row never joins the rows of the earlier version."""
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))
     plan, out = read_plan(written(tmp_path, SAMPLED)), tmp_path / "results"
@@ -74,17 +74,19 @@ def test_no_row_of_a_file_that_changed_while_rows_ran_is_stored(tmp_path):
         if done == 2:
             file.write_text(path_csv(1.002))
 
-    with pytest.raises(ConfigurationError, match=r"path\.csv: has changed since .* Restore it and repeat"):
+    with pytest.raises(
+        ConfigurationError, match=r"path\.csv: has changed since .* Restore the file and repeat"
+    ):
         run_campaign(plan, out, jobs=1, progress=change)
     assert sorted(stored_rows(out, identity(plan))) == [0, 1]
     assert not (out / "table.parquet").exists()
-    with pytest.raises(LogError, match=r"changed since: file path\.csv"):
+    with pytest.raises(LogError, match=r"these parts differ: file path\.csv"):
         run_campaign(read_plan(plan.path), out, jobs=1)
     file.write_text(path_csv(1.001))
     assert run_campaign(read_plan(plan.path), out, jobs=1)["rows_kept"] == 2
 
 
-def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):
+def test_a_row_whose_file_was_deleted_is_refused(tmp_path):
     file = tmp_path / "path.csv"
     file.write_text(path_csv(1.001))
     plan = read_plan(written(tmp_path, SAMPLED))
@@ -93,8 +95,8 @@ def test_a_file_that_is_gone_while_a_campaign_runs_gives_no_row(tmp_path):
         run_row(plan.job(0))
 
 
-def test_a_path_in_the_present_folder_alone_is_not_found(tmp_path, monkeypatch):
-    """`hil check` and `hil sim` do not look there either."""
+def test_files_are_not_searched_in_the_working_directory(tmp_path, monkeypatch):
+    """`hil check` and `hil sim` do not search there either."""
     for name in ("here", "campaign"):
         (tmp_path / name).mkdir()
     (tmp_path / "here" / "path.csv").write_text(path_csv(1.001))
@@ -116,9 +118,7 @@ FOLDERS = ("here", "robot", "campaign")
 
 @pytest.mark.parametrize("text", [CHANGED, SWEPT], ids=["changed", "swept"])
 @pytest.mark.parametrize("first", range(3), ids=FOLDERS)
-def test_a_row_reads_the_data_sheet_that_the_campaign_found_wherever_the_row_runs(
-    tmp_path, monkeypatch, text, first
-):
+def test_a_row_reads_the_campaigns_data_sheet_in_any_working_directory(tmp_path, monkeypatch, text, first):
     for name in ("elsewhere", *FOLDERS):
         (tmp_path / name).mkdir()
         if name not in FOLDERS[:first]:

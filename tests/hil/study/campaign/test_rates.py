@@ -1,4 +1,4 @@
-"""How often runs pass: intervals, values and quarters of an axis, the worst rows."""
+"""Pass rates: intervals, values and quarters of an axis, the worst rows."""
 
 import pytest
 
@@ -27,19 +27,19 @@ def row(number, *, passed=True, ended="complete", ended_s=1.0, trouble="", **val
         (0, 20, 0.0, 0.1611),
     ],
 )
-def test_the_interval_is_that_of_wilson(passed, n, low, high):
+def test_the_interval_agrees_with_published_wilson_intervals(passed, n, low, high):
     assert wilson(passed, n) == pytest.approx((low, high), abs=5e-5)
     assert wilson(0, 0) == (0.0, 1.0)
 
 
-def test_options_are_in_the_order_of_the_file_each_with_its_rows():
+def test_options_are_listed_in_the_order_of_the_file():
     axis = ListedAxis(options={"pd": {}, "inverse": {}})
     rows = [row(0, law="inverse"), row(1, law="pd", passed=False), row(2, law="inverse")]
     found = by_value("law", axis, rows)
     assert [(r.label, r.rows, r.passed) for r in found] == [("pd", 1, 0), ("inverse", 2, 2)]
 
 
-def test_many_numbers_are_quarters_by_value_not_by_row():
+def test_an_axis_with_many_numbers_is_split_into_quarters_by_value():
     axis = SampledAxis(key="x.y", uniform=(0.0, 20.0))
     rows = [row(k, mass=float(19 - k), passed=k >= 5) for k in range(20)]
     found = by_value("mass", axis, rows)
@@ -49,7 +49,7 @@ def test_many_numbers_are_quarters_by_value_not_by_row():
     ]
 
 
-def test_the_worst_rows_are_the_worst_of_each_cause():
+def test_the_worst_row_of_each_cause_comes_first():
     rows = [
         row(0, passed=False, peak_force_N=110.0),
         row(1),
@@ -62,12 +62,12 @@ def test_the_worst_rows_are_the_worst_of_each_cause():
     assert sorted(causes(rows)) == [("fault DRIVE", 2), ("limit", 2)]
 
 
-def test_why_a_row_has_failed_names_value_and_limit():
+def test_the_reason_of_a_failed_row_has_value_and_limit():
     assert why(row(0, passed=False, peak_force_N=110.5), LIMITS) == "peak_force_N 110.5, allowed: <= 100"
     ended = row(0, passed=False, ended="plant", trouble="the FMU failed\nfar away", peak_force_N=1.0)
     assert why(ended, LIMITS) == "plant: the FMU failed"
     assert why(row(0, passed=False), LIMITS) == "not measured: peak_force_N"
 
 
-def test_a_row_without_the_fault_that_has_to_come_says_so():
+def test_a_row_without_its_required_fault_gives_that_as_the_reason():
     assert why(row(0, passed=False), {"faulted": Limit(min=1.0)}) == "faulted 0, allowed: >= 1"

@@ -1,4 +1,4 @@
-"""A row again: what is recorded of it, and what its figures are compared with, or that nothing is stored."""
+"""Repeating a row: recording, comparison with the stored row, and rows that are not stored."""
 
 from __future__ import annotations
 
@@ -15,28 +15,28 @@ from tests.hil.study.campaign.campaigns import SMALL, written
 
 @pytest.fixture
 def plan(tmp_path, monkeypatch):
-    """A campaign of four rows of which none is stored, in the folder where the command is given."""
+    """A campaign of four rows, none of them stored, in the working directory."""
     monkeypatch.chdir(tmp_path)
     return read_plan(written(tmp_path, SMALL))
 
 
 def again(*words):
-    """Return what `hil campaign rerun` of its row 2 ends with."""
+    """Result of `hil campaign rerun` of row 2."""
     return CliRunner().invoke(main, ["campaign", "rerun", "c.yaml", "2", *words])
 
 
 @pytest.mark.parametrize(
     "words", [["--out", "mistyped"], ["--out", "mistyped", "--log", "row.mcap"], []], ids=" ".join
 )
-def test_a_row_that_has_nothing_to_be_compared_with_is_refused_before_it_runs(plan, words):
+def test_a_rerun_without_stored_row_or_recording_is_refused_before_it_runs(plan, words):
     found = again(*words)
     folder = "mistyped" if words else "runs/small-campaign"
     assert (found.exit_code, found.stdout) == (2, "")
-    assert found.stderr.startswith(f"hil: {folder}: row 2 of c.yaml is not stored there; name the folder")
+    assert found.stderr.startswith(f"hil: {folder}: row 2 of c.yaml is not stored there; give the folder")
     assert [path.name for path in Path().iterdir()] == ["c.yaml"]
 
 
-def test_a_row_recorded_alone_says_that_no_row_is_stored_and_counts_no_differences(plan):
+def test_a_row_recorded_without_a_stored_row_reports_no_comparison(plan):
     found = again("--log", "row.mcap", "--json", "a.json")
     assert found.exit_code == 0, found.output
     shown = " ".join(found.stdout.split())

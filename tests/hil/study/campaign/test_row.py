@@ -1,4 +1,4 @@
-"""A row of a campaign: its chance, its watchdog, when it has passed, and the columns of its values."""
+"""A row of a campaign: its seed, its time limit, its verdict, and the columns of its values."""
 
 from types import SimpleNamespace
 from typing import cast
@@ -20,7 +20,7 @@ def plan(tmp_path_factory):
     return read_plan(written(tmp_path_factory.mktemp("row"), text))
 
 
-def test_chance_differs_from_row_to_row_and_the_noise_of_sensors_from_the_configured_one_on(tmp_path):
+def test_the_sensor_seed_of_a_row_is_the_configured_one_plus_the_rows_seed(tmp_path):
     text = ALL.replace("changes:\n", "changes:\n  sensors: {tracker: {rate_Hz: 200}}\n").replace(
         "plant: {", "plant: {sensors: {seed: 7}, "
     )
@@ -37,17 +37,17 @@ def test_chance_differs_from_row_to_row_and_the_noise_of_sensors_from_the_config
     ("how", "passed"),
     [("complete", True), ("fault", True), ("limit", False), ("stopped", False), ("plant", False)],
 )
-def test_a_row_passes_only_where_its_run_has_ended_by_itself_or_in_a_fault(plan, how, passed):
+def test_a_row_passes_only_if_its_run_completed_or_ended_in_a_fault(plan, how, passed):
     measured = SimpleNamespace(figures=lambda: dict.fromkeys(METRICS, 0))
     ended = row.Ended(how, "", Fault(0), 5)
     assert row.outcome(plan.job(0), 1e3, ended, cast("Measurement", measured))["passed"] is passed
 
 
-def test_a_row_that_never_ends_has_failed_an_hour_after_what_it_tracks(plan, monkeypatch):
+def test_a_row_without_end_fails_an_hour_after_its_reference(plan, monkeypatch):
     assert row.LONGEST_S == 3600.0
     monkeypatch.setattr(row, "LONGEST_S", 0.05)
     job = plan.job(0)
     settings = job.subject.settings.model_copy(update={"duration_s": 0.1})
     found = run_row(job._replace(subject=job.subject._replace(settings=settings)))
     assert (found["ended"], found["passed"], found["ended_s"]) == ("stopped", False, pytest.approx(0.15))
-    assert "it has not ended 0.05 s after the" in found["trouble"]
+    assert "the run has not ended 0.05 s after its" in found["trouble"]

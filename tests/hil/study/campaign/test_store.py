@@ -1,4 +1,4 @@
-"""Rows on the disk: whole after a crash between any two steps, of one campaign, of one process."""
+"""Rows on the disk: complete after a crash at any step, of one campaign, for one process."""
 
 import random
 import signal
@@ -33,7 +33,7 @@ def opened(folder, made_of=MADE_OF, **options):
 
 
 def filled(folder, rows, made_of=MADE_OF):
-    """Add rows, each session some of them."""
+    """Add rows in two sessions."""
     for part in (rows[:4], rows[4:]):
         with opened(folder, made_of) as store:
             for row in part:
@@ -42,12 +42,12 @@ def filled(folder, rows, made_of=MADE_OF):
 
 
 def table(folder):
-    """Return the bytes of the table."""
+    """Bytes of the table."""
     with opened(folder) as store:
         return store.finish(store.rows()).read_bytes()
 
 
-def test_the_table_has_the_same_bytes_whatever_the_order_and_the_sessions(tmp_path):
+def test_the_table_has_the_same_bytes_for_any_order_and_number_of_sessions(tmp_path):
     orders = {"one": ROWS, "back": ROWS[::-1], "mixed": [*random.Random(1).sample(ROWS, len(ROWS)), ROWS[2]]}
     assert len({table(filled(tmp_path / name, rows)) for name, rows in orders.items()}) == 1
     assert pq.read_table(tmp_path / "mixed" / "table.parquet").to_pylist() == ROWS
@@ -64,7 +64,7 @@ for k in itertools.count():
 """
 
 
-def test_every_row_that_was_added_is_there_after_kill_9(tmp_path):
+def test_every_added_row_survives_kill_9(tmp_path):
     for instant in (0.0, 0.03, 0.1):
         folder = tmp_path / str(instant)
         with subprocess.Popen(
@@ -77,14 +77,14 @@ def test_every_row_that_was_added_is_there_after_kill_9(tmp_path):
             added = 1 + len(child.stdout.read().splitlines())
         with opened(folder) as store:
             assert sorted(store.rows())[:added] == list(range(added))
-            assert len(store.rows()) <= added + 1, "the one that it had not yet told"
+            assert len(store.rows()) <= added + 1, "one row was added but not yet printed"
             store.add(ROWS[0])
 
 
-def test_rows_of_another_campaign_are_refused_with_what_has_changed_and_how_to_go_on(tmp_path):
+def test_rows_of_another_campaign_are_refused_with_the_differing_parts(tmp_path):
     whole = table(filled(tmp_path, ROWS))
     changed = pytest.raises(
-        LogError, match=r"changed since: configuration, file a\.csv; allowed: .*`hil campaign --fresh`$"
+        LogError, match=r"these parts differ: configuration, file a\.csv\. .*`hil campaign --fresh`$"
     )
     with changed:
         opened(tmp_path, OTHER)
@@ -101,13 +101,13 @@ def test_rows_of_another_campaign_are_refused_with_what_has_changed_and_how_to_g
 def test_two_processes_do_not_share_a_folder(tmp_path):
     with opened(tmp_path) as store:
         store.add(ROWS[0])
-        with pytest.raises(LogError, match="another process works on this campaign; wait"):
+        with pytest.raises(LogError, match="another process runs this campaign; wait"):
             opened(tmp_path, fresh=True)
         store.add(ROWS[1])
     assert sorted(stored_rows(tmp_path, MADE_OF)) == [0, 1]
 
 
-def test_rows_are_read_while_another_process_has_the_folder_and_where_nothing_may_be_written(tmp_path):
+def test_rows_can_be_read_from_a_locked_or_read_only_folder(tmp_path):
     folder = tmp_path / "50 % of #2?"
     assert stored_rows(folder, MADE_OF) == {}
     with opened(folder) as running:
@@ -121,16 +121,16 @@ def test_rows_are_read_while_another_process_has_the_folder_and_where_nothing_ma
     folder.chmod(0o700)
 
 
-def test_a_damaged_database_is_named_with_what_to_do(tmp_path):
+def test_a_damaged_database_is_refused_with_advice(tmp_path):
     (filled(tmp_path, ROWS) / "campaign.sqlite").write_bytes(b"no database" * 100)
     for read in (opened, lambda folder: stored_rows(folder, MADE_OF)):
         with pytest.raises(LogError, match=r"campaign\.sqlite: .* remove it to run its rows again"):
             read(tmp_path)
 
 
-def test_a_folder_of_something_else_is_left_alone(tmp_path):
+def test_a_folder_with_other_files_is_refused_and_unchanged(tmp_path):
     (tmp_path / "thesis.txt").write_text("years")
-    with pytest.raises(LogError, match="holds no results of a campaign of this version; name an empty"):
+    with pytest.raises(LogError, match="has no campaign of this version; give an empty"):
         opened(tmp_path, fresh=True)
     assert [file.name for file in tmp_path.iterdir()] == ["thesis.txt"]
     with pytest.raises(LogError, match=r"thesis\.txt: cannot be used"):

@@ -1,0 +1,134 @@
+"""Configuration of a what-if: its changes, and the keys that must agree with the log.
+
+The controller may differ in all its decisions. Drives, sensors, their settings and the coding of their frames
+were fixed when the log was recorded.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from pydantic import BaseModel
+
+from drivers.errors import ConfigurationError
+from hil.app.configuration.changes import with_changes
+from hil.app.configuration.configuration import Configuration, loads
+from hil.app.configuration.yaml_positions import parse
+from hil.study.campaign.keys import put
+
+FREE_OF_DRIVES: dict[str, Any] = {"brake_after_ms": True, "homing": {"file"}}
+"""Keys of `drives` that affect neither frames nor controller; the log has the initial leg positions."""
+UNNAMED = {"name", "description", "compare", "watch"}
+"""Sections whose changes are not listed: they do not affect a controller."""
+
+
+def read_changes(words: Sequence[str]) -> dict[str, Any]:
+    """Parse changes for `hil.app.configuration.changes` from words as `controller.wn_rad_s=25`.
+
+    A value is YAML; an empty one removes a key or a section, so that its default holds.
+
+    Raises ConfigurationError: malformed words, or a key inside a key that has a plain value.
+    """
+    found: dict[str, Any] = {}
+    for each in words:
+        key, equals, text = each.partition("=")
+        document = parse(f"value: {text}")
+        if not equals or document.problems or document.value is None or set(document.value) != {"value"}:
+            raise ConfigurationError(
+                f"--set {each}: allowed: section.key=value with a YAML value, as controller.wn_rad_s=25; a "
+                "list or a section is given as a whole, as 'monitor={action: warn}'"
+            )
+        try:
+            put(found, key, document.value["value"])
+        except ConfigurationError as error:
+            raise ConfigurationError(f"--set {error}") from None
+    return found
+
+
+def changed(c: Configuration, words: Sequence[str], *, own: bool) -> Configuration:
+    """Apply changes to a configuration.
+
+    own : it is the configuration in a log; no folder is searched for its files.
+
+    Raises ConfigurationError: as `read_changes`, or the changed configuration is invalid.
+    """
+    if not words:
+        return c
+    name = f"{c.source} with --set"
+    text = with_changes(c.text, {"name": c.name} | read_changes(words))
+    try:
+        return loads(text, name, None if own else c.folder)
+    except ConfigurationError as error:  # positions in a text that no user has seen
+        problems = (re.sub(r"^.*?:\d+:\d+: ", f"{name}: ", problem) for problem in error.problems)
+        raise ConfigurationError(*problems) from None
+
+
+def refuse_other_inputs(there: Configuration, here: Configuration, rate_Hz: float) -> None:
+    """Refuse a configuration with which the inputs of a log would have another meaning.
+
+    there : configuration in the log; here : configuration of the what-if; rate_Hz : rate of the log's run.
+
+    Raises ConfigurationError with all differences.
+    """
+    recorded = _inputs(there)
+    if here.loop.rate_Hz == rate_Hz:
+        recorded["loop.rate_Hz"] = rate_Hz, ""
+    found = []
+    for key, (given, why) in _inputs(here).items():
+        needed = recorded.get(key, (None, ""))[0]
+        if given != needed:
+            found.append(
+                f"{here.source}: {key}: {_text(given)}, allowed: {_text(needed)}, as in the log: {why}"
+            )
+    if found:
+        raise ConfigurationError(
+            *found,
+            "Give these keys the values of the log, or change the log's own configuration: --set KEY=VALUE "
+            "without --what-if",
+        )
+
+
+def _inputs(c: Configuration) -> dict[str, tuple[Any, str]]:
+    """Keys that give recorded inputs their meaning: key -> value, and why it must agree with the log."""
+    laid, read = "the layout of its frames", "it determines drives and the coding of their frames"
+    found: dict[str, tuple[Any, str]] = {
+        "bus.layout": (c.bus.layout, laid),
+        "bus.channels (legs of each bus)": (c.bus.legs, laid),
+        "reactions.silence": (c.reactions.silence, "the drives were set to it and confirm it"),
+        "loop.rate_Hz": (c.loop.rate_Hz, "the period of its ticks"),
+    }
+    for key, value in c.drives.model_dump(mode="json", exclude=FREE_OF_DRIVES).items():
+        own = "; the controller's own limit is limits.force_N" if key == "force_limit_N" else ""
+        found[f"drives.{key}"] = value, read + own
+    why = "it identifies the sensor's frames; none: the log has no such frames"
+    for kind, sensor in c.sensors:
+        if sensor is not None:
+            found |= {f"sensors.{kind}.{key}": (getattr(sensor, key), why) for key in ("node_id", "channel")}
+    return found
+
+
+def changes(there: Configuration, here: Configuration) -> list[str]:
+    """Keys in which two configurations differ, each with both values."""
+    one, other = (dict(_flat("", dict(c))) for c in (there, here))
+    keys = [key for key in {**one, **other} if key.partition(".")[0] not in UNNAMED]
+    return [
+        f"{key}: {_text(one.get(key))} -> {_text(other.get(key))}"
+        for key in keys
+        if one.get(key) != other.get(key)
+    ]
+
+
+def _flat(key: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """Yield the values of nested sections with dotted keys."""
+    found = value.model_dump(mode="json") if isinstance(value, BaseModel) else value
+    if not isinstance(found, dict):
+        yield key, found
+        return
+    for name, inner in found.items():
+        yield from _flat(f"{key}.{name}".removeprefix("."), inner)
+
+
+def _text(value: Any) -> str:
+    """Short text of a value."""
+    text = "none" if value is None else str(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."

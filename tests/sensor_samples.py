@@ -1,0 +1,99 @@
+"""Samples of sensors as values for tests; compiled code has them in records of SENSORS."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drivers.arrays import Array, Rows
+from drivers.compiled.compiler import INTEGER, kernel, record, records
+from drivers.compiled.pointed import data_at
+from drivers.frame_array import FRAME
+from drivers.sensor_kernels import NEVER, SAMPLE, SENSORS, hear, no_sensors, unheard
+from drivers.sensors import SensorProtocol
+from drivers.signals import LEGS
+from drivers.tick_columns import Record
+from hil.estimation.fusion import FusedEstimator
+from hil.estimation.fusion_tick import fuse
+
+
+class Sample(NamedTuple):
+    """One element of SAMPLE."""
+
+    tick: int
+    offset_s: float
+    values: tuple[float, ...]
+
+    def ticks(self, period_s: float) -> float:
+        """Instant of the sample in ticks; k is the latching of tick k."""
+        return self.tick + self.offset_s / period_s
+
+
+class Readings(NamedTuple):
+    """Samples of all sensors in one tick."""
+
+    tracker: tuple[Sample, ...] = ()
+    imu: tuple[Sample, ...] = ()
+    wrench: tuple[Sample, ...] = ()
+    rejected: int = 0
+    lost: int = 0
+    counters: tuple[int, int, int] = (NEVER, NEVER, NEVER)
+
+
+class Health(NamedTuple):
+    """Quantities by which a tick of the filter is judged."""
+
+    lost: tuple[bool, ...]
+    slipped: tuple[bool, ...]
+    position_std: float
+    gap_s: float
+    missed: bool
+
+
+hear_frames = kernel(record(SENSORS), records(FRAME), INTEGER)(hear)
+"""Arguments: (record of SENSORS, elements of FRAME, tick). Reads the samples among a tick's frames."""
+
+
+def decode(protocol: SensorProtocol, frames: Rows, tick: int, before: Readings) -> Readings:
+    """Samples among a tick's frames."""
+    sensors, samples = unheard(protocol.tables)
+    sensors["counter"] = before.counters
+    hear_frames(sensors, frames, tick)
+    return of_record(sensors, samples)
+
+
+def of_record(sensors: Record, samples: Rows) -> Readings:
+    kinds = [
+        tuple(Sample(int(s["tick"]), float(s["offset_s"]), tuple(s["values"].tolist())) for s in row[:count])
+        for row, count in zip(samples, sensors["count"].tolist(), strict=True)
+    ]
+    numbers = int(sensors["rejected"]), int(sensors["lost"]), tuple(sensors["counter"].tolist())
+    return Readings(*kinds, *numbers)  # type: ignore[arg-type, call-arg]
+
+
+def as_record(readings: Readings) -> tuple[Record, Rows]:
+    """Readings as a record of SENSORS, with the samples at its address."""
+    sensors, samples = unheard(no_sensors())
+    for kind, own in enumerate(readings[:3]):
+        sensors["count"][kind] = len(own)
+        samples[kind, : len(own)] = np.array([tuple(sample) for sample in own], SAMPLE)
+    sensors["rejected"] = readings.rejected
+    return sensors, samples
+
+
+def update(
+    found: FusedEstimator, tick: Record, t_ns: int | None, readings: Readings, command: Array, wrench: Array
+) -> Health:
+    """Fill a tick, latched at t_ns, as the compiled pass does; return the health of the filter."""
+    sensors, _samples = as_record(readings)
+    if t_ns is not None:
+        tick["t_ns"], tick["lateness_ns"], tick["latch_ns"] = t_ns, 0, 0
+    force, load = (np.ascontiguousarray(each, np.float64) for each in (command, wrench))
+    assert fuse(found.record, sensors, data_at(force), data_at(load), tick) == 0
+    f: Any = found.record
+    lost, slipped = (
+        tuple(bool(bits >> leg & 1) for leg in range(LEGS))
+        for bits in (int(f["lost"]), int(tick["legs_slipped"]))
+    )
+    return Health(lost, slipped, float(f["position_std_m"]), float(f["gap_s"]), bool(f["missed"]))

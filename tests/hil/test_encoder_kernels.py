@@ -310,6 +310,16 @@ def test_encoders_may_be_late_by_a_period_if_only_few_legs_move(moving, sign):
     assert tick["doubt_limit"] == pytest.approx(T * abs(rates[leg]) + CREEP)
 
 
+def test_encoders_a_late_leg_is_judged_by_its_own_bound():
+    """Forces widen the bound of leg 0 by 1 m; only leg 5 moves, and its answer is late by most of a period."""
+    mobility = np.zeros((6, 6))
+    mobility[0, 0] = 1.0
+    bench = Bench(mobility=mobility, acting_ticks=3)
+    bench.ticks(2, rate=six(-8.0, 5))
+    bench.ticks(1, tau_asked=six(FORCE_N, 0))
+    bench.ticks(1, late_s=0.99 * T)
+
+
 @pytest.mark.parametrize("heard", [[5], [0, 5]])
 def test_encoders_may_be_late_by_a_period_if_only_few_legs_answer(heard):
     """A stall just before SYNC: only some answers arrive in time."""

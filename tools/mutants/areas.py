@@ -56,7 +56,7 @@ AREAS = {
         hil/study/what_if/* hil/study/log_comparison hil/study/replay_suite hil/record/divergence""",
         """hil/test_divergence hil/app/test_recorded_files hil/app/test_bad_input replay/test_log_comparison
         replay/test_replay_suite replay/test_what_if* replay/test_replay replay/test_tampered_log
-        replay/test_versions hil/app/test_controller_file""",
+        replay/test_versions hil/app/test_controller_file loop/test_setpoints""",
     ),
     "salvage": ("hil/record/salvage", "hil/test_salvage* hil/test_log*"),
     "log": (

@@ -26,7 +26,7 @@ from hil.app.configuration.fault_rules import require_bus
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, learned_forces
 from hil.app.configuration.law_file import ATTACHMENT
 from hil.app.configuration.platform import build_platform, platform_dict, pose_arrays
-from hil.app.encoder_limits import believed_mass_kg, encoder_limits, leg_errors, read_noise
+from hil.app.derive_encoder_limits import believed_mass_kg, encoder_limits, leg_errors, read_noise
 from hil.app.homing.last_pose import attached, last_pose_of, start_pose
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload

@@ -31,7 +31,7 @@ from hil.contracts.loopback import (
 )
 from hil.contracts.messages import Configure, Status, announce
 from hil.contracts.protocol import ProtocolContract
-from plant_fmu.drives.kernels import fail
+from plant_fmu.drives.drive_rules import fail
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import DriveReset, DriveSilence
 

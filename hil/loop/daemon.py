@@ -18,7 +18,7 @@ from drivers.signals import Command, DriveMode, Mode
 from hil.loop.clock import Deadlines, Wake
 from hil.loop.console import Console
 from hil.loop.cycle import Cycle
-from hil.loop.latches import checked, fresh_ids, latch_ns
+from hil.loop.latch_times import checked, fresh_ids, latch_ns
 from hil.loop.panel import OperatorPanel
 from hil.loop.report import off_not_sent
 from hil.loop.run_end import Course, Ending

@@ -44,7 +44,7 @@ class EncoderLimits(NamedTuple):
     """Time that the brakes get to open."""
     period_s: float
     unnamed: int = 0
-    """1: feedback does not identify its SYNC or poll, see `hil.safety.encoder_kernels.compare`."""
+    """1: feedback does not identify its SYNC or poll, see `hil.safety.encoder_rules.compare`."""
     differences: int = 0
     """1: rates are computed from the last three lengths, see `hil.safety.residuals`."""
     apart: int = 0

@@ -11,8 +11,8 @@ from drivers.signals import LEGS, DriveState, Fault, Foreign, Mode, Stop, Warn
 from drivers.tick_columns import TICK, part
 from hil.config.limits import LimitSettings
 from hil.safety import certificate
-from hil.safety.encoder_kernels import judge_encoders, probed
 from hil.safety.encoder_limits import ENCODER_LIMITS, ENCODER_MEMORY
+from hil.safety.encoder_rules import judge_encoders, probed
 from hil.safety.error_axes import error_axes
 from hil.safety.force_limits import clamp, remember, window_extremes
 from hil.safety.motion import HOP, REST_m_s, at_rest, lagging, moved_legs, overspeed, too_fast_for_end

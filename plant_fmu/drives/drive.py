@@ -20,8 +20,8 @@ from drivers.tick_columns import Record
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.codec import MESSAGE, READING, DrivesEnd
-from plant_fmu.drives.kernels import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
-from plant_fmu.drives.live import due_ns
+from plant_fmu.drives.compiled_pass import due_ns
+from plant_fmu.drives.drive_rules import BOOT, BRAKE, NEVER_NS, WORKS, encoder, enter
 from plant_fmu.drives.record import NODES, ROOM
 from plant_fmu.faults.fault import Present
 from plant_fmu.plant import Moved, Plant, Truth

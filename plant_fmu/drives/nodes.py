@@ -22,10 +22,10 @@ from drivers.protocol import Frame, Received
 from drivers.signals import LEGS
 from drivers.transmission import Transmission
 from plant_fmu.config import DriveEmulation
-from plant_fmu.drives import drives_end, kernels, record
+from plant_fmu.drives import drive_rules, drives_end, record
+from plant_fmu.drives.compiled_pass import live
 from plant_fmu.drives.drive import Drives, Reading, Snapshot, at_motor, forgotten_m, moved
 from plant_fmu.drives.gateway import Gateway
-from plant_fmu.drives.live import live
 from plant_fmu.faults.plan import FaultPlan, Schedule, weight
 from plant_fmu.plant import Plant, Truth
 
@@ -210,7 +210,7 @@ class Nodes:
         return int(n["t0_ns"]) + round(int(n["k"]) * self._h_ns)
 
     def _note_edge(self) -> None:
-        self._record["edge_ns"] = self._edges[0] if self._edges else kernels.NEVER_NS
+        self._record["edge_ns"] = self._edges[0] if self._edges else drive_rules.NEVER_NS
 
     def _set_wrench(self) -> None:
         """Set the wrench on the platform; the weight of a mass acts at its current position."""
@@ -246,7 +246,7 @@ class Nodes:
         self._switch_on(present.reset)
         self._end.restart([k for k in n["number"][np.array(present.reset)].tolist() if k != record.MUTE])
         self._set_wrench()
-        kernels.actuate(self._drives.seen, False, t)
+        drive_rules.actuate(self._drives.seen, False, t)
 
     def _switch_on(self, which: Sequence[bool]) -> None:
         """Let the encoders of drives that are switched on lose their count of turns."""

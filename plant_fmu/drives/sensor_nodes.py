@@ -19,7 +19,7 @@ from drivers.sensor_kernels import IMU
 from drivers.sensors import KINDS, SensorProtocol
 from drivers.tick_columns import Record
 from plant_fmu.config import DriveEmulation, SensorEmulation
-from plant_fmu.drives.kernels import NEVER_NS
+from plant_fmu.drives.drive_rules import NEVER_NS
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.drives.sensor_kernels import SENSED, SILENT, listen, measure
 from plant_fmu.faults.plan import FaultPlan

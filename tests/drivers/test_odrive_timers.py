@@ -16,9 +16,9 @@ from drivers.protocol import Frame, Received
 from drivers.signals import LEGS, Command, DriveMode, DriveState, Reaction
 from hil.app.check.subject import answered_ns
 from hil.app.configuration.bus_budget import timed_feedbacks
-from hil.app.encoder_limits import encoder_limits
+from hil.app.derive_encoder_limits import encoder_limits
 from hil.contracts.loopback import BEAT_TICKS, FORCE, OFF, PERIOD_NS, READY, RESET, SETUP, Ends, Line, at_tick
-from hil.loop.latches import checked
+from hil.loop.latch_times import checked
 from tests.drivers.motor_families import GEAR, ODriveProtocol, odrive
 from tests.drivers.motor_families import ODRIVE_NODES as NODES
 from tests.hil.lab.bringup.families import family

@@ -41,7 +41,7 @@ STEPS: dict[str, list[tuple[str, str | None, str]]] = {
         ("hil/safety/ceiling.py", NEW, (PARTS / "rule.py").read_text()),
         (
             "hil/safety/kernels.py",
-            "from hil.safety.encoder_kernels",
+            "from hil.safety.encoder_rules",
             "from hil.safety.ceiling import too_high\n",
         ),
         (

@@ -13,7 +13,7 @@ from drivers.arrays import ZERO6
 from drivers.signals import Mode, Warn
 from hil.app import compose
 from hil.app.compose import build_cycle, drive_setup
-from hil.app.encoder_limits import Noise
+from hil.app.derive_encoder_limits import Noise
 from hil.control.pose_inverse_dynamics import PoseInverseDynamicsSettings
 from hil.design.stability.monitor import build_watch
 from hil.loop.cycle import Cycle

@@ -9,7 +9,7 @@ import pytest
 
 from drivers.signals import Doubt, Mode
 from hil.loop.probe import fill_probe
-from hil.safety import encoder_kernels
+from hil.safety import encoder_rules
 from hil.safety.residuals import SETTLES_S
 from tests.hil.encoder_bench import BOTH_SIGNS, CREEP, ON_ONE_LEG, RATES, Bench, T, after, calm, doubted, six
 
@@ -234,7 +234,7 @@ def test_encoders_a_sticking_leg_is_doubted_after_its_pushes(both_ways, most, si
 def test_encoders_a_pushed_leg_makes_no_other_leg_suspect_until_it_settled(leg):
     """Otherwise pushes would spread from leg to leg: each moves a leg by more than the suspicion threshold."""
     memory = SimpleNamespace(push=six(0), unsettled_s=six(0.0), began=np.zeros((6, 6)))
-    settle = encoder_kernels.let_settle
+    settle = encoder_rules.let_settle
     memory.push[leg] = -1
     settle(memory, six(1.0), 0.2501 * SETTLES_S)
     memory.push[leg] = 0
@@ -321,7 +321,7 @@ def test_encoders_a_push_fades_at_its_rate_before_it_reverses(sign):
 
 @ON_ONE_LEG
 def test_encoders_a_leg_counts_as_probed_until_its_push_force_is_zero(leg):
-    probed = encoder_kernels.probed
+    probed = encoder_rules.probed
     assert not probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(0)))
     assert probed(SimpleNamespace(probe_force=six(0.0)), SimpleNamespace(push=six(-1, leg)))
     assert probed(SimpleNamespace(probe_force=six(0.5, leg)), SimpleNamespace(push=six(0)))

@@ -83,7 +83,7 @@ def source_of(name: str) -> ast.Module:
 def plain_links() -> dict[str, Any]:
     """Every function of the package in uncompiled form, and the modules that guard imports."""
     links: dict[str, Any] = {"error_axes": error_axes}
-    for name in [*FAMILIES, "residuals", "encoder_kernels", "kernels"]:
+    for name in [*FAMILIES, "residuals", "encoder_rules", "kernels"]:
         module = load(name, source_of(name), links)
         links.update({k: v for k, v in vars(module).items() if inspect.isfunction(v)})
         links[name] = module
@@ -207,7 +207,7 @@ def test_guard_tests_notice_every_change_of_the_combined_kernels(monkeypatch):
 
 
 @pytest.mark.long
-def test_encoder_tests_notice_every_change_of_the_encoder_kernels(monkeypatch):
+def test_encoder_tests_notice_every_change_of_the_encoder_rules(monkeypatch):
     doubts, motion = claims("test_encoder_kernels.py"), claims("test_encoder_motion.py")
     for other in (motion, claims("test_encoder_answers.py")):
         vars(doubts).update({k: v for k, v in vars(other).items() if k.startswith("test_encoders_")})
@@ -218,9 +218,9 @@ def test_encoder_tests_notice_every_change_of_the_encoder_kernels(monkeypatch):
         kernels = load("kernels", source_of("kernels"), {**links, **functions})
         linked = load("guard", source_of("guard"), {**links, **entries(vars(kernels))})
         monkeypatch.setattr(encoder_bench, "guard", linked)
-        motion.encoder_kernels = changed  # type: ignore[attr-defined]
+        motion.encoder_rules = changed  # type: ignore[attr-defined]
 
-    left = survivors("encoder_kernels", doubts, exchange, "test_encoders_")
+    left = survivors("encoder_rules", doubts, exchange, "test_encoders_")
     assert not left, "\n".join(left)
 
 

@@ -21,7 +21,7 @@ from drivers.protocol import Received
 from drivers.signals import INVALID, DriveFault, DriveState, Mode
 from drivers.tick_columns import COLUMNS, Record, copy_of, part
 from hil.app.configuration.configuration import load
-from hil.app.encoder_limits import encoder_limits
+from hil.app.derive_encoder_limits import encoder_limits
 from hil.config.estimation import FusionSettings
 from hil.config.limits import LimitSettings
 from hil.contracts.drives_end import reports

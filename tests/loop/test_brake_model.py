@@ -27,7 +27,7 @@ from hil.loop.modes import (
     overdue,
 )
 from hil.signals import Operator
-from plant_fmu.drives.kernels import TRANSITIONS
+from plant_fmu.drives.drive_rules import TRANSITIONS
 
 DURATIONS = Durations(load=0.3, release=0.1, close=0.1)
 LATE = DRIVE_PATIENCE_S + 0.1

@@ -14,7 +14,7 @@ import pytest
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from drivers.signals import LEGS, Fault, Mode, Warn
-from hil.app.encoder_limits import leg_errors
+from hil.app.derive_encoder_limits import leg_errors
 from hil.app.sim.command import simulate
 from hil.app.sim.lockstep import Lockstep
 from hil.record.log import Log

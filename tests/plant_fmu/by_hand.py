@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from plant_fmu.drives import kernels
+from plant_fmu.drives import drive_rules
 from plant_fmu.drives.drive import Drives
 
 
 def enter(drives: Drives, leg: int, state: int, reason: int) -> None:
     """Change the state of one drive."""
-    kernels.enter(drives.seen, leg, state, reason)
+    drive_rules.enter(drives.seen, leg, state, reason)

@@ -19,10 +19,10 @@ AREAS = {
     "cycle": (
         """hil/loop/cycle hil/loop/parts hil/loop/reference hil/loop/sight hil/loop/homing
         hil/loop/clock hil/loop/effort
-        hil/loop/latches hil/loop/daemon hil/loop/panel hil/loop/report""",
+        hil/loop/latch_times hil/loop/daemon hil/loop/panel hil/loop/report""",
         """hil/test_cycle* hil/test_clock hil/app/test_rate_selection hil/test_homing hil/test_reference
         hil/test_stage_columns hil/test_fusion* hil/test_effort hil/test_sight hil/test_waiting
-        hil/test_learned hil/test_report hil/test_latches hil/test_daemon* hil/test_panel
+        hil/test_learned hil/test_report hil/test_latch_times hil/test_daemon* hil/test_panel
         loop/test_daemon loop/test_holding_force loop/test_release loop/test_setpoints loop/test_operate
         loop/test_engage loop/test_reactions""",
     ),

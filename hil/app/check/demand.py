@@ -11,7 +11,7 @@ from drivers.files import read_regular
 from hil.app.compose import build_admission
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_path, read_feedforward
-from hil.app.encoder_limits import AWAY, efficiencies, friction_N, stated_friction_N
+from hil.app.derive_encoder_limits import AWAY, efficiencies, friction_N, stated_friction_N
 from hil.app.reachability import Walk, drive_forces, window_swing
 from hil.config.feedforward import FeedforwardHead
 from hil.loop.jogging import jog_path, setup_share

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hil.app.check.report import Report
-from hil.app.encoder_limits import friction_N, leg_errors, steps
+from hil.app.derive_encoder_limits import friction_N, leg_errors, steps
 from hil.design.stability.monitor import certified
 from hil.safety.residuals import (
     SHOWS_AS_GAP,

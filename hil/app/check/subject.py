@@ -28,7 +28,7 @@ from hil.app.configuration.controller_file import controller_of
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path, Problem, parse
-from hil.app.encoder_limits import encoder_limits
+from hil.app.derive_encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import Violation, Walk, span_s, violations, walk
 from hil.app.unknown_payload import UnknownPayload, force_steps_N, stepped_error_m, unknown_payload

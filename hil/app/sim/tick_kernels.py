@@ -10,7 +10,7 @@ from drivers.frame_pointers import frames_at
 from hil.app.sim import wire_kernels
 from hil.app.sim.wire_kernels import WIRES
 from hil.loop import tick_row as part
-from plant_fmu.drives.live import NODES_RECORD, live
+from plant_fmu.drives.compiled_pass import NODES_RECORD, live
 
 HEAR, PASS, SYNC, LIVE, ANSWER = range(part.START + 1, part.OBSERVE)
 """Stages of a tick: drives that send unrequested frames receive earlier ones; their frames are queued; SYNC

@@ -13,7 +13,7 @@ from drivers.errors import ConfigurationError, HilError
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import Corner, corners
 from hil.app.configuration.platform import build_platform
-from hil.app.encoder_limits import efficiencies, encoder_limits
+from hil.app.derive_encoder_limits import efficiencies, encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import span_s
 from hil.config.axis_model import AxisSpace

@@ -13,7 +13,7 @@ from hil.app.check.command import refuse_unreachable
 from hil.app.configuration.changes import unattended, with_changes
 from hil.app.configuration.configuration import Configuration, loads
 from hil.app.configuration.feedforward_file import MOST_BYTES, feedforward_text, largest_written
-from hil.app.encoder_limits import leg_errors
+from hil.app.derive_encoder_limits import leg_errors
 from hil.app.sim.command import simulate
 from hil.config.feedforward import FeedforwardHead, MadeFor
 from hil.lab.identify.runs import refuse_fused

@@ -15,7 +15,7 @@ from drivers.signals import Doubt, DriveState, Mode
 from hil.app.check.command import inspect, refuse_unreachable
 from hil.app.check.demand import clipped
 from hil.app.configuration.configuration import load, loads
-from hil.app.encoder_limits import encoder_limits, friction_N
+from hil.app.derive_encoder_limits import encoder_limits, friction_N
 from hil.app.reachability import Walk
 from hil.app.unknown_payload import unknown_payload
 from hil.contracts.records import record_of

@@ -10,7 +10,7 @@ from hil.app.check.command import inspect
 from hil.app.configuration.configuration import load, loads
 from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, platform_body, pose_arrays
-from hil.app.encoder_limits import encoder_limits
+from hil.app.derive_encoder_limits import encoder_limits
 from hil.app.stability.command import judge
 from hil.app.unknown_payload import unknown_payload
 from hil.robot.dynamics import Model

@@ -14,8 +14,8 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.estimation.fusion_layout import LegErrors
-from hil.safety.encoder_kernels import RATE_MOVES
 from hil.safety.encoder_limits import UNASKED, UNSHARED, EncoderLimits
+from hil.safety.encoder_rules import RATE_MOVES
 from hil.safety.residuals import MOVED
 from plant_fmu.config import BenchPlant, StewartPlant
 

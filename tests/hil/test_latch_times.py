@@ -15,17 +15,17 @@ from hil.app.configuration.bus_budget import shortest_answer_ns
 from hil.app.configuration.configuration import load
 from hil.contracts.drives_end import reading_of
 from hil.contracts.messages import Sync, hear, reply
-from hil.loop import latches
+from hil.loop import latch_times
 from plant_fmu.drives import drives_end
 from tests.drivers.legs_frames import opening
 
 
 def latch_ns(family, opening, sent_ns, woke_ns):
-    return latches.latch_ns(family, sent_array(opening), sent_ns, woke_ns)
+    return latch_times.latch_ns(family, sent_array(opening), sent_ns, woke_ns)
 
 
 def checked(family, opening, sent_ns, answers, *times):
-    return latches.checked(family, sent_array(opening), sent_ns, received_array(answers), *times)
+    return latch_times.checked(family, sent_array(opening), sent_ns, received_array(answers), *times)
 
 
 SYNC, ANSWER = Frame(0x80, b""), 111_000

@@ -18,7 +18,16 @@ from drivers.signals import LEGS, DriveFault
 from drivers.transmission import fill_loss
 from plant_fmu.drives import codec
 from plant_fmu.drives import record as r
-from plant_fmu.drives.kernels import NEVER_NS, actuate, configure, encoders, fail, feed, next_move_ns, obey
+from plant_fmu.drives.drive_rules import (
+    NEVER_NS,
+    actuate,
+    configure,
+    encoders,
+    fail,
+    feed,
+    next_move_ns,
+    obey,
+)
 
 NODES_RECORD: Any = record(r.NODES)
 _FRAME, _MESSAGE = FRAME.itemsize, codec.MESSAGE.itemsize

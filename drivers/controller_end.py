@@ -125,7 +125,7 @@ class ControllerEnd(ABC):
         return self.state.copy()
 
     def remember(self, dialogue: Rows) -> None:
-        """Continue a dialogue saved by `remembered`."""
+        """Restore the fields of the dialogue, from `first` on, from a copy made by `remembered`."""
         names = self.state.dtype.names or ()
         for name in names[names.index(self.first) :]:
             self.state[name] = dialogue[name]

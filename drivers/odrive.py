@@ -45,7 +45,7 @@ COMMANDS = sum(
         0x04, ADDRESS, 0x0C, 0x0D, *range(0x0F, 0x14), 0x16, 0x19, 0x1A, 0x1B, 0x1F,
     }
 )  # fmt: skip
-"""Bits of the commands that a controller sends with data."""
+"""Bit mask: bit k is set if a controller sends command k with data."""
 WATCHDOG_EXPIRED, STOP_REQUESTED = 0x1000000, 0x2000000
 """Errors of an axis that correspond to a DriveFault."""
 NOT_OURS = EXTENDED | FD | ERROR

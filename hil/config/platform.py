@@ -43,7 +43,7 @@ class JointCircle(Section):
         if self.angles_deg is not None and (halves != (None, None) or self.pairs_begin != "first_leg"):
             raise ValueError("angles_deg excludes keys of pairs, allowed: radius_m, z_m and angles_deg alone")
         if self.pair_centres_deg is not None and halves.count(None) != 1:
-            raise ValueError("allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m")
+            raise ValueError("pair_centres_deg needs exactly one of pair_half_angle_deg and pair_spacing_m")
         if self.pair_spacing_m is not None and not self.pair_spacing_m < 2 * self.radius_m:
             allowed = f"less than 2 radius_m, {2 * self.radius_m:g}, given: {self.pair_spacing_m:g}"
             raise ValueError(f"pair_spacing_m does not fit on the circle, allowed: {allowed}")

@@ -115,8 +115,11 @@ class ExternalWrench:
         return bool(self._record["observe"] or self._record["sensed"])
 
     def fill(self, tick: Record, *, fusing: bool) -> bool:
-        """Fill the wrench of a tick, zero without a source, and the sensor's last reading; call it once.
+        """Fill `wrench` ((6,) N, N m: load on the platform at its origin, base frame; zero without a source)
+        and `wrench_sensor`, the last reading of the sensor. Call once per tick.
 
-        Return True if the sensor is the source and has missed samples: its last one is held.
+        fusing: the fusion filter runs; the observer then needs all six legs.
+
+        True if the sensor is the source and its last sample is too old: that sample is held.
         """
         return bool(_fill(self._record, int(fusing), tick))

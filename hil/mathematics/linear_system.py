@@ -152,4 +152,4 @@ def _diagonal(a: Array, b: Array) -> Array:
 
 def _same_time(one: LinearSystem, other: LinearSystem) -> None:
     if one.period_s != other.period_s:
-        raise ModelError(f"systems with different periods: {one.period_s} and {other.period_s} s")
+        raise ModelError(f"cannot combine systems with sample periods {one.period_s} and {other.period_s} s")

@@ -107,7 +107,7 @@ class Nodes:
         until the next pass. Raises PlantError if `t_ns` is before the last one or the plant fails.
         """
         if t_ns < self._record["now_ns"]:
-            raise PlantError(f"nodes: time runs backwards, {t_ns} ns after {self.now_ns} ns")
+            raise PlantError(f"nodes: t_ns {t_ns} is before the last pass at {self.now_ns}")
         if self._present.hangs:
             self._missed.append(received.copy())
             if self.schedule.present(t_ns).hangs:

@@ -1,4 +1,4 @@
-"""Emulated ODrive axes: they implement the first five of `drivers.odrive.COMMANDS`."""
+"""Emulated ODrive axes: they implement ESTOP, AXIS_STATE, MODES, TORQUE and CLEAR."""
 
 from typing import Any
 

@@ -299,7 +299,7 @@ def described(path: Path) -> Any:
 
 
 def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
-    """Check the description of an FMU against `spec`.
+    """Interface of an FMU (variables, binary, start values), checked against `spec`.
 
     members: names in the archive. Checked are FMI version, co-simulation, a binary for this machine, the
     parameters, and for each mapped variable existence, causality, type, unit and number of elements. Raises

@@ -214,7 +214,7 @@ def test_frame_gives_its_scaled_registers_or_is_broken():
         (0x28, {0: 1.0}),
     ],
 )
-def test_command_registers_have_these_scales(register, scales):
+def test_command_register_scale_depends_on_register_and_number_width(register, scales):
     for width, scale in scales.items():
         number = struct.pack("<" + "bhif"[width], 3)
         found: Any = registers(bytes((WRITE | width << 2 | 1, register)) + number, WRITE)

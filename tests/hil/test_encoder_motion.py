@@ -295,7 +295,7 @@ def test_encoders_frozen_legs_are_pushed_only_with_open_brakes():
     ("sticks", "ticks", "rise", "fall"),
     [(0, 0, 1, 600.0), (0, 1, 1, 600.0), (0, 4, 1, 150.0), (1, 4, 1, 300.0), (1, 12, 9, 300.0 / 9.0)],
 )
-def test_encoders_a_push_ends_as_fast_as_it_rises_or_turns(sticks, ticks, rise, fall):
+def test_encoders_a_push_fades_at_the_rate_at_which_it_rises_or_reverses(sticks, ticks, rise, fall):
     limits = SimpleNamespace(push_ticks=ticks, push_N=six(300.0), sticks=sticks, rise_ticks=rise)
     memory, tick = SimpleNamespace(push=six(0, dtype=int)), SimpleNamespace(probe_force=six(900.0))
     fill_probe(tick, tick, limits, memory)

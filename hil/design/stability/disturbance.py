@@ -188,7 +188,9 @@ class _Robot(NamedTuple):
     curve: Array
 
     def of_axes(self, dtwist: Array) -> Array:
-        """Accelerations (n, 6) of the axes for accelerations of the platform."""
+        """Accelerations (n, 6) of the controlled axes (legs if `joint`, else pose) for dtwist (n, 6), m/s^2,
+        rad/s^2.
+        """
         return _times(self.J, dtwist) + self.curve if self.joint else dtwist
 
     def answer(self, tau: Array) -> Array:

@@ -118,10 +118,8 @@ def _well_posed(plant: _Normal, p: int, m: int) -> None:
         "An axis 1/s^2 needs a disturbance at its input and noise in its measurement; "
         "a plain mixed sensitivity has no such disturbance"
     )
-    _require((A - B2 @ C1[p:]).T, C1[:p].T, axis, f"is ill posed: not observable in z without u. {remedy}")
-    _require(
-        A - B1[:, m:] @ C2, B1[:, :m], axis, f"is ill posed: not excited by w without noise in y. {remedy}"
-    )
+    _require((A - B2 @ C1[p:]).T, C1[:p].T, axis, f"ill posed: not observable in z without u. {remedy}")
+    _require(A - B1[:, m:] @ C2, B1[:, :m], axis, f"ill posed: not excited by w without noise in y. {remedy}")
 
 
 def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> None:
@@ -135,7 +133,9 @@ def _require(A: Array, B: Array, poles: Callable[[float], bool], what: str) -> N
         if poles(pole.real / fastest):
             reach = np.linalg.svd(np.hstack([A - pole * np.eye(len(A)), B]), compute_uv=False)
             if reach[-1] <= REACH * scale:
-                raise SynthesisError(f"the mode at {abs(pole):.3g} rad/s {what}")
+                raise SynthesisError(
+                    f"the mode of the weighted plant at {abs(pole):.3g} rad/s makes the synthesis {what}"
+                )
 
 
 def _optimum(plant: _Normal) -> float:

@@ -98,7 +98,7 @@ class Machine:
     joint_distances: Array
     """(poses, 6, 6) m, from base joint (second index) to platform joint (third) at these poses."""
     pose_words: tuple[str, ...]
-    """The known poses as text."""
+    """Text of each known pose for the operator: position, m, and rotation vector, deg."""
     known_identifiers: frozenset[int]
     """Identifiers of all frames of this protocol."""
     unasked_identifiers: frozenset[int] = frozenset()

@@ -161,7 +161,7 @@ BAD = [
 BAD_CIRCLES = [
     ("{angles_deg: [0, 60, 120, 180, 240, 300]}", "platform.base_joints_m.radius_m: missing, allowed: a number greater than 0"),
     ("{radius_m: 2}", "platform.base_joints_m: allowed: either angles_deg or pair_centres_deg"),
-    ("{radius_m: 2, pair_centres_deg: [0, 120, 240]}", "platform.base_joints_m: allowed with pair_centres_deg: either pair_half_angle_deg or pair_spacing_m"),
+    ("{radius_m: 2, pair_centres_deg: [0, 120, 240]}", "platform.base_joints_m: pair_centres_deg needs exactly one of pair_half_angle_deg and pair_spacing_m"),
     ("{radius_m: 2, angles_deg: [0, 60, 120, 180, 240, 300], pairs_begin: second_leg}", "platform.base_joints_m: angles_deg excludes keys of pairs"),
     ("{radius_m: 2, angles_deg: [0, 0, 0, 180, 180, 180]}", "platform.base_joints_m: got legs 0 and 1 with both joints in common"),
 ]  # fmt: skip

@@ -51,7 +51,7 @@ def broken(w: Walk, *, but: str = "") -> list[str]:
 
 @pytest.mark.parametrize("leg", LEGS)
 @pytest.mark.parametrize("way", WAYS)
-def test_leg_too_fast_to_stop_before_its_end_violates_the_limit(leg, way):
+def test_leg_too_fast_to_stop_before_its_soft_end_is_a_violation(leg, way):
     """With 10 m/s^2 over 50 mm: 1 m/s. The end behind the leg does not count, at any distance."""
     ahead, behind = (HIGH - 0.02, LOW + 0.02)[:: int(way)]
     assert broken(walked(leg, q=ahead - 0.05 * way, dq=0.99 * way)) == []

@@ -40,7 +40,7 @@ def made(request):
     return request.param, controller, designed, design, axis
 
 
-def test_the_command_reproduces_the_shipped_controller(made):
+def test_hil_design_reproduces_each_shipped_controller(made):
     name, controller, *_ = made
     file = shipped(name)
     for key in ("A", "B", "C", "D", "anti_windup"):

@@ -55,7 +55,7 @@ def made():
     return controller, designed, lines
 
 
-def test_the_command_reproduces_the_shipped_controller(made):
+def test_hil_design_reproduces_the_shipped_mu_controller(made):
     now, then = system(made[0]), system(shipped())
     omega = np.geomspace(0.1, 0.99 * pi / H, 200)  # at the Nyquist frequency both are 0 but for rounding
     assert now.response(omega) == pytest.approx(then.response(omega), rel=1e-4)

@@ -115,9 +115,9 @@ class ExternalWrench:
         return bool(self._record["observe"] or self._record["sensed"])
 
     def fill(self, tick: Record, *, fusing: bool) -> bool:
-        """Fill `wrench` ((6,) N, N m: load on the platform at its origin, base frame; zero without a source)
-        and `wrench_sensor`, the last reading of the sensor. Call once per tick.
+        """Fill `wrench` and `wrench_sensor`, the sensor's last reading; call it once per tick.
 
+        wrench: (6,) N, N m, load on the platform at its origin, base frame; zero without a source.
         fusing: the fusion filter runs; the observer then needs all six legs.
 
         True if the sensor is the source and its last sample is too old: that sample is held.

@@ -188,9 +188,7 @@ class _Robot(NamedTuple):
     curve: Array
 
     def of_axes(self, dtwist: Array) -> Array:
-        """Accelerations (n, 6) of the controlled axes (legs if `joint`, else pose) for dtwist (n, 6), m/s^2,
-        rad/s^2.
-        """
+        """Accelerations (n, 6) of the controlled axes, legs if `joint`, else dtwist (n, 6) itself."""
         return _times(self.J, dtwist) + self.curve if self.joint else dtwist
 
     def answer(self, tau: Array) -> Array:

@@ -91,6 +91,6 @@ def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, 
 def unwatched(family: str) -> str:
     """Danger of drives whose watchdog nobody sets, as a message."""
     return (
-        f"drives.watchdog_ms: {family} has no watchdog that is set from here; set the drive's own with its "
-        "maker's tool if it has one, else it keeps its last torque when the controller stops"
+        f"drives.watchdog_ms: {family} has no watchdog that this program sets; set the drive's own with its "
+        "maker's tool if it has one, else it keeps its last torque for ever when the controller stops"
     )

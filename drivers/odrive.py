@@ -122,7 +122,7 @@ _BRAKES = (
 _WATCHDOGS = (
     "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off by factory setting: "
     "set config.watchdog_timeout and config.enable_watchdog with odrivetool, else an axis keeps its "
-    "last torque when the controller stops"
+    "last torque for ever when the controller stops"
 )
 
 

@@ -109,7 +109,7 @@ class Mode(IntEnum):
     FAULT = 10
     """Latched: drives commanded off."""
     HELD = 11
-    """Latched, with the force on: not all brakes are proven. They are engaged, and the law holds the
+    """Latched, with the force on: not all brakes are proven shut. They are engaged, and the law holds the
     platform, until the operator releases it."""
 
 

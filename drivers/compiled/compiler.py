@@ -29,7 +29,7 @@ def _no_blas() -> None:
     raise ImportError("kernels use no BLAS")
 
 
-# this module imports SciPy's BLAS, which takes 0.1 to 0.3 s of each start
+# Numba imports SciPy's BLAS there, which takes 0.1 to 0.3 s of each start
 _ensure_blas, linalg.ensure_blas = linalg.ensure_blas, _no_blas
 import_module("numba.np.arraymath")
 linalg.ensure_blas = _ensure_blas

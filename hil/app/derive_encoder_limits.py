@@ -112,9 +112,9 @@ def _rise_ticks(
 
     A step is preferred, as it finds a stuck leg sooner. In late_s a free leg gains v = S F late_s, where S is
     the largest row sum of A (6, 6) 1/kg and F the push on all legs. The step is allowed while v is at most a
-    share of the largest speed. Otherwise the push is a ramp of r N/s, under which v = S r t^2 / 2. The motion
-    is seen above the rate noise v_0, and the push ends late_s later: sqrt(v) = sqrt(v_0) + late_s sqrt(S r /
-    2).
+    share of the largest speed. Otherwise the push is a ramp of r N/s, under which v = S r t^2 / 2 is that
+    share. The motion is seen above the rate noise v_0, and the push ends late_s later: sqrt(v) = sqrt(v_0) +
+    late_s sqrt(S r / 2).
     """
     S, most = float(A.sum(axis=1).max()), PUSHED_SPEED * speed_m_s
     if S * float(push_N.max()) * late_s <= most:

@@ -41,7 +41,7 @@ from plant_fmu.plant import Plant
 
 IDLE_NS = 2_000_000
 """Largest lag of the plant behind real time. During a run the frames wake it more often; needless
-wake-ups at real-time priority would starve the recorders on the same core.
+wake-ups at real-time priority would starve the recorders.
 """
 LOOK_NS = 20_000_000
 """Period of the checks for an end."""

@@ -28,7 +28,9 @@ FOLDER = click.Path(path_type=Path)
 @shared.option("--laws", str, "A,B", "Laws to compare; default: compare.laws, else all.", callback=_names)
 @shared.option("--paths path_laws", str, "A,B", PATHS, callback=_names)
 @shared.option("--duration duration_s", shared.DURATION, "S", "Stop after S s; default: one period.")
-@shared.option("--inertia-scale", shared.POSITIVE, "X", "Scale of the masses in all models: 0.9: too light.")
+@shared.option(
+    "--inertia-scale", shared.POSITIVE, "X", "Scale of the masses in the laws' models: 0.9 is 10 % too light."
+)
 @shared.option("--wrench", (shared.FiniteRange(),) * 6, "FX FY FZ MX MY MZ", WRENCH)
 @shared.option("--wrench-at", shared.NOT_NEGATIVE, "S", WRENCH_AT)
 @shared.flag("--lift-limits", "Run without the limits of tracking error, force change and speed.")

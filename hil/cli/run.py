@@ -13,7 +13,9 @@ from hil.cli import shared
 @shared.flag("--arm", "Let the platform move as soon as all drives are ready, without waiting for Enter.")
 @shared.flag("--wait-for-arm", "Wait for `hil ctl CONFIG arm` before the platform moves; needs no terminal.")
 @shared.flag("--reset", "Clear faults that the drives have latched before engaging.")
-@shared.flag("--release", "Make a running `hil run` switch off the force on a held platform.")
+@shared.flag(
+    "--release", "Make a running `hil run` switch off the force that holds a platform with a failed brake."
+)
 @shared.flag("--watch with_watch", "Also start `hil watch`, which prints the link of a live page.")
 @shared.duration_option
 @shared.log_option

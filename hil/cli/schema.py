@@ -13,8 +13,8 @@ from hil.cli.shared import FILE, finish_lines, reporting
 def command(file: Path | None) -> None:
     """Print the path of the JSON Schema of configurations, or write it into the configuration FILE.
 
-    With the schema, editors with a YAML language server complete keys and underline mistakes. The first line
-    of FILE becomes the absolute path of this installation's schema; no other line changes.
+    With the schema, editors with a YAML language server complete keys and underline mistakes. FILE gets
+    a comment line with the absolute path of this installation's schema; no other line changes.
 
     \b
     Examples:

@@ -88,7 +88,7 @@ class MonitorSettings(Section):
 
 Stop = Literal["ss1", "sbc", "sto"]
 """ss1: controlled stop along the path within `engage.stop_s`, then as sbc. sbc: brakes at once; the force
-stays on until they are proven. sto: no force, and the brakes at once, unproven."""
+stays on until they are proven shut. sto: no force, and the brakes at once, unproven."""
 Brake = Literal["sbc", "sto"]
 
 

@@ -193,7 +193,7 @@ class TroubleContract(ProtocolContract):
             assert m["doubled"] == m["foreign"] == 0
 
     @pytest.mark.parametrize("what", ["cut", "strange"])
-    def test_truncated_and_foreign_commands_are_not_obeyed(self, protocol, what):
+    def test_only_truncated_commands_are_counted_and_no_foreign_one_is_obeyed(self, protocol, what):
         line = Line(protocol)
         line.running()
         before = line.nodes.snapshot()

@@ -143,7 +143,7 @@ def _block(A: sp.Matrix, signs: Signs) -> Eigenvalues:
 def _for_all(A: sp.Matrix, signs: Signs) -> Eigenvalues:
     """Location for all parameters, by the critical constraints.
 
-    An eigenvalue crosses the axis only where a_0 or the second largest Hurwitz determinant is zero. If
+    An eigenvalue crosses the axis only where a_0 or the last but one Hurwitz determinant is zero. If
     neither is ever zero, one choice of the parameters represents all.
     """
     n = A.rows

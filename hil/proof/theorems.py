@@ -183,7 +183,7 @@ def _why_unstable(V: sp.Expr | None, near: Signs) -> str | None:
     if regular(near.system.f, near) and (W := chetaev.function(V, near)) is not None:
         return f"by Chetaev's theorem with {near.system.shown(W)}"
     if V is not None and _stable_in_reversed_time(V, near):
-        return "by LaSalle's theorem in reversed time: the trajectories then tend to the equilibrium"
+        return "by LaSalle's theorem in reversed time: trajectories that tend to it in reversed time leave it"
     return None
 
 

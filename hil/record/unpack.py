@@ -1,6 +1,6 @@
 """Decode the buffer of a chunk into arrays: record offsets, rows, frames.
 
-Pure functions. Offsets and sizes of records must lie within the buffer.
+Pure functions. Offsets and sizes of records lie within the buffer; no content of it leads outside.
 """
 
 import struct

@@ -69,7 +69,7 @@ class RobStrideDrives(drives.MotorDrives):
     codes, otherwise = CODES["robstride"], 4
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Process a request for the device identifier or a register; all but register reads send feedback."""
+        """Process a request for the device identifier or a register; feedback answers a write only."""
         identifier, data, _ = frame
         assert leg is not None
         kind, node = identifier >> 24, self.family.nodes[leg]

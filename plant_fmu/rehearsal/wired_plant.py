@@ -83,7 +83,7 @@ def _applied(_w: Any, _force: int) -> int:
 
 
 class WiredPlant(PointedPlant):
-    """Plant: forces and brakes of drives act on the legs to which they are wired, as do their encoders.
+    """Plant: forces and brakes of drives act on, and encoders read, the legs to which they are wired.
 
     Mutable state: the plant behind the cables; from `reset` on the readings of frozen encoders, and the
     positions of encoders with play.

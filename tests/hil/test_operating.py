@@ -68,7 +68,7 @@ def test_a_speed_set_on_hold_applies_from_the_start():
 
 
 @pytest.mark.parametrize(("rate_Hz", "deadman_s", "ticks"), [(1000.0, 0.1, 100), (250.0, 0.05, 12)])
-def test_the_platform_stops_deadman_s_after_the_last_key_frame(rate_Hz, deadman_s, ticks):
+def test_the_stop_begins_deadman_s_after_the_last_key_frame(rate_Hz, deadman_s, ticks):
     operating, motion = made(rate_Hz, deadman_s=deadman_s)
     sigma = run((operating, motion), 400, {tick: [KEY] for tick in range(0, 101, 10)})
     slower = int(np.flatnonzero(sigma < 1.0)[0])

@@ -36,8 +36,7 @@ def with_changes(text: str, changes: Mapping[str, Any]) -> str:
     A mapping is merged into the section, key by key. A mapping with another `law` or `type` replaces the
     section, since the other keys belonged to the old one. None removes a key: its default holds.
 
-    Raises ------ ConfigurationError
-        A value that YAML cannot hold.
+    Raises ConfigurationError: a value that YAML cannot hold.
     """
     return text_of(merged(parse(text).value or {}, changes))
 

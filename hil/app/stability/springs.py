@@ -222,7 +222,7 @@ def _energy(subject: Subject, law: SpringSettings) -> tuple[bool, str, str]:
     frozen = {"constant_MG"} if isinstance(law, PDGravitySettings) else {"constant", "constant_MG"}
     if model is not None and model.variant in frozen and not isinstance(law, FeedforwardPDSettings):
         return False, "", "a weight that is frozen while the robot moves has no potential"
-    exact = False  # wrong forces at most poses, or exact ones at every pose
+    exact = False  # the same forces at every pose; True: those that carry the weight there
     if model is not None and model.variant != "constant" and not isinstance(law, FeedforwardPDSettings):
         variant = "massless_legs" if model.variant == "massless_legs" else "full"
         there = model.model_copy(update={"variant": variant, "frozen_at": None})

@@ -115,7 +115,7 @@ class Subject:
         """Resolution and losses of the drives."""
         limits = encoder_limits(c, c.loop.rate_Hz)
         self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
-        """Probe push of safety on a leg that stands still while others move."""
+        """Probe push of safety on a leg that stands still while legs stray from their reference."""
 
     @property
     def robot(self) -> Model:

@@ -134,7 +134,10 @@ def _refuse_weights(
         for i, effect in enumerate(("error", "control"))
         for j, cause in enumerate(causes)
     }
-    largest = ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5) or "all small"
+    largest = (
+        ", ".join(f"{name} {share:.3g}" for name, share in shares.items() if share > 0.5)
+        or "none above 0.5, all of them together"
+    )
     raise SynthesisError(
         f"no controller meets the weights: gamma is {best:.3g} at best, allowed: below 1. Largest norms: "
         f"{largest}. Allow more error or more control, or state less disturbance, noise or delay"

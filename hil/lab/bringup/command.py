@@ -191,7 +191,11 @@ def _write_found(
     line = f"next: hil bringup {file}{' --rehearse' if rehearsed else ''}"
     if any(finding.name not in done for finding in findings):
         line += ", after the findings at the machine are fixed"
-    return f"{line}; that file already corrects {', '.join(done)}: do not fix it twice" if done else line
+    return (
+        f"{line}; that file already corrects {', '.join(done)}: do not fix that at the machine as well"
+        if done
+        else line
+    )
 
 
 class _Journal:

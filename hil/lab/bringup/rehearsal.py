@@ -222,7 +222,7 @@ def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
     known = [mistake_of(words) for words in mistakes]
     if not protocol.traits.has_watchdog and not OF_WATCHDOG.isdisjoint(each.name for each in known):
         raise ConfigurationError(
-            "--mistake: these drives have no watchdog that can be set over the bus, allowed: all but "
+            "--mistake: these drives have no watchdog that this program sets, allowed: all but "
             + ", ".join(sorted(OF_WATCHDOG))
         )
     try:

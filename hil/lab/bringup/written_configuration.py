@@ -49,7 +49,7 @@ def found_text(
         head.append("NOT RELEASED: fix the findings below, if any, and run `hil bringup` with this file.")
         head += [f"  {finding.line}" for finding in findings if finding not in done]
         if done:
-            head.append("This file already corrects these findings: do not fix them twice.")
+            head.append("This file already corrects these findings: do not fix them at the machine as well.")
         head += [f"  {finding._replace(remedy='').line.rstrip(' .')}" for finding in done]
     elif not released:
         head.append("NOT RELEASED: the step `together` has not passed. Repeat the command.")
@@ -149,7 +149,9 @@ def _sources(context: Context) -> list[str]:
     watchdogs = context.table("watchdog").values()
     latest = [fact["until_s"] for fact in watchdogs if fact["until_s"] is not None]
     if len(latest) < LEGS and not context.drives.protocol.traits.has_watchdog:
-        lines.append("drives.watchdog_ms: NOT proven, no frame sets it; cut the drives' power otherwise")
+        lines.append(
+            "drives.watchdog_ms: NOT proven, this program does not set it; cut the drives' power otherwise"
+        )
     elif latest:
         lines.append(f"drives.watchdog_ms: proven by silence, {1e3 * max(latest):.4g} ms at the latest")
     if context.table("encoder"):

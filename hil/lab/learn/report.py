@@ -79,7 +79,7 @@ def _judged(outcome: Outcome, limit_N: float) -> Iterator[str]:
         what = f"the error went to {100 * c.factor:.3g} % of its value in the run before"
         allowed = f"allowed by the stated uncertainty: {100 * c.allowed:.3g} %"
         yield f"Refused    leg {c.axis} at {c.f_Hz:.3g} Hz: {what}, {allowed}"
-        yield "           More learning would increase the error: keep the last feed-forward,"
+        yield "           More learning would increase the error: keep the feed-forward of the run before,"
         yield "           or identify the axes (hil identify), and learn with --axes"
         return
     if outcome.state == "floor":

@@ -44,7 +44,7 @@ METRICS: dict[str, Metric] = {
     "peak_leg_rate_m_s": Metric("m/s", "largest measured rate of a leg while tracking"),
     "limited_ticks": Metric("1", "ticks in which a force limit acted"),
     "stale_ticks": Metric("1", "powered ticks without fresh feedback of every leg"),
-    "certificate_percent": Metric("%", "largest V of the certificate, as a share of its bound"),
+    "certificate_percent": Metric("%", "largest sqrt(V) of an axis, as a share of its limit"),
     "travel_mm": Metric("mm", "largest true travel of a leg after a fault, else 0; after_fault: rest"),
 }
 """Name -> description, in the order of the table. A value of None means: not measured."""

@@ -20,8 +20,8 @@ EVENTS = 200
 MACHINE = ("cpu", "cpus", "kernel", "scheduler", "affinity", "clock", "git", "version")
 """Keys shown of the machine and of the settings granted to a loop in real time."""
 UNSEEN = (
-    "The table lacks jumps of a leg rate, and readings that stand still while their leg moves: a log has "
-    "these figures only after they have raised a fault."
+    "The table lacks jumps of a leg rate, and readings that stand still while their leg strays from its "
+    "reference: a log has these figures only after they have raised a fault."
 )
 
 

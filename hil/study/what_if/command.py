@@ -249,7 +249,11 @@ def shown(result: dict[str, Any]) -> dict[str, Any]:
     """Lines that the terminal shows below the tables."""
     warnings = [
         f"{name} in {each['answered']} ticks, in {each['recorded']} ticks of the log"
-        + ("" if each["first_tick"] is None else f", first difference at tick {each['first_tick']}")
+        + (
+            ""
+            if each["first_tick"] is None
+            else f", first without one in the log at tick {each['first_tick']}"
+        )
         for name, each in result["warnings"].items()
     ]
     frames = result["first_frames"]

@@ -119,7 +119,7 @@ ELSEWHERE = {
 
 
 @pytest.mark.parametrize(("code", "name", "changes"), EXAMPLES, ids=[code for code, *_ in EXAMPLES])
-def test_dangerous_setting_causes_a_warning_above_its_threshold(code, name, changes):
+def test_dangerous_setting_causes_a_warning_beyond_its_threshold(code, name, changes):
     harmless, dangerous = changes
     if code == "drives.protocol":
         assert code not in warned("virtual", {})
@@ -134,7 +134,7 @@ def test_every_warning_code_has_an_example():
 
 
 @pytest.mark.parametrize("name", broad(NAMES, quick=3))
-def test_no_shipped_configuration_has_a_dangerous_setting(name):
+def test_no_shipped_configuration_has_a_dangerous_limit(name):
     allowed = {"drives.protocol", "drives.homing", "loop.without_realtime"}
     assert set(inspect(load(name)).codes) <= allowed
 

@@ -58,7 +58,7 @@ def test_interrupt_prints_one_line_and_exits_with_130(process, monkeypatch):
     assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
 
 
-def test_interrupt_that_a_library_turns_into_an_error_is_reported(process, monkeypatch):
+def test_interrupt_that_a_library_turns_into_an_error_is_reported_as_an_interrupt(process, monkeypatch):
     def work():
         try:
             press()

@@ -42,7 +42,7 @@ const watching = (() => {
     [0, 1, 2, 3, 4, 5].map(() => line.appendChild(document.createElement("td"))));
   const figureCells = {};
   [["wake", "wake-up late, now and worst of the last second"], ["step", "computing time, now and worst"], ["stale", "ticks with stale feedback"],
-    ["skipped", "periods skipped"], ["V", "Lyapunov function / its bound"], ["tick", "tick, at the rate"],
+    ["skipped", "periods skipped"], ["V", "share of the certificate's limit"], ["tick", "tick, at the rate"],
     ["dropped", "ticks lost by the recorder"], ["waiting", "ticks waiting in the ring"], ["log", "log"], ["file", "file"]]
     .forEach(([name, label]) => {
       const term = document.createElement("dt"), value = document.createElement("dd");

@@ -104,7 +104,7 @@ def judge(c: Context) -> Iterator[Finding]:
             remedy = "Exchange two phases of the motor, or turn the sign of the torque in the drive."
             yield Finding("force_sign", (drive,), text, remedy)
         elif plus < 0 or minus > 0:
-            text = f"it moves {'shorter' if plus < 0 else 'longer'}under either sign of force"
+            text = f"it moves {'shorter' if plus < 0 else 'longer'} under either sign of force"
             remedy = (
                 "Lay the leg level on its trestle, look for play, and try again; one code of torque, "
                 f"{step_of(c, drive):.3g} N, may be more than its friction."

@@ -169,7 +169,7 @@ def judge(c: Context) -> Iterator[Finding]:
 
 
 def gap(c: Context) -> Finding | None:
-    """Drives without a provable watchdog, for families in which it cannot be set over the bus."""
+    """Drives without a provable watchdog, for families whose watchdog this program does not set."""
     legs = [leg for leg in range(LEGS) if not _observable(c) or c.known("watchdog", leg)["until_s"] is None]
     if c.drives.protocol.traits.has_watchdog or not legs:
         return None
@@ -177,7 +177,7 @@ def gap(c: Context) -> Finding | None:
     if not _observable(c):
         shown = "their answers do not show whether they are enabled"
     return gap_of(
-        f"they have no watchdog that can be set over the bus, and {shown}",
+        f"they have no watchdog that this program sets, and {shown}",
         "When the program dies a drive keeps its last torque. Make sure that a switch independent of program "
         "and bus cuts the drives' power and shuts the brakes, try it now, and keep it in reach",
     )

@@ -121,7 +121,8 @@ def fit_axes(response: Response) -> Fit:
     if worst > 0.5:
         raise IdentificationError(
             f"the measured responses are {100 * worst:.0f} % from any gain, delay and lag in front of a "
-            "double integrator, allowed: 50 %; the model is of another robot, or the axes are not linear"
+            "double integrator, allowed: 50 %; the model is of another robot, or the law does not linearise "
+            "the axes"
         )
     # Scaled by the residual, so that a systematic misfit counts; a parameter at its bound has no slope.
     scale = max(1.0, 2.0 * float(best.cost) / (2 * len(f) - 8))

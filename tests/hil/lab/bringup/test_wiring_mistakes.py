@@ -38,7 +38,7 @@ ROUNDS = {
 }
 """Mistakes that are all found before the bring-up ends at the next gate."""
 UNWATCHED = ("cubemars", "mini_cheetah", "robstride")
-"""Families without a watchdog that can be set over the bus."""
+"""Families without a watchdog that this program sets."""
 
 
 def case_of(words: str) -> Named:

@@ -124,7 +124,7 @@ def test_every_control_works_with_the_keyboard(rows, operated):
         until(browser, "document.getElementById('answer').textContent === 'reset: taken'")
         assert controller.lines == ["estop", "arm", "start", "hold", "stop", "park", "reset"]
         tab_to(browser, "#speed")
-        until(browser, "document.getElementById('speed-now').textContent === '55 % now, 40 % asked for'")
+        until(browser, "document.getElementById('speed-now').textContent === '55 % now, 40 % requested'")
         browser.key("End")
         until(browser, "document.getElementById('answer').textContent === 'speed 100: taken'")
         assert text(browser, "waits") == "waits for tests", "the controller knows best"

@@ -17,7 +17,7 @@ BUDGETS = {
     "hil/config hil/app/configuration": (3_830, 25_000),
     "hil/design hil/proof": (6_010, 55_000),
     "hil/lab": (7_580, 64_100),
-    "hil/study": (7_910, 64_400),
+    "hil/study": (7_920, 64_400),
     "hil/app": (10_190, 73_000),
     "hil/cli": (2_290, 11_700),
     "hil/contracts": (1_530, 13_000),

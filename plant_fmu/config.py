@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, Union
 
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
+from drivers.config import PerLeg
 from drivers.registry import sections
 from drivers.section import Section
 from plant_fmu.faults import AnyFault
@@ -114,9 +115,13 @@ class FmuPlant(PlantModel):
     rate: list[str]
     """Six output variable names (or one array of six), unit m/s."""
     brake: list[str] = []
-    """Six input variable names (or one array of six), 1 is engaged; empty if the FMU has no brakes."""
+    """Six input variable names (or one array of six), 1 or true is engaged; empty if the FMU has no brakes.
+    Real, Boolean or integer."""
     wrench: list[str] = []
     """Six input variable names (or one array of six), N and N m; empty if the FMU has no such input."""
+    length_offset_m: PerLeg = 0.0
+    """Leg length, joint centre to joint centre, where the FMU gives length 0; one for all legs, or six in
+    leg order. Not 0 for an FMU that counts from elsewhere, such as the stroke of a prismatic joint."""
     parameters: dict[str, float | int | bool | str | list[float]] = {}
     """Start values, set before initialisation."""
     assume_unit: dict[str, Literal["N", "N.m", "m", "m/s"]] = {}

@@ -105,6 +105,10 @@ class Plant(Protocol):
         """
         return None
 
+    def notes(self) -> list[str]:
+        """Sentences on what the plant reported since it was opened, such as warnings of an FMU."""
+        return []
+
     def close(self) -> None:
         """Free resources of the plant."""
         return

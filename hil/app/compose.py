@@ -54,7 +54,7 @@ from hil.trajectory.live import LiveTrajectory
 from hil.trajectory.override import PEAK
 from hil.trajectory.path import Trajectory, axis_limits
 from hil.trajectory.time_optimal import plan
-from plant_fmu.config import BenchPlant
+from plant_fmu.config import BenchPlant, FmuPlant
 from plant_fmu.faults.plan import FaultPlan
 from plant_fmu.plant import Plant, Robot
 
@@ -298,7 +298,17 @@ def _compare_lengths(c: Configuration, plant: Plant, p: Array, R: Array) -> None
             f"  platform: {' '.join(f'{q:.4f}' for q in expected)} m\n"
             "Give the plant the same geometry, or set plant.initial_position_m and "
             "plant.initial_rotation_vector_deg to the pose at which it starts"
+            f"{_counted_from(c, expected - given)}"
         )
+
+
+def _counted_from(c: Configuration, beyond: Array) -> str:
+    """Advice for an FMU that counts its lengths from elsewhere, by (6,) m that its lengths lack."""
+    if c.plant is None or not isinstance(c.plant.model, FmuPlant):
+        return ""
+    offset = (beyond + c.plant.model.length_offset_m).round(6).tolist()
+    value = offset[0] if np.ptp(beyond) < LENGTH_TOLERANCE_M else offset
+    return f". If it counts its lengths from elsewhere (a stroke), write plant.model.length_offset_m: {value}"
 
 
 def build_scene(configuration: Configuration) -> Scene:

@@ -29,7 +29,7 @@ from hil.app.compose import attachments, build_nodes, build_protocol, build_scen
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.fault_words import show_fault
 from hil.app.output import log_path
-from hil.app.plant_rows import PLANT, PlantRows, at_rest
+from hil.app.plant_rows import PLANT, PlantRows, at_rest, plant_warnings
 from hil.loop.clock import real_time
 from hil.loop.panel import signals_to
 from hil.record import Recording, scheduling
@@ -161,6 +161,7 @@ def run_plant(
             "rejected_frames": last.rejected,
             "final_states": [DriveState(int(s)).name for s in last.state],
             "peak_final_rate_m_s": float(np.abs(last.rate).max()),
+            **plant_warnings(served.plant, recording, bus.clock.now()),
         }
         if recording is not None:
             closed = recording.close({k: v for k, v in summary.items() if k != "success"} | scheduled)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -13,6 +13,10 @@ from drivers.tick_columns import MATRIX, PER_LEG, TWIST, WRENCH, XYZ, column
 from hil.record.row import Table
 from plant_fmu.drives.drive import Snapshot
 from plant_fmu.drives.nodes import Nodes
+from plant_fmu.plant import Plant
+
+if TYPE_CHECKING:
+    from hil.record import Recording
 
 own = partial(column, "output")
 PLANT = Table(
@@ -62,6 +66,15 @@ def plant_row(number: int, s: Snapshot) -> Row:
         *((np.nan, np.nan, np.nan) if truth is None else (truth.p, truth.R, truth.twist)),
     )  # fmt: skip
     return row
+
+
+def plant_warnings(plant: Plant, recording: "Recording | None", t_ns: int) -> dict[str, list[str]]:
+    """Write what a plant reported into its log; return it for the summary, empty without any."""
+    notes = plant.notes()
+    if recording is not None:
+        for note in notes:
+            recording.event(t_ns, "warning", note)
+    return {"plant_warnings": notes} if notes else {}
 
 
 def at_rest(s: Snapshot) -> bool:

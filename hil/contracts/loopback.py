@@ -22,6 +22,7 @@ from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.plan import FaultPlan
+from plant_fmu.plant import Plant
 
 PERIOD_NS = 4_000_000
 SETUP = DriveSetup(0.05, Reaction.DAMP, 1e9 / PERIOD_NS)
@@ -41,7 +42,7 @@ PATIENCE = 200
 """Ticks within which a dialogue without lost frames ends."""
 
 
-class Placed:
+class Placed(Plant):
     """A plant whose legs stay where the test puts them."""
 
     internal_step_s = 1e-4
@@ -54,15 +55,6 @@ class Placed:
 
     def step(self, _force: Array, _brake: Array, _wrench: Array, _dt_s: float) -> tuple[Array, Array]:
         return self.reset()
-
-    def truth(self) -> None:
-        return None
-
-    def applied_force(self) -> Array | None:
-        return None
-
-    def close(self) -> None:
-        """Nothing to free."""
 
 
 class Twice(ByValue):

@@ -4,6 +4,7 @@ A foreign archive is untrusted until each member has been checked; nothing is lo
 outside the given folder, and writes a link as a text file.
 """
 
+import re
 import zipfile
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,11 +20,15 @@ MAX_RATIO = 400
 """Largest ratio of unpacked to packed size of a member; real binaries and data stay far below."""
 RATIO_FREE_BYTES = 1024**2
 """Members up to this size may have any ratio."""
-_PARSED = frozenset({"modelDescription.xml", "sources/buildDescription.xml"})
+PARSED = frozenset({"modelDescription.xml", "sources/buildDescription.xml"})
+_HERE = re.compile(r"^(?:\./+)+(?=[^/])")
 
 
 def open_archive(path: Path) -> zipfile.ZipFile:
-    """Open the .fmu. Raises PlantError if it is missing, not a ZIP archive, or unsafe to unpack."""
+    """Open the .fmu; a leading ``./`` of its names is dropped.
+
+    Raises PlantError if it is missing, not a ZIP archive, or unsafe to unpack.
+    """
     if path.exists() and not path.is_file():
         raise PlantError(
             f"{path}: not a file but a folder, pipe, socket or device; give the path of an .fmu file"
@@ -36,6 +41,8 @@ def open_archive(path: Path) -> zipfile.ZipFile:
         archive = zipfile.ZipFile(path)
     except Exception as error:  # zipfile raises many types on a damaged directory
         raise PlantError(f"{path}: not an FMU (a ZIP archive with modelDescription.xml): {error}") from error
+    for member in archive.infolist():
+        member.filename = _HERE.sub("", member.filename)
     try:
         check_members(archive.infolist(), path)
     except PlantError:
@@ -57,11 +64,13 @@ def check_members(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
     for member in members:
         place = "/".join(part for part in member.filename.split("/") if part not in {"", ".", ".."})
         content, bad = (member.CRC, member.file_size), None
-        if seen.setdefault(place.casefold(), content) != content:
+        if "\\" in member.filename:
+            bad = "in a ZIP archive / separates folders, not \\; unpack the FMU and pack it again"
+        elif seen.setdefault(place.casefold(), content) != content:
             bad = "its name occurs twice"
         elif member.file_size > max(RATIO_FREE_BYTES, MAX_RATIO * member.compress_size):
             bad = f"it unpacks to more than {MAX_RATIO} times its packed size"
-        elif place in _PARSED and member.file_size > MAX_XML_BYTES:
+        elif place in PARSED and member.file_size > MAX_XML_BYTES:
             bad = f"it unpacks to {member.file_size} bytes; at most {MAX_XML_BYTES} are read"
         if bad:
             raise PlantError(f"{path}: member {member.filename!r} refused: {bad}")

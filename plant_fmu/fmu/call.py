@@ -21,22 +21,26 @@ APPLIED = MEASURED + 18
 """Index of the applied forces in the outputs, behind pose and twist, if they are known."""
 FMU = np.dtype(
     [
-        *((name, "<i8") for name in ("instance", "counted", "set", "get", "step")),
+        *((name, "<i8") for name in ("instance", "counted", "set", "get", "step", "set_brake")),
         *((name, "<i8") for name in ("set_references", "set_count", "get_references", "get_count")),
         *((name, "<i8") for name in ("inputs", "input_count", "held", "outputs", "output_count")),
+        *((name, "<i8") for name in ("brake_references", "brake_count", "brakes", "brake_bytes")),
         ("slots", "<i8", (3,)),
-        *((name, "<i8") for name in ("ready", "ticks", "known", "status")),
+        *((name, "<i8") for name in ("ready", "stepped", "ticks", "known", "status", "warned")),
         ("flags", "u1", (8,)),
         ("last", "<f8", (1,)),
         ("step_s", "<f8"),
+        ("offset", "<f8", (LEGS,)),
     ]
 )
-"""One FMU. The component; 1 for FMI 3, whose calls count values; addresses of its functions. Addresses and
-numbers of the value references that set and get take. Addresses of inputs, of the bits of the inputs that
-the FMU has, and of outputs. Indices of force, brake and wrench in the inputs, -1 if the FMU lacks them. True
-if it is initialised; internal steps since then; true if applied forces are known; last status of the FMU.
-The three flags of DoStep and its last time; internal step in s."""
-_WARNING = 1
+"""One FMU. The component; 1 for FMI 3, whose calls count values; addresses of its functions, set_brake 0 if
+the brakes are real numbers. Addresses and numbers of the value references that set and get take. Addresses of
+inputs, of the bits of the inputs that the FMU has, and of outputs. For set_brake: address and number of its
+value references, address of its values, bytes of a value. Indices of force, brake and wrench in the inputs,
+-1 if the FMU lacks them. True if it is initialised; true if a step was requested since then; internal steps
+since then; true if applied forces are known; last status of the FMU; number of calls that returned a warning.
+The three flags of DoStep and its last time; internal step in s; leg lengths m at the FMU's length 0."""
+WARNING = 1
 """The worst status of both standards that is still a success."""
 _TERMINATED, _EARLY = 1, 2
 
@@ -44,15 +48,18 @@ _TERMINATED, _EARLY = 1, 2
 @helper
 def succeeded(status: int) -> bool:
     """Check if a status is a success in either standard; a number that is no status is none."""
-    return 0 <= status <= _WARNING
+    return 0 <= status <= WARNING
 
 
 @helper
 def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
     """Call a function of the FMU, with the extra arguments `counted` in FMI 3; return its status."""
     if fmu.counted:
-        return int(call(function, (fmu.instance, *given, *counted)))
-    return int(call(function, (fmu.instance, *given)))
+        status = int(call(function, (fmu.instance, *given, *counted)))
+    else:
+        status = int(call(function, (fmu.instance, *given)))
+    fmu.warned += status == WARNING
+    return status
 
 
 @helper
@@ -60,7 +67,14 @@ def _put(fmu: Any) -> int:
     """Set the FMU's inputs; return its status. `held` becomes their bits, or differs from them on failure."""
     bits, held = integers_at(fmu.inputs, fmu.input_count), integers_at(fmu.held, fmu.input_count)
     held[:] = ~bits
-    status = _called(fmu, fmu.set, (fmu.set_references, fmu.set_count, fmu.inputs), (fmu.input_count,))
+    reals = fmu.input_count - LEGS if fmu.set_brake else fmu.input_count
+    status = _called(fmu, fmu.set, (fmu.set_references, fmu.set_count, fmu.inputs), (reals,))
+    if fmu.set_brake and succeeded(status):
+        brake, values = reals_at(fmu.inputs, fmu.input_count), integers_at(fmu.brakes, LEGS).view(np.uint8)
+        for leg in range(LEGS):  # the lowest byte of each integer
+            values[fmu.brake_bytes * leg] = brake[reals + leg] > 0.5
+        given = (fmu.brake_references, fmu.brake_count, fmu.brakes)
+        status = _called(fmu, fmu.set_brake, given, (np.int64(LEGS),))
     if succeeded(status):
         held[:] = bits
     return status
@@ -100,6 +114,7 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
     """
     if not fmu.ready:
         return CLOSED
+    fmu.stepped = True
     inputs, held = reals_at(fmu.inputs, fmu.input_count), integers_at(fmu.held, fmu.input_count)
     for n, given in enumerate((force, brake, wrench)):
         if fmu.slots[n] >= 0:
@@ -124,7 +139,10 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
     ended = _fetch(fmu)
     fmu.ticks += steps
     if ended == DONE:
-        reals_at(measured, MEASURED)[:] = reals_at(fmu.outputs, MEASURED)
+        y = reals_at(measured, MEASURED)
+        y[:] = reals_at(fmu.outputs, MEASURED)
+        for leg in range(LEGS):
+            y[leg] += fmu.offset[leg]
     return int(ended)
 
 

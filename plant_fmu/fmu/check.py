@@ -3,9 +3,11 @@
 Each error message states what the FMU offers.
 """
 
+import io
 import math
 import re
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +17,7 @@ from fmpy.model_description import read_model_description
 
 from drivers.errors import PlantError
 from plant_fmu.config import FmuPlant
+from plant_fmu.fmu.archive import PARSED, open_archive
 
 FLOATS = {"Real", "Float64"}
 MAX_REFERENCE = 2**32 - 1
@@ -23,6 +26,8 @@ _INTEGERS = {f"{sign}Int{bits}" for sign in ("", "U") for bits in (8, 16, 32, 64
     "Integer",
     "Enumeration",
 }
+SWITCHES = {"Boolean", *_INTEGERS} - {"Enumeration"}
+"""Types of a brake that is no real number."""
 _INDEX = re.compile(r"[0-9]{1,9}")
 _SI = {"N": (1, 1, -2), "N.m": (1, 2, -2), "m": (0, 1, 0), "m/s": (0, 1, -1)}
 """Unit -> exponents of kg, m, s."""
@@ -71,12 +76,47 @@ class Interface:
     library: str
     """Path of the shared library inside the archive."""
     inputs: dict[str, tuple[int, ...]]
-    """force, and brake and wrench if the FMU has them -> value references with six values in total."""
+    """force, and wrench and brake if the FMU has them, brake last -> value references of six values."""
+    brake_type: str
+    """Type of the brakes: one of `FLOATS` or `SWITCHES`; empty if the FMU has no brakes."""
     outputs: dict[str, tuple[int, ...]]
     """length, rate, and the truth if it is known -> value references."""
     starts: tuple[Start, ...]
     assumed: dict[str, str]
     """Variable -> unit from the configuration, as the description declares none."""
+
+    @property
+    def set_brake(self) -> tuple[str, int] | None:
+        """Function that sets brakes which are no real numbers, and bytes of a value; None without such."""
+        if self.brake_type not in SWITCHES:
+            return None
+        bits = re.search("[0-9]+$", self.brake_type)
+        size = int(bits[0]) // 8 if bits else 4 if self.major < 3 else 1  # fmi2Boolean is an int
+        return f"fmi{self.major}Set{self.brake_type}", size
+
+    def unfit_step(self, step_s: float) -> str:
+        """Compare steps of `step_s` with the step that the description states; empty if they fit."""
+        face = self.description.coSimulation
+        fixed = getattr(face, "fixedInternalStepSize", None)
+        key, stated = "fixedInternalStepSize", fixed
+        if fixed is None:
+            if face.canHandleVariableCommunicationStepSize or self.description.defaultExperiment is None:
+                return ""
+            key = "canHandleVariableCommunicationStepSize false, stepSize"
+            stated = self.description.defaultExperiment.stepSize
+        try:
+            own_s = float(stated or 0.0)
+        except ValueError:
+            return ""
+        if not 0.0 < own_s < math.inf or abs(step_s / own_s - max(1, round(step_s / own_s))) < 1e-9:
+            return ""
+        fit_s = own_s * math.ceil(step_s / own_s - 1e-9)
+        return (
+            f"its own step is {own_s:g} s ({key}) and does not divide plant.model.step_us {1e6 * step_s:g}: "
+            "it refuses to step, or its outputs stand still between its own steps. Write "
+            f"plant.model.step_us: {1e6 * fit_s:g} with a loop.rate_Hz of at most {1.0 / fit_s:g}, or export "
+            f"it with a step of {step_s:g} s"
+        )
 
 
 def shown(text: str) -> str:
@@ -159,7 +199,13 @@ class _Reader:
         self.assumed[variable.name] = assumed
 
     def channel(
-        self, key: str, names: Sequence[str], causality: str, units: Sequence[str], count: int = 6
+        self,
+        key: str,
+        names: Sequence[str],
+        causality: str,
+        units: Sequence[str],
+        count: int = 6,
+        types: Collection[str] = FLOATS,
     ) -> tuple[int, ...]:
         """Value references of `names`, which have `count` values in total."""
         found = [v for name in names for v in self.find(name)]
@@ -169,10 +215,11 @@ class _Reader:
                     f"{self.path}: {key}: variable {variable.name!r} is of causality {variable.causality}; "
                     f"{causality} is needed"
                 )
-            if variable.type not in FLOATS:
+            if variable.type not in types or variable.type != found[0].type:
+                also = "" if types is FLOATS else ", or Boolean or an integer; all six of one type"
                 raise PlantError(
                     f"{self.path}: {key}: variable {variable.name!r} is of type {variable.type}; "
-                    "Real (FMI 2) or Float64 (FMI 3) is needed"
+                    f"Real (FMI 2) or Float64 (FMI 3) is needed{also}"
                 )
             if units:
                 self.check_unit(key, variable, units)
@@ -280,14 +327,20 @@ def _refuse_tool(description: Any, spec: FmuSpec) -> None:
 
 
 def described(path: Path) -> Any:
-    """Read the description of an FMU, a file that `open_archive` has checked.
+    """Read the description of an FMU.
 
-    Raises PlantError on a description that cannot be read, an unsupported FMI version, and an FMU without
-    co-simulation interface.
+    Raises PlantError on a file that `open_archive` refuses, a description that cannot be read, an unsupported
+    FMI version, and an FMU without co-simulation interface.
     """
+    read = io.BytesIO()  # fmpy knows no other names than these
     try:
-        with path.open("rb") as archive:  # on malformed XML, fmpy leaves an archive open that it opened
-            description = read_model_description(archive, validate=False)
+        with open_archive(path) as archive, zipfile.ZipFile(read, "w") as parsed:
+            for member in archive.infolist():
+                if member.filename in PARSED:
+                    parsed.writestr(member.filename, archive.read(member))
+        description = read_model_description(read, validate=False)
+    except PlantError:
+        raise
     except Exception as error:  # fmpy and lxml raise many types on malformed XML
         raise PlantError(f"{path}: modelDescription.xml cannot be read: {shown(str(error))}") from error
     version = description.fmiVersion
@@ -311,10 +364,12 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     _refuse_tool(description, spec)
     reader = _Reader(description, spec)
     inputs = {"force": reader.channel("force", spec.force, "input", ("N",))}
-    if spec.brake:
-        inputs["brake"] = reader.channel("brake", spec.brake, "input", ())
     if spec.wrench:
         inputs["wrench"] = reader.channel("wrench", spec.wrench, "input", ("N", "N.m"))
+    brake_type = ""
+    if spec.brake:
+        inputs["brake"] = reader.channel("brake", spec.brake, "input", (), types=FLOATS | SWITCHES)
+        brake_type = reader.find(spec.brake[0])[0].type
     outputs = {
         "length": reader.channel("length", spec.length, "output", ("m",)),
         "rate": reader.channel("rate", spec.rate, "output", ("m/s",)),
@@ -322,4 +377,4 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
     for name, count in zip(spec.truth, (3, 9, 6, 6), strict=False):
         outputs[name] = reader.channel("truth", [name], "output", (), count)
     starts = tuple(reader.start(name, value) for name, value in spec.parameters.items())
-    return Interface(description, reader.major, binary, inputs, outputs, starts, reader.assumed)
+    return Interface(description, reader.major, binary, inputs, brake_type, outputs, starts, reader.assumed)

@@ -34,24 +34,31 @@ CLOSE_TIMEOUT_S = 10.0
 """Time limit for freeing the FMU and ending the interpreter."""
 _RESET: tuple[()] = ()
 """Request for a reset; a request for a step has the arguments of `FmuHost.step`."""
+_NOTES = "notes"
+"""Request for `FmuHost.notes`."""
 _LIFE_CHECK_MS = 1000
 
 
 class ChildHost:
     """Plant whose FMU runs in a child process.
 
-    Mutable state: the child process, and the truth of its last answer. The child ends with our process,
-    however that ends.
+    Mutable state: the child process, the truth of its last answer, why a reset failed. The child ends
+    with our process, however that ends. An FMU that cannot be reset in it is loaded in a new child.
     """
 
     def __init__(self, spec: FmuSpec) -> None:
         """Start the child; load and initialise the FMU there. Raises PlantError with the child's reason."""
         self.spec = spec
         self.internal_step_s = spec.step_s
-        self._ended: str | None = None
         self._truth: Truth | None = None
+        self._cannot_reset = ""
         # The child unpacks here; the process that ends last removes it.
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
+        self._start()
+
+    def _start(self) -> None:
+        self._ended: str | None = None
+        spec = self.spec
         self._line, theirs = Pipe()
         self._poll = select.poll()
         self._poll.register(self._line, select.POLLIN)
@@ -109,6 +116,18 @@ class ChildHost:
 
     def reset(self) -> tuple[Array, Array]:
         """`FmuHost.reset`; from here on the child has the real-time scheduling of the calling process."""
+        if self._ended is None:
+            if not self._cannot_reset:
+                try:
+                    return self._reset()
+                except PlantError as error:
+                    self._cannot_reset = str(error).removeprefix(f"{self.spec.path}: ")
+            self._end("")
+            self._line.close()
+            self._start()
+        return self._reset()
+
+    def _reset(self) -> tuple[Array, Array]:
         _follow(self._process.pid)
         return self._measured(_RESET, START_TIMEOUT_S, "reset")
 
@@ -131,6 +150,15 @@ class ChildHost:
     def applied_force(self) -> Array | None:
         """`FmuHost.applied_force`."""
         return None if self._truth is None else self._truth.applied_force
+
+    def notes(self) -> list[str]:
+        """`FmuHost.notes`, of this child; of one that has ended only what its reset did."""
+        found = f"the FMU cannot be reset, so each new start gets a fresh process: {self._cannot_reset}"
+        own: list[str] = []
+        if self._ended is None:
+            with contextlib.suppress(PlantError):  # it has ended
+                own = self._ask(_NOTES, STEP_TIMEOUT_S, "report")
+        return [found] * bool(self._cannot_reset) + own
 
     def close(self) -> None:
         """Let the child free the FMU and end; kill it after a timeout. A second call does nothing."""
@@ -204,6 +232,8 @@ def serve(line: Connection, parent: int, folder: str) -> None:
                 if host is None:
                     _bound_memory(question.memory_GB)
                     host, answer = FmuHost(question), None
+                elif question == _NOTES:
+                    answer = host.notes()
                 else:
                     measured = host.step(*question) if question else host.reset()
                     answer = [each.tolist() for each in measured], host.truth()

@@ -20,7 +20,7 @@ from drivers.errors import PlantError
 from drivers.signals import LEGS
 from plant_fmu.fmu import call as fmu_call
 from plant_fmu.fmu.archive import extract, open_archive
-from plant_fmu.fmu.check import FmuSpec, Interface, Start, read_interface
+from plant_fmu.fmu.check import FmuSpec, Interface, Start, read_interface, shown
 from plant_fmu.plant import Moved, PointedPlant, Truth, truth_of
 
 _MESSAGES = 20
@@ -38,7 +38,8 @@ class FmuHost(PointedPlant):
     """Plant of one FMU instance. Inputs that the FMU does not have are ignored.
 
     Mutable state: the FMU instance, its record with the tick count behind the communication time, the
-    transfer buffers, the inputs that the FMU has. Closing terminates and frees the instance and removes the
+    transfer buffers, the inputs that the FMU has, what it reported. An FMU that cannot be reset is loaded and
+    instantiated again instead. Closing terminates and frees the instance and removes the
     folder with the unpacked FMU. The folder of our own FMU, which needs no file but its library, is removed
     as soon as the library is loaded: a process that is killed leaves nothing behind.
     """
@@ -49,18 +50,21 @@ class FmuHost(PointedPlant):
         self.internal_step_s = spec.step_s
         self._fmu: Any = None
         self._record = np.zeros((), fmu_call.FMU)
-        self._used = False
+        self._initialised = False
+        self._cannot_reset = ""
         self._messages: list[str] = []
+        self._warned, self._first_warning = 0, ""
+        self._first: Array = np.zeros(0)
         self._folder = tempfile.TemporaryDirectory(prefix="fmu-", ignore_cleanup_errors=True)
         try:
             path = Path(spec.path)
             with open_archive(path) as archive:
                 self._interface: Interface = read_interface(archive.namelist(), spec)
                 extract(archive, path, Path(self._folder.name))
+            self._prepare_calls()
             self._load()
             if spec.truth:
                 self._folder.cleanup()
-            self._prepare_calls()
             self.reset()
         except BaseException:
             self.close()
@@ -75,7 +79,7 @@ class FmuHost(PointedPlant):
                     folder,
                     description,
                     "CoSimulation",
-                    logger=lambda *said: self._log(said[-1]),
+                    logger=lambda *given: self._log(given[-3], given[-1]),  # both standards end alike
                     library_path=str(Path(folder) / self._interface.library),
                 )
         except AttributeError as error:
@@ -86,10 +90,22 @@ class FmuHost(PointedPlant):
             raise self._error(f"the FMU cannot be loaded: {error}") from error
         finally:
             os.chdir(here)  # fmpy stays in the library's folder when loading fails
+        three, record = self._interface.major >= 3, self._record
+        reals = ("fmi3SetFloat64", "fmi3GetFloat64") if three else ("fmi2SetReal", "fmi2GetReal")
+        functions = (*reals, "fmi3DoStep" if three else "fmi2DoStep")
+        for name, function in zip(("set", "get", "step"), functions, strict=True):
+            record[name] = _address(self._fmu, function)
+        record["instance"], record["counted"] = self._fmu.component, three
+        if (switched := self._interface.set_brake) is not None:
+            record["set_brake"] = _address(self._fmu, switched[0])
 
-    def _log(self, message: bytes | None) -> None:
-        self._messages.append((message or b"").decode("utf-8", "replace").strip())
+    def _log(self, status: int, message: bytes | None) -> None:
+        text = (message or b"").decode("utf-8", "replace").strip()
+        self._messages.append(text)
         del self._messages[:-_MESSAGES]
+        if status == fmu_call.WARNING:
+            self._warned += 1
+            self._first_warning = self._first_warning or shown(text)
 
     def _reported(self) -> str:
         reported = "; ".join(m for m in self._messages if m)
@@ -100,22 +116,22 @@ class FmuHost(PointedPlant):
         return PlantError(f"{self.spec.path}: {what}{self._reported()}")
 
     def _prepare_calls(self) -> None:
-        face, fmu = self._interface, self._fmu
-        three = face.major >= 3
-        reals = ("fmi3SetFloat64", "fmi3GetFloat64") if three else ("fmi2SetReal", "fmi2GetReal")
-        functions = (*reals, "fmi3DoStep" if three else "fmi2DoStep")
+        face = self._interface
         self._inputs = np.zeros(LEGS * len(face.inputs))
         places = {key: LEGS * n for n, key in enumerate(face.inputs)}
         self._outputs = np.zeros(fmu_call.APPLIED + LEGS if self.spec.truth else fmu_call.MEASURED)
         self._held = np.zeros(self._inputs.size, np.int64)
         record, self._references = self._record, []
-        for verb, channels in (("set", face.inputs), ("get", face.outputs)):
-            references = np.array([each for some in channels.values() for each in some], np.uint32)
+        inputs = dict(face.inputs)
+        switches = () if face.set_brake is None else inputs.pop("brake")
+        lists = {"set": inputs.values(), "get": face.outputs.values(), "brake": [switches]}
+        for verb, channels in lists.items():
+            references = np.array([each for some in channels for each in some], np.uint32)
             record[f"{verb}_references"], record[f"{verb}_count"] = data_at(references), references.size
             self._references.append(references)
-        for name, function in zip(("set", "get", "step"), functions, strict=True):
-            record[name] = _address(fmu, function)
-        record["instance"], record["counted"] = fmu.component, three
+        record["brake_bytes"] = 0 if face.set_brake is None else face.set_brake[1]
+        self._switches = np.zeros(LEGS, np.int64)
+        record["brakes"], record["offset"] = data_at(self._switches), self.spec.length_offset_m
         record["inputs"], record["input_count"] = data_at(self._inputs), self._inputs.size
         record["outputs"], record["output_count"] = data_at(self._outputs), self._outputs.size
         record["held"], record["step_s"] = data_at(self._held), self.internal_step_s
@@ -126,15 +142,29 @@ class FmuHost(PointedPlant):
         label = _LABELS.get(status, f"unknown status {status}")
         return self._error(f"the FMU refused to {what} ({label})")
 
-    def _initialise(self) -> None:
-        fmu = self._fmu
-        if fmu is None:
+    def _begin(self) -> None:
+        """Initialise: the first time, after a reset, or a fresh instance where the reset fails."""
+        if self._fmu is None:
             raise PlantError(f"{self.spec.path}: the FMU is closed; open it again")
-        self._record["ready"] = False
+        again, self._initialised = self._initialised, True
+        if again and not self._cannot_reset:
+            try:
+                self._fmu.reset()
+                self._initialise()
+                if np.array_equal(self._outputs[: fmu_call.MEASURED], self._first):
+                    return
+                self._cannot_reset = "it gives other lengths or rates after a reset than at its first start"
+            except Exception as error:  # noqa: BLE001 - fmpy raises many types
+                self._cannot_reset = str(error).removeprefix(f"{self.spec.path}: ")
+        if again:
+            self._free()
+            self._load()
+        self._initialise()
+        self._first = self._outputs[: fmu_call.MEASURED].copy()
+
+    def _initialise(self) -> None:
+        fmu, self._record["ready"] = self._fmu, False
         try:
-            if self._used:
-                fmu.reset()
-            self._used = True
             if self._interface.major == 2:
                 fmu.setupExperiment(startTime=0.0)
             for start in self._interface.starts:
@@ -152,7 +182,10 @@ class FmuHost(PointedPlant):
             raise self._error(f"the FMU cannot be initialised: {error}") from error
         if not fmu_call.succeeded(status):
             raise self._refused(status, "take its inputs")
-        self._record["ready"] = True
+        self._record["ready"], self._record["stepped"], self._record["ticks"] = True, False, 0
+        ended = fmu_call.fetch(self._record)
+        if ended != fmu_call.DONE:
+            raise self._failed(ended)
 
     def _set_start(self, start: Start) -> None:
         values = list(start.values)
@@ -170,13 +203,10 @@ class FmuHost(PointedPlant):
         Returns lengths (6,) m and rates (6,) m/s. Raises PlantError if the FMU
         refuses or a value is not finite.
         """
-        self._initialise()
-        self._record["ticks"] = 0
-        ended = fmu_call.fetch(self._record)
-        if ended != fmu_call.DONE:
-            raise self._failed(ended)
+        if self._record["stepped"] or not self._record["ready"]:
+            self._begin()
         y = self._outputs[: fmu_call.MEASURED].copy()
-        return y[:LEGS], y[LEGS:]
+        return y[:LEGS] + self._record["offset"], y[LEGS:]
 
     def _failed(self, ended: int, step: str = "") -> PlantError:
         if ended == fmu_call.CLOSED:
@@ -194,7 +224,9 @@ class FmuHost(PointedPlant):
             return PlantError(f"force {force}, brake {brake}, wrench {wrench}: a value is not finite")
         step_s = self.internal_step_s
         begun_s = int(self._record["ticks"]) * step_s
-        return self._failed(ended, f"step from {begun_s:.9g} s by {steps * step_s:.9g} s")
+        error = self._failed(ended, f"step from {begun_s:.9g} s by {steps * step_s:.9g} s")
+        unfit = self._interface.unfit_step(step_s) if ended == fmu_call.STEP_REFUSED else ""
+        return PlantError(f"{error}; {unfit}") if unfit else error
 
     def moved(self) -> Moved:
         """Functions and context of this plant by address."""
@@ -213,8 +245,26 @@ class FmuHost(PointedPlant):
         """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
         return self._outputs[fmu_call.APPLIED :] if self.spec.truth else None
 
+    def notes(self) -> list[str]:
+        """Sentences on a reset that failed, and on warnings: their number and the first message."""
+        found, reason = [], self._cannot_reset
+        if reason:
+            found.append(f"the FMU cannot be reset, so each new start gets a fresh instance of it: {reason}")
+        if count := max(int(self._record["warned"]), self._warned):
+            first = (
+                f"the first message: {self._first_warning}" if self._first_warning else "without a message"
+            )
+            found.append(f"warnings of the FMU: {count}, {first}")
+        return found
+
     def close(self) -> None:
         """Terminate, free and unload the FMU, remove the unpacked files. A second call does nothing."""
+        try:
+            self._free()
+        finally:
+            self._folder.cleanup()
+
+    def _free(self) -> None:
         fmu, self._fmu = self._fmu, None
         initialised, self._record["ready"] = bool(self._record["ready"]), False
         try:
@@ -226,5 +276,3 @@ class FmuHost(PointedPlant):
                 fmu.freeInstance()
         except Exception as error:
             raise self._error(f"the FMU failed while closing: {error}") from error
-        finally:
-            self._folder.cleanup()

@@ -19,14 +19,17 @@ class Probe(NamedTuple):
     """(6,) m/s^2, accelerations of the legs without any force."""
     mobility: Array
     """(6, 6) 1/kg, acceleration of leg i per force in leg j."""
+    moved: Array = np.zeros((LEGS, LEGS))
+    """(6, 6) m/N, change of length of leg i in this step per force in leg j; 0 if it follows a step later."""
 
     @property
     def uncoupled(self) -> bool | None:
-        """True if each leg moves by its own force alone; None if pushes move no leg."""
-        own = np.abs(np.diag(self.mobility))
+        """True if each force moves one leg alone; None if a push moves no leg."""
+        others = np.abs(self.mobility)
+        own = others.max(axis=0)
         if not own.min() > 0.0:
             return None
-        others = np.abs(self.mobility - np.diag(np.diag(self.mobility)))
+        others[others.argmax(axis=0), range(LEGS)] = 0.0
         return bool(others.max() < COUPLED * own.min())
 
 
@@ -38,14 +41,12 @@ def probe(plant: Plant, force_N: float, dt_s: float) -> Probe:
     """
     open_, calm = np.zeros(LEGS), np.zeros(6)
 
-    def accelerations(force: Array) -> Array:
-        _, before = plant.reset()
-        _, after = plant.step(force, open_, calm, dt_s)
-        result: Array = (after - before) / dt_s
+    def changes(force: Array) -> Array:
+        before = np.concatenate(plant.reset())
+        result: Array = np.concatenate(plant.step(force, open_, calm, dt_s)) - before
         return result
 
-    free = accelerations(np.zeros(LEGS))
-    pushed = [accelerations(force_N * np.eye(LEGS)[j]) for j in range(LEGS)]
+    free = changes(np.zeros(LEGS))
+    pushed = np.column_stack([(changes(force_N * one) - free) / force_N for one in np.eye(LEGS)])
     plant.reset()
-    mobility = np.column_stack([(a - free) / force_N for a in pushed])
-    return Probe(free, mobility)
+    return Probe(free[LEGS:] / dt_s, pushed[LEGS:] / dt_s, pushed[:LEGS])

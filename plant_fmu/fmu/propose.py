@@ -11,7 +11,7 @@ from typing import Any
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.archive import open_archive
-from plant_fmu.fmu.check import FLOATS, described, library, stated_unit
+from plant_fmu.fmu.check import FLOATS, SWITCHES, described, library, stated_unit
 
 _ROLES = {
     "brake": ("input", None, ("brake", "lock", "clamp", "hold")),
@@ -59,13 +59,13 @@ def propose(path: Path) -> Proposal:
     with open_archive(path) as archive:
         members = archive.namelist()
     description = described(path)
-    variables = [v for v in description.modelVariables if v.type in FLOATS]
-    groups = _groups_of_six(variables)
+    groups = _groups_of_six([v for v in description.modelVariables if v.type in FLOATS | SWITCHES])
     mapped: dict[str, tuple[str, ...]] = {}
     unstated: dict[str, str] = {}
     for key, role in _ROLES.items():
         taken = {name for names in mapped.values() for name in names}
-        found = _best([g for g in groups if g[0].name not in taken], *role)
+        types = FLOATS | SWITCHES if key == "brake" else FLOATS
+        found = _best([g for g in groups if g[0].name not in taken and {v.type for v in g} <= types], *role)
         if found is not None:
             mapped[key] = tuple(v.name for v in found)
             if (unit := role[1]) and any(stated_unit(v) is None for v in found):

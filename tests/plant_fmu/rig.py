@@ -18,7 +18,7 @@ from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.fault import Fault
 from plant_fmu.faults.kinds import WrenchStep
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.plant import Truth
+from plant_fmu.plant import Plant, Truth
 from tests.drivers.legs_frames import command_frames, decode, opening
 
 MS, US = 1_000_000, 1_000
@@ -26,7 +26,7 @@ MASS = 200.0
 REST = np.array([1.5, 1.6, 1.7, 1.8, 1.9, 2.0])
 
 
-class Masses:
+class Masses(Plant):
     """m ddq = f + wrench; an engaged brake holds. Exact for constant inputs at any step."""
 
     internal_step_s = 1e-4

@@ -6,8 +6,6 @@ import zipfile
 import fmpy
 import numpy as np
 import pytest
-from fmpy.fmi2 import FMU2Slave
-from fmpy.fmi3 import FMU3Slave
 
 from drivers.errors import PlantError
 from plant_fmu.fmu.check import FmuSpec
@@ -183,17 +181,3 @@ def test_a_damaged_member_is_refused(tmp_path):
     (tmp_path / "bad.fmu").write_bytes(data)
     with pytest.raises(PlantError, match=r"damaged|unpacked"):
         FmuHost(spec(tmp_path / "bad.fmu"))
-
-
-@pytest.mark.parametrize(("version", "kind"), [("2.0", FMU2Slave), ("3.0", FMU3Slave)])
-def test_after_a_failed_reset_the_fmu_does_no_step(monkeypatch, version, kind):
-    def refuse(fmu: object) -> None:
-        raise RuntimeError("reset fails")
-
-    host = FmuHost(spec(build(version)))
-    monkeypatch.setattr(kind, "reset", refuse)
-    with pytest.raises(PlantError, match="reset fails"):
-        host.reset()
-    with pytest.raises(PlantError, match="failed to initialise"):
-        host.step(FORCE, np.zeros(6), np.zeros(6), 1e-3)
-    host.close()

@@ -23,7 +23,7 @@ from plant_fmu.config import DriveEmulation, ImuEmulation, SensorEmulation, Trac
 from plant_fmu.drives.sensor_nodes import SensedNodes
 from plant_fmu.faults.kinds import FramesCorrupt, FramesLoss, WrenchStep
 from plant_fmu.faults.plan import FaultPlan
-from plant_fmu.plant import Truth
+from plant_fmu.plant import Plant, Truth
 from tests.drivers.legs_frames import opening
 from tests.sensor_samples import Readings, decode
 
@@ -55,7 +55,7 @@ def rotation(t):
     return Rotation.from_rotvec(AXIS * (0.2 + 0.7 * t)).as_matrix()
 
 
-class Mover:
+class Mover(Plant):
     """A platform with a given motion, independent of its inputs."""
 
     internal_step_s = 1e-4

@@ -1,7 +1,7 @@
 """Subject of `hil check`: a configuration, the walk along its reference, and values derived from both."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
 
@@ -102,7 +102,7 @@ def static_N(c: Configuration, model: Model) -> Array:
 class Subject:
     """A configuration, and values that several figures and warnings share, computed once.
 
-    The sections of the report set `proven`, `probe`, `tool`, `needs_tool` and `fifo`.
+    The sections of the report set `proven`, `fifo`, and `probe` to `notes`.
     """
 
     c: Configuration
@@ -119,6 +119,10 @@ class Subject:
     tool: str = ""
     """Generation tool of that FMU."""
     needs_tool: bool = False
+    unfit_step: str = ""
+    """What is wrong with its communication steps, by its description."""
+    notes: list[str] = field(default_factory=list)
+    """What it reported."""
     fifo: bool = True
     """True if this machine grants SCHED_FIFO."""
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from drivers.motors import MotorProtocol
 from drivers.transmission import Transmission
+from hil.app.check.leg_order import findings, model_mobility
 from hil.app.check.loose_limits import FACTOR, loose
 from hil.app.check.report import Scaled
 from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, static_N
@@ -167,17 +168,11 @@ def falls(c: Configuration) -> str:
     )
 
 
-def _backward(s: Subject) -> str:
-    """Legs that a force > 0 shortens."""
-    legs = [] if s.probe is None else np.flatnonzero(np.diag(s.probe.mobility) < 0.0).tolist()
-    return ", ".join(map(str, legs))
-
-
 def _uncoupled(s: Subject) -> dict[str, float] | None:
     """Largest mass of uncoupled legs, if the law assumes a platform between them."""
     if s.probe is None or not s.probe.uncoupled or s.c.controller.believed is None:
         return None
-    return {"m": float(1.0 / np.abs(np.diag(s.probe.mobility)).min())}
+    return {"m": float(1.0 / np.abs(s.probe.mobility).max(axis=0).min())}
 
 
 _NOISE = "give the largest deviation of a reading, 3 to 4 standard deviations"
@@ -360,10 +355,11 @@ WARNINGS = {
         lambda s: s.needs_tool,
         "{c.plant.model.path} needs {s.tool} at run time: without it the run does not start",
     ),
-    "plant.model force signs": Warning(
-        _backward,
-        "a force > 0 shortens leg {text} of the FMU, but must extend it: change the sign in the FMU",
+    "plant.model legs": Warning(
+        lambda s: [] if s.probe is None else findings(s.probe, model_mobility(s.c)), "{text}"
     ),
+    "plant.model.step_us": Warning(lambda s: s.unfit_step, "{c.plant.model.path}: {text}"),
+    "plant.model reports": Warning(lambda s: s.notes, "{c.plant.model.path}: {text}"),
     "plant.model coupling": Warning(
         _uncoupled,
         "no platform couples the legs of the FMU, but controller.law {c.controller.law} compensates one: "

@@ -20,7 +20,7 @@ from hil.app.configuration.fault_words import show_fault
 from hil.app.homing.keeper import Keeper
 from hil.app.log_budget import make_room, needed_bytes
 from hil.app.output import after_run, end_record, fail, fault_story, leaving, log_path
-from hil.app.plant_rows import PLANT, plant_row
+from hil.app.plant_rows import PLANT, plant_row, plant_warnings
 from hil.app.replay import measured
 from hil.app.sim.build import build_lockstep
 from hil.app.sim.commands import CommandScript, TimedCommand
@@ -171,6 +171,7 @@ def simulate(
         begun = time.perf_counter()
         ending = _run_to_end(lockstep, (recording, truth, path), duration_s, script, operator)
         wall = time.perf_counter() - begun
+        warnings = plant_warnings(physics, recording, lockstep.tick * lockstep.period_ns)
         with leaving(lambda: f"{after_run(ending)}; its log: {path}"):
             recorder = recording.close(end_record(ending, ending.trouble))
             lost = recorder.error or ("" if truth is None else truth.close().error)
@@ -186,6 +187,7 @@ def simulate(
         "rate_Hz": rate,
         **law_figures(c.controller, cycle.parts.law),
         **bus_load,
+        **warnings,
         "wall_s": wall,
     }
     with leaving(lambda: f"{after_run(ending)}; its log is whole: {path}"):

@@ -112,8 +112,8 @@ EXAMPLES: list[tuple[str, str, tuple[Changes, Changes]]] = [
 ELSEWHERE = {
     "drives.transmission", "controller.controller_file", "controller.controller_file of another robot",
     "controller unstable", "feedforward rate", "feedforward.fade_s", "feedforward changes", "feedforward.limit_N",
-    "plant.model.brake", "plant.model.allow_execution_tool", "plant.model force signs", "plant.model coupling",
-    "loop.without_realtime", "schema",
+    "plant.model.brake", "plant.model.allow_execution_tool", "plant.model legs", "plant.model coupling",
+    "plant.model.step_us", "plant.model reports", "loop.without_realtime", "schema",
 }  # fmt: skip
 """Codes with examples that need a file, a proof or properties of this machine."""
 

@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
 from drivers.errors import ConfigurationError, PlantError
 from hil.app.check.command import inspect
+from hil.app.check.leg_order import model_mobility
 from hil.app.check.subject import looked_at
 from hil.app.check.warnings import warnings
+from hil.app.configuration.changes import with_changes
 from hil.app.configuration.configuration import Configuration, load, loads
 from hil.app.configuration.fault_words import with_faults
+from hil.app.sim.command import simulate
 from hil.cli import main
+from hil.record.log import Log
 from hil.study.faults.cases import MATRIX, cases
 from plant_fmu.faults import FAULTS
 from plant_fmu.fmu.probe import Probe
 from plant_fmu.stewart.build import build
 from tests.broad import broad
+from tests.legs_fmu import MAPPED, legs_fmu
 
 pytestmark = pytest.mark.usefixtures("unproven")
 OURS = """
@@ -44,11 +51,7 @@ def said(name, mobility):
     """Warnings about an FMU with this mobility as the plant of a shipped configuration."""
     subject = looked_at(load(name))
     subject.probe = Probe(np.zeros(6), mobility)
-    return [
-        text
-        for code, text in warnings(subject)
-        if code in {"plant.model coupling", "plant.model force signs"}
-    ]
+    return [text for code, text in warnings(subject) if code in {"plant.model coupling", "plant.model legs"}]
 
 
 def test_warning_for_uncoupled_legs_proposes_pd_for_the_largest_mass():
@@ -60,9 +63,9 @@ def test_warning_for_uncoupled_legs_proposes_pd_for_the_largest_mass():
 
 
 def test_coupled_legs_pass_and_a_leg_of_inverted_sign_is_reported():
-    platform = 0.02 * np.eye(6) + 0.005
+    platform = model_mobility(load("virtual"))
     assert said("virtual", platform) == []
-    platform[3] *= -1.0
+    platform[:, 3] *= -1.0
     (text,) = said("virtual", platform)
     assert "shortens leg 3 of the FMU" in text
 
@@ -90,6 +93,64 @@ def test_check_prints_units_and_refuses_an_unsuitable_fmu(tmp_path):
     file.write_text(file.read_text().replace("rate: [rate]", "rate: [speed]"))
     with pytest.raises(PlantError, match="no variable 'speed'"):
         inspect(load(file))
+
+
+def legs(folder, *quirks, model="", **built):
+    """Return a configuration of single legs whose plant is an FMU of them."""
+    path = legs_fmu(folder / "legs.fmu", *quirks, **built)
+    mapped = "".join(f"    {key}: {names}\n" for key, names in MAPPED.items())
+    plant = f"plant:\n  model:\n    type: fmu\n    path: {path}\n    isolation: in_process\n{mapped}{model}"
+    emulated = "  drives: {force_bandwidth_Hz: 200, brake_open_ms: 50, brake_close_ms: 30}\n"
+    text = load("bench").text.partition("\nplant:")[0] + "\n" + plant + emulated
+    limits = {"force_N": 2000, "force_step_N": 200, "force_window_N": 2000}
+    changes = {"limits": limits, "monitor": {"friction_N": 5, "disturbance_m_s2": 2}}
+    return loads(with_changes(text, changes), "legs.yaml", folder)
+
+
+def offset(folder):
+    """Return the key that the refusal of lengths that count from elsewhere proposes."""
+    with pytest.raises(PlantError, match="other leg lengths") as refused:
+        inspect(legs(folder))
+    (key,) = re.findall(r"plant\.model\.(length_offset_m: [0-9.]+)", str(refused.value))
+    return f"    {key}\n"
+
+
+def test_lengths_that_count_from_elsewhere_are_refused_with_the_key_that_shifts_them(tmp_path):
+    report = inspect(legs(tmp_path, model=offset(tmp_path)))
+    assert not [code for code in report.codes if code.startswith("plant.model")]
+    assert report.figures["fmu"]["uncoupled"] is True
+
+
+@pytest.mark.parametrize(
+    ("quirks", "built", "code", "words"),
+    [
+        (["NO_RESET"], {}, "plant.model reports", ["cannot be reset"]),
+        (["WARNS"], {"brake": "Boolean"}, "plant.model reports", ["7, the first message: tolerance 1e-06"]),
+        (
+            ["INNER=0.002"],
+            {"experiment": 'stepSize="0.002"'},
+            "plant.model.step_us",
+            ["its own step is 0.002 s", "step_us: 2000", "500"],
+        ),
+        (["INNER=0.002"], {}, "plant.model legs", ["moves no leg", "step of the FMU"]),
+    ],
+)
+def test_check_warns_about_the_quirks_of_an_fmu(quirks, built, code, words, tmp_path):
+    report = inspect(legs(tmp_path, *quirks, model=offset(tmp_path), **built))
+    (text,) = [text for each, text in zip(report.codes, report.warnings, strict=True) if each == code]
+    for word in words:
+        assert word in text
+
+
+def test_warnings_of_an_fmu_are_counted_in_the_summary_and_in_the_log(tmp_path):
+    c = legs(tmp_path, "WARNS", "NO_RESET", model=offset(tmp_path), brake="Boolean")
+    summary = simulate(c, log=tmp_path / "a.mcap", duration_s=0.05, check_replay=False)
+    (warning,) = summary["plant_warnings"]
+    count = int(re.findall(r"warnings of the FMU: (\d+), the first message: tolerance 1e-06", warning)[0])
+    assert abs(count - summary["ticks"]) <= 1
+    assert [event.text for event in Log(tmp_path / "a.mcap").events() if event.level == "warning"] == [
+        warning
+    ]
 
 
 WRENCH = "wrench_step force=0,0,-10"

@@ -35,14 +35,14 @@ from hil.record.log import Log
 from plant_fmu.config import DriveEmulation
 from plant_fmu.drives.nodes import Nodes
 from plant_fmu.faults.kinds import EncoderFreeze, ProcessSlow
-from plant_fmu.plant import Truth
+from plant_fmu.plant import Plant, Truth
 from tests.drivers.legs_frames import opening
 
 MS = 1_000_000
 DIED = "its process died of SIGKILL"
 
 
-class Legs:
+class Legs(Plant):
     """Six legs of 1.5 m. State: time, whether it is alive.
 
     rates : m/s, as a function of time; dies_s : end of its life; resets : number of resets that it survives.

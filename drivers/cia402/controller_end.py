@@ -106,7 +106,7 @@ def _drive(setup: DriveSetup, family: Any) -> list[Step]:
         Step("write", o.CONSUMER_HEARTBEAT, consumer),
         Step("write", o.PRODUCER_HEARTBEAT, family.heartbeat_ms, 2),
         Step("write", o.COMMUNICATION_ERROR, 1, 1, optional=True),
-        Step("write", o.ABORT_CONNECTION, 1, 2),
+        Step("write", o.ABORT_CONNECTION, 1, 2, optional=o.ABORT_CONNECTION in family.may_lack),
         Step("write", o.QUICK_STOP, 2, 2),
         Step("write", o.FAULT_REACTION, FAULT_REACTIONS[setup.reaction], 2),
         Step("write", o.MODE, o.CYCLIC_TORQUE, 1),
@@ -141,7 +141,7 @@ def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tupl
         Step(
             "read", o.SUPPORTED_MODES, o.SUPPORTS_CYCLIC_TORQUE, optional=True, mask=o.SUPPORTS_CYCLIC_TORQUE
         ),
-        Step("read", o.RATED_TORQUE, family.rated_torque_mNm),
+        Step("read", o.RATED_TORQUE, family.rated_torque_mNm, optional=o.RATED_TORQUE in family.may_lack),
     ]
     if increments:
         first.append(Step("read", o.ENCODER_INCREMENTS, increments, optional=True))
@@ -302,5 +302,5 @@ class Cia402End(ControllerEnd):
             return why if step.kind != "nmt" else "it sends no TPDO after its start by NMT"
         if abort:
             text = o.ABORTS.get(abort, "not a code of CiA 301: see the manual of the drive")
-            return f"{what}: {step.kind} refused with abort 0x{abort:08X} ({text})"
+            return f"{what}: {step.kind} refused with abort 0x{abort:08X} ({text}){o.way_out(step.key)}"
         return f"{what} is {int(c['read'][leg]) & step.mask}, expected {step.value & step.mask}"

@@ -1,14 +1,8 @@
 """Objects of CiA 301 and CiA 402 that a run uses, and the expedited SDO frames that read and write them.
 
 Identifiers and services: CiA 301 (EN 50325-4), 7.2 and 7.3. Drive objects: CiA 402-2 (IEC 61800-7-201).
-Integers are little-endian. No state, no clock. A drive's electronic data sheet is checked before a run; it is
-read with the package canopen, an extra.
+Integers are little-endian. No state, no clock.
 """
-
-from pathlib import Path
-from typing import Any
-
-from drivers.errors import ConfigurationError
 
 NMT_ID, SYNC_ID, EMCY_ID = 0x000, 0x080, 0x080
 TPDO_ID = 0x180, 0x280, 0x380, 0x480
@@ -84,6 +78,9 @@ NAMES: dict[Key, str] = {
     SUPPORTED_MODES: "supported drive modes",
 }
 
+HAS = {"has_rated_torque": RATED_TORQUE, "has_abort_connection": ABORT_CONNECTION}
+"""Options of the protocol that are false for drives without an object, for which the user vouches then."""
+
 NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 BAD_COMMAND, READ_ONLY, WRITE_ONLY = 0x0504_0001, 0x0601_0002, 0x0601_0001
 CANNOT_MAP, MAPPING_TOO_LONG = 0x0604_0041, 0x0604_0042
@@ -124,6 +121,12 @@ def place(key: Key) -> str:
     return f"{text} {NAMES[key]}" if key in NAMES else text
 
 
+def way_out(key: Key) -> str:
+    """Text for an object that a drive lacks: the option by which the user vouches for it, if there is one."""
+    options = [name for name, needed in HAS.items() if needed == key]
+    return f" (to vouch for it yourself: drives.options.{options[0]}: false)" if options else ""
+
+
 def head(specifier: int, key: Key) -> bytes:
     """First four bytes of an SDO frame."""
     return bytes((specifier, key[0] & 0xFF, key[0] >> 8, key[1]))
@@ -157,52 +160,3 @@ def read_value(data: bytes) -> tuple[Key, int] | None:
 def mapped(key: Key, bits: int) -> int:
     """Entry of a PDO mapping."""
     return key[0] << 16 | key[1] << 8 | bits
-
-
-_WRITTEN: tuple[Key, ...] = (
-    CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT, (RPDO, 1), (RPDO, 2), (RPDO_MAP, 0), (TPDO, 1), (TPDO, 2),
-    (TPDO_MAP, 0), ABORT_CONNECTION, QUICK_STOP, FAULT_REACTION, MODE, MAX_TORQUE,
-)  # fmt: skip
-_READ: tuple[Key, ...] = (DEVICE_TYPE, MODE_SHOWN, RATED_TORQUE)
-_MAPPED: tuple[Key, ...] = (CONTROLWORD, TARGET_TORQUE, STATUSWORD, POSITION, TORQUE)
-
-
-def check_eds(path: str, *, velocity: bool) -> None:
-    """Check a drive's data sheet. velocity: True if 0x606C has to fit into a second TPDO.
-
-    Raises ConfigurationError if the package canopen is missing, if the sheet cannot be read, and with all
-    objects that the drive lacks.
-    """
-    try:
-        import canopen  # noqa: PLC0415 - an extra
-    except ImportError:
-        raise ConfigurationError(
-            "drives.options.eds: a data sheet is read with the package canopen: pip install "
-            "'hexapod-hil[canopen]', or leave the key out"
-        ) from None
-    if not Path(path).is_file():
-        raise ConfigurationError(f"drives.options.eds: no such file: {path}")
-    try:
-        found = canopen.import_od(path)
-    except Exception as error:  # the reader raises whatever its parser meets
-        raise ConfigurationError(f"drives.options.eds: {path} cannot be read: {error!r}") from error
-    lacks = _lacks(found, velocity=velocity)
-    if lacks:
-        raise ConfigurationError(
-            f"drives.options.eds: according to {path} the drive lacks objects: {'; '.join(lacks)}"
-        )
-
-
-def _lacks(found: Any, *, velocity: bool) -> list[str]:
-    second = ((TPDO + 1, 1), (TPDO_MAP + 1, 0)) if velocity else ()
-    mapped = (*_MAPPED, VELOCITY) if velocity else _MAPPED
-    lacks = []
-    for key in (*_READ, *_WRITTEN, *second, *mapped):
-        variable = found.get_variable(*key)
-        if variable is None:
-            lacks.append(f"{place(key)} is missing")
-        elif key in (*_WRITTEN, *second) and not variable.writable:
-            lacks.append(f"{place(key)} cannot be written")
-        elif key in mapped and not variable.pdo_mappable:
-            lacks.append(f"{place(key)} cannot be mapped")
-    return lacks

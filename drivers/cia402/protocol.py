@@ -35,7 +35,7 @@ MAX_NODE = 127
 _RPDO = struct.Struct("<Hh")
 _NODE = 0x7F
 _IDENTITY = {o.SERIAL: SERIAL, o.REVISION: REVISION}
-_ALLOWED = ("rated_torque_Nm", "velocity", "controller_node", "check_encoder", "eds")
+_ALLOWED = ("rated_torque_Nm", "velocity", "controller_node", "check_encoder", "eds", *o.HAS)
 _MOST_Nm = 4_294_967.0
 """Largest value of 0x6076, N m."""
 
@@ -50,6 +50,19 @@ _DIFFERENCE = (
     "drives.options.velocity difference: leg rates are differences of lengths; their noise is that of the "
     "encoder times the rate of the loop"
 )
+_VOUCHED = {
+    o.RATED_TORQUE: (
+        "drives.options.has_rated_torque false: without 0x6076 nothing checks rated_torque_Nm, and "
+        "all forces are wrong by as much as it is: take it from the motor's data sheet, and compare a force "
+        "of each leg in a bring-up"
+    ),
+    o.ABORT_CONNECTION: (
+        "drives.options.has_abort_connection false: nothing here sets what a drive without 0x6007 does when "
+        "the controller's heartbeat is lost: set a fault that closes the brake with the maker's tool, and "
+        "try it on each drive by stopping the controller"
+    ),
+}
+"""Dangers of drives without an object."""
 
 
 class Cia402Protocol(Family):
@@ -65,6 +78,8 @@ class Cia402Protocol(Family):
         self.velocity = velocity = options.choice("velocity", ("pdo", "difference"), "pdo") == "pdo"
         self.controller_node = options.whole("controller_node", MAX_NODE, 1, MAX_NODE)
         check_encoder = options.flag("check_encoder", default=True)
+        self.may_lack = {key for name, key in o.HAS.items() if not options.flag(name, default=True)}
+        """Objects that the user vouches for."""
         own = self.controller_node
         self.refuse_nodes(1, MAX_NODE, "cia402", f" without the controller's own {own}", own)
         self._permille_Nm = 1e-3 * rated_Nm
@@ -111,7 +126,11 @@ class Cia402Protocol(Family):
             set_up_frames=MOST_REQUESTS,
             reset_ticks=6,
             reactions=tuple(FAULT_REACTIONS),
-            dangers=(_BRAKES,) if self.velocity else (_BRAKES, _DIFFERENCE),
+            dangers=(
+                _BRAKES,
+                *(() if self.velocity else (_DIFFERENCE,)),
+                *(_VOUCHED[key] for key in o.HAS.values() if key in self.may_lack),
+            ),
             stop_latches=True,
             latches_together=True,
             reported_lengths=(np.minimum(*ends), np.maximum(*ends)),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import struct
 from math import ceil
 from typing import Any
@@ -10,7 +9,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drivers.cia402.objects import check_eds
 from drivers.cia402.states import State, commanded, controlword
 from drivers.config import BusSettings, DriveSettings
 from drivers.errors import ConfigurationError, ProtocolError
@@ -31,7 +29,6 @@ from drivers.signals import Command, DriveMode, Reaction
 from hil.contracts.by_value import ByValue, Remembered
 from hil.contracts.loopback import SETUP
 from tests.drivers.cia402_drives import NODES, PERMILLE_N, STEP_m, drives, made, settings
-from tests.drivers.cia402_sheet import sheet
 from tests.drivers.motor_families import UNLIKE, UNLIKE_GEAR
 
 OFF, READY, RUN, RESET = DriveMode
@@ -289,25 +286,3 @@ def test_each_setting_of_the_drives_reaches_its_object():
 def test_invalid_setting_is_refused_with_its_name(changes, message):
     with pytest.raises(ConfigurationError, match=message):
         configured(**changes)
-
-
-def test_check_of_a_data_sheet_lists_all_missing_objects(tmp_path):
-    path = tmp_path / "drive.eds"
-    path.write_text(sheet(), encoding="ascii")
-    for velocity in (True, False):
-        check_eds(str(path), velocity=velocity)
-    text = sheet(0x605E, 0x1801)
-    for section, key in (("[6060]", "AccessType=rw"), ("[6077]", "PDOMapping=1")):
-        at = text.index(section)
-        fixed = {"AccessType=rw": "AccessType=ro", "PDOMapping=1": "PDOMapping=0"}[key]
-        text = text[:at] + text[at:].replace(key, fixed, 1)
-    path.write_text(text, encoding="ascii")
-    lacks = "0x605E:0 .*is missing; .*0x6060:0 .*cannot be written; .*0x6077:0 cannot be mapped"
-    for velocity in (True, False):
-        with pytest.raises(ConfigurationError) as refused:
-            check_eds(str(path), velocity=velocity)
-        said = sorted(str(refused.value).partition("lacks objects: ")[2].split("; "))
-        found = "; ".join(each for each in said if "0x1801" not in each)
-        assert re.search(lacks, found), found
-        assert any("0x1801" in each for each in said) == velocity
-    configured(options={"rated_torque_Nm": 9.0, "eds": str(tmp_path / "nowhere.eds")})

@@ -226,12 +226,14 @@ def data_sheet(c: Sections, folder: Folder) -> Iterator[Finding]:
     options = c.drives.options
     if folder is None or c.drives.protocol != "cia402" or "eds" not in options:
         return
-    from drivers.cia402.objects import check_eds  # noqa: PLC0415 - with an extra
+    from drivers.cia402.eds import check_eds  # noqa: PLC0415 - for such drives only
+    from drivers.cia402.objects import HAS  # noqa: PLC0415
 
     here, there = FilePath(str(options["eds"])), folder / str(options["eds"])
     sheet = there if there.is_file() and not here.is_file() else here
     try:
-        check_eds(str(sheet), velocity=options.get("velocity", "pdo") == "pdo")
+        may_lack = {key for name, key in HAS.items() if options.get(name) is False}
+        check_eds(str(sheet), velocity=options.get("velocity", "pdo") == "pdo", may_lack=may_lack)
     except ConfigurationError as error:
         yield _keyed(error, "drives", ("drives", "options", "eds"))
 

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from drivers.bus_address import BusAddress
 from drivers.errors import ConfigurationError
@@ -11,6 +11,13 @@ from drivers.registry import registered
 from drivers.section import Section
 from drivers.signals import LEGS
 
+Name = Annotated[
+    str,
+    BeforeValidator(
+        lambda given: str(given) if type(given) is int else given, json_schema_input_type=str | int
+    ),
+]
+"""Text, which YAML reads as a number where it is one: `channel: 0`."""
 MAX_BUSES = LEGS
 """Each leg is on one bus."""
 
@@ -18,7 +25,7 @@ MAX_BUSES = LEGS
 class ChannelSettings(Section):
     """One bus of several. Omitted keys are those of the section `bus`."""
 
-    channel: str
+    channel: Name
     """Name of the channel, different for each bus."""
     legs: Annotated[list[Annotated[int, Field(ge=0, lt=LEGS)]], Field(min_length=1, max_length=LEGS)]
     """Legs whose drives are on it, counted from 0."""
@@ -45,7 +52,7 @@ class BusSettings(Section):
 
     interface: str = BusAddress().interface
     """python-can interface: localcan, socketcan, udp_multicast, ..."""
-    channel: str = BusAddress().channel
+    channel: Name = BusAddress().channel
     """Channel of that interface (vcan0, can0, a localcan name, a multicast group)."""
     layout: Literal["classic", "fd", "ideal"] = "fd"
     """Frame layout; `ideal` takes no bus time and is for theory only."""
@@ -240,7 +247,7 @@ class TrackerSettings(Section):
     """Standard deviation of the noise of the orientation about each axis."""
     latency_max_ms: Above0 = 20.0
     """Largest age of a sample; an older one is refused. Each millisecond costs the filter memory and time."""
-    channel: str | None = None
+    channel: Name | None = None
     """Its channel of `bus.channels`; default: the first."""
 
 
@@ -252,7 +259,7 @@ class ImuSettings(Section):
     """Samples per second, at most one per tick."""
     angular_rate_std_rad_s: Above0 = 2e-3
     specific_force_std_m_s2: Above0 = 0.05
-    channel: str | None = None
+    channel: Name | None = None
     """Its channel of `bus.channels`; default: the first."""
 
 
@@ -262,7 +269,7 @@ class WrenchSensorSettings(Section):
     node_id: Node = 9
     rate_Hz: Above0 = 1000.0
     """Samples per second, at most one per tick."""
-    channel: str | None = None
+    channel: Name | None = None
     """Its channel of `bus.channels`; default: the first."""
 
 

@@ -34,6 +34,8 @@ from drivers.signals import DriveFault, DriveState, Reaction
 NOP = 0x50
 WRITE, READ, REPLY, ERRORS = 0x00, 0x10, 0x20, 0x30
 """Kinds of subframes."""
+PADDING = 0x50
+"""First kind of no subframe: some interfaces pad with 0xCC, not with NOP."""
 NOT_WHOLE, NOTHING = -1, -2
 """Instead of a kind: the data end within a group, or no group is left."""
 _MOST_BITS = 63
@@ -80,8 +82,10 @@ def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
     head = int(data[at])
     at += 1
     kind, width, count = head & 0xF0, head >> 2 & 3, head & 3
-    if head == NOP or kind == ERRORS:
-        return NOTHING if head == NOP else kind, width, 0, 0, at
+    if head == NOP:
+        return NOTHING, width, 0, 0, at
+    if kind == ERRORS or kind >= PADDING:
+        return ERRORS, width, 0, 0, at
     if count == 0:
         count, at = _varuint(data, size, at)
         if count == 0:
@@ -274,17 +278,19 @@ class MoteusProtocol(MotorProtocol):
     fault_names = FAULTS
 
     def __init__(self, bus: BusSettings, drives: DriveSettings) -> None:
-        options = Options(bus, drives, "moteus", "fd", ("host_id", "timeout_mode", "torque_N_m"))
+        options = Options(bus, drives, "moteus", "fd", ("host_id", "timeout_mode", "torque_N_m", "brs"))
         transmission, nodes = options.transmission, drives.node_ids
         self._reaction = _TIMEOUT_MODES[options.choice("timeout_mode", tuple(_TIMEOUT_MODES))]
         self.torque_limit = most = options.positive("torque_N_m", _MAX_TORQUE)
         name = f"moteus, by drives.options: torque_N_m {most:g},"
         refuse_torque(transmission, drives.force_limit_N, most, name)
         self.host = host = options.whole("host_id", 0, 0, 126)
+        self.flags = FD | BRS * options.flag("brs", default=True)
+        """Flags of all frames, but for EXTENDED: a drive answers with the bit rates of its query."""
         answers = tuple(node << 8 | host for node in nodes)
         super().__init__(transmission, nodes, (TORQUE_AT, 32, 0.0), bus.legs, answers)
         self.refuse_nodes(1, 126, "moteus", f" but the controller's {host}", host)
-        self.tables["replies"] = answers
+        self.tables["replies"], self.tables["flags"] = answers, self.flags
 
     # controller's end
 
@@ -293,7 +299,7 @@ class MoteusProtocol(MotorProtocol):
         """Properties of drives that answer commands at once; a stop does not latch."""
         does = "0, stopped" if self._reaction == Reaction.BRAKE else "12, zero velocity"
         return self.traits_of(
-            (Frame(each, _ANSWER, FD | BRS | (EXTENDED if each > 0x7FF else 0)) for each in self.wanted),
+            (Frame(each, _ANSWER, self.flags | (EXTENDED if each > 0x7FF else 0)) for each in self.wanted),
             family="moteus",
             emergency_stop=self._commands(STOP),
             identity_requests=tuple(self._commands(pad(ask)) for ask in (WHO, WHICH)),
@@ -308,7 +314,7 @@ class MoteusProtocol(MotorProtocol):
         return tuple(self._commands(data) for data in (STOP, STOP, STOP, torque))
 
     def _commands(self, data: bytes) -> tuple[Frame, ...]:
-        first, flags = REPLY_WANTED | self.host << 8, EXTENDED | FD | BRS
+        first, flags = REPLY_WANTED | self.host << 8, EXTENDED | self.flags
         return self.to_each(Frame(first | node, data, flags) for node in self.nodes)
 
     def said_by(self, frame: Frame) -> Said | None:

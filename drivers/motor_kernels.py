@@ -40,7 +40,8 @@ HEARD = np.dtype(
         ("value", "<f8"),
     ]
 )
-"""Content of one frame of a drive; `register` and `value`: an answer of the start-up dialogue."""
+"""Content of one frame of a drive; `register` and `value`: an answer of the start-up dialogue; in a BROKEN
+frame they are a refused read, with value NaN."""
 BROKEN, FOREIGN, MOTION, FEEDBACK, TORQUE, POWER, ANSWER = (1 << k for k in range(7))
 EAR = np.dtype(
     [
@@ -57,6 +58,7 @@ EAR = np.dtype(
         ("silence", "<i8"),  # fault code of a drive's own watchdog; -1: none
         ("stopped", "<i8"),  # fault code of an emergency stop; -1: none
         ("registers", "<i8"),  # 1: the drives answer reads of registers
+        ("flags", "<i8"),  # FD and BRS, if the frames have them
         # used by all families
         ("hear", "<i8"),  # address of that function
         ("shift", "<i8"),  # position and mask of the node number in an identifier
@@ -274,6 +276,8 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
         early = received[n].t_ns < since_ns
         if not has & FOREIGN and (has & BROKEN or bus != ear.bus_of[leg]):
             tick.rejected += 1
+            if bus == ear.bus_of[leg]:
+                _confirm(m, heard)
         elif has & FOREIGN:
             tick.foreign = Foreign.COMMAND.value
         elif has & ANSWER:

@@ -9,6 +9,7 @@ provided that it reports this: a moteus may have obeyed the next command before 
 
 from abc import abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from math import isnan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -102,7 +103,11 @@ class MotorController(ControllerEnd):
         asked = exchanges[done - 1]
         if not m["has_read"][leg]:
             return f"{asked.name} is not confirmed"
-        return f"{asked.name} is {float(m['read'][leg]):.7g} in the drive, expected {asked.value:.7g}"
+        read = float(m["read"][leg])
+        refused = isnan(read)
+        return asked.name + (
+            ": read refused" if refused else f" is {read:.7g} in the drive, expected {asked.value:.7g}"
+        )
 
     def carried(self, force: Array) -> Array:
         """Forces (6,) N at rest, without losses, of the torques sent for these forces at the last rates."""

@@ -78,6 +78,7 @@ VARIANTS = {
             "AK80-64": Ranges(P, 8.0, 144.0),
         },
         CUBEMARS_FAULTS,
+        reply_bytes=(6, 7, 8),
     ),
     "damiao": Variant(
         {

@@ -21,7 +21,7 @@ from drivers.frame_pointers import place_of, value, whole
 from drivers.mit.fields import TOP_COMMAND, TURN, VARIANTS, Ranges
 from drivers.motor_settings import Options, refuse_torque, unwatched
 from drivers.motors import ANY, NO_BRAKE, Exchange, MotorProtocol
-from drivers.protocol import REVISION, SERIAL, STRANGE, DriveSetup, Frame, Resolution, Said, Traits
+from drivers.protocol import BRS, FD, REVISION, SERIAL, STRANGE, DriveSetup, Frame, Resolution, Said, Traits
 from drivers.signals import LEGS
 
 REGISTERS = 0x7FF
@@ -64,7 +64,7 @@ def take_motion(ear: Any, leg: int, position: int, velocity: int, torque: int, b
 def hear(ear: Any, frame: Any, heard: Any) -> int:
     """Decode a reply: position turns, velocity turns/s, torque N m, status."""
     identifier, size, data = int(frame.id), int(frame.length), frame.data
-    if frame.flags & STRANGE:
+    if frame.flags & STRANGE & ~ear.flags:
         return 0
     to = place_of(identifier, ear.nodes)
     if to >= 0 or (ear.registers and identifier == REGISTERS):
@@ -76,27 +76,27 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         return motors.says(heard, first, motors.BROKEN)
     head, p, v, t = int(data[0]), int(data[1]) << 8 | int(data[2]), int(data[3]) << 4, int(data[5])
     v, t = v | int(data[4]) >> 4, t | (int(data[4]) & 0xF) << 8
+    leg = place_of(head & 0xF if ear.registers else head, ear.nodes)
+    if leg < 0 or ear.replies[leg] != identifier:
+        return motors.says(heard, first, motors.BROKEN)
     if not ear.registers:
-        leg, fault = place_of(head, ear.nodes), int(data[7]) if size == 8 else 0
-        if leg < 0:
-            return motors.says(heard, first, motors.BROKEN)
+        fault = int(data[7]) if size == 8 else 0
         take_motion(ear, leg, p, v, t, 12, heard)
         return motors.powers(ear, heard, fault, False) if fault else 1
-    node = ear.nodes[first]
     # A status is 0, 1 or above 7, so only a disabled drive near the lower end of its position could look
     # like a register's answer: it has the position code 0x0033 or 0x0055 there.
-    if head == node and data[1] == 0 and data[2] in (READ, WRITE):
-        return _answer(data, first, heard)
+    if head == ear.nodes[leg] and data[1] == 0 and data[2] in (READ, WRITE):
+        return _answer(data, leg, heard)
     status = head >> 4
-    if head & 0xF != node or (status > 1 and not ear.faults >> status & 1):
-        return motors.says(heard, first, motors.BROKEN)
-    take_motion(ear, first, p, v, t, 12, heard)
+    if status > 1 and not ear.faults >> status & 1:
+        return motors.says(heard, leg, motors.BROKEN)
+    take_motion(ear, leg, p, v, t, 12, heard)
     return motors.powers(ear, heard, status if status > 1 else 0, status == 1)
 
 
 _HOSTS = {"mini_cheetah": (0,), "cubemars": (0,), "damiao": (16,), "robstride": (253, 128, 255)}
-"""Identifier of the replies; Damiao: offset added to a drive's own number; RobStride: the controller's
-number, and its range."""
+"""Identifier of the replies; Damiao: offset added to a drive's own number, or 0 for replies that all have
+identifier 0, as delivered; RobStride: the controller's number, and its range."""
 _FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m": "torque"}
 
 
@@ -108,17 +108,19 @@ class MitFamily(MotorProtocol):
 
         Raises ConfigurationError for settings that the variant does not have.
         """
-        options = Options(bus, drives, "mit", "classic", ("variant", "model", "host_id", *_FIELDS))
+        layout = "fd" if (drives.options.get("variant"), bus.layout) == ("damiao", "fd") else "classic"
+        options = Options(bus, drives, "mit", layout, ("variant", "model", "host_id", *_FIELDS))
         self.variant = options.choice("variant", tuple(VARIANTS))
         models = VARIANTS[self.variant].models
         ranges: Ranges = models[options.choice("model", tuple(models))]
         given = {field: options.positive(key, getattr(ranges, field)) for key, field in _FIELDS.items()}
         self.ranges = ranges = ranges._replace(**given)
         self.host = options.whole("host_id", *_HOSTS[self.variant])
+        self.flags = FD | BRS if layout == "fd" else 0
         super().__init__(options.transmission, drives.node_ids, (*torque_field, ranges.torque), bus.legs)
         for name in ("position", "velocity", "torque"):
             self.tables[name] = getattr(ranges, name)
-        self.tables["clamps"] = VARIANTS[self.variant].clamps
+        self.tables["clamps"], self.tables["flags"] = VARIANTS[self.variant].clamps, self.flags
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
         """Properties of the drives; steps of position, velocity and torque are truncated, at either end."""
@@ -153,7 +155,7 @@ class MitProtocol(MitFamily):
         self.damiao = self.clears = damiao
         self.fault_names = known.faults
         self.refuse_nodes(1, 15 if damiao else 127, f"variant {variant}", ", as a reply has the number")
-        self.replies = [node + host if damiao else host for node in self.nodes]
+        self.replies = [node + host if damiao and host else host for node in self.nodes]
         for reply in self.replies:
             if not 0 <= reply < REGISTERS or reply in self.nodes:
                 raise ConfigurationError(
@@ -177,11 +179,11 @@ class MitProtocol(MitFamily):
         size = VARIANTS[self.variant].reply_bytes[-1] - 1
         replies = zip(self.replies, self.nodes, strict=True)
         return self.traits_of(
-            (Frame(reply, bytes((node, *bytes(size)))) for reply, node in replies),
+            (Frame(reply, bytes((node, *bytes(size))), self.flags) for reply, node in replies),
             family="mit",
-            emergency_stop=self.to_each(Frame(node, DISABLE) for node in self.nodes),
+            emergency_stop=self.to_each(Frame(node, DISABLE, self.flags) for node in self.nodes),
             identity_requests=tuple(
-                self.to_each(_exchange(node, "", READ, register, 0.0).frames[0] for node in self.nodes)
+                self.to_each(self._exchange(node, "", READ, register, 0.0).frames[0] for node in self.nodes)
                 for register in (SAID if self.damiao else ())
             ),
             set_up_frames=int(self.damiao),
@@ -202,11 +204,11 @@ class MitProtocol(MitFamily):
         r = self.ranges
         return tuple(
             (
-                _exchange(node, "CTRL_MODE (register 10)", WRITE, CTRL_MODE, 1),
-                _exchange(node, "TIMEOUT (register 9)", WRITE, TIMEOUT, ticks),
-                _exchange(node, "PMAX (register 21)", READ, PMAX, r.position),
-                _exchange(node, "VMAX (register 22)", READ, VMAX, r.velocity),
-                _exchange(node, "TMAX (register 23)", READ, TMAX, r.torque),
+                self._exchange(node, "CTRL_MODE (register 10)", WRITE, CTRL_MODE, 1),
+                self._exchange(node, "TIMEOUT (register 9)", WRITE, TIMEOUT, ticks),
+                self._exchange(node, "PMAX (register 21)", READ, PMAX, r.position),
+                self._exchange(node, "VMAX (register 22)", READ, VMAX, r.velocity),
+                self._exchange(node, "TMAX (register 23)", READ, TMAX, r.torque),
             )
             for node in self.nodes
         )
@@ -214,17 +216,28 @@ class MitProtocol(MitFamily):
     def said_by(self, frame: Frame) -> Said | None:
         """Serial number or revision in the answer to a read of its register; else None."""
         identifier, data, flags = frame
-        if not self.damiao or flags & STRANGE or identifier not in self.replies or len(data) != 8:
+        if not self.damiao or flags & STRANGE & ~self.flags or len(data) != 8:
             return None
-        leg = self.replies.index(identifier)
-        if data[:3] != bytes((self.nodes[leg], 0, READ)) or data[3] not in SAID:
+        leg = self.legs_of.get(data[0])
+        if (
+            leg is None
+            or self.replies[leg] != identifier
+            or data[1:3] != bytes((0, READ))
+            or data[3] not in SAID
+        ):
             return None
         return Said(leg, SAID[data[3]], int.from_bytes(data[4:], "little"))
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
         """Frames of DISABLE, of clearing a fault, of ENABLE and of torque: all of them are polls."""
         rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, NOTHING
-        return tuple(tuple(Frame(node, data) for node in self.nodes) for data in rows)
+        return tuple(tuple(Frame(node, data, self.flags) for node in self.nodes) for data in rows)
+
+    def _exchange(self, node: int, name: str, kind: int, register: int, value: float) -> Exchange:
+        asked = value if kind == WRITE else 0
+        body = struct.pack(KIND[register], int(asked) if KIND[register] == "<I" else asked)
+        data = bytes((node & 0xFF, node >> 8, kind, register)) + body
+        return Exchange(name, register, (Frame(REGISTERS, data, self.flags),), float(value))
 
 
 SAID = {SN: SERIAL, SW_VER: REVISION}
@@ -233,10 +246,3 @@ KIND = {
     for register in (CTRL_MODE, TIMEOUT, PMAX, VMAX, TMAX, SN, SW_VER)
 }
 """Format of a register."""
-
-
-def _exchange(node: int, name: str, kind: int, register: int, value: float) -> Exchange:
-    asked = value if kind == WRITE else 0
-    body = struct.pack(KIND[register], int(asked) if KIND[register] == "<I" else asked)
-    data = bytes((node & 0xFF, node >> 8, kind, register)) + body
-    return Exchange(name, register, (Frame(REGISTERS, data),), float(value))

@@ -2,13 +2,16 @@
 
 Identifier: type << 24 | data << 8 | target. Type 1 commands, data is the torque's code; 2 is the feedback,
 data is mode << 14 | faults << 8 | motor; 3 enables; 4 stops, and clears faults if its first byte is 1; 17
-reads and 18 writes a register; 0 requests the processor's 64-bit number, which is sent to 0xFE or to the
-host. Positions and torques are big-endian, registers and the processor's number little-endian.
+reads and 18 writes a register; the answer to a read has data status << 8 | motor, and a status that is not 0
+is a refusal; 0 requests the processor's 64-bit number, which is sent to 0xFE or to the host. Positions and
+torques are big-endian, registers and the processor's number little-endian.
 """
 
 import struct
 from functools import cached_property
 from typing import Any
+
+import numpy as np
 
 from drivers import motor_kernels as motors
 from drivers.config import BusSettings, DriveSettings
@@ -43,8 +46,9 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
         return motors.says(heard, leg, motors.BROKEN)
     data = frame.data
     if kind == READ:
-        motors.says(heard, leg, motors.ANSWER)
-        heard.register, heard.value = whole(data, 0, 2), float(data[4])
+        refused = middle >> 8 != 0
+        motors.says(heard, leg, motors.BROKEN if refused else motors.ANSWER)
+        heard.register, heard.value = whole(data, 0, 2), np.nan if refused else float(data[4])
         return 1
     p, v = int(data[0]) << 8 | int(data[1]), int(data[2]) << 8 | int(data[3])
     take_motion(ear, leg, p, v, int(data[4]) << 8 | int(data[5]), 16, heard)

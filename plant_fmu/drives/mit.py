@@ -47,11 +47,11 @@ def device_motion(
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
     """Execute a command. The drive answers every frame with its feedback."""
-    if frame.flags & STRANGE:
+    ear, data, count = drives.ear_at(d.ear), frame.data, 0
+    if frame.flags & STRANGE & ~ear.flags:
         return 0
     if frame.length != 8:
         return drives.rejects(leg, messages)
-    ear, data, count = drives.ear_at(d.ear), frame.data, 0
     special = int(data[7]) if whole(data, 0, 7) == _SPECIAL else 0
     if special == _ZERO:
         count = drives.rejects(leg, messages)  # not emulated
@@ -81,7 +81,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 def encode(d: Any, said: Any, frame: Any) -> int:
     """Fill in a reply. A lost encoder reads the lower end of the range, as no field reports the loss."""
     ear, leg = drives.ear_at(d.ear), said.leg
-    begin_sent(frame, ear.replies[leg], ear.longest, 0, d.bus_of[leg])
+    begin_sent(frame, ear.replies[leg], ear.longest, ear.flags, d.bus_of[leg])
     data, node = frame.data, d.nodes[leg]
     position = -ear.position if said.lost else said.turns * TURN
     motion = device_motion(position, said.speed * TURN, said.torque, ear, ear.clamps != 0)
@@ -115,7 +115,7 @@ class MitDrives(drives.MotorDrives):
     def request(self, leg: int | None, frame: Frame) -> None:
         """Process a request for a register of a Damiao drive."""
         data = frame.data
-        if frame.flags & STRANGE:
+        if frame.flags & STRANGE & ~self.family.flags:
             return
         if len(data) == 8 and data[2] == k.REFRESH and leg is not None:
             self.put(SYNC, (leg,))
@@ -137,7 +137,7 @@ class MitDrives(drives.MotorDrives):
             if data[3] == k.TIMEOUT and held[register] > 0:
                 self.put(CONFIGURE, (leg,), Reaction.BRAKE, round(held[register] / k.TICKS_PER_S * 1e9))
         body = struct.pack(kind, int(held[register]) if kind == "<I" else held[register])
-        self.say(leg, Frame(self.family.replies[leg], data[:4] + body))
+        self.say(leg, Frame(self.family.replies[leg], data[:4] + body, self.family.flags))
 
 
 CODES = {

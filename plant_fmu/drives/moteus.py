@@ -13,7 +13,7 @@ from drivers.arrays import Array
 from drivers.can.bus_time import FD_LENGTHS
 from drivers.compiled.compiler import helper
 from drivers.frame_pointers import begin_sent
-from drivers.protocol import BRS, EXTENDED, FD
+from drivers.protocol import EXTENDED, FD
 from drivers.signals import LEGS, DriveFault
 from drivers.tick_columns import Record
 from plant_fmu.drives import motors as drives
@@ -169,7 +169,7 @@ def encode(d: Any, said: Any, frame: Any) -> int:
     """
     leg, at = said.leg, 0
     identifier = d.nodes[leg] << 8 | d.host[leg]
-    flags = FD | BRS | (EXTENDED if identifier > 0x7FF else 0)
+    flags = drives.ear_at(d.ear).flags | (EXTENDED if identifier > 0x7FF else 0)
     begin_sent(frame, identifier, 0, flags, d.bus_of[leg])
     while at < d.asked[leg]:
         first, width, count = d.wanted[leg, at], d.widths[leg, at], _consecutive(d, leg, at)

@@ -147,23 +147,27 @@ def unpack_command(data: bytes, r: Ranges) -> tuple[float, float, float, float, 
     return value(p, -r.position, r.position, 16), v, kp, kd, t
 
 
-def made(protocol: str, nodes: Any, gear: Any, options: dict[str, Any], **drives: float) -> Any:
+def made(
+    protocol: str, nodes: Any, gear: Any, options: dict[str, Any], layout: Any = None, **drives: float
+) -> Any:
     """Codec of such drives behind a gear, created with another gear that allows any force."""
     light = TransmissionSettings(lead_m=1e-9)
     given = DriveSettings(protocol=protocol, transmission=light, options=options)
     section = given.model_copy(update={"node_ids": list(nodes), **drives})
-    bus = BusSettings(layout="fd" if protocol == "moteus" else "classic")
+    bus = BusSettings(layout=layout or ("fd" if protocol == "moteus" else "classic"))
     found: Any = loaded("hil.protocols", protocol)(bus, section)
     found.transmission = gear
     return found
 
 
 class MitProtocol(Motors):
-    def __init__(self, variant: str, ranges: Ranges, nodes: Any, host: int, gear: Any) -> None:
+    def __init__(
+        self, variant: str, ranges: Ranges, nodes: Any, host: int, gear: Any, layout: str = "classic"
+    ) -> None:
         model = next(iter(VARIANTS[variant].models))
         keys = dict(zip(("position_rad", "velocity_rad_s", "torque_N_m"), ranges, strict=True))
         options = {"variant": variant, "model": model, "host_id": host, **keys}
-        super().__init__(made("mit", nodes, gear, options))
+        super().__init__(made("mit", nodes, gear, options, layout))
 
 
 @cache
@@ -189,9 +193,11 @@ class ODriveProtocol(Motors):
 
 
 class MoteusProtocol(Motors):
-    def __init__(self, nodes: Any, host: int, mode: Reaction, most: float, gear: Any) -> None:
+    def __init__(
+        self, nodes: Any, host: int, mode: Reaction, most: float, gear: Any, *, brs: bool = True
+    ) -> None:
         word = "stopped" if mode == Reaction.BRAKE else "zero_velocity"
-        options = {"host_id": host, "timeout_mode": word, "torque_N_m": most}
+        options = {"host_id": host, "timeout_mode": word, "torque_N_m": most, "brs": brs}
         super().__init__(made("moteus", nodes, gear, options))
 
 

@@ -67,6 +67,16 @@ class TestDamiao(MitInTrouble):
     TELLS_BOOT, VARIANT = False, "damiao"
 
 
+class TestDamiaoOnCanFdAsDelivered(MitInTrouble):
+    """All replies have identifier 0, the factory setting of MST_ID."""
+
+    TELLS_BOOT = False
+
+    @pytest.fixture
+    def family(self):
+        return MitProtocol("damiao", RANGES, MIT_NODES, 0, GEAR, "fd")
+
+
 class TestRobStride(MitInTrouble):
     RESOLUTION = (STEP_m, FINE_m_s, FINE_N, FINE_N)
     SETS_WATCHDOG = TELLS_BOOT = WATCHED = False
@@ -216,7 +226,10 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
     ("changes", "message"),
     [
         ({"transmission": None}, r"drives\.transmission"),
-        ({"layout": "fd"}, r"bus\.layout: .*given: fd"),
+        *(
+            ({"layout": "fd", "options": {"variant": v, "model": next(iter(VARIANTS[v].models))}}, r"bus\.layout: .*given: fd")
+            for v in ("mini_cheetah", "cubemars", "robstride")
+        ),
         ({"options": {}}, "variant of protocol mit"),
         ({"options": {"variant": "damiao"}}, "model of protocol mit"),
         ({"options": {"variant": "mini_cheetah", "gain": 1}}, "given: gain"),
@@ -225,7 +238,7 @@ def made(layout: Any = "classic", **changes: Any) -> Any:
         ({"options": {"variant": "mini_cheetah", "host_id": 3}}, "host_id 3 a reply"),
         ({"options": {"variant": "cubemars", "model": "AK80-6", "host_id": 0x7FF}}, "host_id 2047 a reply"),
         ({"options": {"variant": "cubemars", "model": "AK80-6", "host_id": -1}}, "host_id -1 a reply"),
-        ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 0}}, "host_id 0 a reply"),
+        ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 1}}, "host_id 1 a reply"),
         ({"options": {"variant": "damiao", "model": "DM4310", "host_id": 0x7FE}}, "host_id 2046 a reply"),
         *(
             ({"options": {"variant": "robstride", "model": "rs-02", "host_id": host}}, f"host_id .*given: {host}")

@@ -232,7 +232,9 @@ def test_status_of_a_damiao_is_a_state_a_fault_or_broken(status):
     assert (heard.leg, heard.power, heard.fault, heard.feedback) == (2, power, fault, True)
 
 
-@pytest.mark.parametrize(("name", "sizes"), [("mini_cheetah", (6, 7)), ("cubemars", (8,)), ("damiao", (8,))])
+@pytest.mark.parametrize(
+    ("name", "sizes"), [("mini_cheetah", (6, 7)), ("cubemars", (6, 7, 8)), ("damiao", (8,))]
+)
 def test_reply_of_wrong_length_or_unknown_node_is_broken(name, sizes):
     protocol, identifier = VARIANTS[name], 19 if name == "damiao" else 0
     for size in range(9):

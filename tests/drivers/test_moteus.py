@@ -47,7 +47,14 @@ class TestMoteusStopped(ProtocolContract):
 
     @pytest.fixture
     def family(self):
-        return MoteusProtocol(MOTEUS_NODES, 10, Reaction.BRAKE, 1000.0, GEAR)
+        return MoteusProtocol(MOTEUS_NODES, 10, Reaction.BRAKE, 1000.0, GEAR, brs=False)
+
+    def test_all_frames_keep_the_arbitration_bit_rate(self, family):
+        ends = Ends(family)
+        ends.until_set_up()
+        found = family.traits
+        for frame in (*found.cyclic_frames, *found.emergency_stop, *found.identity_requests[0]):
+            assert frame.flags & (FD | BRS) == FD
 
 
 def read(data: bytes) -> str:

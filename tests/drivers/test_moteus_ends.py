@@ -143,6 +143,12 @@ def test_reply_is_decoded_to_state_fault_and_motion(given, heard):
     assert P.hear(reply(**given)) == expected
 
 
+@pytest.mark.parametrize("byte", [0x50, 0xCC, 0xAA, 0x55, 0xFF])
+def test_padding_byte_of_a_reply_does_not_matter(byte):
+    data = reply().data.rstrip(b"\x50")
+    assert P.hear(reply()._replace(data=data.ljust(24, bytes((byte,))))) == P.hear(reply())
+
+
 def test_incomplete_reply_is_broken():
     texts = "21", "2100", "2f01000000", "ff", "210001", "2c", "2c7f7f", "7f01"
     known = (0, 1, 2, 3, 0xF)

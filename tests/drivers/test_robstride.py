@@ -80,6 +80,21 @@ def test_answer_with_the_written_run_mode_completes_the_set_up(leg):
         assert lacks[leg] == (f"run_mode (0x7005) is {mode} in the drive, expected 0" if mode else "")
 
 
+@pytest.mark.parametrize("status", [1, 2, 255])
+def test_refused_read_confirms_nothing_and_is_reported(status):
+    last, dialogue = at_tick(0), P.start(SETUP)._replace(done=(1,) * LEGS, power=(1,) * LEGS)
+    refused = Frame(17 << 24 | status << 16 | NODES[3] << 8 | 253, parameter(0x7005), EXTENDED)
+    assert (P.hear(refused).broken, P.hear(refused).answer) == (True, None)
+    tick = at_tick(1)
+    dialogue = P.decode(dialogue, received_array([Received(0, refused)]), last, tick)
+    assert P.set_up_lacks(dialogue)[3] == "run_mode (0x7005): read refused"
+    assert tick["rejected"] == 1
+    served = refused._replace(id=17 << 24 | NODES[3] << 8 | 253)
+    assert (
+        P.set_up_lacks(P.decode(dialogue, received_array([Received(0, served)]), tick, at_tick(2)))[3] == ""
+    )
+
+
 @pytest.mark.parametrize("leg", range(6))
 def test_drive_reports_its_identity_to_any_controller(leg):
     assert P.traits.identity_requests == (tuple(to(0, leg=each) for each in range(6)),)

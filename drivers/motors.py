@@ -104,10 +104,9 @@ class MotorController(ControllerEnd):
         if not m["has_read"][leg]:
             return f"{asked.name} is not confirmed"
         read = float(m["read"][leg])
-        refused = isnan(read)
-        return asked.name + (
-            ": read refused" if refused else f" is {read:.7g} in the drive, expected {asked.value:.7g}"
-        )
+        if isnan(read):
+            return f"{asked.name}: read refused"
+        return f"{asked.name} is {read:.7g} in the drive, expected {asked.value:.7g}"
 
     def carried(self, force: Array) -> Array:
         """Forces (6,) N at rest, without losses, of the torques sent for these forces at the last rates."""

@@ -83,6 +83,7 @@ def test_answer_with_the_written_run_mode_completes_the_set_up(leg):
 @pytest.mark.parametrize("status", [1, 2, 255])
 def test_refused_read_confirms_nothing_and_is_reported(status):
     last, dialogue = at_tick(0), P.start(SETUP)._replace(done=(1,) * LEGS, power=(1,) * LEGS)
+    last["age"] = 0
     refused = Frame(17 << 24 | status << 16 | NODES[3] << 8 | 253, parameter(0x7005), EXTENDED)
     assert (P.hear(refused).broken, P.hear(refused).answer) == (True, None)
     tick = at_tick(1)

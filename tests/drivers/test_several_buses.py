@@ -261,3 +261,14 @@ def test_skew_is_between_first_frames_and_times_are_per_bus():
     bus.send(sent_array([Frame(identifier, b"", flags) for identifier, flags in order]))
     links[0].out_ns, links[1].out_ns = [10, 11], [20, 21]
     assert list(bus.sent_ns()) == [20, 10, 21, None, 11], "None: the bus did not accept it"
+
+
+def test_number_is_the_name_of_a_channel():
+    numbered = [{"channel": n, "legs": [n, n + 3]} for n in range(3)]
+    assert [each.channel for each in BusSettings.model_validate({"channels": numbered}).buses] == [
+        "0",
+        "1",
+        "2",
+    ]
+    with pytest.raises(ValueError, match="channel"):
+        BusSettings.model_validate({"channel": True})

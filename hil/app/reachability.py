@@ -1,5 +1,6 @@
 """Check of the reference before anything moves: lengths, rates, forces and condition against the limits."""
 
+from math import ceil, inf
 from typing import NamedTuple
 
 import numpy as np
@@ -14,12 +15,10 @@ from hil.robot.dynamics_kernels import inverse_dynamics_kernel
 from hil.robot.geometry import Platform
 from hil.robot.kinematics_kernels import jacobian_rate_kernel, lengths_and_jacobian
 from hil.safety.guard import WINDOW_S
-from hil.trajectory.path import Trajectory
+from hil.trajectory.path import SAMPLE, Trajectory, samples
 from hil.trajectory.piecewise import PiecewisePolynomial
 from plant_fmu.config import BenchPlant, PlantSettings, StewartPlant
 
-SAMPLE = 24
-"""Length of a sample: p (3,) m, R (3, 3) by rows, twist (6,), dtwist (6,), SI."""
 LENGTH, RATE, ACCELERATION, FORCE, CONDITION = 0, 6, 12, 18, 24
 """Offsets in a row of results: q, dq, ddq (6,) m, m/s, m/s^2, tau (6,) N, and the condition number of J."""
 SAMPLES = 20_000
@@ -57,6 +56,8 @@ class Walk(NamedTuple):
     """True if the path starts again where the walk ends."""
     jumps: tuple[Array, Array] | None = None
     """Force steps where ticks are skipped: instants (m,) s, changes (m, 6) N until the next tick."""
+    leaps: tuple[Array, Array] | None = None
+    """Changes (m, 6) m of the lengths from instants (m,) s until the next tick. None: those of `q`."""
 
     def forces(self) -> tuple[Array, Array]:
         """Instants (n,) s and forces (n, 6) N from rest to rest; two passes of a path that repeats."""
@@ -150,7 +151,7 @@ def walk(
     plant has its own equation. Forces are nan where the path meets a singularity. Raises ModelError where it
     begins or ends in one.
     """
-    steps = round(span / period)
+    steps = ceil(span / period * (1 - 1e-12))
     n = min(steps, SAMPLES) + 1
     t = np.linspace(0.0, steps * period, n) if steps else np.zeros(1)
     # Just inside the end, where the path still moves: outside it rests.
@@ -161,15 +162,20 @@ def walk(
     rest = np.array([model.inverse_dynamics(s.p, s.R, still, still) for s in ends])
     forces = drive_forces(plant, q, dq, ddq, tau, rest)
     repeats = steps > 0 and (trajectory.duration_s is None or trajectory.duration_s > 1.5 * span)
-    jumps: tuple[Array, Array] | None = None
-    if steps > n - 1:
-        at = np.asarray(period * _checked_ticks(trajectory, period, steps), float)
-        parts = [
-            _sampled(platform, model, trajectory, np.minimum(each, inside)) for each in (at, at + period)
-        ]
-        before, after = (drive_forces(plant, *part[:4], rest)[0] for part in parts)
-        jumps = at, after - before
-    return Walk(t, q, dq, ddq, *forces, condition, np.linalg.slogdet(Js)[0], steps == n - 1, repeats, jumps)
+    jumps = leaps = None
+    if steps > n - 1 or repeats:
+        ticks, end = _checked_ticks(trajectory, period, steps), inside
+        if repeats:  # ticks of later passes may lie between those of the first
+            end = inf if trajectory.duration_s is None else trajectory.duration_s * (1 - 1e-12)
+            ticks = np.union1d(ticks, np.arange(min(SAMPLES, end // period)))
+        at = np.asarray(period * ticks, float)
+        parts = [_sampled(platform, model, trajectory, np.minimum(each, end)) for each in (at, at + period)]
+        leaps = at, parts[1][0] - parts[0][0]
+        if steps > n - 1:
+            before, after = (drive_forces(plant, *part[:4], rest)[0] for part in parts)
+            jumps = at, after - before
+    sign = np.linalg.slogdet(Js)[0]
+    return Walk(t, q, dq, ddq, *forces, condition, sign, steps == n - 1, repeats, jumps, leaps)
 
 
 def _sampled(
@@ -177,13 +183,10 @@ def _sampled(
 ) -> tuple[Array, Array, Array, Array, Array, Array]:
     """q, dq, ddq, tau, each (n, 6), condition (n,) and J (n, 6, 6) at instants (n,) s."""
     n = len(t)
-    samples, found, Js = np.empty((n, SAMPLE)), np.empty((n, CONDITION + 1)), np.empty((n, 36))
-    for k in range(n):
-        p, R, twist, dtwist = trajectory.sample(t[k])
-        row = samples[k]
-        row[:3], row[3:12], row[12:18], row[18:] = p, R.ravel(), twist, dtwist
+    found, Js = np.empty((n, CONDITION + 1)), np.empty((n, 36))
+    rows = samples(trajectory, t).view(float).reshape(n, SAMPLE.itemsize // 8)
     joints = platform.base_joints, platform.platform_joints
-    walk_kernel(*joints, model.constants, model.code, platform.radius, samples, found, Js)
+    walk_kernel(*joints, model.constants, model.code, platform.radius, rows, found, Js)
     q, dq, ddq, tau = (found[:, at : at + 6] for at in (LENGTH, RATE, ACCELERATION, FORCE))
     return q, dq, ddq, tau, found[:, CONDITION], Js.reshape(n, 6, 6)
 
@@ -224,8 +227,7 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
 
     A path in another unit yields that violation only: the other limits have no meaning then.
     """
-    times = float(w.q.max()) / platform.length_max_m
-    if times > OTHER_UNIT:
+    if np.median(w.q.max(axis=1)) > OTHER_UNIT * platform.length_max_m:
         return [_other_unit(w, platform.length_max_m)]
     low = platform.length_min_m + limits.stroke_margin_m
     high = platform.length_max_m - limits.stroke_margin_m
@@ -245,6 +247,9 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
     if limits.acceleration_m_s2 is not None:
         text = f"acceleration above limits.acceleration_m_s2 {limits.acceleration_m_s2:g}"
         found.append(_first(w, np.abs(w.ddq) > limits.acceleration_m_s2, w.ddq, text, "m/s^2"))
+    t, leap = (w.t[:-1], np.diff(w.q, axis=0)) if w.leaps is None else w.leaps
+    text = f"moves within one tick by more than limits.speed_m_s {speed:g} allows, {speed * period:.4g} m, by"
+    found.append(_first(w._replace(t=t), np.abs(leap) > speed * period * (1 + 1e-9), leap, text, "m"))
     t, step = w.steps()
     text = f"force changes by more than limits.force_step_N {limits.force_step_N:g} in one tick, by"
     found.append(_first(w._replace(t=t), np.abs(step) > limits.force_step_N, step, text, "N"))

@@ -1,6 +1,5 @@
 """`hil sim`."""
 
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -47,4 +46,4 @@ def command(configuration: str, faults: tuple[str, ...], commands: Path | None, 
     if danger := falls(loaded):
         warn(f"hil: {danger}")
     orders = () if commands is None else read_commands(commands)
-    shared.finish("sim", simulate(loaded, live=sys.stderr.isatty(), commands=orders, **options))
+    shared.finish("sim", simulate(loaded, live=True, commands=orders, **options))

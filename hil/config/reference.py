@@ -66,7 +66,10 @@ AxisLimit = Positive | tuple[Positive, Positive, Positive]
 
 
 class AxisLimits(Section):
-    """Largest velocity, acceleration and jerk of position and rotation vector, component by component."""
+    """Largest velocity, acceleration and jerk of position and rotation vector, component by component.
+
+    The angular velocity is at most the norm of the three rates of the rotation vector.
+    """
 
     velocity_m_s: AxisLimit
     velocity_deg_s: AxisLimit
@@ -136,7 +139,7 @@ class MultisineReference(Evaluated):
 
 
 class SampledReference(Evaluated):
-    """CSV file: t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector), as a cubic spline."""
+    """CSV file with columns t_s, x_m, y_m, z_m, rx_deg, ry_deg, rz_deg (rotation vector): a cubic spline."""
 
     type: Literal["sampled"]
     path: str

@@ -27,6 +27,8 @@ TERMINAL_S = 0.2
 """Time between two lines on a terminal, where each overwrites the one before."""
 PLAIN_S = 5.0
 """Time between two lines of any other output."""
+LOCKSTEP_S = 20.0
+"""The same for a run in simulated time; also the time before its first line."""
 LAST_EVENTS = 40
 LONGEST_EVENT = 600
 """Most characters shown of one event; the log has all of them."""
@@ -109,12 +111,16 @@ class LiveView:
     Mutable state: the time of the next line, the counts so far, the lateness since the last line.
     """
 
-    def __init__(self, out: TextIO, reference_s: float | None) -> None:
-        """Write to `out`; `reference_s` is the length of the reference, None without an end."""
+    def __init__(self, out: TextIO, reference_s: float | None, *, lockstep: bool = False) -> None:
+        """Write to `out`; `reference_s` is the length of the reference, None without an end.
+
+        lockstep: without a terminal a line every LOCKSTEP_S, as most simulations are over before.
+        """
         self._out = out
         self._reference_s = reference_s
         self._terminal = out.isatty()
-        self._due = time.monotonic()
+        self._every_s = TERMINAL_S if self._terminal else LOCKSTEP_S if lockstep else PLAIN_S
+        self._due = time.monotonic() + (LOCKSTEP_S if lockstep and not self._terminal else 0.0)
         self._stale = self._skipped = 0
         self._late_us = 0.0
 
@@ -128,7 +134,7 @@ class LiveView:
         now = time.monotonic()
         if now < self._due:
             return
-        self._due = now + (TERMINAL_S if self._terminal else PLAIN_S)
+        self._due = now + self._every_s
         self._draw(self.line(rows[-1]))
         self._late_us = 0.0
 

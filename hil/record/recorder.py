@@ -64,7 +64,7 @@ class Recorder:
         self.batch = max(16, CHUNK_SIZE // (ring.rows.dtype.itemsize + 1024))
         self.batch = min(self.batch, ring.capacity // 2)
         live: Live = setup["live"]
-        self._live = LiveView(sys.stderr, live.reference_s) if live.status else None
+        self._live = LiveView(sys.stderr, live.reference_s, lockstep=run.lockstep) if live.status else None
         where = live.websocket
         self.socket = LiveSocket(where[0], where[1], self._encoder.channels) if where else None
         version = setup["environment"].get("version", "unknown")

@@ -206,3 +206,23 @@ def continuation_kernel(
         else:
             stride *= 0.5
     return p, R, max_substeps, np.inf
+
+
+@helper
+def segment_distance(x: Vector, u: Vector, y: Vector, v: Vector) -> float:
+    """Smallest distance of the segments x..x+u and y..y+v (Ericson, 2005, 5.1.9)."""
+    w = sub(x, y)
+    uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
+    det = uu * vv - uv * uv
+    s = 0.0
+    if det > 1e-12 * uu * vv:
+        s = min(max((uv * vw - uw * vv) / det, 0.0), 1.0)
+    t = (uv * s + vw) / vv
+    if t < 0.0:
+        t = 0.0
+        s = min(max(-uw / uu, 0.0), 1.0)
+    elif t > 1.0:
+        t = 1.0
+        s = min(max((uv - uw) / uu, 0.0), 1.0)
+    d = add(w, sub(scale(s, u), scale(t, v)))
+    return float(np.sqrt(dot(d, d)))

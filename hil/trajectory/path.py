@@ -14,7 +14,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 
 from drivers.arrays import ZERO6, Array
-from drivers.compiled.compiler import INTEGER, REAL, helper, kernel, record
+from drivers.compiled.compiler import INTEGER, REAL, VECTOR, helper, kernel, record, records
 from drivers.compiled.pointed import (
     FAILED,
     Callee,
@@ -156,6 +156,21 @@ def require(status: int, callee: Callee) -> None:
     """Raise the exception of a trajectory in plain Python if the status is FAILED."""
     if status < 0:
         raise failure(callee) or RuntimeError("a trajectory's function gave no sample")
+
+
+def samples(trajectory: Trajectory, t: Array) -> np.ndarray[Any, np.dtype[np.void]]:
+    """Samples (n,) of SAMPLE at t (n,) s. Raises the exceptions of a trajectory in plain Python."""
+    callee, into = callee_of(trajectory), np.empty(len(t), SAMPLE)
+    require(_all_by_address(callee.address, callee.context, t, into), callee)
+    return into
+
+
+@kernel(INTEGER, INTEGER, VECTOR, records(SAMPLE))
+def _all_by_address(function: int, context: int, t: Array, into: Any) -> int:
+    status: int = 0
+    for k in range(len(t)):
+        status = min(status, call(function, (context, t[k], address_of(into[k]))))
+    return status
 
 
 @kernel(INTEGER, INTEGER, REAL, record(SAMPLE))

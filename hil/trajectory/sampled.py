@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from drivers.arrays import Array
+from drivers.compiled.compiler import OUT_MATRIX, OUT_VECTOR, VECTOR, kernel
 from drivers.errors import ConfigurationError
 from drivers.files import read_regular
 from hil.config.number import ALLOWED, is_allowed, plain_number
@@ -20,25 +21,44 @@ from hil.trajectory.waypoints import require_closed
 HEADER = ("t_s", *AXES)
 _QUOTED = 200
 """Largest number of characters of a wrong header in a message."""
+MOST_CSV_BYTES = 32 << 20
+"""Size limit of a CSV file of poses: some ten minutes at 1 kHz."""
+LEAP = 10.0
+"""Ratio of the fastest to the median rate between two rows above which the two are reported."""
+FEWEST, LEAST_NOISE = 20, 1e-8
+"""Fewest rows in which noise is looked for, and the smallest that counts, m or rad."""
+NOISY = 1.0
+"""Ratio of the noise in the second derivative to all of it above which noise is reported."""
 
 
 def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
     """Read a CSV of poses; return times (n,) s and chi (n, 6) m, rad.
 
-    Blank lines are skipped. Raises ConfigurationError with every problem as `file:line: ...`: unreadable
-    file, wrong header, value not finite, times not increasing, or fewer than `at_least` rows.
+    Columns are found by their names; other columns, and lines without a value, are skipped. Raises
+    ConfigurationError with every problem as `file:line: ...`: unreadable file, missing column, value not
+    finite, times not increasing, or fewer than `at_least` rows.
     """
     rows: list[list[float]] = []
     problems: list[str] = []
     try:
-        lines = csv.reader(io.StringIO(read_regular(path).decode("utf-8-sig"), newline=""))
-        header = tuple(word.strip() for word in next(lines, []))
-        if header != HEADER:
+        text = read_regular(path, MOST_CSV_BYTES).decode("utf-8-sig")
+        lines = csv.reader(io.StringIO(text, newline=""))
+        header = [word.strip() for word in next(lines, [])]
+        if any(header.count(name) != 1 for name in HEADER):
             given = ",".join(header)[:_QUOTED] or "nothing"
-            raise ConfigurationError(f"{path}:1: the header must be {','.join(HEADER)}; given: {given}.")
+            other = next((name for sign, name in ((";", "semicolon"), ("\t", "tab")) if sign in given), "")
+            hint = f"; the separator is a {other}: save with commas, and a point in numbers" * bool(other)
+            raise ConfigurationError(
+                f"{path}:1: the header must have each of {','.join(HEADER)} once; given: {given}{hint}."
+            )
+        places = [header.index(name) for name in HEADER]
         for words in lines:
-            if words:
-                row, problem = _row(words, rows[-1][0] if rows else -math.inf)
+            if any(word.strip() for word in words):
+                if len(words) == len(header):
+                    row, problem = _row([words[k] for k in places], rows[-1][0] if rows else -math.inf)
+                else:
+                    row = rows[-1] if rows else [-math.inf]
+                    problem = f"{len(words)} values; {len(header)} are needed, as in the header."
                 rows.append(row)
                 if problem:
                     problems.append(f"{path}:{lines.line_num}: {problem}")
@@ -58,8 +78,6 @@ def read_poses(path: Path, at_least: int) -> tuple[Array, Array]:
 
 def _row(words: list[str], before: float) -> tuple[list[float], str]:
     """Seven numbers of a line, and a problem with them or "". `before`: time of the previous row."""
-    if len(words) != len(HEADER):
-        return [before], f"{len(words)} values; {len(HEADER)} are needed: {','.join(HEADER)}."
     numbers = []
     for name, word in zip(HEADER, words, strict=True):
         number = plain_number(word)
@@ -71,6 +89,39 @@ def _row(words: list[str], before: float) -> tuple[list[float], str]:
     if not numbers[0] > before:
         return numbers, f"t_s {numbers[0]:g} is not after {before:g} of the row above; times must increase."
     return numbers, ""
+
+
+def roughness(t: Array, chi: Array) -> str:
+    """Reason in the rows why their spline moves more than they mean, or "".
+
+    Noise: white noise of deviation sigma has fourth differences of deviation sqrt(70) sigma, and in the
+    second derivative of a cubic spline, at distances h, 6 sigma / h^2.
+    """
+    h = np.diff(t)
+    rates = np.abs(np.diff(chi, axis=0)) / h[:, None]
+    k, axis = divmod(int(np.argmax(rates)), len(AXES))
+    if rates[k, axis] > LEAP * np.median(rates.max(axis=1)) and h[k] < np.median(h) / LEAP:
+        scale, unit = (1e3, "mm") if axis < 3 else (180.0 / math.pi, "deg")
+        way = scale * abs(chi[k + 1, axis] - chi[k, axis])
+        return (
+            f"rows {k + 1} and {k + 2} are {1e6 * h[k]:.3g} us and, along {AXES[axis]}, {way:.3g} {unit} "
+            "apart: a spline through them overshoots; remove one of them"
+        )
+    if len(t) < FEWEST:
+        return ""
+    step = float(np.median(h))
+    sigma = np.median(np.abs(np.diff(chi, 4, axis=0)), axis=0) / (0.6745 * math.sqrt(70.0))
+    bends = np.sqrt((np.diff(chi, 2, axis=0) ** 2).mean(axis=0))
+    axis = int(np.argmax(sigma / np.maximum(bends, LEAST_NOISE)))
+    if 6.0 * sigma[axis] < NOISY * bends[axis] or sigma[axis] < LEAST_NOISE:
+        return ""
+    scale, unit = (1.0, "m") if axis < 3 else (180.0 / math.pi, "deg")
+    noise, bent = scale * sigma[axis], scale * 6.0 * sigma[axis] / step**2
+    return (
+        f"{AXES[axis]} has noise of about {noise:.2g} {unit} in rows {1e3 * step:.3g} ms apart, which is "
+        f"{bent:.2g} {unit}/s^2 in the second derivative of the spline, and so force: smooth the rows, or "
+        "give fewer"
+    )
 
 
 def clamped_slopes(t: Array, y: Array) -> Array:
@@ -86,13 +137,22 @@ def clamped_slopes(t: Array, y: Array) -> Array:
     n = len(t)
     diagonal = 2.0 * (1.0 / h[:-1] + 1.0 / h[1:])
     right = 3.0 * (chord[:-1] / h[:-1] + chord[1:] / h[1:])
-    for i in range(1, n - 2):
+    if n > 2:
+        _eliminate(h[:, 0].copy(), diagonal[:, 0].copy(), right, slopes)
+    return slopes
+
+
+@kernel(VECTOR, OUT_VECTOR, OUT_MATRIX, OUT_MATRIX)
+def _eliminate(h: Array, diagonal: Array, right: Array, slopes: Array) -> None:
+    """Fill the inner slopes (n - 2, m); changes diagonal (n - 2,) and right (n - 2, m)."""
+    for i in range(1, len(diagonal)):
         factor = 1.0 / h[i] / diagonal[i - 1]
         diagonal[i] -= factor / h[i]
-        right[i] -= factor * right[i - 1]
-    for i in range(n - 3, -1, -1):
-        slopes[i + 1] = (right[i] - slopes[i + 2] / h[i + 1]) / diagonal[i]
-    return slopes
+        for k in range(right.shape[1]):
+            right[i, k] -= factor * right[i - 1, k]
+    for i in range(len(diagonal) - 1, -1, -1):
+        for k in range(right.shape[1]):
+            slopes[i + 1, k] = (right[i, k] - slopes[i + 2, k] / h[i + 1]) / diagonal[i]
 
 
 def spline_coefficients(t: Array, y: Array) -> Array:

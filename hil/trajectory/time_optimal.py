@@ -7,18 +7,20 @@ import io
 from itertools import pairwise
 
 import numpy as np
-from ruckig import InputParameter, Profile, Result, Ruckig, Synchronization
+from ruckig import InputParameter, Profile, Ruckig, Synchronization
 from ruckig import Trajectory as Plan
 
 from drivers.arrays import Array
 from drivers.errors import ConfigurationError, LogError
-from hil.config.reference import TimeOptimalReference
+from hil.config.reference import LONGEST_S, TimeOptimalReference
 from hil.trajectory.path import axis_limits, coordinates_of_points
 from hil.trajectory.piecewise import DEGREE, PiecewisePolynomial
 from hil.trajectory.waypoints import SAME, require_closed
 
 APART = 1e-12
 """s: instants of two axes closer than this are merged."""
+LONGEST_MOVE_S = 7600.0
+"""Longest move that Ruckig plans: beyond it, polynomials of time lose too many digits."""
 
 
 def time_optimal_path(settings: TimeOptimalReference) -> tuple[Array, Array]:
@@ -37,10 +39,21 @@ def time_optimal_path(settings: TimeOptimalReference) -> tuple[Array, Array]:
     require_closed(chi, settings.periods, "reference.points")
     limits = axis_limits(settings.limits)
     knots, pieces = [0.0], []
-    for start, end in pairwise(chi):
+    for k, (start, end) in enumerate(pairwise(chi)):
+        least_s = _least_s(np.abs(end - start), limits)
+        if least_s >= LONGEST_MOVE_S:
+            raise ConfigurationError(
+                f"reference.limits: the move from point {k} to {k + 1} takes {least_s:.0f} s or more, "
+                f"allowed: less than {LONGEST_MOVE_S:.0f} s; raise the limits, or insert points between."
+            )
         t, coefficients = _move(start, end, limits)
         pieces.append(coefficients)
         knots += (knots[-1] + t[1:]).tolist()
+    if knots[-1] > LONGEST_S:
+        raise ConfigurationError(
+            f"reference.limits: the moves take {knots[-1]:.0f} s, allowed: {LONGEST_S:.0f} s; raise the "
+            "limits or leave out points."
+        )
     return np.array(knots), np.concatenate(pieces)
 
 
@@ -82,6 +95,12 @@ def _table(file: bytes) -> Array:
     return np.ascontiguousarray(numbers.reshape(shape, order="F" if fortran else "C"))
 
 
+def _least_s(way: Array, limits: Array) -> float:
+    """Time below which no move over way (6,) is within one of the limits (3, 6) alone, s."""
+    v, a, j = limits
+    return float(max((way / v).max(), (2.0 * np.sqrt(way / a)).max(), np.cbrt(32.0 * way / j).max()))
+
+
 def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
     """Knots (n + 1,) from 0 and coefficients (n, 6, 6) of one move from rest to rest."""
     request = InputParameter(6)
@@ -89,10 +108,14 @@ def _move(start: Array, end: Array, limits: Array) -> tuple[Array, Array]:
     request.max_velocity, request.max_acceleration, request.max_jerk = limits.tolist()
     request.synchronization = Synchronization.Phase
     planned = Plan(6)
-    result = Ruckig(6).calculate(request, planned)
-    if result not in {Result.Working, Result.Finished}:
+    try:
+        result = str(Ruckig(6).calculate(request, planned).name)
+    except ValueError as error:  # the binding knows no name for some results
+        result = str(error)
+    if result not in {"Working", "Finished"}:
         raise ConfigurationError(
-            f"reference.limits: no move from {start} to {end} was found ({result.name})."
+            f"reference.limits: no move from {start} to {end} was found within them ({result}); a move takes "
+            f"less than {LONGEST_MOVE_S:.0f} s and its limits are of similar size."
         )
     axes = [_states(profile) for profile in planned.profiles[0]]
     instants = np.unique(np.concatenate([t for t, _ in axes]))

@@ -1,5 +1,6 @@
 """Splines: minimum jerk and CSV files against SciPy, and errors of a CSV file with their lines."""
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from drivers.errors import ConfigurationError
 from hil.config.reference import SampledReference, WaypointReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
+from hil.trajectory.sampled import roughness
 
 DATA = Path(__file__).parent.parent / "data"
 HOME = Pose(position_m=(0, 0, 1))
@@ -88,6 +90,8 @@ REST = "0,0,0,1,0,0,0\n"
         ("", r":1: the header must be .* given: nothing"),
         (ROWS, r":1: the header must be .*; given: 0,0,0,1,0,0,0"),
         (HEADER.replace("rx_deg", "rx_rad") + ROWS, r":1: .*rx_rad"),
+        (HEADER.replace("z_m", "x_m") + ROWS, r":1: .* once"),
+        (HEADER.replace(",", ";") + ROWS.replace(",", ";"), r":1: .* semicolon"),
         (HEADER, r": 0 row\(s\)"),
         (HEADER + REST, r": 1 row\(s\)"),
         (HEADER + "0,0,0,1,0,0\n" + ROWS, r":2: 6 values; 7 are needed"),
@@ -106,6 +110,28 @@ REST = "0,0,0,1,0,0,0\n"
 def test_a_bad_file_is_refused_with_file_and_line(tmp_path, text, complaint):
     with pytest.raises(ConfigurationError, match=r"path\.csv" + complaint):
         build(tmp_path, text)
+
+
+def test_columns_are_found_by_name_and_rows_of_commas_are_skipped(tmp_path):
+    plain = build(tmp_path, HEADER + ROWS)
+    words = [row.split(",") for row in (HEADER + ROWS).splitlines()]
+    text = "\n".join(",".join([*reversed(row), "note"]) for row in words) + "\n,,,,,,,\n,,\n"
+    for a, b in zip(build(tmp_path, text).sample(0.7), plain.sample(0.7), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_rough_rows_are_explained_and_smooth_ones_are_not():
+    """Two rows 1 us and 2 mm apart; white noise of 2 um at 1 ms: 6 x 2e-6 / 1e-6 = 12 m/s^2."""
+    t, chi = np.arange(4000) * 1e-3, np.zeros((4000, 6))
+    chi[:, 0] = 0.01 * np.sin(2 * np.pi * 0.25 * t) ** 3
+    assert roughness(t, np.round(chi, 8)) == ""
+    assert roughness(t[::500], chi[::500]) == ""
+    noisy = chi + np.random.default_rng(1).normal(0, 2e-6, (4000, 1)) * np.eye(6)[1]
+    assert re.search(r"y_m has noise of about (1.9|2|2.1)e-06 m .* 1[123] m/s\^2", roughness(t, noisy))
+    close = np.array([0.0, 1.0, 1.000001, 2.0, 3.0])
+    rows = np.zeros((5, 6))
+    rows[1:3, 0] = 0.005, 0.007
+    assert "rows 2 and 3 are 1 us and, along x_m, 2 mm apart" in roughness(close, rows)
 
 
 def test_all_invalid_lines_are_listed_by_line_number(tmp_path):

@@ -8,7 +8,7 @@ import pytest
 from ruckig import InputParameter, Ruckig, Synchronization, Trajectory
 from scipy.spatial.transform import Rotation
 
-from drivers.errors import LogError
+from drivers.errors import ConfigurationError, LogError
 from hil.config.reference import TimeOptimalReference
 from hil.config.values import Pose
 from hil.trajectory.build import build_trajectory
@@ -175,3 +175,24 @@ def test_a_recorded_plan_gives_the_same_trajectory_to_the_bit():
 def test_a_damaged_plan_in_a_log_is_refused(file):
     with pytest.raises(LogError, match="plan of the reference"):
         planned_trajectory(file, 1)
+
+
+@pytest.mark.parametrize(
+    ("key", "limit", "seconds"),
+    [
+        ("velocity_m_s", 3e-5, "10000 s"),  # 0.3 m / v
+        ("acceleration_m_s2", 1.2e-8, "10000 s"),  # 2 sqrt(0.3 m / a)
+        ("jerk_m_s3", 9.6e-12, "10000 s"),  # cbrt(32 x 0.3 m / j)
+        ("velocity_m_s", 0.3 / 7599.9, "not a valid|Duration"),  # below it alone, and above it with the ramps
+    ],
+)
+def test_a_move_of_hours_is_refused_with_its_time(key, limit, seconds):
+    slow = dict(LIMITS, acceleration_m_s2=2e-6) if limit > 1e-5 and key == "velocity_m_s" else LIMITS
+    with pytest.raises(ConfigurationError, match=rf"reference.limits: .*({seconds}).*7600 s"):
+        build([((0, 0, 1), (0, 0, 0)), ((0.3, 0, 1), (0, 0, 0))], limits={**slow, key: limit})
+
+
+def test_moves_of_more_than_a_day_are_refused():
+    there, back = ((0, 0, 1), (0, 0, 0)), ((0.3, 0, 1), (0, 0, 0))
+    with pytest.raises(ConfigurationError, match=r"reference.limits: .*86400 s"):
+        build([there, back] * 10, limits=dict(LIMITS, velocity_m_s=0.3 / 5000))

@@ -32,7 +32,7 @@ from hil.app.derive_encoder_limits import encoder_limits
 from hil.app.loop_delay import loop_delay
 from hil.app.reachability import Violation, Walk, span_s, violations, walk
 from hil.app.unknown_payload import UnknownPayload, force_steps_N, stepped_error_m, unknown_payload
-from hil.config.reference import LiveReference
+from hil.config.reference import LiveReference, SampledReference
 from hil.control.law import ErrorDynamics
 from hil.control.margin import cross_over, phase_margin_deg
 from hil.control.state_space import StateSpaceSettings
@@ -43,6 +43,7 @@ from hil.safety.encoder_limits import EncoderLimits
 from hil.signals import explain
 from hil.trajectory.build import build_trajectory
 from hil.trajectory.path import Trajectory, axis_limits, pose_coordinates
+from hil.trajectory.sampled import read_poses, roughness
 from plant_fmu.config import BenchPlant, StewartPlant
 
 if TYPE_CHECKING:
@@ -74,11 +75,20 @@ def course(c: Configuration) -> tuple[Model, Trajectory, float, Walk]:
         against = build_admission(c, model.platform)(pose_coordinates(c.reference.start or c.platform.home))
         found = [f"at its start, set-points are refused: {explain(against)}"] if against else []
     if found:
-        raise refused(c, *found)
+        rough = rough_rows(c)
+        raise refused(c, *found, *[rough] * bool(rough))
     clips = clipped(c, encoder_limits(c, c.loop.rate_Hz), w)
     if clips is not None:
         raise refused(c, clips, path=("monitor", "friction_N"))
     return model, trajectory, span, w
+
+
+def rough_rows(c: Configuration) -> str:
+    """Reason in the rows of a CSV file why the path moves more than they mean, or ""."""
+    if not isinstance(c.reference, SampledReference):
+        return ""
+    rough = roughness(*read_poses(c.folder / c.reference.path, at_least=2))
+    return rough and f"{c.reference.path}: {rough}"
 
 
 def refused(c: Configuration, *messages: str, path: Path = ("reference",)) -> ConfigurationError:

@@ -8,9 +8,10 @@ import numpy as np
 from drivers.motors import MotorProtocol
 from drivers.transmission import Transmission
 from hil.app.check.leg_order import findings, model_mobility
+from hil.app.check.leg_axes import crossing
 from hil.app.check.loose_limits import FACTOR, loose
 from hil.app.check.report import Scaled
-from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, static_N
+from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, rough_rows, static_N
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.schema import named_schema, schema_is_there
 from hil.app.operate import REPEAT_S
@@ -350,6 +351,12 @@ WARNINGS = {
         "a wrong feed-forward pushes a leg by {value:.2g} m/s^2, above monitor.disturbance_m_s2 {limit:g}: "
         "the certificate may alarm; lower feedforward.limit_N and learn again, or raise the disturbance",
     ),
+    "platform joints": Warning(
+        crossing,
+        "platform: the axes of legs {text} of each other: mostly the order of base_joints_m or "
+        "platform_joints_m is wrong",
+    ),
+    "reference.path": Warning(lambda s: rough_rows(s.c), "{text}"),
     "plant.model.brake": Warning(lambda s: falls(s.c), "{text}"),
     "plant.model.allow_execution_tool": Warning(
         lambda s: s.needs_tool,

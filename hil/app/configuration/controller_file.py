@@ -18,6 +18,8 @@ KIND = "controllers"
 """Folder of the shipped controllers."""
 ROUNDING = 1e-9
 """Tolerance above 1 for the pole of an integrator."""
+TOGETHER = 1e-6
+"""Distance from 1 of poles that count as integrators: rounding splits a double pole by some 1e-8."""
 
 
 def controller_path(settings: StateSpaceSettings, folder: Path) -> Path:
@@ -36,6 +38,12 @@ def read_controller(path: Path) -> LinearController:
     # poles of the sampled controller; a controller without states has none
     poles = np.linalg.eigvals(np.array(controller.A, float)) if controller.A else np.zeros(1)
     radius = float(np.abs(poles).max())
+    if np.count_nonzero(np.abs(poles - 1.0) < TOGETHER) > 1:
+        message = (
+            "the sampled controller integrates twice, so that its state may grow without bound, allowed: one "
+            f"pole within {TOGETHER:g} of 1; design with another weight"
+        )
+        raise ConfigurationError(Problem(document.value_position(("A",)), ("A",), message).line(str(path)))
     if radius > 1.0 + ROUNDING and controller.design.get("unstable_controller") is not True:
         message = (
             f"the sampled controller is unstable by itself, allowed: poles up to 1 in magnitude, given: "

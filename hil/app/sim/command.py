@@ -19,7 +19,7 @@ from hil.app.configuration.controller_file import law_figures
 from hil.app.configuration.fault_words import show_fault
 from hil.app.homing.keeper import Keeper
 from hil.app.log_budget import make_room, needed_bytes
-from hil.app.output import after_run, end_record, fail, fault_story, leaving, log_path
+from hil.app.output import after_run, end_record, fail, fault_story, leaving, log_path, warn
 from hil.app.plant_rows import PLANT, plant_row, plant_warnings
 from hil.app.replay import measured
 from hil.app.sim.build import build_lockstep
@@ -40,6 +40,8 @@ from hil.trajectory.sampled import read_poses
 from plant_fmu.config import FmuPlant
 from plant_fmu.faults.plan import FaultPlan
 
+LONG_S = 600.0
+"""Length of a reference above which a shorter `--duration` is proposed."""
 UNHEARD = "no commands are given: operator.start, deadman_s and stays are left out"
 
 
@@ -124,7 +126,7 @@ def simulate(
 ) -> dict[str, Any]:
     """Run the configuration in lockstep, record it, and return the summary (key `success` is the outcome).
 
-    live: draw a status line on standard error.
+    live: draw a status line on standard error, and propose a shorter duration for a long reference.
     setpoints: CSV file of poses for a live reference, at times along it.
     commands: operator commands at simulated seconds. Without commands the run waits for no operator; where it
     would wait for more than are given, it parks.
@@ -144,6 +146,11 @@ def simulate(
         raise ConfigurationError(
             f"{c.source}: reference: it has no end, and a simulation needs one: set duration_s or "
             "periods, or call with --duration"
+        )
+    whole_s = cycle.parts.trajectory.duration_s
+    if live and duration_s is None and whole_s is not None and whole_s > LONG_S:
+        warn(
+            f"hil: the reference takes {whole_s:.0f} s of simulated time; --duration 60 stops after a minute"
         )
     script = None if setpoints is None else Script(c, cycle, setpoints)
     operator = CommandScript(commands, rate)

@@ -22,7 +22,13 @@ from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
 from hil.control.law import per_leg
 from hil.control.model import build_model
-from hil.design.stability.delay_effect import DelayEffect, delay_effect, stale_s
+from hil.design.stability.delay_effect import (
+    DelayEffect,
+    LONG_s,
+    delay_effect,
+    demanding_stretches,
+    stale_s,
+)
 from hil.design.stability.disturbance import Drives, Friction, Inertia, Linearised, Load, Local, Survey
 from hil.design.stability.sampled_loop import Axis, Sampled, of_each
 from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate
@@ -33,7 +39,7 @@ from hil.robot.kinematics import jacobian, jacobian_rate
 from hil.robot.kinematics_kernels import jacobian_kernel, leg_lengths_kernel
 from hil.safety.encoder_limits import UNASKED
 from hil.trajectory.build import build_trajectory
-from hil.trajectory.path import PoseSample
+from hil.trajectory.path import PoseSample, Trajectory
 from plant_fmu.config import BenchPlant, StewartPlant
 
 SAMPLES, APART_s = 101, 0.02
@@ -109,7 +115,13 @@ class Subject:
         """Robot of the model, at the corners of its payload's ranges, and each with the stated payload."""
         self.carried = [box.words for box in boxes]
         """Payload of each robot, in words."""
-        self.path = instants(c)
+        try:
+            self.trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
+            self.path = instants(self.trajectory)
+        except ConfigurationError:
+            raise
+        except HilError as error:
+            raise ConfigurationError(f"{c.source}: reference: {error}") from error
         self.axis = Axis(*loop_delay(c))
         self.drives = drives_of(c, self.platform, self.path)
         """Resolution and losses of the drives."""
@@ -153,6 +165,11 @@ class Subject:
             taken.append(f"the robot is the one of section platform, its drives without lag, {guessed}")
         elif self.plant is None and not self.on_bench:
             taken.append(f"the FMU is the robot of section platform, {guessed}")
+        if span_s(self.trajectory) > LONG_s and not self.rest:
+            taken.append(
+                "the delay is felt most where the forces change most: on a reference longer than "
+                f"{LONG_s:g} s only such stretches are computed"
+            )
         if self.c.estimation.pose == "fused":
             lost = " and no encoder is lost" if self.c.estimation.fusion.may_lose_legs else ""
             taken.append(
@@ -243,10 +260,12 @@ class Subject:
         """Effect of the delays along the reference, for a law with the prediction horizon `ahead_s`."""
         if self.rest:
             return DelayEffect.none(stale_s(self.axis, ahead_s))
-        trajectory = build_trajectory(self.c.reference, self.c.platform.home, self.c.folder)
+        trajectory = self.trajectory
         span, whole = span_s(trajectory), trajectory.duration_s
         stretches = [(0.0, span)]
-        if whole is not None and whole > span:
+        if span > LONG_s:
+            stretches = demanding_stretches(linearised, trajectory, span, self.axis)
+        elif whole is not None and whole > span:
             stretches.append((max(0.0, whole - 2.0 * span), whole))
         return delay_effect(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
 
@@ -289,24 +308,15 @@ class Subject:
         return None if number <= limits.condition else f"condition of J {limits.condition:g}"
 
 
-def instants(c: Configuration) -> list[PoseSample]:
-    """Reference at evenly spaced instants; jittered where they are sparse; a single one at rest.
-
-    Raises ConfigurationError: the reference cannot be followed.
-    """
-    try:
-        trajectory = build_trajectory(c.reference, c.platform.home, c.folder)
-        span = span_s(trajectory)
-        count = min(max(SAMPLES, round(span / APART_s)), MOST)
-        # Just inside the end, where the path still moves: outside it rests.
-        times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
-        if count == MOST:  # even spacing would miss what repeats at the same interval
-            times[1:-1] += (np.arange(1, MOST - 1) * GOLDEN % 1.0 - 0.5) * times[1]
-        path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
-    except ConfigurationError:
-        raise
-    except HilError as error:
-        raise ConfigurationError(f"{c.source}: reference: {error}") from error
+def instants(trajectory: Trajectory) -> list[PoseSample]:
+    """Reference at evenly spaced instants; jittered where they are sparse; a single one at rest."""
+    span = span_s(trajectory)
+    count = min(max(SAMPLES, round(span / APART_s)), MOST)
+    # Just inside the end, where the path still moves: outside it rests.
+    times = np.linspace(0.0, span * (1 - 1e-12), count if span > 0.0 else 1)
+    if count == MOST:  # even spacing would miss what repeats at the same interval
+        times[1:-1] += (np.arange(1, MOST - 1) * GOLDEN % 1.0 - 0.5) * times[1]
+    path = [PoseSample(*(np.array(part) for part in trajectory.sample(float(t)))) for t in times]
     moves = any(np.abs(s.twist).max() > 0.0 or np.abs(s.dtwist).max() > 0.0 for s in path)
     return path if moves else path[:1]
 

@@ -19,7 +19,7 @@ import numpy as np
 from drivers.arrays import Array
 from hil.design.stability.disturbance import Linearised
 from hil.design.stability.sampled_loop import Axis, Sampled, of_each
-from hil.trajectory.path import Trajectory
+from hil.trajectory.path import Trajectory, of_record, samples
 
 _APART_s, _NARROW_s = 4e-3, 1e-5
 """Largest and smallest distance of the instants at which the forces along the reference are evaluated."""
@@ -31,6 +31,10 @@ _BLOCK_s = 10.0
 """Length of the parts in which a reference is evaluated."""
 _PARTS = 8
 """Number of points per period over which a disturbance is averaged."""
+_SURVEYED, _STRETCH_s, _STRETCHES = 5000, 4.0, 12
+"""Of a long reference: number of surveyed instants, length and number of the stretches to evaluate."""
+LONG_s = 120.0
+"""Longest reference that is evaluated as a whole."""
 _PHASES = (0.0, 0.25, 0.5, 0.75)
 """Delays of the measurements behind the reference's beginning, in periods."""
 
@@ -95,6 +99,27 @@ def delay_effect(
     return DelayEffect(worst[0], worst[1], worst[2], stale_s(axis, ahead_s))
 
 
+def demanding_stretches(
+    linearised: Linearised, reference: Trajectory, span_s: float, axis: Axis
+) -> list[tuple[float, float]]:
+    """Stretches of a long reference, begin and end in s, in which a delay of the forces disturbs most.
+
+    Ranked by the change of the accelerations within a period, at evenly spread instants and at knots.
+    """
+    knots = getattr(reference, "knots", np.zeros(0))
+    t = np.concatenate([np.linspace(0.0, span_s, _SURVEYED), knots[:: 1 + len(knots) // _SURVEYED]])
+    half = 0.5 * axis.period_s
+    (before, _), (after, acts) = (
+        linearised.along_reference(of_record(samples(reference, np.clip(each, 0.0, span_s))))
+        for each in (t - half, t + half)
+    )
+    change = np.zeros(int(span_s / _STRETCH_s) + 1)
+    felt = np.abs(np.einsum("tij,tj->ti", acts, after - before)).max(axis=1)
+    np.maximum.at(change, (t / _STRETCH_s).astype(int), felt)
+    begins = _STRETCH_s * np.sort(np.argsort(-change, kind="stable")[:_STRETCHES])
+    return [(max(0.0, at - 0.5 * _STRETCH_s), min(at + _STRETCH_s, span_s)) for at in begins.tolist()]
+
+
 def _disturbances(
     linearised: Linearised,
     reference: Trajectory,
@@ -130,7 +155,7 @@ def _forces(
     """
 
     def sample(times: Array) -> tuple[Array, Array]:
-        return linearised.along_reference([reference.sample(float(at)) for at in times])
+        return linearised.along_reference(of_record(samples(reference, times)))
 
     times = np.linspace(low_s, high_s, int(np.ceil((high_s - low_s) / _APART_s)) + 2)
     tau, matrices = sample(times)

@@ -312,9 +312,12 @@ class Linearised:
         by_error, by_rate = np.array(found).transpose(1, 2, 3, 0) / _STEP
         return by_error, by_rate
 
-    def along_reference(self, path: Sequence[PoseSample]) -> tuple[Array, Array]:
-        """Law's forces (n, 6) N at zero error, and the axes' accelerations per force (n, 6, 6)."""
-        s = _stacked(path)
+    def along_reference(self, s: PoseSample) -> tuple[Array, Array]:
+        """Law's forces (n, 6) N at zero error, and the axes' accelerations per force (n, 6, 6).
+
+        s: samples of the reference, stacked to arrays (n, ...).
+        """
+        s = PoseSample(*map(np.ascontiguousarray, s))
         robot = self._robot(s.p, s.R, s.twist)
         per_force = np.linalg.solve(robot.M, robot.J.transpose(0, 2, 1))
         tau = self._forces(s.p, s.R, s.twist, robot.of_axes(s.dtwist))

@@ -5,9 +5,9 @@ import numpy as np
 from drivers.arrays import Array, Ints
 from drivers.compiled.compiler import MATRIX, OUT_MATRIX, REAL, VECTOR, helper, kernel
 from hil.mathematics.linear_algebra import condition_from_lu, lu_factor, lu_solve_transposed
-from hil.mathematics.vectors import Vector, add, at, cross, dot, rotate, row, scale, sub
+from hil.mathematics.vectors import at, cross, dot, rotate, row, scale
 from hil.robot.dynamics_kernels import BASE, GRAVITY, PLATFORM, gravity_kernel
-from hil.robot.kinematics_kernels import lengths_and_jacobian
+from hil.robot.kinematics_kernels import lengths_and_jacobian, segment_distance
 
 # Columns of a survey.
 LENGTH = 0  # six, m
@@ -18,26 +18,6 @@ ORIENTATION = 24  # sign of det J
 CONDITION = 25  # bound of hil.mathematics.linear_algebra.condition_kernel
 CLEARANCE = 26  # m, smallest distance of two leg axes that are watched; inf where none are
 COLUMNS = 27
-
-
-@helper
-def segment_distance(x: Vector, u: Vector, y: Vector, v: Vector) -> float:
-    """Smallest distance of the segments x..x+u and y..y+v (Ericson, 2005, 5.1.9)."""
-    w = sub(x, y)
-    uu, uv, vv, uw, vw = dot(u, u), dot(u, v), dot(v, v), dot(u, w), dot(v, w)
-    det = uu * vv - uv * uv
-    s = 0.0
-    if det > 1e-12 * uu * vv:
-        s = min(max((uv * vw - uw * vv) / det, 0.0), 1.0)
-    t = (uv * s + vw) / vv
-    if t < 0.0:
-        t = 0.0
-        s = min(max(-uw / uu, 0.0), 1.0)
-    elif t > 1.0:
-        t = 1.0
-        s = min(max((uv - uw) / uu, 0.0), 1.0)
-    d = add(w, sub(scale(s, u), scale(t, v)))
-    return float(np.sqrt(dot(d, d)))
 
 
 @helper

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -47,6 +48,14 @@ WRONG = {
     "design: {gamma: 1.0}": ("desing: {}", r"mine.yaml:13:\d+: desing: unknown key, did you mean design"),
     "[0, 1]]": ("[0, 1.01]]", r"mine.yaml:8:4: A: the sampled controller is unstable by itself.* 1.01;"),
 }
+
+
+def test_controller_that_integrates_twice_is_refused(tmp_path):
+    """Powers of [[1, 1], [0, 1]] grow without bound, though both poles are 1."""
+    text = re.sub(r"\nA: .*", "\nA: [[1, 1], [0, 1]]", GOOD.read_text())
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(ConfigurationError, match="integrates twice"):
+        read_controller(tmp_path / "mine.yaml")
 
 
 @pytest.mark.parametrize("old", WRONG)

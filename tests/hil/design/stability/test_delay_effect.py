@@ -8,6 +8,7 @@ import pytest
 
 from hil.design.stability.delay_effect import delay_effect, stale_s
 from hil.design.stability.sampled_loop import Axis, analyse, gains
+from hil.trajectory.path import PoseSample
 
 AXIS = Axis(period_s=2e-3, transport_s=1.3e-3, lag_s=0.8e-3)
 K_P, K_D = 900.0, 60.0
@@ -15,15 +16,16 @@ FINE_s = 2e-5
 
 
 class Instants:
-    """A reference whose sample is the time, and a robot whose forces depend on the time only: J M^-1 J^T = 1."""
+    """A reference with the time as its x, and a robot whose forces depend on it only: J M^-1 J^T = 1."""
 
     def __init__(self, force):
         self.force = force
 
     def sample(self, t):
-        return t
+        return PoseSample(np.full(3, t), np.eye(3), np.zeros(6), np.zeros(6))
 
-    def along_reference(self, times):
+    def along_reference(self, s):
+        times = s.p[:, 0]
         forces = np.array([self.force(t) for t in times])
         return forces[:, None] * np.ones(6), np.broadcast_to(np.eye(6), (len(times), 6, 6))
 

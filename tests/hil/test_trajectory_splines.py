@@ -87,8 +87,8 @@ REST = "0,0,0,1,0,0,0\n"
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", r":1: the header must be .* given: nothing"),
-        (ROWS, r":1: the header must be .*; given: 0,0,0,1,0,0,0"),
+        ("", r":1: the header must .* given: nothing"),
+        (ROWS, r":1: the header must .*; given: 0,0,0,1,0,0,0"),
         (HEADER.replace("rx_deg", "rx_rad") + ROWS, r":1: .*rx_rad"),
         (HEADER.replace("z_m", "x_m") + ROWS, r":1: .* once"),
         (HEADER.replace(",", ";") + ROWS.replace(",", ";"), r":1: .* semicolon"),

@@ -27,6 +27,7 @@ FEWEST = 5
 """Fewest samples within WINDOW_S that resolve the change of forces."""
 PAIRS = 5_000
 """Evenly spread ticks of a longer path at which the force step is checked, in addition to its knots."""
+IN_MM = "positions far beyond the robot's size: in mm instead of m? Divide x_m, y_m and z_m by 1000"
 OTHER_UNIT = 50.0
 """Ratio of leg length to the longest leg above which the path must be in another unit."""
 
@@ -227,7 +228,7 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
 
     A path in another unit yields that violation only: the other limits have no meaning then.
     """
-    if np.median(w.q.max(axis=1)) > OTHER_UNIT * platform.length_max_m:
+    if float(w.q.max()) > OTHER_UNIT * platform.length_max_m:
         return [_other_unit(w, platform.length_max_m)]
     low = platform.length_min_m + limits.stroke_margin_m
     high = platform.length_max_m - limits.stroke_margin_m
@@ -263,9 +264,8 @@ def violations(w: Walk, platform: PlatformSettings, limits: LimitSettings, perio
 def _other_unit(w: Walk, length_max_m: float) -> Violation:
     """Violation of a path in another unit, at the first leg that would be too long."""
     k, leg = map(int, np.argwhere(w.q > OTHER_UNIT * length_max_m)[0])
-    text = "positions far beyond the robot's size: in mm instead of m? Divide x_m, y_m and z_m by 1000"
     long = f"leg {leg} would be {w.q[k, leg]:.4g} m long, allowed: platform.length_max_m {length_max_m:g}"
-    return Violation(float(w.t[k]), f"{text}. {long}", text)
+    return Violation(float(w.t[k]), f"{IN_MM}. {long}", IN_MM)
 
 
 def _singularity(w: Walk, limit: float) -> Violation | None:

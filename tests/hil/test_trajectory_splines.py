@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, make_interp_spline
 
+from drivers.arrays import Array
 from drivers.errors import ConfigurationError
 from hil.config.reference import SampledReference, WaypointReference
 from hil.config.values import Pose
@@ -122,7 +123,8 @@ def test_columns_are_found_by_name_and_rows_of_commas_are_skipped(tmp_path):
 
 def test_rough_rows_are_explained_and_smooth_ones_are_not():
     """Two rows 1 us and 2 mm apart; white noise of 2 um at 1 ms: 6 x 2e-6 / 1e-6 = 12 m/s^2."""
-    t, chi = np.linspace(0.0, 3.999, 4000, dtype=np.float64), np.zeros((4000, 6))
+    t: Array = np.linspace(0.0, 3.999, 4000)
+    chi = np.zeros((4000, 6))
     chi[:, 0] = 0.01 * np.sin(2 * np.pi * 0.25 * t) ** 3
     assert roughness(t, np.round(chi, 8)) == ""
     assert roughness(t[::500], chi[::500]) == ""

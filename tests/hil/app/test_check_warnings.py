@@ -67,6 +67,8 @@ def mass(brake_force_N: float) -> Changes:
 
 # The book's path needs 16022 N and 1.129 m/s; vcan50 needs 1.875 x 0.1 m/s to reach its start; virtual's legs
 # carry 3619 N at rest; lab has a stroke of 0.45 m and a following error of 10 mm.
+JOINTS = load("desktop").platform.platform_joints_m
+SWAPPED = {"platform": {"platform_joints_m": [JOINTS[k] for k in (1, 0, 3, 2, 5, 4)]}}
 EXAMPLES: list[tuple[str, str, tuple[Changes, Changes]]] = [
     ("engage.brake_close_s", "virtual", value("engage", "brake_close_s", 0.125, 0.135)),
     ("limits", "vcan50", value("limits", "speed_m_s", 0.749, 0.751)),
@@ -97,6 +99,7 @@ EXAMPLES: list[tuple[str, str, tuple[Changes, Changes]]] = [
     ("loop.feedback_window_us", "virtual", value("loop", "feedback_window_us", 500, 400)),
     ("bus.interface", "virtual", value("bus", "interface", "pcan", "sockercan")),
     ("drives.homing", "desktop", ({"drives": {"homing": {"file": "a.yaml", "limit_m": 0.001}}}, {})),
+    ("platform joints", "desktop", ({}, SWAPPED)),
     ("drives.protocol", "virtual", ({}, {})),
     ("limits while operated", "virtual", value("operator", "setup_speed_m_s", 0.05, 2.5)),
     ("limits while operated", "virtual", (live(1, 15, 2), live(12, 15, 2))),

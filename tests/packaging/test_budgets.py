@@ -8,22 +8,22 @@ import pytest
 ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
-    "drivers": (9_230, 67_000),
-    "plant_fmu": (8_180, 57_800),
+    "drivers": (9_310, 67_800),
+    "plant_fmu": (8_350, 59_000),
     "hil/loop hil/operate": (6_740, 52_000),
     "hil/safety hil/estimation": (3_080, 25_200),
-    "hil/robot hil/control hil/trajectory hil/mathematics": (5_710, 42_800),
+    "hil/robot hil/control hil/trajectory hil/mathematics": (5_790, 43_900),
     "hil/record": (4_730, 37_300),
-    "hil/config hil/app/configuration": (3_830, 25_000),
+    "hil/config hil/app/configuration": (3_850, 25_000),
     "hil/design hil/proof": (6_010, 55_000),
     "hil/lab": (7_580, 64_100),
     "hil/study": (7_920, 64_400),
-    "hil/app": (10_190, 73_000),
+    "hil/app": (10_370, 74_900),
     "hil/cli": (2_290, 11_700),
     "hil/contracts": (1_530, 13_000),
     "tools": (2_550, 20_500),
     "configs": (210, 1_900),
-    "tests": (70_790, 633_200),
+    "tests": (71_250, 635_600),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

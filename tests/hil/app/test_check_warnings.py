@@ -67,7 +67,7 @@ def mass(brake_force_N: float) -> Changes:
 
 # The book's path needs 16022 N and 1.129 m/s; vcan50 needs 1.875 x 0.1 m/s to reach its start; virtual's legs
 # carry 3619 N at rest; lab has a stroke of 0.45 m and a following error of 10 mm.
-JOINTS = load("desktop").platform.platform_joints_m
+JOINTS: Any = load("desktop").platform.platform_joints_m
 SWAPPED = {"platform": {"platform_joints_m": [JOINTS[k] for k in (1, 0, 3, 2, 5, 4)]}}
 EXAMPLES: list[tuple[str, str, tuple[Changes, Changes]]] = [
     ("engage.brake_close_s", "virtual", value("engage", "brake_close_s", 0.125, 0.135)),
@@ -116,7 +116,7 @@ ELSEWHERE = {
     "drives.transmission", "controller.controller_file", "controller.controller_file of another robot",
     "controller unstable", "feedforward rate", "feedforward.fade_s", "feedforward changes", "feedforward.limit_N",
     "plant.model.brake", "plant.model.allow_execution_tool", "plant.model legs", "plant.model coupling",
-    "plant.model.step_us", "plant.model reports", "loop.without_realtime", "schema",
+    "plant.model.step_us", "plant.model reports", "loop.without_realtime", "reference.path", "schema",
 }  # fmt: skip
 """Codes with examples that need a file, a proof or properties of this machine."""
 
@@ -130,6 +130,15 @@ def test_dangerous_setting_causes_a_warning_beyond_its_threshold(code, name, cha
         return
     assert code not in warned(name, harmless)
     assert code in warned(name, dangerous)
+
+
+@pytest.mark.parametrize(("noise_m", "codes"), [(0.0, 0), (2e-7, 1)])
+def test_noise_of_a_recorded_path_is_reported(noise_m, codes, tmp_path):
+    """A slow path at 1 kHz: rows that alternate by 0.2 um have second differences of 0.4 m/s^2."""
+    rows = [f"{1e-3 * k},0,0,{1 + 1e-6 * k + noise_m * (k % 2)},0,0,0" for k in range(200)]
+    (tmp_path / "path.csv").write_text("\n".join(["t_s,x_m,y_m,z_m,rx_deg,ry_deg,rz_deg", *rows]))
+    reference = {"type": "sampled", "path": str(tmp_path / "path.csv")}
+    assert warned("virtual", {"reference": reference}).count("reference.path") == codes
 
 
 def test_every_warning_code_has_an_example():

@@ -173,7 +173,7 @@ def test_invalid_value_in_the_file_does_not_delay_an_emergency_stop(controller, 
 @pytest.mark.parametrize(
     ("old", "new", "complaint"),
     [
-        ("channel: hil0", "channel: 7", "bus.channel: wrong type, allowed: text"),
+        ("channel: hil0", "channel: 7.5", "bus.channel: wrong type, allowed: text"),
         ("channel: hil0", "channel: hil0\n  channel: hil1", "bus.channel: key given twice"),
         ("\nbus:", "\nbuss:", "bus: missing"),
     ],

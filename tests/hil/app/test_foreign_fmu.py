@@ -109,7 +109,7 @@ def legs(folder, *quirks, model="", **built):
 
 def offset(folder):
     """Return the key that the refusal of lengths that count from elsewhere proposes."""
-    with pytest.raises(PlantError, match="other leg lengths") as refused:
+    with pytest.raises(PlantError, match="leg lengths differ") as refused:
         inspect(legs(folder))
     (key,) = re.findall(r"plant\.model\.(length_offset_m: [0-9.]+)", str(refused.value))
     return f"    {key}\n"

@@ -101,6 +101,11 @@ def delay_rows(figures: dict[str, Any], total: str) -> list[str]:
         std = figures.get(f"{key}_std_ms")
         sure = "" if std is None else f" +- {2 * std:.4f}"
         rows.append(f"  {key:12} {figures[f'{key}_ms']:8.4f}{sure:11} ms   {remark}")
+    if figures["lag_std_ms"] == 0.0:
+        rows.append(
+            "Transport and lag could not be separated: the motion was too slow. Their sum is listed as "
+            "transport; the excitation of `hil identify CONFIG` separates them."
+        )
     return rows
 
 
@@ -112,11 +117,6 @@ def report(result: dict[str, Any]) -> list[str]:
         f"{result['periods']} periods; the commands explain {result['explained_percent']:.2f} % of the "
         "varying force; gain of each leg " + " ".join(f"{g:.3f}" for g in result["gain"]),
     ]
-    if not result["separable"]:
-        lines.append(
-            "Transport and lag could not be separated: the motion was too slow. Their sum is listed as "
-            "transport; the excitation of `hil identify CONFIG --delay` separates them."
-        )
     worst = max(abs(g - 1.0) for g in result["gain"])
     if worst > 0.05:
         lines.append(

@@ -173,8 +173,9 @@ def _source(path: Path) -> Source:
             mean = mean_forces(np.ascontiguousarray(rows["tau"]), period, delay.transport_s, delay.lag_s)
             # of the periods before and after each tick
             force = 0.5 * (np.vstack([mean[:1], mean]) + np.vstack([mean, mean[-1:]]))
-        good = good & running & np.isfinite(force).all(axis=1)
-        signals = LegSignals(period, np.ascontiguousarray(rows["q"]), force, p, R, good)
+        length, reference = (np.ascontiguousarray(rows[name]) for name in ("q", "q_d"))
+        good = good & running & np.isfinite(force + reference).all(axis=1)
+        signals = LegSignals(period, length, reference, force, p, R, good)
         equations = equations_of(model, signals)
     except HilError as error:
         raise type(error)(f"{path}: {error}") from None

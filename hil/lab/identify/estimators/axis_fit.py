@@ -40,12 +40,17 @@ FEWEST_LINES = 6
 SYSTEMATIC = 2e-3
 """Least relative error of a spectral line; errors from coupling and changing pose do not average out."""
 LONGEST_PERIODS = 20.0
+SURE_S = 2e-4
+"""Largest standard deviation, s, of a reported delay."""
 SEPARATED = 10.0
 """Largest condition number of the directions of six lines for a coupling matrix."""
 
 
 class Delays(NamedTuple):
-    """Delays from measurement to force, s, with standard deviations."""
+    """Delays from measurement to force, s, with standard deviations.
+
+    Where transport and lag could not be separated, lag is 0, exactly, and transport is their sum.
+    """
 
     transport_s: float
     transport_std_s: float
@@ -84,7 +89,8 @@ def fit_axes(response: Response) -> Fit:
     The loss is soft: a model error in weight or friction distorts only the lowest lines, which have the least
     noise. It belongs to the bound, not to the gain.
 
-    Raises IdentificationError: too few coherent lines on an axis, or responses unlike the nominal axis.
+    Raises IdentificationError: too few coherent lines on an axis, responses unlike the nominal axis, or an
+    excitation that does not show the delay.
     """
     used = response.excited & (response.coherence >= COHERENT) & np.isfinite(response.G)
     for axis, lines in enumerate(used.sum(axis=0).tolist()):
@@ -105,34 +111,48 @@ def fit_axes(response: Response) -> Fit:
         error = weight * (G / P - 1.0)
         return np.concatenate([error.real, error.imag])
 
-    fits = [
-        least_squares(
-            residual,
-            [1.0] * 6 + [transport, lag],
-            bounds=([1e-3] * 6 + [0.0, 0.0], [1e3] * 6 + [LONGEST_PERIODS, LONGEST_PERIODS]),
-            loss="soft_l1",
-            xtol=1e-10,
-            max_nfev=60,
-        )
-        for transport, lag in ((0.5, 0.5), (2.0, 0.5), (1.0, 3.0))
-    ]
-    best = min(fits, key=lambda fit: float(fit.cost))
-    worst = float(np.median(np.abs(best.fun[: len(f)] + 1j * best.fun[len(f) :]) / weight))
+    def search(*starts: tuple[float, ...]) -> tuple[Array, Array, Array]:
+        """Gains, transport and lag, if any, of the best fit; its residual, and the covariance."""
+        n = len(starts[0])
+        fits = [
+            least_squares(
+                lambda x: residual(np.append(x, 0.0)),
+                [1.0] * 6 + [*start],
+                bounds=([1e-3] * 6 + [0.0] * n, [1e3] * 6 + [LONGEST_PERIODS] * n),
+                loss="soft_l1",
+                xtol=1e-10,
+                max_nfev=60,
+            )
+            for start in starts
+        ]
+        best = min(fits, key=lambda fit: float(fit.cost))
+        # Scaled by the residual, so that a systematic misfit counts; a parameter at its bound has no slope.
+        scale = max(1.0, 2.0 * float(best.cost) / (2 * len(f) - 8))
+        C = scale * np.linalg.pinv(best.jac.T @ best.jac)
+        return np.append(best.x, 0.0)[:8], best.fun, np.pad(C, (0, 2 - n))
+
+    x, error, C = search((0.5, 0.5), (2.0, 0.5), (1.0, 3.0))
+    worst = float(np.median(np.abs(error[: len(f)] + 1j * error[len(f) :]) / weight))
     if worst > 0.5:
         raise IdentificationError(
             f"the measured responses are {100 * worst:.0f} % from any gain, delay and lag in front of a "
             "double integrator, allowed: 50 %; the model is of another robot, or the law does not linearise "
             "the axes"
         )
-    # Scaled by the residual, so that a systematic misfit counts; a parameter at its bound has no slope.
-    scale = max(1.0, 2.0 * float(best.cost) / (2 * len(f) - 8))
-    C = scale * np.linalg.pinv(best.jac.T @ best.jac)
+    if T * np.sqrt(C.diagonal()[6:].max()) > SURE_S:
+        x, _, C = search((0.5,), (2.0,), (4.0,))
     std = np.sqrt(np.diag(C))
-    both = float(np.sqrt(C[6, 6] + C[7, 7] + 2.0 * C[6, 7]))
-    transport, lag = float(best.x[6]) * T, float(best.x[7]) * T
+    both = T * float(np.sqrt(max(C[6:, 6:].sum(), 0.0)))
+    if not both <= SURE_S:
+        raise IdentificationError(
+            f"the delay is known to {1e3 * both:.2g} ms, allowed: {1e3 * SURE_S:g} ms; coherent lines end "
+            f"at {f.max():.3g} Hz, where noise hides so small a phase: excite higher frequencies, more "
+            "(--force) or longer (--duration)"
+        )
+    transport, lag = (T * x[6:]).tolist()
     total = transport + lag + 0.5 * T
-    delays = Delays(transport, float(std[6]) * T, lag, float(std[7]) * T, total, both * T)
-    return Fit(np.asarray(best.x[:6], np.float64), std[:6], delays, used)
+    delays = Delays(transport, float(std[6]) * T, lag, float(std[7]) * T, total, both)
+    return Fit(np.asarray(x[:6], np.float64), std[:6], delays, used)
 
 
 def uncertainty(response: Response, fit: Fit) -> Uncertainty:

@@ -1,10 +1,10 @@
 """Masses and friction by weighted least squares of leg forces, and the nearest physically possible body.
 
-Each leg is weighted by the variance of its residual. Unknowns are scaled by the platform's own size. A
-direction of the unknowns counts as hidden, and keeps its believed value, in two cases: its standard
-deviation would exceed FAINT of that size, or errors of the length readings make up more than DROWNED of its
-regressor. Least squares would take such errors for motion, and be wrong by any number of standard errors
-(W. A. Fuller, Measurement Error Models, 1987, ch. 1).
+Each leg is weighted by the variance of its residual. Regressors are projected onto their instruments, so
+errors of the length readings bias nothing, not even through the law (two-stage least squares; W. A. Fuller,
+Measurement Error Models, 1987, ch. 1). Unknowns are scaled by the platform's own size. A direction of the
+unknowns counts as hidden, and keeps its believed value, in two cases: its standard deviation would exceed
+FAINT of that size, or its instruments are WEAK.
 
 Residuals are coloured: filtered noise, and errors of the model. Standard errors follow from the products of
 residuals and regressors, expanded in the lowest terms of a cosine series over the whole log, which do not
@@ -33,11 +33,11 @@ WEIGHT = 9.81
 """m/s^2: scales a mass to a force; not the gravity of a model."""
 FAINT = 0.3
 """Standard deviation, relative to the platform's size, above which a direction is hidden."""
-DROWNED = 0.1
-"""Rms share of reading errors in a regressor above which its direction is hidden; its square is the relative
-bias of a parameter.
+WEAK = 10.0
+"""F statistic of the first stage below which instruments are weak (D. Staiger and J. H. Stock, Econometrica
+65, 1997).
 """
-SERIES = 16
+SERIES = 32
 """Terms of the cosine series."""
 FEWEST_SAMPLES = 100
 ROUNDS = 3
@@ -94,23 +94,23 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
             f"too little motion: leg {int(count.argmin())} has {count.min()} usable samples (brakes open, "
             f"encoder fresh, moving one way), allowed: at least {FEWEST_SAMPLES}; log a longer motion"
         )
-    X, noise = equations.A * scale, equations.noise * scale
+    X, W = equations.A * scale, equations.instruments * scale
     rest = equations.y - equations.A @ believed
     weight = np.ones(6)
     for _ in range(ROUNDS):
         w = weight[equations.leg]
-        shown, hidden = _directions(X * w[:, None], noise * w[:, None])
-        Z = (X @ shown) * w[:, None]
-        z = np.linalg.lstsq(Z, rest * w, rcond=None)[0]
+        led = _projected(X * w[:, None], W * w[:, None])
+        shown, hidden = _directions(led, X * w[:, None] - led)
+        z = np.linalg.lstsq(led @ shown, rest * w, rcond=None)[0]
         theta = believed + scale * (shown @ z)
         residual = equations.y - equations.A @ theta
         rms = np.array([np.sqrt(np.mean(residual[equations.leg == leg] ** 2)) for leg in range(6)])
         weight = 1.0 / np.maximum(rms, 1e-9 * np.abs(equations.y).max())
     w = weight[equations.leg]
     A, y = equations.A * w[:, None], equations.y * w
-    Z = (X @ shown) * w[:, None]
-    spread = coloured_covariance(Z, y - A @ theta, equations.sample)
-    root = np.asarray(np.linalg.qr(A, mode="r"), np.float64)
+    led = _projected(X * w[:, None], W * w[:, None])
+    spread = coloured_covariance(led @ shown, y - A @ theta, equations.sample)
+    root = np.asarray(np.linalg.qr(led / scale, mode="r"), np.float64)
     columns = A[:, A.any(axis=0)]
     columns = columns / np.linalg.norm(columns, axis=0)
     T = scale[:, None] * shown
@@ -120,13 +120,21 @@ def solve(equations: Equations, believed: Array, scale: Array) -> Estimate:
     )  # fmt: skip
 
 
-def _directions(X: Array, noise: Array) -> tuple[Array, Array]:
+def _projected(X: Array, W: Array) -> Array:
+    """X (m, n) projected onto the columns of W (m, n)."""
+    return np.asarray(W @ np.linalg.lstsq(W, X, rcond=None)[0], np.float64)
+
+
+def _directions(led: Array, rest: Array) -> tuple[Array, Array]:
     """Orthonormal columns of the shown and the hidden directions of weighted equations.
 
-    X (m, n) has a residual of unit variance; noise (m, n) is its error.
+    led (m, n), with a residual of unit variance: what the instruments explain of the regressors; rest (m, n):
+    what they do not.
     """
-    _, s, Vt = np.linalg.svd(X, full_matrices=False)
-    seen = (s * FAINT > 1.0) & (np.linalg.norm(noise @ Vt.T, axis=0) < DROWNED * s)
+    m, n = led.shape
+    _, s, Vt = np.linalg.svd(led, full_matrices=False)
+    noise = np.linalg.norm(rest @ Vt.T, axis=0) / np.sqrt(max(m - n, 1))
+    seen = (s * FAINT > 1.0) & (s**2 > WEAK * n * noise**2)
     return Vt[seen].T, Vt[~seen].T
 
 
@@ -134,7 +142,7 @@ def coloured_covariance(Z: Array, residual: Array, sample: Ints) -> Array:
     """Covariance (k, k) of the least squares of Z x = y with coloured residuals (m,).
 
     A^-1 (mean over j of L_j L_j^T) A^-1, A = Z^T Z, L_j = sqrt(2) sum_t cos(pi j (t - 1/2) / n) s_t with the
-    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 16. The factor m / (m - k)
+    scores s_t = sum of Z^T residual over the rows of one instant, j = 1 .. 32. The factor m / (m - k)
     accounts for the k fitted unknowns.
     """
     m, k = Z.shape

@@ -25,7 +25,7 @@ from scipy.signal import lfilter
 from drivers.arrays import ZERO6, Array, Flags
 from drivers.errors import IdentificationError
 from hil.estimation.observer import unexplained
-from hil.lab.identify.estimators.axis_fit import Delays
+from hil.lab.identify.estimators.axis_fit import SURE_S, Delays
 from hil.lab.identify.estimators.body_fit import coloured_covariance
 from hil.robot.dynamics import SLIDING_SPEED, Model
 from hil.robot.kinematics_kernels import jacobian_kernel
@@ -34,8 +34,6 @@ LONGEST_PERIODS = 8.0
 """Longest delay considered, in periods."""
 FEWEST_PERIODS = 100
 """Least number of usable periods of motion per leg."""
-SURE_S = 2e-4
-"""Largest standard deviation, s, of a reported delay."""
 STARTS = [(transport, lag) for transport in (0.25, 1.5, 3.5) for lag in (0.1, 1.0)]
 """Start values of the search: transport and lag, in periods."""
 DIFFERENCE = 0.01

@@ -9,6 +9,10 @@ friction, so this time is an unknown, too: tau(t) = acting(t - late), to first o
 
 Both sides go through one filter and are decimated (M. Gautier, Proc. IEEE ICRA 1997). A leg that is slow or
 reverses under the filter gives no row, since a leg that sticks hides any force.
+
+A regressor has the encoders' errors, and so does the force, through the law. Instruments are the regressors
+along the reference, which knows neither (A. Janot, P.-O. Vandanjon and M. Gautier, IEEE Trans. Control Syst.
+Technol. 22(1), 2014).
 """
 
 from typing import NamedTuple
@@ -23,7 +27,6 @@ from hil.lab.identify.estimators.leg_motion import (
     bell,
     half_ticks,
     platform_motion,
-    reading_errors,
     smooth,
 )
 from hil.lab.identify.estimators.rigid_body import SIZE, regressor
@@ -49,8 +52,8 @@ class Equations(NamedTuple):
     """
     y: Array
     """(m,) N."""
-    noise: Array
-    """(m, 29): change of A if each length had one more reading error of its own size."""
+    instruments: Array
+    """(m, 29): A along the reference."""
     leg: Ints
     """(m,) 0..5."""
     sample: Ints
@@ -58,7 +61,8 @@ class Equations(NamedTuple):
 
     def part(self, which: Flags) -> "Equations":
         """The selected rows."""
-        return Equations(self.A[which], self.y[which], self.noise[which], self.leg[which], self.sample[which])
+        A, y, W, leg, sample = self
+        return Equations(A[which], y[which], W[which], leg[which], sample[which])
 
 
 def equations_of(model: Model, signals: LegSignals) -> Equations:
@@ -67,33 +71,40 @@ def equations_of(model: Model, signals: LegSignals) -> Equations:
     The model contributes legs, joints, gravity and sliding speed, but no other masses and no friction.
     """
     motion = platform_motion(model.platform, signals)
+    reference = platform_motion(model.platform, signals._replace(length=signals.reference))
+    led = _forces(model.constants, reference)
+    reference = reference._replace(dforce=np.gradient(led, signals.period_s, axis=0))
     c = model.constants.copy()
     c[kernels.MASS] = c[kernels.VISCOUS] = 0.0
     c[kernels.COM : kernels.INERTIA + 9] = 0.0
     c[kernels.REFLECTED : kernels.REFLECTED + 6] = 0.0
     c[kernels.VISCOUS : kernels.COULOMB + 6] = 0.0
-    needed = motion.force.copy()
-    for k in np.flatnonzero(motion.good):
-        needed[k] -= kernels.inverse_dynamics_kernel(
-            c, kernels.FULL, motion.p[k], motion.R[k], motion.twist[k], motion.dtwist[k], ZERO6
-        )
+    needed = motion.force - _forces(c, motion)
     half = half_ticks(signals.period_s)
     wide = bell(WIDER * half, signals.period_s)
     fast = np.abs(motion.dq) > max(float(c[kernels.SLIDING_SPEED]), 1e-6)
     one_way = all_under(wide.half, fast & (motion.dq > 0.0)) | all_under(wide.half, fast & (motion.dq < 0.0))
-    usable = one_way & all_under(wide.half, motion.good)[:, None]
+    usable = one_way & all_under(wide.half, motion.good & reference.good)[:, None]
     usable &= (np.arange(len(needed)) % half == 0)[:, None]
-    error = np.random.default_rng(0).standard_normal(signals.length.shape)  # the same for the same log
-    again = signals._replace(length=signals.length + reading_errors(signals) * error)
-    A, B = (
+    A, W = (
         smooth(wide.value, x.reshape(len(x), -1)).reshape(x.shape)
-        for x in (_columns(model.platform, m) for m in (motion, platform_motion(model.platform, again)))
+        for x in (_columns(model.platform, m) for m in (motion, reference))
     )
     at, legs = np.nonzero(usable)
     return Equations(
-        A[at, legs], smooth(wide.value, needed)[at, legs], B[at, legs] - A[at, legs],
+        A[at, legs], smooth(wide.value, needed)[at, legs], W[at, legs],
         legs.astype(np.int64), at.astype(np.int64),
     )  # fmt: skip
+
+
+def _forces(constants: Array, motion: PlatformMotion) -> Array:
+    """Leg forces (n, 6) N of the model along a motion."""
+    found = np.zeros_like(motion.force)
+    for k in np.flatnonzero(motion.good):
+        found[k] = kernels.inverse_dynamics_kernel(
+            constants, kernels.FULL, motion.p[k], motion.R[k], motion.twist[k], motion.dtwist[k], ZERO6
+        )
+    return found
 
 
 def _columns(platform: Platform, motion: PlatformMotion) -> Array:
@@ -111,9 +122,9 @@ def _columns(platform: Platform, motion: PlatformMotion) -> Array:
 
 def without(equations: Equations, given: Array, first: int) -> Equations:
     """Equations with the unknowns from column `first` on fixed at `given` (29,): their columns are 0."""
-    A, noise = equations.A.copy(), equations.noise.copy()
-    A[:, first:] = noise[:, first:] = 0.0
-    return equations._replace(A=A, y=equations.y - equations.A[:, first:] @ given[first:], noise=noise)
+    A, W = equations.A.copy(), equations.instruments.copy()
+    A[:, first:] = W[:, first:] = 0.0
+    return equations._replace(A=A, y=equations.y - equations.A[:, first:] @ given[first:], instruments=W)
 
 
 def joined(logs: list[Equations]) -> Equations:
@@ -122,5 +133,5 @@ def joined(logs: list[Equations]) -> Equations:
     for each in logs:
         samples.append(each.sample + begun)
         begun += int(each.sample.max(initial=-1)) + 1
-    A, y, noise, leg = (np.concatenate([each[k] for each in logs]) for k in range(4))
-    return Equations(A, y, noise, leg, np.concatenate(samples))
+    A, y, W, leg = (np.concatenate([each[k] for each in logs]) for k in range(4))
+    return Equations(A, y, W, leg, np.concatenate(samples))

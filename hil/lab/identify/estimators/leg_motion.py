@@ -5,7 +5,6 @@ A smooth bell of finite length is convolved with the lengths. Its derivatives re
 lags another (M. Gautier, Proc. IEEE ICRA 1997), and each value depends on a known range of ticks only.
 """
 
-from math import comb
 from typing import NamedTuple
 
 import numpy as np
@@ -22,8 +21,6 @@ filtered force is compared with the force at the filtered pose.
 FEWEST_TICKS = 4
 """Least half length of the bell; fewer samples would not suffice for its derivatives."""
 TOLERANCE_m = 1e-11
-DIFFERENCES = 6
-"""Order of the differences that remove the motion from lengths and leave the noise."""
 
 
 class LegSignals(NamedTuple):
@@ -32,6 +29,8 @@ class LegSignals(NamedTuple):
     period_s: float
     length: Array
     """(n, 6) m."""
+    reference: Array
+    """(n, 6) m, of the length: the same motion without the encoders' errors."""
     force: Array
     """(n, 6) N at the instant of the length, > 0 extends."""
     p: Array
@@ -118,13 +117,9 @@ def all_under(half: int, good: Flags) -> Flags:
     """True at ticks with only good ticks up to `half` on either side; x (n,) or (n, m)."""
     inside = np.zeros_like(good)
     if len(good) > 2 * half:
-        inside[half : len(good) - half] = all_good(2 * half + 1, good)
+        windows = sliding_window_view(good, 2 * half + 1, axis=0)
+        inside[half : len(good) - half] = windows.all(axis=-1)
     return inside
-
-
-def all_good(count: int, good: Flags) -> Flags:
-    """For each window of `count` ticks: True if all its ticks are good; x (n,) or (n, m)."""
-    return np.asarray(sliding_window_view(good, count, axis=0).all(axis=-1), np.bool_)
 
 
 def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
@@ -149,12 +144,6 @@ def platform_motion(platform: Platform, signals: LegSignals) -> PlatformMotion:
     if good.any():
         twist[good], dtwist[good], J[good] = leg_to_platform(platform, p[good], R[good], dq[good], ddq[good])
     return PlatformMotion(R, p, J, twist, dtwist, dq, ddq, force, dforce, good)
-
-
-def reading_errors(signals: LegSignals) -> Array:
-    """Standard deviation (6,) m of a reading about a slow motion, by sixth differences."""
-    d = np.diff(signals.length, DIFFERENCES, axis=0)[all_good(DIFFERENCES + 1, signals.good)]
-    return np.sqrt(np.mean(d**2, axis=0) / comb(2 * DIFFERENCES, DIFFERENCES)) if len(d) else np.zeros(6)
 
 
 def leg_to_platform(

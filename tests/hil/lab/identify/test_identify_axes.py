@@ -162,6 +162,17 @@ def test_coupling_is_unknown_if_all_axes_move_together(quiet):
     assert uncertainty(quiet, fit_axes(quiet)).coupled
 
 
+def test_a_delay_that_noise_hides_is_refused(quiet):
+    """Little noise lets transport and lag be told apart, more of it their sum, and still more nothing."""
+    slow = quiet._replace(excited=quiet.excited & (quiet.frequency_Hz < 100.0)[:, None])
+    found = fit_axes(slow._replace(std=np.full_like(slow.std, 0.1))).delays
+    assert found.lag_s == found.lag_std_s == 0.0
+    assert found.total_s == pytest.approx(T + LAG + T / 2, abs=3 * found.total_std_s)
+    assert found.total_std_s < 1e-4
+    with pytest.raises(IdentificationError, match="Hz"):
+        fit_axes(slow._replace(std=np.full_like(slow.std, 0.5)))
+
+
 def test_noise_an_unlike_response_and_a_short_run_are_refused(quiet):
     noise = np.random.default_rng(2).normal(size=(3, 9000, 6))
     response = estimate(segmented(AxisSignals(T, noise[0], noise[1], noise[2], np.ones(9000, bool))))

@@ -40,7 +40,9 @@ def signals(n, good=None):
     states = [state(k * T) for k in range(n)]
     p, R = np.array([s[0] for s in states]), np.array([s[1] for s in states])
     length = np.array([leg_lengths(PLATFORM, *s[:2]) for s in states])
-    return LegSignals(T, length, np.sin(length), p, R, np.ones(n, bool) if good is None else good), states
+    return LegSignals(
+        T, length, length, np.sin(length), p, R, np.ones(n, bool) if good is None else good
+    ), states
 
 
 @pytest.mark.parametrize("half", [4, 10, 30])

@@ -51,9 +51,11 @@ def made(model, seconds=6.0, axes=range(6), late_s=0.0):
     """Signals of a noiseless log of a motion; the forces are those of `late_s` earlier."""
     states = [state(k * T, axes) for k in range(round(seconds / T))]
     force = [model.inverse_dynamics(*state(k * T - late_s, axes)) for k in range(len(states))]
+    length = np.array([leg_lengths(PLATFORM, p, R) for p, R, _, _ in states])
     return LegSignals(
         T,
-        np.array([leg_lengths(PLATFORM, p, R) for p, R, _, _ in states]),
+        length,
+        length,
         np.array(force),
         np.array([s[0] for s in states]),
         np.array([s[1] for s in states]),
@@ -100,7 +102,11 @@ def test_leg_that_never_slides_is_refused():
     signals = made(Model(PLATFORM), 2.0)
     still = np.tile(signals.length[:1], (len(signals.length), 1))
     with pytest.raises(IdentificationError, match=r"too little motion: leg 0 has .* usable samples"):
-        fitted(signals._replace(length=still, p=signals.p * 0 + signals.p[0], R=signals.R * 0 + signals.R[0]))
+        fitted(
+            signals._replace(
+                length=still, reference=still, p=signals.p * 0 + signals.p[0], R=signals.R * 0 + signals.R[0]
+            )
+        )
 
 
 def noisy(signals, rng, sigma_m=5e-6, sigma_N=3.0):

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drivers.arrays import Array
+from drivers.arrays import Array, Rows
 from drivers.cia402 import objects as o
 from drivers.config import DriveSettings
 from drivers.errors import PlantError
@@ -57,9 +57,9 @@ class TrestleLegs(UncoupledLegs):
         at["x"][leg] = min(max(length, at["shortest"][leg]), at["longest"][leg])
         at["v"][leg] = 0.0
 
-    def push(self, leg: int, force: float) -> None:
-        """Push a leg by hand, in N; the hand follows for HAND_M at most. 0 takes the hand away."""
-        self.legs["hand"][leg], self.legs["hand_from"][leg] = force, self.legs["x"][leg]
+    def push(self, leg: int, force: float, *, on: bool = False) -> None:
+        """Push a leg by hand, in N; 0 takes the hand away. It follows for HAND_M, or always (`on`)."""
+        self.legs["hand"][leg], self.legs["hand_from"][leg] = force, np.inf if on else self.legs["x"][leg]
 
     def hold_at_gauge(self, leg: int | None) -> None:
         """Clamp the end of a leg to the force gauge; None releases it."""
@@ -89,7 +89,26 @@ class WiredNodes(Nodes):
     def start(self, t0_ns: int) -> None:
         """`Nodes.start`, with the node numbers, watchdogs and missing drives of the wiring."""
         super().start(t0_ns)
-        n, w = self._record, self._wiring
+        self._chance = np.random.default_rng(1)
+        self.wire(self._wiring)
+
+    @property
+    def address(self) -> int:
+        """`Nodes.address`; 0 if frames are lost."""
+        return 0 if self._wiring.frames_lost else super().address
+
+    def advance(self, t_ns: int, received: Rows) -> Rows:
+        """`Nodes.advance` without the frames that are lost."""
+        return self._kept(super().advance(t_ns, self._kept(received)))
+
+    def _kept(self, frames: Rows) -> Rows:
+        lost = self._wiring.frames_lost
+        return frames[self._chance.random(len(frames)) >= lost] if lost else frames
+
+    def wire(self, wiring: Wiring) -> None:
+        """Set node numbers, watchdogs and missing drives of a wiring."""
+        self._wiring = w = wiring
+        n = self._record
         strange, absent = np.array(w.other_protocol), ~np.array(w.present)
         n["number"], n["waits"] = np.where(strange | absent, MUTE, w.answers_as), w.watchdog
         n["strange"] = np.where(strange, o.HEARTBEAT_ID + np.array(self._settings.node_ids), 0)
@@ -119,7 +138,8 @@ class Stand(NamedTuple):
 class RehearsalBench:
     """Six drives with legs on trestles.
 
-    Mutable state: the nodes, the legs, the random errors of readings, and whether the platform is mounted.
+    Mutable state: the nodes, the legs, the random errors of readings, whether the platform is mounted, and
+    the wiring, which changes when it is mounted.
     """
 
     def __init__(
@@ -150,14 +170,14 @@ class RehearsalBench:
             x=stand.length_min + np.linspace(0.35, 0.6, LEGS) * stroke,
         )
         self.protocol = protocol
-        self.cables = self.behind_cables(self._legs)
+        self.cables = self.behind_cables(self._legs, wiring)
         self.nodes = WiredNodes(wiring, self.cables, protocol, emulation, settings, faults)
         self._chance = np.random.default_rng(seed)
 
-    def behind_cables(self, plant: Plant) -> WiredPlant:
-        """Connect a plant to the cables of this wiring; encoders are right at the middle of the stroke."""
+    def behind_cables(self, plant: Plant, wiring: Wiring) -> WiredPlant:
+        """Connect a plant to the cables of a wiring; encoders are right at the middle of the stroke."""
         middle = 0.5 * (self.stand.length_min + self.stand.length_max)
-        return WiredPlant(plant, self.wiring, np.full(LEGS, middle), self._rated_N)
+        return WiredPlant(plant, wiring, np.full(LEGS, middle), self._rated_N)
 
     def length(self, leg: int) -> float:
         """Length of a leg, m, without errors of measurement."""
@@ -187,6 +207,8 @@ class RehearsalBench:
                 return self.length(leg) + TAPE_M * float(self._chance.standard_normal())
             case "push":
                 legs.push(leg, push)
+            case "push_on":
+                legs.push(leg, push, on=True)
             case "push_others":
                 for other in {*range(LEGS)} - {leg}:
                     legs.push(other, push)
@@ -215,8 +237,15 @@ class RehearsalBench:
         return 0.0
 
     def hang(self, p: Array, R: Array) -> None:
-        """Mount the platform at p (3,) m, R (3, 3), off by the wiring's error of the home. Moves the legs."""
-        self.hung = True
+        """Mount the platform at p (3,) m, R (3, 3), off by the wiring's error of the home. Moves the legs.
+
+        The mistakes made when mounting begin here.
+        """
+        self.hung, wiring = True, self.wiring.as_mounted
+        if wiring is not self.wiring:
+            self.wiring = wiring
+            self.cables.wire(wiring)
+            self.nodes.wire(wiring)
         base, platform = joints_of(self.wiring, self.stand.base_joints, self.stand.platform_joints)
         there = p + np.array([0.0, 0.0, self.wiring.home_off_m])
         for leg, length in enumerate(np.linalg.norm(there + platform @ R.T - base, axis=1)):

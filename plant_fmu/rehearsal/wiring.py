@@ -4,6 +4,7 @@ Every tuple has one element per drive, in the leg order of the configuration, or
 """
 
 from dataclasses import dataclass, replace
+from functools import reduce
 from math import inf
 from typing import Any, cast
 
@@ -76,6 +77,23 @@ class Wiring:
     """Factor on mass and inertia of the platform."""
     gravity: float = 1.0
     """-1: the machine hangs from the ceiling."""
+    brake_late_s: tuple[float, ...] = ZEROS
+    """Per leg: delay with which its brake closes."""
+    encoder_late_s: tuple[float, ...] = ZEROS
+    """Per drive: age of its encoder reading."""
+    force_lag_s: tuple[float, ...] = ZEROS
+    """Per drive: time constant of its force."""
+    coupling: tuple[float, ...] = (inf,) * LEGS
+    """Per drive: force at which its coupling slips, as a share of the rated force."""
+    frames_lost: float = 0.0
+    """Share of the frames lost in each direction."""
+    mounting: "Wiring | None" = None
+    """Wiring after the platform is mounted; None: no change."""
+
+    @property
+    def as_mounted(self) -> "Wiring":
+        """Wiring after the platform is mounted."""
+        return self.mounting or self
 
 
 @dataclass(frozen=True)
@@ -92,6 +110,8 @@ class Mistake:
     """The third leg or drive of a rotation."""
     value: float | None = None
     """Size of the mistake; None: the usual size in MISTAKES."""
+    mounting: bool = False
+    """The mistake is made when the platform is mounted, after the tests on trestles."""
 
 
 MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
@@ -139,6 +159,15 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
     "brake_stuck_open": (("stuck",), 1, (0.0,), "the brake does not close"),
     "brake_inverted": (("brake_inverted",), 1, (1.0,), "the brake closes when it should open"),
     "brake_weak": (("brake_share",), 1, (0.01, 0.0, 1.0), "the brake has this share of its force"),
+    "brake_late": (("brake_late_s",), 1, (0.2, 0.0, 1.0), "the brake closes late by this, s"),
+    "encoder_late": (("encoder_late_s",), 1, (0.02, 0.0, 0.2), "age of the encoder reading, s"),
+    "force_lags": (("force_lag_s",), 1, (0.05, 0.0, 1.0), "time constant of the drive's force, s"),
+    "coupling_slips": (
+        ("coupling",),
+        1,
+        (0.01, 0.0, 1.0),
+        "the coupling slips above this share of the rated force",
+    ),
     "friction": (("friction",), 1, (0.012, 0.0, 1.0), "additional friction, as a share of the rated force"),
     "end_stop": (("shorter",), 1, (0.15, 0.0, 0.9), "part of the stroke is blocked, as a share of it"),
     "watchdog_missing": (("watchdog",), 1, (inf,), "the drive has no watchdog"),
@@ -154,6 +183,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
     ),
     "wrong_home": (("home_off_m",), 0, (0.015, -0.1, 0.1), "the platform is too high by this at home, m"),
     "payload": (("payload",), 0, (2.0, 0.1, 10.0), "factor on the platform's mass and inertia"),
+    "frames_lost": (("frames_lost",), 0, (0.05, 0.0, 0.9), "share of frames that are lost"),
     "upside_down": (("gravity",), 0, (-1.0,), "the machine hangs from the ceiling"),
 }
 """Name -> fields of Wiring that it changes, number of legs, sizes, description.
@@ -166,10 +196,9 @@ OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watc
 
 def wired(*mistakes: Mistake) -> Wiring:
     """Wiring with some mistakes. Raises ValueError on an unknown mistake or a leg that does not exist."""
-    wiring = Wiring()
-    for mistake in mistakes:
-        wiring = _with(wiring, mistake)
-    return wiring
+    wiring = reduce(_with, (each for each in mistakes if not each.mounting), Wiring())
+    late = [each for each in mistakes if each.mounting]
+    return replace(wiring, mounting=reduce(_with, late, wiring)) if late else wiring
 
 
 def legs_of(name: str) -> int:

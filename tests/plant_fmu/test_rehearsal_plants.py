@@ -11,7 +11,8 @@ from plant_fmu.rehearsal.wiring import Wiring
 from tests.plant_fmu.rig import Masses
 
 SIX = np.arange(6.0)
-CALM = np.zeros(6)
+CALM = OPEN = np.zeros(6)
+SHUT = np.ones(6)
 MIDDLE = 0.5 + 0.01 * SIX
 
 
@@ -86,6 +87,43 @@ def test_an_encoder_with_play_follows_after_the_play_is_used_up():
     legs.length = MIDDLE - 0.1 + 0.009
     reads, _ = plant.reset()
     np.testing.assert_allclose(reads, legs.length, atol=1e-15)  # at power-up, the reading is the length
+
+
+def test_late_encoders_lagging_forces_and_slipping_couplings_follow_in_time():
+    """Steps of 1 ms: reading 3 ms old, force with a lag of 20 ms (1 - (1 - 1/20)^n), coupling of 10 N."""
+    legs = Legs()
+    wiring = Wiring(
+        force_lag_s=(0.0, 0.02, 0.0, 0.0, 0.0, 0.0),
+        encoder_late_s=(0.0, 0.0, 3e-3, 0.0, 0.0, 0.0),
+        coupling=(np.inf, np.inf, np.inf, 0.1, np.inf, np.inf),
+    )
+    legs.internal_step_s = 1e-3
+    plant = WiredPlant(legs, wiring, MIDDLE, 100.0)
+    plant.reset()
+    seen = []
+    for n in range(6):
+        legs.length = MIDDLE - 0.1 + 0.001 * (n + 1)
+        reads, _ = plant.step(np.full(6, 30.0), CALM, CALM, 1e-3)
+        seen.append(reads - (MIDDLE - 0.1))
+        assert legs.force[0] == 30.0
+        assert legs.force[1] == pytest.approx(30.0 * (1.0 - 0.95 ** (n + 1)))
+        assert legs.force[3] == pytest.approx(10.0)
+    np.testing.assert_allclose([each[0] for each in seen], 0.001 * np.arange(1, 7), atol=1e-12)
+    np.testing.assert_allclose([each[2] for each in seen], [0.0, 0.0, 0.0, 0.001, 0.002, 0.003], atol=1e-12)
+    slips = [each[3] - each[0] for each in seen]
+    assert min(np.diff(slips)) > 0.0, "a motor whose coupling slips runs ahead of its leg"
+
+
+def test_late_brake_opens_in_time_and_shuts_later():
+    legs = Legs()
+    legs.internal_step_s = 1e-3
+    plant = WiredPlant(legs, Wiring(brake_late_s=(0.0, 2e-3, 0.0, 0.0, 0.0, 0.0)), MIDDLE)
+    plant.reset()
+    held = []
+    for brake in (SHUT, OPEN, SHUT, SHUT, SHUT):
+        plant.step(CALM, brake, CALM, 1e-3)
+        held.append(legs.brake[:2].tolist())
+    assert held == [[1, 1], [0, 0], [1, 0], [1, 0], [1, 1]]
 
 
 def trestles(friction_N: Array = CALM, brake_N: float = 1000.0, start: float = 0.3) -> TrestleLegs:

@@ -43,3 +43,11 @@ def test_several_mistakes_combine_by_multiplication_or_in_sequence():
     assert changed(wired(Mistake("offset", 5, value=-1e-3))) == {"offset_m": (0.0,) * 5 + (-1e-3,)}
     two = wired(Mistake("brake_of_another", 1, 4), Mistake("brake_of_another", 1, 0))
     assert two.brake[1] == {0, 1, 4}
+
+
+def test_mistakes_made_when_mounting_add_to_the_wiring_on_trestles():
+    wiring = wired(Mistake("payload", 0, value=1.3, mounting=True), Mistake("offset", 2, value=1e-3))
+    assert changed(wiring).keys() == {"offset_m", "mounting"}
+    assert changed(wiring.as_mounted) == {"offset_m": wiring.offset_m, "payload": 1.3}
+    right = wired(Mistake("offset", 2, value=1e-3))
+    assert right.as_mounted is right

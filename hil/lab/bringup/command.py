@@ -3,7 +3,9 @@
 import contextlib
 import time
 from collections.abc import Callable, Sequence
+from functools import reduce
 from itertools import count
+from operator import or_
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,10 +32,11 @@ from hil.lab.bringup.procedure import Outcome, bring_up, checklist
 from hil.lab.bringup.rehearsal import Agree, BenchHands, BenchLine, build_bench, six_legs, wiring_of
 from hil.lab.bringup.store import Store, identity
 from hil.lab.bringup.terminal import Terminal
-from hil.lab.bringup.written_configuration import FIRST_M, corrected, found_text
+from hil.lab.bringup.written_configuration import FIRST_M, FIRST_deg, corrected, found_text
 from hil.loop.clock import real_time
 from hil.record import Recording
 from plant_fmu.rehearsal.bench import RehearsalBench
+from plant_fmu.rehearsal.wiring import MISTAKES
 
 _SERVED = "a bench that another process serves"
 _MOUNT = "Fix the platform to its legs, take the levers off the brakes, keep the hoist slack, and stand clear"
@@ -264,7 +267,10 @@ def _release(
     why = "not begun: the log is incomplete" if journal.trouble else ""
     if not why:
         journal(_TOGETHER)
-        will = f"lets the brakes carry the platform, opens all six, and moves it by {1e3 * FIRST_M:g} mm"
+        will = (
+            "lets the brakes carry the platform, opens all six, and moves each axis by at most "
+            f"{1e3 * FIRST_M:g} mm and {max(FIRST_deg):g} deg"
+        )
         try:
             agree("six legs together", will, "Ctrl-C parks, twice stops")
         except (RefusedError, KeyboardInterrupt) as refusal:
@@ -273,20 +279,47 @@ def _release(
         return Together(success=False, lines=[f"[ ] together: {why}"])
     if bench is not None:
         ending = six_legs(found, bench)
-        success, brake_failed, words = ending.success, Fault.BRAKE in ending.faults, [ending.trouble]
+        success, faults, words = ending.success, ending.faults, [ending.trouble]
     else:
         if not served:
             state_lengths(found, context, journal)
         summary = run_daemon(found, draw=False, arm=True, on_bench=served)
-        success, brake_failed = summary["success"], "BRAKE" in summary.get("faults", ())
+        success = summary["success"]
+        faults = reduce(or_, (Fault[name] for name in summary.get("faults", ())), Fault.NONE)
         words = [summary["trouble"] or f"log {summary['log']}"]
         words += [stood_still_line(summary["bench_time"])] if "bench_time" in summary else []
     done = "brakes carried the platform, first motion done, parked" if success else "ended early"
     mark, figures = "x" if success else "!", "; ".join(filter(None, (done, *words)))
-    together = Together(success, [f"[{mark}] {_TOGETHER}", f"      {figures}"], brake_failed)
+    lines = [f"[{mark}] {_TOGETHER}", f"      {figures}", *causes(faults)]
+    together = Together(success, lines, Fault.BRAKE in faults)
     for line in together.lines:
         journal(line)
     return together
+
+
+CAUSES: dict[Fault, tuple[str, ...]] = {
+    Fault.BRAKE: ("brake_stuck_open", "brake_weak", "brake_inverted", "brake_late", "coupling_slips"),
+    Fault.ENCODER: (
+        *("encoder_frozen", "brake_stuck_shut", "backlash", "rate_sign", "rate_scale", "coupling_slips"),
+        *("encoder_jumps", "motor_crossed"),
+    ),
+    Fault.FOLLOWING | Fault.SPEED | Fault.DRIVE: (
+        *("motor_crossed", "payload", "force_sign", "force_scale", "force_saturates", "encoder_sign"),
+        *("encoder_late", "force_lags", "coupling_slips", "friction", "brake_stuck_shut", "upside_down"),
+    ),
+    Fault.SPEED: ("brake_stuck_open", "brake_inverted"),
+    Fault.STALE | Fault.BUS | Fault.REFUSED_FRAMES: ("frames_lost", "absent"),
+}
+"""Faults of the first motion, and the mistakes that cause one of them."""
+
+
+def causes(faults: Fault) -> list[str]:
+    """Text lines: the mistakes that may have caused the faults of the first motion."""
+    names = dict.fromkeys(name for kinds, fitting in CAUSES.items() if faults & kinds for name in fitting)
+    if not names:
+        return []
+    head = "each leg passed its own tests: check first what has changed since, e.g. plugs. Possible causes:"
+    return [f"      {head}", *(f"        {name}: {MISTAKES[name][-1]}" for name in names)]
 
 
 def mark_moved(c: Configuration, say: Callable[[str], None]) -> None:

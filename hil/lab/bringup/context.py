@@ -18,8 +18,12 @@ TRAVEL_M = 1e-3
 """Travel at which a leg driven with one brake open is stopped."""
 OLD_TICKS = 3
 """Largest age of a reading, ticks, that is trusted while a brake is open."""
+SETTLED_S = 0.1
+"""Rest before a length is read: a late encoder reading would assign the last motion to the next leg."""
 MOVED_M = 1e-4
 """Travel that counts as motion; a force ramp ends there."""
+UNTIMED_S = 1.0
+"""Additional wait before the next brake opens, if this one has not been timed or closes late."""
 TAPE_M = 2e-4
 """Standard deviation of a length that the operator measures with the tape."""
 
@@ -218,9 +222,13 @@ class Context:
             self.drives.step()
 
     @contextmanager
-    def opened(self, leg: int) -> Iterator[None]:
-        """Open one brake without force; shut it on every exit. Raises StoppedError: no power."""
+    def opened(self, leg: int, *, timed: bool = False) -> Iterator[None]:
+        """Open one brake without force; shut it on every exit. Raises StoppedError: no power.
+
+        timed: the caller watches the brake close. If not, and if it may close late, UNTIMED_S are added.
+        """
         self.take_down()
+        timed = timed or (self.known("shuts", leg) or {}).get("late_s") == 0.0
         try:
             why = self.drives.power(leg)
             if why:
@@ -234,7 +242,7 @@ class Context:
                 self.drives.step(DriveMode.RUN, leg)
             yield
         finally:
-            self.drives.off(self.machine.brake_shut_s)
+            self.drives.off(self.machine.brake_shut_s + (0.0 if timed else UNTIMED_S))
 
     def drive(self, drive: int, force: float = 0.0) -> None:
         """Command a drive with an open brake for one tick, N. Raises StoppedError if it has lost power."""
@@ -265,8 +273,9 @@ class Context:
     def _heard(self, drive: int) -> None:
         age = int(self.drives.record["age"][drive])
         if age > OLD_TICKS:
-            text, remedy = f"no reading for {age} ticks", "Look at the drive's supply and its bus."
-            raise StoppedError(Finding("lost_power", (drive,), text, remedy))
+            text = f"no reading for {age} ticks: the drive has lost its supply, or its bus loses frames"
+            remedy = "Check its supply, cable, plugs, shield and termination."
+            raise StoppedError(Finding("not_heard", (drive,), text, remedy))
 
     def travelled(self, since: Array) -> dict[int, float]:
         """Travel of each leg, m by tape, since the readings `since` (6,). Raises StoppedError."""
@@ -279,7 +288,8 @@ class Context:
 
 
 _OTHERS = {
-    "ids": "drives", "encoder": "drive", "opens": "legs", "held": "", "force": "", "gauge": "", "watchdog": ""
+    "ids": "drives", "encoder": "drive", "opens": "legs",
+    "held": "", "shuts": "", "force": "", "gauge": "", "watchdog": "",
 }  # fmt: skip
 """Steps with facts about one leg or its drive, and the key of the other legs or drives in the fact."""
 

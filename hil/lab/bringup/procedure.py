@@ -14,7 +14,10 @@ STEPS: tuple[Step, ...] = tuple(
     module.STEP for module in (scan, silence, ids, encoder, brakes, force, gauge, mounted)
 )
 """All steps in order; gates are the first three and `mounted`, which begins only without findings."""
-ENDS = frozenset({"runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps"})
+ENDS = frozenset({
+    "runaway", "coupling_or_clamp", "brake_not_shut",
+    "not_powered", "lost_power", "not_heard", "encoder_jumps",
+})  # fmt: skip
 """Findings after which the bring-up ends at once."""
 
 
@@ -79,7 +82,7 @@ def _done(c: Context, steps: tuple[Step, ...]) -> Outcome:
             passed.append(step.name)
             c.keep("passed", step.name, fact=True)
             c.operator.tell("  passed before" if known else "  passed")
-    return Outcome(tuple(passed), tuple(merged(findings)), tuple(gaps), stopped)
+    return Outcome(tuple(passed), tuple(merged(c, findings)), tuple(gaps), stopped)
 
 
 def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
@@ -96,8 +99,11 @@ def _proceed(c: Context, step: Step) -> tuple[bool, list[Finding]]:
         return known, [stop.finding]
 
 
-def merged(findings: list[Finding]) -> list[Finding]:
-    """Findings with symptoms of one cause merged: a wrong lead, or a drive that turns the wrong way."""
+def merged(c: Context, findings: list[Finding]) -> list[Finding]:
+    """Findings with symptoms of one cause merged: a wrong lead, or a drive that turns the wrong way.
+
+    A wrong encoder scale may also be a wrong lead if the force was not measured.
+    """
     named: dict[tuple[str, tuple[int, ...]], Finding] = {}
     more: list[Finding] = []
     for finding in findings:
@@ -107,6 +113,11 @@ def merged(findings: list[Finding]) -> list[Finding]:
     for legs in sorted({finding.legs for finding in findings}):
         if ("wrong_lead", legs) in named or ("scale_or_lead", legs) in named:
             named.pop(("encoder_scale", legs), None)
+        if ("encoder_scale", legs) in named and c.known("gauge", legs[0]) is None:
+            scale = abs(c.reads().get(legs[0], (0, 1.0))[1])
+            if gauge.as_lead(scale):
+                del named["encoder_scale", legs]
+                named["scale_or_lead", legs] = gauge.scale_or_lead(legs[0], scale, None)
         if ("encoder_sign", legs) in named and ("force_sign", legs) in named:
             del named["encoder_sign", legs], named["force_sign", legs]
             text = "its reading falls as it grows, and a force that should extend it shortens it"

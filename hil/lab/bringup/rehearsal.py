@@ -1,6 +1,6 @@
 """The rehearsal: a bring-up against emulated drives on the rehearsal bench, in simulated time.
 
-Mistakes are given as text: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4`.
+Mistakes are given as text: `encoder_scale leg=2 value=1.01`, `ids_swapped leg=1 other=4 mounting`.
 """
 
 from collections.abc import Callable, Sequence
@@ -154,7 +154,7 @@ class BenchHands(Hands):
 
 def mounted(c: Configuration, wiring: Wiring) -> Plant:
     """The platform at home on its legs, with the mounting mistakes of the wiring. Raises PlantError."""
-    model = emulated(c).model
+    model, wiring = emulated(c).model, wiring.as_mounted
     assert isinstance(model, StewartPlant)
     robot = platform_dict(c.platform) | {"leg_spin": c.platform.leg_spin}
     base, top = joints_of(wiring, np.array(robot["base_joints"]), np.array(robot["platform_joints"]))
@@ -186,17 +186,22 @@ def six_legs(c: Configuration, bench: RehearsalBench) -> Ending:
     pose = None if pose is None else pose._replace(length=home_lengths(c))
     cycle = build_cycle(c, c.loop.rate_Hz, 1e-3 * c.drives.watchdog_ms, last_pose=pose)
     with closing(mounted(c, bench.wiring)) as plant:
-        cables = bench.behind_cables(plant)
-        nodes = WiredNodes(bench.wiring, cables, bench.protocol, emulated(c).drives, c.drives)
+        wiring = bench.wiring.as_mounted
+        cables = bench.behind_cables(plant, wiring)
+        nodes = WiredNodes(wiring, cables, bench.protocol, emulated(c).drives, c.drives)
         return build_lockstep(c, cycle, nodes).run(None, lambda *_: None)
 
 
 _LEG_KEYS = ("leg", "other", "third")
+MOUNTING = "mounting"
+"""Last word of a mistake that is made when the platform is mounted."""
 
 
 def mistake_of(words: str) -> Mistake:
     """Parse one mistake. Raises ConfigurationError for an unknown or invalid one, with the allowed ones."""
     name, *rest = words.split() or [""]
+    mounting = rest[-1:] == [MOUNTING]
+    rest = rest[:-1] if mounting else rest
     if name not in MISTAKES:
         raise ConfigurationError(f"--mistake {words!r}: unknown, allowed: {', '.join(MISTAKES)}")
     keys = _LEG_KEYS[: legs_of(name)]
@@ -213,8 +218,8 @@ def mistake_of(words: str) -> Mistake:
     if legs.keys() != set(keys) or many != len(rest) or not low <= (low if value is None else value) <= high:
         sizes = f" value={low:g} to {high:g}, {what}" if of_size[1:] else ""
         allowed = " ".join([name, *(f"{key}=0 to 5" for key in keys)])
-        raise ConfigurationError(f"--mistake {words!r}: allowed: {allowed}{sizes}")
-    return Mistake(name, **{"leg": 0, **legs}, value=value)
+        raise ConfigurationError(f"--mistake {words!r}: allowed: {allowed}{sizes} [{MOUNTING}]")
+    return Mistake(name, **{"leg": 0, **legs}, value=value, mounting=mounting)
 
 
 def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
@@ -229,6 +234,6 @@ def wiring_of(mistakes: Sequence[str], protocol: Family) -> Wiring:
         wiring = wired(*known)
     except ValueError as error:
         raise ConfigurationError(f"--mistake: {error}") from None
-    if known and wiring == Wiring():
+    if known and wiring in (Wiring(), Wiring(mounting=Wiring())):
         raise ConfigurationError(f"--mistake {'; '.join(mistakes)!r}: no effect, allowed: a real change")
     return wiring

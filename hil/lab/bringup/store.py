@@ -11,7 +11,7 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.files import write_whole
 from hil.lab.bringup.context import Finding, forget_legs
 
-VERSION = 6
+VERSION = 7
 _WHOLE = {"absent", "same_id", "wrong_protocol", "second_controller", "set_up"}
 """Findings after which the bus is scanned again."""
 _STANDS = "platform"
@@ -73,7 +73,7 @@ class Store:
 
     def forget_brakes(self) -> None:
         """Drop the facts about brakes and about steps passed, so that the brakes are tested again."""
-        for step in ("held", "opens", "passed"):
+        for step in ("held", "opens", "shuts", "passed"):
             self.facts.pop(step, None)
         self.save()
 

@@ -14,9 +14,13 @@ from hil.lab.bringup.context import Context, Finding
 
 SPEED_SHARE = 0.25
 """Share of the configured leg speed limit for the first runs."""
-FIRST_S, FIRST_M = 2.0, 2e-3
-"""Duration and height of the first motion of all six legs, up and down."""
-FOLLOWING_SHARE, FOLLOWING_M = 0.25, FIRST_M
+FIRST_S, FIRST_M = 4.0, 1e-3
+"""Duration of the first motion, and its amplitude on each axis: with twice that a leg that sticks would
+exceed FOLLOWING_M before it breaks away."""
+FIRST_deg = 0.3, 0.2, 0.4
+"""Amplitude of its rotation vector. At a symmetric pose a pure heave moves all legs alike, which would hide
+exchanged motors."""
+FOLLOWING_SHARE, FOLLOWING_M = 0.2, 2e-3
 """Share of the configured limit of the tracking error for the first runs, and its lower bound, m.
 
 A tight limit ends a faulty run sooner; the lower bound leaves room for stick-slip.
@@ -81,8 +85,12 @@ def _changes(c: Configuration, context: Context, findings: Sequence[Finding]) ->
     x, y, z = c.platform.home.position_m
     turned = list(c.platform.home.rotation_vector_deg)
     points = [
-        {"t_s": t, "position_m": [x, y, z + dz], "rotation_vector_deg": turned}
-        for t, dz in ((0.0, 0.0), (0.5 * FIRST_S, FIRST_M), (FIRST_S, 0.0))
+        {
+            "t_s": share * FIRST_S,
+            "position_m": [x + part * FIRST_M, y + part * FIRST_M, z + part * FIRST_M],
+            "rotation_vector_deg": np.add(turned, np.multiply(part, FIRST_deg)).tolist(),
+        }
+        for share, part in ((0.0, 0.0), (0.25, 1.0), (0.75, -1.0), (1.0, 0.0))
     ]
     first = {"type": "waypoints", "interpolation": "quintic", "periods": 1, "points": points}
     # the limits of a file that a bring-up has written are reduced already

@@ -1,4 +1,4 @@
-"""Brake test by hand, with all encoders watched: each brake holds when shut and opens for its own drive.
+"""Brake test by hand, with all encoders watched: each brake holds, and opens in time for its own drive.
 
 The operator pushes with a force gauge. Its reading as a leg gives way is the leg's friction, whatever the
 drive does.
@@ -11,7 +11,18 @@ from statistics import median
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import FORCE_SHARE, TRAVEL_M, Context, Finding, Request, Step, gap_of
+from hil.lab.bringup.context import (
+    FORCE_SHARE,
+    MOVED_M,
+    TRAVEL_M,
+    UNTIMED_S,
+    Context,
+    Finding,
+    Request,
+    Step,
+    StoppedError,
+    gap_of,
+)
 
 PUSH_S = 0.15
 RATE_WITHIN = 0.6, 1.6
@@ -22,6 +33,11 @@ HIGH = 1.7
 """Friction above this multiple of the median of all legs is high"""
 HIGH_SHARE = 0.003
 """if it is also this share of the rated force above the median."""
+LATE_TICKS = 3
+"""Accepted motion after the closing time of the brake: the last command is still on its way."""
+STILL_S = 0.1
+"""A pushed leg that moves less than MOVED_M in this time is at rest."""
+_OR_LATE = "A late encoder reading looks the same: see late_or_lags (encoder_late)."
 FEWEST = 3
 """Least number of legs for a meaningful median."""
 
@@ -31,21 +47,28 @@ def find(c: Context) -> None:
     for leg in c.missing("held"):
         c.take_down()
         c.keep("held", leg, holds(c, leg))
-    counts = {drive: leg for drive, (leg, _) in c.reads().items()}
-    for drive in c.missing("opens"):
-        firm = [leg for leg, held in c.table("held").items() if not held["moved"]]
-        fact: dict[str, Any] = {"legs": [], "hand_N": None, "rate_share": None}
-        with c.opened(drive):
-            for leg in dict.fromkeys([drive, counts.get(drive, drive), *firm]):
-                by = next((d for d, counted in counts.items() if counted == leg), drive)
-                steps = Steps(c, by, partial(c.drive, drive))
-                moved, hand_N = gives_way(c, leg, steps.keep)
-                if moved:
-                    others = give_way_too(c, drive, leg, [other for other in firm if other != leg])
-                    share = steps.share() if by == drive else None
-                    fact = {"legs": [leg, *others], "hand_N": hand_N, "rate_share": share}
-                    break
-        c.keep("opens", drive, fact)
+    firm = [leg for leg, held in c.table("held").items() if not held["moved"]]
+    for drive in range(LEGS):
+        if c.known("opens", drive) is None:
+            c.keep("opens", drive, opened_by(c, drive, firm))
+        legs = c.known("opens", drive)["legs"]
+        if c.known("shuts", drive) is None and len(legs) == 1 and legs[0] in firm:
+            c.keep("shuts", drive, shuts(c, drive, legs[0]))
+
+
+def opened_by(c: Context, drive: int, firm: list[int]) -> dict[str, Any]:
+    """Have legs pushed with a drive's brake open. Fact: legs that give way, force, and the rate's share."""
+    counts = {each: leg for each, (leg, _) in c.reads().items()}
+    with c.opened(drive):
+        for leg in dict.fromkeys([drive, counts.get(drive, drive), *firm]):
+            by = next((d for d, counted in counts.items() if counted == leg), drive)
+            steps = Steps(c, by, partial(c.drive, drive))
+            moved, hand_N = gives_way(c, leg, steps.keep)
+            if moved:
+                others = give_way_too(c, drive, leg, [other for other in firm if other != leg])
+                share = steps.share() if by == drive else None
+                return {"legs": [leg, *others], "hand_N": hand_N, "rate_share": share}
+    return {"legs": [], "hand_N": None, "rate_share": None}
 
 
 class Steps:
@@ -110,6 +133,32 @@ def holds(c: Context, leg: int) -> dict[str, Any]:
     return {"moved": moved, "hand_N": hand_N}
 
 
+def shuts(c: Context, drive: int, leg: int) -> dict[str, Any]:
+    """Have a leg pushed while its brake opens and closes. Fact: whether it opens in time, and its delay, s.
+
+    Raises StoppedError if the leg does not come to rest.
+    """
+    text = f"Push leg {leg} against its shut brake, and keep pushing while it moves, until it stops again"
+    c.ask(Request("push_on", leg, 0.0, text))
+    before = c.lengths()
+    with c.opened(drive, timed=True):
+        in_time = abs(c.travelled(before).get(leg, 0.0)) > MOVED_M
+    before, late, rests = c.lengths(), 0, c.drives.ticks(STILL_S)
+    for n in range(1, c.drives.ticks(UNTIMED_S) + 1):
+        c.drives.step()
+        if abs(c.travelled(before).get(leg, 0.0)) > MOVED_M:
+            before, late = c.lengths(), n
+        elif n - late >= rests:
+            break
+    c.ask(Request("let_go", leg, 0.0, f"Let go of leg {leg}"))
+    late_s = late / c.drives.line.rate_Hz
+    if n - late < rests:
+        text = f"leg {leg} still moves {c.machine.brake_shut_s + late_s:.2g} s after its brake was closed"
+        remedy = "Check brake, relay and supply; do not load this leg."
+        raise StoppedError(Finding("brake_not_shut", (drive,), text, remedy))
+    return {"opens": in_time, "late_s": late_s if late > LATE_TICKS else 0.0}
+
+
 def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[int]:
     """Have all legs but one pushed with a drive's brake open; return those of `others` that move."""
     before, moved = c.lengths(), set[int]()
@@ -127,7 +176,7 @@ def give_way_too(c: Context, drive: int, leg: int, others: list[int]) -> list[in
 
 
 def judge(c: Context) -> list[Finding]:
-    """Findings: brakes that do not hold, do not open or belong to another drive; exchanged drives."""
+    """Findings: brakes that do not hold, open or close, are late or another drive's; exchanged drives."""
     found: list[Finding] = []
 
     def name(finding: str, legs: Iterable[int], text: str, remedy: str) -> None:
@@ -171,6 +220,19 @@ def judge(c: Context) -> list[Finding]:
     if wrong:
         text = "; ".join(f"drive {d} opens the brake of leg {j}" for d, j in wrong.items())
         name("brake_crossed", wrong, text, "Exchange the brakes' cables.")
+    for drive, fact in c.table("shuts").items():
+        shut_s, open_s = c.machine.brake_shut_s, c.machine.brake_open_s
+        if fact["late_s"]:
+            late_ms, allowed = 1e3 * (shut_s + fact["late_s"]), f"{1e3 * shut_s:g} ms, engage.brake_close_s"
+            text = f"pushed, it stops {late_ms:.0f} ms after its brake was closed, allowed: {allowed}"
+            remedy = f"Check its relay, diode and air gap; or configure its true time. {_OR_LATE}"
+            name("brake_late", opens[drive], text, remedy)
+        elif not fact["opens"]:
+            text = (
+                f"pushed, it does not move within engage.brake_release_s, {1e3 * open_s:g} ms, of its opening"
+            )
+            remedy = f"Check its supply and air gap; or configure its true time. {_OR_LATE}"
+            name("brake_opens_late", opens[drive], text, remedy)
     for drive, fact in c.table("opens").items():
         share = fact["rate_share"]
         if share is not None and not RATE_WITHIN[0] <= share <= RATE_WITHIN[1]:
@@ -225,11 +287,11 @@ STEP = Step(
     "brakes",
     "brakes, by hand",
     "has you push each leg on its shut brake; then opens one brake after the other, without force, the five "
-    "others shut, while you push its leg and then the others",
+    "others shut, while you push its leg and then the others; then times the brake while you push",
     "Ctrl-C, or the emergency stop; brakes shut by themselves when this program stops sending",
     find,
     judge,
     gate=False,
     gap=gap,
-    tables=("held", "opens"),
+    tables=("held", "opens", "shuts"),
 )

@@ -5,7 +5,7 @@ from math import sqrt
 from typing import Any
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import TAPE_M, Context, Finding, Request, Step
+from hil.lab.bringup.context import SETTLED_S, TAPE_M, Context, Finding, Request, Step
 from hil.lab.bringup.steps.ids import drive_of
 
 ENDS_M = 2e-3
@@ -31,7 +31,7 @@ def find(c: Context) -> None:
             c.ask(Request("place", leg, share, text))
             text = f"Measure leg {leg}, joint centre to joint centre, m"
             tape.append(c.ask(Request("measure", leg, 0.0, text, within=within)))
-            c.rest(0.02)
+            c.rest(SETTLED_S)
             reads.append(c.lengths().tolist())
         drive, spread = drives.get(leg), tape[1] - tape[0]
         scale = offset = bent = 0.0

@@ -1,4 +1,4 @@
-"""Sign of each force and friction of each leg: a slow ramp both ways with one brake open.
+"""Sign and delay of each force, friction of each leg: a slow ramp both ways and a step with one brake open.
 
 The ramp ends when a leg has moved by MOVED_M, at the latest at FORCE_SHARE of the rated force. A leg that
 travels TRAVEL_M is a runaway. A coarse torque field may have no code for zero, and half a code may move a
@@ -8,6 +8,8 @@ the leg's own drift before the ramp is subtracted.
 
 from collections.abc import Iterator
 from typing import Any
+
+import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
@@ -20,6 +22,14 @@ WATCH_S = 0.02
 """Time for which a leg is watched without force before each ramp."""
 START_STEPS = 1.5
 """First force of a ramp in steps of the command: rounded or truncated, it is not zero and has its sign."""
+STEP_SHARE = 1.5
+"""First force of the timed step, as a multiple of the hand's force that moves the leg."""
+ANSWER_S, BRISK_S = 0.6, 0.15
+"""Longest wait for the response to that step; longest response that is evaluated without a larger step."""
+FROM_SHARE = 0.1
+"""Share of MOVED_M from which on the response is evaluated."""
+LATE_S = 8e-3
+"""Accepted delay from force to reading; two ticks of the bring-up are added."""
 MOVES = 0.75
 """A leg that yields to a hand at this share of the largest step force must also move by its drive."""
 
@@ -32,7 +42,8 @@ def find(c: Context) -> None:
     for drive in c.missing("force"):
         own = c.known("opens", drive)["legs"] == [counts.get(drive)]
         if own and len(counts) == LEGS:
-            c.keep("force", drive, {"plus": _ramp(c, drive, 1.0), "minus": _ramp(c, drive, -1.0)})
+            fact: dict[str, Any] = {"plus": _ramp(c, drive, 1.0), "minus": _ramp(c, drive, -1.0)}
+            c.keep("force", drive, fact | {"late_s": _late_s(c, drive, fact)})
 
 
 def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
@@ -59,6 +70,49 @@ def _ramp(c: Context, drive: int, sign: float) -> dict[str, Any]:
                 break
         _watch(c, drive, origin, c.drives.ticks(SETTLE_S))
     return found
+
+
+def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
+    """Delay from a step of a drive's force to the response in its reading, s; None: its leg does not move.
+
+    From rest, under a constant force, x = a (t - T)^2 / 2. The line t over sqrt(x) begins at the delay T, the
+    sum of the force's lag and the reading's age, whatever mass and friction are. The force doubles until the
+    response takes BRISK_S at most: a slower one is due to a force that friction nearly balances.
+    """
+    leg, way = fact["plus"]["leg"], fact["plus"]["way"]
+    if breakaway(fact) is None or leg != fact["minus"]["leg"]:
+        return None
+    aim = STEP_SHARE * c.known("opens", drive)["hand_N"] + START_STEPS * step_of(c, drive)
+    while True:
+        t, x = _answer(c, drive, min(aim, c.machine.force_N), leg)
+        if (abs(x[-1]) > MOVED_M and t[-1] < BRISK_S) or aim >= c.machine.force_N:
+            break
+        aim *= 2.0
+    if abs(x[-1]) <= MOVED_M:
+        return None
+    moves = way * x > FROM_SHARE * MOVED_M
+    if moves.sum() < 2:  # from one tick to the next
+        return float(t[-2]) if len(t) > 1 else 0.0
+    return max(0.0, float(np.polyfit(np.sqrt(way * x[moves]), t[moves], 1)[1]))
+
+
+def _answer(c: Context, drive: int, force: float, leg: int) -> tuple[Array, Array]:
+    """Times, s, and travel less drift, m, of a leg after a step of force, until it has moved by MOVED_M."""
+    t, x = list[float](), list[float]()
+    watched = c.drives.ticks(WATCH_S)
+    with c.opened(drive):
+        origin = c.lengths()
+        _watch(c, drive, origin, watched)
+        drift, before, began_ns = c.travelled(origin)[leg], c.lengths(), int(c.drives.record["t_ns"])
+        for n in range(1, c.drives.ticks(ANSWER_S) + 1):
+            c.drive(drive, force)
+            guard(c, drive, origin)
+            t.append(1e-9 * (int(c.drives.record["t_ns"]) - began_ns))
+            x.append(c.travelled(before)[leg] - n * drift / watched)
+            if abs(x[-1]) > MOVED_M:
+                break
+        _watch(c, drive, origin, c.drives.ticks(SETTLE_S))
+    return np.array(t), np.array(x)
 
 
 def _watch(c: Context, drive: int, origin: Array, ticks: int) -> None:
@@ -111,7 +165,13 @@ def judge(c: Context) -> Iterator[Finding]:
             )
             yield Finding("one_way", (drive,), text, remedy)
         elif plus and minus:
-            continue
+            late_s, allowed_s = fact["late_s"], LATE_S + 2.0 / c.drives.line.rate_Hz
+            if late_s is None or late_s > allowed_s:
+                after = "does not follow" if late_s is None else f"follows {1e3 * late_s:.0f} ms after"
+                text = f"its reading {after} a step of its force, allowed: {1e3 * allowed_s:.0f} ms: "
+                text += "encoder_late, a late reading, or force_lags, a late force"
+                remedy = "Check the drive's filters of encoder and torque, gateways, and play."
+                yield Finding("late_or_lags", (drive,), text, remedy)
         else:
             does = "extends it alone" if plus else "shortens it alone" if minus else "does not move it"
             opens, text = c.known("opens", drive), f"its drive {does}, with {limit}"
@@ -136,7 +196,8 @@ STEP = Step(
     "force",
     "forces and friction, one leg at a time",
     f"opens one brake, the five others shut, and lets that drive's force grow to {100 * FORCE_SHARE:g} % of "
-    f"the rated one until the leg has moved {1e3 * MOVED_M:g} mm, each way; {1e3 * TRAVEL_M:g} mm end it",
+    f"the rated one until the leg has moved {1e3 * MOVED_M:g} mm, each way; then steps once; "
+    f"{1e3 * TRAVEL_M:g} mm end it",
     "Ctrl-C, or the emergency stop; keep hands off",
     find,
     judge,

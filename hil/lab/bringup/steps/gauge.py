@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drivers.arrays import Array
-from hil.lab.bringup.context import Context, Finding, Request, Step
+from hil.lab.bringup.context import Context, Finding, Request, Step, StoppedError
 from hil.lab.bringup.steps.brakes import friction
 from hil.lab.bringup.steps.encoder import tolerance
 from hil.lab.bringup.steps.force import breakaway, guard
@@ -21,6 +21,8 @@ FLAT = 0.35
 """A force saturates if its slope at the upper levels is below this share of the slope at the lower ones."""
 WITHIN = 0.06
 """Accepted error of a force scale, in addition to the losses of a transmission."""
+STRONG = 3.0
+"""A drive gives too much force if a hand needs this multiple of the command that moves its leg."""
 SAME = 0.08
 """Wrong scales of encoder and force that differ by less have one cause: lead or gear. A wrong lead is off by
 more than this.
@@ -40,7 +42,10 @@ def find(c: Context) -> None:
 
             def hold(force: float, drive: int = drive, origin: Array = origin) -> None:
                 c.drive(drive, force)
-                guard(c, drive, origin)
+                try:
+                    guard(c, drive, origin)
+                except StoppedError as stop:
+                    raise StoppedError(_away(c, drive, force, stop.finding)) from None
 
             for level in LEVELS:
                 aim, ticks = level * c.machine.force_N, c.drives.ticks(RAMP_S)
@@ -53,6 +58,20 @@ def find(c: Context) -> None:
                 pairs.append([c.drives.carried(drive, force), read])
         c.ask(Request("free", leg, 0.0, f"Take leg {leg} off the gauge"))
         c.keep("gauge", drive, {"pairs_N": pairs})
+
+
+def _away(c: Context, drive: int, force: float, runaway: Finding) -> Finding:
+    """Finding about a reading that runs away although the end of the leg is clamped.
+
+    The force scale is wrong if the drive moves its leg with a far smaller command than a hand's force.
+    """
+    by_hand, by_drive = c.known("opens", drive)["hand_N"], breakaway(c.known("force", drive))
+    text = f"{runaway.text}; at {force:.4g} N commanded, with its end clamped to the gauge"
+    if by_drive and by_hand > STRONG * by_drive:
+        return Finding("runaway", runaway.legs, f"{text}: force_scale, too much force", runaway.remedy)
+    text += ": coupling_slips (coupling, belt or nut), or its end has left the gauge"
+    remedy = "If its end has not moved, check coupling, belt and encoder; else clamp it again."
+    return Finding("coupling_or_clamp", runaway.legs, text, remedy)
 
 
 class Gain(NamedTuple):
@@ -100,8 +119,8 @@ def judge(c: Context) -> Iterator[Finding]:
         low, high = c.known("encoder", leg)["tape_m"]
         off = abs(abs(scale) - 1.0) > tolerance(high - low)
         right, same = _fits(abs(g), abs(scale) if off else None, error, c.machine.losses)
-        if right and same and abs(abs(scale) - 1.0) > SAME:
-            yield _scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses))
+        if right and same and as_lead(abs(scale)):
+            yield scale_or_lead(drive, abs(scale), Gain(abs(g), error + c.machine.losses))
         elif right:
             continue
         elif same:
@@ -134,10 +153,17 @@ def _fits(gain: float, scale: float | None, error: float, losses: float) -> tupl
     return right, same
 
 
-def _scale_or_lead(drive: int, scale: float, gain: Gain) -> Finding:
+def as_lead(scale: float) -> bool:
+    """True if a scale of lengths, > 0, may be caused by a wrong lead or gear."""
+    return bool(abs(scale - 1.0) > SAME)
+
+
+def scale_or_lead(drive: int, scale: float, gain: Gain | None) -> Finding:
+    """Finding about a wrong scale of lengths with two possible causes; gain: None if not measured."""
+    forces = "which were not measured" if gain is None else f"{gain.value:.2f} +- {gain.error:.2f} times"
     text = (
-        f"its lengths are {scale:.4f} times what they should be; its forces, {gain.value:.2f} +- "
-        f"{gain.error:.2f} times, fit a wrong encoder scale, and a wrong lead or gear, too"
+        f"its lengths are {scale:.4f} times what they should be; its forces, {forces}, fit encoder_scale, "
+        "and wrong_lead, another lead or gear, too"
     )
     remedy = (
         "Turn its shaft by one turn, by hand, and measure by tape how far the leg goes: if that is the "

@@ -3,7 +3,7 @@
 import numpy as np
 
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Request, Step
+from hil.lab.bringup.context import SETTLED_S, Context, Finding, Request, Step
 
 MOVE_SHARE = 0.1
 """Distance of the move by hand, as a share of the stroke."""
@@ -18,11 +18,11 @@ def find(c: Context) -> None:
     by_m = MOVE_SHARE * c.machine.stroke
     for leg in c.missing("ids"):
         c.take_down()
-        c.rest(0.02)
+        c.rest(SETTLED_S)
         before = c.lengths()
         text = f"Move leg {leg} alone, with the lever on its brake, longer by about {1e3 * by_m:.0f} mm"
         c.ask(Request("move", leg, by_m, text))
-        c.rest(0.02)
+        c.rest(SETTLED_S)
         changes = c.lengths() - before
         responds = np.flatnonzero(np.abs(changes) > RESPONDS * by_m)
         c.keep("ids", leg, {"drives": responds.tolist(), "changes_m": changes.tolist()})

@@ -6,7 +6,8 @@ import numpy as np
 
 from drivers.arrays import Array
 from drivers.signals import LEGS
-from hil.lab.bringup.context import Context, Finding, Request, Step, gap_of
+from hil.lab.bringup.context import SETTLED_S, Context, Finding, Request, Step, gap_of
+from hil.lab.bringup.steps import scan
 
 FIT_M = 4e-3
 """Largest accepted error of a leg length at a pose fixed by a jig."""
@@ -40,15 +41,17 @@ def find(c: Context) -> None:
             text = "Mount the legs, levers on the brakes, and hang the platform at known pose"
             c.keep("platform", "hung", fact=True)
             c.ask(Request("hang", -1, float(pose), f"{text} {pose}: {words}"))
-            c.rest(0.02)
-            c.keep("mounted", pose, {"q_m": c.lengths().tolist()})
+            c.rest(SETTLED_S)
+            c.keep("mounted", pose, {"q_m": c.lengths().tolist(), "answers": scan.answers(c)})
 
 
 def judge(c: Context) -> Iterator[Finding]:
-    """Findings: legs with lengths that fit other joints, or none; load and gravity."""
+    """Findings: legs with lengths that fit other joints, or none; load and gravity; lost frames."""
     yield from _load(c)
     m = c.machine
-    q = np.array([c.known("mounted", k)["q_m"] for k in range(len(m.pose_lengths))])
+    facts = [c.known("mounted", k) for k in range(len(m.pose_lengths))]
+    yield from scan.lost_frames(dict(enumerate(np.min([fact["answers"] for fact in facts], axis=0).tolist())))
+    q = np.array([fact["q_m"] for fact in facts])
     for leg in range(LEGS):
         q[:, leg] -= m.turns_m(leg, float((q[:, leg] - m.pose_lengths[:, leg]).mean()))
     away = q - m.pose_lengths

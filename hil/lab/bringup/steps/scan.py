@@ -4,6 +4,8 @@ from collections import Counter
 from collections.abc import Collection, Iterator
 from typing import Any
 
+import numpy as np
+
 from drivers.protocol import SERIAL
 from drivers.signals import LEGS, DriveState, Foreign
 from hil.lab.bringup.context import Context, Finding, Step, forget_legs
@@ -11,6 +13,8 @@ from hil.lab.bringup.context import Context, Finding, Step, forget_legs
 LISTEN_S = 0.4
 TWICE = 1.5
 """More answers per poll than this come from two drives."""
+LEAST_ANSWERS = 0.975
+"""Least share of the polls that a drive has to answer."""
 CANOPEN_HEARTBEAT = 0x700
 """CiA 301: identifier of a heartbeat less the node number."""
 
@@ -116,6 +120,7 @@ def judge(c: Context) -> Iterator[Finding]:
         return
     for leg in silent if not double else []:
         yield _silent(c, leg, bus)
+    yield from lost_frames({leg: fact["answers"] for leg, fact in facts.items()})
     for leg, fact in facts.items():
         node = m.node_ids[leg]
         if fact["fault"]:
@@ -124,6 +129,22 @@ def judge(c: Context) -> Iterator[Finding]:
         elif fact["answers"] and fact["lacks"]:
             text = f"node {node} does not take its set-up: {fact['lacks']}"
             yield Finding("set_up", (leg,), text, _SET_UP)
+
+
+def answers(c: Context) -> list[float]:
+    """Share of the polls that each drive answers, with all drives off."""
+    heard = [c.drives.step()["age"] == 0 for _ in range(c.drives.ticks(LISTEN_S))]
+    return [float(share) for share in np.mean(heard, axis=0)]
+
+
+def lost_frames(answers: dict[int, float]) -> Iterator[Finding]:
+    """Finding about drives that answer only a part of the polls; answers: share of the polls by leg."""
+    lossy = {leg: 1.0 - share for leg, share in answers.items() if 0.0 < share < LEAST_ANSWERS}
+    if lossy:
+        legs = ", ".join(f"leg {leg} {100.0 * share:.3g} %" for leg, share in lossy.items())
+        text = f"polls without an answer: {legs}, allowed: {100.0 * (1.0 - LEAST_ANSWERS):.3g} %"
+        remedy = "Check termination, shield, plugs, bit timing, and the load of bus and computer."
+        yield Finding("frames_lost", tuple(lossy) if len(lossy) < LEGS else (), text, remedy)
 
 
 _SET_UP = "Compare version, rated force and options of drive and configuration."

@@ -103,6 +103,7 @@ class Rehearsal:
         stop_at: int = -1,
         facts=None,
         faults=None,
+        watched: bool = True,
     ) -> None:
         self.c = c = _configured(name)
         if isinstance(wiring, str):
@@ -110,8 +111,9 @@ class Rehearsal:
         self.bench = bench = build_bench(c, wiring, seed, faults)
         self.watched = Watched()
         held = np.ones(6)
-        bench.cables.exchange(Seen(bench._legs, lambda _, brake: np.copyto(held, brake)))
-        bench.nodes._plant = Seen(bench.cables, lambda force, _: self.watched.look(bench, force, held))
+        if watched:
+            bench.cables.exchange(Seen(bench._legs, lambda _, brake: np.copyto(held, brake)))
+            bench.nodes._plant = Seen(bench.cables, lambda force, _: self.watched.look(bench, force, held))
         self.hands = Hands(bench, c, stop_at)
         protocol = build_protocol(c)
         self.machine = build_machine(c, protocol)

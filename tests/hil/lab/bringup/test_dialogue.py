@@ -94,6 +94,7 @@ REFUSED = [
         "payload leg=1",
     ),
     *("friction leg=2 value=-1", "offset leg=1 value=nan", "offset leg=1 value=100", "offset leg=1 value=0"),
+    *("payload mounting value=2", "offset leg=1 value=0 mounting"),
 ]
 
 

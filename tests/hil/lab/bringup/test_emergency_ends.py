@@ -27,7 +27,15 @@ from plant_fmu.faults.kinds import DriveSilence, EncoderFreeze, EncoderJump
 from plant_fmu.faults.plan import FaultPlan
 from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
-UNSAFE = ("runaway", "not_powered", "lost_power", "not_heard", "encoder_jumps")
+UNSAFE = (
+    "runaway",
+    "coupling_or_clamp",
+    "brake_not_shut",
+    "not_powered",
+    "lost_power",
+    "not_heard",
+    "encoder_jumps",
+)
 
 
 def step(name: str, begun: list[str], found: list[Finding], *, raises: bool = False) -> Step:
@@ -105,7 +113,7 @@ def test_silent_drive_is_commanded_for_a_few_ticks_only(drive: int, others: bool
     drives.silent = set(range(6)) if others else {drive}
     with pytest.raises(StoppedError) as stopped:
         c.ask(Request("push", drive), partial(c.drive, drive))
-    assert (stopped.value.finding.name, stopped.value.finding.legs) == ("lost_power", (drive,))
+    assert (stopped.value.finding.name, stopped.value.finding.legs) == ("not_heard", (drive,))
     assert drives.commanded == [(DriveMode.RUN, drive, 0.0)] * (OLD_TICKS + 1)
 
 
@@ -155,7 +163,7 @@ def test_leg_that_slips_off_the_gauge_is_switched_off():
     waits = iter(range(2000))
     hands.answer = lambda: None if late and next(waits, None) is not None else answer()  # type: ignore[method-assign]
     outcome = rehearsal.run()
-    assert ("runaway", (2,)) in named(outcome)
+    assert ("coupling_or_clamp", (2,)) in named(outcome)
     assert abs(bench.length(2) - late[0]) < 0.02
 
 
@@ -226,7 +234,7 @@ def test_travel_is_not_computed_from_a_silent_drive():
     rehearsal.drives.record["length"][4] += 0.5
     assert context.travelled(before) == {1: pytest.approx(0.25)} | dict.fromkeys((0, 2, 3, 4, 5), 0.0)
     rehearsal.drives.record["age"][4] = OLD_TICKS + 1
-    with pytest.raises(StoppedError, match="lost_power: leg 4"):
+    with pytest.raises(StoppedError, match="not_heard: leg 4"):
         context.travelled(before)
 
 

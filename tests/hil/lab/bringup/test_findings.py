@@ -3,6 +3,7 @@
 from dataclasses import replace
 from importlib import resources
 from itertools import permutations
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from plant_fmu.rehearsal.wiring import Mistake, Wiring, wired
 from tests.hil.lab.bringup.rehearsals import Rehearsal, named
 
 LEGS = range(6)
+ANSWERS = [1.0] * 6
 
 
 @pytest.fixture(scope="module")
@@ -90,11 +92,14 @@ def test_exchanged_numbers_crossed_encoders_and_stuck_brakes_are_separated(conte
         assert (EXCHANGED in found["ids"].remedy) == (found["ids"].legs == (1, 4))
 
 
+STILL = {"force_N": None, "leg": None, "way": 0}
+
+
 @pytest.fixture
 def ramped(monkeypatch):
     """List of drives that ramped their force."""
     drives: list[int] = []
-    monkeypatch.setattr(force, "_ramp", lambda _c, drive, _sign: drives.append(drive) or {})  # type: ignore[func-returns-value]
+    monkeypatch.setattr(force, "_ramp", lambda _c, drive, _sign: drives.append(drive) or dict(STILL))  # type: ignore[func-returns-value]
     return drives
 
 
@@ -118,7 +123,9 @@ def hung(context, off_m):
     """Names and legs of the findings if each leg reads `off_m` too much at both poses."""
     context.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = context.machine.pose_lengths + off_m
-    context.facts["mounted"] = {str(k): {"q_m": each.tolist()} for k, each in enumerate(q)}
+    context.facts["mounted"] = {
+        str(k): {"q_m": each.tolist(), "answers": ANSWERS} for k, each in enumerate(q)
+    }
     return [(finding.name, finding.legs) for finding in mounted.judge(context)]
 
 
@@ -154,7 +161,9 @@ def test_gravity_that_differs_from_the_configuration_is_a_finding(presses, seen,
     c = Rehearsal("virtual").context
     c.machine = replace(c.machine, presses=presses)
     c.facts["load"] = {"mass_kg": 0.0, "presses": float(seen)}
-    c.facts["mounted"] = {str(k): {"q_m": q.tolist()} for k, q in enumerate(c.machine.pose_lengths)}
+    c.facts["mounted"] = {
+        str(k): {"q_m": q.tolist(), "answers": ANSWERS} for k, q in enumerate(c.machine.pose_lengths)
+    }
     assert [f.name for f in mounted.judge(c)] == ["gravity"] * named
 
 
@@ -162,7 +171,7 @@ def test_slipped_legs_with_opposite_errors_are_two_findings():
     c = Rehearsal("virtual").context
     c.facts["load"] = {"mass_kg": 0.0, "presses": 1.0}
     q = c.machine.pose_lengths + 6e-3 * np.array([0, 0, 0, 1, -1, 0])
-    c.facts["mounted"] = {str(k): {"q_m": each.tolist()} for k, each in enumerate(q)}
+    c.facts["mounted"] = {str(k): {"q_m": each.tolist(), "answers": ANSWERS} for k, each in enumerate(q)}
     findings = list(mounted.judge(c))
     assert [(f.name, f.legs) for f in findings] == [("slipped", (3,)), ("slipped", (4,))]
 
@@ -202,7 +211,11 @@ def test_sign_of_force_is_found_though_half_a_torque_step_moves_the_leg(name):
 @pytest.mark.parametrize(("plus", "minus"), [(-1, -1), (1, 1), (-1, 0), (0, 1)])
 def test_motion_in_one_direction_only_does_not_suggest_exchanged_phases(plus, minus):
     rehearsal = with_robot("cubemars", Wiring())
-    right = {"plus": {"force_N": 1.0, "leg": 0, "way": 1}, "minus": {"force_N": 1.0, "leg": 0, "way": -1}}
+    right: dict[str, Any] = {
+        "plus": {"force_N": 1.0, "leg": 0, "way": 1},
+        "minus": {"force_N": 1.0, "leg": 0, "way": -1},
+    }
+    right["late_s"] = 0.0
     one_way = {"plus": right["plus"] | {"way": plus}, "minus": right["minus"] | {"way": minus}}
     rehearsal.context.facts["force"] = {str(k): one_way if k == 4 else right for k in LEGS}
     (finding,) = force.judge(rehearsal.context)
@@ -261,7 +274,6 @@ def test_saturation_and_scale_need_different_commanded_levels(case):
 
 def test_friction_is_reported_for_the_leg_that_the_drive_moves():
     c = Rehearsal("virtual").context
-    still = {"force_N": None, "leg": None, "way": 0}
     c.facts["opens"] = {"1": {"legs": [4], "hand_N": c.machine.force_N, "rate_share": None}}
-    c.facts["force"] = {"1": {"plus": still, "minus": still}}
+    c.facts["force"] = {"1": {"plus": STILL, "minus": STILL}}
     assert [(f.name, f.legs) for f in force.judge(c)] == [("friction", (4,))]

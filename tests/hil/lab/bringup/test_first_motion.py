@@ -44,8 +44,6 @@ def test_sticking_legs_break_away_within_the_speed_limit(friction_N, light):
     rehearsal = Rehearsal(c)
     found = loads(found_text(c, rehearsal.context, ()), "found.yaml")
     assert found.limits.speed_m_s == pytest.approx(0.25 * c.limits.speed_m_s)
-    assert found.limits.following_error_m == pytest.approx(0.002), (
-        "the lower bound applies: a quarter is less"
-    )
+    assert found.limits.following_error_m == pytest.approx(0.002), "the lower bound applies: a fifth is less"
     ending = six_legs(found, rehearsal.bench)
     assert ending.success, ending.trouble

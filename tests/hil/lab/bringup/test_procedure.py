@@ -105,7 +105,7 @@ def test_ctrl_c_with_a_brake_open_removes_force_and_power():
     assert resumed.run(ALONE).success
     asked = [(r.act, r.leg) for r in resumed.hands.requests]
     assert ("measure", 0) not in asked
-    assert len(asked) == 6 * 5
+    assert len(asked) == 6 * 7
     assert resumed.context.known("opens", 5)["legs"] == [5]
 
 
@@ -152,7 +152,7 @@ def test_no_step_follows_a_finding_of_a_gate():
 def test_reversed_drive_is_one_finding_instead_of_two():
     sign = [Finding(name, (2,), "", "") for name in ("encoder_sign", "force_sign")]
     other = Finding("force_sign", (4,), "", "")
-    assert [(f.name, f.legs) for f in merged([*sign, other])] == [
+    assert [(f.name, f.legs) for f in merged(Rehearsal("virtual").context, [*sign, other])] == [
         ("force_sign", (4,)),
         ("drive_reversed", (2,)),
     ]

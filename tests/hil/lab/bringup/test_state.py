@@ -16,13 +16,13 @@ from hil.lab.bringup.steps import gauge
 from hil.lab.bringup.store import Store, identity
 from tests.hil.lab.bringup.rehearsals import Rehearsal
 
-STATE = json.dumps({"version": 6, "identity": {}, "facts": {"held": {"0": {"moved": True}}}, "check": ""})
+STATE = json.dumps({"version": 7, "identity": {}, "facts": {"held": {"0": {"moved": True}}}, "check": ""})
 DAMAGED = {
     "empty": lambda _: "",
     "half": lambda text: text[: len(text) // 2],
     "another file": lambda _: "{}",
     "too deep": lambda _: "[" * 100_000,
-    "another version": lambda text: text.replace('"version": 6', '"version": 5'),
+    "another version": lambda text: text.replace('"version": 7', '"version": 6'),
     "no check": lambda _: STATE,
     "a fact by hand": lambda text: text.replace('"moved": true', '"moved": false'),
     "hardware by hand": lambda text: text.replace('"stroke": 1', '"stroke": 2'),
@@ -77,6 +77,7 @@ OF_LEGS = {
     "encoder": lambda k: {"drive": k, "tape_m": [1, 2], "scale": 1.0, "offset_m": 0.0, "bent_m": 0.0},
     "held": lambda k: {"moved": False, "hand_N": 700.0},
     "opens": lambda k: {"legs": [k], "hand_N": 30.0, "rate_share": 1.0},
+    "shuts": lambda k: {"opens": True, "late_s": 0.0},
     "force": lambda k: {"plus": {}, "minus": {}},
     "gauge": lambda k: {"pairs_N": []},
 }

@@ -35,6 +35,9 @@ ROUNDS = {
     "rotated": ("ids_rotated leg=0 other=2 third=5", "motor_crossed leg=1 other=3", "encoder_sign leg=4"),
     "mounted": ("mounted_elsewhere leg=1 other=2", "payload", "upside_down"),
     "ends": ("platform_end_elsewhere leg=1 other=2",),
+    "late": ("brake_late leg=2", "encoder_late leg=0", "force_lags leg=4"),
+    "slips": ("coupling_slips leg=3",),
+    "lost": ("frames_lost",),
 }
 """Mistakes that are all found before the bring-up ends at the next gate."""
 UNWATCHED = ("cubemars", "mini_cheetah", "robstride")
@@ -54,8 +57,14 @@ def case_of(words: str) -> Named:
             return {("gravity", ())}
         case "mounted_elsewhere" | "platform_end_elsewhere":
             return {("mounted_elsewhere", (leg,)) for leg in legs}
+        case "frames_lost":
+            return {("frames_lost", ())}
         case "brake_weak":
             return {("brake_stuck_open", tuple(legs))}
+        case "encoder_late" | "force_lags":
+            return {("late_or_lags", tuple(legs))}
+        case "coupling_slips":
+            return {("coupling_or_clamp", tuple(legs))}
         case "backlash":
             return {("encoder_jumps", tuple(legs))}
         case "force_scale" if mistake.value == 0.0:
@@ -115,6 +124,7 @@ ONE_CAUSE: dict[tuple[str, ...], Named] = {
     },
     ("encoder_crossed leg=0 other=5", "motor_crossed leg=0 other=5"): {("encoder_crossed", (0, 5))},
     ("ids_swapped leg=0 other=1", "ids_swapped leg=2 other=3"): {("ids", (0, 1, 2, 3))},
+    ("wrong_lead leg=1", "brake_stuck_open leg=1"): {("scale_or_lead", (1,)), ("brake_stuck_open", (1,))},
     ("absent leg=1", "absent leg=4"): {("absent", (1,)), ("absent", (4,))},
     ("same_id leg=5 other=2", "encoder_sign leg=0"): {("same_id", (2, 5))},
     ("encoder_stops leg=0",): {("encoder_jumps", (0,))},
@@ -145,6 +155,8 @@ EARLY = [
     ("virtual", "encoder_jumps leg=5", 4),
     ("virtual", "backlash leg=2", 4),
     ("virtual", "brake_stuck_open leg=4", 5),
+    ("virtual", "brake_late leg=2", 5),
+    ("virtual", "frames_lost", 1),
     ("virtual", "rate_sign leg=2", 5),
     ("virtual", "brake_inverted leg=1", 5),
     ("virtual", "force_one_way leg=1", 6),

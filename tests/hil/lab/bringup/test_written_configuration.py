@@ -108,7 +108,7 @@ def test_limits_of_a_written_file_are_not_reduced_again(machines):
     c = virtual.c
     once = loads(found_text(c, virtual.context, []), "once", c.folder)
     assert once.limits.speed_m_s == 0.25 * c.limits.speed_m_s
-    assert once.limits.following_error_m == 0.0025
+    assert once.limits.following_error_m == 0.002
     assert once.engage.approach_speed_m_s <= 0.5 * once.limits.speed_m_s
     twice = loads(found_text(once, virtual.context, []), "twice", c.folder)
     assert (twice.limits, twice.engage) == (once.limits, once.engage)

@@ -32,6 +32,7 @@ from hil.app.loop_delay import loop_delay
 from hil.app.unknown_payload import unknown_payload
 from hil.config.delay import ForceDelay
 from hil.config.feedforward import FeedforwardSettings
+from hil.config.model import ModelSettings
 from hil.config.reference import LiveReference, SampledReference, TimeOptimalReference
 from hil.control.law import LawContext
 from hil.control.model import build_model
@@ -194,7 +195,8 @@ def _external_wrench(c: Configuration, platform: Platform, period_s: float) -> E
     rate_Hz = None if sensor is None or settings.source != "sensor" else sensor.rate_Hz
     observer = None
     if settings.source == "observer":
-        model = build_model(settings.model, platform, c.platform.leg_spin)
+        believed = settings.model or c.controller.believed or ModelSettings()
+        model = build_model(believed, platform, c.platform.leg_spin)
         observer = WrenchObserver(model, _force_path(settings, period_s), settings.bandwidth_Hz)
     return ExternalWrench(observer, rate_Hz, period_s)
 

@@ -5,6 +5,9 @@ from typing import NamedTuple
 
 from drivers import build_protocol
 from hil.app.configuration.configuration import Configuration
+from hil.config.delay import ForceDelay
+from hil.control.feedforward_pd import FeedforwardPDSettings
+from hil.design.stability.observed_loop import Observer
 from plant_fmu.config import StewartPlant
 
 
@@ -24,7 +27,7 @@ class LoopDelay(NamedTuple):
 
 
 def loop_delay(c: Configuration) -> LoopDelay:
-    """Delay of the loop: from `delay_compensation` of the law where stated, else a bound.
+    """Delay of the loop: from `delay_compensation` of the law or `estimation.wrench` if stated, else a bound.
 
     Transport is at most one period, none in layout `ideal`, and one more where the poll of the next tick
     carries the command. The lag is that of our own FMU, else of the emulated drives. In layout `ideal` the
@@ -32,7 +35,7 @@ def loop_delay(c: Configuration) -> LoopDelay:
     """
     period = 1.0 / c.loop.rate_Hz
     ideal = c.bus.layout == "ideal"
-    stated = c.controller.lookahead
+    stated = stated_delay(c)
     bandwidth_Hz = 0.0
     if c.plant is not None:
         drives = c.plant.model if isinstance(c.plant.model, StewartPlant) else c.plant.drives
@@ -44,3 +47,26 @@ def loop_delay(c: Configuration) -> LoopDelay:
         transport = 1e-3 * stated.bus_ms if "bus_ms" in stated.model_fields_set else transport
         lag = 1e-3 * stated.drive_lag_ms if "drive_lag_ms" in stated.model_fields_set else lag
     return LoopDelay(period, transport, lag)
+
+
+def stated_delay(c: Configuration) -> ForceDelay | None:
+    """Section that states the delay of the forces, `delay_compensation` or `estimation.wrench`; else None."""
+    w = c.estimation.wrench
+    observes = observer_of(c) is not None and not {"bus_ms", "drive_lag_ms"}.isdisjoint(w.model_fields_set)
+    return c.controller.lookahead or (w if observes else None)
+
+
+def observer_of(c: Configuration) -> Observer | None:
+    """Observer of the wrench as a part of the loop; None without one, or if the law ignores its estimate."""
+    w, law = c.estimation.wrench, c.controller
+    online = isinstance(law, FeedforwardPDSettings) and law.evaluation == "online"
+    if w.source != "observer" or not (online or (law.axes is not None and law.compensates_wrench)):
+        return None
+    return Observer(w.bandwidth_Hz, 1e-3 * w.bus_ms, 1e-3 * w.drive_lag_ms)
+
+
+def unlike_law(c: Configuration) -> bool:
+    """True if the wrench observer and the law that compensates its estimate have different models."""
+    w, law = c.estimation.wrench, c.controller
+    believed = law.believed
+    return observer_of(c) is not None and None not in (w.model, believed) and w.model != believed

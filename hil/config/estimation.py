@@ -18,8 +18,9 @@ class WrenchSettings(ForceDelay):
     bandwidth_Hz: Annotated[float, Field(gt=0, le=100)] = 15.0
     """Bandwidth of the observer. A larger value is faster, noisier, and more sensitive to wrong delays and
     masses."""
-    model: ModelSettings = ModelSettings()
-    """Model of the observer; forces outside the model, friction included, count as external."""
+    model: ModelSettings | None = None
+    """Model of the observer; forces outside the model, friction included, count as external. Default: the
+    model of the controller, else the full model."""
 
 
 class FusionSettings(Section):

@@ -39,7 +39,7 @@ class LimitSettings(Section):
     """Largest residual of forward kinematics; more faults."""
     condition: Positive = 50.0
     """Largest condition number of J (lengths made comparable); more faults."""
-    stale_warn_ticks: Ticks = 2
+    stale_warn_ticks: Ticks = 1
     stale_fault_ticks: Ticks = 5
     sync_skew_us: Positive | None = None
     """Several buses: SYNCs farther apart than this make a tick late. Default: a tenth of the period."""

@@ -110,6 +110,9 @@ def certificate(rows: Rows) -> dict[str, Any]:
             "bound_at_peak_m2_s4": float(bound[peak]),
             "largest_share_percent": 100.0 * float(share[watched].max()),
         }
+    late = int(np.count_nonzero((rows["mode"] == Mode.TRACKING) & ((rows["warnings"] & Warn.STALE) > 0)))
+    if late:
+        result["without_its_premise"] = f"{late} ticks with late feedback: no bound of the error holds"
     return result | {"alarms": int(np.count_nonzero(alarm[1:] & ~alarm[:-1]) + alarm[0])}
 
 

@@ -76,10 +76,15 @@ def frame_bytes(frames: Sequence[Received] | Sequence[Frame]) -> bytes:
     return b"".join(parts)
 
 
+WARNED = {"limits": {"stale_warn_ticks": 2}}
+"""Setting of every case; column `warnings` was frozen with it."""
+
+
 def configured(case: Case) -> Configuration:
     """Configuration of a case, faults included."""
     text = (CONFIGS / f"{case.configuration}.yaml").read_text(encoding="utf-8")
-    c = loads(with_changes(text, case.changes), f"{case.configuration}.yaml with changes", CONFIGS)
+    text = with_changes(with_changes(text, WARNED), case.changes)
+    c = loads(text, f"{case.configuration}.yaml with changes", CONFIGS)
     c = with_faults(c, case.faults)
     return c if case.commands else without_operator(c)
 

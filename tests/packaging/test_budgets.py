@@ -9,21 +9,21 @@ ROOT = Path(__file__).parents[2]
 SOURCES = {".py", ".c", ".h", ".js", ".css", ".html"}
 BUDGETS = {
     "drivers": (9_310, 67_800),
-    "plant_fmu": (8_350, 59_000),
+    "plant_fmu": (8_480, 60_300),
     "hil/loop hil/operate": (6_740, 52_000),
     "hil/safety hil/estimation": (3_080, 25_200),
     "hil/robot hil/control hil/trajectory hil/mathematics": (5_790, 43_900),
     "hil/record": (4_730, 37_300),
     "hil/config hil/app/configuration": (3_850, 25_000),
-    "hil/design hil/proof": (6_010, 55_000),
-    "hil/lab": (7_580, 64_100),
+    "hil/design hil/proof": (6_150, 56_700),
+    "hil/lab": (7_850, 66_400),
     "hil/study": (7_920, 64_400),
-    "hil/app": (10_370, 75_000),
+    "hil/app": (10_550, 76_600),
     "hil/cli": (2_290, 11_700),
     "hil/contracts": (1_530, 13_000),
     "tools": (2_550, 20_500),
     "configs": (210, 1_900),
-    "tests": (71_250, 635_600),
+    "tests": (71_760, 639_800),
 }
 """Folders -> largest numbers of lines and nodes; `hil/app` without its configuration."""
 

@@ -12,6 +12,7 @@ from hil.app.compose import build_nodes
 from hil.app.configuration.bus_budget import bus_budgets, bus_names, set_up_ns
 from hil.app.configuration.payload_box import shown_ranges
 from hil.app.configuration.platform import pose_arrays
+from hil.app.loop_delay import observer_of
 from hil.loop.clock import real_time_rights
 from hil.loop.report import KEPT
 from hil.robot.kinematics import condition, leg_lengths
@@ -163,9 +164,11 @@ def controller(r: Report) -> None:
         r.add("controller", "no boundary layer: the law switches")
     elif s.margin is not None:
         r.figures["controller"] = s.margin
-        text = "crosses over at {cross_over_rad_s:.0f} rad/s; {delay_ms:.1f} ms of delay cost about "
+        text = "crosses over at {cross_over_rad_s:.0f} rad/s; {delay_ms:.1f} ms of delay{more} cost about "
         text += "{phase_loss_deg:.0f} of {whole:.0f} degrees of phase margin"
-        r.add("controller", text, s.margin, whole=s.margin["phase_loss_deg"] + s.margin["phase_margin_deg"])
+        whole = s.margin["phase_loss_deg"] + s.margin["phase_margin_deg"]
+        more = "" if observer_of(s.c) is None else " and the observer of the wrench"
+        r.add("controller", text, s.margin, whole=whole, more=more)
     if s.designed is not None:
         r.figures["controller"] = s.designed.figures
         r.sections["controller"] += s.designed.lines
@@ -177,8 +180,14 @@ def stability(r: Report) -> None:
     from hil.app.stability.command import judge  # noqa: PLC0415 - scipy, which `hil run` and `hil sim` do without
 
     found = r.s.proven = judge(r.s.c, tell=r.s.tell)
-    r.figures["stability"] = {each: getattr(found, each) for each in ("status", "claim", "conditions")}
+    r.figures["stability"] = {
+        each: getattr(found, each) for each in ("status", "claim", "conditions", "premises")
+    }
     r.add("controller", "stability {line}", line=found.line)
+    spare_ms, premises = found.figures.get("delay_to_spare_ms"), "; ".join(found.premises)
+    r.add(
+        "controller", "  while {premises}; {spare_ms:.3g} ms to spare", premises=premises, spare_ms=spare_ms
+    )
 
 
 def reference(r: Report) -> None:

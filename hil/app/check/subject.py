@@ -29,13 +29,15 @@ from hil.app.configuration.payload_box import corners
 from hil.app.configuration.platform import build_platform, pose_arrays
 from hil.app.configuration.yaml_positions import Path, Problem, parse
 from hil.app.derive_encoder_limits import encoder_limits
-from hil.app.loop_delay import loop_delay
+from hil.app.loop_delay import loop_delay, observer_of
 from hil.app.reachability import IN_MM, Violation, Walk, span_s, violations, walk
 from hil.app.unknown_payload import UnknownPayload, force_steps_N, stepped_error_m, unknown_payload
 from hil.config.reference import LiveReference, SampledReference
 from hil.control.law import ErrorDynamics
 from hil.control.margin import cross_over, phase_margin_deg
 from hil.control.state_space import StateSpaceSettings
+from hil.design.stability.observed_loop import observed
+from hil.design.stability.sampled_loop import Axis, analyse, gains
 from hil.mathematics.rotations import rotation_from_vector
 from hil.robot.dynamics import Model
 from hil.robot.kinematics import jacobian
@@ -181,13 +183,18 @@ class Subject:
 
     @property
     def margin(self) -> dict[str, float] | None:
-        """Phase margin of the law, and the loss by the loop's delay; None where unknown."""
+        """Phase margin of the law, and its loss by delay and wrench observer; None where unknown."""
         if self.dynamics is None or self.switches:
             return None
         K_P, K_D, delay_s = float(self.dynamics.K_P.max()), float(self.dynamics.K_D.max()), self.delay.total_s
         whole, left = phase_margin_deg(K_P, K_D), phase_margin_deg(K_P, K_D, delay_s)
+        crossover, observer = cross_over(K_P, K_D), observer_of(self.c)
+        if observer is not None:
+            law = observed(gains(K_P, K_D, self.period_s), observer)
+            found = analyse(Axis(*self.delay), law).margins
+            crossover, left = (crossover, 0.0) if found is None else (found.crossover_rad_s, found.phase_deg)
         return {
-            "cross_over_rad_s": cross_over(K_P, K_D),
+            "cross_over_rad_s": crossover,
             "delay_ms": 1e3 * delay_s,
             "phase_loss_deg": whole - left,
             "phase_margin_deg": left,
@@ -202,7 +209,7 @@ class Subject:
             return None
         from hil.app.design.loop import judge  # noqa: PLC0415 - scipy, for the few who design
 
-        return judge(law.controller_file, controller, self.delay, LEAST_MARGIN_DEG)
+        return judge(law.controller_file, controller, self.delay, LEAST_MARGIN_DEG, observer_of(self.c))
 
     @cached_property
     def answers_us(self) -> list[float]:

@@ -14,6 +14,7 @@ from hil.app.check.report import Scaled
 from hil.app.check.subject import LEAST_MARGIN_DEG, Subject, robot, rough_rows, static_N
 from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.schema import named_schema, schema_is_there
+from hil.app.loop_delay import unlike_law
 from hil.app.operate import REPEAT_S
 from hil.control.uncertainty import UncertaintySettings
 from hil.mathematics.rounding import lowered
@@ -286,6 +287,11 @@ WARNINGS = {
     "controller.model.variant": Warning(
         lambda s: MODELS.get(s.variant),
         "controller.model.variant {s.variant}: {text} off at the end of the book's path",
+    ),
+    "estimation.wrench.model": Warning(
+        lambda s: unlike_law(s.c),
+        "estimation.wrench.model differs from controller.model: the observer reports the difference as load, "
+        "and `hil stability` does not count it; remove the key and the observer uses controller.model",
     ),
     "controller.boundary_layer_m_s": Warning(
         lambda s: s.switches,

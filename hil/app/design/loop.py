@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from hil.app.loop_delay import LoopDelay
 from hil.config.linear_controller import LinearController
+from hil.design.stability.observed_loop import Observer, observed
 from hil.design.stability.sampled_loop import Axis, analyse, sampled_controller
 
 
@@ -15,9 +16,19 @@ class LoopFinding(NamedTuple):
     warnings: list[str]
 
 
-def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: float) -> LoopFinding:
-    """Margins of controller `name`, with a warning below `least_deg` of phase margin."""
-    loop = analyse(Axis(*delay), sampled_controller(controller))
+def judge(
+    name: str,
+    controller: LinearController,
+    delay: LoopDelay,
+    least_deg: float,
+    observer: Observer | None = None,
+) -> LoopFinding:
+    """Margins of controller `name`, with a warning below `least_deg` of phase margin.
+
+    observer: observer of the wrench, if the controller compensates its estimate.
+    """
+    sampled = sampled_controller(controller)
+    loop = analyse(Axis(*delay), sampled if observer is None else observed(sampled, observer))
     transport_ms, lag_ms = 1e3 * delay.transport_s, 1e3 * delay.lag_s
     radius, left, order = loop.largest, loop.margins, len(controller.A)
     figures = {
@@ -26,6 +37,8 @@ def judge(name: str, controller: LinearController, delay: LoopDelay, least_deg: 
     }  # fmt: skip
     what = f"controller {name}: {controller.method}, order {order} on each {controller.axes} axis"
     delays, trouble = f"{transport_ms:.1f} ms of transport and {lag_ms:.1f} ms of lag", None
+    if observer is not None:
+        delays += f" and the observer of {observer.bandwidth_Hz:g} Hz"
     if left is None:
         line = f"unstable with {delays}"
         trouble = f"{line}: a pole of the sampled loop at {radius:.4f}, allowed: below 1"

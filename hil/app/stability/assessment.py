@@ -23,6 +23,8 @@ class Assessment(NamedTuple):
     """Figures with their units, for people."""
     figures: dict[str, Any]
     """The figures as plain values."""
+    premises: list[str] = []
+    """Timing and limits that the claim assumes; a run that violates one warns, or its drives end it."""
 
     @property
     def line(self) -> str:
@@ -55,8 +57,8 @@ def describe(judged: Judged) -> tuple[list[str], dict[str, Any]]:
     return [
         f"sampled loop   largest |z| {largest:.4f}, slowest mode exp(-{rate:.3g} t)",
         (
-            f"margins        phase {phase:.0f} deg, gain x {gain:.3g}, further delay "
-            f"{1e3 * delay:.3g} ms; crosses over at {crossover:.0f} rad/s{fastest}"
+            f"margins        phase {phase:.0f} deg, gain x {gain:.3g}, delay "
+            f"{1e3 * delay:.3g} ms of the loop alone; crosses over at {crossover:.0f} rad/s{fastest}"
         ),
     ], figures
 
@@ -116,6 +118,7 @@ def bound_lines(judged: Judged, bound: Ultimate, axes: AxisSpace) -> tuple[list[
         "pushed": bound.pushed.tolist(),
         "drives": bound.drives.tolist(),
         "late": bound.late.tolist(),
+        "old_feedback": bound.aged.tolist(),
         "condition_max": bound.condition,
     }
     size, unit = f"{bound.d.max():.3g} m/s^2 of a leg", "m/s^2"
@@ -131,6 +134,7 @@ def bound_lines(judged: Judged, bound: Ultimate, axes: AxisSpace) -> tuple[list[
             f"inertia        |Gamma - I| {alpha:.3g}: share of an acceleration that is missed, or couples",
         ),
         (alpha > 1e-6, f"               eigenvalues of Gamma {least:.3g} to {largest:.3g}"),
+        (bound.aged.max() > 0.0, f"old feedback   makes {in_words(bound.aged, axes)} of the bound"),
         (bound.late.max() > 0.0, f"delay          makes {late} of the bound, along the reference"),
         (bound.d.max() > 1e-6, f"disturbance    {size}: with the rest |e| <= {error}{judged.carried}"),
         (

@@ -1,6 +1,7 @@
 """Stability of laws with six decoupled axes: inverse dynamics of legs or pose, and designed controllers."""
 
 from drivers.arrays import Array
+from hil.app.loop_delay import stated_delay
 from hil.app.stability.assessment import Assessment, bound_lines, certificate_lines, describe, unstable
 from hil.app.stability.subject import SURVEYED, Subject
 from hil.config.axis_model import AxisSpace
@@ -32,7 +33,7 @@ def designed(
 
     conditions: assumptions about the law that runs it.
     """
-    sampled = sampled_controller(controller)
+    sampled = subject.observing(sampled_controller(controller))
 
     def loops(gain: float) -> list[Sampled]:
         return [analyse(subject.axis._replace(gain=gain), sampled)] * 6
@@ -83,9 +84,11 @@ def bounded(
 
     def controller(k_p: float, k_d: float) -> LinearSystem:
         if delay is None:
-            return gains(k_p, k_d, period_s)
+            return subject.observing(gains(k_p, k_d, period_s))
         bus_s, lag_s, hold_s = 1e-3 * delay.bus_ms, 1e-3 * delay.drive_lag_ms, 1e-3 * delay.hold_ms
-        return predicting(k_p, k_d, period_s, bus_s=bus_s, lag_s=lag_s, hold_s=hold_s)
+        delays = {"bus_s": bus_s, "lag_s": lag_s, "hold_s": hold_s}
+        observes = subject.observer is not None
+        return subject.observing(predicting(k_p, k_d, period_s, **delays, estimated=observes))
 
     def loops(gain: float) -> list[Sampled]:
         found = {pair: analyse(subject.axis._replace(gain=gain), controller(*pair)) for pair in set(pairs)}
@@ -97,7 +100,8 @@ def bounded(
 def assumed(subject: Subject, law: LawSettings) -> list[str]:
     """Assumptions of a proof for this family of laws, in addition to the checked conditions."""
     conditions = []
-    if law.lookahead is not None:
-        conditions.append("the delays are those of delay_compensation")
-    wrench = subject.wrench if law.compensates_wrench else []
+    if stated_delay(subject.c) is not None:
+        section = "estimation.wrench" if law.lookahead is None else "delay_compensation"
+        conditions.append(f"the delays are those of {section}")
+    wrench = subject.wrench(law) if law.compensates_wrench else []
     return conditions + wrench + subject.unseen + subject.live

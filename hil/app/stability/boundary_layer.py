@@ -25,6 +25,8 @@ def robust(subject: Subject, law: RobustSettings) -> Assessment:
     conditions = assumed(subject, law)
     if law.lookahead is not None:
         conditions.append(f"the {name} that the law predicts is no larger than the one measured")
+    if subject.observer is not None:
+        conditions.append("outside its layer the estimated wrench is right")
     if dynamics.layer <= 0.0:
         claim = "without a boundary layer it switches at every tick, and chatters: give boundary_layer_m_s"
         return Assessment("not proven", claim, conditions, [], {})

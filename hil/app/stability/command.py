@@ -9,6 +9,7 @@ from hil.app.configuration.payload_box import shown_ranges
 from hil.app.stability import axes, boundary_layer, springs
 from hil.app.stability.assessment import Assessment
 from hil.app.stability.subject import NO_PAYLOAD, Payload, Stated, Subject
+from hil.app.stability.timing import timed
 from hil.design.stability.disturbance import Load
 from plant_fmu.config import BenchPlant
 
@@ -25,6 +26,10 @@ def judge(
     ConfigurationError: the reference cannot be followed.
     """
     stated = Stated() if stated is None else stated
+    return timed(c, _judge(c, stated, tell))
+
+
+def _judge(c: Configuration, stated: Stated, tell: Callable[[float, float], None]) -> Assessment:
     subject = Subject(c, stated, tell)
     law: Any = c.controller
     if c.plant is not None and isinstance(c.plant.model, BenchPlant):
@@ -80,6 +85,7 @@ def assess(
         "status": found.status,
         "claim": found.claim,
         "conditions": found.conditions,
+        "premises": found.premises,
         "lines": found.lines,
         "figures": found.figures,
     }

@@ -38,7 +38,7 @@ AT_ONCE = (
 WORST_FIRST = ("unstable", "not proven", "conditional", "proven")
 FIGURES: tuple[tuple[str, str, Callable[..., tuple[float, str]]], ...] = (
     ("largest_pole", "largest |z| {:.4f}", max),
-    ("delay_margin_ms", "further delay {:.3g} ms", min),
+    ("delay_margin_ms", "delay {:.3g} ms of the loop alone", min),
     ("sag_mm", "sag {:.3g} mm", max),
     ("stiffness_N_m", "stiffness {:.4g} N/m", min),
     ("slowest_eigenvalue_1_s", "slowest eigenvalue {:+.3g} 1/s", max),
@@ -116,6 +116,8 @@ def _judge(subject: Subject, law: SpringSettings) -> Assessment:
     if isinstance(law, PIDSettings):
         J = jacobian(subject.platform, p, R)
         found = found._replace(integral=J.T @ (per_leg(law.ki_N_m_s)[:, None] * J))
+    online = isinstance(law, FeedforwardPDSettings) and law.evaluation == "online"
+    found = found._replace(observer=subject.observer if online else None)
     sag = leg_lengths(subject.platform, p, R) - leg_lengths(subject.platform, start.p, start.R)
     sag_mm = 1e3 * float(np.abs(sag).max())
     lines, figures, radius = sampled_loop(subject, found)
@@ -153,8 +155,8 @@ def _judge(subject: Subject, law: SpringSettings) -> Assessment:
         rate = -np.log(radius) / subject.axis.period_s
         claim = f"{why}: no energy function; small errors from {where} die out as exp(-{rate:.3g} t)"
         conditions.append("errors are small")
-    if isinstance(law, FeedforwardPDSettings) and law.evaluation == "online":
-        conditions += subject.wrench
+    if online:
+        conditions += subject.wrench(law)
     return Assessment("conditional", claim, conditions, lines, figures)
 
 
@@ -210,7 +212,7 @@ def sampled_loop(subject: Subject, found: Springs) -> tuple[list[str], dict[str,
     line = f"sampled loop   largest |z| {radius:.4f} where it comes to rest, all axes together"
     if radius < 1.0 and (margin := found.delay_margin_s(subject.axis)) is not None:
         figures["sampled"]["delay_margin_ms"] = 1e3 * margin if isfinite(margin) else None
-        line += f"; bears {1e3 * margin:.3g} ms of further delay"
+        line += f"; alone it bears {1e3 * margin:.3g} ms more delay"
     return [line], figures, radius
 
 

@@ -14,13 +14,13 @@ from hil.app.configuration.configuration import Configuration
 from hil.app.configuration.payload_box import Corner, corners
 from hil.app.configuration.platform import build_platform
 from hil.app.derive_encoder_limits import efficiencies, encoder_limits
-from hil.app.loop_delay import loop_delay
+from hil.app.loop_delay import loop_delay, observer_of, unlike_law
 from hil.app.reachability import span_s
 from hil.config.axis_model import AxisSpace
 from hil.config.model import MechanicsSettings, ModelSettings
 from hil.config.platform import PayloadSettings, PlatformSettings, PointShape
 from hil.config.reference import LiveReference
-from hil.control.law import per_leg
+from hil.control.law import LawSettings, per_leg
 from hil.control.model import build_model
 from hil.design.stability.delay_effect import (
     DelayEffect,
@@ -30,9 +30,11 @@ from hil.design.stability.delay_effect import (
     stale_s,
 )
 from hil.design.stability.disturbance import Drives, Friction, Inertia, Linearised, Load, Local, Survey
+from hil.design.stability.observed_loop import observed
 from hil.design.stability.sampled_loop import Axis, Sampled, of_each
-from hil.design.stability.ultimate import Extra, Judged, Ultimate, ultimate
+from hil.design.stability.ultimate import Aged, Extra, Judged, Ultimate, ultimate
 from hil.mathematics.linear_algebra import condition_kernel
+from hil.mathematics.linear_system import LinearSystem
 from hil.robot.dynamics import Model
 from hil.robot.geometry import Platform
 from hil.robot.kinematics import jacobian, jacobian_rate
@@ -123,7 +125,9 @@ class Subject:
         except HilError as error:
             raise ConfigurationError(f"{c.source}: reference: {error}") from error
         self.axis = Axis(*loop_delay(c))
-        self.drives = drives_of(c, self.platform, self.path)
+        self.observer = observer_of(c)
+        self.peaks = peaks(self.platform, self.path)
+        self.drives = drives_of(c, *self.peaks)
         """Resolution and losses of the drives."""
         limits = encoder_limits(c, c.loop.rate_Hz)
         self.push_N = limits.push_N if limits.watched_legs else np.zeros(6)
@@ -190,17 +194,24 @@ class Subject:
             return []
         return ["the reference rests at home: the effect of its motion is not in the bound"]
 
-    @property
-    def wrench(self) -> list[str]:
-        """Assumptions about an estimated wrench that the law compensates: it is a further feedback."""
-        if self.c.estimation.wrench.source == "none":
-            return []
-        return ["the estimated wrench is right but for the stated load"]
+    def wrench(self, law: LawSettings) -> list[str]:
+        """Assumptions about the wrench that the law compensates; the loop contains an observer itself."""
+        match self.c.estimation.wrench.source:
+            case "sensor":
+                return ["the wrench sensor is right but for the stated load"]
+            case "observer" if unlike_law(self.c):
+                return [f"the observer's model is the law's: estimation.wrench.model is not {law.law}'s"]
+        return []
+
+    def observing(self, controller: LinearSystem) -> LinearSystem:
+        """Controller of an axis, together with the wrench observer if there is one."""
+        return controller if self.observer is None else observed(controller, self.observer)
 
     def undisturbed(self, bound: Ultimate) -> bool:
         """True if no disturbance causes or sustains an error."""
         keeps = max(float(bound.d.max()), float(bound.read.max()))
-        return self.rest and self.nothing and bound.exact and keeps <= NO_ERROR
+        fresh = self.c.limits.stale_warn_ticks == 1  # the rate of decay assumes fresh feedback
+        return self.rest and self.nothing and bound.exact and keeps <= NO_ERROR and fresh
 
     def believed(self, settings: ModelSettings, scale: float = 1.0) -> Model:
         """Model of the law without friction, with its masses multiplied by `scale`."""
@@ -267,26 +278,32 @@ class Subject:
             stretches = demanding_stretches(linearised, trajectory, span, self.axis)
         elif whole is not None and whole > span:
             stretches.append((max(0.0, whole - 2.0 * span), whole))
-        return delay_effect(linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell)
+        return delay_effect(
+            linearised, trajectory, stretches, self.axis, loops, ahead_s, self.tell, self.observer
+        )
 
     def _bound(
         self, end: Linearised, found: Local, loops: list[Sampled], late: DelayEffect, d: float, alpha: float
     ) -> Ultimate | str:
         """Bound with the contributions of drives and safety, or the reason why there is none."""
-        length, rate = self.drives.length, self.drives.rate
+        of_legs = there_and_back = np.eye(6)
         if end.axes == "pose":
             J = [jacobian(self.platform, s.p, s.R) for s in self.path[:: max(1, len(self.path) // 20)]]
-            to_pose = np.abs(np.linalg.inv(J)).max(axis=0)
-            length, rate = to_pose @ length, to_pose @ rate
+            to_pose = np.abs(np.linalg.inv(J))
+            of_legs, there_and_back = to_pose.max(axis=0), (to_pose @ np.abs(J)).max(axis=0)
+        length, rate = of_legs @ self.drives.length, of_legs @ self.drives.rate
         by_length = np.array(of_each(loops, Sampled.measured_gains)).T
         by_rate = np.array(of_each(loops, lambda loop: loop.measured_gains(rate=True))).T
         error, speed, effort, _ = by_length * length + by_rate * rate
         pushed = (np.abs(found.per_force) @ self.push_N).max(axis=0)
         if self.nothing and d == 0.0:
             pushed = np.zeros(6)
-        extra = Extra(
-            np.full(6, d), pushed, alpha, length + error, speed, effort, *self.drives.disturb(found)
-        )
+        old_s, aged = self.axis.period_s * (self.c.limits.stale_warn_ticks - 1), None
+        if old_s > 0.0:
+            read = by_rate[:3] + 0.5 * old_s * (by_length[:3] + np.eye(3)[:, :1])
+            aged = Aged(old_s * of_legs @ self.peaks[1], old_s * there_and_back, read)
+        drives = self.drives.disturb(found)
+        extra = Extra(np.full(6, d), pushed, alpha, length + error, speed, effort, *drives, aged)
         return ultimate(end, self.path, found, loops, late, extra, condition=self.c.limits.condition)
 
     def linearised(self, settings: ModelSettings, axes: AxisSpace) -> list[Linearised]:
@@ -321,19 +338,25 @@ def instants(trajectory: Trajectory) -> list[PoseSample]:
     return path if moves else path[:1]
 
 
-def drives_of(c: Configuration, platform: Platform, path: list[PoseSample]) -> Drives:
+def peaks(platform: Platform, path: list[PoseSample]) -> tuple[Array, Array]:
+    """Largest rate, m/s, and acceleration, m/s^2, of each leg along a path, (6,) each."""
+    dq, ddq = np.zeros(6), np.zeros(6)
+    for s in path:
+        J, dJ = jacobian(platform, s.p, s.R), jacobian_rate(platform, s.p, s.R, s.twist)
+        dq, ddq = np.maximum(dq, np.abs(J @ s.twist)), np.maximum(ddq, np.abs(J @ s.dtwist + dJ @ s.twist))
+    return dq, ddq
+
+
+def drives_of(c: Configuration, dq: Array, ddq: Array) -> Drives:
     """Drives of a configuration.
 
-    An unrequested reading may be up to UNASKED periods older than its poll, along the path.
+    dq, ddq (6,): largest rate, m/s, and acceleration, m/s^2, of each leg along the path. An unrequested
+    reading may be up to UNASKED periods older than its poll.
     """
     traits = build_protocol(c.bus, c.drives).traits
     read = traits.resolution.at(c.loop.rate_Hz)
     encoder_m = 0.0 if c.plant is None else c.plant.drives.encoder_resolution_m
     age_s = UNASKED / c.loop.rate_Hz if traits.unasked_s > 0.0 else 0.0
-    dq, ddq = np.zeros(6), np.zeros(6)
-    for s in path:
-        J, dJ = jacobian(platform, s.p, s.R), jacobian_rate(platform, s.p, s.R, s.twist)
-        dq, ddq = np.maximum(dq, np.abs(J @ s.twist)), np.maximum(ddq, np.abs(J @ s.dtwist + dJ @ s.twist))
     driving, back_driving = efficiencies(c)
     return Drives(
         read.length + encoder_m + age_s * dq,

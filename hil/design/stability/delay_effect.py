@@ -7,7 +7,8 @@ Along the reference this delay disturbs the axes by
 
     d = J M^-1 J^T (tau_a - tau),   tau_a: tau(t_k + ahead) from t_k + transport on, held, then the lag
 
-d is known, so its response is computed, not bounded. A jump of tau counts by its area, age times height. Its
+d is known, so its response is computed, not bounded. An observer of the wrench sees the part of d
+that its own force path does not explain. A jump of tau counts by its area, age times height. Its
 age depends on the time of the jump between two measurements t_k: several phases are evaluated.
 """
 
@@ -18,6 +19,7 @@ import numpy as np
 
 from drivers.arrays import Array
 from hil.design.stability.disturbance import Linearised
+from hil.design.stability.observed_loop import Observer
 from hil.design.stability.sampled_loop import Axis, Sampled, of_each
 from hil.trajectory.path import Trajectory, of_record, samples
 
@@ -71,6 +73,7 @@ def delay_effect(
     loops: Sequence[Sampled],
     ahead_s: float,
     tell: Callable[[float, float], None] = lambda *_: None,
+    observer: Observer | None = None,
 ) -> DelayEffect:
     """Error along stretches of a reference caused by delay, from the response of each axis' loop.
 
@@ -80,19 +83,27 @@ def delay_effect(
     T = axis.period_s
     worst = np.zeros((3, 6))
     responses = of_each(loops, Sampled.impulse_responses)
+    paths = [axis]
+    if observer is not None:
+        responses += of_each(loops, Sampled.seen_responses)
+        paths.append(axis._replace(transport_s=observer.transport_s, lag_s=observer.lag_s))
     remembered = max(len(h) for h in responses) - 1
     at_once = int(np.ceil(_BLOCK_s / T))
     for begin, end in stretches:
         settled = end + min(max(loop.steps for loop in loops) * T, end - begin + 1.0)
         count = int(np.ceil((settled - begin) / T)) + 1
-        past = np.zeros((len(_PHASES), 0, 6))
+        past = np.zeros((len(_PHASES), 0, 6 * len(paths)))
         for k in range(0, count, at_once):
             block = k, min(k + at_once, count)
-            d = _disturbances(linearised, reference, begin, block, axis, ahead_s)
-            d, known = np.concatenate([past, d], axis=1), past.shape[1]
+            new = [_disturbances(linearised, reference, begin, block, path, ahead_s) for path in paths]
+            new[1:] = [-explained for explained in new[1:]]
+            d, known = np.concatenate([past, np.concatenate(new, axis=2)], axis=1), past.shape[1]
             for phase in d:
-                for i, h in enumerate(responses):
-                    answers = _convolved(phase[:, i, None], h)[known : len(phase)]
+                for i in range(6):
+                    answers = sum(
+                        _convolved(phase[:, j, None], responses[j])[known : len(phase)]
+                        for j in range(i, len(responses), 6)
+                    )
                     worst[:, i] = np.maximum(worst[:, i], np.abs(answers).max(axis=0))
             past = d[:, max(0, d.shape[1] - remembered) :]
             tell(block[1] * T, count * T)

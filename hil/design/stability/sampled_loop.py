@@ -97,26 +97,34 @@ def gains(K_P: float, K_D: float, period_s: float) -> LinearSystem:
 
 
 def predicting(
-    K_P: float, K_D: float, period_s: float, *, bus_s: float, lag_s: float, hold_s: float
+    K_P: float,
+    K_D: float,
+    period_s: float,
+    *,
+    bus_s: float,
+    lag_s: float,
+    hold_s: float,
+    estimated: bool = False,
 ) -> LinearSystem:
     """Predictive controller from [e, de]: u[k] = K_P e + K_D de at bus + lag + hold after the measurement.
 
     The prediction integrates e'' = -a with the commands already sent; the last one is assumed to continue. a
     is the acceleration of the force, which follows the commands by its lag. States: a if there is a lag, and
-    the last commands u[k-1], u[k-2], ...
+    the last commands u[k-1], u[k-2], ... estimated: adds a third input r, the estimated
+    disturbance: the prediction integrates e'' = -a - r, and u compensates r.
     """
     T, horizon = period_s, bus_s + lag_s + hold_s
     m = floor(bus_s / T + 1e-9)
     r = max(bus_s - m * T, 0.0)
     n = 3 if lag_s > 0.0 else 2
-    size = n + m + 2  # e, de, a, u[k], u[k-1], ..., u[k-m-1]
+    size = n + m + 3  # e, de, a, u[k], u[k-1], ..., u[k-m-1], r
 
     def moved(acting: list[tuple[int, float]]) -> Array:
         """Transition matrix of the state while u[k-j] acts for the time given, one after the other."""
         Phi = np.eye(size)
         for j, time_s in acting:
             F = np.zeros((size, size))
-            F[0, 1] = 1.0
+            F[0, 1], F[1, -1] = 1.0, -1.0
             if lag_s > 0.0:
                 F[1, 2], F[2, 2], F[2, n + j] = -1.0, -1.0 / lag_s, 1.0 / lag_s
             else:
@@ -127,15 +135,16 @@ def predicting(
     ends = np.minimum([0.0, *(r + j * T for j in range(m)), horizon], horizon)
     ahead = moved([(m + 1 - j, float(time_s)) for j, time_s in enumerate(np.diff(ends))])
     K = np.array([K_P, K_D]) @ ahead[:2]
-    C, D = np.delete(K, n)[None, 2:], K[None, :2]
+    C, D = np.delete(K, n)[None, 2:-1], np.array([[K[0], K[1], K[-1] - 1.0]])
     count = C.shape[1]
-    A, B = np.eye(count, k=-1), np.zeros((count, 2))
+    A, B = np.eye(count, k=-1), np.zeros((count, 3))
     A[n - 2], B[n - 2] = C[0], D[0]
     if lag_s > 0.0:
         late = moved([(m + 1, r), (m, T - r)])[2]
-        A[0] = np.delete(late, n)[2:] + late[n] * C[0]
+        A[0] = np.delete(late, n)[2:-1] + late[n] * C[0]
         B[0] = late[n] * D[0]
-    return LinearSystem(A, B, C, D, T)
+    inputs = 3 if estimated else 2
+    return LinearSystem(A, B[:, :inputs], C, D[:, :inputs], T)
 
 
 def sampled_controller(controller: LinearController) -> LinearSystem:
@@ -228,8 +237,8 @@ class Sampled(NamedTuple):
     margins: Margins | None
     """None if the loop is not stable."""
     loop: LinearSystem
-    """System to e, de and u from a disturbing acceleration, held over each period, and from measurement
-    errors of e and de at each sample.
+    """System to e, de and u from a disturbing acceleration, held over each period, from measurement errors of
+    e and de at each sample, and, with an observer, from an acceleration that only the observer sees.
     """
 
     @property
@@ -271,6 +280,12 @@ class Sampled(NamedTuple):
         """Responses of e, de and u (n, 3) at the samples to d = 1 for one period."""
         return np.asarray(self._answers(self.loop.B[:, :1])[..., 0], float)
 
+    def seen_responses(self) -> Array:
+        """Responses of e, de and u (n, 3) at the samples to 1 that only the observer sees for one period."""
+        if self.loop.B.shape[1] < 4:
+            return np.zeros((1, 3))
+        return np.concatenate([self.loop.D[None, :, 3], self._answers(self.loop.B[:, 3:])[..., 0]])
+
     def measured_gains(self, slope: float = 0.0, *, rate: bool = False) -> Array:
         """Peak gains (4,) to |e|, |de|, |u|, |de + slope e| from a measurement error of e.
 
@@ -310,23 +325,27 @@ def of_each(loops: Sequence[Sampled], figures: Callable[[Sampled], Array]) -> li
 def analyse(axis: Axis, controller: LinearSystem) -> Sampled:
     """Analyse the loop of axis and controller; the controller is a system from [e, de] to u.
 
-    Raises ModelError for a controller with another period.
+    With an observer it has a third input, see `hil.design.stability.observed_loop`. Raises
+    ModelError for a controller with another period.
     """
     plant = disturbed_axis(axis)
     loop = _closed(plant, controller)
     found = Sampled(loop.poles(), None, loop)
     if not found.stable:
         return found
-    opened = controller.after(plant._replace(B=plant.B[:, :1], D=plant.D[:, :1]))
+    measuring = controller._replace(B=controller.B[:, :2], D=controller.D[:, :2])
+    opened = measuring.after(plant._replace(B=plant.B[:, :1], D=plant.D[:, :1]))
     return found._replace(margins=margins(opened))
 
 
 def _closed(plant: LinearSystem, controller: LinearSystem) -> LinearSystem:
-    """Loop from d, n and m to e, de and u: y = [e + n, de + m], e = -position."""
+    """Loop from d, n, m and the observer's c to e, de and u: y = [e + n, de + m, c], e = -position."""
     A, B, C, _, T = plant
-    # Inputs d, n, m, u; outputs e, de, u, and y for the controller.
-    inputs = np.column_stack([B[:, 1], np.zeros((len(A), 2)), B[:, 0]])
-    outputs = np.vstack([-C, np.zeros((1, len(A))), -C])
-    through = np.zeros((5, 4))
-    through[2, 3] = through[3, 1] = through[4, 2] = 1.0
+    count = controller.B.shape[1]  # 2, or 3 with an observer
+    # Inputs d, n, m, c, u; outputs e, de, u, and y for the controller.
+    inputs = np.column_stack([B[:, 1], np.zeros((len(A), count)), B[:, 0]])
+    outputs = np.vstack([-C, np.zeros((1, len(A))), -C, np.zeros((count - 2, len(A)))])
+    through = np.zeros((3 + count, 2 + count))
+    through[2, -1] = 1.0
+    through[3:, 1:-1] = np.eye(count)
     return LinearSystem(A, inputs, outputs, through, T).closed_with(controller)

@@ -27,6 +27,7 @@ import numpy as np
 
 from drivers.arrays import ZERO6, Array, ComplexArray
 from drivers.errors import ModelError
+from hil.design.stability.observed_loop import Observer, observed
 from hil.design.stability.sampled_loop import Axis, crossings, sampled_axis
 from hil.mathematics.linear_system import LinearSystem, lag, static
 from hil.mathematics.rotations import rotation_from_vector
@@ -55,6 +56,8 @@ class Springs(NamedTuple):
     """Stiffness of the robot under constant leg forces, which acts without delay."""
     integral: Array = NOTHING
     """K_I, rate of the law's force per s."""
+    observer: Observer | None = None
+    """Observer of the wrench that the law compensates."""
 
     def slowest(self) -> float:
         """Largest real part of the eigenvalues, 1/s, without sampling and delay."""
@@ -75,6 +78,10 @@ class Springs(NamedTuple):
         rise = np.hstack([T * self.integral, NOTHING])
         D = np.hstack([self.law, self.damping]) + rise
         law = LinearSystem(unit, rise, unit, D, T) if self.integral.any() else static(D, T)
+        if self.observer is not None:
+            law = observed(law, self.observer, np.asarray(np.linalg.inv(self.mobility), float))
+            seen = np.vstack([np.eye(12), np.hstack([-self.own, NOTHING])])  # its model contains the weight
+            law = law._replace(B=law.B @ seen, D=law.D @ seen)
         return law, sampled_axis(axis.transport_s, lag(axis.lag_s), T, axis.gain * self.mobility, self.own)
 
     def growth(self, axis: Axis) -> float:

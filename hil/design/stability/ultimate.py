@@ -41,6 +41,17 @@ UNNOTICED = 0.01
 _SIGNS = np.array(list(product((-1.0, 1.0), repeat=6)))
 
 
+class Aged(NamedTuple):
+    """Feedback up to a time h old, extrapolated at its last rate: the rate is off by up to h |ddq|."""
+
+    fixed: Array
+    """(6,) m/s or rad/s, rate error from the acceleration of the reference."""
+    per_acceleration: Array
+    """(6, 6) s, rate error per acceleration of the error."""
+    gains: Array
+    """(3, 6), peak gains to e, de and u from this rate error together with its length error."""
+
+
 class Extra(NamedTuple):
     """Disturbances known by their size only, in addition to load and model error."""
 
@@ -61,6 +72,7 @@ class Extra(NamedTuple):
     lost: Array
     """(6, 6), share of |u| of each axis by which transmission losses may change another axis'
     acceleration."""
+    aged: Aged | None = None
 
 
 class Ultimate(NamedTuple):
@@ -87,6 +99,8 @@ class Ultimate(NamedTuple):
     """Largest condition number of J in the tube."""
     read: Array
     """(6,) m/s^2 or rad/s^2, change of u from the resolution of the measurements."""
+    aged: Array
+    """(6,) m or rad, part of `error` from old feedback."""
 
 
 class Judged(NamedTuple):
@@ -170,27 +184,40 @@ def _worst(d: Array) -> list[int]:
 def _bound(s: Survey, gains: Array, late: DelayEffect, extra: Extra) -> Ultimate | str:
     if s.gamma <= 0.0:
         return "the inertia of the model is so wrong that forces act in the wrong direction"
-    g_e, g_de, g_u = gains
     T = late.stale_s
     by_u, by_rate = s.spread + T * s.by_rate + extra.lost, T * s.by_error
     d = fixed = s.d + extra.d + extra.pushed + extra.drives
-    factor = by_u * g_u + by_rate * g_de + T * s.by_rate
-    size = float(np.abs(np.linalg.eigvals(factor)).max()) + extra.alpha * float(g_u.max())
+    # e, de and u: their values without d, and their gains (6, 6) from d
+    ends = np.array([late.error + extra.error, late.rate + extra.rate, late.effort + extra.effort])
+    by_d, by_itself = np.array([np.diag(each) for each in gains]), T * s.by_rate
+    if extra.aged is not None:
+        share, g = extra.aged.per_acceleration, extra.aged.gains
+        size = float(np.abs(np.linalg.eigvals(s.gamma * share * g[2])).max())
+        if size >= 1.0:
+            return _too_much(size, extra)
+        share = np.linalg.solve(np.eye(6) - s.gamma * share * g[2], share)  # by the error's own acceleration
+        read = extra.aged.fixed + share @ (s.gamma * (ends[2] + g[2] * extra.aged.fixed))
+        read_by_d = share @ (s.gamma * by_d[2] + np.eye(6))
+        ends, by_d = ends + g * read, by_d + g[:, :, None] * read_by_d
+        fixed, by_itself = fixed + s.by_rate @ read, by_itself + s.by_rate @ read_by_d
+    factor = by_u @ by_d[2] + by_rate @ by_d[1] + by_itself
+    size = float(np.abs(np.linalg.eigvals(factor)).max()) + extra.alpha * float(by_d[2].sum(axis=1).max())
     if size >= 1.0:
-        return _too_much(size, lossy=bool(extra.lost.any()))
+        return _too_much(size, extra)
     for _ in range(1000):
-        u, rate = late.effort + extra.effort + g_u * d, late.rate + extra.rate + g_de * d
-        more = fixed + by_u @ u + by_rate @ rate + T * s.by_rate @ d + extra.alpha * u.max()
+        _, rate, u = ends + by_d @ d
+        more = fixed + by_u @ u + by_rate @ rate + by_itself @ d + extra.alpha * u.max()
         grown, d = float(np.max(more - d)), more
         if grown <= 1e-9 * float(d.max()):
             break
     else:
-        return _too_much(size, lossy=bool(extra.lost.any()))
-    error, rate = late.error + g_e * d + extra.error, late.rate + extra.rate + g_de * d
+        return _too_much(size, extra)
+    error, rate, _ = ends + by_d @ d
+    aged = error - (late.error + extra.error + gains[0] * d)
     exact = bool(s.spread.max() <= EXACT)
     return Ultimate(
         s.gamma, exact, d, extra.pushed, extra.drives, error, rate, late.error, late.rate, s.condition,
-        extra.effort,
+        extra.effort, aged,
     )  # fmt: skip
 
 
@@ -201,11 +228,14 @@ def in_words(error: Array, axes: AxisSpace) -> str:
     return f"{1e3 * error[:3].max():.3g} mm and {np.degrees(error[3:].max()):.3g} deg"
 
 
-def _too_much(size: float, *, lossy: bool) -> str:
+def _too_much(size: float, extra: Extra) -> str:
+    lossy, old = bool(extra.lost.any()), extra.aged is not None
     losses = ", together with transmission losses at reversals" if lossy else ""
+    losses += ", together with feedback as old as limits.stale_warn_ticks allows," if old else ""
     less = "a transmission with lower losses, " if lossy else ""
+    fresh = "limits.stale_warn_ticks 1, " if old else ""
     shown = f"{ceil(1e3 * size) / 1e3:g}" if size >= 1.0 else "almost 1"
     return (
         f"no bound: the force errors of a wrong inertia and of delay{losses} exceed what the gains tolerate: "
-        f"small gain {shown}, allowed below 1; needed: {less}a better model, lower gains or less delay"
+        f"small gain {shown}, allowed below 1; needed: {less}{fresh}a better model, lower gains or less delay"
     )

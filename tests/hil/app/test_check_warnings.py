@@ -45,6 +45,8 @@ SLIDING = {
 }  # fmt: skip
 FROZEN = {"variant": "constant", "frozen_at": {"position_m": [0, 0, 1]}}
 CUBEMARS = {"drives": {"options": {"variant": "cubemars", "model": "AK80-9"}}}
+OBSERVER, LIGHT = {"source": "observer"}, {"inertia_scale": 0.9}
+OBSERVED = {"estimation": {"wrench": OBSERVER}}
 PAGE = {"watch": {"operate": True}}
 
 
@@ -89,6 +91,11 @@ EXAMPLES: list[tuple[str, str, tuple[Changes, Changes]]] = [
     ("drives.force_limit_N", "socketcan", value("drives", "force_limit_N", 60000, None)),
     ("controller.model.variant", "virtual", ({}, {"controller": {"model": FROZEN}})),
     ("controller.model.variant", "virtual", ({}, {"controller": {"model": {"variant": "printed"}}})),
+    (
+        "estimation.wrench.model",
+        "virtual",
+        (OBSERVED, {"estimation": {"wrench": {"model": LIGHT, **OBSERVER}}}),
+    ),
     ("controller phase margin", "virtual", value("controller", "wn_rad_s", 20, 200)),
     (
         "controller.boundary_layer_m_s",

@@ -135,8 +135,8 @@ MOBILITY = Q @ np.diag(1 / MASSES) @ Q.T
 
 
 def springs(mobility, K_p, K_v, own=0.0, K_i=0.0):
-    each = (np.broadcast_to(np.asarray(gain, float), 6) * np.eye(6) for gain in (K_p, K_v, own, K_i))
-    return Springs(mobility, *each)
+    law, damping, own, integral = (np.broadcast_to(gain, 6) * np.eye(6) for gain in (K_p, K_v, own, K_i))
+    return Springs(mobility, law, damping, own, integral)
 
 
 def test_with_equal_gains_the_slowest_mode_of_the_inertia_decides():

@@ -13,7 +13,7 @@ PAGE = (Path(__file__).parents[2] / "docs/guides/bringup.md").read_text()
 
 def test_quoted_finding_is_that_of_the_rehearsal(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (command,) = re.findall(r"^hil (bringup virtual --rehearse --yes --mistake .*)$", PAGE, re.MULTILINE)
+    command, *_ = re.findall(r"^hil (bringup virtual --rehearse --yes --mistake .*)$", PAGE, re.MULTILINE)
     (quoted,) = re.findall(r"```text\n(.*?)\n```", PAGE, re.DOTALL)
     done = CliRunner().invoke(main, shlex.split(command))
     assert done.exit_code == 1, done.output

@@ -26,8 +26,6 @@ STRANGE = EXTENDED | REMOTE | ERROR
 """Flags that frames of this protocol never have."""
 OLDEST = 8
 """Most ticks by which an answer may be late, of 16 counter values; other values are refused."""
-ROUNDS = 32, 16, 0
-"""Ticks between SYNCs whose answers have the same counter."""
 QUANTITIES = 3
 """Quantities of a feedback: length, rate, force."""
 EXACT = 64
@@ -52,7 +50,7 @@ ENDS = np.dtype(
         *((name, "<i8", (QUANTITIES,)) for name in ("start", "bits")),
         *((name, "<f8", (QUANTITIES,)) for name in ("scale", "low", "high")),
         *((name, "<f8") for name in ("step", "least", "most", "watchdog_s")),
-        *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent", "unanswered")),
+        *((name, "<i8", (LEGS,)) for name in ("expected", "said", "sent")),
         *((name, "<i8") for name in ("confirmed", "interval")),
         ("present", "<i8", (LEGS,)),
     ]
@@ -64,8 +62,8 @@ missing), scale and range, SI; of a force step and range, in steps if it is roun
 watchdog, s.
 
 State of the controller: checksum of each leg's set-up, checksum in its last status, number of CONFIG sent to
-it, and its unanswered SYNCs, bit k: that of k ticks ago; bit i: the last status of drive i has confirmed it;
-ticks from one CONFIG of a drive to its next. State of the drives: Cycle of the present SYNC of each bus."""
+it; bit i: the last status of drive i has confirmed it; ticks from one CONFIG of a drive to its next. State of
+the drives: Cycle of the present SYNC of each bus."""
 NO_SYNC = -1
 """Cycle of drives that have received no SYNC yet."""
 CHANGED = 1
@@ -75,8 +73,6 @@ commands_at: Any = records_at(record(COMMAND))
 _STATES = len(DriveState)
 _FAULTS = len(DriveFault)
 _ALL = (1 << LEGS) - 1
-_SYNCS = ROUNDS[0] + 16
-"""Last SYNCs that may be unanswered."""
 _TICK = record(TICK, "tick", *part("measurement"))
 
 
@@ -161,18 +157,6 @@ def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
 
 
 @helper
-def _settles(e: Any, leg: int, behind: int) -> bool:
-    """Count an answer for the oldest unanswered SYNC that has its counter; False if there is none."""
-    for earlier in ROUNDS:
-        bit = np.int64(1) << earlier + behind
-        if e.unanswered[leg] & bit:
-            if earlier < ROUNDS[0]:  # the oldest one may stand for others before it
-                e.unanswered[leg] &= ~bit
-            return True
-    return False
-
-
-@helper
 def _take_feedback(
     e: Any, data: Any, early: bool, leg: int, value: Array, word: Ints, last: Any, tick: Any
 ) -> bool:
@@ -181,10 +165,7 @@ def _take_feedback(
     behind = (tick.tick - counted) & 0xF
     state = counted >> 4 & ~INVALID
     invalid = counted >> 4 & INVALID != 0
-    if state >= _STATES or (early and behind == 0):
-        return False
-    owed = _settles(e, leg, behind)
-    if behind > OLDEST:
+    if behind > OLDEST or state >= _STATES or (early and behind == 0):
         return False
     for k in range(QUANTITIES):
         if e.bits[k] > 0:
@@ -194,8 +175,7 @@ def _take_feedback(
             value[k] = raw * e.scale[k]
     has_force = e.bits[QUANTITIES - 1] > 0
     blind = tick.blind[leg] != 0
-    again = behind == tick.age[leg] or (blind and behind == 0)
-    if again and not owed:  # answers the same SYNC as the one held
+    if behind == tick.age[leg] or (blind and behind == 0):  # answers the same SYNC as the one held
         same = invalid == (blind and behind == 0)
         if not invalid:
             same = same and value[0] == tick.length[leg] and value[1] == tick.rate[leg]
@@ -204,7 +184,7 @@ def _take_feedback(
             same = same and (not has_force or value[2] == tick.drive_force[leg])
         if not same:
             tick.doubled |= 1 << leg
-    elif (invalid and behind == 0) or (not invalid and (again or behind < tick.age[leg])):
+    elif (invalid and behind == 0) or (not invalid and behind < tick.age[leg]):
         if has_force:
             tick.drive_force[leg] = value[2]
         tick.drive_state[leg] = state
@@ -254,19 +234,15 @@ def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     held, else it is skipped; any other counter is refused. Refused as well, and counted in `rejected`: wrong
     length, CRC, state or fault; a value that is not finite; with several buses, another bus than the drive's.
     A feedback of this tick with an invalid length gives state and force only: the leg ages, and is `blind`. A
-    second answer to the same SYNC with other content marks the node as `doubled`; the first one counts. If
-    the answer to an older SYNC with these four bits is missing, the last one counts instead. SYNC, command,
-    CONFIG and E-stop are `foreign`, whatever they carry: a node does not receive its own frames. Other frames
-    are ignored. Fault and set-up come from the status, state from the feedback. Layout classic carries no
-    force: the force keeps its value. Returns CHANGED or 0.
+    second answer to the same SYNC with other content marks the node as `doubled`; the first one counts. SYNC,
+    command, CONFIG and E-stop are `foreign`, whatever they carry: a node does not receive its own frames.
+    Other frames are ignored. Fault and set-up come from the status, state from the feedback. Layout classic
+    carries no force: the force keeps its value. Returns CHANGED or 0.
     """
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
     before, rejected = e.confirmed, 0
     begin_measurement(last, tick)
-    elapsed = min(tick.tick - last.tick, _SYNCS) if last.tick >= 0 else 1
-    for leg in range(LEGS):
-        e.unanswered[leg] = (e.unanswered[leg] << elapsed | 1) & ((1 << _SYNCS) - 1)
     received = frames_at(frames, count)
     for n in range(count):
         frame = received[n]

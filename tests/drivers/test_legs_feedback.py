@@ -171,46 +171,6 @@ def test_after_a_blind_answer_an_earlier_one_does_not_count_as_second(layout, le
     assert tick["blind"].tolist() == [each == leg for each in range(6)]
 
 
-def ticks_doubled(layout: str, answered: list[list[int]]) -> tuple[list[int], Any]:
-    """Ticks with a doubled node, and the last measurement.
-
-    answered: for each tick from 0 on the SYNCs whose answers of leg 4 arrive; each length is 1.5 m plus 1 mm
-    a SYNC, and 10 mm for a second drive, whose answers to SYNC n are written as -n.
-    """
-    end, last, found = P[layout].controller_end(SETUP), new_record(), []
-    for number, syncs in enumerate(answered):
-        tick = new_record()
-        tick["tick"] = number
-        lengths = [1.5 + 1e-3 * abs(n) + 1e-2 * (n < 0) for n in syncs]
-        frames = [sent(layout, abs(n), length=np.full(6, x))[4] for n, x in zip(syncs, lengths, strict=True)]
-        end.take(received_array([Received(SINCE_NS, f) for f in frames]), last, tick, SINCE_NS)
-        found += [number] if tick["doubled"] else []
-        last = tick
-    return found, last
-
-
-@layouts
-@pytest.mark.parametrize("behind", [16, 17, 20, 32, 100])
-def test_late_answers_with_the_counter_of_later_ones_double_no_node(layout, behind):
-    silent = [list[int]()] * behind
-    for lasts in (0, 40):
-        late, end = [[n] for n in range(lasts)], behind + lasts
-        found, last = ticks_doubled(layout, [*silent, *late, list(range(lasts, end + 1))])
-        assert found == []
-        assert (last["length"][4], last["age"][4]) == (pytest.approx(1.5 + 1e-3 * end), 0)
-    third = [[n] * (n % 3 > 0) + [n - behind] * (n >= behind and (n - behind) % 3 == 0) for n in range(200)]
-    assert ticks_doubled(layout, third)[0] == []
-
-
-@layouts
-def test_doubled_node_is_found_soon_after_lost_answers(layout):
-    twice = [[n, -n] for n in range(30, 100)]
-    answers = [[n] for n in range(30)]
-    assert ticks_doubled(layout, [*answers, *twice])[0] == list(range(30, 100))
-    lost = [[] if n == 25 else [n] for n in range(30)]
-    assert ticks_doubled(layout, [*lost, *twice])[0] == [n for n in range(30, 100) if n != 25 + 16]
-
-
 def test_controller_frames_are_foreign_by_their_kind_in_any_layout():
     zeros = Command(DriveMode.OFF, np.zeros(6))
     commands = [f for p in P.values() for f in command_frames(p, zeros, 0)]

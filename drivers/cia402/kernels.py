@@ -18,8 +18,8 @@ from drivers.transmission import FIELDS, loss_of
 
 OLDEST = 50
 """Ticks after which a difference of lengths no longer gives a rate."""
-MOST_OWED = 32
-"""Most answers to earlier SYNCs that a drive may still send: a stall delays them, and all come at its end."""
+STRAYING = 8
+"""Ticks after a missing answer within which a drive may send answers that it owes: a stall delays them."""
 SHORTEST = 0.5
 """Periods; a stall leaves shorter steps, over which the resolution of the encoder makes the rate too rough.
 """
@@ -60,6 +60,7 @@ DRIVES = np.dtype(
         ("resets", "<i8"),  # bit i: drive i has missed a RESET, and gets one when it is set up
         ("rate", "<f8", (LEGS,)),
         ("owed", "<i8", (2 * LEGS,)),  # TPDO1, then TPDO2 of each drive: missing answers to earlier SYNCs
+        ("missed", "<i8", (LEGS,)),  # last tick without an answer of a drive
         # the step from one length of a leg to the next
         ("mean", "<f8", (LEGS,)),  # rate, m/s
         ("T", "<f8", (LEGS,)),  # s, between the two lengths; 0: there is only one
@@ -217,11 +218,14 @@ def _foreign(c: Any, identifier: int) -> int:
 
 @helper
 def _begin(c: Any, last: Any, tick: Any) -> None:
-    """Start a tick: each drive owes an answer to its SYNC, and to earlier ones since it was set up."""
+    """Start a tick: each drive owes an answer to its SYNC, and may owe earlier ones."""
     begin_measurement(last, tick)
     for leg in range(LEGS):
+        if last.age[leg]:
+            c.missed[leg] = last.tick
+        lately = tick.tick - c.missed[leg] <= STRAYING
         for slot in (leg, LEGS + leg):
-            c.owed[slot] = 1 + (c.owed[slot] if c.at[leg] == c.steps[leg] else 0)
+            c.owed[slot] = 1 + (c.owed[slot] if lately else 0)
             c.has[slot] = 0
 
 
@@ -266,8 +270,8 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     this tick's SYNC answers it. An earlier one answers the last SYNC, and counts with age 1 if nothing newer
     is held. Refused, and counted in `rejected`: a wrong length, an unknown statusword or NMT state, an SDO
     frame that is not an expedited answer. A second TPDO of a tick with other data marks the node as
-    `doubled`, and the first one counts. If the drive owes an answer to an earlier SYNC, the last one counts
-    instead. A leg is as old as the older of its two TPDOs.
+    `doubled`, and the first one counts. If the drive was missed within the last STRAYING ticks and owes an
+    answer to an earlier SYNC, the last one counts instead. A leg is as old as the older of its two TPDOs.
     Boot-up, and leaving Operational, restart a drive's set-up. Returns 1 if the set of configured drives has
     changed, else 0.
     """
@@ -304,7 +308,7 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
                 force, tick.rate[leg], c.driving[leg], c.back_driving[leg], c.full_loss_m_s
             )
         for slot in (leg, LEGS + leg):
-            c.owed[slot] = min(c.owed[slot], MOST_OWED)
+            c.owed[slot] = min(c.owed[slot], STRAYING)
     c.rate[:] = tick.rate
     tick.counted_age[:] = tick.age
     return int(_set_up(c) != set_up)

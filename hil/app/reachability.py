@@ -168,7 +168,7 @@ def walk(
         ticks, end = _checked_ticks(trajectory, period, steps), inside
         if repeats:  # ticks of later passes may lie between those of the first
             end = inf if trajectory.duration_s is None else trajectory.duration_s * (1 - 1e-12)
-            ticks = np.union1d(ticks, np.arange(min(SAMPLES, end // period)))
+            ticks = np.union1d(ticks, np.arange(SAMPLES if end == inf else min(SAMPLES, end // period)))
         at = np.asarray(period * ticks, float)
         parts = [_sampled(platform, model, trajectory, np.minimum(each, end)) for each in (at, at + period)]
         leaps = at, parts[1][0] - parts[0][0]

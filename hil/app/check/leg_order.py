@@ -127,7 +127,9 @@ def _mistakes(found: Match, outputs: str) -> list[str]:
             f"is the order of plant.model.{keys} right?"
         )
     if len(turned := np.flatnonzero(found.sign < 0.0)):
-        what = "a force > 0 shortens" if found.keys == 1 else f"plant.model.{keys} has the wrong sign of"
+        both = found.keys == 1 and outputs == "length and rate"
+        wrong = outputs if found.keys == 1 else keys
+        what = "a force > 0 shortens" if both else f"plant.model.{wrong} has the wrong sign of"
         sentences.append(
             f"{what} leg {_listed(turned)} of the FMU: > 0 has to extend it, change it in the FMU"
         )

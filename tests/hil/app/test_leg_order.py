@@ -52,9 +52,10 @@ def test_a_wrong_sign_names_legs(legs):
     named = f"leg {', '.join(map(str, legs))} of the FMU"
     (force,) = found(ODD * sign)
     assert force.startswith(f"a force > 0 shortens {named}")
-    if len(legs) < 6:
-        (rate,) = found(ODD * sign[:, np.newaxis], ODD)
-        assert rate.startswith(f"plant.model.rate has the wrong sign of {named}")
+    (rate,) = found(ODD * sign[:, np.newaxis], ODD)
+    assert rate.startswith(f"plant.model.rate has the wrong sign of {named}")
+    (length,) = found(ODD, ODD * sign[:, np.newaxis])
+    assert length.startswith(f"plant.model.length has the wrong sign of {named}")
 
 
 def test_a_like_response_passes_and_another_size_or_pattern_is_reported():

@@ -302,5 +302,6 @@ class Cia402End(ControllerEnd):
             return why if step.kind != "nmt" else "it sends no TPDO after its start by NMT"
         if abort:
             text = o.ABORTS.get(abort, "not a code of CiA 301: see the manual of the drive")
-            return f"{what}: {step.kind} refused with abort 0x{abort:08X} ({text}){o.way_out(step.key)}"
+            way_out = o.way_out(step.key) if abort in {o.NO_OBJECT, o.NO_SUB_INDEX} else ""
+            return f"{what}: {step.kind} refused with abort 0x{abort:08X} ({text}){way_out}"
         return f"{what} is {int(c['read'][leg]) & step.mask}, expected {step.value & step.mask}"

@@ -32,6 +32,8 @@ LATE_S = 8e-3
 """Accepted delay from force to reading; two ticks of the bring-up are added."""
 MOVES = 0.75
 """A leg that yields to a hand at this share of the largest step force must also move by its drive."""
+LEAST_SHARE = 0.01
+"""Smallest step, as a share of the drive's force: a leg may give way to no force at all."""
 
 
 def find(c: Context) -> None:
@@ -83,6 +85,7 @@ def _late_s(c: Context, drive: int, fact: dict[str, Any]) -> float | None:
     if breakaway(fact) is None or leg != fact["minus"]["leg"]:
         return None
     aim = STEP_SHARE * c.known("opens", drive)["hand_N"] + START_STEPS * step_of(c, drive)
+    aim = max(aim, LEAST_SHARE * c.machine.force_N)
     while True:
         t, x = _answer(c, drive, min(aim, c.machine.force_N), leg)
         if (abs(x[-1]) > MOVED_M and t[-1] < BRISK_S) or aim >= c.machine.force_N:

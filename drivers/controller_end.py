@@ -99,7 +99,7 @@ class ControllerEnd(ABC):
 
     @abstractmethod
     def lack(self, leg: int) -> str:
-        """Part of its set-up that a drive has not confirmed, in words; empty if there is none."""
+        """Part of its set-up that a drive has not confirmed, in words; empty if all is confirmed."""
 
     @abstractmethod
     def unfit(self, force: Array) -> ProtocolError:

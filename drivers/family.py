@@ -86,7 +86,7 @@ class Family(ABC):
         return self.fresh_by(self.tables, received_array([received]), tick, since_ns) > 0
 
     def awaited(self, frame: Frame) -> int:
-        """Element of `wanted` that a frame matches; another number for a frame that is no feedback."""
+        """Element of `wanted` that a frame matches; another number for a frame that is not feedback."""
         return frame.id
 
     def addressed(self, frame: Frame) -> tuple[int, ...]:

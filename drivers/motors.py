@@ -93,7 +93,7 @@ class MotorController(ControllerEnd):
         return NO_FRAMES
 
     def lack(self, leg: int) -> str:
-        """Missing part: the drive itself, or a register that is not confirmed; empty if there is none."""
+        """Missing part: the drive itself, or a register that is not confirmed; empty if complete."""
         m: Any = self.state
         done, exchanges = int(m["done"][leg]), self._exchanges[leg]
         if done == 0:

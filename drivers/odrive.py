@@ -8,8 +8,8 @@ An axis also sends its estimates by a timer, under the identifier of its answer:
 setting. No frame tells the two apart, so the newest of a tick counts, and two different ones do not mean a
 second axis.
 Only the heartbeat reports the state, and it comes by a timer, not with a change. So an axis gets its torque
-from the tick in which it is told to close its loop, and is told again if a later heartbeat reports that it
-has not. After RUN it counts as enabled, and gets IDLE, until a heartbeat reports otherwise. A reset clears
+from the tick of the command for closed loop on; the command is repeated if a later heartbeat reports another
+state. After RUN it counts as enabled, and gets IDLE, until a heartbeat reports otherwise. A reset clears
 the errors of each axis, whatever its last heartbeat reported.
 The watchdog is a setting of the axis (`config.enable_watchdog`, `watchdog_timeout`), off by factory setting.
 No message of CAN Simple sets it, so `drives.watchdog_ms` states the value set with odrivetool.

@@ -18,7 +18,7 @@ QUANTITIES = 6
 FIELDS = QUANTITIES + 4
 """Fields of a sample, in order of position: quantities, Offset, Cycle, Counter, Validity; then its CRC."""
 OLDEST = 127
-"""Most ticks: Cycle counts to 255, and an older stamp cannot be told from one in the future."""
+"""Most ticks: Cycle counts to 255, and an older stamp looks like one in the future."""
 MOST = 256
 """Most samples of one kind in one tick; further ones are refused."""
 NEVER = NOBODY = -1

@@ -77,7 +77,7 @@ class Bus(Source):
 
     @property
     def facts(self) -> str:
-        """Facts read from the interfaces, in one line; empty if there are none."""
+        """Facts read from the interfaces, in one line; empty without any."""
         return "; ".join(link.facts for link in self._links if link.facts)
 
     @classmethod

@@ -115,7 +115,7 @@ def read_error(identifier: int, data: bytes) -> tuple[BusState, bool]:
 
 
 def refusal(found: CanInterface, settings: BusSettings) -> str:
-    """Text of the differences between an interface and the section `bus`; empty if there are none.
+    """Text of the differences between an interface and the section `bus`; empty if they agree.
 
     A bit rate unknown to the kernel and a restart-ms that is not configured are not compared.
     """

@@ -46,7 +46,7 @@ class Link(Source):
 
     @property
     def facts(self) -> str:
-        """Facts read from the interface, in one line; empty if there are none."""
+        """Facts read from the interface, in one line; empty without any."""
         return ""
 
     @property
@@ -63,7 +63,7 @@ class Link(Source):
         return self._taken_ns
 
     def fileno(self) -> int:
-        """Descriptor that is readable when a frame has arrived; -1 if there is none."""
+        """Descriptor that is readable when a frame has arrived; -1: no descriptor."""
         return -1
 
     def foresee(self) -> int | None:

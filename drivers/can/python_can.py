@@ -64,7 +64,7 @@ class PythonCan(Link):
         return len(frames)
 
     def fileno(self) -> int:
-        """Descriptor of the interface, readable when a frame has arrived; -1 if there is none."""
+        """Descriptor of the interface, readable when a frame has arrived; -1: no descriptor."""
         if not self._selectable:
             return -1
         try:

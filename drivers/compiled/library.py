@@ -78,7 +78,7 @@ class Kept:
         self.code = b""
 
     def load_overload(self, signature: Any, target: Any) -> CompileResult | None:
-        """Load the compiled kernel; None if there is none, or it is damaged."""
+        """Load the compiled kernel; None if it is missing or damaged."""
         target.refresh()
         file = self._file(signature, target)
         try:

@@ -218,9 +218,8 @@ def moteus_reply(v: Vector) -> bool:
     said, decoded = registers(bytes.fromhex(v["data"]), 0x20), v["decoded"]
     names = {"MODE": 0, "POSITION": 1, "VELOCITY": 2, "TORQUE": 3, "FAULT": 15}
     read = {name: (said or {})[register] for name, register in names.items() if name in decoded}
-    same = np.allclose(
-        list(read.values()), [float(decoded[name]) for name in read], rtol=1e-5, equal_nan=True
-    )
+    expected = [float(decoded[name]) for name in read]
+    same = np.allclose(list(read.values()), expected, rtol=1e-5, equal_nan=True)
     fault, found = decoded.get("FAULT"), MOTEUS.hear(frame(v))
     return bool(same) and (not fault or (found.power, found.fault) == (DriveState.FAULT, 0x100 + fault))
 
@@ -231,10 +230,8 @@ def axis_torque(v: Vector) -> bool:
 
 
 def axis_estimates(v: Vector) -> bool:
-    leg, figures = (
-        ODRIVE.nodes.index(v["inputs"]["node_id"]),
-        (v["inputs"]["Pos_Estimate"], v["inputs"]["Vel_Estimate"]),
-    )
+    leg = ODRIVE.nodes.index(v["inputs"]["node_id"])
+    figures = v["inputs"]["Pos_Estimate"], v["inputs"]["Vel_Estimate"]
     found, (length, rate) = ODRIVE.hear(frame(v)), (np.full(6, each) for each in figures)
     sent = answers(ODRIVE, Sync(0, (leg,)), length, rate, np.zeros(6), np.ones(6, np.int64))
     return bool(found.leg == leg and near(found.motion, figures, 1e-7) and sent == [(leg, frame(v))])
@@ -277,7 +274,6 @@ def moteus_mode(mode: int) -> Any:
 
 
 def axis_state(v: Vector) -> bool:
-    """Idle, closed loop and calibration, and a foreign axis."""
     words = {1: "off", 8: "ready run", 3: "refused"}[v["inputs"]["Axis_Requested_State"]]
     return obeyed("odrive", v, enabled=False) == (words if v["inputs"]["node_id"] != 63 else "")
 

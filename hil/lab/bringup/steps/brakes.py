@@ -35,6 +35,8 @@ HIGH_SHARE = 0.003
 """if it is also this share of the rated force above the median."""
 LATE_TICKS = 3
 """Accepted motion after the closing time of the brake: the last command is still on its way."""
+MOVES_S = 0.02
+"""Time for a pushed leg to move by MOVED_M once its brake is open, and for its drive to report that."""
 STILL_S = 0.1
 """A pushed leg that moves less than MOVED_M in this time is at rest."""
 _OR_LATE = "A late encoder reading looks the same: see late_or_lags (encoder_late)."
@@ -142,6 +144,8 @@ def shuts(c: Context, drive: int, leg: int) -> dict[str, Any]:
     c.ask(Request("push_on", leg, 0.0, text))
     before = c.lengths()
     with c.opened(drive, timed=True):
+        for _ in range(c.drives.ticks(MOVES_S)):
+            c.drive(drive)
         in_time = abs(c.travelled(before).get(leg, 0.0)) > MOVED_M
     before, late, rests = c.lengths(), 0, c.drives.ticks(STILL_S)
     for n in range(1, c.drives.ticks(UNTIMED_S) + 1):

@@ -158,7 +158,7 @@ def _silent(c: Context, leg: int, bus: dict[str, Any]) -> Finding:
     name, remedy = "wrong_protocol", f"Set the drive to {m.protocol}, or drives.protocol; compare bus.layout."
     if CANOPEN_HEARTBEAT + m.node_ids[leg] in strange:
         text = f"{node} speaks CANopen: its heartbeat is {CANOPEN_HEARTBEAT + m.node_ids[leg]:#x}"
-    elif refused:
+    elif refused and spoken:
         text = f"{node} sends, but {refused} frames are invalid: length, checksum or state"
     elif spoken and not m.unasked_identifiers.issuperset(spoken):
         name, remedy = "set_up", _SET_UP

@@ -1,4 +1,4 @@
-"""CAN frames <-> SI values: protocols, codecs and the bus. No control."""
+"""Conversion between CAN frames and SI values: drive protocols, codecs and the bus. No control laws here."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ BEGAN_NS = time.time_ns()
 
 
 def build_protocol(bus: BusSettings, drives: DriveSettings) -> Family:
-    """Codec of `drives.protocol`, its drives on one bus or several: an entry point of `hil.protocols`.
+    """Protocol codec for the key `drives.protocol`, found by the entry-point group `hil.protocols`.
 
-    It checks `bus.layout` and, of `drives`, `node_ids`, `options` and `transmission`. Raises
-    ConfigurationError for settings that the protocol does not have; the message begins with the key.
+    The codec checks `bus.layout` and, of `drives`, `node_ids`, `options` and `transmission`. Raises
+    ConfigurationError for settings that the protocol does not support; the message begins with the YAML key.
     """
     from drivers.registry import loaded  # noqa: PLC0415 - see above
 

@@ -1,4 +1,4 @@
-"""Array types used everywhere: float64, complex128, int64, flags, bytes, rows of a table."""
+"""NumPy array types used in all packages: float64, complex128, int64, bool, uint8, structured rows."""
 
 import ctypes
 from typing import Any
@@ -16,10 +16,10 @@ Rows = NDArray[np.void]
 
 ZERO6: Array = np.zeros(6)
 ZERO6.flags.writeable = False
-"""(6,): no force, no wrench, no motion."""
+"""Zeros (6,), read-only: no force, no wrench, no motion."""
 
 
 def array_at(address: int, count: int, dtype: Any) -> Any:
-    """View of `count` elements of a type at an address, for Python code."""
+    """NumPy view (count,) of memory at an address, elements of `dtype`. For Python code, not for kernels."""
     size = count * np.dtype(dtype).itemsize
     return np.frombuffer((ctypes.c_char * size).from_address(address), dtype)

@@ -1,4 +1,4 @@
-"""Atomic access, inside kernels, to words of memory that several processes share.
+"""Atomic access, inside Numba kernels, to 8-byte words of memory that several processes share.
 
 Each operation is sequentially consistent: neither processor nor compiler moves other accesses across it.
 """
@@ -48,7 +48,7 @@ def _change(operation: str) -> Any:
 
 
 load: Any = intrinsic(_load)
-"""load(words, index): the word."""
+"""load(words, index): the word at an index."""
 replace: Any = intrinsic(_replace)
 """replace(words, index, expected, new): set the word to `new` if it is `expected`; True if it was."""
 store: Any = intrinsic(_change("xchg"))

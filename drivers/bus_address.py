@@ -1,10 +1,10 @@
-"""Address of a bus, by which its participants and the operator find each other."""
+"""Interface and channel of a CAN bus, by which controller, plant and operator tools find each other."""
 
 from typing import NamedTuple
 
 
 class BusAddress(NamedTuple):
-    """The keys `bus.interface` and `bus.channel`, with their defaults."""
+    """Interface and channel of a bus: the keys `bus.interface` and `bus.channel`, with their defaults."""
 
     interface: str = "localcan"
     channel: str = "hil0"

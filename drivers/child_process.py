@@ -1,4 +1,4 @@
-"""A program of this project as a child process."""
+"""Start of a module of this project in a child process."""
 
 import os
 import subprocess

@@ -1,13 +1,13 @@
-"""The clock of a bus and of all its users: CLOCK_MONOTONIC."""
+"""The clock of a bus and of all processes on it: CLOCK_MONOTONIC."""
 
 import time
 
 
 class Clock:
-    """CLOCK_MONOTONIC, in ns."""
+    """CLOCK_MONOTONIC, ns; base class of clocks whose time can stand still."""
 
     def now(self) -> int:
-        """Time, ns."""
+        """Present time of this clock, ns."""
         return time.monotonic_ns()
 
     def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
@@ -19,20 +19,20 @@ class Clock:
             pass
 
     def working(self, allowed_ns: int = 0) -> None:
-        """Promise to wait again within `allowed_ns`; only a bench clock uses it."""
+        """For clocks that can stop: promise to wait again within `allowed_ns`, ns. No effect here."""
 
     def waiting(self, until_ns: int) -> None:
-        """Promise to sleep until `until_ns`; only a bench clock uses it."""
+        """For clocks that can stop: promise to sleep until `until_ns`, ns. No effect here."""
 
     def stands(self) -> bool:
-        """True while time stands still."""
+        """True while this clock's time stands still; always False for CLOCK_MONOTONIC."""
         return False
 
     def leave(self) -> None:
-        """Stop holding time; only a bench clock uses it."""
+        """For clocks that can stop: withdraw from holding time back. No effect here."""
 
     def stretched(self) -> int:
-        """Total standstill of this clock, ns."""
+        """Total time for which this clock stood still, ns."""
         return 0
 
 

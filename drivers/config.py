@@ -23,22 +23,22 @@ MAX_BUSES = LEGS
 
 
 class ChannelSettings(Section):
-    """One bus of several. Omitted keys are those of the section `bus`."""
+    """One bus of several (list `bus.channels`). Omitted keys take the values of the section `bus`."""
 
     channel: Name
-    """Name of the channel, different for each bus."""
+    """Channel of the interface, different for each bus."""
     legs: Annotated[list[Annotated[int, Field(ge=0, lt=LEGS)]], Field(min_length=1, max_length=LEGS)]
-    """Legs whose drives are on it, counted from 0."""
+    """Legs whose drives are on this bus, counted from 0."""
     interface: str | None = None
-    """python-can interface."""
+    """python-can interface: localcan, socketcan, udp_multicast, ..."""
     bitrate_bit_s: Annotated[int, Field(gt=0)] | None = None
     """Arbitration bit rate."""
     data_bitrate_bit_s: Annotated[int, Field(gt=0)] | None = None
     """Data-phase bit rate of CAN FD."""
     max_load_percent: Annotated[float, Field(gt=0, le=100)] | None = None
-    """Refuse a configuration whose cyclic frames take more of the period than this."""
+    """Largest bus load: a configuration whose cyclic frames take more of the period is refused."""
     options: dict[str, str | int | float | bool] | None = None
-    """Further keyword arguments for the python-can interface."""
+    """Keyword arguments for the python-can interface, besides channel and bit rates."""
 
 
 def _refuse_twice(what: str, given: Sequence[str | int]) -> None:
@@ -48,7 +48,7 @@ def _refuse_twice(what: str, given: Sequence[str | int]) -> None:
 
 
 class BusSettings(Section):
-    """The CAN bus and its frame layout; of several buses the shared values."""
+    """The CAN bus and its frame layout; with several buses, the values that they share."""
 
     interface: str = BusAddress().interface
     """python-can interface: localcan, socketcan, udp_multicast, ..."""
@@ -61,16 +61,16 @@ class BusSettings(Section):
     data_bitrate_bit_s: Annotated[int, Field(gt=0)] = 5_000_000
     """Data-phase bit rate of CAN FD."""
     max_load_percent: Annotated[float, Field(gt=0, le=100)] = 70.0
-    """Refuse a configuration whose cyclic frames take more of the period than this."""
+    """Largest bus load: a configuration whose cyclic frames take more of the period is refused."""
     options: dict[str, str | int | float | bool] = {}
-    """Further keyword arguments for the python-can interface."""
+    """Keyword arguments for the python-can interface, besides channel and bit rates."""
     channels: Annotated[list[ChannelSettings], Field(max_length=MAX_BUSES)] = []
     """Several buses, each with legs of its own; then `channel` is that of the first bus and is left out."""
 
     @model_validator(mode="before")
     @classmethod
     def _first_of_several(cls, given: Any) -> Any:
-        """Set `channel` to that of the first bus, where the operator finds the run."""
+        """Set `bus.channel` to that of the first of several buses, which is where tools look for the run."""
         several = given.get("channels") if isinstance(given, dict) else None
         channels = several if isinstance(several, list) else []
         first = channels[0] if channels else None
@@ -101,7 +101,7 @@ class BusSettings(Section):
 
     @property
     def buses(self) -> "tuple[BusSettings, ...]":
-        """Each bus by itself, with its own address, bit rates and limit."""
+        """Settings of each bus: address, bit rates and load limit with omitted keys filled in."""
         shared = {name: getattr(self, name) for name in BusSettings.model_fields if name != "channels"}
         if not self.channels:
             return (self,)
@@ -138,8 +138,8 @@ PerLegSide = Side | Annotated[list[Side], Field(min_length=6, max_length=6)]
 class TransmissionSettings(Section):
     """Transmission between each motor and its leg; each value is one for all legs, or six in leg order.
 
-    The motor is the shaft whose position and torque the drive reports: the output shaft of a gear motor that
-    reports its output.
+    The motor is the shaft whose position and torque the drive reports; for a gear motor with an output
+    encoder that is its output shaft.
     """
 
     lead_m: PerLegAbove0 | None = None
@@ -151,7 +151,7 @@ class TransmissionSettings(Section):
     sign: PerLegSide = 1
     """1 if positive turns of the motor extend the leg, -1 if they shorten it."""
     efficiency: PerLegShare = 1.0
-    """Share of the motor's work that reaches the leg."""
+    """Share, 0 to 1, of the motor's work that reaches the leg."""
     back_driving_efficiency: PerLegShare = 1.0
     """Share of the leg's work that reaches the motor. A self-locking screw has none: no force on its leg
     moves it, so a force law cannot control it."""
@@ -174,7 +174,7 @@ class TransmissionSettings(Section):
 
 
 class HomingSettings(Section):
-    """Homing of drives that forget at power-off how often their motor has turned."""
+    """Homing of drives whose absolute encoder loses count of whole motor turns at power-off."""
 
     file: str
     """YAML file with the lengths at which the legs were parked, relative to the configuration file. The run
@@ -193,18 +193,18 @@ def _name_protocols(schema: dict[str, Any]) -> None:
 
 
 class DriveSettings(Section):
-    """The six drives."""
+    """The six drives: protocol, node numbers, force limit, watchdog and transmission."""
 
     protocol: Annotated[str, Field(json_schema_extra=_name_protocols)] = "legs"
     """Drive family: an entry point of the group `hil.protocols`."""
     node_ids: Annotated[list[int], Field(min_length=6, max_length=6)] = [1, 2, 3, 4, 5, 6]
     """Node number of each leg's drive, in leg order, in the range of the protocol: 1 to 127 with `legs`."""
     options: dict[str, str | int | float | bool] = {}
-    """Options of the protocol; `legs` has none."""
+    """Options of the drive protocol; `legs` has none."""
     transmission: TransmissionSettings | None = None
     """Transmission of drives that report motor values; `legs` reports leg values and has none."""
     homing: HomingSettings | None = None
-    """For drives that forget their turns at power-off; left out for absolute encoders that count turns."""
+    """For drives that lose count of motor turns at power-off; left out for absolute multi-turn encoders."""
     watchdog_ms: Annotated[float, Field(gt=0)] = 10.0
     """Watchdog: a drive without a command for this long reacts by itself, see `reactions.silence`. At least 3
     periods."""
@@ -236,7 +236,7 @@ Node = Annotated[int, Field(ge=1, le=127)]
 
 
 class TrackerSettings(Section):
-    """A node that measures the platform's pose from outside: optical, laser, camera."""
+    """A CAN node that measures the platform's pose from outside: optical, laser or camera tracker."""
 
     node_id: Node = 7
     rate_Hz: Above0 = 200.0
@@ -248,11 +248,11 @@ class TrackerSettings(Section):
     latency_max_ms: Above0 = 20.0
     """Largest age of a sample; an older one is refused. Each millisecond costs the filter memory and time."""
     channel: Name | None = None
-    """Its channel of `bus.channels`; default: the first."""
+    """Channel, of `bus.channels`, to which the sensor is connected; default: the first."""
 
 
 class ImuSettings(Section):
-    """An inertial measurement unit on the platform, its values reduced to the platform origin."""
+    """An inertial measurement unit on the platform, whose values refer to the platform origin."""
 
     node_id: Node = 8
     rate_Hz: Above0 = 500.0
@@ -260,7 +260,7 @@ class ImuSettings(Section):
     angular_rate_std_rad_s: Above0 = 2e-3
     specific_force_std_m_s2: Above0 = 0.05
     channel: Name | None = None
-    """Its channel of `bus.channels`; default: the first."""
+    """Channel, of `bus.channels`, to which the sensor is connected; default: the first."""
 
 
 class WrenchSensorSettings(Section):
@@ -270,11 +270,11 @@ class WrenchSensorSettings(Section):
     rate_Hz: Above0 = 1000.0
     """Samples per second, at most one per tick."""
     channel: Name | None = None
-    """Its channel of `bus.channels`; default: the first."""
+    """Channel, of `bus.channels`, to which the sensor is connected; default: the first."""
 
 
 class SensorSettings(Section):
-    """Sensors on the bus next to the drives; an omitted one does not exist. Not with bus.layout classic."""
+    """Sensors on the bus next to the drives; an omitted one does not exist. Not for bus.layout classic."""
 
     tracker: TrackerSettings | None = None
     imu: ImuSettings | None = None

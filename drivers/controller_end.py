@@ -15,15 +15,15 @@ from drivers.signals import LEGS, Command
 from drivers.tick_columns import Record
 
 MOST_FRAMES = 64
-"""Room for the frames of a command, and for the frames that start a tick."""
+"""Most frames of a command, and most frames that start a tick."""
 _FRAME_WORDS = FRAME.itemsize // 8
 OPENINGS = np.dtype([("at", "<i8"), ("kinds", "<i8"), ("frames", "<i8")])
-"""Address and shape of the frames that start a tick, elements of FRAME; the ticks take the kinds in turn."""
+"""Address and shape of the frames that start a tick, FRAME records; the ticks take the kinds in turn."""
 
 
 @pointed(record(OPENINGS), INTEGER, INTEGER)
 def put_opening(openings: Any, number: int, into: int) -> int:
-    """Write the frames that start a tick to an address; the result is their number."""
+    """Write a tick's first frames (SYNC or polls) to FRAME records at `into`; returns their number."""
     words = openings.frames * _FRAME_WORDS
     first = openings.at + number % openings.kinds * words * 8
     integers_at(into, words)[:] = integers_at(first, words)
@@ -31,15 +31,15 @@ def put_opening(openings: Any, number: int, into: int) -> int:
 
 
 class ControllerEnd(ABC):
-    """The dialogue with six drives, compiled. Mutable state: its record, which has the dialogue.
+    """The controller's end of six drives: start-up dialogue, decoder and encoder. Mutable state: its record.
 
     In a tick the frames of `begin` are sent, the drives answer, and `take` decodes their frames. Then the
     frames of `give` are sent and, while the drives are not powered, those of `set_up`. If the poll is the
     command, `give` only stores it, the next `begin` sends it, and `Traits.command_delay_ticks` is 1.
 
-    Compiled passes call the family's functions by address: ``decode(codec, frames, count, since_ns, last,
+    Compiled code calls the family's functions by address: ``decode(codec, frames, count, since_ns, last,
     tick)`` is `take`, ``command(codec, number, mode, stop, force, into)`` is `give` and ``opening(opener,
-    number, into)`` is `begin`. Arguments are addresses of elements of FRAME, of records of TICK, and of six
+    number, into)`` is `begin`. Arguments are addresses of FRAME records, of records of TICK, and of six
     forces, N. `decode` returns a status, > 0 if the set of configured drives has changed. The others return
     the number of frames, `command` FAILED if a force does not fit.
     """
@@ -48,9 +48,9 @@ class ControllerEnd(ABC):
     """First field of the record that belongs to the dialogue; all later fields do, too."""
 
     def __init__(self, begun: Rows, decode: Pointed, command: Pointed, openings: Rows | Pointed) -> None:
-        """Take the initial record, () of its dtype, before any frame, and the functions that work on it.
+        """Start from the initial record, () of its dtype, and the compiled functions that work on it.
 
-        openings: elements of FRAME that start a tick (kinds, frames), which take turns; or the function that
+        openings: FRAME records that start a tick (kinds, frames), which take turns; or the function that
         writes them.
         """
         self._begun, self.state, self._decoding, self._commanding = begun, begun.copy(), decode, command
@@ -66,26 +66,27 @@ class ControllerEnd(ABC):
         self.opening = self._opens.address
 
     def start(self) -> None:
-        """Restart the dialogue: no drive is set up."""
+        """Restart the start-up dialogue: all drives count as not configured."""
         self.state[...] = self._begun
 
     def begin(self, number: int) -> Rows:
-        """Frames that start a tick, SYNC or polls, as elements of FRAME."""
+        """Frames that start tick `number`, SYNC or polls, as FRAME records."""
         into = np.empty(MOST_FRAMES, FRAME)
         return into[: self._opens(self.opener, number, data_at(into))]
 
     def take(self, frames: Rows, last: Record, tick: Record, since_ns: int = ALWAYS) -> None:
-        """Fill a tick's measurement from that of the last tick and the frames since, elements of FRAME.
+        """Fill a tick's measurement from the last tick's and the frames (FRAME records) received since.
 
         since_ns: wake-up time of the loop; the SYNC or poll of each leg was sent `latch_ns` of the tick
         later. Fills every column of the part. Frames of unknown nodes are ignored. As far as the protocol can
         tell, `foreign` marks frames of another controller, `doubled` a second answer of one node, and
-        `altered` a set-up that is not ours. A fault code that is not a DriveFault is the drive's own.
+        `altered` a drive with another set-up than the one sent. A fault code that is not a DriveFault is the
+        drive's own.
         """
         self._decoding(self.state, data_at(frames), len(frames), since_ns, last, tick)
 
     def give(self, command: Command, number: int) -> Rows:
-        """Frames of a tick's command. Raises ProtocolError if a force does not fit."""
+        """Frames of the command of tick `number`. Raises ProtocolError if a force does not fit."""
         into, force = np.empty(MOST_FRAMES, FRAME), np.ascontiguousarray(command.force, float)
         given = number, int(command.mode), int(command.stop), data_at(force), data_at(into)
         sent = FAILED if force.shape != (LEGS,) else self._commanding(self.state, *given)
@@ -95,18 +96,18 @@ class ControllerEnd(ABC):
 
     @abstractmethod
     def set_up(self, tick: Record) -> Rows:
-        """Frames of the start-up dialogue in a tick. Drives in READY or RUN are not disturbed."""
+        """Frames of the start-up dialogue for this tick; none to drives that report READY or RUN."""
 
     @abstractmethod
     def lack(self, leg: int) -> str:
-        """Part of its set-up that a drive has not confirmed, in words; empty if all is confirmed."""
+        """Text: the part of its set-up that a drive has not confirmed; empty if all is confirmed."""
 
     @abstractmethod
     def unfit(self, force: Array) -> ProtocolError:
-        """Error for a force that the drives cannot represent."""
+        """Error for leg forces (6,) N that do not fit into the drives' command field."""
 
     def lacks(self) -> tuple[str, ...]:
-        """`lack` of each drive."""
+        """Unconfirmed part of each drive's set-up, as text, in leg order; empty text if complete."""
         return tuple(map(self.lack, range(LEGS)))
 
     def legs_set_up(self) -> tuple[bool, ...]:
@@ -114,18 +115,18 @@ class ControllerEnd(ABC):
         return tuple(not each for each in self.lacks())
 
     def carried(self, force: Array) -> Array:
-        """Forces (6,) N that legs at rest get for a command, which a field may round to its steps."""
+        """Forces (6,) N at legs at rest for a commanded force, after rounding to the field's steps."""
         return force
 
     def presume_running(self) -> None:  # noqa: B027 - families without such a state need none
-        """Count all drives as enabled, even those that have sent no frame."""
+        """Mark all drives as enabled, even if none has reported: for an emulated second controller."""
 
     def remembered(self) -> Rows:
-        """Copy of the dialogue, for `remember` of another end of the same drives."""
+        """Copy of the dialogue's state, for `remember` of a new controller's end of the same drives."""
         return self.state.copy()
 
     def remember(self, dialogue: Rows) -> None:
-        """Restore the fields of the dialogue, from `first` on, from a copy made by `remembered`."""
+        """Restore the dialogue's state from a copy made by `remembered`: all fields from `first` on."""
         names = self.state.dtype.names or ()
         for name in names[names.index(self.first) :]:
             self.state[name] = dialogue[name]

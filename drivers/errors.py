@@ -1,4 +1,4 @@
-"""The root of the one error tree.
+"""Base class of the project's exceptions, and their hierarchy.
 
 ::
 
@@ -46,7 +46,7 @@ class BusError(HilError):
 
 
 class ProtocolError(HilError):
-    """A frame or signal value outside what the protocol can carry."""
+    """A frame or signal value outside the range that the drive protocol can carry."""
 
 
 class ModelError(HilError):
@@ -54,15 +54,15 @@ class ModelError(HilError):
 
 
 class CalibrationError(ModelError):
-    """Measurements that cannot calibrate: too few, not finite, of another robot or in another unit."""
+    """Measurements from which no calibration is possible: too few, not finite, of another robot or unit."""
 
 
 class IdentificationError(ModelError):
-    """A log without the data that is needed, or with too little of it."""
+    """A log without the data that an identification of parameters needs, or with too little of it."""
 
 
 class SynthesisError(ModelError):
-    """A design that no controller fulfils, or an ill-posed problem."""
+    """A controller design whose requirements no controller meets, or an ill-posed design problem."""
 
 
 class PlantError(HilError):

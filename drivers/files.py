@@ -1,7 +1,7 @@
 """Files and folders: written whole or not at all, read only if regular, private to this user.
 
-No reader ever sees part of a file under its name. Opening a FIFO waits for its other end, and a device may
-never end; a file name may lead to either. Whoever can write to a folder of code can run code as its user.
+No reader ever sees part of a file under its name. A file name may lead to a FIFO, whose opening waits for a
+writer, or to a device without end. Whoever can write to a folder of code can run code as its user.
 """
 
 import contextlib
@@ -39,7 +39,7 @@ def read_regular(path: Path, most: int = MOST_BYTES) -> bytes:
 
 
 def real_path(path: Path) -> Path:
-    """Path with its links followed; for a circle of links one of them, which leads nowhere."""
+    """Path with its symbolic links followed; in a circle of links, one of them, which cannot be opened."""
     return Path(os.path.realpath(path))  # Path.resolve raises RuntimeError at a circle
 
 
@@ -47,9 +47,9 @@ def real_path(path: Path) -> Path:
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a new file next to `path`; rename it to `path` at the end, or remove it after an error.
 
-    It replaces an earlier file and keeps its permissions. If `path` exists and is no file, such as a pipe, it
-    is yielded itself.
-    Raises OSError with the name `path`: a full disk gives no name, and users do not know the new file's name.
+    It replaces an earlier file and keeps its permissions. If `path` exists and is no file, such as a pipe,
+    the block gets `path` itself. Raises OSError with the name `path`: a full disk gives no name, and users do
+    not know the new file's name.
     """
     if path.exists() and not path.is_file():
         yield path
@@ -115,9 +115,10 @@ def own_folder(path: Path) -> Path:
 def cache_folder() -> Path:
     """Create the cache folder, private to this user, or check that an existing one is private.
 
-    ``hexapod-hil`` under ``$XDG_CACHE_HOME`` if that is an absolute path, else under ``~/.cache``.
+    It is ``hexapod-hil`` under ``$XDG_CACHE_HOME`` if that is an absolute path, else under ``~/.cache``.
 
-    Raises RunError if it cannot be created or others have permissions: their code would be run.
+    Raises RunError if it cannot be created or others have permissions: code that they store there would be
+    run.
     """
     given = os.environ.get("XDG_CACHE_HOME", "")
     # Path.home raises for a user without a home folder.

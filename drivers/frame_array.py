@@ -1,7 +1,7 @@
-"""Frames as records: what a bus receives and sends, what a codec reads and fills, what the log stores.
+"""Frames as 80-byte records of the dtype FRAME: for buses, codecs and the log.
 
-One element of FRAME is one frame, 80 bytes, from the bus to the log. `Received` and `Frame`
-(`drivers.protocol`) are the same as Python objects, for people and tests.
+A frame stays such a record from the bus to the log. `Received` and `Frame` (`drivers.protocol`) are the
+Python objects with equal content, for people and tests.
 """
 
 import struct
@@ -39,7 +39,7 @@ _new = tuple.__new__
 
 
 def timed_array(frames: Iterable[tuple[int, Frame]], kind: int = SENT) -> Rows:
-    """Pairs of time and frame as elements of FRAME, in their order: read-only."""
+    """Read-only FRAME records from pairs (time ns, frame), in their order; kind: RECEIVED or SENT."""
     content = [
         frame_bytes(t_ns, identifier, kind, len(data), flags, data)
         for t_ns, (identifier, data, flags) in frames
@@ -48,29 +48,29 @@ def timed_array(frames: Iterable[tuple[int, Frame]], kind: int = SENT) -> Rows:
 
 
 def received_array(frames: Iterable[Received]) -> Rows:
-    """Received frames as elements of FRAME, see `timed_array`."""
+    """Read-only FRAME records from received frames."""
     return timed_array(frames, RECEIVED)
 
 
 def sent_array(frames: Iterable[Frame]) -> Rows:
-    """Frames to send as elements of FRAME, see `timed_array`; t_ns is 0, as they are not sent yet."""
+    """Read-only FRAME records from frames to send; t_ns is 0, as they are not sent yet."""
     return timed_array((0, frame) for frame in frames)
 
 
 def joined(parts: Iterable[Rows]) -> Rows:
-    """Arrays of FRAME as one, in memory of its own."""
+    """Concatenation of arrays of FRAME, in memory of its own."""
     return np.frombuffer(bytearray().join([part.tobytes() for part in parts]), FRAME)
 
 
 def sent_at(t_ns: int, *parts: Rows) -> Rows:
-    """Frames as one array, all sent at `t_ns`."""
+    """Concatenation of arrays of FRAME, with t_ns set to the time of sending, ns."""
     sent = joined(parts)
     sent["t_ns"] = t_ns
     return sent
 
 
 def received_frames(array: Rows) -> tuple[Received, ...]:
-    """Elements of FRAME as received frames."""
+    """FRAME records as `Received` objects."""
     return tuple(
         [
             _new(Received, (t_ns, _new(Frame, (identifier, data[:size], flags))))
@@ -80,5 +80,5 @@ def received_frames(array: Rows) -> tuple[Received, ...]:
 
 
 def sent_frames(array: Rows) -> tuple[Frame, ...]:
-    """Elements of FRAME as frames."""
+    """FRAME records as `Frame` objects."""
     return tuple([frame for _, frame in received_frames(array)])

@@ -1,4 +1,4 @@
-"""Frames and measurements inside a kernel: helpers for the decoders of all families."""
+"""Kernel helpers for frames and measurements, for the decoders of all drive families."""
 
 from typing import Any
 
@@ -10,14 +10,14 @@ from drivers.frame_array import FRAME, SENT
 from drivers.signals import LEGS, NEVER
 
 frame_at: Any = record_at(record(FRAME))
-"""frame_at(address): the element of FRAME at an address."""
+"""frame_at(address): the FRAME record at an address."""
 frames_at = records_at(record(FRAME))
-"""frames_at(address, count): the elements of FRAME at an address."""
+"""frames_at(address, count): the FRAME records at an address."""
 
 
 @helper
 def begin_sent(frame: Any, identifier: int, size: int, flags: int, bus: int) -> None:
-    """Initialize a frame to send, its data 0."""
+    """Initialize a frame to send (FRAME record); its data bytes are 0."""
     frame.t_ns, frame.id, frame.kind = 0, identifier, SENT
     frame.length, frame.flags, frame.bus = size, flags, bus
     frame.data[:] = 0
@@ -25,7 +25,7 @@ def begin_sent(frame: Any, identifier: int, size: int, flags: int, bus: int) -> 
 
 @helper
 def in_order(frames: Any) -> bool:
-    """True if elements of FRAME are in order of time."""
+    """True if FRAME records are sorted by time."""
     for k in range(1, frames.shape[0]):  # noqa: SIM110 - compiled
         if frames[k].t_ns < frames[k - 1].t_ns:
             return False
@@ -34,7 +34,7 @@ def in_order(frames: Any) -> bool:
 
 @helper
 def place_of(number: int, numbers: Any) -> int:
-    """Index of a number among six; -1 if it is missing."""
+    """Index of `number` in `numbers` (6,); -1 if it is missing."""
     for k in range(LEGS):
         if number == numbers[k]:
             return k
@@ -47,7 +47,10 @@ EVERYONE, NOBODY = -2, -1
 
 @helper
 def legs_of(number: int, numbers: Any, bus: int, buses: Any) -> int:
-    """Legs of a bus whose drives have a node number, bit i: leg i; numbers and buses by leg."""
+    """Legs on a bus whose drives have node number `number` (or all, for EVERYONE), bit i: leg i.
+
+    numbers, buses: node number and bus of each leg, (6,).
+    """
     legs = 0
     for leg in range(LEGS):
         if bus == buses[leg] and number in (EVERYONE, numbers[leg]):
@@ -57,7 +60,7 @@ def legs_of(number: int, numbers: Any, bus: int, buses: Any) -> int:
 
 @helper
 def whole(data: Any, at: int, size: int = 4) -> int:
-    """Integer of `size` bytes, little-endian: unsigned up to seven bytes, signed with eight."""
+    """Integer of `size` bytes from index `at`, little-endian: unsigned up to 7 bytes, signed with 8."""
     number: Any = np.int64(0)
     for k in range(size):
         number |= np.int64(data[at + k]) << 8 * k
@@ -66,26 +69,26 @@ def whole(data: Any, at: int, size: int = 4) -> int:
 
 @helper
 def signed(number: int, bits: int) -> int:
-    """Signed value of an integer of `bits` bits."""
+    """Two's-complement value of the low `bits` bits of an integer."""
     return number - ((number >> (bits - 1)) << bits)
 
 
 @helper
 def code(value: float, low: float, high: float, bits: int) -> int:
-    """Code of a value in a field from `low` to `high`, saturated at the ends."""
+    """Unsigned code of a value in a field of `bits` bits from `low` to `high`, saturated at the ends."""
     x = min(max(value, low), high)
     return int((x - low) * ((1 << bits) - 1) / (high - low))
 
 
 @helper
 def value(number: int, low: float, high: float, bits: int) -> float:
-    """Value of a code in a field from `low` to `high`."""
+    """Physical value of an unsigned code in a field of `bits` bits from `low` to `high`."""
     return number * (high - low) / ((1 << bits) - 1) + low
 
 
 @helper
 def begin_measurement(last: Any, tick: Any) -> None:
-    """Initialize a tick's measurement from that of the last tick, with higher ages and no findings."""
+    """Start a tick's measurement as the last tick's, with ages increased and error counters cleared."""
     tick.length[:] = last.length
     tick.rate[:] = last.rate
     tick.drive_force[:] = last.drive_force

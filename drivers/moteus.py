@@ -1,4 +1,4 @@
-"""Codec of moteus drives: registers over CAN FD; the frame of a command carries a query, too.
+"""Codec of moteus drives: registers over CAN FD; a command frame also queries the drive.
 
 Identifier: source << 8 | destination, bit 15 if a reply is wanted. It is extended above 0x7FF, as for
 commands and for replies of ids from 8 on. Torque is sent as feed-forward of position mode, without position
@@ -52,13 +52,13 @@ SIZES = (1, 2, 4, 4)
 
 
 def pad(data: bytes) -> bytes:
-    """Data padded to the next length of CAN FD."""
+    """Data padded with NOP to the next length that CAN FD allows."""
     return data + bytes((NOP,)) * (FD_LENGTHS[bisect_left(FD_LENGTHS, len(data))] - len(data))
 
 
 @helper
 def _varuint(data: Any, size: int, at: int) -> tuple[int, int]:
-    """Number of seven bits per byte, and the index after it; NOT_WHOLE if the data end before."""
+    """(varuint, seven bits per byte, at index `at`; index after it); NOT_WHOLE if the data end before."""
     number = shift = 0
     while at < size:
         byte = int(data[at])
@@ -75,7 +75,7 @@ def _varuint(data: Any, size: int, at: int) -> tuple[int, int]:
 
 @helper
 def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
-    """Kind, width, first register and count of the group at an index, and the index of its values.
+    """(kind, width, first register, count, index of the first value) of the register group at index `at`.
 
     Kind NOTHING: an empty group; ERRORS: the end of the frame; NOT_WHOLE: the data end within the group.
     """
@@ -96,7 +96,7 @@ def group(data: Any, size: int, at: int) -> tuple[int, int, int, int, int]:
 
 @helper
 def scale_of(register: int, width: int) -> float:
-    """Scale of a register; 0 for an unscaled value."""
+    """Value of one count at an integer width: turns, turns/s, N m, V, degC or s; 0: unscaled register."""
     if width == FLOAT:
         return 0.0
     if register in (PLACE, COMMAND):
@@ -114,7 +114,7 @@ def scale_of(register: int, width: int) -> float:
 
 @helper
 def value(register: int, width: int, raw: float) -> float:
-    """Value of a register's raw number of that width; NaN if the drive does not know it."""
+    """Physical value of a register's raw number at that width; NaN if the drive does not know it."""
     scale = scale_of(register, width)
     if scale == 0.0:
         return float(raw)
@@ -124,10 +124,10 @@ def value(register: int, width: int, raw: float) -> float:
 ALL_NODES = 0x7F
 """Destination of a frame for all drives."""
 STOPPED, FAULTED, POSITION, TIMED_OUT = 0, 1, 10, 11
-"""Modes."""
+"""Modes of a moteus."""
 STRANGE = REMOTE | ERROR
 _REGISTERS = *range(MODE, TORQUE + 1), FAULT, FIRMWARE, *range(SERIAL_NUMBER, SERIAL_NUMBER + 3)
-"""Registers that are read."""
+"""Registers of a drive that are read."""
 _MODE, _PLACE, _SPEED, _TORQUE, _FAULT_CODE, _FIRMWARE, _SERIAL = range(7)
 _STATE = 0b11111
 """Bits of the first five of them."""
@@ -137,7 +137,10 @@ REPLY_WANTED = 0x8000
 
 @helper
 def read(data: Any, size: int, of: int, names: tuple[int, ...], values: Array) -> int:
-    """Read registers from subframes of a kind into `values`; the result has their bits, -1 if incomplete."""
+    """Read registers `names` from subframes of kind `of` into `values`.
+
+    Bit k of the result is set if names[k] was found; -1: the data are incomplete or of another kind.
+    """
     has = at = 0
     while at < size:
         kind, width, first, count, at = group(data, size, at)
@@ -179,7 +182,7 @@ def _names_drive(has: int, values: Array) -> bool:
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Decode a reply."""
+    """Decode a reply into `heard` (HEARD record); 0: not a reply of a known drive."""
     identifier = int(frame.id)
     if frame.flags & STRANGE or not frame.flags & FD:
         return 0
@@ -257,7 +260,7 @@ _TIMEOUT_MODE = (
 
 
 def torque_command(torque: float, most: float, timeout_s: float) -> bytes:
-    """Command with torque N m, torque limit N m, watchdog s and the query, not padded."""
+    """Command data: torque N m, torque limit N m, watchdog s, and the query; not padded."""
     values = struct.pack("<6f", nan, 0.0, torque, 0.0, 0.0, most)
     return b"\x01\0\x0a\x0c\x06\x20" + values + b"\x0d\x27" + struct.pack("<f", timeout_s) + QUERY
 
@@ -296,7 +299,7 @@ class MoteusProtocol(MotorProtocol):
 
     @cached_property
     def traits(self) -> Traits:
-        """Properties of drives that answer commands at once; a stop does not latch."""
+        """Properties of moteus drives: they answer each command at once; a stop does not latch."""
         does = "0, stopped" if self._reaction == Reaction.BRAKE else "12, zero velocity"
         return self.traits_of(
             (Frame(each, _ANSWER, self.flags | (EXTENDED if each > 0x7FF else 0)) for each in self.wanted),
@@ -309,7 +312,7 @@ class MoteusProtocol(MotorProtocol):
         )
 
     def requests(self, watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Frames of a stop, for all requests but torque, and of torque; each with its query."""
+        """Frames by purpose: a stop for all requests but torque, and torque; each with the query."""
         torque = pad(torque_command(0.0, self.torque_limit, watchdog_s))
         return tuple(self._commands(data) for data in (STOP, STOP, STOP, torque))
 
@@ -318,7 +321,7 @@ class MoteusProtocol(MotorProtocol):
         return self.to_each(Frame(first | node, data, flags) for node in self.nodes)
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Serial number, 96 bits, or the firmware version as the revision."""
+        """96-bit serial number, or the firmware version as the revision; None for any other frame."""
         identifier, data, flags = frame
         if identifier not in self.wanted or flags & (STRANGE | FD) != FD:
             return None

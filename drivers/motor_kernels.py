@@ -1,7 +1,7 @@
-"""The controller's end of single-motor drives, compiled: one record, which every family shares.
+"""The controller's end of drives with one motor per node, in kernels that share one record.
 
 A family supplies `hear(ear, frame, heard)`, which decodes one frame of a drive into HEARD and returns 0 for a
-frame without content; and the frames to its drives.
+frame without content. `ear` has the family's tables (EAR). The family also supplies the frames to its drives.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ EAR = np.dtype(
         ("requests", "<i8"),  # identifier of requests with the node number in their data; -1: none
         ("buses", "<i8"),  # number of buses; frames of others are ignored
         ("bus_of", "<i8", (LEGS,)),
-        ("heard", "<f8", (HEARD.itemsize // 8,)),  # scratch: an element of HEARD
+        ("heard", "<f8", (HEARD.itemsize // 8,)),  # scratch: a HEARD record
     ]
 )
 """Tables of a family's `hear`: each family uses the fields that it needs."""
@@ -81,7 +81,7 @@ MOTORS = np.dtype(
     [
         # the family
         ("ear", "<i8"),  # address of EAR
-        ("frames", "<i8"),  # address of rows of six elements of FRAME
+        ("frames", "<i8"),  # address of rows of six FRAME records
         ("rule", "<i8"),
         ("clears", "<i8"),  # 1: a drive in fault gets CLEAR while RESET is requested
         ("torque_at", "<i8"),  # first byte of the torque, or IN_IDENTIFIER
@@ -108,7 +108,7 @@ MOTORS = np.dtype(
         ("patience_ticks", "<i8"),  # longest time without such a report: then BOOT
         ("read", "<f8", (LEGS,)),  # value of the last answer, if it was wrong
         ("has_read", "<i8", (LEGS,)),
-        ("scratch", "<f8", (1 + 2 * LEGS, HEARD.itemsize // 8)),  # elements of HEARD
+        ("scratch", "<f8", (1 + 2 * LEGS, HEARD.itemsize // 8)),  # HEARD records
     ]
 )
 """Record of the controller's end of six single-motor drives."""
@@ -126,7 +126,7 @@ _FRAME_BYTES = FRAME.itemsize
 
 @helper
 def says(heard: Any, leg: int, has: int) -> int:
-    """Initialize the content of a frame; returns 1."""
+    """Initialize the content of a decoded frame (HEARD): its leg and bits of what it has; returns 1."""
     heard.leg, heard.has = leg, has
     heard.turns = heard.speed = heard.torque = heard.value = 0.0
     heard.power = heard.fault = heard.register = 0
@@ -135,7 +135,7 @@ def says(heard: Any, leg: int, has: int) -> int:
 
 @helper
 def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
-    """Note that a drive is enabled or disabled, or in fault if the code is not 0; returns 1."""
+    """Set in `heard` that a drive is enabled, disabled or, with a code other than 0, in fault; returns 1."""
     heard.has |= POWER
     heard.power = DriveState.RUN.value if enabled else DriveState.OFF.value
     if code:
@@ -149,7 +149,7 @@ def powers(ear: Any, heard: Any, code: int, enabled: bool) -> int:
 
 @helper
 def single(data: Any, at: int) -> float:
-    """Single-precision number in four bytes, little-endian."""
+    """Float32 in four bytes of data from index `at`, little-endian."""
     word = np.empty(1, np.uint32)
     word[0] = whole(data, at)
     return float(word.view(np.float32)[0])
@@ -160,7 +160,7 @@ def single(data: Any, at: int) -> float:
 
 @helper
 def wire_state(power: int, mode: int, set_up: bool, ran: bool) -> int:
-    """DriveState of a drive that reports only whether it is enabled; see `drivers.motors`."""
+    """DriveState of a drive that reports only whether it is enabled, by the rules of `drivers.motors`."""
     if power in (DriveState.FAULT, DriveState.RUN):
         return power
     if not set_up or (ran and mode == DriveMode.RUN):
@@ -170,7 +170,6 @@ def wire_state(power: int, mode: int, set_up: bool, ran: bool) -> int:
 
 @helper
 def _confirm(m: Any, heard: Any) -> None:
-    """Check the answer to an exchange of the start-up dialogue."""
     leg = heard.leg
     step = m.done[leg] - 1
     if not 0 <= step < m.exchanges[leg] or heard.register != m.registers[leg, step]:
@@ -184,7 +183,6 @@ def _confirm(m: Any, heard: Any) -> None:
 
 @helper
 def _measure(m: Any, here: int, late: int, tick: Any) -> None:
-    """Fill in the legs' measurements and states; here, late: bits of legs that answered in time, or late."""
     kept = heard_at(np.int64(m.scratch.ctypes.data), 1 + 2 * LEGS)
     for leg in range(LEGS):
         in_time = here >> leg & 1
@@ -211,7 +209,6 @@ def _measure(m: Any, here: int, late: int, tick: Any) -> None:
 
 @helper
 def _forget(m: Any, tick: Any) -> None:
-    """Forget the set-up of drives silent for long, and the power state of those that no longer report it."""
     for leg in range(LEGS):
         if tick.age[leg] > RESTART_TICKS:
             m.done[leg] = 0
@@ -221,7 +218,7 @@ def _forget(m: Any, tick: Any) -> None:
 
 @helper
 def _take(m: Any, heard: Any, early: bool, last: Any, tick: Any) -> int:
-    """Take the content of a drive's frame; the result is its row in `scratch`, 0 if it is not kept."""
+    """Process a drive's decoded frame; returns the row of `scratch` that is to keep it, 0: none."""
     leg = heard.leg
     feedback = heard.has & FEEDBACK
     if feedback and early:
@@ -251,9 +248,9 @@ def _set_up(m: Any) -> int:
 
 @pointed(_MOTORS, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick, see `ControllerEnd.take`.
+    """Fill the measurement of a tick as described at `ControllerEnd.take`.
 
-    frames: address of `count` elements of FRAME. Returns 1 if the set of configured drives has changed, else
+    frames: address of `count` FRAME records. Returns 1 if the set of configured drives has changed, else
     0.
     """
     begin_measurement(last, tick)
@@ -309,7 +306,7 @@ def decode(m: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
 
 @helper
 def remember(m: Any, mode: int, force_at: int) -> bool:
-    """Store one tick's command; True if its forces, (6,) N at an address, fit."""
+    """Store one tick's mode and motor torques; False if a leg force, (6,) N at an address, does not fit."""
     force = reals_at(force_at, LEGS)
     torque = np.empty(LEGS)
     for leg in range(LEGS):
@@ -334,7 +331,7 @@ def command(m: Any, _number: int, mode: int, _stop: int, force_at: int, _into: i
 
 @helper
 def row_of(m: Any, leg: int) -> int:
-    """Row of the frame to a drive in this tick, apart from a frame that enables an axis."""
+    """Row (purpose) of the frame that a drive gets in this tick: IDLE, CLEAR, ENABLE, DRIVE or PREPARE."""
     power, ran = m.power[leg], m.ran[leg]
     if m.mode == DriveMode.RUN:
         if m.rule == FALLS:
@@ -347,7 +344,7 @@ def row_of(m: Any, leg: int) -> int:
 
 @helper
 def put_single(value: float, data: Bytes, at: int) -> None:
-    """Write a single-precision number into four bytes, little-endian."""
+    """Write a float32 into four bytes of data from index `at`, little-endian."""
     word = np.empty(1, np.float32)
     word[0] = value
     raw = int(word.view(np.uint32)[0])
@@ -357,13 +354,13 @@ def put_single(value: float, data: Bytes, at: int) -> None:
 
 @helper
 def signed_code(torque: float, end: float) -> int:
-    """Code of a torque in a signed field of 16 bits: truncated towards 0, saturated."""
+    """Code of a torque (N m, field end `end`) in a signed 16-bit field: truncated to 0, saturated."""
     return int(min(max(torque / end * 32768.0, -32768.0), 32767.0))
 
 
 @helper
 def send(m: Any, row: int, leg: int, into: int) -> None:
-    """Write the frame of a row for a leg to an address, with the torque in row DRIVE."""
+    """Write the frame of purpose `row` for a leg to address `into`; a DRIVE frame gets the torque."""
     words = _FRAME_BYTES // 8
     integers_at(into, words)[:] = integers_at(m.frames + (row * LEGS + leg) * _FRAME_BYTES, words)
     frame = frames_at(into, 1)[0]
@@ -388,7 +385,7 @@ def send(m: Any, row: int, leg: int, into: int) -> None:
 
 @pointed(_MOTORS, INTEGER, INTEGER)
 def begin(m: Any, _number: int, into: int) -> int:
-    """Write the frame to each drive in this tick to six elements of FRAME at an address."""
+    """Write each drive's poll of this tick to six FRAME records at address `into`; returns 6."""
     for leg in range(LEGS):
         send(m, row_of(m, leg), leg, into + leg * _FRAME_BYTES)
     return LEGS

@@ -1,4 +1,4 @@
-"""Checks of the settings of motor protocols: options, frame layout, transmission, torque."""
+"""Checks of the settings of single-motor protocols: options, frame layout, transmission, torque."""
 
 from collections.abc import Sequence
 from math import inf, isfinite
@@ -12,12 +12,12 @@ from drivers.transmission import Transmission
 
 
 class Options:
-    """The options of a protocol, and its `transmission`."""
+    """Reads the keys of `drives.options` for one protocol, and its `transmission`."""
 
     def __init__(
         self, bus: BusSettings, drives: DriveSettings, protocol: str, layout: str, known: Sequence[str]
     ) -> None:
-        """Take the sections, and the frame layout and the options of the protocol.
+        """Read the sections; layout, known: frame layout and option keys of the protocol.
 
         Raises ConfigurationError for another layout, without a transmission, for unknown options.
         """
@@ -38,29 +38,29 @@ class Options:
             )
 
     def choice(self, key: str, allowed: tuple[str, ...], default: str | None = None) -> str:
-        """One of the allowed words; without one given, the only one or the default."""
+        """Value of an option that must be one of `allowed`; if omitted, the only one or the default."""
         value = self._given.get(key, allowed[0] if len(allowed) == 1 else default)
         return str(self._fitting(key, value, value in allowed, f"one of {', '.join(allowed)}"))
 
     def flag(self, key: str, *, default: bool) -> bool:
-        """True or false."""
+        """Boolean value of an option."""
         value = self._given.get(key, default)
         return bool(self._fitting(key, value, isinstance(value, bool), "true, false"))
 
     def positive(self, key: str, default: float) -> float:
-        """Number above 0."""
+        """Value of an option that must be a number above 0."""
         value = self._given.get(key, default)
         fits = not isinstance(value, bool | str) and value > 0.0
         return float(self._fitting(key, value, fits, "a number greater than 0"))
 
     def within(self, key: str, least: float, most: float, what: str) -> float:
-        """Number in a range, without default."""
+        """Value of an option that must be a number in least..most; it has no default. what: its meaning."""
         value = self._given.get(key)
         fits = not isinstance(value, bool | str | None) and least <= value <= most
         return float(self._fitting(key, value, fits, f"{least:.12g} to {most:.12g}, {what}"))
 
     def whole(self, key: str, default: int, least: float = -inf, most: float = inf) -> int:
-        """Integer in a range."""
+        """Value of an option that must be an integer in least..most."""
         value = self._given.get(key, default)
         within = f" of {least} to {most}" if isfinite(most) else ""
         fits = type(value) is int and least <= value <= most
@@ -76,7 +76,7 @@ class Options:
 
 
 def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, protocol: str) -> None:
-    """Raise ConfigurationError if the rated force needs more torque than the family's field carries."""
+    """Raise ConfigurationError if the rated force, N, needs more torque than the field's end, N m."""
     needed = np.abs(force_N / transmission.N_per_Nm / transmission.driving)
     leg = int(needed.argmax())
     if needed[leg] > torque_Nm:
@@ -89,8 +89,8 @@ def refuse_torque(transmission: Transmission, force_N: float, torque_Nm: float, 
 
 
 def unwatched(family: str) -> str:
-    """Danger of drives whose watchdog nobody sets, as a message."""
+    """Warning text for drives without a watchdog that this program can set."""
     return (
         f"drives.watchdog_ms: {family} has no watchdog that this program sets; set the drive's own with its "
-        "maker's tool if it has one, else it keeps its last torque for ever when the controller stops"
+        "maker's tool if it has one, else it keeps its last torque without end when the controller stops"
     )

@@ -37,18 +37,18 @@ _FRAME_BYTES = FRAME.itemsize
 
 
 class Exchange(NamedTuple):
-    """One request of the start-up dialogue, and the required answer."""
+    """One request of the start-up dialogue, and the required answer of the drive."""
 
     name: str
     register: int
     frames: tuple[Frame, ...]
-    """Sent together; the last one is answered."""
+    """Frames sent together; the drive answers the last one."""
     value: float
     """Required answer, in the drive's unit."""
 
 
 class MotorController(ControllerEnd):
-    """The controller's end, compiled in `drivers.motor_kernels`.
+    """The controller's end of single-motor drives, compiled in `drivers.motor_kernels`.
 
     Feedback from before the poll answers an older poll. It counts in `rejected` once its drive is set up. If
     the drive owed it, it measures at its age, so that a stall makes no leg stale. A second answer with other
@@ -60,7 +60,6 @@ class MotorController(ControllerEnd):
     first = "mode"
 
     def __init__(self, family: "MotorProtocol", setup: DriveSetup) -> None:
-        """Take a set-up. Raises ProtocolError if it does not fit."""
         family.check(setup)
         self._family, self._exchanges = family, family.exchanges(setup)
         self._frames = sent_array([frame for row in family.requests(setup.watchdog_s) for frame in row])
@@ -81,7 +80,7 @@ class MotorController(ControllerEnd):
         super().__init__(m, kernels.decode, family.commanding, polls)
 
     def set_up(self, tick: Record) -> Rows:
-        """Next request to one drive, if it answers and is disabled."""
+        """Next start-up request to the first drive that needs one, answers and is disabled; else none."""
         m: Any = self.state
         number, powered = int(tick["tick"]), m["mode"] in (DriveMode.READY, DriveMode.RUN)
         for leg, exchanges in enumerate(self._exchanges):
@@ -93,7 +92,7 @@ class MotorController(ControllerEnd):
         return NO_FRAMES
 
     def lack(self, leg: int) -> str:
-        """Missing part: the drive itself, or a register that is not confirmed; empty if complete."""
+        """Text: the drive that does not answer, or its unconfirmed register; empty if all is confirmed."""
         m: Any = self.state
         done, exchanges = int(m["done"][leg]), self._exchanges[leg]
         if done == 0:
@@ -109,18 +108,18 @@ class MotorController(ControllerEnd):
         return f"{asked.name} is {read:.7g} in the drive, expected {asked.value:.7g}"
 
     def carried(self, force: Array) -> Array:
-        """Forces (6,) N at rest, without losses, of the torques sent for these forces at the last rates."""
+        """Forces (6,) N, push positive, at rest, of the torques sent for these, after truncation to steps."""
         family, rate = self._family, self.state["rate"]
         return family.transmission.force(
             family.coded(family.transmission.torque(force, rate)), np.zeros(LEGS)
         )
 
     def presume_running(self) -> None:
-        """Count all drives as enabled."""
+        """Mark all drives as enabled, even if none has reported: for an emulated second controller."""
         self.state["power"] = DriveState.RUN
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Error for forces that do not fit."""
+        """Error for leg forces (6,) N that need more torque than a command carries."""
         if force.shape != (LEGS,) or not np.isfinite(force).all():
             return ProtocolError(f"force command {force.tolist()} N: six finite numbers are allowed")
         family = self._family
@@ -136,7 +135,7 @@ _EAR = record(kernels.EAR)
 
 @pointed(_EAR, INTEGER, INTEGER, INTEGER)
 def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
-    """Leg, from 1 on, of a feedback to this tick's poll on its own bus, judged by its time; else 0."""
+    """Leg + 1 of a feedback to this tick's poll, received on the leg's bus after the poll; else 0."""
     frame = frame_at(frame_address)
     at = np.int64(e.heard.ctypes.data)
     if frame.t_ns < since_ns or frame.bus >= e.buses:
@@ -149,7 +148,7 @@ def fresh(e: Any, frame_address: int, _tick: int, since_ns: int) -> int:
 
 @pointed(_EAR, INTEGER)
 def addressed(e: Any, frame_address: int) -> int:
-    """Legs that a frame of the controller's end addresses, bit i: leg i."""
+    """Legs that a frame sent by a controller addresses, bit i: leg i."""
     frame = frame_at(frame_address)
     identifier = np.int64(frame.id)
     number = identifier >> e.shift & e.mask
@@ -160,9 +159,10 @@ def addressed(e: Any, frame_address: int) -> int:
 
 @pointed(record(kernels.MOTORS), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
-    """Write one frame per drive to an address, and one more to enable it or clear its fault; see `command`.
+    """Write each drive's command frame, and those that enable it or clear its fault, to address `into`.
 
-    For drives that report only by heartbeat whether they are enabled.
+    For drives that report only by heartbeat whether they are enabled. force_at: address of (6,) N. Returns
+    the number of frames, or FAILED if a force does not fit.
     """
     before = m.mode
     if not kernels.remember(m, mode, force_at):
@@ -188,11 +188,11 @@ def push(m: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -
 
 
 ANY = 0x1FFFFFFF
-"""Mask of an identifier."""
+"""Mask of a 29-bit identifier."""
 
 
 class MotorProtocol(Family):
-    """Codec of such a family: its tables."""
+    """Base of the codecs of drive families with one motor per node: their tables and rules."""
 
     ear: Pointed
     """The family's `hear`, see `drivers.motor_kernels`."""
@@ -202,7 +202,7 @@ class MotorProtocol(Family):
     clears = False
     """True if CLEAR is sent only to a drive in fault."""
     commanding = kernels.command
-    """Kernel that takes a command."""
+    """Kernel that stores or sends a command."""
     polls: tuple[Frame, ...] = ()
     """Frames that start a tick, if they are not the command."""
     number_at: tuple[int, int]
@@ -210,9 +210,9 @@ class MotorProtocol(Family):
     delivered_s = 1e6
     """Factory setting of a drive's watchdog, s."""
     fault_names: Mapping[int, str] = {}
-    """Meaning of the family's fault codes, without OWN_CODE."""
+    """Meaning of the family's fault codes, without the offset OWN_CODE."""
     fault_bits = False
-    """True if a fault code is a sum of those."""
+    """True if a fault code is a sum of bits of `fault_names`."""
     silence = stopped = -1
     """Fault code of a drive's own watchdog, and of an emergency stop; -1: none."""
     torque_limit: float
@@ -226,10 +226,10 @@ class MotorProtocol(Family):
         legs: Sequence[Sequence[int]] = (ALL_LEGS,),
         answers: Sequence[int] = ALL_LEGS,
     ) -> None:
-        """Take the node numbers, the torque field of a command, the legs of each bus, and the answers.
+        """Set node numbers, torque field, legs of each bus, and identifiers of the drives' feedbacks.
 
         torque_field: first byte, bits, end in N m, see `drivers.motor_kernels.MOTORS`. answers: identifiers
-        of the feedbacks; legs, if several drives share an identifier or change it.
+        of the feedbacks; leg numbers instead, if several drives share an identifier or change it.
         """
         super().__init__(nodes, legs)
         self.transmission, self.torque_field = transmission, torque_field
@@ -246,34 +246,34 @@ class MotorProtocol(Family):
 
     @abstractmethod
     def requests(self, watchdog_s: float) -> Sequence[Sequence[Frame]]:
-        """Frames to the six drives, by purpose: IDLE, CLEAR, ENABLE, DRIVE, PREPARE."""
+        """Frames to the six drives for each purpose, in order: IDLE, CLEAR, ENABLE, DRIVE, PREPARE."""
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Start-up dialogue of each leg. Raises ProtocolError if the set-up does not fit."""
+        """Requests of each leg's start-up dialogue. Raises ProtocolError if the set-up does not fit."""
         return ((),) * LEGS
 
     def patience_ticks(self, _rate_Hz: float) -> int:
-        """Ticks without a report after which it is unknown whether a drive is enabled."""
+        """Ticks without a report after which a drive's power state counts as unknown."""
         return NEVER
 
     # common to all families
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
-        """Properties of a family, from an example of each drive's feedback and the family's own values."""
+        """Properties from an example feedback frame of each drive; own: further fields of `Traits`."""
         torques = self.to_each(self.requests(1.0)[kernels.DRIVE])
         singles = Resolution.of(SINGLE * FARTHEST_m, 0.0, 0.0)
         same = {"resolution": singles, "feedback_ids": frozenset(self.wanted)}
         return Traits(sent=(*self.polls, *torques), feedbacks=self.to_each(feedbacks), **same | own)
 
     def fault_text(self, code: int) -> str:
-        """Meaning of a code of the column `drive_fault`, at least OWN_CODE; empty if unknown."""
+        """Meaning of a value of the column `drive_fault` from OWN_CODE on; empty if unknown."""
         own, names = code - kernels.OWN_CODE, self.fault_names
         if self.fault_bits:
             return ", ".join(text for bit, text in names.items() if own > 0 and own & bit)
         return names.get(own, "")
 
     def coded(self, torque: Array) -> Array:
-        """Torques (6,) N m as the field carries them: truncated to its steps; singles unchanged."""
+        """Torques (6,) N m after truncation to the steps of their field; float32 fields leave them as is."""
         _, bits, end = self.torque_field
         if bits == kernels.SIGNED:
             return np.array([kernels.signed_code(each, end) * end / 32768.0 for each in torque.tolist()])
@@ -281,19 +281,18 @@ class MotorProtocol(Family):
         return np.array([value(each, -end, end, bits) for each in codes]) if codes else torque
 
     def check(self, setup: DriveSetup) -> None:
-        """Raise ProtocolError if the set-up does not fit."""
+        """Raise ProtocolError if the drives cannot have the set-up's watchdog or reaction."""
         if not 0.0 < setup.watchdog_s <= 100.0:
             raise ProtocolError(
-                f"drive watchdog of {setup.watchdog_s} s: more than 0 up to 100 s are allowed"
+                f"drives.watchdog_ms: {1e3 * setup.watchdog_s:g} ms, allowed: more than 0, up to 100000 ms"
             )
         self.refuse_reaction(setup)
 
     def controller_end(self, setup: DriveSetup) -> MotorController:
-        """The controller's end. Raises ProtocolError if the set-up does not fit."""
+        """Compiled controller's end of the drives. Raises ProtocolError if the set-up does not fit."""
         return MotorController(self, setup)
 
     def _heard(self, frame: Frame) -> Any:
-        """Content of a drive's frame, an element of HEARD; None for a frame of an unknown drive."""
         heard = np.zeros((), HEARD)
         said = self.ear(self.tables, sent_array([frame]), heard)
         return heard if said and self.bus_of[heard["leg"]] == frame.bus else None
@@ -304,6 +303,6 @@ class MotorProtocol(Family):
         return -1 if heard is None or heard["has"] & FOREIGN else int(heard["leg"])
 
     def awaited(self, frame: Frame) -> int:
-        """Element of `wanted` for the feedback in a frame; -1 for a frame without one."""
+        """Identifier, an element of `wanted`, by which the loop waits for this feedback; -1: no feedback."""
         heard = self._heard(frame)
         return self.wanted[heard["leg"]] if heard is not None and heard["has"] & FEEDBACK else -1

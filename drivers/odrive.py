@@ -2,7 +2,7 @@
 
 Identifier: node << 5 | command. Each tick requests Get_Encoder_Estimates by a remote frame, and sends
 Set_Input_Torque, which feeds the axis' watchdog. The heartbeat has state and error, Estop latches,
-Clear_Errors clears. Fields are little-endian, singles in turns, turns/s and N m (ODrive documentation, CAN
+Clear_Errors clears. Fields are little-endian, float32 in turns, turns/s and N m (ODrive documentation, CAN
 Protocol).
 An axis also sends its estimates by a timer, under the identifier of its answer: every 10 ms by factory
 setting. No frame tells the two apart, so the newest of a tick counts, and two different ones do not mean a
@@ -35,9 +35,9 @@ ADDRESS = 0x06
 """Requested by a remote frame; the answer has node number, serial number and connection."""
 HEARTBEAT, ESTOP, AXIS_STATE, ESTIMATES, MODES, TORQUE, CLEAR = 0x01, 0x02, 0x07, 0x09, 0x0B, 0x0E, 0x18
 IDLE, CLOSED_LOOP = 1, 8
-"""Axis states."""
+"""Axis states of an ODrive."""
 TORQUE_CONTROL = 1
-"""Control mode."""
+"""ODrive's control mode for torque."""
 COMMANDS = sum(
     1 << kind
     for kind in {
@@ -53,7 +53,7 @@ NOT_OURS = EXTENDED | FD | ERROR
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Decode estimates or a heartbeat."""
+    """Decode encoder estimates or a heartbeat into `heard` (HEARD record); 0: neither."""
     identifier, data = int(frame.id), frame.data
     node, kind = identifier >> 5, identifier & 0x1F
     leg = place_of(node, ear.nodes)
@@ -79,7 +79,7 @@ def hear(ear: Any, frame: Any, heard: Any) -> int:
 
 
 PASSTHROUGH = 1
-"""Input mode."""
+"""ODrive's input mode without filter."""
 UNASKED = "encoder_msg_rate_ms"
 """Setting of an axis, and option here: period of its unrequested estimates, ms; 0: none."""
 DELIVERED_MS, MOST_UNASKED_MS = 10, 10_000
@@ -122,12 +122,12 @@ _BRAKES = (
 _WATCHDOGS = (
     "drives.watchdog_ms: CAN Simple cannot set or read the watchdog of an axis, off by factory setting: "
     "set config.watchdog_timeout and config.enable_watchdog with odrivetool, else an axis keeps its "
-    "last torque for ever when the controller stops"
+    "last torque without end when the controller stops"
 )
 
 
 class ODriveProtocol(MotorProtocol):
-    """Codec of six axes."""
+    """Codec of six ODrive axes."""
 
     ear, commanding, rule = hear, push, PREPARES
     silence, stopped = WATCHDOG_EXPIRED, STOP_REQUESTED
@@ -158,7 +158,7 @@ class ODriveProtocol(MotorProtocol):
 
     @cached_property
     def traits(self) -> Traits:
-        """Properties of axes: Estop latches, an address is requested by a remote frame."""
+        """Properties of ODrive axes: Estop latches, and a remote frame requests an axis's serial number."""
         return self.traits_of(
             self._to_each(ESTIMATES, bytes(8)),
             family="odrive",
@@ -171,11 +171,11 @@ class ODriveProtocol(MotorProtocol):
         )
 
     def patience_ticks(self, rate_Hz: float) -> int:
-        """Ticks of `MISSED_BEATS` heartbeats, which alone report whether an axis is enabled."""
+        """Ticks in `MISSED_BEATS` heartbeat periods: only heartbeats report whether an axis is enabled."""
         return max(ceil(MISSED_BEATS * self._heartbeat_s * rate_Hz), 2)
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Frames that make an axis idle, clear its errors, close its loop, carry its torque, set its mode."""
+        """Frames by purpose: idle, clear errors, closed loop, torque, set the control mode."""
         asked = (
             (AXIS_STATE, struct.pack("<Ixxxx", IDLE)),
             (CLEAR, b"\0"),
@@ -186,7 +186,7 @@ class ODriveProtocol(MotorProtocol):
         return tuple(self._to_each(*each) for each in asked)
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Serial number in an address message with its own node; one that sets an address has another."""
+        """Serial number in an axis's address message; None for others, and for one that sets an address."""
         identifier, data, flags = frame
         leg = self.legs_of.get(identifier >> 5)
         if leg is None or identifier & 0x1F != ADDRESS or flags & STRANGE or len(data) != 8:

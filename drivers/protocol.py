@@ -1,4 +1,4 @@
-"""Frames, and the properties of a drive family as data.
+"""CAN frames as Python objects, and the properties of a drive family as data.
 
 `docs/guides/own-drives.md` shows how to write a new family.
 """
@@ -28,37 +28,37 @@ ALL_LEGS = tuple(range(LEGS))
 
 
 class Frame(NamedTuple):
-    """One CAN frame."""
+    """One CAN frame: identifier, data and flags."""
 
     id: int
     """Identifier, without flags."""
     data: bytes
-    """Payload."""
+    """Data bytes."""
     flags: int = 0
     """Sum of EXTENDED, FD, BRS, ESI, REMOTE, ERROR, and BUS times the index of its bus."""
 
     @property
     def bus(self) -> int:
-        """Index of the bus that carries it, 0..127."""
+        """Index of the bus that carries the frame, 0..127."""
         return self.flags // BUS
 
 
 def off_bus(frame: Frame) -> Frame:
-    """Frame as it would be on bus 0."""
+    """The frame with bus index 0."""
     return frame._replace(flags=frame.flags % BUS) if frame.flags >= BUS else frame
 
 
 class Received(NamedTuple):
-    """A frame and the time at which its last bit was on the wire."""
+    """A received frame and the time, ns, at which its last bit was on the wire."""
 
     t_ns: int
-    """ns on the run's monotonic clock."""
+    """Time at which its last bit was on the wire, ns of the bus's clock."""
     frame: Frame
     """The received frame."""
 
 
 class DriveSetup(NamedTuple):
-    """Settings of every drive by the start-up dialogue, and the rate of the dialogue."""
+    """Watchdog, reaction and rate that the start-up dialogue sets in every drive."""
 
     watchdog_s: float
     reaction: Reaction
@@ -70,7 +70,7 @@ SERIAL, REVISION = "serial number", "revision"
 
 
 class Said(NamedTuple):
-    """A serial number or revision that a drive has reported."""
+    """A serial or revision number that a drive has reported."""
 
     leg: int
     what: str
@@ -79,7 +79,7 @@ class Said(NamedTuple):
 
     @property
     def tells(self) -> bool:
-        """True if it identifies the drive: a serial number of 0 or all ones was never written."""
+        """False for a serial number of 0 or all ones, which the maker never wrote: it identifies no drive."""
         return self.what != SERIAL or self.value not in _UNWRITTEN
 
 
@@ -95,17 +95,17 @@ FARTHEST_m = 2.0
 
 
 class Resolution(NamedTuple):
-    """Largest errors by the steps of the frames; every array is (6,), leg order.
+    """Largest errors from rounding to the steps of frame fields; every array is (6,), leg order.
 
-    A rounded field is off by half a step; a field that may be truncated, at either end, by a whole step.
+    A rounded field is off by half a step; a field that either end may truncate, by a whole step.
     """
 
     length: Array
-    """m, of a measured length."""
+    """Error of a measured length, (6,) m."""
     rate: Array
-    """m/s, of a measured rate; see `at`."""
+    """Error of a measured rate, (6,) m/s; see `at`."""
     force: Array
-    """N at the leg, without losses, of a commanded force."""
+    """Error of a commanded force, (6,) N at the leg, without losses."""
     differences: bool = False
     """True if a rate is not measured, but the slope at the end of the parabola through three lengths."""
 
@@ -113,12 +113,12 @@ class Resolution(NamedTuple):
     def of(
         cls, length: Array | float, rate: Array | float, force: Array | float, *, differences: bool = False
     ) -> Self:
-        """Make the errors from values of either sign; a value for all legs is repeated."""
+        """Resolution from values of either sign (m, m/s, N); a scalar counts for all six legs."""
         q, dq, f = (np.abs(np.broadcast_to(np.array(x, float), LEGS)) for x in (length, rate, force))
         return cls(q, dq, f, differences)
 
     def at(self, rate_Hz: float) -> Self:
-        """Errors at a loop rate, on which a rate from `differences` depends.
+        """Resolution at a loop rate; only the error of a rate computed by `differences` depends on it.
 
         Counts are rounded or truncated, so their differences are off by half a count each. `difference`
         weights the last three lengths with 1.5, 2 and 0.5: two counts per period.
@@ -128,10 +128,10 @@ class Resolution(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Traits:
-    """Properties of a drive family, as data: no frame changes them."""
+    """Properties of a drive family, constant during a run: frames, resolution, safety functions."""
 
     family: str
-    """Name of its emulated drives: an entry point of the group `hil.emulated_drives`."""
+    """Name of the family's emulated drives: an entry point of the group `hil.emulated_drives`."""
     resolution: Resolution
     """Errors of readings and commands by the steps of the frames."""
     sent: tuple[Frame, ...]
@@ -154,11 +154,11 @@ class Traits:
     command_delay_ticks: int = 0
     """Ticks from a command to the frames that carry it; 1 if these are the polls of the next tick."""
     set_up_frames: int = 0
-    """Most frames of the set-up in one tick."""
+    """Most frames of the start-up dialogue in one tick."""
     reset_ticks: int = 3
     """Ticks for which DriveMode.RESET is commanded to clear the drives' faults."""
     reactions: tuple[Reaction, ...] = (Reaction.BRAKE,)
-    """Reactions that the drives have to silence; `controller_end` refuses others."""
+    """Reactions to a silent controller that the drives can do; `controller_end` refuses others."""
     dangers: tuple[str, ...] = ()
     """Missing safety functions of the drives, one sentence each, for `hil check`."""
     stop_latches: bool = False
@@ -174,11 +174,11 @@ class Traits:
     has_watchdog: bool = True
     """True if `drives.watchdog_ms` is that of the drives, set from here or with their maker's tool."""
     power_told: Literal["feedback", "heartbeat", "never"] = "feedback"
-    """Message that reports that a drive is no longer enabled."""
+    """Message by which a drive reports that it is no longer enabled."""
     reported_lengths: tuple[Array, Array] | None = None
     """Shortest and longest leg lengths, (6,) m, that feedback can carry; None: no limit."""
 
     @property
     def cyclic_frames(self) -> tuple[Frame, ...]:
-        """One example of every frame sent once per tick."""
+        """One example of every frame that controller and drives send once per tick."""
         return (*self.sent, *self.feedbacks)

@@ -1,4 +1,4 @@
-"""Entry points of all packages, ours included: laws, protocols, emulated drives, plants.
+"""Entry points of all installed packages, ours included: laws, protocols, emulated drives, plants.
 
 ::
 
@@ -42,7 +42,7 @@ def _all() -> Any:
 
 
 def loaded(group: str, name: str) -> Any:
-    """Object behind an entry point. Raises ConfigurationError if its package cannot be imported."""
+    """Object that an entry point refers to. Raises ConfigurationError if its package cannot be imported."""
     entry = registered(group)[name]
     try:
         return entry.load()
@@ -54,17 +54,17 @@ def loaded(group: str, name: str) -> Any:
 
 
 def sections(group: str, base: type[Kind], field: str) -> dict[str, type[Kind]]:
-    """Registered sections of the configuration, by name; `field` is the key that has the name.
+    """Configuration sections registered in an entry-point group, by name.
 
-    Raises ConfigurationError as `loaded` and `named`.
+    field: key whose value selects the section by its name. Raises ConfigurationError as `loaded` and `named`.
     """
     return {name: named(name, loaded(group, name), base, field) for name in registered(group)}
 
 
 def named(name: str, section: Any, base: type[Kind], field: str) -> type[Kind]:
-    """Class of a section, with `name` as the only value of its key `field`.
+    """Subclass of a section that accepts only `name` as the value of its key `field`.
 
-    Raises ConfigurationError if it is not a subclass of `base`, or has another name.
+    Raises ConfigurationError if `section` is not a subclass of `base`, or has another name.
     """
     if not (isinstance(section, type) and issubclass(section, base)):
         raise ConfigurationError(
@@ -92,7 +92,7 @@ def _named(name: str, section: type[Kind], base: type[Kind], field: str) -> type
 
 
 def revived(section: type[Kind], base: type[Kind], field: str, name: str, values: dict[str, Any]) -> Kind:
-    """Section of `named` that came from another process."""
+    """Instance of a class made by `named`, from its values: unpickles it in another process."""
     made: Kind = named(name, section, base, field).model_validate(values)
     return made
 

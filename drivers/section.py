@@ -1,9 +1,9 @@
-"""Base of all sections of the configuration, in every package."""
+"""Base class of all sections of the YAML configuration, in every package."""
 
 from pydantic import BaseModel, ConfigDict
 
 
 class Section(BaseModel):
-    """A section: values frozen, unknown keys and NaN refused; validators are built on first use."""
+    """A YAML section: immutable values; unknown keys and NaN are errors; validators built on first use."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)

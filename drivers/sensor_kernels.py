@@ -1,4 +1,4 @@
-"""Sensor samples in compiled code, at both ends: the frame of a sample, and a tick's samples in order."""
+"""Kernels for sensor samples at both ends: encoding of a sample, and decoding of a tick's samples."""
 
 from math import pi
 from typing import Any
@@ -41,21 +41,21 @@ SENSORS = np.dtype(
 """Tracker, IMU, wrench sensor: identifier (-1: none), flags, bus, bytes; position of each field in bits;
 steps and ranges in SI. Then the reception: counter of each sensor's last frame; of the present tick the
 numbers of samples, of refused frames, and of samples missing by the counters. `samples`: address of (3, MOST)
-elements of SAMPLE."""
+SAMPLE records."""
 _HALF_TURN_2 = (pi * (1 + 1e-6)) ** 2
 _samples_at = records_at(record(SAMPLE))
 _KIND_BYTES = MOST * SAMPLE.itemsize
 
 
 def no_sensors() -> Record:
-    """Record of SENSORS without any sensor."""
+    """Record of SENSORS for a configuration without sensors."""
     record = np.zeros((), SENSORS)
     record["id"], record["counter"] = NOBODY, NEVER
     return record
 
 
 def unheard(tables: Record) -> tuple[Record, Rows]:
-    """Record of SENSORS before any frame, and the samples at its address."""
+    """(record of SENSORS before any frame, array of samples to which it points) for these tables."""
     record, samples = tables.copy(), np.zeros((3, MOST), SAMPLE)
     record["samples"] = data_at(samples)
     return record, samples
@@ -63,7 +63,7 @@ def unheard(tables: Record) -> tuple[Record, Rows]:
 
 @helper
 def samples_of(s: Any, kind: int) -> Any:
-    """Samples of a tick, oldest first."""
+    """Samples of one kind of sensor received in this tick, oldest first."""
     return _samples_at(s.samples + _KIND_BYTES * kind, s.count[kind])
 
 
@@ -96,7 +96,6 @@ def _keep(s: Any, kind: int, tick: int, offset_s: float, values: Array) -> None:
 
 @helper
 def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
-    """Take a sample from an intact frame; True if it is plausible."""
     start, bits = s.start[kind], s.bits[kind]
     behind = (tick - natural(data, start[7], bits[7])) & 0xFF
     counter = natural(data, start[8], bits[8])
@@ -123,7 +122,7 @@ def _take(s: Any, kind: int, data: Any, tick: int) -> bool:
 
 @helper
 def hear(s: Any, frames: Any, tick: int) -> None:
-    """Take the samples among a tick's frames, elements of FRAME.
+    """Decode the sensor samples among a tick's frames, FRAME records.
 
     A frame with the counter of the one before is a repetition and is skipped; a gap in the counter counts as
     lost, whatever the reason. A sample that its node marks invalid does not count. Refused, and counted in
@@ -145,7 +144,7 @@ def hear(s: Any, frames: Any, tick: int) -> None:
 
 @helper
 def put_sample(s: Any, kind: int, v: Array, cycle: int, offset_s: float, counter: int, frame: Any) -> int:
-    """Fill in the frame of one sample, except its time; FAILED: see `SensorProtocol.encode`."""
+    """Encode a sample `v` (6,) in a frame without time; returns 0, or FAILED for NaN or a bad offset."""
     start, bits, data = s.start[kind], s.bits[kind], frame.data
     offset = np.rint(offset_s / s.scale[kind, QUANTITIES])
     if not 0 <= offset <= 0xFFFF:

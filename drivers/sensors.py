@@ -1,4 +1,4 @@
-"""Sensors next to the drives: tracker, IMU and wrench sensor, both ends of one table.
+"""Codec of the sensors next to the drives: pose tracker, IMU and wrench sensor, for both ends of the bus.
 
 A sample is stamped in the controller's own time: Offset after the end of the SYNC that carried Cycle. No
 clock has to be set, and a sample may be up to 127 ticks late.
@@ -25,7 +25,7 @@ _TABLES = ("id", "flags", "bus", "length", "start", "bits", "scale", "low", "hig
 
 
 class SensorProtocol:
-    """Codec of the configured sensors. Holds compiled tables only.
+    """Codec of the configured sensors. Has constant tables only.
 
     Raises ConfigurationError if the frame layout has no room for them.
     """
@@ -61,7 +61,7 @@ class SensorProtocol:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Configured kinds of KINDS."""
+        """Kinds of sensor that are configured: some of `tracker`, `imu`, `wrench`."""
         return tuple(self.rates_Hz)
 
     def encode(self, kind: str, values: Sequence[float], cycle: int, offset_s: float, counter: int) -> Frame:

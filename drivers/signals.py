@@ -1,4 +1,4 @@
-"""Names for the numbers of a tick: states of drives and controller, faults, warnings; and Command.
+"""Enumerations for the integers of a tick (states, modes, faults, warnings), and the command to the drives.
 
 Every reader treats arrays as read-only.
 """
@@ -17,12 +17,12 @@ class BusState(IntEnum):
     """State of a CAN controller, by its error counters (ISO 11898-1)."""
 
     UNKNOWN = 0
-    """It has reported nothing, or the bus has no controller."""
+    """The controller has reported nothing, or the bus has none."""
     ACTIVE = 1
     WARNING = 2
-    """A counter has reached 96."""
+    """An error counter has reached 96."""
     PASSIVE = 3
-    """A counter has reached 128."""
+    """An error counter has reached 128."""
     OFF = 4
     """The transmit counter has passed 255: the controller has left the bus."""
 
@@ -73,7 +73,7 @@ class Reaction(IntEnum):
 
 
 class DriveFault(IntEnum):
-    """Reason why a drive is in FAULT (status message)."""
+    """Reason why a drive is in FAULT, as far as it is common to several drive protocols."""
 
     NONE = 0
     WATCHDOG = 1
@@ -114,12 +114,12 @@ class Mode(IntEnum):
 
 
 class Refusal(IntFlag):
-    """Reason why a set-point was refused, or not followed to its end."""
+    """Reason why a set-point was refused, or not followed to its end; one bit each."""
 
     NONE = 0
     NOT_TRACKING = 1
     NOT_A_POSE = 2
-    """Not finite, or a rotation of more than half a turn."""
+    """The pose is not finite, or rotates by more than half a turn."""
     STROKE = 4
     CONDITION = 8
     FORCE = 16
@@ -129,7 +129,7 @@ class Refusal(IntFlag):
 
 
 class Fault(IntFlag):
-    """Latched reasons for Mode.FAULT, one bit each."""
+    """Reasons for Mode.FAULT, one bit each, that stay until a deliberate reset."""
 
     NONE = 0
     STALE = 1
@@ -165,13 +165,13 @@ class Fault(IntFlag):
 
 
 class Doubt(IntEnum):
-    """Reason why an encoder is doubted."""
+    """Reason why a leg's length encoder may be wrong."""
 
     NONE = 0
     JUMP = 1
     """Between two readings the length changed by more or less than its rate allows."""
     SLIP = 2
-    """As JUMP, but a little with each reading."""
+    """Length and rate contradict each other a little with each reading."""
     LEAP = 3
     """The rate of this leg alone changed by more than forces and disturbance explain."""
     STILL = 4
@@ -179,18 +179,18 @@ class Doubt(IntEnum):
 
 
 class Foreign(IntFlag):
-    """Kinds of frames received from another controller."""
+    """Kinds of frames received from another controller on the bus, one bit each."""
 
     NONE = 0
     SYNC = 1
     COMMAND = 2
     CONFIG = 4
     ESTOP = 8
-    """Any node may send it."""
+    """Emergency stop, which any node may send."""
 
 
 class Warn(IntFlag):
-    """Limits and degradations of this tick, not latched."""
+    """Limits reached and functions degraded in this tick, one bit each; cleared in the next tick."""
 
     NONE = 0
     STALE = 1
@@ -214,7 +214,7 @@ class Warn(IntFlag):
 
 
 class Stop(IntEnum):
-    """Reason why safety requests a controlled stop."""
+    """Reason why the safety layer requests a controlled stop of the motion."""
 
     NONE = 0
     MISSED = 1
@@ -222,7 +222,7 @@ class Stop(IntEnum):
     RECORDER = 2
     """The recorder is dead or loses ticks, and the run may not continue without it."""
     STRETCHED = 3
-    """Bench time stood still for too much of the run."""
+    """The virtual bench's clock stood still for too much of the run."""
 
 
 class Command(NamedTuple):
@@ -230,6 +230,6 @@ class Command(NamedTuple):
 
     mode: DriveMode
     force: Array
-    """(6,) N, > 0 extends the leg."""
+    """Leg forces (6,) N, > 0 extends."""
     stop: bool = False
-    """True if an emergency stop goes with it."""
+    """True if an emergency stop is sent with the command."""

@@ -1,4 +1,4 @@
-"""A terminal line that the next one overwrites; a wrapped line would leave rows behind."""
+"""A status line in a terminal that each new text overwrites, cut to the terminal's width."""
 
 import contextlib
 import os
@@ -9,7 +9,7 @@ _COLUMNS = 80
 
 
 def rewriting(text: str, out: TextIO) -> str:
-    """Text that overwrites the present line, cut to the present width of the terminal."""
+    """Text to print over the present line, cut to the terminal's width: a wrapped line would leave rows."""
     columns = 0
     with contextlib.suppress(OSError):
         columns = os.get_terminal_size(out.fileno()).columns

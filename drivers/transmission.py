@@ -1,4 +1,4 @@
-"""Transmission from motor to leg: lead screw or pulley, gear, sign, losses, encoder. Pure, SI, leg by leg.
+"""Transmission from motor to leg: lead screw or pulley, gear, sign, losses, encoder. SI units, leg by leg.
 
 The motor is the shaft whose angle and torque the drive reports. With the lead l in m of leg per turn of the
 screw (of a pulley: 2 pi r), the gear N in turns of the motor per turn of the screw, the sign s, the offset q0
@@ -46,13 +46,16 @@ def _row(values: float | Sequence[float]) -> Array:
 
 
 def forgotten_length(settings: TransmissionSettings, turns: float | list[float]) -> Array:
-    """Leg lengths (6,) m, > 0, of a number of turns of the motors."""
+    """Leg travel (6,) m, > 0, for a number of motor turns, as an encoder loses it at power-off."""
     return np.abs(Transmission(settings).m_per_turn) * _row(turns)
 
 
 @helper
 def loss_of(force: float, rate: float, driving: float, back_driving: float, full_loss_m_s: float) -> float:
-    """F0 / F of one leg; NaN if the force or the rate is NaN."""
+    """F0 / F of one leg: ideal force without losses over the real force; NaN if force or rate is NaN.
+
+    force: F or F0, N, of which only the sign counts; rate: dq, m/s; driving, back_driving: efficiencies.
+    """
     share = min(max(rate / full_loss_m_s, -1.0), 1.0)
     # 0 - share, not -share: a NaN keeps its sign, and recorded logs their bits
     w = share if force > 0.0 else 0.0 - share if force < 0.0 else share * force
@@ -63,16 +66,16 @@ def loss_of(force: float, rate: float, driving: float, back_driving: float, full
 def fill_loss(
     force: Array, rate: Array, driving: Array, back_driving: Array, full_loss_m_s: float, loss: Array
 ) -> None:
-    """Fill in F0 / F of six legs."""
+    """Fill `loss` (6,) with F0 / F of each leg: ideal force without losses over the real force."""
     for leg in range(LEGS):
         loss[leg] = loss_of(force[leg], rate[leg], driving[leg], back_driving[leg], full_loss_m_s)
 
 
 class Transmission:
-    """Six transmissions; every array is (6,), leg order; the configured ones are read-only."""
+    """Six transmissions between motors and legs; every array is (6,), leg order."""
 
     def __init__(self, settings: TransmissionSettings) -> None:
-        """Take the configured values; a value for all legs is repeated."""
+        """Read the configured values, read-only; a single value counts for all legs."""
         radius_m, gear = settings.pulley_radius_m or 0.0, _row(settings.gear_ratio)
         self.lead_m = 2.0 * pi * _row(radius_m) if settings.lead_m is None else _row(settings.lead_m)
         """m of leg per turn of the screw or pulley, > 0."""
@@ -92,7 +95,7 @@ class Transmission:
         """Encoder counts per turn of the motor, > 0; for drives that report counts."""
 
     def fill(self, record: Rows) -> None:
-        """Fill in the fields of a kernel's record that it has by these names."""
+        """Copy offsets and ratios into those fields of a kernel's record that have their names."""
         record["offset"], fields = self.offset_m, set(record.dtype.names or ())
         for name in fields & {"m_per_turn", "N_per_Nm", "driving", "back_driving", "counts", "full_loss_m_s"}:
             record[name] = getattr(self, name)
@@ -104,7 +107,7 @@ class Transmission:
         return self.offset_m + self.m_per_turn * turns
 
     def lengths_within(self, turns: float) -> tuple[Array, Array]:
-        """Shortest and longest leg lengths (6,) m within a number of turns of position zero."""
+        """Shortest and longest leg lengths (6,) m for motor positions within +-`turns` turns."""
         ends = self.length(np.full(LEGS, -turns)), self.length(np.full(LEGS, turns))
         return np.minimum(*ends), np.maximum(*ends)
 
@@ -119,16 +122,16 @@ class Transmission:
     # force
 
     def torque(self, force: Array, rate: Array = ZERO6) -> Array:
-        """Motor torques (6,) N m that give leg forces (6,) N at leg rates (6,) m/s."""
+        """Motor torques (6,) N m that give leg forces (6,) N, push positive, at leg rates (6,) m/s."""
         return self._loss(force, rate) * force / self.N_per_Nm
 
     def force(self, torque: Array, rate: Array = ZERO6) -> Array:
-        """Leg forces (6,) N that motor torques (6,) N m give at leg rates (6,) m/s."""
+        """Leg forces (6,) N, push positive, of motor torques (6,) N m at leg rates (6,) m/s."""
         lossless = self.N_per_Nm * torque
         return lossless / self._loss(lossless, rate)
 
     def _loss(self, force: Array, rate: Array) -> Array:
-        """F0 / F: from eta_b to 1 / eta_d, 1 at rest; only the sign of `force` counts."""
+        """F0 / F (6,), from eta_b to 1 / eta_d, 1 at rest; only the sign of `force` counts."""
         each = zip(
             force.tolist(), rate.tolist(), self.driving.tolist(), self.back_driving.tolist(), strict=True
         )

@@ -1,1 +1,1 @@
-"""The other end of the bus: plant physics, emulated drives and FMU hosting. Never imports ``hil``."""
+"""The drives' end of the bus: plant physics, emulated drives, FMU hosting. It never imports ``hil``."""

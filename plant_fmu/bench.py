@@ -13,7 +13,7 @@ from plant_fmu.config import BenchPlant
 from plant_fmu.plant import Moved, PointedPlant
 
 BRAKE_FORCE_N = 20_000.0
-"""Largest force of an engaged brake."""
+"""Largest force of an engaged brake, N."""
 HAND_M, HAND_m_s = 3e-3, 0.1
 """Largest displacement and speed with which a leg that yields takes a hand along."""
 _OF_A_LEG = (
@@ -30,7 +30,7 @@ NOT_FINITE, DIVERGED = 1, 2
 
 @helper
 def _acceleration(b: Any, i: int, f: float, damping: float, x: float, v: float) -> float:
-    """Acceleration a that solves m a + b v|v| + k0 x + k1 x^3 = f."""
+    """Acceleration a, m/s^2, of leg i that solves m a + b v|v| + k0 x + k1 x^3 = f; x m, v m/s, f N."""
     a = (f - damping * v * abs(v) - b.stiffness[i] * x - b.hardening[i] * x * x * x) / b.mass[i]
     return float(a)
 
@@ -39,10 +39,10 @@ def _acceleration(b: Any, i: int, f: float, damping: float, x: float, v: float) 
 def _advanced(
     b: Any, i: int, steps: int, force: float, friction: float, damping: float
 ) -> tuple[float, float]:
-    """Take Runge-Kutta 4 steps on one leg; return x, relative to the relaxed springs, and v.
+    """Integrate one leg by Runge-Kutta 4 for some steps; returns x (m, 0 with relaxed springs) and v (m/s).
 
-    friction: largest force of friction and brake. In each step they apply the force that stops the leg by the
-    end of the step, limited to `friction`.
+    friction: largest force of friction and brake, N. In each step they apply the force that stops the leg by
+    the end of the step, limited to `friction`.
     """
     x, v, h = b.x[i] - b.origin[i], b.v[i], b.step_s
     for _ in range(steps):
@@ -72,7 +72,7 @@ def _all_finite(values: Array) -> bool:
 
 @pointed(record(BENCH), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def _move(b: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """`Moved.move`: 0, or NOT_FINITE or DIVERGED, which leave the state unchanged."""
+    """Function `move` of `Moved`: returns 0, or NOT_FINITE or DIVERGED with the state unchanged."""
     f, brakes, into = reals_at(force, LEGS), reals_at(brake, LEGS), reals_at(measured, 2 * LEGS)
     if not (_all_finite(f) and _all_finite(brakes) and _all_finite(reals_at(wrench, LEGS))):
         return NOT_FINITE
@@ -113,7 +113,7 @@ class UncoupledLegs(PointedPlant):
     def __init__(self, step_s: float, **figures: Any) -> None:
         """Create legs from an internal step, s, and fields of BENCH, each one number or (6,).
 
-        A field that is not given is 0; without ends of travel x is unbounded.
+        An omitted field is 0; without ends of travel x is unbounded.
         """
         self.internal_step_s = step_s
         self.legs = np.zeros((), BENCH)
@@ -135,7 +135,7 @@ class UncoupledLegs(PointedPlant):
         )
 
     def moved(self) -> Moved:
-        """Functions and context of this plant by address."""
+        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
         return Moved(_move.address, _applied.address, data_at(self.legs), self._refused, self)
 
 

@@ -1,4 +1,4 @@
-"""Configuration section `plant`: the other end of a virtual bus."""
+"""Configuration section `plant`: physics, emulated drives and sensors of a simulated or virtual bus."""
 
 from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self, Union
@@ -31,14 +31,14 @@ Bandwidth = Annotated[float, Field(ge=0), AfterValidator(_possible_bandwidth)]
 
 
 class DriveEmulation(Section):
-    """Settings of the six emulated drives in front of the plant."""
+    """Settings of the six emulated drives: encoder steps, force lag, brake times, heartbeat."""
 
     encoder_resolution_m: Annotated[float, Field(ge=0)] = 1e-6
-    """Resolution of the length measurement; 0 is exact."""
+    """Step of the measured leg length; 0: exact."""
     damping_N_s_m: Annotated[float, Field(ge=0)] = 20_000.0
-    """Damping of the `damp` reaction."""
+    """Damping of a leg by a drive that reacts by `damp` to a fault."""
     hold_stiffness_N_m: Annotated[float, Field(ge=0)] = 2e6
-    """Stiffness of the `hold` reaction; its damping is `damping_N_s_m`."""
+    """Stiffness of a leg whose drive reacts by `hold`; its damping is `damping_N_s_m`."""
     force_bandwidth_Hz: Bandwidth = 0.0
     """Bandwidth of the first-order force lag, for plants that have no force lag themselves; 0: no lag."""
     brake_open_ms: Annotated[float, Field(ge=0, le=10_000)] = 0.0
@@ -49,7 +49,7 @@ class DriveEmulation(Section):
 
 
 class PlantModel(Section):
-    """Section `plant.model` of one kind of plant, an entry point of the group `hil.plants`."""
+    """Section `plant.model` of one kind of plant, registered in the entry-point group `hil.plants`."""
 
     type: str
     opens: ClassVar[str]
@@ -57,9 +57,10 @@ class PlantModel(Section):
     folder."""
 
     def open(self, robot: "Robot", folder: "Path") -> "Plant":
-        """Open the plant; a kind with a robot of its own ignores `robot`. Raises PlantError.
+        """Open the plant of this section. Raises PlantError if that fails.
 
-        folder: folder of the configuration file, at which relative paths start.
+        robot: platform, legs and initial pose, ignored by a kind with its own; folder: that of the
+        configuration file, at which relative paths start.
         """
         plant: Plant = resolve_name(self.opens)(self, robot, folder)
         return plant
@@ -123,7 +124,7 @@ class FmuPlant(PlantModel):
     """Leg length, joint centre to joint centre, where the FMU gives length 0; one for all legs, or six in
     leg order. Not 0 for an FMU that counts from elsewhere, such as the stroke of a prismatic joint."""
     parameters: dict[str, float | int | bool | str | list[float]] = {}
-    """Start values, set before initialisation."""
+    """Start values of FMU parameters, set before initialisation."""
     assume_unit: dict[str, Literal["N", "N.m", "m", "m/s"]] = {}
     """Units of variables whose description declares no unit. Keys: the name of a variable, or force, length,
     rate or wrench for all variables of that key. A declared unit is never overruled."""
@@ -175,7 +176,7 @@ class FmuPlant(PlantModel):
 
 
 class SensorNode(Section):
-    """Settings that every emulated sensor has."""
+    """Settings that the sections of all emulated sensors have."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.0
     """Time from the sample until its frame enters the bus."""
@@ -184,14 +185,14 @@ class SensorNode(Section):
 
 
 class TrackerEmulation(SensorNode):
-    """The emulated tracker: white noise and constant bias."""
+    """Errors of the emulated pose tracker: white noise and constant bias."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 5.0
     """Time from the sample until its frame enters the bus."""
     position_noise_m: Annotated[float, Field(ge=0)] = 1e-3
-    """Standard deviation of each coordinate."""
+    """Standard deviation of each coordinate of the position."""
     orientation_noise_deg: Annotated[float, Field(ge=0)] = 0.1
-    """Standard deviation about each axis."""
+    """Standard deviation of the orientation about each axis."""
     position_bias_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Offset of the tracker's frame from the base frame."""
     rotation_bias_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -199,7 +200,7 @@ class TrackerEmulation(SensorNode):
 
 
 class ImuEmulation(SensorNode):
-    """The emulated IMU: white noise and constant biases."""
+    """Errors of the emulated IMU: white noise and constant biases."""
 
     latency_ms: Annotated[float, Field(ge=0, le=60)] = 0.2
     """Time from the sample until its frame enters the bus."""
@@ -210,7 +211,7 @@ class ImuEmulation(SensorNode):
 
 
 class WrenchEmulation(SensorNode):
-    """The emulated wrench sensor: white noise and constant bias."""
+    """Errors of the emulated wrench sensor: white noise and constant bias."""
 
     force_noise_N: Annotated[float, Field(ge=0)] = 0.0
     moment_noise_N_m: Annotated[float, Field(ge=0)] = 0.0
@@ -238,13 +239,13 @@ else:
 
 
 class PlantSettings(Section):
-    """Simulation of drives and platform."""
+    """Section `plant`: model of the physics, emulated drives and sensors."""
 
     model: AnyPlant
     drives: DriveEmulation = DriveEmulation()
     sensors: SensorEmulation = SensorEmulation()
     initial_position_m: tuple[float, float, float] | None = None
-    """Platform origin at the start; default: the platform's home."""
+    """Platform origin at the start, base frame; default: the platform's home."""
     initial_rotation_vector_deg: tuple[float, float, float] | None = None
     faults: list[AnyFault] = []
     """Faults of plant, drives, sensors and frames, with their times."""

@@ -1,4 +1,4 @@
-"""The Plant protocol: physics with six force inputs."""
+"""The Plant protocol: physics of a machine with six leg forces as inputs."""
 
 import ctypes
 from collections.abc import Callable, Mapping
@@ -17,9 +17,9 @@ class Truth(NamedTuple):
     """True pose and forces of the platform, for the plant's log; the controller does not see them."""
 
     p: Array
-    """(3,) m, platform origin in the base frame."""
+    """Platform origin (3,) m in the base frame."""
     R: Array
-    """(3, 3) platform to base."""
+    """Rotation (3, 3), platform to base."""
     twist: Array
     """(6,) m/s and rad/s, [v of the platform origin; omega], base frame."""
     applied_force: Array
@@ -27,29 +27,29 @@ class Truth(NamedTuple):
 
 
 def truth_of(y: Array) -> Truth:
-    """Split y (24,) into a truth: p, R row by row, twist, applied forces."""
+    """Truth from y (24,): p (3,) m, R (9,) row-major, twist (6,), applied forces (6,) N."""
     return Truth(y[:3], y[3:12].reshape(3, 3), y[12:18], y[18:])
 
 
 class Robot(NamedTuple):
-    """A platform with its legs, and its initial pose, at rest."""
+    """A platform with its legs, and its initial pose; it starts at rest."""
 
     platform: Mapping[str, Any]
     """base_joints (6, 3) m, platform_joints (6, 3) m, platform {mass, com, inertia}, cylinder and rod
     {mass, com, inertia_axial, inertia_transverse}, gravity (3,), optional leg_spin and
     universal_joint_base_axes (6, 3); SI."""
     length_min: Array
-    """(6,) m."""
+    """Leg lengths (6,) m at an end of the stroke."""
     length_max: Array
-    """(6,) m."""
+    """Leg lengths (6,) m at an end of the stroke."""
     p0: Array
-    """(3,) m, platform origin in the base frame."""
+    """Platform origin (3,) m in the base frame."""
     R0: Array
-    """(3, 3) platform to base."""
+    """Rotation (3, 3), platform to base."""
 
 
 def whole_steps(dt_s: float, step_s: float) -> int:
-    """Whole number of internal steps in `dt_s`. Raises PlantError unless it is whole (1e-9 relative)."""
+    """`dt_s` in internal steps. Raises PlantError unless it is a multiple (1e-9 relative)."""
     n = round(dt_s / step_s) if 0.0 < dt_s < 1e9 * step_s else 0
     if n < 1 or abs(dt_s - n * step_s) > 1e-9 * dt_s:
         raise PlantError(f"a step of {dt_s!r} s is not a multiple of the plant's step of {step_s!r} s")
@@ -75,7 +75,7 @@ class Moved(NamedTuple):
 
 
 class Plant(Protocol):
-    """Physics of six legs with six force inputs. By default a plant has no truth and nothing to free.
+    """Physics of six legs with six force inputs; by default the true pose is unknown, `close` does nothing.
 
     Mutable state: the physics. `reset` restores the initial state exactly.
     """
@@ -84,10 +84,10 @@ class Plant(Protocol):
     """Internal step; every `dt_s` given to `step` is a whole multiple of it."""
 
     def reset(self) -> tuple[Array, Array]:
-        """Restore the initial state; return lengths (6,) m and rates (6,) m/s."""
+        """Restore the initial state; returns leg lengths (6,) m and rates (6,) m/s."""
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """Hold the inputs for `dt_s`; return lengths (6,) m and rates (6,) m/s at its end.
+        """Hold the inputs for `dt_s` s; returns leg lengths (6,) m and rates (6,) m/s at its end.
 
         force (6,) N commanded, > 0 extends; brake (6,) 1 engaged, 0 released;
         wrench (6,) N, N m on the platform at its origin, base frame.
@@ -95,22 +95,22 @@ class Plant(Protocol):
         """
 
     def truth(self) -> Truth | None:
-        """Pose and forces now; None for a plant without a platform."""
+        """True pose, twist and applied forces now; None for a plant without a platform."""
         return None
 
     def applied_force(self) -> Array | None:
-        """`applied_force` of the truth alone, (6,) N; None if the plant does not know it.
+        """Leg forces (6,) N after the drives' force lag; None if the plant does not know them.
 
         The array may be the plant's own memory: it is valid until the next step.
         """
         return None
 
     def notes(self) -> list[str]:
-        """Sentences on what the plant reported since it was opened, such as warnings of an FMU."""
+        """Warnings and other reports of the plant since it was opened, one sentence each."""
         return []
 
     def close(self) -> None:
-        """Free resources of the plant."""
+        """Free the plant's resources, such as a loaded FMU."""
         return
 
 
@@ -118,11 +118,11 @@ class PointedPlant(Plant):
     """A plant that compiled code calls by address. Mutable state: its physics, in the memory of `moved()`."""
 
     def moved(self) -> Moved:
-        """Functions and context of this plant by address."""
+        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
         raise NotImplementedError
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """`Plant.step` through the functions of `moved()`."""
+        """Step as `Plant.step`, by calling the compiled functions of `moved()`."""
         n, moved, values = whole_steps(dt_s, self.internal_step_s), self.moved(), np.empty(30)
         values[12:18], values[18:24], values[24:] = force, brake, wrench
         at = values.ctypes.data

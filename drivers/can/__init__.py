@@ -1,1 +1,1 @@
-"""The CAN bus: interfaces, bit time, arbitration between processes."""
+"""The CAN bus: interfaces, duration of frames on the wire, arbitration between processes."""

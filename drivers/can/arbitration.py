@@ -1,4 +1,4 @@
-"""Arbitration: which waiting frame gets the bus, and when."""
+"""CAN arbitration on an emulated bus: which waiting frame gets the bus, and when."""
 
 from drivers.arrays import Ints
 from drivers.compiled.compiler import helper
@@ -32,12 +32,12 @@ SENT = -1
 
 @helper
 def transmit(queue: Ints, count: int, wire: int, free_ns: int, until_ns: int) -> tuple[int, int]:
-    """Row of the next frame on a bus, and its end, ns; row -1: no frame begins by `until_ns`.
+    """Next frame that wins the bus: (row in `queue`, end of transmission, ns); row -1: none starts in time.
 
-    The bus is free from `free_ns`. On a free bus the queued frame with the smallest priority starts and holds
-    the bus for its duration; with an empty queue the next frame to be queued starts at once. Equal priorities
-    go in order of NUMBER. The end may lie after `until_ns`. A reply is queued at the end of the frame that it
-    answers. The caller marks the row as SENT.
+    queue: `count` waiting frames, one per row; wire: index of the bus, which is free from `free_ns`. The
+    frame starts by `until_ns` and may end later. On a free bus the queued frame with the smallest priority
+    starts; on an empty queue the next frame to be queued starts at once. Equal priorities go in order of
+    NUMBER. A reply is queued at the end of the frame that it answers. The caller marks the row as SENT.
     """
     soonest = FOREVER
     for k in range(count):

@@ -1,6 +1,6 @@
 """The CAN bus as the other packages see it, independent of the interface.
 
-Frames pass unchanged, as elements of FRAME; the protocol interprets them.
+Frames pass unchanged, as FRAME records; the protocol interprets them.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ _POLL_NS = 200_000
 
 
 class BusEvents(NamedTuple):
-    """Events of the bus since the last call, other than frames."""
+    """Error frames, lost frames and controller states of the CAN bus since the last call of `Bus.events`."""
 
     errors: int
     """Number of error frames."""
@@ -50,15 +50,15 @@ class BusEvents(NamedTuple):
 
 
 class Bus(Source):
-    """One open bus, or several as one; each frame carries the index of its bus.
+    """One open CAN bus, or several that act as one; each frame carries the index of its bus.
 
-    `clock`: clock of frame times and deadlines; the links' clock if all share one, else CLOCK_MONOTONIC.
-    `knows_ends`: True if `sent_ns` gives the end of each frame on the wire.
-    `virtual`: True if on some bus frames arrive as soon as they are sent, without bus time.
+    `clock`: clock of frame times and deadlines: that of the interfaces if they share one, else
+    CLOCK_MONOTONIC. `knows_ends`: True if `sent_ns` gives the end of each frame on the wire. `virtual`: True
+    if on some bus frames arrive as soon as they are sent, without bus time.
 
-    Mutable state: the links, in the order of their buses; error frames, buses off and worst controller states
-    as of the last `events`; for each bus the start of its present refusals, and whether it is dead; the bus
-    on which each identifier was last received; the bus of each frame of the last `send`.
+    Mutable state: the interfaces, in bus order; error counts, bus-off flags and worst controller states at
+    the last call of `events`; for each bus since when it refuses frames and whether it counts as dead; the
+    bus on which each identifier was last received; the bus of each frame of the last `send`.
     """
 
     def __init__(self, links: Sequence[Link], role: RoleLock | ExitStack | None = None) -> None:
@@ -77,16 +77,16 @@ class Bus(Source):
 
     @property
     def facts(self) -> str:
-        """Facts read from the interfaces, in one line; empty without any."""
+        """Settings and controller states read from the interfaces, one line of text; empty if unknown."""
         return "; ".join(link.facts for link in self._links if link.facts)
 
     @classmethod
     def open(cls, settings: BusSettings, role: str) -> Bus:
-        """Open the configured bus.
+        """Open all configured buses.
 
-        role: at most one process holds it per channel of this machine (on localcan: per runtime folder). All
-        `localcan` channels share the clock of the first.
-        Raises RunError if another process holds the role, BusError if the bus cannot be opened.
+        role: `controller` or `plant`; only one process of this machine holds a role on a channel (on
+        localcan: one process per runtime folder). All `localcan` channels share the clock of the first.
+        Raises RunError if another process holds the role, BusError if a bus cannot be opened.
         """
         links: list[Link] = []
         with ExitStack() as roles, ExitStack() as opened:
@@ -101,11 +101,11 @@ class Bus(Source):
             return cls(links, roles.pop_all())
 
     def send(self, frames: Rows) -> int:
-        """Send each frame on its bus; the result is the number of frames not accepted.
+        """Send each frame on its bus; the result is the number of frames that were not accepted.
 
-        Each bus accepts a leading part of its frames. A brief refusal means a busy bus; a lasting one sets
-        `events().off`. Never waits. Raises BusError for a frame that its bus cannot carry, but only after all
-        other buses have their frames, which may be an emergency stop.
+        Each bus accepts its first frames, up to the first refusal. A brief refusal means a busy bus; a
+        lasting one sets the bus's bit in `events().off`. Never waits. Raises BusError for a frame that its
+        bus cannot carry, but only after all other buses have their frames, which may be an emergency stop.
         """
         self._order = frames["bus"].tolist()
         taken = 0
@@ -127,7 +127,7 @@ class Bus(Source):
         return len(frames) - taken
 
     def receive(self) -> Rows:
-        """Frames received on all buses, error frames included, in order of time."""
+        """FRAME records received on all buses since the last call, with error frames, in time order."""
         parts = [link.receive() for link in self._links]
         if len(parts) == 1:
             return parts[0]
@@ -140,10 +140,11 @@ class Bus(Source):
         return received[np.argsort(received["t_ns"], kind="stable")]
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
-        """Sleep until more frames may have arrived, at most until the deadline.
+        """Sleep until more frames may have arrived, at most until the deadline (time of `clock`, ns).
 
-        Each missing identifier is awaited on the bus that last delivered it, one bus after the other. If that
-        bus is unknown, or any frame is awaited (empty `missing`), all buses are awaited together.
+        missing: identifiers still awaited, each on the bus that last delivered it, one bus after the other.
+        If that bus is unknown, or if `missing` is empty (any frame counts), the call waits for all buses
+        together.
         """
         if len(self._links) == 1:
             self._links[0].block(deadline_ns, missing)
@@ -171,19 +172,20 @@ class Bus(Source):
         clock.working()
 
     def drain(self, deadline_ns: int, wanted: AbstractSet[int]) -> Rows:
-        """All frames in order of reception, as soon as every wanted identifier has arrived.
+        """Receive until every identifier of `wanted` has arrived; returns all frames in order of reception.
 
-        At the deadline: the frames received so far. Frames that arrived before the call count: to wait for
-        answers, call `drain_now` before the request. An empty `wanted` does not wait.
+        At `deadline_ns` the result is the frames received so far. Frames that arrived before the call count:
+        to wait for answers, call `drain_now` before the request. With an empty `wanted` the call does not
+        wait.
         """
         return self._sift(collect(self, deadline_ns, wanted))
 
     def drain_now(self) -> Rows:
-        """Frames received so far; does not block."""
+        """Frames received since the last call, FRAME records; does not wait."""
         return self._sift(self.receive())
 
     def wait(self, deadline_ns: int) -> Rows:
-        """Frames received, as soon as there are any; empty at the deadline."""
+        """Wait for frames until `deadline_ns`; the result has all that have arrived, none after a timeout."""
         while True:
             raw = collect(self, deadline_ns)
             received = self._sift(raw)
@@ -191,7 +193,6 @@ class Bus(Source):
                 return received
 
     def _sift(self, received: Rows) -> Rows:
-        """Count error frames and keep the rest."""
         if max(received["flags"].tolist(), default=0) < ERROR:  # faster than a mask for each frame
             return received
         frames: Rows = received[received["flags"] & ERROR == 0]
@@ -217,16 +218,15 @@ class Bus(Source):
         return events
 
     def _off_bits(self) -> int:
-        """Bits of `BusEvents.off`, with the controller states of the last `events`."""
         bits = 0
         for bus, link in enumerate(self._links):
             bits |= (self._dead[bus] or link.off or self._states[bus] is BusState.OFF) << bus
         return bits
 
     def skew_ns(self) -> int:
-        """Time between the first frames of the last `send` on the buses, ns; 0 on a single bus.
+        """Time between the first frames of the last `send` on the earliest and the latest bus, ns.
 
-        Times as in `sent_ns`; a bus that accepted no frame does not count.
+        Times are those of `sent_ns`; a bus that accepted no frame does not count. 0 on a single bus.
         """
         if len(self._links) == 1:
             return 0
@@ -234,18 +234,18 @@ class Bus(Source):
         return max(first, default=0) - min(first, default=0)
 
     def sent_ns(self) -> Sequence[int | None]:
-        """End of each frame of the last `send` on its wire, ns, if the interface knows it.
+        """For each frame of the last `send`, the end of its transmission on the wire, ns; None if refused.
 
-        Otherwise the time at which the interface accepted the frame; None for a frame not accepted.
+        On an interface that does not report ends, the time at which the interface accepted the frame.
         """
         own = [iter(link.sent_ns()) for link in self._links]
         return [next(own[bus], None) for bus in self._order]
 
     def flush_tx(self) -> None:
-        """Drop frames that still wait to be sent, and try a dead bus again.
+        """Drop frames that still wait to be sent, and restart bus-off controllers where that is possible.
 
-        Raises BusError, after all interfaces were tried, if one cannot drop them or differs from the
-        configuration.
+        Raises BusError, after all interfaces were tried, if one cannot drop its frames or its settings differ
+        from the configuration.
         """
         failed: BusError | None = None
         for link in self._links:
@@ -257,7 +257,7 @@ class Bus(Source):
             raise failed
 
     def close(self) -> None:
-        """Leave the bus and release the role."""
+        """Close all interfaces and release this process's role on their channels."""
         with ExitStack() as opened:
             if self._role is not None:
                 opened.callback(self._role.close)
@@ -272,7 +272,6 @@ class Bus(Source):
 
 
 def _open(settings: BusSettings, clock: BenchClock | None) -> Link:
-    """Open one interface; clock: that of an earlier localcan channel, shared by this one."""
     interface = settings.interface
     options: dict[str, Any] = settings.options
     known = {"localcan": ("spin_us", "tx_limit"), "socketcan": (RESTART_MS,)}.get(interface)

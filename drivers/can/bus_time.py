@@ -45,7 +45,7 @@ ERROR_FRAME_BITS = 12 + 8 + INTERFRAME
 
 
 class BitTiming(NamedTuple):
-    """Bit rates of a bus."""
+    """Arbitration and data bit rates of a CAN bus, bit/s."""
 
     bitrate: int
     """bit/s in the arbitration phase (and of all classic frames)."""
@@ -54,15 +54,15 @@ class BitTiming(NamedTuple):
 
     @classmethod
     def of(cls, bus: BusSettings) -> BitTiming:
-        """Bit rates of the configuration."""
+        """Bit rates set in the section `bus` of the configuration."""
         return cls(bus.bitrate_bit_s, bus.data_bitrate_bit_s)
 
 
 def frame_bits(length: int, flags: int, *, least: bool = False) -> tuple[int, int]:
-    """Worst-case bits of a frame at the arbitration and at the data rate, with interframe space.
+    """(bits at the arbitration rate, bits at the data rate) of the longest frame, with interframe space.
 
-    length: data bytes; flags as in `Frame`; least: fewest bits instead. Formulas: see the module docstring.
-    Raises BusError for a length that no CAN frame has.
+    length: data bytes; flags as in `Frame`; least: count the fewest bits instead (only fixed stuff bits). The
+    module docstring has the formulas. Raises BusError for a length that no CAN frame has.
     """
     if flags & ERROR:
         return ERROR_FRAME_BITS, 0

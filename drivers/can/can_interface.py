@@ -1,4 +1,4 @@
-"""A CAN network interface as the kernel reports it, and its comparison with the configuration.
+"""Settings and state of a CAN network interface as the kernel reports them, compared with the configuration.
 
 Read by netlink: IFLA_LINKINFO of linux/if_link.h, and within it IFLA_CAN_* of linux/can/netlink.h. Error
 frames follow linux/can/error.h: classes in the identifier, details in eight data bytes.
@@ -55,7 +55,7 @@ class CanInterface(NamedTuple):
 
     @property
     def facts(self) -> str:
-        """Settings and state of the interface, in one line."""
+        """Bit rates, options and state of the interface, as one line of text for the log and the terminal."""
         if not self.has_controller:
             return (
                 f"{self.name} is {self.kind or 'of unknown kind'}: it has no bit rate, no controller state "
@@ -69,7 +69,7 @@ class CanInterface(NamedTuple):
 
 
 def parse(name: str, answer: bytes) -> CanInterface:
-    """Interface described by an RTM_NEWLINK payload."""
+    """CanInterface from an RTM_NEWLINK payload; name: of the interface."""
     index, flags, link = split_link(answer)
     info = attributes(link.get(_IFLA_LINKINFO, b""))
     kind = info.get(_INFO_KIND, b"").rstrip(b"\0").decode(errors="replace")
@@ -94,13 +94,12 @@ def _word(raw: bytes | None) -> int:
 
 
 def _rate(timing: bytes | None) -> int | None:
-    """Bit rate, the first member of struct can_bittiming; None if unknown."""
     rate = _word(timing)
     return None if rate in _UNKNOWN_RATES else rate
 
 
 def read_error(identifier: int, data: bytes) -> tuple[BusState, bool]:
-    """Controller state in an error frame (UNKNOWN without one), and True if a frame was lost."""
+    """(controller state in an error frame, UNKNOWN without one; True if a received frame was lost)."""
     detail = data[1] if identifier & _CONTROLLER and len(data) > 1 else 0
     state = BusState.UNKNOWN
     if identifier & _BUS_OFF:
@@ -115,7 +114,7 @@ def read_error(identifier: int, data: bytes) -> tuple[BusState, bool]:
 
 
 def refusal(found: CanInterface, settings: BusSettings) -> str:
-    """Text of the differences between an interface and the section `bus`; empty if they agree.
+    """Text that lists where an interface differs from the section `bus`; empty if both agree.
 
     A bit rate unknown to the kernel and a restart-ms that is not configured are not compared.
     """

@@ -1,4 +1,4 @@
-"""Files of CAN frames for other tools: candump, ASC, BLF. Frames are written one by one.
+"""Writers of files of CAN frames for other tools, one frame at a time: candump, ASC, BLF.
 
 Times are UTC in ns. candump and ASC store microseconds. BLF stores nanoseconds from a start in whole
 milliseconds. The writers of python-can take seconds as a float, which resolves a quarter of a microsecond.
@@ -29,7 +29,7 @@ class CandumpWriter:
         self._channels = [re.sub(r"[^A-Za-z0-9_.-]", "_", each) or "can0" for each in channels]
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Add a frame."""
+        """Append a frame at Unix time `utc_ns`, ns; `sent` is ignored, as the format has no direction."""
         del sent
         identifier, data, flags = frame
         if flags & ERROR:
@@ -45,19 +45,19 @@ class CandumpWriter:
         self._file.write(f"({us // 1_000_000}.{us % 1_000_000:06d}) {channel} {head}{body}\n")
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the file, with all frames written."""
         self._file.close()
 
 
 class BlfWriter:
-    """Writer of Vector's binary log, by python-can."""
+    """Writer of Vector's binary log (BLF), by python-can."""
 
     def __init__(self, path: Path, _channels: Sequence[str]) -> None:
         self._file: IO[Any] = path.open("wb")
         self._writer: Any = BLFWriter(self._file)
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Add a frame, which must not be earlier than the first."""
+        """Append a frame at Unix time `utc_ns`, ns, not earlier than the first; sent: True marks it as Tx."""
         identifier, data, flags = frame
         own = OWN if sent else 0
         given = utc_ns, identifier, 0, len(data), flags | own, data
@@ -77,7 +77,7 @@ class AscWriter(BlfWriter):
         self._writer = ASCWriter(self._file)
 
     def write(self, utc_ns: int, frame: Frame, *, sent: bool) -> None:
-        """Add a frame."""
+        """Append a frame at Unix time `utc_ns`, ns; sent: True marks it as Tx, else Rx."""
         if not self._writer.header_written:
             self._writer.log_event("First frame", utc_ns // 1_000_000_000)
         super().write(utc_ns, frame, sent=sent)

@@ -1,4 +1,4 @@
-"""One interface behind a bus, and waiting for its frames."""
+"""Link: base class of all CAN interfaces, with the loop that waits for awaited frames."""
 
 from collections.abc import Sequence
 from collections.abc import Set as AbstractSet
@@ -14,52 +14,52 @@ OWN = 1 << 6
 
 
 class Source:
-    """Source of frames; `clock` is the clock of their times."""
+    """Object from which frames are received; `clock` is the clock of their reception times."""
 
     clock: Clock
 
     def receive(self) -> Rows:
-        """Frames that have arrived: elements of FRAME in memory of their own."""
+        """Frames that have arrived since the last call: FRAME records, in memory owned by the result."""
         raise NotImplementedError
 
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
-        """Sleep until more frames may have arrived, at most until the deadline.
+        """Sleep until more frames may have arrived, at most until the deadline (time of `clock`, ns).
 
-        missing: the awaited identifiers; empty: any frame.
+        missing: identifiers still awaited; empty: any frame ends the sleep.
         """
         raise NotImplementedError
 
 
 class Link(Source):
-    """One interface; received frames may be error frames.
+    """One CAN interface of a `Bus`; received frames may be error frames.
 
-    The defaults suit an interface that knows neither its controller nor its wire.
+    The defaults suit an interface that reports neither controller state nor ends of frames on the wire.
     """
 
     knows_ends = False
-    """True if the end of a frame on the wire is known."""
+    """True if the interface reports when a frame has ended on the wire."""
     virtual = False
-    """True if frames arrive as soon as they are sent."""
+    """True if frames arrive as soon as they are sent, without bus time."""
     overflow = 0
-    """Frames lost so far."""
+    """Received frames lost so far."""
     _taken_ns: list[int]
 
     @property
     def facts(self) -> str:
-        """Facts read from the interface, in one line; empty without any."""
+        """Settings and state read from the interface, one line of text; empty if unknown."""
         return ""
 
     @property
     def off(self) -> bool:
-        """True while the interface reports the bus as off or down."""
+        """True while the interface reports the bus as off (bus-off) or the link as down."""
         return False
 
     def send(self, frames: Rows) -> int:
-        """Send elements of FRAME, all for this interface; the result counts the leading ones accepted."""
+        """Send FRAME records, all on this interface; returns how many it accepted, from the first on."""
         raise NotImplementedError
 
     def sent_ns(self) -> Sequence[int]:
-        """Times, ns, of the frames accepted by the last `send`: end on the wire if known, else acceptance."""
+        """Time, ns, of each frame accepted by the last `send`: end on the wire if known, else acceptance."""
         return self._taken_ns
 
     def fileno(self) -> int:
@@ -67,31 +67,31 @@ class Link(Source):
         return -1
 
     def foresee(self) -> int | None:
-        """Expected end of the next foreign frame under way, ns; None if none is known."""
+        """Expected end, ns, of the transmission of the next frame of another node; None if unknown."""
         return None
 
     def arm(self) -> bool:
-        """Request a signal on `fileno`, unless a frame has arrived; True if none has."""
+        """Make `fileno` readable when a frame arrives; False if a frame has arrived already."""
         return True
 
     def worst_state(self) -> BusState:
-        """Worst state of the controller since the last call."""
+        """Worst state of the CAN controller (active, warning, passive, off) since the last call."""
         return BusState.UNKNOWN
 
     def died(self) -> None:
-        """React to a dead bus: frames that wait to be sent are stale."""
+        """Called when the bus counts as dead: drop frames that wait, as they would be sent late."""
 
     def flush_tx(self) -> object:
         """Drop frames that wait to be sent. Raises BusError if that fails."""
 
     def close(self) -> None:
-        """Free the interface."""
+        """Close the interface and free its resources."""
 
 
 def collect(source: Source, deadline_ns: int, wanted: AbstractSet[int] | None = None) -> Rows:
-    """Receive until all of `wanted` (None: any frame) has arrived, or until the deadline.
+    """Receive from a source until all identifiers in `wanted` (None: any frame) have arrived.
 
-    An empty `wanted` does not wait.
+    The result is all frames received by then or by `deadline_ns`, in order. An empty `wanted` does not wait.
     """
     received: list[Rows] = []
     missing = set(wanted or ())

@@ -1,4 +1,4 @@
-"""Frames as messages of python-can, and back."""
+"""Conversion of frames to and from messages of python-can."""
 
 import can
 
@@ -9,7 +9,7 @@ from drivers.protocol import BRS, ERROR, ESI, EXTENDED, FD, REMOTE, Frame
 def to_message(
     frame: tuple[int, int, int, int, int, bytes], epoch_ns: int = 0, channel: str | int = ""
 ) -> can.Message:
-    """python-can Message of a tuple of `unpack_frames`; `epoch_ns`: Unix time minus the channel's, ns."""
+    """python-can Message of a tuple of `unpack_frames`; `epoch_ns`: Unix time minus the frame's clock, ns."""
     t_ns, id_, _, size, flags, data = frame
     return can.Message(
         timestamp=(t_ns + epoch_ns) * 1e-9,

@@ -1,4 +1,4 @@
-"""Route netlink for network interfaces: read and set links, read transmit queues.
+"""Requests to the kernel by route netlink: read and set network interfaces, read transmit queues.
 
 Standard library only. Layouts follow linux/netlink.h, linux/rtnetlink.h and linux/pkt_sched.h. Numbers are in
 native byte order; messages and attributes are padded to four bytes.
@@ -32,7 +32,6 @@ _TIMEOUT_S = 1.0
 
 
 def _pieces(raw: bytes, header: struct.Struct) -> Iterator[tuple[int, bytes]]:
-    """Type and payload of each item that begins with size and type; a truncated item ends the iteration."""
     at = 0
     while at + header.size <= len(raw):
         size, kind, *_ = header.unpack_from(raw, at)

@@ -1,4 +1,4 @@
-"""All python-can interfaces that have no code of their own here."""
+"""python-can interfaces in general: all that have no module of their own in this package."""
 
 import select
 import struct
@@ -28,7 +28,7 @@ _UNREADABLE = (can.CanError, OSError, ValueError, IndexError, KeyError, TypeErro
 
 
 class PythonCan(Link):
-    """One bus of python-can; interface: its name there.
+    """A bus opened by python-can; interface: its name in python-can.
 
     Mutable state: the bus, `off`, consecutive failures, received frames, frames lost, and the times at which
     the last frames were accepted.
@@ -49,7 +49,7 @@ class PythonCan(Link):
             self._selectable = False
 
     def send(self, frames: Rows) -> int:
-        """Send until the interface refuses a frame."""
+        """Send FRAME records until the interface refuses one; the result is how many were accepted."""
         self._taken_ns.clear()
         for frame in unpack_frames(frames.tobytes()):
             try:
@@ -74,7 +74,7 @@ class PythonCan(Link):
             return -1
 
     def _take(self, timeout_s: float) -> Literal["frame", "nothing", "failure"]:
-        """Poll once; an echo of our own frame counts as a frame but is not kept."""
+        """Receive one message into the inbox; an echo of an own frame counts as a frame but is not kept."""
         try:
             message = self._bus.recv(timeout_s)
         except _UNREADABLE as error:
@@ -97,7 +97,6 @@ class PythonCan(Link):
         return "frame"
 
     def _readable(self, seconds: float) -> bool:
-        """Wait until the descriptor is readable; a failing descriptor sets `off`."""
         file = self.fileno()
         if file < 0:
             return False
@@ -108,10 +107,10 @@ class PythonCan(Link):
             return False
 
     def receive(self) -> Rows:
-        """Frames received, at most one batch.
+        """Frames received, FRAME records, at most one batch.
 
-        After an invalid line or datagram the interface reports no frame, although more may wait: its
-        descriptor decides.
+        After an invalid line or datagram the interface returns no frame, although more may wait: the loop
+        goes by the interface's descriptor.
         """
         for _ in range(_BATCH):
             found = self._take(0.0)
@@ -121,7 +120,7 @@ class PythonCan(Link):
         return np.frombuffer(received, FRAME)
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
-        """Sleep until a frame can be received, at most until the deadline."""
+        """Sleep until a frame can be received, at most until `deadline_ns`."""
         seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
         if self.off:
             time.sleep(min(seconds, 1e-3))
@@ -140,13 +139,13 @@ class PythonCan(Link):
             raise BusError(f"bus: waiting frames cannot be dropped: {error}") from error
 
     def close(self) -> None:
-        """Shut the bus down; errors of a lost interface are ignored."""
+        """Close the python-can bus; errors of an interface that no longer exists are ignored."""
         with suppress(Exception):
             self._bus.shutdown()
 
 
 def unknown_interface(name: str) -> str:
-    """Message with the known interfaces, for an unknown name; empty for a known one."""
+    """Error text with the known interfaces if `name` is not a python-can interface; else empty."""
     if name in can.VALID_INTERFACES:
         return ""
     known = ", ".join(sorted(can.VALID_INTERFACES - {"virtual"}))
@@ -154,7 +153,7 @@ def unknown_interface(name: str) -> str:
 
 
 def open_python_can(settings: BusSettings) -> PythonCan:
-    """Open `bus.interface`. Raises BusError if it is unknown or does not open."""
+    """Open the python-can interface `bus.interface`. Raises BusError if it is unknown or does not open."""
     fd = settings.layout == "fd"
     options: dict[str, Any] = {"fd": True} if fd else {}
     if settings.interface != "udp_multicast":

@@ -1,4 +1,4 @@
-"""The runtime folder, where this user's programs meet, and one lock per role on a bus."""
+"""The runtime folder, where this user's processes find each other, and one lock per role on a bus."""
 
 import errno
 import hashlib
@@ -46,7 +46,7 @@ def safe_name(text: str) -> str:
 
 
 def address(*words: str) -> bytes:
-    """Abstract socket address for these words, unique on this machine.
+    """Abstract Unix socket address made of these words, unique on this machine.
 
     Such a socket leaves no file behind; the kernel drops it with its process.
     """
@@ -60,9 +60,9 @@ def _role(interface: str, channel: str, role: str) -> bytes:
 
 
 def role_holder(interface: str, channel: str, role: str) -> int | None:
-    """Process of this machine, of any user, that holds a role on a channel; 0: unknown; None: free.
+    """Id of the process of this machine that holds a role on a channel; 0: id unknown; None: free.
 
-    On localcan each runtime folder has channels of its own.
+    role: `controller` or `plant`, held by any user. On localcan each runtime folder has channels of its own.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.setblocking(False)
@@ -76,7 +76,7 @@ def role_holder(interface: str, channel: str, role: str) -> int | None:
 
 
 class RoleLock:
-    """Holds a role (controller, plant) on a channel until `close` or the end of the process.
+    """Holds a role (controller or plant) on a channel until `close` or the end of the process.
 
     Mutable state: a socket, which the kernel drops with the process, however it ends.
     Raises RunError if another process holds the role.

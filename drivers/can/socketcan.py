@@ -1,4 +1,4 @@
-"""SocketCAN through a raw socket: kernel time stamps, error frames, losses, stale frames.
+"""SocketCAN through a raw socket: kernel time stamps, error frames, lost frames, removal of stale frames.
 
 Layouts and constants follow linux/can.h, linux/can/raw.h and asm-generic/socket.h.
 """
@@ -54,11 +54,10 @@ class SocketCan(Link):
     """A raw CAN socket.
 
     Mutable state: the socket; `overflow` (frames lost so far in the kernel or the controller); whether the
-    interface is down or gone, could not be cleared, or differs from the configuration; whether the controller
-    is bus-off, and its worst state since the last query; since when our frames wait; and the times at which
-    the kernel accepted the last frames.
-    Raises BusError if the kernel has no CAN, or the channel is missing, down, or differs from the section
-    `bus`.
+    interface is down or missing, could not be cleared, or differs from the configuration; whether the
+    controller is bus-off, and its worst state since the last query; since when own frames wait; and the times
+    at which the kernel accepted the last frames. Raises BusError if the kernel has no CAN, or the channel is
+    missing, down, or differs from the section `bus`.
     """
 
     clock = MONOTONIC
@@ -75,7 +74,7 @@ class SocketCan(Link):
 
     @property
     def facts(self) -> str:
-        """Settings and state of the interface, in one line."""
+        """Bit rates, options and state of the interface, one line of text."""
         stale = "; without CAP_NET_ADMIN frames that wait on a dead bus stay in its queue"
         return f"bus socketcan:{self._interface.facts}{'' if netlink.administers() else stale}"
 
@@ -109,7 +108,6 @@ class SocketCan(Link):
         return sock, interface
 
     def _look(self) -> CanInterface:
-        """Interface as it is now. Raises BusError if it differs from the configuration."""
         channel = self.channel
         try:
             interface = parse(channel, netlink.get_link(channel))
@@ -125,19 +123,18 @@ class SocketCan(Link):
 
     @property
     def off(self) -> bool:
-        """True while the interface is down or not the configured one, bus-off, or our frames are stuck.
+        """True while the interface is down, bus-off or not as configured, or own frames wait too long.
 
         Each condition lasts until its end is observed.
         """
         return self._down or self._refused or self._bus_off or self._stuck
 
     def worst_state(self) -> BusState:
-        """Worst state of the controller since the last call."""
+        """Worst state of the CAN controller since the last call, from error frames."""
         worst, self._worst = self._worst, self._state
         return worst
 
     def _look_at_queue(self) -> None:
-        """Note whether our frames wait in the transmit queue, since when, and over how many checks."""
         (waiting,) = _WMEM.unpack(self._socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _WMEM.size))
         if not waiting:
             self._waited = 0
@@ -150,10 +147,10 @@ class SocketCan(Link):
         self._stuck = self._waited >= STUCK_LOOKS and now - self._waiting_since >= STUCK_NS
 
     def send(self, frames: Rows) -> int:
-        """Send frames; the result counts the leading frames that the kernel accepted.
+        """Send FRAME records; the result is how many the kernel accepted, from the first on.
 
-        None while the bus is off or older frames have waited for STUCK_NS: a dead bus would send them later,
-        when it is back.
+        It is 0 while the bus is off or older frames have waited for STUCK_NS: a dead bus would send them
+        later, when it is back.
         """
         self._taken_ns.clear()
         self._look_at_queue()
@@ -175,11 +172,10 @@ class SocketCan(Link):
         return len(self._taken_ns)
 
     def fileno(self) -> int:
-        """Descriptor of the socket, readable when a frame has arrived."""
+        """Descriptor of the raw socket, readable when a frame has arrived."""
         return self._socket.fileno()
 
     def _is_back(self) -> bool:
-        """Check from time to time whether an interface that was down or deleted is back; True if so."""
         now = time.monotonic_ns()
         if now - self._looked_ns >= _LOOK_NS:
             self._looked_ns = now
@@ -188,7 +184,6 @@ class SocketCan(Link):
         return not self._down
 
     def _come_back(self) -> None:
-        """Resume with an interface that is up again. Raises BusError if it is not the configured one."""
         if self._down:
             sock, self._interface = self._open()
             self._socket.close()
@@ -200,7 +195,7 @@ class SocketCan(Link):
         self._state = self._interface.state
 
     def receive(self) -> Rows:
-        """Frames received so far, error frames included."""
+        """Frames received since the last call, FRAME records, error frames included."""
         received = bytearray()
         real_to_monotonic = _real_to_monotonic()
         for _ in range(_BATCH):
@@ -239,12 +234,12 @@ class SocketCan(Link):
             self._bus_off = state is BusState.OFF
 
     def block(self, deadline_ns: int, _: AbstractSet[int]) -> None:
-        """Sleep until a frame can be received, at most until the deadline."""
+        """Sleep until a frame can be received, at most until `deadline_ns`."""
         seconds = max(0.0, (deadline_ns - time.monotonic_ns()) * 1e-9)
         select.select([self._socket], [], [], min(seconds, 1e-3) if self.off else seconds)
 
     def died(self) -> None:
-        """Drop frames that wait to be sent, if permitted; once until a frame is received.
+        """Drop frames that wait to be sent, if permitted; not again until a frame has been received.
 
         A controller that is to stay bus-off is left alone: its driver drops the frames at the restart.
         """
@@ -286,7 +281,6 @@ class SocketCan(Link):
         self._refused = False
 
     def _to_drop(self) -> bool:
-        """True if the controller is bus-off, or frames still wait after `_FLUSH_S`."""
         self._interface = parse(self.channel, netlink.get_link(self.channel))
         if self._interface.state is BusState.OFF:
             return True
@@ -303,7 +297,7 @@ class SocketCan(Link):
 
 
 def _real_to_monotonic() -> int:
-    """Monotonic clock minus the clock of the kernel's time stamps, ns, from two close readings.
+    """CLOCK_MONOTONIC minus CLOCK_REALTIME (the kernel's time stamps), ns, from two close readings.
 
     A stall between the readings would shift all time stamps.
     """

@@ -40,46 +40,46 @@ FAULT_REACTIONS = {Reaction.BRAKE: 0, Reaction.DAMP: 2}
 
 
 class Step(NamedTuple):
-    """One step of the plan."""
+    """One request of a drive's start-up dialogue: an SDO read, an SDO write or an NMT command."""
 
     kind: Literal["read", "write", "nmt"]
     key: Key
     value: int
     """Raw value, written or expected; for `nmt` the command."""
     size: int = 4
-    """Bytes."""
+    """Bytes of the object."""
     optional: bool = False
-    """A drive may lack the object."""
+    """True if a drive may lack the object."""
     mask: int = _ALL_BITS
-    """Bits that are compared."""
+    """Mask of the bits that are compared with the expected value."""
 
     def request(self, node: int) -> bytes:
-        """Data of the frame of this step."""
+        """Data bytes of the frame that makes this request of a node."""
         if self.kind == "nmt":
             return bytes((self.value, node))
         return o.download(self.key, self.value, self.size) if self.kind == "write" else o.upload(self.key)
 
 
 def watchdog_ms(setup: DriveSetup) -> int:
-    """Consumer heartbeat time of the drives.
+    """Consumer heartbeat time, ms, after which a drive reacts to a silent controller.
 
-    Raises ProtocolError if it does not fit into 0x1016 or is too short for the rate.
+    Raises ProtocolError if it does not fit into object 0x1016 or is too short for the loop rate.
     """
     time_ms = 1e3 * setup.watchdog_s
     if not 0.5 <= time_ms < 0xFFFF:
         raise ProtocolError(
-            f"drive watchdog of {setup.watchdog_s} s does not fit into 0x1016: 0.001 to 65.535 s are allowed"
+            f"drives.watchdog_ms: {time_ms:g} ms does not fit into object 0x1016, allowed: 1 to 65534 ms"
         )
     if setup.watchdog_s * setup.rate_Hz < LEAST_TICKS * (1 - 1e-9):
         raise ProtocolError(
-            f"drive watchdog of {setup.watchdog_s} s is too short at {setup.rate_Hz:g} Hz: at least "
-            f"{LEAST_TICKS} periods are allowed, {LEAST_TICKS / setup.rate_Hz:.4g} s"
+            f"drives.watchdog_ms: {time_ms:g} ms is too short at {setup.rate_Hz:g} Hz, allowed: at least "
+            f"{LEAST_TICKS} periods, {1e3 * LEAST_TICKS / setup.rate_Hz:.4g} ms"
         )
     return round(time_ms)
 
 
 def _period(rate_Hz: float) -> tuple[int, int]:
-    """Period as mantissa 1..255 and power of ten, as exactly as it fits."""
+    """(mantissa 1..255, power of ten) of the loop period, s: object 0x60C2, as exact as it can hold."""
     exponent = -5
     while 10.0**-exponent / rate_Hz > 255:
         exponent += 1
@@ -117,7 +117,7 @@ def _drive(setup: DriveSetup, family: Any) -> list[Step]:
 
 
 def _read_back(writes: list[Step]) -> list[Step]:
-    """Steps that read the final value of each object back; for the mode the displayed one."""
+    """Steps that read each written object back and expect its last value; for the mode, object 0x6061."""
     last = {step.key: step for step in writes}
     steps = []
     for key, step in last.items():
@@ -131,7 +131,7 @@ def _read_back(writes: list[Step]) -> list[Step]:
 
 
 def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tuple[Step, ...]:
-    """Steps of the dialogue with the drive of a node. Raises ProtocolError if the set-up does not fit.
+    """Steps of the start-up dialogue with one drive. Raises ProtocolError if the set-up does not fit.
 
     family: the `Cia402Protocol`; increments: required encoder counts per turn, 0: not checked.
     """
@@ -158,7 +158,7 @@ def plan(node: int, setup: DriveSetup, family: Any, increments: int = 0) -> tupl
 
 
 def max_torque(force_limit_N: float, N_per_permille: list[float]) -> int:
-    """Max torque, permille, that lets each drive give the rated force of its leg."""
+    """Value for object 0x6072, max torque, permille of rated, that allows each leg its `force_limit_N`."""
     return min(ceil(force_limit_N / min(map(abs, N_per_permille)) * (1 - 1e-12)), 0xFFFF)
 
 
@@ -168,7 +168,7 @@ _NODE = 0x7F
 
 @pointed(_DRIVES, INTEGER, INTEGER, INTEGER)
 def fresh(c: Any, frame_address: int, _tick: int, since_ns: int) -> int:
-    """Leg, from 1 on, plus LEGS for TPDO2, of a TPDO since this tick's SYNC on its bus; else 0."""
+    """Leg + 1 (TPDO1) or leg + 1 + LEGS (TPDO2) of an answer to this tick's SYNC on its bus; else 0."""
     frame = frame_at(frame_address)
     identifier = int(frame.id)
     leg = place_of(identifier & _NODE, c.nodes)
@@ -182,7 +182,7 @@ def fresh(c: Any, frame_address: int, _tick: int, since_ns: int) -> int:
 
 @pointed(_DRIVES, INTEGER)
 def addressed(c: Any, frame_address: int) -> int:
-    """Legs that a frame addresses, bit i: one for a PDO, SDO or NMT command to one node, else all."""
+    """Legs that a controller's frame addresses, bit i: leg i. SYNC and heartbeat address all."""
     frame = frame_at(frame_address)
     identifier = int(frame.id)
     base = identifier & ~_NODE
@@ -195,23 +195,22 @@ def addressed(c: Any, frame_address: int) -> int:
 PATIENCE_S = 0.05
 """Time after which a request without an answer is repeated."""
 LEAST_PATIENCE = 6
-"""Least number of ticks until then."""
+"""Least number of ticks before a request is repeated."""
 TRIES = 20
 """Requests without an answer after which the dialogue starts again."""
 MOST_REQUESTS = 3
-"""Most requests in a tick."""
+"""Most start-up requests in a tick."""
 _BEATS = 4
 """Heartbeats of the controller within the drives' watchdog, if the rate allows."""
 _POWERED = (DriveState.READY, DriveState.RUN)
 
 
 class Cia402End(ControllerEnd):
-    """The controller's end. Mutable state: the record, which has the dialogue."""
+    """The controller's end of six CiA 402 drives. Mutable state: its record, with the start-up dialogue."""
 
     first = "patience"
 
     def __init__(self, family: Any, setup: DriveSetup, plans: Sequence[Sequence[Step]]) -> None:
-        """Take the `Cia402Protocol`, the set-up, and the steps of each drive's dialogue."""
         self._family, self._plans = family, plans
         rate_Hz, c = setup.rate_Hz, family.tables.copy()
         c["period_s"], c["beat"] = 1.0 / rate_Hz, max(2, int(setup.watchdog_s * rate_Hz) // _BEATS)
@@ -226,11 +225,11 @@ class Cia402End(ControllerEnd):
         super().__init__(c, kernels.decode, kernels.command, sync[np.newaxis])
 
     def presume_running(self) -> None:
-        """Count all drives as enabled."""
+        """Mark all drives as enabled, even if none has reported: for an emulated second controller."""
         self.state["states"] = ENABLED
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Error for a force that the drives cannot represent."""
+        """Error for leg forces (6,) N that need more torque than the drives' field can carry."""
         most = MOST_PERMILLE / np.abs(self.state["permille_per_N"]).max()
         return ProtocolError(
             f"force command {force.tolist()} N does not fit 0x6071: six values up to {most:.6g} N are "
@@ -239,7 +238,7 @@ class Cia402End(ControllerEnd):
         )
 
     def carried(self, force: Array) -> Array:
-        """Forces (6,) N of legs at rest for a command, sent in whole permille of the rated torque."""
+        """Forces (6,) N, push positive, that drives at rest give for a command, rounded to whole permille."""
         c, t = self.state, self._family.transmission
         permille = (
             force * c["permille_per_N"] if c["lossless"] else t.torque(force, c["rate"]) / c["permille_Nm"]
@@ -250,10 +249,10 @@ class Cia402End(ControllerEnd):
     # the start-up dialogue, see `plan`
 
     def set_up(self, tick: Record) -> Rows:
-        """Requests of a tick; the legs take turns.
+        """Frames of the start-up dialogue for this tick, at most MOST_REQUESTS; the legs take turns.
 
         A drive that reports READY or RUN gets none. A drive in fault is asked for its error code if its EMCY
-        is missing, which it sent once: before the controller started, or it was lost.
+        is missing: it was sent before the controller started, or was lost.
         """
         states, ages, codes = (tick[name].tolist() for name in ("drive_state", "age", "drive_fault"))
         done = (self.state["at"] == self.state["steps"]).tolist()
@@ -275,7 +274,6 @@ class Cia402End(ControllerEnd):
         return sent_array(frames)
 
     def _request(self, leg: int, number: int, *, done: bool) -> Frame:
-        """Request of a drive's present step. NMT commands are not answered, except the last."""
         c, node = self.state, int(self.state["nodes"][leg])
         if done:
             c["asked"][leg], c["tries"][leg] = number, 0
@@ -291,7 +289,7 @@ class Cia402End(ControllerEnd):
         return Frame(o.NMT_ID, step.request(node))
 
     def lack(self, leg: int) -> str:
-        """Object that a drive has refused, reports with another value, or does not answer for."""
+        """Text: the object that a drive refused, reports with another value, or does not answer for."""
         c, refused = self.state, int(self.state["refused"][leg])
         if c["at"][leg] == c["steps"][leg]:
             return ""

@@ -1,4 +1,4 @@
-"""Electronic data sheets (EDS, DCF; CiA 306) of CiA 402 drives, checked before a run.
+"""Check of electronic data sheets (EDS, DCF; CiA 306) of CiA 402 drives before a run.
 
 A sheet is an INI file. Only the sections of the objects that a run uses are read: makers' sheets have errors
 elsewhere. No state, no clock.
@@ -27,11 +27,11 @@ Sheet = Mapping[str, Mapping[str, str | None]]
 
 
 def check_eds(path: str, *, velocity: bool, may_lack: Collection[Key] = ()) -> None:
-    """Check a drive's data sheet.
+    """Check that a drive's data sheet has all objects and PDOs that a run needs.
 
-    velocity: True if 0x606C has to fit into a second TPDO; may_lack: objects that are not required.
-    Raises ConfigurationError if the sheet cannot be read, with all objects that the drive lacks, and for a
-    drive without cyclic synchronous torque.
+    velocity: True if 0x606C has to fit into a second TPDO; may_lack: objects that are not required. Raises
+    ConfigurationError if the sheet cannot be read, if objects are missing (the message lists all), or if the
+    drive has no cyclic synchronous torque mode.
     """
     sheet = _read(path)
     second = ((o.TPDO + 1, 1), (o.TPDO_MAP + 1, 0)) if velocity else ()
@@ -60,7 +60,6 @@ def check_eds(path: str, *, velocity: bool, may_lack: Collection[Key] = ()) -> N
 
 
 def _read(path: str) -> Sheet:
-    """Sections of a sheet in UTF-8, else in Windows-1252; a section or key that is repeated is joined."""
     if not Path(path).is_file():
         raise ConfigurationError(f"drives.options.eds: no such file: {path}")
     parser = RawConfigParser(strict=False, allow_no_value=True, inline_comment_prefixes=(";",))
@@ -78,7 +77,7 @@ def _read(path: str) -> Sheet:
 
 
 def _entry(sheet: Sheet, key: Key) -> Mapping[str, str | None] | None:
-    """Section that describes an object; the elements of a compact array share one. None: it is missing."""
+    """Section that describes an object, which elements of a compact array share; None if it is missing."""
     index, sub = key
     whole, own = sheet.get(f"{index:04x}"), sheet.get(f"{index:04x}sub{sub:x}")
     if own is not None or whole is None:
@@ -88,7 +87,6 @@ def _entry(sheet: Sheet, key: Key) -> Mapping[str, str | None] | None:
 
 
 def _number(text: str | None) -> int:
-    """Decimal or hexadecimal number; 0 for any other text."""
     try:
         return int(text or "", 16 if (text or "")[:2].lower() == "0x" else 10)
     except ValueError:

@@ -1,4 +1,4 @@
-"""The controller's end of six CiA 402 drives, compiled: one record, with the dialogue."""
+"""The controller's end of six CiA 402 drives in Numba kernels, which share one record."""
 
 from __future__ import annotations
 
@@ -88,13 +88,13 @@ _TPDO1, _TPDO2, _RPDO = o.TPDO_ID[0], o.TPDO_ID[1], o.RPDO_ID[0]
 
 @helper
 def difference(c: Any, leg: int, length: float, latched_ns: int, rate: float) -> float:
-    """Rate, m/s, at the end of a step, from the last two mean rates; stores the values for the next step.
+    """Leg rate, m/s, at the end of a step, from the last two mean rates; stores them for the next step.
 
     dq = d1 + (d1 - d0) T1 / (T1 + T0), the slope at the end of the parabola through the last three lengths:
     the mean rate d1 of the step alone is that of T1 / 2 ago. T is the time from SYNC to SYNC as the bus
     carried them: at 400 Hz a SYNC that is 25 us late moves a leg by 1 % of its step. A step shorter than
     SHORTEST periods leaves the last rate, m/s, unchanged and becomes part of the next step; after OLDEST
-    periods the rate starts at 0. length: m; latched_ns: time of its latching.
+    periods the rate starts at 0. length: m; latched_ns: time at which the drive sampled it; rate: m/s, last.
     """
     T1 = 1e-9 * (latched_ns - c.latched_ns[leg])
     goes_on = c.has_length[leg] != 0 and OLDEST * c.period_s >= T1
@@ -111,7 +111,7 @@ def difference(c: Any, leg: int, length: float, latched_ns: int, rate: float) ->
 
 @helper
 def _take(c: Any, slot: int, leg: int, data: int, late: bool, tick: Any) -> None:
-    """Keep a TPDO, as one number, if it is newer than the one held and its drive owes it."""
+    """Store a TPDO's data, one integer, if it is newer than the stored one and its drive owes an answer."""
     if late and tick.age[leg] <= 1:
         return
     if not c.has[slot] or c.held[slot] != data:
@@ -124,7 +124,6 @@ def _take(c: Any, slot: int, leg: int, data: int, late: bool, tick: Any) -> None
 
 @helper
 def _move(c: Any, leg: int, at: int) -> None:
-    """Move a drive to a step of its plan that has not been requested yet."""
     c.at[leg], c.asked[leg], c.tries[leg] = at, NOT_ASKED, 0
     if at == c.steps[leg]:
         c.refused[leg] = 0
@@ -132,9 +131,9 @@ def _move(c: Any, leg: int, at: int) -> None:
 
 @helper
 def _answered(c: Any, leg: int, data: Any, tick: Any) -> bool:
-    """Take an SDO answer; True if it is one.
+    """Process a drive's SDO frame; False if it is not an expedited answer.
 
-    After a refusal the plan starts again, but only after the patience: at once it would be refused again.
+    After a refusal the dialogue restarts, but only after the waiting time: at once it would be refused again.
     """
     specifier, key, value = int(data[0]), whole(data, 1, 3), whole(data, 4)
     aborts, wrote, reads = specifier == 0x80, specifier >> 5 == 3, specifier >> 5 == 2 and specifier & 2 != 0
@@ -166,7 +165,7 @@ def _answered(c: Any, leg: int, data: Any, tick: Any) -> bool:
 
 @helper
 def _beat(c: Any, leg: int, state: int, tick: Any) -> bool:
-    """Take a heartbeat; True if it is valid. A drive that boots or halts is set up again."""
+    """Process a heartbeat; False if invalid. A drive that boots, or leaves Operational, is set up again."""
     if state not in (o.BOOTS, o.STOPPED, o.OPERATES, o.PREPARES):
         return False
     if state == o.BOOTS or (state != o.OPERATES and c.at[leg] == c.steps[leg]):
@@ -180,7 +179,6 @@ def _beat(c: Any, leg: int, state: int, tick: Any) -> bool:
 
 @helper
 def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> bool:
-    """Take a frame with the node number of a drive; True if it is valid."""
     data, size = frame.data, int(frame.length)
     late = frame.t_ns < since_ns + tick.latch_ns[leg]
     if base == _TPDO1:
@@ -208,7 +206,7 @@ def _hear(c: Any, base: int, leg: int, frame: Any, since_ns: int, tick: Any) -> 
 
 @helper
 def _foreign(c: Any, identifier: int) -> int:
-    """Kind of a controller's frame whose identifier has no node number of a drive; 0: none."""
+    """Kind (Foreign) of another controller's frame to all nodes: SYNC, NMT, heartbeat; else 0."""
     if identifier == o.SYNC_ID:
         return Foreign.SYNC.value
     if identifier == o.NMT_ID:
@@ -218,7 +216,7 @@ def _foreign(c: Any, identifier: int) -> int:
 
 @helper
 def _begin(c: Any, last: Any, tick: Any) -> None:
-    """Start a tick: each drive owes an answer to its SYNC, and may owe earlier ones."""
+    """Start a tick: each drive owes one answer to its SYNC, and perhaps answers to earlier ones."""
     begin_measurement(last, tick)
     for leg in range(LEGS):
         if last.age[leg]:
@@ -264,9 +262,9 @@ def _set_up(c: Any) -> int:
 
 @pointed(_DRIVES, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick from that of the last tick and the frames since.
+    """Fill the measurement of a tick from that of the last tick and the frames received since.
 
-    frames: address of `count` elements of FRAME; since_ns: wake-up time of the loop. A TPDO after the end of
+    frames: address of `count` FRAME records; since_ns: wake-up time of the loop. A TPDO after the end of
     this tick's SYNC answers it. An earlier one answers the last SYNC, and counts with age 1 if nothing newer
     is held. Refused, and counted in `rejected`: a wrong length, an unknown statusword or NMT state, an SDO
     frame that is not an expedited answer. A second TPDO of a tick with other data marks the node as
@@ -316,7 +314,7 @@ def decode(c: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
 
 @helper
 def _permille(c: Any, leg: int, force: float) -> float:
-    """Torque for a force, in whole permille of the rated torque."""
+    """Motor torque that gives a leg force (N, push positive), rounded to permille of the rated torque."""
     if c.lossless:
         return float(np.rint(force * c.permille_per_N[leg]))
     loss = loss_of(force, c.rate[leg], c.driving[leg], c.back_driving[leg], c.full_loss_m_s)
@@ -325,9 +323,10 @@ def _permille(c: Any, leg: int, force: float) -> float:
 
 @pointed(_DRIVES, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def command(c: Any, number: int, mode: int, stop: int, force_at: int, into: int) -> int:
-    """Write six RPDO1, and the controller's heartbeat if due, to elements of FRAME at an address.
+    """Write six RPDO1, and the controller's heartbeat if due, to FRAME records at the address `into`.
 
-    force_at: address of (6,) N. Returns the number of frames, or FAILED if a force does not fit.
+    number: of the tick; mode: a DriveMode; stop: 1 for an emergency stop; force_at: address of (6,) N, push
+    positive. Returns the number of frames, or FAILED if a force does not fit.
     """
     force = reals_at(force_at, LEGS)
     for leg in range(LEGS):

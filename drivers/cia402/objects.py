@@ -79,7 +79,7 @@ NAMES: dict[Key, str] = {
 }
 
 HAS = {"has_rated_torque": RATED_TORQUE, "has_abort_connection": ABORT_CONNECTION}
-"""Options of the protocol that are false for drives without an object, for which the user vouches then."""
+"""Option -> object that drives may lack; a user who sets one to false answers for its effect."""
 
 NO_OBJECT, NO_SUB_INDEX = 0x0602_0000, 0x0609_0011
 BAD_COMMAND, READ_ONLY, WRITE_ONLY = 0x0504_0001, 0x0601_0002, 0x0601_0001
@@ -116,40 +116,40 @@ ABORTS: dict[int, str] = {
 
 
 def place(key: Key) -> str:
-    """Text for an object, with its name if it has one here: `0x6060:0 mode of operation`."""
+    """Index and sub-index of an object as text, with its name if known: `0x6060:0 mode of operation`."""
     text = f"0x{key[0]:04X}:{key[1]}"
     return f"{text} {NAMES[key]}" if key in NAMES else text
 
 
 def way_out(key: Key) -> str:
-    """Text for an object that a drive lacks: the option by which the user vouches for it, if there is one."""
+    """Advice for an object that a drive lacks: the option that skips its check, if there is one."""
     options = [name for name, needed in HAS.items() if needed == key]
-    return f" (to vouch for it yourself: drives.options.{options[0]}: false)" if options else ""
+    return f" (to run without this object: drives.options.{options[0]}: false)" if options else ""
 
 
 def head(specifier: int, key: Key) -> bytes:
-    """First four bytes of an SDO frame."""
+    """First four bytes of an SDO frame: command specifier, index and sub-index."""
     return bytes((specifier, key[0] & 0xFF, key[0] >> 8, key[1]))
 
 
 def download(key: Key, value: int, size: int) -> bytes:
-    """Request that writes an object of 1, 2 or 4 bytes; a negative value as two's complement."""
+    """SDO request that writes an object of 1, 2 or 4 bytes; a negative value as two's complement."""
     number = value & ((1 << 8 * size) - 1)
     return head(0x23 | 4 - size << 2, key) + number.to_bytes(4, "little")
 
 
 def upload(key: Key) -> bytes:
-    """Request that reads an object."""
+    """SDO request that reads an object."""
     return head(UPLOAD, key) + bytes(4)
 
 
 def abort(key: Key, code: int) -> bytes:
-    """Frame that aborts a transfer."""
+    """SDO frame that aborts a transfer with a code of CiA 301."""
     return head(0x80, key) + code.to_bytes(4, "little")
 
 
 def read_value(data: bytes) -> tuple[Key, int] | None:
-    """Object and its unsigned value in an SDO answer to a read; None for any other data."""
+    """((index, sub-index), unsigned value) in an SDO answer to a read; None for any other data."""
     specifier = data[0] if len(data) == 8 else 0
     if specifier >> 5 != 2 or not specifier & 2:
         return None
@@ -158,5 +158,5 @@ def read_value(data: bytes) -> tuple[Key, int] | None:
 
 
 def mapped(key: Key, bits: int) -> int:
-    """Entry of a PDO mapping."""
+    """Entry of a PDO mapping: index, sub-index and length in bits, as 32 bits."""
     return key[0] << 16 | key[1] << 8 | bits

@@ -62,11 +62,11 @@ _VOUCHED = {
         "try it on each drive by stopping the controller"
     ),
 }
-"""Dangers of drives without an object."""
+"""Danger, for `hil check`, of drives without an object."""
 
 
 class Cia402Protocol(Family):
-    """Six CiA 402 drives. Holds tables only."""
+    """Codec of six CiA 402 drives. Has constant tables only; run-time state is in `Cia402End`."""
 
     fresh_by, addressed_by = fresh, addressed
 
@@ -79,7 +79,7 @@ class Cia402Protocol(Family):
         self.controller_node = options.whole("controller_node", MAX_NODE, 1, MAX_NODE)
         check_encoder = options.flag("check_encoder", default=True)
         self.may_lack = {key for name, key in o.HAS.items() if not options.flag(name, default=True)}
-        """Objects that the user vouches for."""
+        """Objects that the drives may lack, by the user's options."""
         own = self.controller_node
         self.refuse_nodes(1, MAX_NODE, "cia402", f" without the controller's own {own}", own)
         self._permille_Nm = 1e-3 * rated_Nm
@@ -103,11 +103,11 @@ class Cia402Protocol(Family):
 
     @cached_property
     def traits(self) -> Traits:
-        """Properties of such drives.
+        """Properties of CiA 402 drives for bus load, loop and safety checks.
 
-        No tick needs heartbeats, SDO or EMCY: they use the free part of the bus. A rate of TPDO2 is off by
-        one count. An emergency stop is a quick stop: its option code 2 ends in Switch On Disabled, brake
-        closed.
+        Heartbeats, SDO and EMCY have no reserved place in a tick: they use the free part of the bus. A rate
+        from TPDO2 is off by one count. An emergency stop is a quick stop: its option code 2 ends in Switch On
+        Disabled, brake closed.
         """
         t, sizes = self.transmission, zip(o.TPDO_ID, (8, 4) if self.velocity else (8,), strict=False)
         count = t.m_per_turn / t.counts
@@ -137,7 +137,7 @@ class Cia402Protocol(Family):
         )
 
     def fault_text(self, code: int) -> str:
-        """Meaning of an EMCY code, with the code as the documents write it."""
+        """Meaning of an EMCY error code, with the code in hexadecimal as in CiA documents."""
         return f"EMCY 0x{code:04X}, {meaning(code)}"
 
     # controller's end
@@ -152,7 +152,7 @@ class Cia402Protocol(Family):
         return tuple(plan(node, setup, self, increments) for node, increments in own)
 
     def controller_end(self, setup: DriveSetup) -> Cia402End:
-        """The controller's end, compiled; see `plans`."""
+        """The controller's end of these drives in compiled form; raises as `plans`."""
         return Cia402End(self, setup, self.plans(setup))
 
     # the drive of a frame
@@ -161,7 +161,7 @@ class Cia402Protocol(Family):
         return self.to_each(Frame(base + node, data) for node in self.nodes)
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Serial number or revision in an SDO answer; None for any other frame, or an abort."""
+        """Serial or revision number in a drive's SDO answer; None for any other frame, or an abort."""
         leg, read = self.senders.get(frame.id, -1), o.read_value(frame.data)
         if leg < 0 or frame.id & ~_NODE != o.SDO_REPLY_ID or frame.flags & STRANGE or read is None:
             return None

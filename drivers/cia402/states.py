@@ -1,9 +1,9 @@
 """The state machine of CiA 402, mapped to DriveMode and DriveState, and the error codes of EMCY messages.
 
-Statusword and transitions: IEC 61800-7-201, tables of the finite state automaton. The brake is the drive's:
-it is open in Operation Enabled and Quick Stop Active only. Codes: CiA 301, table 26; of drives: CiA 402-2
-(IEC 61800-7-201), table of error codes. The first two digits give the class, which explains a code without a
-row.
+Statusword and transitions: IEC 61800-7-201, tables of the finite state automaton. The drive operates its
+brake: it is open in Operation Enabled and Quick Stop Active only. Codes: CiA 301, table 26; of drives: CiA
+402-2 (IEC 61800-7-201), table of error codes. The first two digits give the class, which explains a code
+without an entry of its own.
 """
 
 from enum import IntEnum
@@ -13,7 +13,7 @@ from drivers.signals import DriveFault, DriveMode, DriveState
 
 
 class State(IntEnum):
-    """States of the automaton."""
+    """States of the CiA 402 finite state automaton of a drive."""
 
     NOT_READY = 0
     DISABLED = 1
@@ -87,7 +87,7 @@ def controlword(mode: int, state: int, edge: bool, stopped: bool) -> int:
 
 @helper
 def commanded(word: int, state: int, rises: bool) -> int:
-    """State to which a controlword brings a drive.
+    """State (State) that a drive enters from `state` when it receives a controlword.
 
     rises: bit 7 was 0 before. Transitions 2 to 12, 15 and 3 with 4; 16 belongs to other quick stop options.
     """
@@ -182,6 +182,6 @@ _CLASSES = {
 
 
 def meaning(code: int) -> str:
-    """Meaning of an error code: its own, else that of its class."""
+    """Meaning of an EMCY error code, in words; for a code without an entry that of its class."""
     fitting = _CLASSES.get(code >> 8) or _CLASSES.get(code >> 8 & 0xF0, "unknown")
     return _MEANINGS.get(code, fitting)

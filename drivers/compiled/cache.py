@@ -1,8 +1,8 @@
-"""Cache file of a compiled kernel: its folder has the hash of all sources that the kernel may use.
+"""Place of a compiled kernel in the cache: its folder name is a hash of all sources that the kernel may use.
 
-These are the sources of its room and of the rooms below; for a module outside the project those of its
-package and of all rooms. Their location does not count: a second clone or an installed wheel finds the
-compiled kernels.
+These are the sources of the kernel's package and of the packages below; for a module outside the project
+those of its package and of all of ours. Their location does not count: a second clone or an installed wheel
+finds the compiled kernels.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _room_of(file: Path) -> str | None:
 
 @functools.cache
 def files_of(room: str) -> frozenset[Path]:
-    """Sources of a room and of the rooms below."""
+    """Source files of a package of this project and of the packages that it may import."""
     path = _ROOT / room.replace(".", "/")
     own = [each for each in [*path.rglob("*"), path.with_suffix(".py")] if _room_of(each) == room]
     return frozenset(filter(_is_source, own)).union(*map(files_of, ROOMS[room]))
@@ -70,7 +70,6 @@ def _is_source(file: Path) -> bool:
 
 @functools.cache
 def _sources_of(file: Path) -> frozenset[Path]:
-    """Sources that decide the machine code of a file's kernels."""
     room = _room_of(file)
     if room:
         return files_of(room)
@@ -88,7 +87,7 @@ def _content(file: Path) -> bytes:
 
 @functools.cache
 def _folder_of(file: Path) -> Path | None:
-    """Folder of the kernels of a file; None if this process may have read another source."""
+    """Cache folder for the kernels of a file; None if this process may have read an older source."""
     digest = hashlib.sha256(sys.version.encode())
     for each in sorted(_sources_of(file)):
         digest.update(_content(each))
@@ -96,7 +95,7 @@ def _folder_of(file: Path) -> Path | None:
 
 
 def is_as_read(file: Path) -> bool:
-    """True if no source of a file's kernels was saved since this process began to read them.
+    """True if no source of a file's kernels was changed since this process began to read them.
 
     Otherwise machine code of the old source could be stored under the hash of the new one. A time stamp in
     the future is ignored: the clock was set back.
@@ -106,7 +105,7 @@ def is_as_read(file: Path) -> bool:
 
 
 def place_of(function: Callable[..., Any], kind: str) -> Path | None:
-    """Cache file of a kernel that is compiled for `kind`; None: it is not cached."""
+    """Cache file of a kernel; kind: its argument types and Numba version; None if it cannot be cached."""
     file = source_of(function)
     folder = _folder_of(file)
     if folder is None or function.__closure__:
@@ -116,9 +115,9 @@ def place_of(function: Callable[..., Any], kind: str) -> Path | None:
 
 
 def source_of(function: Callable[..., Any]) -> Path:
-    """Source file of a function."""
+    """Python file in which a function is defined."""
     return Path(function.__code__.co_filename).resolve()
 
 
 def progress(compiling: bool) -> None:
-    """Note that a kernel is about to be compiled, or was; a program that shows this replaces the function."""
+    """Called with True before a kernel is compiled and False after; replaceable, to show progress."""

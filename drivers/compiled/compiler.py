@@ -1,4 +1,4 @@
-"""Compilation of kernels: by Numba, at import, for one set of argument types; and these types."""
+"""Compilation of kernels by Numba, at import, for one set of argument types, and those types."""
 
 from __future__ import annotations
 
@@ -61,13 +61,13 @@ OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": False, "no_cfunc_
 
 
 class RecordArgument(types.Record):
-    """Argument: an element of a structured dtype, passed by address. The caller keeps its array."""
+    """Numba type of an argument that is an element of a structured dtype, passed by address."""
 
 
 def record(dtype: np.dtype[np.void], *names: str) -> Any:
-    """Argument: one element of a structured dtype, writeable; the kernel sees only the named columns.
+    """Numba type of an argument: one element of a structured dtype, writeable, limited to the named columns.
 
-    Without names it sees all. From Python it is an array of no dimension; only its size is checked.
+    Without names all columns. Python callers pass a zero-dimensional array; only its size is checked.
     """
     seen: Any = from_dtype(dtype[list(names or dtype.names or ())])
     fields = [(name, field._asdict()) for name, field in seen.fields.items()]
@@ -75,7 +75,7 @@ def record(dtype: np.dtype[np.void], *names: str) -> Any:
 
 
 def records(dtype: np.dtype[np.void]) -> Any:
-    """Argument: a vector of elements of a structured dtype, writeable or not."""
+    """Numba type of an argument: a one-dimensional array of a structured dtype, writeable or not."""
     return types.Array(record(dtype), 1, "C", readonly=True)
 
 
@@ -95,7 +95,7 @@ _extending.lower_cast(types.NestedArray, types.Array)(lambda _context, _builder,
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Delay Ctrl-C and the end of a time budget to the end: half a kernel would crash the process.
+    """Delay Ctrl-C and time-out signals to the end of the block: half a kernel would crash the process.
 
     A signal mask would not help: the operating system delivers the signal to any thread that does not block
     it.
@@ -116,7 +116,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def compiled(made: Any, function: Callable[..., Any], *signature: Any) -> Kept:
-    """Compile a function through Numba, or load it from the cache."""
+    """Compile a Numba dispatcher's function for argument types `signature`, or load it from the cache."""
     made._cache = kept = Kept(function)  # noqa: SLF001 - Numba's own checks only the function's file
     codegen: Any = cpu_target.target_context.codegen()
     with undisturbed():
@@ -129,11 +129,11 @@ def compiled(made: Any, function: Callable[..., Any], *signature: Any) -> Kept:
 
 
 def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
-    """Compile for exactly these argument types when the module is imported; others are refused.
+    """Decorator that compiles a function for exactly these argument types when its module is imported.
 
-    So no call can compile anything inside the loop. `unlocked` lets other threads of the interpreter run
-    meanwhile. A kernel of records returns numbers only; Numba then checks only the size of its arrays'
-    elements: the caller is responsible for their type, order and dimensions.
+    So no call can compile anything inside the loop. `unlocked` releases the GIL during calls. A kernel of
+    records returns numbers only; Numba then checks only the size of its arrays' elements: the caller is
+    responsible for their type, order and dimensions.
     """
 
     def decorate(function: F) -> F:
@@ -155,5 +155,5 @@ def kernel(*arguments: Any, unlocked: bool = False) -> Callable[[F], F]:
 
 
 def helper(function: F) -> F:
-    """Compile as part of the kernels that call it; elsewhere it remains the Python function."""
+    """Decorator: compile the function as part of kernels that call it; Python calls it as it is."""
     return cast("F", _extending.register_jitable(**OPTIONS)(function))

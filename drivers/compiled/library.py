@@ -31,7 +31,7 @@ _ENTRIES = "_ZN7cpython", "cfunc."
 
 
 class Library(JITCodeLibrary):
-    """One kernel or helper. Mutable state: a kernel's bitcode, until it is parsed; its linked libraries."""
+    """Numba code library of a kernel or helper. Mutable state: bitcode, linked libraries."""
 
     bitcode = b""
     _helps = False
@@ -39,7 +39,7 @@ class Library(JITCodeLibrary):
     """Object whose `set_env` Numba calls."""
 
     def finalize(self) -> None:
-        """Link it; a helper, which has no entry from Python or C, needs no more."""
+        """Link a kernel to machine code; a helper, never called from Python or C, is kept as bitcode."""
         if any(each.name.startswith(_ENTRIES) for each in self._final_module.functions):
             super().finalize()  # type: ignore[no-untyped-call]
             return
@@ -49,7 +49,7 @@ class Library(JITCodeLibrary):
         self._finalized = self._helps = True
 
     def set_env(self, name: str, environment: Any) -> None:
-        """Give a kernel its environment, as Numba does; a helper has no machine code to hold one."""
+        """Set a kernel's Numba environment; a helper has no machine code that could refer to one."""
         if not self._helps:
             self._codegen.set_env(name, environment)  # type: ignore[attr-defined]
 
@@ -71,14 +71,14 @@ class Library(JITCodeLibrary):
 
 
 class Kept:
-    """Numba's view of the cache of one kernel. Mutable state: its machine code."""
+    """Cache of one kernel, with the interface that Numba expects. Mutable state: its machine code."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function = function
         self.code = b""
 
     def load_overload(self, signature: Any, target: Any) -> CompileResult | None:
-        """Load the compiled kernel; None if it is missing or damaged."""
+        """Load the compiled kernel from its file; None if the file is missing or damaged."""
         target.refresh()
         file = self._file(signature, target)
         try:
@@ -92,7 +92,7 @@ class Kept:
         return CompileResult._rebuild(target, library, *rest)  # type: ignore[no-untyped-call, no-any-return]
 
     def save_overload(self, signature: Any, result: Any) -> None:
-        """Store the compiled kernel, unless a source was saved meanwhile or the file cannot be written."""
+        """Store the compiled kernel, unless a source changed meanwhile or the file cannot be written."""
         names = [each.name for each in result.library.get_defined_functions()]
         (name, _, (self.code, bitcode)), *rest = result._reduce()
         file = self._file(signature, result.target_context)

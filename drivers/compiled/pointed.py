@@ -1,8 +1,8 @@
 """Kernels that are called by address: the pointer in a record decides which function runs.
 
-A law, a reference, a decoder is a C function and the record that it works on. A compiled pass calls it by the
-two addresses, without knowing which one it is, in a few ns. A function in plain Python is called in the same
-way, through a callback (`of_python`), in 0.3 us and its own time.
+A law, a reference, a decoder is a C function and the record that it works on. A compiled caller uses the two
+addresses without knowing which function it calls, in a few ns. A function in plain Python is called in the
+same way, through a callback (`of_python`), in 0.3 us plus its own time.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _C_TYPES: dict[Any, Any] = {types.int64: ctypes.c_int64, types.float64: ctypes.c
 
 @dataclass(frozen=True)
 class Pointed:
-    """A compiled function with an address."""
+    """A compiled function that other kernels call through its address."""
 
     address: int
     machine_code: tuple[str, bytes]
@@ -39,14 +39,15 @@ class Pointed:
     """The function, with numbers and addresses as arguments."""
 
     def __call__(self, *arguments: Any) -> int:
-        """Status of a call. A record or a pointer is passed as an array; the caller is responsible for it."""
+        """Call the function from Python; returns its status. Records are passed as unchecked arrays."""
         return self.raw(*[each.ctypes.data if isinstance(each, np.ndarray) else each for each in arguments])
 
 
 def pointed(*arguments: Any) -> Callable[[Callable[..., int]], Pointed]:
-    """Compile a function of records (`compiler.record`), INTEGER and REAL that returns a status, an int.
+    """Decorator that compiles a function of records (`compiler.record`), INTEGER and REAL to a C function.
 
-    Cached as by `compiler.kernel`. Only the address of a record is passed: nothing checks it.
+    The function returns a status, an int. Cached as by `compiler.kernel`. Only the address of a record is
+    passed: its type is not checked.
     """
 
     def decorate(function: Callable[..., int]) -> Pointed:
@@ -68,7 +69,7 @@ class Callee(NamedTuple):
 
 
 def context_of(dtype: np.dtype[np.void], **values: Any) -> np.ndarray[Any, np.dtype[np.void]]:
-    """Record of a dtype with these values; an array for a scalar field is stored by its address."""
+    """Record of a dtype with these field values; an array given for a scalar field stores its address."""
     context = np.zeros((), dtype)
     for name, value in values.items():
         by_address = isinstance(value, np.ndarray) and not dtype[name].shape
@@ -86,12 +87,12 @@ def of_python(function: Callable[..., int], *kinds: Any) -> tuple[int, Any]:
 
 
 def data_at(array: np.ndarray[Any, Any]) -> int:
-    """Address of an array's data: its owner must live as long as the address is used."""
+    """Address of an array's data; the caller keeps the array alive while it uses the address."""
     return int(array.ctypes.data)
 
 
 def record_at(argument: Any) -> Any:
-    """Function that makes, inside a kernel, a record of a type (`compiler.record`) from its address."""
+    """Numba helper that views memory at an address, inside a kernel, as a record of a type."""
 
     def generate(context: Any, builder: Any, _signature: Any, values: Any) -> Any:
         return builder.inttoptr(values[0], context.get_value_type(argument))
@@ -111,7 +112,7 @@ address_of: Any = intrinsic(_address_of)
 
 
 def records_at(argument: Any) -> Any:
-    """Function (address, shape) that gives a kernel the array of records or numbers at an address."""
+    """Numba helper (address, shape) that views memory, inside a kernel, as an array of records or numbers."""
     to_elements = record_at(types.CPointer(argument))  # type: ignore[no-untyped-call]
     return helper(lambda address, shape: _carray(to_elements(address), shape))
 

@@ -1,1 +1,1 @@
-"""Codec of the project's own protocol `legs`, defined by legs.dbc: the controller's end, compiled."""
+"""Codec of the project's own drive protocol `legs`, defined by legs.dbc: the controller's end, compiled."""

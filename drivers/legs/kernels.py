@@ -1,4 +1,4 @@
-"""The controller's end of the protocol `legs`, compiled: all feedback to SI in one call, forces to frames.
+"""Kernels of the protocol `legs` for the controller: feedback frames to SI values, leg forces to frames.
 
 Fields are little-endian, those of 64 bits float64. The end-to-end checks are SAE J1850 CRC-8, and a CRC-16 in
 longer frames. Both begin with the two bytes of the identifier, low byte first: a frame sent or routed under
@@ -57,7 +57,7 @@ ENDS = np.dtype(
 )
 """Record of both ends. Tables: each leg's identifiers, its place in the command, from 1 on, and its bus;
 identifiers and bytes of the other frames; the byte of a feedback with counter and state; address of `frames`
-elements of COMMAND; identifiers of the commands of all layouts; of each quantity first bit, bits (0:
+COMMAND records; identifiers of the commands of all layouts; of each quantity first bit, bits (0:
 missing), scale and range, SI; of a force step and range, in steps if it is rounded, else N; step of the
 watchdog, s.
 
@@ -65,7 +65,7 @@ State of the controller: checksum of each leg's set-up, checksum in its last sta
 it; bit i: the last status of drive i has confirmed it; ticks from one CONFIG of a drive to its next. State of
 the drives: Cycle of the present SYNC of each bus."""
 NO_SYNC = -1
-"""Cycle of drives that have received no SYNC yet."""
+"""SYNC counter of drives that have received no SYNC yet."""
 CHANGED = 1
 """Status of `decode`: not all drives have confirmed their set-up, or one has just confirmed it."""
 ends: Any = record(ENDS)
@@ -84,7 +84,7 @@ b"123456789" is 0x772B, that of CRC-16/M17."""
 
 
 def _table(polynomial: int, bits: int) -> Ints:
-    """Byte * x^bits modulo a polynomial of that degree, for each byte."""
+    """CRC table: byte * x^bits modulo the generator polynomial of degree `bits`, for each byte."""
     register = np.arange(256) << bits - 8
     for _ in range(8):
         register = register << 1 ^ (register >> bits - 1) * (1 << bits | polynomial)
@@ -96,7 +96,7 @@ _TABLE, _TABLE_16 = _table(POLYNOMIAL, 8).astype(np.uint8), _table(POLYNOMIAL_16
 
 @helper
 def check_of(identifier: int, data: Any, size: int, width: int) -> int:
-    """Check of an identifier and data[:size], `width` bytes long, most significant bit first."""
+    """CRC of an identifier and data[:size]: `width` bytes (1: CRC-8, 2: CRC-16), high bit first."""
     if width == 1:
         register = int(_TABLE[_TABLE[0xFF ^ (identifier & 0xFF)] ^ (identifier >> 8)])
         for k in range(size):
@@ -111,7 +111,7 @@ def check_of(identifier: int, data: Any, size: int, width: int) -> int:
 
 @helper
 def intact(frame: Any) -> bool:
-    """True if a record of FRAME, not empty, ends in its CRC-8."""
+    """True if a FRAME record is not empty and ends in its valid CRC-8."""
     identifier: Any = np.int64(frame.id)
     last: Any = np.int64(frame.length) - 1
     return bool(check_of(identifier, frame.data, last, 1) == frame.data[last])
@@ -119,27 +119,27 @@ def intact(frame: Any) -> bool:
 
 @kernel(INTEGER, DATA, INTEGER)
 def check(identifier: int, data: Any, width: int) -> int:
-    """Check of bytes, for Python code; see `check_of`."""
+    """CRC of an identifier and data, `width` bytes (1 or 2), for Python code; see `check_of`."""
     return check_of(identifier, data, len(data), width)
 
 
 @helper
 def natural(data: Any, start: int, bits: int) -> int:
-    """Field of up to 32 bits, or of 64 on a byte boundary, by its first bit."""
+    """Unsigned field of up to 32 bits from bit `start`; one of 64 bits must start at a byte."""
     value = whole(data, start >> 3, ((start & 7) + bits + 7) >> 3) >> (start & 7)
     return value if bits == EXACT else value & ((1 << bits) - 1)
 
 
 @helper
 def read(data: Any, start: int, bits: int, word: Ints) -> float:
-    """Field, see `natural`, as a signed integer or a float64; `word` (1,) is scratch."""
+    """Field of data as a number: signed integer, or float64 if it has 64 bits; `word` (1,) is scratch."""
     word[0] = natural(data, start, bits)
     return float(word.view(np.float64)[0]) if bits == EXACT else float(signed(word[0], bits))
 
 
 @helper
 def put(value: int, data: Bytes, start: int, bits: int) -> None:
-    """Write the low bits of an integer into a field that is 0, see `natural`."""
+    """Write the low `bits` bits of an integer into a field of data that is 0, from bit `start`."""
     shift = start & 7
     raw = value if bits == EXACT else (value & ((1 << bits) - 1)) << shift
     for k in range((shift + bits + 7) >> 3):
@@ -148,7 +148,7 @@ def put(value: int, data: Bytes, start: int, bits: int) -> None:
 
 @helper
 def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
-    """Write a value that fits into its field, which is 0; see `read`."""
+    """Write a value in range into a field that is 0: signed integer, or float64 if it has 64 bits."""
     if bits == EXACT:
         word.view(np.float64)[0] = value
     else:
@@ -160,7 +160,6 @@ def write(value: float, data: Bytes, start: int, bits: int, word: Ints) -> None:
 def _take_feedback(
     e: Any, data: Any, early: bool, leg: int, value: Array, word: Ints, last: Any, tick: Any
 ) -> bool:
-    """Take an intact feedback; True if it is valid. `value` and `word` are scratch."""
     counted = int(data[e.counter_at])
     behind = (tick.tick - counted) & 0xF
     state = counted >> 4 & ~INVALID
@@ -197,7 +196,6 @@ def _take_feedback(
 
 @helper
 def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
-    """Take an intact status; True if it is valid."""
     state, fault, mine = int(data[0]), int(data[1]), 1 << leg
     e.said[leg] = whole(data, 2, 2)
     if state >= _STATES or fault >= _FAULTS:
@@ -213,7 +211,6 @@ def _take_status(e: Any, data: Any, leg: int, tick: Any) -> bool:
 
 @helper
 def _foreign(e: Any, identifier: int) -> int:
-    """Kind of a controller's frame with this identifier, 0: none; own frames are not received."""
     if identifier == e.sync:
         return Foreign.SYNC.value
     if identifier == e.estop:
@@ -226,7 +223,7 @@ def _foreign(e: Any, identifier: int) -> int:
 
 @pointed(ends, INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Fill the measurement of a tick from that of the last tick and the frames since, elements of FRAME.
+    """Fill the measurement of a tick from that of the last tick and the frames since, FRAME records.
 
     Every leg first ages by the ticks since the last one, up to NEVER. A feedback with this tick's counter has
     age 0, unless it came before `since_ns`: then it answers an older SYNC with the same four bits, and is
@@ -237,7 +234,8 @@ def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
     second answer to the same SYNC with other content marks the node as `doubled`; the first one counts. SYNC,
     command, CONFIG and E-stop are `foreign`, whatever they carry: a node does not receive its own frames.
     Other frames are ignored. Fault and set-up come from the status, state from the feedback. Layout classic
-    carries no force: the force keeps its value. Returns CHANGED or 0.
+    carries no force: the force keeps its value. Returns CHANGED if the set of configured drives changed, else
+    0.
     """
     word = np.empty(1, np.int64)
     value = np.zeros(QUANTITIES)
@@ -274,10 +272,11 @@ def decode(e: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any)
 
 @pointed(ends, INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def command(e: Any, number: int, mode: int, _stop: int, force_at: int, into: int) -> int:
-    """Fill the elements of FRAME at `into` with the frames of a tick's command; returns their number.
+    """Write the frames of a tick's command to FRAME records at the address `into`; returns their number.
 
-    number: of the tick; the counter takes as many of its low bits as fit. force_at: address of (6,) N, > 0
-    extends. FAILED: a force does not fit. An emergency stop is a frame of its own.
+    number: of the tick; the counter takes as many of its low bits as fit. mode: a DriveMode. force_at:
+    address of (6,) N, > 0 extends. Returns FAILED if a force does not fit. An emergency stop is a frame of
+    its own.
     """
     forces, word = reals_at(force_at, LEGS), np.empty(1, np.int64)
     commands, sent = commands_at(e.commands, e.frames), frames_at(into, e.frames)

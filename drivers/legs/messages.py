@@ -32,48 +32,48 @@ _SHARE = re.compile(r'\(([\d.]+),0\) \[(-[\d.]+)\|([\d.]+)\] "%"')
 
 
 class Layout(NamedTuple):
-    """One message of a DBC: little-endian fields that do not overlap, in order of position."""
+    """One message of a DBC file: little-endian fields that do not overlap, in order of position."""
 
     id: int
     length: int
     flags: int
     signals: tuple[str, ...]
     places: tuple[tuple[int, int], ...]
-    """First bit and bits of each field; a field of 64 bits is a float64."""
+    """(first bit, number of bits) of each field; a field of 64 bits is a float64."""
     scale: tuple[float, ...]
     low: tuple[float, ...]
-    """Ranges in SI."""
+    """Ranges of the fields, SI units."""
     high: tuple[float, ...]
 
     def place(self, signal: str) -> tuple[int, int]:
-        """First bit and bits of a field."""
+        """(first bit, number of bits) of a signal."""
         return self.places[self.signals.index(signal)]
 
     def pack(self, *values: int) -> bytes:
-        """Bytes with the low bits of integers in the first fields."""
+        """Data bytes of the message; two's-complement integers fill the first fields, 0 the others."""
         fields = zip(values, self.places, strict=False)
         whole = sum((value & (1 << bits) - 1) << start for value, (start, bits) in fields)
         return whole.to_bytes(self.length, "little")
 
     def unpack(self, data: bytes) -> list[int]:
-        """Fields as unsigned integers."""
+        """Raw values of all fields, as unsigned integers."""
         whole = int.from_bytes(data, "little")
         return [whole >> start & (1 << bits) - 1 for start, bits in self.places]
 
     def frame(self, identifier: int, *values: int) -> Frame:
-        """Frame with integers in all fields but the last, which is the CRC-8."""
+        """Frame of the message; integers fill all fields but the last one, which gets the CRC-8."""
         data = self.pack(*values)[:-1]
         return Frame(identifier, data + bytes([check(identifier, data, 1)]), self.flags)
 
 
 def read_dbc(package: str, name: str) -> str:
-    """Text of a DBC file of ours, for the log and for other tools."""
+    """Text of a DBC file of this project, for the log and for other tools."""
     return resources.files(package).joinpath(name).read_text(encoding="ascii")
 
 
 @cache
 def layouts(dbc: str, rated_N: float = 100.0) -> dict[str, Layout]:
-    """Messages of a DBC file of ours by name; fields in per cent refer to a rated force.
+    """Messages, by name, of a DBC file of this project; rated_N: force, N, of 100 per cent.
 
     cantools could read it, too, but its import takes a third of a second.
     """
@@ -95,9 +95,9 @@ def layouts(dbc: str, rated_N: float = 100.0) -> dict[str, Layout]:
 
 
 def read_messages(rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
-    """Text of legs.dbc with the forces in N, version of the protocol, and messages by name.
+    """(text of legs.dbc with forces in N, protocol version, messages by name) for a rated force, N.
 
-    Raises ConfigurationError for a force that the checksum of a set-up cannot carry.
+    Raises ConfigurationError for a force that the set-up checksum cannot include: see RATED_N.
     """
     if not RATED_N[0] <= rated_force_N <= RATED_N[1]:
         raise ConfigurationError(
@@ -115,5 +115,5 @@ def read_messages(rated_force_N: float) -> tuple[str, int, dict[str, Layout]]:
 
 
 def set_up_checksum(identifier: int, config: bytes, rated_force_N: float) -> int:
-    """Checksum of a set-up in a status: of its CONFIG without the CRC, and of the drive's rated force."""
+    """CRC-16 that a drive's status reports of its set-up: CONFIG data without CRC, and rated force in mN."""
     return check(identifier, config + round(rated_force_N * 1e3).to_bytes(4, "little"), 2)

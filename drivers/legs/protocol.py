@@ -1,4 +1,4 @@
-"""The protocol `legs`, compiled at start from legs.dbc into tables.
+"""The protocol `legs`: at start its tables are built from legs.dbc for the kernels.
 
 No state, no clock. `docs/guides/protocol.md` has the rules of both ends.
 """
@@ -37,7 +37,7 @@ _POWERED = (DriveState.READY, DriveState.RUN)
 
 @pointed(ends, INTEGER, INTEGER, INTEGER)
 def fresh(e: Any, frame_address: int, tick: int, since_ns: int) -> int:
-    """Leg, from 1 on, of an intact feedback to this tick's SYNC on its own bus; else 0."""
+    """Leg + 1 of a feedback with valid CRC that answers this tick's SYNC on the leg's bus; else 0."""
     frame = frame_at(frame_address)
     identifier: Any = np.int64(frame.id)
     leg = place_of(identifier, e.feedback)
@@ -49,7 +49,7 @@ def fresh(e: Any, frame_address: int, tick: int, since_ns: int) -> int:
 
 @pointed(ends, INTEGER)
 def addressed(e: Any, frame_address: int) -> int:
-    """Legs on its bus that a frame addresses, bit i: leg i. Only a CONFIG addresses a single leg."""
+    """Legs that a frame addresses, bit i: leg i. A CONFIG addresses one leg, others all on their bus."""
     frame = frame_at(frame_address)
     identifier: Any = np.int64(frame.id)
     only = identifier if place_of(identifier, e.config) >= 0 else EVERYONE
@@ -57,12 +57,11 @@ def addressed(e: Any, frame_address: int) -> int:
 
 
 class LegsController(ControllerEnd):
-    """The controller's end. Mutable state: the record."""
+    """The controller's end of six drives of protocol `legs`. Mutable state: its record."""
 
     first = "expected"
 
     def __init__(self, family: Any, setup: DriveSetup) -> None:
-        """Start the dialogue. Raises ProtocolError if the watchdog does not fit."""
         configs, begun = family.configure(setup.watchdog_s, setup.reaction), family.tables.copy()
         self._family, self._configs = family, sent_array(configs)
         begun["expected"] = [set_up_checksum(n, data[:-1], family.rated_force_N) for n, data, _ in configs]
@@ -70,7 +69,7 @@ class LegsController(ControllerEnd):
         super().__init__(begun, kernels.decode, kernels.command, family.syncs)
 
     def set_up(self, tick: Record) -> Rows:
-        """CONFIG for a drive that answers and has none from us or has not confirmed it, one per tick.
+        """CONFIG frame for a drive that answers but has not confirmed its set-up; at most one per tick.
 
         A drive that has left BOOT gets it at most TRIES times.
         """
@@ -85,7 +84,7 @@ class LegsController(ControllerEnd):
         return self._configs[leg : leg + 1]
 
     def lack(self, leg: int) -> str:
-        """Reason why a drive does not count as set up; a status has only a checksum of the set-up."""
+        """Reason, as text, why a drive does not count as set up, by its state and checksum."""
         times, said, expected = (int(self.state[name][leg]) for name in ("sent", "said", "expected"))
         if not times:
             return "it has been sent no CONFIG"
@@ -101,7 +100,7 @@ class LegsController(ControllerEnd):
         )
 
     def unfit(self, force: Array) -> ProtocolError:
-        """Error for a force that does not fit."""
+        """Error for leg forces (6,) N beyond the range of the command's fields."""
         of = self._family.commands[0][0]
         return ProtocolError(
             f"force command {force.tolist()} N does not fit layout {self._family.layout}: {of.low[0]:.12g} "
@@ -113,10 +112,10 @@ MAX_NODE = 127
 
 
 class LegsProtocol(Family):
-    """The protocol `legs` in one layout: `classic`, `fd` or `ideal`. Holds compiled tables only.
+    """The protocol `legs` in one layout: `classic`, `fd` or `ideal`. Has constant tables only.
 
-    `node_ids`: the drives' node numbers, leg order, 1..127, all different; `rated_force_N`: unit of the
-    forces in short fields; `legs`: the legs of each bus. Each bus has a command of its own, with the forces
+    `node_ids`: the drives' node numbers, leg order, 1..127, all different; `rated_force_N`: 100 per cent of
+    the short force fields; `legs`: the legs of each bus. Each bus has a command of its own, with the forces
     of its legs only; CONFIG gives a drive the place of its leg in it. A bus with three legs or fewer has room
     for three. Raises ConfigurationError for other node numbers or a rated force that does not fit.
     """
@@ -151,7 +150,7 @@ class LegsProtocol(Family):
         self.senders = {identifier: leg for ids in both for leg, identifier in enumerate(ids)}
         syncs = [sent_array(self.to_all(self.sync.frame(self.sync.id, cycle))) for cycle in range(256)]
         self.syncs: Rows = np.array(syncs)
-        """SYNC of each Cycle on all buses, elements of FRAME."""
+        """SYNC of each Cycle on all buses, FRAME records."""
 
     def _tabulate(self) -> None:
         t, of, force = self.tables, self.feedback, self.commands[0][0]
@@ -178,7 +177,6 @@ class LegsProtocol(Family):
         t["commands"], t["frames"] = data_at(self._commands), len(rows)
 
     def _command_rows(self, bus: int) -> list[tuple[Any, ...]]:
-        """Command frames of a bus as elements of COMMAND."""
         rest, rows = [*self.legs[bus]], []
         for of in self.commands[len(rest) <= SHORT]:
             forces = sum(name.startswith("Force") for name in of.signals)
@@ -190,7 +188,7 @@ class LegsProtocol(Family):
 
     @cached_property
     def traits(self) -> Traits:
-        """Properties of such drives; fields are rounded, so half a step off."""
+        """Properties of drives of protocol `legs`; fields are rounded, so errors are half a step."""
         of, stop, zeros = self.feedback, self.estop, np.zeros(LEGS)
         end = self.controller_end(DriveSetup(1.0, Reaction.BRAKE, 1000.0))
         sent = *sent_frames(end.begin(0)), *sent_frames(end.give(Command(DriveMode.OFF, zeros), 0))
@@ -214,19 +212,19 @@ class LegsProtocol(Family):
         )
 
     def controller_end(self, setup: DriveSetup) -> LegsController:
-        """The controller's end. Raises ProtocolError if the watchdog does not fit."""
+        """Compiled controller's end of these drives. Raises ProtocolError if the watchdog does not fit."""
         return LegsController(self, setup)
 
     # frames
 
     def configure(self, watchdog_s: float, reaction: Reaction) -> tuple[Frame, ...]:
-        """Six CONFIG frames. Raises ProtocolError for a watchdog outside 1 us .. 4294 s."""
+        """CONFIG frame of each drive. Raises ProtocolError for a watchdog outside 1e-6 .. 4294 s."""
         of, t = self.config, self.tables
         steps = watchdog_s / of.scale[0]
         if not isfinite(steps) or not 1 <= round(steps) < 1 << 32:
             raise ProtocolError(
-                f"drive watchdog of {watchdog_s} s does not fit into CONFIG: "
-                "0.000001 to 4294.967295 s are allowed"
+                f"drives.watchdog_ms: {1e3 * watchdog_s:g} ms does not fit into CONFIG, allowed: "
+                "0.001 to 4294967.295 ms"
             )
         each = zip(t["config"].tolist(), t["place"].tolist(), strict=True)
         same = round(steps), int(reaction)
@@ -238,7 +236,7 @@ _made = cache(LegsProtocol)
 
 
 def legs(bus: BusSettings, drives: DriveSettings) -> LegsProtocol:
-    """Codec of a configuration. Raises ConfigurationError for settings that the protocol does not have."""
+    """Codec of the configured layout. Raises ConfigurationError for settings that it does not support."""
     if drives.options:
         raise ConfigurationError(
             f"drives.options: protocol legs has no options, given: {', '.join(drives.options)}"

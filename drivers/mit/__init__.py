@@ -1,4 +1,4 @@
-"""MIT mini-cheetah framing and the drives that adopted it, as one protocol with variants."""
+"""MIT mini-cheetah framing, and the drives that adopted it, as one protocol with variants."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def mit(bus: BusSettings, drives: DriveSettings) -> MitFamily:
-    """Codec of the configured variant."""
+    """Codec of the variant of MIT framing that `drives.options` selects."""
     from drivers.mit.protocol import MitProtocol  # noqa: PLC0415 - compiled code
     from drivers.mit.robstride import RobStrideProtocol  # noqa: PLC0415
 

@@ -1,4 +1,4 @@
-"""Fields of MIT framing, numbers of n bits over a range, and a table of the drives that adopted it. Pure.
+"""Fields of MIT framing, numbers of n bits over a range, and a table of the drives that adopted it. No state.
 
 The reference is B. Katz's motor firmware (github.com/bgkatz/motorcontrol at 3586419, math_ops.c and
 CAN_com.c): 2^n - 1 steps, truncated. Zero of a symmetric range has no code: it is sent as half a step less.
@@ -8,20 +8,20 @@ from math import pi
 from typing import NamedTuple
 
 TURN = 2.0 * pi
-"""rad."""
+"""One turn, rad."""
 TOP_COMMAND = 0xFFB
 """Highest torque code sent: with all else at the top, FFC to FFF would be special frames or reserved ones."""
 
 
 class Ranges(NamedTuple):
-    """Ends of the symmetric fields; the gains are always sent as zero."""
+    """Ends of the symmetric fields for position, velocity and torque; gains are always sent as zero."""
 
     position: float
-    """rad."""
+    """End of the position field, rad."""
     velocity: float
-    """rad/s."""
+    """End of the velocity field, rad/s."""
     torque: float
-    """N m."""
+    """End of the torque field, N m."""
 
 
 P = 12.5
@@ -29,18 +29,18 @@ FOUR_PI = 12.566370614359172
 
 
 class Variant(NamedTuple):
-    """One variant."""
+    """One variant of MIT framing: ranges of its models, fault codes and details of its replies."""
 
     models: dict[str, Ranges]
-    """Ranges by model, with factory settings."""
+    """Ranges of each model, with factory settings."""
     faults: dict[int, str]
-    """Fault codes, or bits."""
+    """Fault codes, or bits, with their meanings."""
     silence: int | None = None
-    """Fault code of its own watchdog; None: a controller cannot set one, or the drive does not report it."""
+    """Fault code of the drive's watchdog; None: it cannot be set, or the drive does not report it."""
     reply_bytes: tuple[int, ...] = (8,)
     """Accepted lengths of a reply; an emulated drive sends the last."""
     clamps: bool = True
-    """True if its replies saturate; else they wrap."""
+    """True if values out of range saturate in a reply; else they wrap."""
 
 
 CUBEMARS_FAULTS = {

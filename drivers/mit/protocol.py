@@ -1,9 +1,9 @@
 """Codec of MIT framing on 11-bit identifiers: mini-cheetah, CubeMars and Damiao.
 
-A command polls its drive, which answers with position, velocity and torque. Gains are sent as zero: the law
-runs in the controller. Special frames are seven FF and FC enable, FD disable, FE zero (never sent), FB clear
-the fault (Damiao). Only a Damiao reports whether it is enabled, and has registers: control mode, watchdog in
-units of 50 us, and the ranges, which are compared with the configured ones.
+A command polls its drive, which answers with position, velocity and torque. Gains are sent as zero: the
+control law runs in the controller. Special frames are seven FF and FC enable, FD disable, FE zero (never
+sent), FB clear the fault (Damiao). Only a Damiao reports whether it is enabled, and has registers: control
+mode, watchdog in units of 50 us, and the ranges, which are compared with the configured ones.
 """
 
 import struct
@@ -37,7 +37,6 @@ TICKS_PER_S = 20_000
 
 @helper
 def _answer(data: Any, leg: int, heard: Any) -> int:
-    """Decode the answer of a Damiao's register; for a register not used here only the leg."""
     register = int(data[3])
     is_single = register in (PMAX, VMAX, TMAX)
     if not is_single and register not in (CTRL_MODE, TIMEOUT):
@@ -50,7 +49,7 @@ def _answer(data: Any, leg: int, heard: Any) -> int:
 
 @helper
 def take_motion(ear: Any, leg: int, position: int, velocity: int, torque: int, bits: int, heard: Any) -> int:
-    """Decode the codes in a reply; a position at the end of a saturating field is no reading."""
+    """Decode codes to turns, turns/s, N m; a position code at the end of a saturating field is no reading."""
     at_end = ear.clamps and position in (0, 0xFFFF)
     motors.says(heard, leg, motors.FEEDBACK | motors.TORQUE | (0 if at_end else motors.MOTION))
     if not at_end:
@@ -62,7 +61,7 @@ def take_motion(ear: Any, leg: int, position: int, velocity: int, torque: int, b
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Decode a reply: position turns, velocity turns/s, torque N m, status."""
+    """Decode a reply into `heard`: position turns, velocity turns/s, torque N m, power state. 0: not one."""
     identifier, size, data = int(frame.id), int(frame.length), frame.data
     if frame.flags & STRANGE & ~ear.flags:
         return 0
@@ -101,12 +100,12 @@ _FIELDS = {"position_rad": "position", "velocity_rad_s": "velocity", "torque_N_m
 
 
 class MitFamily(MotorProtocol):
-    """Codec of six drives with the same ranges."""
+    """Base of codecs with MIT's fields: six drives with equal ranges of position, velocity and torque."""
 
     def __init__(self, bus: BusSettings, drives: DriveSettings, torque_field: tuple[int, int]) -> None:
-        """Take the sections, and first byte and bits of a command's torque.
+        """Read the sections; torque_field: (first byte, bits) of the torque in a command.
 
-        Raises ConfigurationError for settings that the variant does not have.
+        Raises ConfigurationError for settings that the variant does not support.
         """
         layout = "fd" if (drives.options.get("variant"), bus.layout) == ("damiao", "fd") else "classic"
         options = Options(bus, drives, "mit", layout, ("variant", "model", "host_id", *_FIELDS))
@@ -123,7 +122,7 @@ class MitFamily(MotorProtocol):
         self.tables["clamps"], self.tables["flags"] = VARIANTS[self.variant].clamps, self.flags
 
     def traits_of(self, feedbacks: Iterable[Frame], **own: Any) -> Traits:
-        """Properties of the drives; steps of position, velocity and torque are truncated, at either end."""
+        """Properties of the drives; both ends truncate position, velocity and torque to their steps."""
         r, (_, bits, _), t = self.ranges, self.torque_field, self.transmission
         fields = (r.position, 16), (r.velocity, bits), (r.torque, bits)
         position, velocity, torque = (2.0 * end / ((1 << n) - 1) for end, n in fields)
@@ -138,12 +137,12 @@ class MitFamily(MotorProtocol):
         )
 
     def refuse_force(self, force_N: float) -> None:
-        """Raise ConfigurationError if the rated force needs more torque than a command carries."""
+        """Raise ConfigurationError if the rated force, N, needs more torque than a command carries."""
         refuse_torque(self.transmission, force_N, self.torque_limit, f"mit, variant {self.variant},")
 
 
 class MitProtocol(MitFamily):
-    """Codec of one variant."""
+    """Codec of a mini-cheetah, CubeMars or Damiao drive, as `drives.options` selects."""
 
     ear = hear
     number_at = 0, ANY
@@ -175,7 +174,7 @@ class MitProtocol(MitFamily):
 
     @cached_property
     def traits(self) -> Traits:
-        """Properties of a variant: only a Damiao reports its power state and identity; no stop latches."""
+        """Properties of the variant: only a Damiao reports power state and identity; no stop latches."""
         size = VARIANTS[self.variant].reply_bytes[-1] - 1
         replies = zip(self.replies, self.nodes, strict=True)
         return self.traits_of(
@@ -193,13 +192,13 @@ class MitProtocol(MitFamily):
         )
 
     def exchanges(self, setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Exchanges with Damiao's registers; others have none. Raises ProtocolError for a short watchdog."""
+        """Start-up exchanges with each Damiao's registers. Raises ProtocolError for a short watchdog."""
         if not self.damiao:
             return super().exchanges(setup)
         ticks = round(setup.watchdog_s * TICKS_PER_S)
         if ticks < 1:
             raise ProtocolError(
-                f"drive watchdog of {setup.watchdog_s} s: Damiao counts in steps of 50 us, at least one"
+                f"drives.watchdog_ms: {1e3 * setup.watchdog_s:g} ms is too short, allowed: at least 0.05"
             )
         r = self.ranges
         return tuple(
@@ -214,7 +213,7 @@ class MitProtocol(MitFamily):
         )
 
     def said_by(self, frame: Frame) -> Said | None:
-        """Serial number or revision in the answer to a read of its register; else None."""
+        """Serial or revision number in the answer to a read of its register; None for any other frame."""
         identifier, data, flags = frame
         if not self.damiao or flags & STRANGE & ~self.flags or len(data) != 8:
             return None
@@ -229,7 +228,7 @@ class MitProtocol(MitFamily):
         return Said(leg, SAID[data[3]], int.from_bytes(data[4:], "little"))
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Frames of DISABLE, of clearing a fault, of ENABLE and of torque: all of them are polls."""
+        """Frames by purpose: DISABLE, clear a fault, ENABLE, torque. Drives answer each: all are polls."""
         rows = DISABLE, CLEAR if self.damiao else DISABLE, ENABLE, NOTHING
         return tuple(tuple(Frame(node, data, self.flags) for node in self.nodes) for data in rows)
 

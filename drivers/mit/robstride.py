@@ -31,7 +31,7 @@ STRANGE = FD | REMOTE | ERROR
 
 @motors.hearing
 def hear(ear: Any, frame: Any, heard: Any) -> int:
-    """Decode a feedback, or a register's answer."""
+    """Decode a feedback or a register's answer into `heard` (HEARD record); 0: neither."""
     if not frame.flags & EXTENDED or frame.flags & STRANGE:
         return 0
     identifier = int(frame.id)
@@ -64,7 +64,7 @@ _ZEROS = bytes(8)
 
 
 class RobStrideProtocol(MitFamily):
-    """Codec of six drives."""
+    """Codec of six RobStride drives."""
 
     ear = hear
     number_at = 0, 0xFF
@@ -86,7 +86,7 @@ class RobStrideProtocol(MitFamily):
 
     @cached_property
     def traits(self) -> Traits:
-        """Properties of drives that answer each command; a stop does not latch."""
+        """Properties of RobStride drives: they answer each command; a stop does not latch."""
         answers = (FEEDBACK << 24 | RUNNING << 22 | node << 8 | self.host for node in self.nodes)
         return self.traits_of(
             (Frame(each, _ZEROS, EXTENDED) for each in answers),
@@ -108,14 +108,14 @@ class RobStrideProtocol(MitFamily):
         return Said(leg, SERIAL, int.from_bytes(data, "little"))
 
     def exchanges(self, _setup: DriveSetup) -> tuple[tuple[Exchange, ...], ...]:
-        """Exchange that writes the run mode and reads it back."""
+        """Start-up exchange of each drive: write the run mode and read it back."""
         writes = self._to_each(WRITE, struct.pack("<HxxI", RUN_MODE, OPERATION))
         reads = self._to_each(READ, struct.pack("<HxxI", RUN_MODE, 0))
         frames = zip(writes, reads, strict=True)
         return tuple((Exchange("run_mode (0x7005)", RUN_MODE, both, OPERATION),) for both in frames)
 
     def requests(self, _watchdog_s: float) -> tuple[tuple[Frame, ...], ...]:
-        """Frames of STOP, of the STOP that clears faults, of ENABLE and of torque: all of them are polls."""
+        """Frames by purpose: STOP, STOP that clears faults, ENABLE, torque. Drives answer each frame."""
         zeros = [code(0.0, -end, end, 16) for end in (self.ranges.position, self.ranges.velocity)]
         torque = struct.pack(">HHHH", *zeros, 0, 0)
         clear = bytes((1, *bytes(7)))

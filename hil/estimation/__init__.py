@@ -1,1 +1,1 @@
-"""Pose of the platform, the external wrench on it, and its predicted state when the force acts."""
+"""Estimates of the platform's pose, of the external wrench on it, and of its state when a force acts."""

@@ -1,4 +1,4 @@
-"""The external wrench that the law uses: none, the observer's, or the sensor's."""
+"""The external wrench for the control law: zero, from the observer, or from the sensor."""
 
 from typing import Any
 
@@ -31,7 +31,6 @@ sensor is the source, and the tick of its last sample."""
 
 @pointed(record(WRENCH), INTEGER, record(TICK, "tick", "legs_used", "wrench", "wrench_sensor"))
 def _fill(k: Any, fusing: int, tick: Any) -> int:
-    """Fill wrench and wrench_sensor, as `ExternalWrench.fill`; return 1 if the sensor is late."""
     late = False
     if k.observe:
         seen = 1 if fusing == 0 or tick.legs_used == _ALL_LEGS else 0
@@ -55,9 +54,9 @@ def _fill(k: Any, fusing: int, tick: Any) -> int:
     record(TICK, "tick", "rejected", "sensors_rejected"),
 )
 def hear_sensors(k: Any, sensors: Any, frames: int, count: int, R: int, tick: Any) -> int:
-    """Read a tick's samples from `count` elements of FRAME at an address, and count the refused ones.
+    """Read a tick's sensor samples from `count` FRAME records at an address; count the refused ones.
 
-    The wrench sensor turns with the platform: R, address of its rotation (3, 3).
+    R: address of the platform's rotation (3, 3), which turns the wrench sensor's samples to the base frame.
     """
     hear(sensors, frames_at(frames, count), tick.tick)
     newest = sensors.count[WRENCH_SENSOR] - 1
@@ -83,7 +82,7 @@ class ExternalWrench:
     def __init__(
         self, observer: WrenchObserver | None, sensor_rate_Hz: float | None, period_s: float
     ) -> None:
-        """observer, sensor_rate_Hz: set for the source only; neither: no source."""
+        """Set the source: an observer, or a sensor of a rate, Hz; neither: zero wrench. period_s: s."""
         self.observer = observer
         self._record = np.zeros((), WRENCH)
         self._record["period_s"] = period_s
@@ -95,27 +94,27 @@ class ExternalWrench:
         self.look = Callee(_fill.address, data_at(self._record), self)
         """Arguments: (wrench, fusing, tick); the compiled part of `fill`."""
         self.last: Array = self._record["last"]
-        """(6,): of the last tick; a view that the next tick changes."""
+        """Wrench (6,) N, N m of the last tick; a view that the next tick changes."""
         self.reset()
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         for name in ("last", "reading", "read_at"):
             self._record[name] = 0
         if self.observer is not None:
             self.observer.reset()
 
     def forget(self) -> None:
-        """Clear the reading: a working sensor gives another one before the brakes open."""
+        """Clear the sensor's reading: a working sensor gives a new one before the brakes open."""
         self._record["reading"] = 0.0
 
     @property
     def has_source(self) -> bool:
-        """True if there is a source; without one the wrench is zero."""
+        """True if an observer or a sensor is configured; without a source the wrench is zero."""
         return bool(self._record["observe"] or self._record["sensed"])
 
     def fill(self, tick: Record, *, fusing: bool) -> bool:
-        """Fill `wrench` and `wrench_sensor`, the sensor's last reading; call it once per tick.
+        """Fill in a tick's `wrench` and `wrench_sensor` (the sensor's last reading); call it once per tick.
 
         wrench: (6,) N, N m, load on the platform at its origin, base frame; zero without a source.
         fusing: the fusion filter runs; the observer then needs all six legs.

@@ -39,13 +39,13 @@ from hil.robot.geometry import Platform
 SILENT_SAMPLES = 5
 """A sensor is missed after this number of missing samples in a row."""
 _BIAS_STD = (0.05, 0.5)
-"""rad/s and m/s^2, for the unknown biases of an IMU."""
+"""Standard deviations, rad/s and m/s^2, of the unknown biases of an IMU."""
 _START_STD = (1e-3, 1e-2, 1e-3, 1e-3)
 """Pose m and rad, linear and angular rate of a platform at rest, just after a reading of all legs."""
 
 
 class FusedEstimator:
-    """The filter, from tick to tick, with the legs that may be lost, warnings and faults.
+    """The fusion filter, from tick to tick, with the legs that may be lost, warnings and faults.
 
     Mutable state, in its record and the rings that this points to: states, covariances and intervals, their
     ticks, the newest one and their number; the last forces; ticks left out, contradictions in a row and slips
@@ -125,15 +125,15 @@ class FusedEstimator:
 
     @property
     def contradicting(self) -> tuple[int, ...]:
-        """Legs whose encoders have slipped and may not be lost."""
+        """Legs whose encoders have slipped although the configuration allows no loss of them."""
         return tuple(leg for leg in range(LEGS) if self.record["contradicting"] >> leg & 1)
 
     def begin(self, tick: Record) -> None:
-        """Begin at rest at the pose from the legs of a tick."""
+        """Start the filter at rest at the pose that the legs gave in this tick."""
         self.start(int(tick["tick"]), latched_at(tick), tick["p"], tick["R"])
 
     def start(self, tick: int, t_ns: int, p: Array, R: Array) -> None:
-        """Begin at rest at a pose that the legs have just given; t_ns: their latching."""
+        """Start at rest at a pose just measured: p (3,) m, R (3, 3), base frame; t_ns: of its sampling."""
         for name in ("newest", "driven", "left_out", "against", "slipped"):
             self.record[name] = 0
         self.record["count"], self.record["heard"], self.record["R"] = 1, tick, R

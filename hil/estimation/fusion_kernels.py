@@ -32,14 +32,14 @@ steps_at = records_at(record(STEP))
 
 @helper
 def covariances_of(f: Any) -> Array:
-    """Ring of covariances (size, n, n)."""
+    """View of the filter's ring of covariances, (size, n, n)."""
     n = f.errors
     return reals_at(f.covariances, f.size * n * n).reshape((f.size, n, n))
 
 
 @helper
 def take(P: Array, h: Array, r: float, innovation: float, dx: Array) -> None:
-    """Process one number: z = h . error + noise of variance r; adds to the correction dx, and updates P.
+    """Update the filter with one number: z = h . error + noise of variance r; adds to dx (n,), changes P.
 
     innovation is relative to the state before any correction. P = (I - K h) P (I - K h)^T + K r K^T.
     """
@@ -74,7 +74,7 @@ def take(P: Array, h: Array, r: float, innovation: float, dx: Array) -> None:
 
 @helper
 def correct(f: Any, x: Array, dx: Array) -> None:
-    """Apply the correction dx (n,) to x, and set dx to zero."""
+    """Add the correction dx (n,) to the state x (30,), and set dx to zero."""
     for i in range(3):
         x[i] += dx[i]
     for i in range(6, f.forces):
@@ -89,7 +89,7 @@ def correct(f: Any, x: Array, dx: Array) -> None:
 
 @helper
 def leg_rows(f: Any, i: int, x: Array, h: Array, g: Array) -> tuple[float, float]:
-    """Length and rate of leg i; fills their rows h and g (n,) of the measurement matrix.
+    """Length, m, and rate, m/s, of leg i in state x; fills their measurement rows h and g (n,).
 
     With r = R b, u = v + omega x r: dl = s . (dp + dtheta x r). The rate s . u changes with the pose by ds .
     (dp + dtheta x r) + s . (omega x (dtheta x r)), ds = (u - s s.u) / l, and with the twist like dl.
@@ -115,7 +115,7 @@ def leg_rows(f: Any, i: int, x: Array, h: Array, g: Array) -> tuple[float, float
 
 @helper
 def variance_of(P: Array, h: Array) -> float:
-    """Variance h P h^T."""
+    """Variance h P h^T of a predicted measurement with row h (n,)."""
     n = P.shape[0]
     total = 0.0
     for i in range(n):
@@ -129,7 +129,7 @@ def variance_of(P: Array, h: Array) -> float:
 
 @helper
 def rate_variance(f: Any, s: Any, g: Array, rate: float) -> float:
-    """Variance of a measured leg rate: noise, time skew to the length, scale.
+    """Variance, m^2/s^2, of a measured leg rate: noise, time skew to the length, error of scale.
 
     With the row g of the rate, its gradient in pose and twist, the leg accelerates by g . [twist; dtwist].
     """
@@ -179,9 +179,10 @@ def bend(f: Any, b: Vector, x: Array, P: Array, h: Array, l: float) -> tuple[flo
 
 @helper
 def beyond(f: Any, s: Any, P: Array, bent: Array) -> tuple[int, int]:
-    """Number of legs that contradict the prediction, and the last of them; fills the innovation and bent.
+    """(number of legs that contradict the prediction, the last of them); fills the innovation and bent.
 
-    bent (2, 6): mean and variance of `bend`.
+    A leg contradicts it if length or rate is off by more than the gate. bent (2, 6): mean and variance of
+    `bend`.
     """
     count, last = 0, 0
     h, g = np.empty(f.errors), np.empty(f.errors)
@@ -203,7 +204,7 @@ def beyond(f: Any, s: Any, P: Array, bent: Array) -> tuple[int, int]:
 
 @helper
 def update_tracker(f: Any, s: Any, P: Array, dx: Array) -> None:
-    """Update with the tracker's pose at the state's instant, unless one of its numbers is beyond the gate."""
+    """Update with the tracker's pose at the state's time; ignored if one of six numbers is too far off."""
     x, Z = s.x, s.tracker_R
     R = rotation_of(x)
     turned = np.empty((3, 3))
@@ -256,7 +257,7 @@ def update_gyro(f: Any, s: Any, P: Array, dx: Array) -> None:
 
 @helper
 def interval(f: Any, before: Any, P0: Array, s: Any, P: Array) -> None:
-    """Fill the state of a step, and P, from those at the beginning of its interval.
+    """Fill in a step's state and P, predicted and updated from those at the beginning of its interval.
 
     The first run decides which legs are used, the amount of process noise, and whether the tracker is
     trusted. Later runs, for a late sample, keep these decisions.
@@ -296,7 +297,7 @@ def interval(f: Any, before: Any, P0: Array, s: Any, P: Array) -> None:
 
 @kernel(record(FUSION), INTEGER)
 def rerun_kernel(f: Any, first: int) -> None:
-    """Run the intervals of the ring from index ``first`` to the newest, each from the state before it."""
+    """Repeat the intervals of the ring from index ``first`` to the newest, as a sample came late."""
     steps, covariances = steps_at(f.steps, f.size), covariances_of(f)
     for i in range((f.newest - first) % f.size + 1):
         now = (first + i) % f.size
@@ -306,7 +307,7 @@ def rerun_kernel(f: Any, first: int) -> None:
 
 @helper
 def fill_estimate(f: Any, s: Any, P: Array, tick: Any) -> None:
-    """Fill q, dq, p, R, twist, J, fk_residual, condition, innovation_q and pose_std of a tick.
+    """Fill in a tick's q, dq, p, R, twist, J, fk_residual, condition, innovation_q and pose_std.
 
     s, P (n, n): the newest step and its covariance. Units, shapes and frames of the columns:
     `drivers.tick_columns`. fk_residual is the largest |measured - q| of the used legs, nan if the state is

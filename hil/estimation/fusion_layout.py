@@ -1,4 +1,4 @@
-"""Data of the filter of `hil.estimation.fusion`: its record, and the steps that it keeps."""
+"""Memory of the fusion filter of `hil.estimation.fusion`: its record, and the ticks that it keeps."""
 
 from typing import NamedTuple
 
@@ -70,15 +70,15 @@ FUSION = np.dtype(
 
 
 class LegErrors(NamedTuple):
-    """Errors of a leg's length, rate and force. Standard deviations, equal for all legs."""
+    """Standard deviations of a leg's length, rate and force errors, equal for all legs."""
 
     length_std_m: float
     rate_std_m_s: float
     rate_skew_std_s: float = 0.0
-    """Of the time skew between a rate and its length."""
+    """Standard deviation of the time skew between a rate and its length."""
     rate_scale_std: float = 0.0
-    """Of the relative error of a rate."""
+    """Standard deviation of the relative error of a rate."""
     force_std_N: float = 0.0
-    """Of the force along a leg that model and drives do not know; 0: no such force."""
+    """Standard deviation of the force along a leg that model and drives do not know; 0: none."""
     force_time_s: float = 0.1
-    """Correlation time of that force."""
+    """Correlation time of the unknown leg force."""

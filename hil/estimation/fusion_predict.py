@@ -1,4 +1,4 @@
-"""The filter's prediction: state and covariance over a part of an interval."""
+"""The fusion filter's prediction: state and covariance over a part of an interval between two ticks."""
 
 from typing import Any
 
@@ -18,7 +18,7 @@ DIFFERENCE = 1e-6
 
 @helper
 def exp_step(R: Array, w: Vector) -> None:
-    """Replace R by exp([w]x) R, |w| <= 0.5: series, exact to the last bit for rotations of one interval."""
+    """Replace R by exp([w]x) R, w rad, |w| <= 0.5, by a series that is exact to the last bit."""
     x = dot(w, w)
     A = 1.0 + x * (-1.0 / 6.0 + x * (1.0 / 120.0 + x * (-1.0 / 5040.0 + x / 362880.0)))
     B = 0.5 + x * (-1.0 / 24.0 + x * (1.0 / 720.0 + x * (-1.0 / 40320.0 + x / 3628800.0)))
@@ -33,13 +33,13 @@ def exp_step(R: Array, w: Vector) -> None:
 
 @helper
 def rotation_of(x: Array) -> Array:
-    """View of R (3, 3) in a state."""
+    """View of the rotation R (3, 3), platform to base, in a state (30,)."""
     return x[3:12].reshape(3, 3)
 
 
 @helper
 def acceleration(f: Any, s: Any) -> tuple[Vector, Vector]:
-    """Accelerations dv and domega of an interval: the model's, plus those of the unknown leg forces."""
+    """Accelerations (dv m/s^2, domega rad/s^2) of an interval: the model's, plus unknown leg forces' part."""
     a, turn, I = at(s.dtwist, 0), at(s.dtwist, 3), s.influence
     for leg in range(f.errors - f.forces):
         force = s.x[LEG_FORCE + leg]
@@ -64,7 +64,7 @@ def multiply(A: Array, B: Array, C: Array) -> None:
 
 @helper
 def carry(P: Array, F: Array) -> None:
-    """Replace the upper half of P by the upper half of F P F^T, row by row."""
+    """Replace the upper half of P by that of F P F^T, all (n, n), row by row."""
     n, W = P.shape[0], np.empty_like(P)
     multiply(F, P, W)
     for i in range(n):
@@ -78,7 +78,7 @@ def carry(P: Array, F: Array) -> None:
 
 @helper
 def weigh(f: Any, s: Any, a: Vector, dt: float, F: Array) -> tuple[Vector, float]:
-    """Linear acceleration of an interval, and the IMU's weight in it; a: the model's acceleration.
+    """Linear acceleration of an interval, m/s^2, and the IMU's weight in it, 0..1; a: the model's one.
 
     It is the mean of a and R (f - bias) + g, weighted by the inverse of their variances: two measurements of
     one acceleration. Fills the entries of F that depend on it: dv changes by dtheta x f share dt.
@@ -105,7 +105,7 @@ def weigh(f: Any, s: Any, a: Vector, dt: float, F: Array) -> tuple[Vector, float
 
 @helper
 def fill_transition(f: Any, s: Any, dt: float, share: float, phi: Vector, stays: float, F: Array) -> None:
-    """Fill the rest of F: gradients of the model's acceleration, rotation by phi, decay of leg forces."""
+    """Fill in F's gradients of the model's acceleration, rotation by phi rad, and decay of leg forces."""
     n, forces = f.errors, f.forces
     for i in range(6):
         kept = dt * (1.0 - share) if i < 3 else dt
@@ -170,7 +170,7 @@ def predict(f: Any, s: Any, P: Array, dt: float) -> None:
 
 @helper
 def add_process_noise(f: Any, P: Array, q_v: float, q_w: float, dt: float) -> None:
-    """Add the noise of white accelerations and bias drifts over dt to P, and mirror its upper half."""
+    """Add process noise over dt, s, to P: white accelerations, bias drifts; then mirror its upper half."""
     for i in range(3):
         for at_pose, at_rate, q in ((i, 6 + i, q_v), (3 + i, 9 + i, q_w)):
             P[at_pose, at_pose] += q * dt * dt * dt / 3.0

@@ -1,4 +1,4 @@
-"""One tick of the filter of `hil.estimation.fusion`: its interval, late samples, and lost legs."""
+"""One tick of the fusion filter of `hil.estimation.fusion`: its interval, late samples, and lost legs."""
 
 from math import nan
 from typing import Any
@@ -19,9 +19,9 @@ from hil.mathematics.rotations import rotation_motion_kernel
 SLIP_TICKS = 3
 """Number of contradictions in a row that count as a slip."""
 LEFT_OUT_TICKS = 10
-"""Longest time for which a leg is left out that contradicts the prediction by less than a slip."""
+"""Most ticks for which a leg is left out that contradicts the prediction by less than a slip."""
 LOST_TICKS = 2
-"""Age from which a leg counts as lost."""
+"""Age in ticks from which a leg counts as lost."""
 STANDING_m_s = 5e-3
 """Largest rate of a leg that stands on shut brakes."""
 _ALL_LEGS = (1 << LEGS) - 1
@@ -31,7 +31,7 @@ _STEP_WORDS = STEP.itemsize // 8
 
 @helper
 def latched_ns(tick: Any) -> int:
-    """Instant at which the first encoder of a tick was latched, ns."""
+    """Time at which the first encoder of a tick was sampled, ns."""
     first = np.int64(0)
     for leg in range(LEGS):
         at_ns = tick.latch_ns[leg]
@@ -46,7 +46,7 @@ latched_at = kernel(record(TICK, "t_ns", "lateness_ns", "latch_ns"))(latched_ns)
 
 @helper
 def _brakes(tick: Any) -> tuple[bool, bool]:
-    """Two flags: all brakes are open; all are shut and no leg with a reading moves."""
+    """(all brakes are open, all brakes are closed and no leg with a reading moves), by drive states."""
     free = shut = at_rest = True
     heard = False
     for leg in range(LEGS):
@@ -60,7 +60,6 @@ def _brakes(tick: Any) -> tuple[bool, bool]:
 
 @helper
 def _open(f: Any, tick: Any, command: Array, wrench: Array) -> None:
-    """Begin the interval that ends at this tick."""
     steps = steps_at(f.steps, f.size)
     before = steps[f.newest]
     f.newest = (f.newest + 1) % f.size
@@ -91,9 +90,9 @@ def _open(f: Any, tick: Any, command: Array, wrench: Array) -> None:
 
 @helper
 def _interval_of(f: Any, sample: Any) -> tuple[int, float]:
-    """Interval that contains a sample, and the sample's place in it as a share.
+    """Index of the interval in which a sample was taken, and the share of the interval before the sample.
 
-    _NOWHERE if the sample is older than the rings, or stamped after the newest latching.
+    _NOWHERE if the sample is older than the rings, or stamped after the newest encoder reading.
     """
     steps, at_ns = steps_at(f.steps, f.size), nan
     for back in range(f.count):
@@ -112,7 +111,7 @@ def _interval_of(f: Any, sample: Any) -> tuple[int, float]:
 
 @helper
 def _place(f: Any, sensors: Any) -> tuple[int, int]:
-    """Insert samples into their intervals; return the first to run again, and the newest with a new pose.
+    """Insert samples into their intervals; returns the first to run again and the newest with a tracker pose.
 
     A sample outside all intervals is ignored.
     """
@@ -138,7 +137,6 @@ def _place(f: Any, sensors: Any) -> tuple[int, int]:
 
 @helper
 def _close(f: Any, tick: Any, tracked: int) -> None:
-    """Fill the results of the filter, and update which legs are lost."""
     steps = steps_at(f.steps, f.size)
     s = steps[f.newest]
     fill_estimate(f, s, covariances_of(f)[f.newest], tick)
@@ -171,7 +169,7 @@ def _close(f: Any, tick: Any, tracked: int) -> None:
 
 @helper
 def judge(f: Any, tick: Any) -> None:
-    """Fill which lost legs are allowed, the warnings and the faults."""
+    """Fill in which lost legs the configuration allows, and the filter's warnings and faults."""
     lost = allowed = 0
     for leg in range(LEGS):
         lost += f.lost >> leg & 1
@@ -192,7 +190,7 @@ def judge(f: Any, tick: Any) -> None:
 
 @pointed(record(FUSION), record(SENSORS), INTEGER, INTEGER, record(TICK))
 def fuse(f: Any, sensors: Any, command: int, wrench: int, tick: Any) -> int:
-    """Fill estimate and fusion of a tick, see `FusedEstimator`.
+    """Run the fusion filter for a tick and fill in its columns, see `FusedEstimator`; returns 0.
 
     command, wrench: addresses of the last forces sent, (6,) N, and the external load, (6,) N, N m.
     """

@@ -56,9 +56,9 @@ def unexplained(
     tau: Array,
     T: float,
 ) -> Array:
-    """Mean over T s, w (6,) N, N m, of M dtwist + H + G - J^T (tau - friction).
+    """External wrench (6,) N, N m, base frame: mean over T s of M dtwist + H + G - J^T (tau - friction).
 
-    The platform moved from p0, R0, twist0 to p1, R1, twist1; tau (6,) N is the mean leg force.
+    The platform moved from p0, R0, twist0 to p1, R1, twist1; tau (6,) N is the mean leg force, push positive.
     """
     dtwist = (twist1 - twist0) / T
     w = np.zeros(6)
@@ -79,7 +79,7 @@ def unexplained(
 
 @pointed(record(OBSERVER), INTEGER, record(TICK, "tick", "drive_state", "p", "R", "twist"))
 def observe(k: Any, seen: int, tick: Any) -> int:
-    """Update the residual with a tick's measurement; call it once a tick.
+    """Update the estimated external wrench with a tick's measurement; call it once per tick; returns 0.
 
     While a brake is shut it carries an unknown part of the load. The estimate is then kept, so that the force
     does not change while brakes shut one after the other. It continues from the momentum of the first tick
@@ -114,16 +114,16 @@ def observe(k: Any, seen: int, tick: Any) -> int:
 
 
 class WrenchObserver:
-    """Estimates the wrench on the platform that the model does not contain: first order, `bandwidth_Hz`.
+    """Estimates the wrench on the platform that the model does not contain, with a first-order lag.
 
-    Everything outside the model counts as external: wrong masses, friction, a drive that does not apply the
-    commanded force.
+    Its bandwidth is `bandwidth_Hz`. Everything outside the model counts as external: wrong masses, friction,
+    a drive that does not apply the commanded force.
 
     Mutable state: the residual, the last state and tick, the forces under way. `reset` clears all.
     """
 
     def __init__(self, model: Model, path: ForcePath, bandwidth_Hz: float) -> None:
-        """path: how commands become forces."""
+        """path: delay and lag from commands to acting forces; bandwidth_Hz: of the observer, Hz."""
         self.model = model
         self.path = path
         left = decay(2.0 * pi * bandwidth_Hz * path.period_s)
@@ -132,11 +132,11 @@ class WrenchObserver:
         self.look = Callee(observe.address, data_at(self.record), self)
         """Arguments: (observer, seen, tick), of `observe`."""
         self.residual: Array = self.record["residual"]
-        """(6,) N, N m: r, the estimate; a view that the next tick changes."""
+        """Estimated wrench r, (6,) N, N m; a view that the next tick changes."""
         self.reset()
 
     def reset(self) -> None:
-        """Reset to no load and no force under way."""
+        """Restore the initial state: no estimated wrench, and no commanded force that still has to act."""
         self.path.reset()
         for name in ("residual", "begun", "follows"):
             self.record[name] = 0

@@ -37,7 +37,7 @@ ESTIMATOR = np.dtype(
 )
 """The robot, and the last pose: m, base frame."""
 TOLERANCE_M = 1e-10
-"""Residual that ends Newton's method; the final residual is mostly far smaller."""
+"""Residual, m, that ends Newton's method; the final residual is mostly far smaller."""
 MAX_ITERATIONS = 12
 """Largest number of Newton steps."""
 
@@ -65,28 +65,28 @@ class Estimator:
         own["base_joints"], own["platform_joints"] = platform.base_joints, platform.platform_joints
         own["radius"], own["tolerance"], own["max_iterations"] = platform.radius, TOLERANCE_M, MAX_ITERATIONS
         self.p: Array = own["p"]
-        """(3,) m: position of the last pose."""
+        """Position of the last pose, (3,) m, base frame."""
         self.R: Array = own["R"]
-        """(3, 3): rotation of the last pose."""
+        """Rotation of the last pose, (3, 3), platform to base."""
         self.reset(p0, R0)
 
     def adopt(self, p: Array, R: Array) -> None:
-        """Store p (3,) m and R (3, 3) as the last pose."""
+        """Set the last pose, p (3,) m and R (3, 3), base frame, from which the next search starts."""
         self.record["p"], self.record["R"] = p, R
 
     def reset(self, p0: ArrayLike, R0: ArrayLike) -> None:
-        """Set the last pose."""
+        """Set the last pose, p0 (3,) m and R0 (3, 3), base frame. Raises KinematicsError if invalid."""
         self.adopt(check_vector("p0", p0, 3), check_rotation(R0))
 
     def update(self, tick: Record) -> None:
-        """Fill the estimate of a tick from its lengths q and rates dq. Never raises.
+        """Fill in the estimated pose and twist of a tick from its q, m, and dq, m/s. Never raises.
 
         See `estimate_pose`, which adopts the pose.
         """
         estimate_pose(self.record, tick)
 
     def acquire(self, q: Array) -> bool:
-        """Move the last pose to the lengths ``q`` (6,) m, far away or after a gap; False if it cannot.
+        """Move the last pose to the lengths ``q`` (6,) m, far away or after a gap; False if that fails.
 
         Follows a straight line in the lengths, in steps that each pass the assembly check: see
         ``hil.robot.kinematics.continue_kinematics``. Takes up to some milliseconds: not for the loop.
@@ -109,12 +109,12 @@ class Estimator:
 
 @kernel(record(ESTIMATOR), record(TICK, *part("estimate")))
 def estimate_pose(own: Any, tick: Any) -> float:
-    """Fill the estimate from its q and dq, from the last pose on; return the residual, m. Never raises.
+    """Fill in a tick's estimate from its q and dq, starting at the last pose; returns the residual, m.
 
-    twist = J^-1 dq. If Newton's method fails (`fk_residual` inf), p and R are those of the last pose, with J,
-    twist and condition there. `condition` as in ``condition_kernel`` with the platform's radius; inf, with
-    twist nan, if J is singular. `hop` >= 1: the pose may belong to another assembly than the last one.
-    Without these two failures the pose becomes the last one.
+    Never raises. twist = J^-1 dq. If Newton's method fails (`fk_residual` inf), p and R are those of the last
+    pose, with J, twist and condition there. `condition` as in ``condition_kernel`` with the platform's
+    radius; inf, with twist nan, if J is singular. `hop` >= 1: the pose may belong to another assembly mode
+    than the last one. Without these two failures the pose becomes the last one.
     """
     a, b = own.base_joints, own.platform_joints
     p, R, J = tick.p, tick.R, tick.J

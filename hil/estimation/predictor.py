@@ -29,9 +29,9 @@ _SEGMENT_BYTES = SEGMENT.itemsize
 
 @pointed(record(PREDICTOR), INTEGER, record(TICK, "tick", *part("estimate")))
 def ahead(k: Any, free: int, tick: Any) -> int:
-    """Advance the state of a tick by the horizon, q, dq, p, R, twist, J; call it once a tick.
+    """Advance a tick's q, dq, p, R, twist, J to the time at which its force will act; returns 0.
 
-    free: 1, all brakes are open. Otherwise the platform stays at its pose.
+    Call it once per tick. free: 1, all brakes are open. Otherwise the platform stays at its pose.
     """
     path = path_at(k.path)
     force, mean = np.empty(6), np.empty(6)
@@ -76,7 +76,7 @@ class Predictor:
     """
 
     def __init__(self, model: Model, path: ForcePath, hold_s: float) -> None:
-        """path: how commands become forces; hold_s: mean delay of a held command."""
+        """path: delay and lag from commands to acting forces; hold_s: mean delay of a held command, s."""
         self.model = model
         self.horizon_s = path.transport_s + path.lag_s + hold_s
         self.path = path
@@ -88,6 +88,6 @@ class Predictor:
         self.reset()
 
     def reset(self) -> None:
-        """Reset to no force under way."""
+        """Restore the initial state: no commanded force that still has to act."""
         self.path.reset()
         self.record["begun"] = 0

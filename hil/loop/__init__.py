@@ -1,1 +1,1 @@
-"""The control loop: one tick (cycle, modes, motion), the daemon that runs it, and replay."""
+"""The control loop: one tick (cycle, modes, motion), the real-time daemon that runs it, and replay."""

@@ -1,4 +1,4 @@
-"""Checks that admit or refuse set-points, and the poses on the way to them."""
+"""Checks that accept or refuse the operator's set-points and moves before the platform follows them."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -48,7 +48,7 @@ set-point (low, high) and on the way (soft), condition number, force, rate and d
 
 @pointed(record(ADMISSION), INTEGER)
 def judge(k: Any, words: int) -> int:
-    """Refusal bits for the pose of six words (6,) m, rad at an address; see `Admission`."""
+    """Refusal bits of `Admission`, 0: none, for the pose (6,) m, rad at the address `words`."""
     chi, constants = reals_at(words, 6), reals_at(k.constants, SIZE)
     if not all_finite(chi) or chi[3] * chi[3] + chi[4] * chi[4] + chi[5] * chi[5] > math.pi * math.pi:
         return _NOT_A_POSE
@@ -75,7 +75,7 @@ def judge(k: Any, words: int) -> int:
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR)
 def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int:
-    """Refusal bits for one sample of a move; see `Admission.on_the_way`."""
+    """Refusal bits, 0: none, for one sample of a move, by the checks of `Admission.on_the_way`."""
     q = leg_lengths_kernel(k.base_joints, k.platform_joints, p, R)
     J = jacobian_kernel(k.base_joints, k.platform_joints, p, R)
     dq = np.zeros_like(twist)
@@ -99,9 +99,9 @@ def judge_moving(k: Any, p: Array, R: Array, twist: Array, dtwist: Array) -> int
 
 @kernel(record(ADMISSION), VECTOR, MATRIX, VECTOR, VECTOR, REAL)
 def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faster: float) -> float:
-    """Largest change, N, of a leg's force within WINDOW_S; see `Admission.change_N`.
+    """Largest change, N, of a leg's force within WINDOW_S of a jog near a sample; see `Admission.change_N`.
 
-    faster: largest d sigma/dt over sigma, 1/s. nan where the change is not a number.
+    faster: largest d sigma/dt over sigma, 1/s. The result is nan if a force is.
     """
     constants, still, most = reals_at(k.constants, SIZE), np.zeros_like(twist), 0.0
     turn, turned = np.empty_like(R), np.empty_like(R)
@@ -128,8 +128,8 @@ def change_within(k: Any, p: Array, R: Array, twist: Array, dtwist: Array, faste
 class Admission:
     """Refuses poses near a soft end of the stroke, near a singularity, or with too much leg force.
 
-    Near an end: within CLEARANCE_M. The force holds the platform at rest and, in the worst case, also gives
-    each axis its largest acceleration, ddchi (6,) m/s^2, rad/s^2.
+    Near an end means within CLEARANCE_M. The leg force considered is that of the platform at rest, plus in
+    the worst case the largest acceleration of each axis, ddchi (6,) m/s^2, rad/s^2.
     """
 
     def __init__(
@@ -143,7 +143,7 @@ class Admission:
         ddchi: Array,
         stop_s: float,
     ) -> None:
-        """ddchi: largest accelerations of the axes; stop_s: time that a jog takes to come to rest, s."""
+        """Set limits. ddchi (6,) m/s^2, rad/s^2: largest accelerations; stop_s: time to stop a jog, s."""
         soft_min, soft_max = length_min + limits.stroke_margin_m, length_max - limits.stroke_margin_m
         self._record = context_of(
             ADMISSION,
@@ -168,13 +168,14 @@ class Admission:
         self._stop_s, self._window_N = stop_s, limits.force_window_N
 
     def __call__(self, chi: Array) -> int:
-        """Refusal bits for the six words chi (6,) m, rad; 0: the pose is admitted."""
+        """Reasons (Refusal bits) to refuse the pose chi (6,) m, rad; 0: accepted."""
         return judge(self._record, np.ascontiguousarray(chi, np.float64))
 
     def on_the_way(self, s: PoseSample) -> int:
-        """Refusal bits for one sample of a move, by the checks of `hil check` on a reference.
+        """Reasons (Refusal bits, 0: none) to refuse one sample of a move, as `hil check` checks a reference.
 
-        Soft ends of the stroke, condition number, leg rates, braking distance to a soft end, and force.
+        Checked are the soft ends of the stroke, condition number, leg rates, braking distance to a soft end,
+        and force.
         """
         R = np.ascontiguousarray(s.R)
         return judge_moving(self._record, s.p, R, s.twist, s.dtwist)
@@ -183,8 +184,8 @@ class Admission:
         """Largest change, N, of a leg's force within 250 ms of a jog near a sample.
 
         It adds up the change of weight along the motion, the force due to speed, and the inertia forces of
-        start and stop. These use the largest d sigma/dt between 0 and sigma, the share of the sample's speed;
-        see `hil.trajectory.override`. nan where the change is not a number.
+        start and stop. Start and stop use the largest d sigma/dt between 0 and sigma, the share of the
+        sample's speed; see `hil.trajectory.override`. The result is nan if a force is.
         """
         faster = min(PEAK, math.sqrt(CURVATURE * sigma)) / (self._stop_s * sigma) if sigma > 0.0 else 0.0
         R, twist = np.ascontiguousarray(s.R), sigma * s.twist
@@ -196,7 +197,7 @@ class Admission:
 
 
 class Counts(NamedTuple):
-    """Numbers of set-points accepted and refused so far, and the Refusal bits of this tick."""
+    """Set-points accepted and refused since the start, and the Refusal bits of this tick."""
 
     taken: int
     refused: int
@@ -207,16 +208,16 @@ NO_SETPOINTS = Counts(0, 0, 0)
 
 
 class Steering:
-    """Passes accepted set-points to a live trajectory.
+    """Passes accepted set-points to the live trajectory.
 
     Mutable state: that of the trajectory, the counts, and the answers to the set-points of the last tick.
     `reset` restores the initial state.
     """
 
     def __init__(self, trajectory: LiveTrajectory, admission: Callable[[Array], int], judge: Callee) -> None:
-        """admission: gives the Refusal bits of a pose (6,) m, rad; see `hil.loop.admission`.
+        """admission: returns the Refusal bits of a pose (6,) m, rad; see `hil.loop.admission`.
 
-        judge: the same check by address, see `LiveTrajectory.advance`.
+        judge: compiled function with the same result, see `LiveTrajectory.advance`.
         """
         self.trajectory = trajectory
         self._admission, self.judge = admission, judge
@@ -230,7 +231,7 @@ class Steering:
         """Refusal bits for each set-point of the last tick, in order."""
 
     def take(self, setpoints: Sequence[SetPoint], *, tracking: bool) -> None:
-        """Check this tick's set-points and aim at the last accepted one. Unless `tracking`, refuse all."""
+        """Check this tick's set-points and move to the last accepted one; refuse all unless `tracking`."""
         taken, refused, refusal = self.counts
         refusal = 0
         if setpoints or self.answers:
@@ -248,11 +249,11 @@ class Steering:
         self.counts = Counts(taken, refused, refusal)
 
     def stopped(self, against: int) -> None:
-        """Count a stop on the way, with the Refusal bits `against` it."""
+        """Count a stop of the live trajectory on its way, for which `against` has the Refusal bits."""
         taken, refused, refusal = self.counts
         self.counts = Counts(taken, refused + 1, refusal | against | int(Refusal.ON_THE_WAY))
 
     @property
     def answered(self) -> bool:
-        """True while the next tick must clear the counts or answers of this one."""
+        """True if counts or answers of this tick have to be cleared in the next one."""
         return bool(self.counts.refusal or self.answers)

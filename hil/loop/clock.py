@@ -1,4 +1,4 @@
-"""Fixed-rate deadlines and the operating system's real-time settings."""
+"""Fixed-rate deadlines, and the operating system's real-time settings."""
 
 import contextlib
 import ctypes
@@ -16,11 +16,11 @@ _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 
 
 class Wake(NamedTuple):
-    """One wake-up of the loop."""
+    """One wake-up of the loop: tick number, scheduled time and lateness."""
 
     tick: int
     t_ns: int
-    """Scheduled time."""
+    """Scheduled time of the tick, ns."""
     lateness_ns: int
     skipped: int
     """Whole periods that had passed before the loop came back."""
@@ -42,7 +42,7 @@ class Deadlines:
         self.tick = -1
 
     def wait(self) -> Wake:
-        """Sleep, then spin, until the next deadline in the future."""
+        """Sleep, then busy-wait, until the next deadline in the future."""
         tick = self.tick + 1
         now = self.clock.now()
         skipped = max(0, (now - self.start_ns) // self.period_ns - tick)
@@ -63,13 +63,13 @@ class RealTime:
 
     @property
     def fifo(self) -> bool:
-        """True if the loop has SCHED_FIFO."""
+        """True if the kernel granted SCHED_FIFO to the loop."""
         return "SCHED_FIFO" in self.granted
 
 
 @contextlib.contextmanager
 def collector_paused() -> Iterator[None]:
-    """Disable the garbage collector: a full collection takes milliseconds, and the loop makes no cycles."""
+    """Disable the garbage collector: a full collection takes ms; the loop makes no reference cycles."""
     enabled = gc.isenabled()
     gc.disable()
     try:
@@ -81,7 +81,7 @@ def collector_paused() -> Iterator[None]:
 
 @contextlib.contextmanager
 def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
-    """Request real-time scheduling as `real_time_rights`; freeze and disable the garbage collector.
+    """Request real-time scheduling by `real_time_rights`; freeze and disable the garbage collector.
 
     Undone on exit; objects frozen before stay frozen. Compile and allocate before entering.
     """
@@ -99,10 +99,10 @@ def real_time(priority: int, cpu: int | None) -> Iterator[RealTime]:
 
 @contextlib.contextmanager
 def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
-    """Request real-time scheduling of this process; each part as far as the rights go.
+    """Request real-time scheduling of this process, each setting as far as the user's permissions allow.
 
-    SCHED_FIFO (reset on fork), with it CPU pinning, memory locked on fault, no deep CPU sleep.
-    On exit, policy and priority are restored as far as the rights go.
+    The settings are SCHED_FIFO (reset on fork), and with it CPU pinning, memory locked on fault, no deep CPU
+    sleep. On exit, policy and priority are restored as far as the permissions allow.
     """
     report = RealTime()
     latency = None
@@ -130,7 +130,7 @@ def real_time_rights(priority: int, cpu: int | None) -> Iterator[RealTime]:
 
 
 def fifo_allowed(priority: int) -> bool:
-    """True if this process may use SCHED_FIFO at this priority; restores the policy as the rights allow."""
+    """True if this process may use SCHED_FIFO at this priority; then restores its policy if permitted."""
     scheduling = _scheduling()
     try:
         _fifo(priority)
@@ -159,7 +159,7 @@ def _scheduling() -> tuple[int, os.sched_param]:
 
 
 def _reschedule(policy: int, parameters: os.sched_param) -> None:
-    """Restore the policy from before `_fifo`, as far as the rights go.
+    """Restore the scheduling policy from before `_fifo`, as far as permitted.
 
     An ordinary user may not remove the reset-on-fork flag.
     """
@@ -192,10 +192,11 @@ law."""
 
 
 def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[float, float]:
-    """Highest of rate, rate/2, rate/4 ... that holds without real-time scheduling, and the worst wake-up, s.
+    """Highest of rate, rate/2, rate/4 ..., Hz, that is safe without real-time scheduling; worst wake-up, s.
 
-    Measures the worst wake-up now, under the present load. A stall of `periods` periods ends a run: at the
-    returned rate these take at least STALL_S and twice the worst wake-up. Not below SLOWEST_Hz.
+    Measures the worst lateness of a wake-up for `seconds`, under the present load. A stall of `periods`
+    periods ends a run: at the returned rate these take at least STALL_S and twice the worst lateness. Not
+    below SLOWEST_Hz.
     """
     deadlines = Deadlines(rate_Hz, 0.0)
     wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]
@@ -207,7 +208,7 @@ def holdable_rate(rate_Hz: float, periods: int, seconds: float = 1.0) -> tuple[f
 
 
 def late_share(rate_Hz: float, priority: int, seconds: float = 0.5) -> float:
-    """Share of late wake-ups under SCHED_FIFO, measured now, under the present load."""
+    """Share (0..1) of late wake-ups under SCHED_FIFO, measured for `seconds` under the present load."""
     with real_time(priority, None):
         deadlines = Deadlines(rate_Hz, 0.0)
         wakes = [deadlines.wait() for _ in range(round(seconds * rate_Hz))]

@@ -1,8 +1,8 @@
-"""The compiled pass of a tick: from frames to the estimate, and from the reference to frames.
+"""The compiled part of a tick: from received frames to the estimate, and from the reference to sent frames.
 
-`observe` decodes and estimates. If its result is not 0, the cycle decides next. `act` then goes from the
-reference through law and safety to the encoded command. Both work on one record, CONTROL, which the cycle
-owns. Functions that differ between robots are called by address.
+`observe` decodes and estimates. If its result is not 0, the cycle decides next, in Python. `act` then goes
+from the reference through law and safety to the encoded command. Both work on one record, CONTROL, which the
+cycle owns. Functions that differ between robots are called by address.
 """
 
 from typing import Any
@@ -73,12 +73,12 @@ CONTROL = np.dtype(
         ("sent", "<i8"),  # frames of the command
     ]
 )  # fmt: skip
-"""The controller's state, shared between Python and the compiled pass. Addresses and flags are integers."""
+"""The controller's state, shared by Python and compiled code. Addresses and flags are integers."""
 
 DIALOGUE, UNLOCATED, MODE = 1, 2, 4
 """Bits that `observe` returns: news in the drives' dialogue; the pose is not yet found; the mode may end."""
 EFFORT, JUDGE, COMMAND = 1, 2, 4
-"""Parts of `act`, as bits."""
+"""Parts of a tick that `act` can run, as bits."""
 ALL = EFFORT | JUDGE | COMMAND
 DONE, VERDICT, UNFIT, STOPPED = range(4)
 """Results of `act`: complete; stopped before the command, with a verdict to handle; a force does not fit its
@@ -108,13 +108,13 @@ _sample_at = record_at(record(SAMPLE))
 
 @helper
 def controlled(mode: int) -> bool:
-    """True in a mode in which the law acts."""
+    """True in a mode in which the control law computes the forces."""
     return bool(_CONTROLLED >> mode & 1)
 
 
 @helper
 def estimate(c: Any, tick: Any) -> None:
-    """Fill the estimate of a tick. A leg without fresh data is extrapolated at its last rate."""
+    """Fill in the tick's estimated pose and twist; a leg without fresh data is extrapolated at its rate."""
     for i in range(6):
         if tick.age[i]:
             for j in range(6):
@@ -125,7 +125,7 @@ def estimate(c: Any, tick: Any) -> None:
 
 @helper
 def fuse(c: Any, tick: Any, last: Any) -> None:
-    """Fill the estimate of a tick by the fusion filter, after it has begun."""
+    """Fill in the tick's estimate by the fusion filter, once the filter has started."""
     tau = np.int64(last.tau.ctypes.data)
     call(c.fuse, (c.filter, c.sensors, tau, c.last_load, c.tick))
     if tick.legs_used == _ALL_LEGS and tick.fk_residual < AGREED_m:
@@ -136,14 +136,14 @@ def fuse(c: Any, tick: Any, last: Any) -> None:
 
 @helper
 def load(c: Any) -> None:
-    """Fill the external wrench of a tick."""
+    """Fill in the tick's external wrench, from sensor or observer."""
     if c.load:
         c.sensor_late = _WARN_SENSOR if call(c.load, (c.loads, c.fusing, c.tick)) > 0 else 0
 
 
 @helper
 def may_end(c: Any, tick: Any) -> bool:
-    """True if the present mode may end in this tick, so that the cycle has to check."""
+    """True if the present mode may end in this tick, so that the cycle has to decide in Python."""
     elapsed = tick.tick - c.mode_tick
     if c.watchful or elapsed > c.overdue or tick.tick >= c.key_until or tick.altered:
         return True
@@ -159,9 +159,10 @@ def may_end(c: Any, tick: Any) -> bool:
 
 @kernel(_CONTROL, _TICK, _TICK, records(FRAME))
 def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
-    """Fill measurement, estimate and wrench of a tick from its input columns and the frames received.
+    """Fill in measurement, estimate and wrench of a tick from its input columns and the frames received.
 
-    Returns bits of DIALOGUE, UNLOCATED and MODE for the cycle to handle; 0: none.
+    Returns bits of DIALOGUE (set-up of drives changed), UNLOCATED (no pose yet) and MODE (mode may end) for
+    the cycle to handle in Python; 0: none.
     """
     c.tick, c.last = address_of(tick), address_of(last)
     tick.frames_received = frames.shape[0]
@@ -187,7 +188,7 @@ def observe(c: Any, tick: Any, last: Any, frames: Any) -> int:
 
 @helper
 def entry_share(c: Any, number: int) -> float:
-    """Remaining share of the entry offset, 1 .. 0."""
+    """Share, 1 .. 0, of the entry offset (holding force less the law's force) that is left in a tick."""
     if c.entry_tick == WHOLE:
         return 1.0
     if c.blend_s == 0.0:
@@ -197,7 +198,7 @@ def entry_share(c: Any, number: int) -> float:
 
 @helper
 def place(c: Any, tick: Any) -> None:
-    """Fill the reference of a tick: the sample of the motion, or the pose itself where no law acts."""
+    """Fill in the tick's reference: the sample of the motion, or the present pose while no law acts."""
     sample, motion, override = _sample_at(c.sample), _motion_at(c.motion), _override_at(c.override)
     if controlled(c.mode) or c.mode == _UNLOADING:
         place_reference(override, motion.function, motion.context, tick.tick, sample)
@@ -223,9 +224,9 @@ def all_free(tick: Any) -> bool:
 
 @helper
 def seen_by_law(c: Any, tick: Any) -> Any:
-    """Address of the tick as the law sees it: now, or at the instant when its force will act.
+    """Address of the tick record for the law: the present one, or one predicted for when its force will act.
 
-    Safety judges the present tick. The external wrench fades in as the entry offset fades out: both stand for
+    Safety checks the present tick. The external wrench fades in as the entry offset fades out: both stand for
     the load that the law's own model does not contain.
     """
     if not (c.predict or c.has_load):
@@ -251,7 +252,7 @@ def seen_by_law(c: Any, tick: Any) -> Any:
 
 @helper
 def fill_effort(c: Any, tick: Any) -> None:
-    """Fill the law's own force, the learned force, and the sum asked for, (6,) N each."""
+    """Fill in the law's force, the learned force, and the requested total force, (6,) N each."""
     acts = 0
     if c.learn:
         given = (c.learner, c.motion, c.override, tick.tick, c.mode, c.mode_tick, c.along, c.faults)
@@ -292,9 +293,10 @@ def within(value: float, low: float, high: float) -> float:
 
 @helper
 def judge_pass(c: Any, tick: Any) -> bool:
-    """Fill safety's verdict, the probe force, and tau: the limited sum of asked and probe force.
+    """Run the safety checks and limits: fills in the probe force and tau, the limited sum of all forces, N.
 
-    True if there is a verdict to handle, or a push begins.
+    The verdict (faults, warnings, stop) goes into the record. True if Python has to handle it, or a probe
+    starts.
     """
     tick.mode, begins = c.mode, False
     window, watched = reals_at(c.window, (c.window_rows, 6)), reals_at(c.watched, (c.watched_rows, 6))
@@ -312,7 +314,7 @@ def judge_pass(c: Any, tick: Any) -> bool:
 
 @helper
 def send(c: Any, tick: Any, into: Any) -> int:
-    """Fill the command's columns, and its frames at an address; return DONE or UNFIT."""
+    """Fill in the command's columns and its frames at address `into`; returns DONE, or UNFIT: no frames."""
     if c.command_mode not in (_READY, _RUN):
         tick.tau[:] = 0.0
     tick.command_mode = c.command_mode
@@ -335,9 +337,9 @@ def send(c: Any, tick: Any, into: Any) -> int:
 
 @kernel(_CONTROL, _TICK, records(FRAME), INTEGER)
 def act(c: Any, tick: Any, into: Any, parts: int) -> int:
-    """Run the given parts of a tick, EFFORT, JUDGE, COMMAND; return one of the results above.
+    """Run the given parts of a tick, EFFORT, JUDGE, COMMAND; returns DONE, STOPPED, VERDICT or UNFIT.
 
-    into: elements of FRAME for the command; the record's `sent` counts the filled ones.
+    into: FRAME records for the command; the record's `sent` counts the filled ones.
     """
     if parts & EFFORT:
         if c.live_since != NEVER:

@@ -1,4 +1,4 @@
-"""The operator's side of a run: commands by signal, Enter and channel, their answers, and the status."""
+"""The operator's side of a run: orders by signal, Enter key and channel, answers to them, and the status."""
 
 import json
 from collections.abc import Callable
@@ -23,9 +23,9 @@ REFUSED = "operator's command refused: "
 
 
 def refusal(command: Operator, mode: Mode, *, was_held: bool, goes_on: bool) -> str:
-    """Reason why a command without numbers is refused in a mode; empty if it is accepted.
+    """Reason, as text, why an order without numbers is refused in a mode; empty if it is accepted.
 
-    was_held: the platform was also held in the tick before; goes_on: see `hil.loop.run_end.Course`.
+    was_held: the platform was also in mode HELD in the tick before; goes_on: see `hil.loop.run_end.Course`.
     """
     match command:
         case Operator.ENGAGE if mode is not Mode.IDLE:
@@ -51,10 +51,10 @@ STATUS_S = 0.01
 
 
 class Console:
-    """Gathers the operator's commands of a tick, and answers them after it.
+    """Collects the operator's orders for a tick, and answers them after it.
 
-    Mutable state: whether the platform was held in the last tick, reasons for this tick's refusals, the
-    number of set-points without a live reference, and the last status with its tick.
+    Mutable state: whether the platform was in mode HELD in the last tick, reasons for this tick's refusals,
+    the number of set-points without a live reference, and the last status with its tick.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class Console:
         self._status, self._status_tick = "", -1
 
     def take(self) -> Heard:
-        """Commands that came since the last call, without the refused ones."""
+        """Orders that came since the last call, without those refused in the present mode."""
         course, mode = self.course, self.course.cycle.mode
         held = mode is Mode.HELD
         was_held, self._held = self._held, held
@@ -100,7 +100,7 @@ class Console:
         return heard._replace(operator=operator + (Operator.STOP,) * (Operator.END in taken))
 
     def answer(self, recording: Recording, t_ns: int) -> None:
-        """Answer the waiting clients, and log the refusals."""
+        """Send answers to the clients that wait for one, and log the refusals at time `t_ns`."""
         cycle, channel = self.course.cycle, self.channel
         steering, operating = cycle.parts.steering, cycle.operating
         if steering is not None and steering.counts.refusal:
@@ -122,7 +122,7 @@ class Console:
 
 
 def waits_for(course: Course) -> str:
-    """The operator action that the platform needs in order to move; empty if it needs none."""
+    """Operator's action that is needed before the platform moves, as text; empty if none."""
     cycle = course.cycle
     mode, operating = cycle.mode, cycle.operating
     if mode is Mode.WAITING:
@@ -145,12 +145,12 @@ def waits_for(course: Course) -> str:
 
 
 def _known(values: Array) -> list[float] | None:
-    """Values as a list; None if one is not finite, as JSON has no such number."""
+    """The values as a list; None if one is not finite, as JSON has no such number."""
     return values.tolist() if np.isfinite(values).all() else None
 
 
 def status_text(course: Course, malformed: int) -> str:
-    """The status as JSON; `hil.operate.client.OperatorClient.status` lists its keys."""
+    """The run's status as JSON text; `hil.operate.client.OperatorClient.status` lists its keys."""
     cycle = course.cycle
     tick, operating, motion = cycle.tick, cycle.operating, cycle.motion
     number = int(tick["tick"])

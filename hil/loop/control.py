@@ -1,4 +1,4 @@
-"""The record that the cycle and the compiled pass share, and the class that keeps it up to date."""
+"""The record that the cycle (Python) and the compiled part of a tick share, and its owner."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _WATCHED = frozenset({Mode.WAITING, Mode.FAULT, Mode.HELD})
 
 
 def ticks_from(seconds: float, period_s: float, *, beyond: bool = False) -> int:
-    """Fewest ticks that last at least `seconds`, or longer than `seconds` with `beyond`."""
+    """Fewest ticks that last at least `seconds`, or, with `beyond`, longer than `seconds`."""
     n = max(ceil(seconds / period_s) - 1, 0)
     while n * period_s < seconds or (beyond and n * period_s == seconds):
         n += 1
@@ -37,13 +37,13 @@ def ticks_from(seconds: float, period_s: float, *, beyond: bool = False) -> int:
 
 
 class Control:
-    """The control record, with the addresses of the parts that it points to.
+    """The control record, shared with compiled code, and the arrays to which it points.
 
     `settle` copies the cycle's decisions into the record. Mutable state: the record.
     """
 
     def __init__(self, cycle: Any) -> None:
-        """cycle: a `hil.loop.cycle.Cycle` with all its parts, before their first reset."""
+        """Build the record for a `hil.loop.cycle.Cycle` with all its parts, before their first reset."""
         self._cycle = cycle
         parts, effort = cycle.parts, cycle.effort
         self.record: Record = np.zeros((), CONTROL)
@@ -91,7 +91,7 @@ class Control:
                 c["paths"][k] = data_at(follower.path.record)
 
     def settle(self, *, attentive: bool = False) -> None:
-        """Copy the cycle's decisions into the record. attentive: the cycle checks the tick's verdict."""
+        """Copy the cycle's decisions into the record; attentive: let it see safety's result as well."""
         cycle, c = self._cycle, self.record
         mode, operating, motion, effort = cycle.mode, cycle.operating, cycle.motion, cycle.effort
         period_s = cycle.period_s
@@ -135,7 +135,7 @@ class Control:
             c["setpoints"] = steering.counts
 
     def act(self, tick: Record, into: Rows) -> int:
-        """Run a tick from its reference to its command in `into`; return the result of `act`."""
+        """Run a tick from its reference to its command in `into`; returns the `compiled_pass.act` status."""
         if not self.probes:
             return act(self.record, tick, into, ALL)
         while act(self.record, tick, into, EFFORT):
@@ -144,14 +144,14 @@ class Control:
         return act(self.record, tick, into, JUDGE | COMMAND)
 
     def stop_on_the_way(self) -> None:
-        """Count a stop of the live reference on its way."""
+        """Count a refused step of the live trajectory, which has stopped it on its way to a set-point."""
         steering = self._cycle.parts.steering
         assert steering is not None
         steering.stopped(int(self.record["verdict"][0]))
         self.settle(attentive=bool(self.record["attentive"]))
 
     def probe(self, tick: Record) -> None:
-        """Check that the legs obey the holding force; take the force off a leg that does not."""
+        """Check that the legs obey the holding force; set the force of a leg that does not to 0."""
         cycle, watch = self._cycle, self._cycle.obedience
         last_tau = cycle.effort.last_tau
         if cycle.watches and watch.watch(tick, last_tau):
@@ -165,7 +165,7 @@ class Control:
             tick["legs_refused"] = 1 << watch.refused
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         motion = self._cycle.motion
         self.record["shortfall"] = 0.0
         self.record["motion"], self.record["override"] = (
@@ -175,7 +175,7 @@ class Control:
         self.settle()
 
     def load(self, tick: Record) -> None:
-        """Fill the external wrench of a tick."""
+        """Fill in the external wrench of a tick."""
         cycle = self._cycle
         late = cycle.parts.wrench.fill(tick, fusing=cycle.sight.fusing)
         self.record["sensor_late"] = Warn.SENSOR if late else 0

@@ -41,12 +41,12 @@ REST_PATIENCE_S = 1.0
 
 
 class Cycle:
-    """Six encoders in, six forces out, once per tick.
+    """The controller of one platform: six leg lengths in, six leg forces out, once per tick.
 
     Mutable state: the dialogue with the drives, the records of the last two ticks, the observed platform
-    state, the forgotten turns, the mode and its entry tick, latched faults, emergency stop, brake proof, the
-    motion, the operator's permissions, the ramps of the effort, the record of the compiled pass, and the
-    states of law, observers, steering and safety. `reset` restores the initial state.
+    state, motor turns lost at power-off, the mode and its entry tick, latched faults, emergency stop, brake
+    proof, the motion, the operator's permissions, the force ramps, the control record, and the states of law,
+    observers, steering and safety. `reset` restores the initial state.
     """
 
     def __init__(self, parts: Parts) -> None:
@@ -69,13 +69,13 @@ class Cycle:
         self.end = parts.protocol.controller_end(parts.setup)
         """The dialogue with the drives."""
         self.control = Control(self)
-        """The record of the compiled pass."""
+        """The record shared with compiled code."""
         self.reset()
         self.first = parts.trajectory.sample(0.0)
-        """Start of the reference."""
+        """Sample at the start of the reference."""
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         parts = self.parts
         self.end.start()
         self.tick = self.last = new_record()
@@ -106,11 +106,11 @@ class Cycle:
         self.control.reset()
 
     def begin(self, tick: int) -> Rows:
-        """Frames that start a tick, elements of FRAME: the drives answer them with their encoder readings."""
+        """Frames that start a tick (SYNC or polls), FRAME records; drives answer them with feedback."""
         return self.end.begin(tick)
 
     def step(self, inp: TickInput) -> TickOutput:
-        """Run one tick; return the frames to send and the row to record."""
+        """Run one tick; returns the frames to send and the row to record."""
         tick, into = new_record(), np.empty(MOST_FRAMES, FRAME)
         put_input(tick, inp)
         look = observe(self.control.record, tick, self.tick, inp.frames)
@@ -118,11 +118,11 @@ class Cycle:
         return TickOutput(self.decide(inp, into, look), row_of(tick))
 
     def pass_on(self, last: Record, tick: Record) -> None:
-        """Store the records of the last two ticks, after ticks without anything to decide."""
+        """Set the records of the last two ticks, after compiled code has run ticks without the cycle."""
         self.last, self.tick, self.looked = last, tick, False
 
     def decide(self, inp: TickInput, into: Rows, look: int = 0) -> Rows:
-        """Decide and act in a tick after `observe`; return its frames, elements of FRAME.
+        """Run a tick after `observe`, with all decisions in Python; returns its frames, FRAME records.
 
         into: room for MOST_FRAMES of them; look: the result of `compiled_pass.observe`.
         """
@@ -134,12 +134,12 @@ class Cycle:
         return self.end_tick(inp, into, ended, looked=bool(looked or self.control.probes))
 
     def end_tick(self, inp: TickInput, into: Rows, ended: int, *, looked: bool = False) -> Rows:
-        """Frames of a tick for which `compiled_pass.act` returned `ended`."""
+        """Frames of a tick that `act` ended with status `ended`; looked: the cycle has decided before."""
         self.looked = looked or bool(ended)
         return self._finish(inp, self.tick, into, ended) if ended else into[: self.control.record["sent"]]
 
     def _decide(self, inp: TickInput, tick: Record, look: int) -> None:
-        """Handle what the pass leaves to Python: news of the drives, the first pose, orders, modes."""
+        """Handle what compiled code leaves to Python: drives' set-up, first pose, orders, mode changes."""
         parts, number = self.parts, inp.tick
         if look & compiled_pass.UNLOCATED:
             self.sight.locate(tick)
@@ -153,7 +153,7 @@ class Cycle:
             steering.take(inp.setpoints, tracking=follows and not self.operating.parks)
 
     def _finish(self, inp: TickInput, tick: Record, into: Rows, ended: int) -> Rows:
-        """React to the verdict of a tick, and return the resulting frames."""
+        """Handle a tick that `act` ended early, mostly by a safety finding; returns the resulting frames."""
         control, record, parts = self.control, self.control.record, self.parts
         if ended == STOPPED:
             control.stop_on_the_way()
@@ -241,7 +241,7 @@ class Cycle:
         return ended and not self.operating.stays(self.mode) and not self._finished(tick)
 
     def _provable(self, tick: Record) -> bool:
-        """True if a test could prove the brakes: all legs report trusted readings and are at rest."""
+        """True if a brake test is possible: all legs report trusted readings and are at rest."""
         possible = self.durations.load > 0.0 and not self.faults & modes.NO_PROOF
         return possible and measured_at_rest(tick)
 
@@ -305,7 +305,7 @@ class Cycle:
                 self.operating.enter(self.mode, number, motion)
 
     def _yield(self, tick: Record) -> None:
-        """Make the static holding force at the present pose the whole force, until the brakes are shut."""
+        """Use only the static holding force at the present pose from now on, until the brakes are closed."""
         self._yields = True
         self.motion.rest(tick["p"], tick["R"], int(tick["tick"]))
         self.effort.holding = self.effort.statics(tick["p"], tick["R"], tick["wrench"])
@@ -314,7 +314,7 @@ class Cycle:
     def _hold(self, previous: Mode, tick: Record) -> None:
         """Start to hold the platform, by the last holding force or by the static force at its pose.
 
-        From motion, the pose is the reference if a fault has made the measurement unusable.
+        After motion, the pose is the reference if a fault has made the measurement unusable.
         """
         effort, number = self.effort, int(tick["tick"])
         blind = bool(self.faults & modes.NOT_MEASURED)
@@ -332,7 +332,7 @@ class Cycle:
 
     @property
     def yields(self) -> bool:
-        """True while the platform parks with the holding force as the whole force."""
+        """True while the platform parks with only the static holding force."""
         return self.mode is Mode.PARKING and self._yields
 
     @property
@@ -350,7 +350,7 @@ class Cycle:
             self.stop_requested = verdict.stop
 
     def _react(self, inp: TickInput, faults: Fault) -> None:
-        """Latch the faults of this tick and enter the mode that they lead to."""
+        """Latch the faults of this tick and change to the mode that they require."""
         if self.mode is Mode.HELD and self.faults & modes.NOT_MEASURED:
             faults &= ~modes.OF_THE_POSE  # no news, and no cause
         if Operator.ESTOP in inp.operator:
@@ -369,7 +369,7 @@ class Cycle:
                 self._yield(self.tick)
 
     def _after(self, faults: Fault, tick: Record) -> Mode:
-        """Mode that faults of this tick lead to."""
+        """Mode that the faults of this tick require."""
         patience = modes.DRIVE_PATIENCE_S / self.period_s
         heard = bool(((tick["age"] < patience) | (tick["blind"] != 0)).any())
         return modes.after_fault(
@@ -377,7 +377,6 @@ class Cycle:
         )
 
     def _command_mode(self, tick: Record) -> DriveMode:
-        """Drive mode to command in this tick."""
         if self.mode is Mode.WAITING and self.reset_tick is not None:
             since = int(tick["tick"]) - self.reset_tick
             if since < self.parts.protocol.traits.reset_ticks:  # not for ever: a fault that comes back stays

@@ -1,4 +1,4 @@
-"""The real-time shell around Cycle: wait, SYNC, drain, step, send, record.
+"""The real-time shell around Cycle: wait, SYNC, receive, step, send, record.
 
 It decides nothing about the platform; everything it learns goes into TickInput. No other thread runs in this
 process, and no file is written here: the recorder is a process of its own.
@@ -35,11 +35,11 @@ _UNRECORDED = {
 _AFTER_FAULT = frozenset({Mode.FAULT, Mode.HELD})
 SAFE_FRAMES = 5
 """Number of OFF commands that a failed loop sends: the bus may lose some."""
-_SWITCHED_OFF = "the drives were told to switch off"
+_SWITCHED_OFF = "the drives were commanded to switch off"
 
 
 class Shell(NamedTuple):
-    """Inputs and outputs of the loop."""
+    """Bus, clock, recorder and operator's inputs of the real-time loop."""
 
     bus: Bus
     deadlines: Deadlines
@@ -59,7 +59,7 @@ class Shell(NamedTuple):
 
 
 def run(course: Course, shell: Shell) -> Ending:
-    """Run a cycle on its course until the course ends.
+    """Run the real-time loop until its course ends; returns the reason.
 
     Whatever fails in here, the drives are commanded off before it returns.
     """
@@ -93,7 +93,7 @@ def run(course: Course, shell: Shell) -> Ending:
 
 
 def switch_off(cycle: Cycle, bus: Bus, deadlines: Deadlines) -> bool:
-    """Command the drives off, bypassing the cycle: SAFE_FRAMES times, once a period.
+    """Command the drives off without the cycle, SAFE_FRAMES times, once a period.
 
     The commands queue behind waiting frames: dropping these takes a while, and a bus that cannot be flushed
     accepts nothing more. If the bus has accepted no command, it is flushed if it is off, and all are
@@ -183,7 +183,7 @@ def _run(course: Course, shell: Shell) -> Ending:
 
 
 def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
-    """Discard the frames queued on a dead bus, so that it gets another try."""
+    """Drop the frames queued on a dead bus and restart it; an error is logged."""
     try:
         bus.flush_tx()
     except BusError as error:
@@ -191,10 +191,10 @@ def _revive(bus: Bus, recording: Recording, t_ns: int) -> None:
 
 
 def _ask(cycle: Cycle, shell: Shell, wake: Wake, opening: Rows) -> tuple[Rows, tuple[int, ...], int]:
-    """Send the frames that start a tick, and wait for the answers.
+    """Send the frames that start a tick, and wait for the drives' feedback.
 
-    Returns the frames received since the last tick, when each drive latched (ns after the wake-up), and the
-    number of frames that the bus refused.
+    Returns the frames received since the last tick, the time at which each drive sampled its encoder (ns
+    after the wake-up), and the number of frames that the bus refused.
     """
     bus, protocol = shell.bus, cycle.parts.protocol
     tick, t_ns, lateness_ns, _ = wake

@@ -1,4 +1,4 @@
-"""The force asked for: the law's own, its takeover from the holding force, and the learned forces."""
+"""The requested leg forces: the law's, the transition from the holding force, and learned forces."""
 
 from math import isnan, nan
 from typing import Any
@@ -36,7 +36,7 @@ LEARNED = np.dtype(
 
 @helper
 def between(rows: Array, place: float, into: Array) -> None:
-    """Fill `into` (6,) from `rows` (6 n,) at a place 0 .. n - 1, linear between rows; the last row beyond."""
+    """Fill `into` (6,) with rows (6 n,) interpolated at index `place`, 0 .. n - 1; then the last row."""
     last = len(rows) // 6 - 2
     place = min(place, last + 1.0)
     k = min(int(place), last)
@@ -59,9 +59,9 @@ def step(
     faults: int,
     into: int,
 ) -> int:
-    """Fill the learned forces of a tick, (6,) N at `into`; return 1 if any acts.
+    """Fill in the learned forces of a tick, (6,) N at address `into`; returns 1 if any of them acts, else 0.
 
-    mode_tick: when the mode was entered; along: of `Learned.along`; faults: the latched ones.
+    mode_tick: when the mode was entered; along: result of `Learned.along`; faults: the latched ones.
     """
     t = nan  # of the reference, at which forces could act, s: before 0 on the way to its start
     if along and is_full(override):  # else path time is not the clock's
@@ -91,7 +91,7 @@ def step(
 
 
 class Learned:
-    """The share of the learned forces that acts.
+    """Forces learned from earlier runs, and the share of them that acts.
 
     They act on the reference on which they were learned, and on the last part of the way to its start, while
     path time equals clock time. When TRACKING leaves that (hold, speed, jog, park, stop), the last force
@@ -114,19 +114,19 @@ class Learned:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         for name in ("faulty", "acts", "left", "share", "tau"):
             self._record[name] = 0
 
     def along(self, mode: Mode, motion: Motion) -> bool:
-        """True while the platform is on the reference of the forces, or on the way to its start."""
+        """True while the platform follows the reference of the learned forces, or moves to its start."""
         if mode is Mode.APPROACH:
             return motion.then is self._trajectory
         return mode is Mode.TRACKING and motion.trajectory is self._trajectory and not motion.away
 
 
 class Effort:
-    """The force of the law and the learned forces, with the ramps of entry and exit.
+    """The law's and the learned forces, with the ramps at the start and end of a motion.
 
     Mutable state, all of it public; `reset` restores the initial state.
     """
@@ -147,7 +147,7 @@ class Effort:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         self.holding = ZERO6
         """(6,) N: force that holds weight and external wrench while the brakes open, or the force as they
         close."""
@@ -160,17 +160,17 @@ class Effort:
             self.learned.reset()
 
     def statics(self, p: Array, R: Array, wrench: Array) -> Array:
-        """Forces (6,) N that hold weight and external wrench (6,) N, N m at a pose.
+        """Leg forces (6,) N, push positive, that hold the platform at rest at a pose against a wrench.
 
-        p (3,) m, R (3, 3); wrench at the platform's origin; base frame.
+        p (3,) m, R (3, 3); wrench (6,) N, N m on the platform at its origin; all in the base frame.
         """
         return self.model.inverse_dynamics(p, R, ZERO6, ZERO6, wrench)
 
     def hold(self, tick: Record, holding: Array, sample: PoseSample, *, on_it: bool = False) -> None:
-        """Begin with a holding force (6,) N at a sample at rest; on_it: as if the platform were there.
+        """Start to hold with forces (6,) N at a sample at rest; on_it: as if the platform were at the sample.
 
-        The offset fills the gap to the force that the law asks for there without load. The law is evaluated
-        as at entry: it starts in this very tick, so the offset fits.
+        The offset is the difference to the force that the law requests there without load. The law is
+        evaluated as at entry: it starts in this very tick, so the offset fits.
         """
         self.entry_tick, self.holding = None, holding
         self.offset = holding - tau_at_rest(self.law.keeps, self.parts.platform, tick, sample, on_it=on_it)

@@ -1,8 +1,8 @@
-"""Turns of motors that forget them at power-off, found from the lengths at which the legs were parked.
+"""Homing: finds the motor turns that drives lose at power-off, from the parked leg lengths.
 
-Pure. A drive that forgets reads length + k step with an unknown whole number k. A leg with a closed brake has
-not moved; so k is the number that brings the reading nearest to the parked length. The remaining difference
-must be small; otherwise the leg has moved, or the drive was replaced.
+No state, no clock. Such a drive reports length + k step with an unknown whole number k. A leg with a closed
+brake has not moved; so k is the number that brings the reading nearest to the parked length. The remaining
+difference must be small; otherwise the leg has moved, or the drive was replaced.
 """
 
 from collections.abc import Sequence
@@ -39,24 +39,24 @@ HOMING = np.dtype(
 
 
 class LastPose(NamedTuple):
-    """Leg lengths at which the brakes were closed. Arrays are (6,), leg order."""
+    """Leg lengths at which the brakes were closed, and how drives lose turns. Arrays (6,), leg order."""
 
     length: Array
-    """m."""
+    """Parked leg lengths, (6,) m."""
     limit_m: Array
-    """Largest allowed distance of a leg from there, m."""
+    """Largest allowed distance of a leg from its parked length, (6,) m."""
     step_m: Array
-    """Leg length, m, > 0; a drive forgets whole multiples of it."""
+    """Leg length, (6,) m, > 0, of which a drive loses whole multiples at power-off."""
     m_per_turn: Array
-    """Leg length per turn of the motor, m, with its sign."""
+    """Leg length per motor turn, (6,) m, with its sign."""
     origin: str
-    """Source and date of these lengths."""
+    """Source and date of the parked lengths, as text."""
     command: str
-    """Command that sets a leg's length."""
+    """Command line that sets a leg's parked length."""
 
 
 class Stroke(NamedTuple):
-    """Possible lengths of a leg, and the lengths that its drive can report, m."""
+    """Mechanical range of a leg's length and range that its drive can report, m."""
 
     shortest: float
     longest: float
@@ -65,18 +65,18 @@ class Stroke(NamedTuple):
 
 
 class Homing:
-    """The turns that the drives have forgotten; `hil.loop.homing_kernels.decode` adds them to each length.
+    """The motor turns that the drives have lost; `hil.loop.homing_kernels.decode` adds them to each length.
 
     A drive has been switched off if it was silent for long, or if its reading jumps by half a step or more.
-    Its turn is then found again, from the last known length. If its brake was open, the leg may have moved
-    any distance meanwhile, and its turn is lost.
+    Its number of turns is then found again, from the last known length. If its brake was open, the leg may
+    have moved any distance meanwhile, and the number is lost.
 
     Mutable state, in its record: lengths as the drives report them, the added lengths, the last known length
     of each leg, which turns are known or lost, and problems.
     """
 
     def __init__(self, pose: LastPose | None, stroke: Stroke, period_s: float) -> None:
-        """pose: the parked lengths; None: the drives forget nothing."""
+        """pose: the parked lengths; None: the drives lose no turns at power-off."""
         self._pose = pose
         self.record: Record = np.zeros((), HOMING)
         self.record["period_s"] = period_s
@@ -89,7 +89,7 @@ class Homing:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         for name in ("added", "raw", "known", "lost", "wrong", "opened"):
             self.record[name] = 0
         self.record["there"] = 0.0 if self._pose is None else self._pose.length
@@ -105,7 +105,7 @@ class Homing:
         return (
             f"{wrong}. On a closed brake a motor cannot turn: check whether the leg has moved, its brake "
             "slips or its drive was replaced. Measure the leg, accurate to a quarter of the length that its "
-            f"drive forgets, and set its length with `{self._pose.command} --leg LEG LENGTH`"
+            f"drive loses at power-off, and set its length with `{self._pose.command} --leg LEG LENGTH`"
         )
 
     @property
@@ -115,7 +115,7 @@ class Homing:
 
     @property
     def known(self) -> bool:
-        """True while the turns of all six legs are known."""
+        """True while the number of lost turns of all six motors is known."""
         return self._pose is None or bool(self.record["known"].all() and not self.record["wrong"].any())
 
     def _wrong(self, leg: int, why: int) -> str:
@@ -143,5 +143,5 @@ class Homing:
 
 
 def unwrapped_turns(homing: Homing, pose: LastPose) -> Sequence[float]:
-    """Number of turns of each motor that is added to the reading of its drive."""
+    """Number of motor turns, in leg order, that is added to the reading of each drive."""
     return [round(float(turns), 6) + 0.0 for turns in np.divide(homing.added, pose.m_per_turn)]  # -0 is 0

@@ -1,4 +1,4 @@
-"""A family's compiled decoder, extended by the turns that its drives have forgotten."""
+"""The drive family's compiled decoder, extended by the motor turns that its drives lose at power-off."""
 
 from typing import Any
 
@@ -15,7 +15,7 @@ _TICK = record(TICK, "tick", *part("measurement"))
 
 @helper
 def find(h: Any, leg: int, raw: float, last: Any, tick: Any) -> None:
-    """Find the turn of a leg if it is unknown or may be forgotten; raw: the reported length, m."""
+    """Find a motor's lost turns if they are unknown or may have changed; raw: reported length, m."""
     age, step = tick.age[leg], h.step_m[leg]
     expected = h.raw[leg] + last.rate[leg] * (tick.tick - last.tick + last.age[leg] - age) * h.period_s
     if h.known[leg] and (age > SILENT_TICKS or abs(raw - expected) >= 0.5 * step):
@@ -37,7 +37,7 @@ def find(h: Any, leg: int, raw: float, last: Any, tick: Any) -> None:
 
 @helper
 def all_known(h: Any) -> bool:
-    """True while the turns of all legs are known and no leg has a problem."""
+    """True while the lost turns of all motors are known and no leg has a problem."""
     for leg in range(LEGS):  # noqa: SIM110 - compiled
         if h.known[leg] == 0 or h.wrong[leg] != 0:
             return False
@@ -46,7 +46,7 @@ def all_known(h: Any) -> bool:
 
 @pointed(record(HOMING), INTEGER, INTEGER, INTEGER, _TICK, _TICK)
 def decode(h: Any, frames: int, count: int, since_ns: int, last: Any, tick: Any) -> int:
-    """Decode with the family's decoder, on the lengths as the drives report them; then add the turns."""
+    """Decode with the family's decoder, on lengths as the drives report them; then add the lost turns."""
     believed, known = last.length.copy(), all_known(h)
     last.length[:] = h.raw
     tick_at = address_of(tick)

@@ -1,8 +1,8 @@
 """Jogging: one axis or leg at set-up speed while on hold, as long as the operator's jog words keep coming.
 
-Pure: its time is the tick. Before each tick it checks the rest pose: where the platform would stop if it
+No clock: time is the tick. Before each tick it checks the rest pose: where the platform would stop if it
 moved for one more tick and then braked. If that pose is refused, it brakes at once, to the rest pose that was
-admitted one tick before. So each pose on the way has been checked, and the platform stops inside the limits.
+accepted one tick before. So each pose on the way has been checked, and the platform stops inside the limits.
 """
 
 from collections.abc import Callable
@@ -39,7 +39,10 @@ SUBSTEPS = 40
 
 @pointed(record(AXIS), REAL, record(SAMPLE))
 def evaluate(jog: Any, t: float, into: Any) -> int:
-    """Fill the sample of p = p0 + t v, R = exp([t w]) R0 with the constant twist [v; w] = rate."""
+    """Fill in the sample at time t (s) of a motion from p0, R0 with constant twist [v; w], base frame.
+
+    p = p0 + t v, R = exp([t w]) R0; the record `jog` has p0, R0 and rate = [v; w], m/s, rad/s.
+    """
     still = (0.0, 0.0, 0.0)
     w, R0 = at(jog.rate, 3), jog.R0
     turn = np.empty((3, 3))
@@ -57,7 +60,7 @@ def evaluate(jog: Any, t: float, into: Any) -> int:
 def pose_rates(a: Array, b: Array, p: Array, R: Array, dq: Array) -> tuple[Array, Array]:
     """Twist J^-1 dq and dtwist = -J^-1 (dJ/dt) twist at constant leg rates dq (6,), m/s.
 
-    Both nan where J is singular.
+    a, b (6, 3) m: joints of base and platform. Both results are nan where J is singular.
     """
     J, LU = np.empty((6, 6)), np.empty((6, 6))
     l, twist, dtwist, right = np.empty(6), np.empty(6), np.empty(6), np.empty(6)
@@ -91,7 +94,7 @@ class AxisJog(CompiledTrajectory):
 
 
 class LegJog:
-    """One leg gets longer or shorter; the other five keep their lengths.
+    """Path on which one leg changes its length and the other five keep theirs.
 
     Each pose is solved from the lengths at its time, so no length drifts. here: a pose at rest. rate (6,)
     m/s: leg rates, one of them not zero. Mutable state: the last sample with its time, from which the search
@@ -108,7 +111,7 @@ class LegJog:
         self._t, self._last = 0.0, PoseSample(p, R, *pose_rates(*self._joints, p, R, rate))
 
     def sample(self, t: float) -> PoseSample:
-        """Sample at t (s) >= 0, from which the next search starts; the last sample if no pose is found."""
+        """Sample at t (s) >= 0, from which the next search starts; if no pose is found, the last sample."""
         found = self.ahead(t)
         if found is not None:
             self._t, self._last = t, found
@@ -133,9 +136,9 @@ JogPath = AxisJog | LegJog
 def jog_path(
     platform: Platform, here: PoseSample, axis: int, speeds: tuple[float, float], way: float
 ) -> JogPath:
-    """Path of a jog from a pose at rest.
+    """Path of a jog from a pose at rest along one axis or leg.
 
-    axis: index in JOG_NAMES; speeds: of set-up, m/s and rad/s; way: its sign is the direction.
+    axis: index in JOG_NAMES; speeds: set-up speeds, m/s and rad/s; way: its sign is the direction.
     """
     rate = np.zeros(6)
     if axis < 6:
@@ -146,17 +149,17 @@ def jog_path(
 
 
 def setup_share(sample: PoseSample, speeds: tuple[float, float]) -> float:
-    """Largest share, at most 1, of a sample's speed within the set-up speeds, m/s and rad/s."""
+    """Largest share, 0..1, of a sample's speed that keeps the set-up speeds, m/s and rad/s."""
     vx, vy, vz, wx, wy, wz = sample.twist.tolist()
     v, w = hypot(vx, vy, vz), hypot(wx, wy, wz)
     return min(1.0, speeds[0] / v if v else inf, speeds[1] / w if w else inf)
 
 
 WORD_S = 0.1
-"""A jog ends if its word is not repeated within this time."""
+"""A jog ends if its order is not repeated within this time, s."""
 ON_HOLD = "jog: only possible on hold, in mode TRACKING: send hold first"
 NOT_RESTING = "jog: the platform is still slowing down: wait until it rests"
-NO_KEY = "jog: the key is not held (operator.deadman_s): hold it while you jog"
+NO_KEY = "jog: the enabling key is not held (operator.deadman_s): hold it while you jog"
 SUDDEN = (
     "a leg's force could change by more than limits.force_window_N within 250 ms: lower the set-up speed, or "
     "lengthen engage.stop_s"
@@ -165,25 +168,25 @@ LIVE = "jog: a live reference moves to set-points only: send start, then setpoin
 
 
 class Word(NamedTuple):
-    """The last jog word."""
+    """The operator's last jog order: axis or leg, speed and tick."""
 
     axis: int
     """Index in JOG_NAMES."""
     fraction: float
-    """-1 .. 1 of the set-up speed."""
+    """Speed as a share, -1 .. 1, of the set-up speed."""
     tick: int
 
     @property
     def way(self) -> tuple[int, int]:
-        """Axis and direction: -1, 1, or 0 for a released key."""
+        """(axis, direction): direction -1 or 1, 0 for a released key."""
         return self.axis, (self.fraction > 0.0) - (self.fraction < 0.0)
 
 
 class Jogging:
-    """Moves the platform along one axis or leg, and stops it before a limit.
+    """Moves the platform along one axis or leg by the operator's jog orders, and stops it before a limit.
 
-    Mutable state: the last word, the present path with its axis and direction, and, until its words end, the
-    word that a limit has stopped, with the reason.
+    Mutable state: the last order, the present path with its axis and direction, and, until its orders end,
+    the order that a limit has stopped, with the reason.
     """
 
     def __init__(
@@ -194,7 +197,7 @@ class Jogging:
         admission: Callable[[Array], int] | None,
         too_sudden: Callable[[PoseSample, float], bool],
     ) -> None:
-        """admission: Refusal bits of a pose (6,) m, rad; None: the reference is live.
+        """admission: returns the Refusal bits of a pose (6,) m, rad; None: the reference is live.
 
         too_sudden: True for a sample and a share of its speed at which the forces would change too much.
         """
@@ -204,7 +207,7 @@ class Jogging:
         self.reset()
 
     def reset(self) -> None:
-        """Forget all words."""
+        """Forget all jog orders."""
         self._word: Word | None = None
         self._path: JogPath | None = None
         self._way: tuple[int, int] | None = None
@@ -214,16 +217,16 @@ class Jogging:
 
     @property
     def waits(self) -> bool:
-        """True while a jog word is in effect."""
+        """True while a jog order is in effect."""
         return self._word is not None
 
     def let_go(self) -> None:
-        """Come to rest."""
+        """End the jog in effect: the platform comes to rest."""
         self._word = self._stopped = None
         self.refusal = ""
 
     def take(self, order: Order, tick: int, motion: Motion, *, on_hold: bool, key: bool) -> str:
-        """Take a jog word; return the reason if it is refused, else an empty text."""
+        """Accept a jog order, or return the reason why it is refused; key: the enabling key is held."""
         if self._admission is None:
             return LIVE
         if not on_hold:
@@ -243,7 +246,7 @@ class Jogging:
         return ""
 
     def step(self, tick: int, motion: Motion, *, key: bool) -> None:
-        """Set the speed of the jog from this tick on; the motion has already advanced to it."""
+        """Set the speed of the jog from this tick on; key: the operator holds the enabling key."""
         word = self._word
         if word is not None and not (key and word.fraction and tick - word.tick < self._patience):
             word = self._word = None
@@ -265,7 +268,7 @@ class Jogging:
         return jog_path(self._platform, here, word.axis, self._speeds, word.fraction)
 
     def _judged(self, path: JogPath, word: Word, tick: int, motion: Motion, zero_s: float) -> float:
-        """Speed of the next tick, 0 .. 1 of the path's; 0 at a limit, which is noted in `refusal`.
+        """Speed of the next tick, 0 .. 1 of the path's; 0 at a limit, with the reason in `refusal`.
 
         zero_s: the motion's time at which the path begins.
         """

@@ -1,6 +1,6 @@
-"""Instants at which the drives latched their encoders, as the controller knows them, and fresh answers.
+"""Times at which the drives sampled their encoders, as the controller knows them, and fresh answers.
 
-A drive latches when its SYNC or poll has ended on the bus. The clock at wake-up does not show that instant: a
+A drive samples when its SYNC or poll has ended on the bus. The clock at wake-up does not show that instant: a
 stall before the write delays the frame. A stall after the write delays the reading of the clock instead. Then
 the answer limits the instant: it cannot arrive earlier than its own time on the wire after the SYNC. Damaged
 answers, and answers to an older SYNC, show nothing.
@@ -17,14 +17,14 @@ from drivers.signals import LEGS
 
 
 def fresh_ids(protocol: Family, frames: Rows, tick: int, since_ns: int) -> list[int]:
-    """Identifiers of the fresh feedbacks of a tick among the frames, as in `Family.wanted`."""
+    """Identifiers, as in `Family.wanted`, of those frames that are valid feedback of this tick."""
     places = fresh_places(protocol.fresh_by.address, protocol.context, frames, tick, since_ns)
     return [each for k, each in enumerate(protocol.wanted) if places >> k & 1]
 
 
 @kernel(INTEGER, INTEGER, records(FRAME), INTEGER, INTEGER)
 def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: int) -> int:
-    """Bit k for each `fresh` frame with place k in `Family.wanted`."""
+    """Bit k: valid feedback k of `Family.wanted` in this tick is among the frames; fresh: its function."""
     places = 0
     for k in range(len(frames)):
         place = call(fresh, (context, address_of(frames[k]), tick, since_ns))
@@ -35,7 +35,7 @@ def fresh_places(fresh: int, context: int, frames: Rows, tick: int, since_ns: in
 
 @kernel(INTEGER, INTEGER, records(FRAME), INTEGER)
 def legs_addressed(addressed: int, context: int, frames: Rows, k: int) -> int:
-    """Bit i for each leg i that frame k addresses, by `Family.addressed_by`."""
+    """Legs that frame k addresses, bit i: leg i; addressed: address of `Family.addressed_by`."""
     return int(call(addressed, (context, address_of(frames[k]))))
 
 
@@ -44,9 +44,9 @@ PROMPT_NS = 100_000
 
 
 def latch_ns(protocol: Family, opening: Rows, sent_ns: Sequence[int | None], woke_ns: int) -> tuple[int, ...]:
-    """Time of each leg from the wake-up until its SYNC or poll was sent, ns; 0 for a leg without one.
+    """Time from the wake-up until each leg's SYNC or poll was sent, ns; 0 for a leg without one.
 
-    sent_ns: send times of the first frames of `opening`. The bus did not accept the others, and no frame with
+    sent_ns: send times of the first frames of `opening`; the bus did not accept the others, and no frame with
     None.
     """
     delays = [0] * LEGS
@@ -69,7 +69,7 @@ def checked(
     given_ns: int,
     answer_ns: int,
 ) -> Sequence[int | None]:
-    """Send time of each frame of `opening`, corrected where its answers show an earlier one than the clock.
+    """Send time of each frame of `opening`, ns, corrected where its answers show that the clock read late.
 
     begun_ns, given_ns: just before and just after the frames were given to the bus; answers: frames received
     since; answer_ns: shortest time of a feedback on the wire, 0 without a wire. A feedback within that time

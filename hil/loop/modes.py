@@ -67,16 +67,16 @@ DRIVE_PATIENCE_S = 1.0
 
 
 class Facts(NamedTuple):
-    """Facts that decide a transition."""
+    """Facts of a tick that decide a mode change."""
 
     operator: tuple[Operator, ...]
     drive_state: Sequence[int]
-    """Six DriveState."""
+    """DriveState of each drive, (6,)."""
     ready: bool
     """All six drives are set up and their turns known. To leave WAITING, also: all legs have reported lately
     and the pose is found. Used in WAITING and IDLE."""
     elapsed: float
-    """s since the present mode was entered."""
+    """Time since the present mode was entered, s."""
     finished: bool
     """The present motion (approach, reference, stop) has ended, is not on hold, and the legs are at rest."""
     stop: bool
@@ -88,22 +88,22 @@ class Facts(NamedTuple):
     """A parked platform may start again: operator.stays."""
 
     def all_in(self, *states: DriveState) -> bool:
-        """True if all six drives report one of these states."""
+        """True if each of the six drives reports one of these states."""
         return all(s in states for s in self.drive_state)
 
 
 class Durations(NamedTuple):
-    """Durations of entry and exit, s."""
+    """Durations of force ramp and brakes at the start and end of a motion, s."""
 
     load: float
-    """Ramp of the holding force, up or down; 0: no ramp and no brake test."""
+    """Ramp of the holding force, up or down, s; 0: no ramp and no brake test."""
     release: float
-    """Time for the brakes to open."""
+    """Time for the brakes to open, s."""
     close: float
-    """Time for the brakes to close."""
+    """Time for the brakes to close, s."""
 
     def least(self, mode: Mode) -> float:
-        """Shortest duration of a mode, s."""
+        """Shortest duration of a mode, s; 0 for a mode without a fixed duration."""
         match mode:
             case Mode.LOADING:
                 return 2.0 * self.load  # the brake test, then the ramp
@@ -160,7 +160,7 @@ _DRIVES = {
 
 
 def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
-    """Mode of this tick, without faults, which `after_fault` handles: here only RESET leaves FAULT."""
+    """Mode of this tick if no fault is new: `after_fault` handles new ones; only RESET leaves FAULT."""
     if (facts.stop or Operator.STOP in facts.operator) and mode in _STOPPED:
         return _STOPPED[mode]
     if mode is Mode.HELD and facts.provable and _NEXT[Mode.PARKING][1](facts, durations.close):
@@ -174,14 +174,14 @@ def next_mode(mode: Mode, facts: Facts, durations: Durations) -> Mode:
 
 
 def overdue(mode: Mode, elapsed: float, durations: Durations) -> bool:
-    """True if a mode has waited too long for the drives; elapsed: s since its entry."""
+    """True if a mode has waited too long for the drives; elapsed: s since the mode was entered."""
     return mode in _WAITING and elapsed > durations.least(mode) + DRIVE_PATIENCE_S
 
 
 def after_fault(
     mode: Mode, faults: Fault, under_control: Fault, torque_off: Fault, *, located: bool, heard: bool
 ) -> Mode:
-    """Mode after faults that strike in a mode, as far as state and measurement are still known.
+    """Mode after new faults in a mode, chosen by what is still known of state and measurement.
 
     under_control: faults after which a stop along the path is safe (ss1); torque_off: faults after which no
     force stays on (sto); located: the pose has been found; heard: False if all drives have been silent for
@@ -203,5 +203,5 @@ def after_fault(
 
 
 def drive_mode(mode: Mode) -> DriveMode:
-    """Drive mode to command in a mode."""
+    """State that the drives are commanded to enter in a mode of the controller."""
     return _DRIVES.get(mode, DriveMode.OFF)

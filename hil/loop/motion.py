@@ -1,4 +1,4 @@
-"""The present path of the platform and the place on it; the compiled pass uses the functions as well."""
+"""The platform's present path and the place on it, as kernels and as the class `Motion`."""
 
 from math import inf, nan
 from typing import Any
@@ -32,7 +32,7 @@ NO_STOP, SLOWS = -2, -1
 
 @helper
 def along(function: int, context: int, t: float, sigma: float, dsigma: float, sample: Any) -> int:
-    """Fill the sample of a path at path time t (s), at speed share sigma and its rate; return the status."""
+    """Fill in a path's sample at path time t, s, speed share sigma, dsigma 1/s; returns its status."""
     status: int = call(function, (context, t, address_of(sample)))
     if sigma != 1.0 or dsigma != 0.0:
         slow(sample, sigma, dsigma)
@@ -41,14 +41,14 @@ def along(function: int, context: int, t: float, sigma: float, dsigma: float, sa
 
 @helper
 def place_reference(override: Any, function: int, context: int, tick: int, sample: Any) -> int:
-    """Fill the sample of the reference at a tick; return the path's status."""
+    """Fill in the reference sample of a tick, at the present speed share; returns the path's status."""
     t = time_at(override, tick)
     return along(function, context, t, override.sigma, override.dsigma, sample)
 
 
 @helper
 def advance(motion: Any, override: Any, tick: int) -> None:
-    """Advance the motion to a tick."""
+    """Advance speed share and path time to a tick."""
     go_on(override, tick)
     if motion.stopped == SLOWS and is_resting(override):
         motion.stopped = tick
@@ -64,7 +64,7 @@ def ended(motion: Any, override: Any, tick: int) -> bool:
 
 @helper
 def overdue(motion: Any, override: Any, tick: int, patience: float) -> bool:
-    """True if the present trajectory ended more than `patience` (s) ago."""
+    """True if the present trajectory ended more than `patience`, s, ago."""
     if motion.stopped != NO_STOP:
         late = (tick - motion.stopped) * override.period > patience
         return bool(late and ended(motion, override, tick))
@@ -73,7 +73,7 @@ def overdue(motion: Any, override: Any, tick: int, patience: float) -> bool:
 
 @helper
 def ticks_left(motion: Any, override: Any, tick: int) -> int:
-    """Ticks until the present trajectory ends at full speed; 0 after its end.
+    """Ticks until the present trajectory ends if the speed is full; 0 after its end.
 
     For a trajectory with an end. Counted in path time: a hold on the way delays the end.
     """
@@ -85,9 +85,9 @@ def ticks_left(motion: Any, override: Any, tick: int) -> int:
 
 @helper
 def ahead(motion: Any, override: Any, tick: int, s: float, sample: Any) -> tuple[int, float]:
-    """Fill the sample of the reference `s` seconds after a tick.
+    """Fill in the reference sample `s` seconds after a tick.
 
-    Returns the status, and the time along the next trajectory: nan unless it should have begun by then.
+    Returns (status, time along the next trajectory, s: nan unless that one starts within the `s` seconds).
     """
     function, context = motion.function, motion.context
     if not is_full(override):
@@ -102,13 +102,13 @@ def ahead(motion: Any, override: Any, tick: int, s: float, sample: Any) -> tuple
 
 @kernel(record(MOTION), record(OVERRIDE), INTEGER, record(SAMPLE))
 def sample_at(motion: Any, override: Any, tick: int, sample: Any) -> int:
-    """Fill the sample of a tick; return the status."""
+    """Fill in the sample of the motion at a tick; returns the path's status."""
     return place_reference(override, motion.function, motion.context, tick, sample)
 
 
 @kernel(record(MOTION), record(OVERRIDE), INTEGER, REAL)
 def end(motion: Any, override: Any, tick: int, patience: float) -> int:
-    """State of the trajectory: 0 before its end, then ENDED, then OVERDUE after `patience` (s) more."""
+    """State of the trajectory: 0 before its end, then ENDED, and OVERDUE `patience` s later."""
     if overdue(motion, override, tick, patience):
         return OVERDUE
     return ENDED if ended(motion, override, tick) else 0
@@ -124,18 +124,18 @@ class Motion:
     A trajectory with state from tick to tick (`LiveTrajectory`) is not slowed down along its path: it has a
     speed of its own. Mutable state: all of these, the next trajectory, and a path that was left for another
     one, with the time along it. `start`, `rest` and `stop` replace the trajectory and forget the left path.
-    `record`, a MOTION, holds the part that the compiled pass needs.
+    `record`, a MOTION, holds the part that compiled code needs.
     """
 
     def __init__(self, period_s: float, p: Array, R: Array, change_s: float) -> None:
-        """Start at rest at p (3,) m, R (3, 3), base frame. change_s: see `Override`."""
+        """Start at rest at p (3,) m, R (3, 3), base frame; change_s: duration of a speed change, s."""
         self.period_s = period_s
         self.override = Override(period_s, change_s)
         self.record = np.zeros((), MOTION)
         self.rest(p, R, 0)
 
     def start(self, trajectory: Trajectory, tick: int, then: Trajectory | None = None) -> None:
-        """Begin a trajectory with time zero at this tick; `then` follows as soon as it has ended."""
+        """Start a trajectory at time zero in this tick; `then`: the trajectory that follows at its end."""
         self.tick = tick
         self._go_along(trajectory)
         self.override.begin(tick)
@@ -158,18 +158,18 @@ class Motion:
         self.record["then_function"], self.record["then_context"] = self._next[:2]
 
     def rest(self, p: Array, R: Array, tick: int) -> None:
-        """Stay at a pose from this tick on."""
+        """Stay at the pose p (3,) m, R (3, 3), base frame, from this tick on."""
         self.start(HoldTrajectory(p, R), tick)
 
     def leave(self, trajectory: Trajectory, tick: int) -> None:
-        """Rest at the start of another trajectory; `resume` returns to the path, which is left at rest."""
+        """Leave the present path, at rest, for another trajectory; `resume` returns to the path later."""
         left = self._left or (self.trajectory, self.time(tick))
         self.start(trajectory, tick)
         self._left = left
         self.override.settle(tick, 0.0)
 
     def resume(self, tick: int) -> None:
-        """Rest on the path that was left, at the same place."""
+        """Return to the path that was left, at rest at the same place."""
         assert self._left is not None
         trajectory, s = self._left
         self.start(trajectory, tick)
@@ -177,7 +177,7 @@ class Motion:
 
     @property
     def left(self) -> tuple[PoseSample, float] | None:
-        """Place where the path was left: the pose at rest, and the time along it, s; None while on it."""
+        """Place where the path was left: (sample at rest, time along it, s); None while on the path."""
         if self._left is None:
             return None
         trajectory, s = self._left
@@ -186,11 +186,11 @@ class Motion:
 
     @property
     def away(self) -> bool:
-        """True while off a path to which `resume` returns."""
+        """True while the platform is off a path to which `resume` returns."""
         return self._left is not None
 
     def aim(self, tick: int, speed: float, *, go: bool) -> None:
-        """Change the speed smoothly to a share 0 .. 1 of the configured one; to rest unless `go`."""
+        """Change the speed smoothly to a share, 0 .. 1, of the configured one; without `go` to rest."""
         if isinstance(self.trajectory, LiveTrajectory):
             self.trajectory.limit(speed)
             if not go:
@@ -199,12 +199,12 @@ class Motion:
             self.override.aim(tick, speed if go else 0.0)
 
     def settle(self, tick: int, speed: float) -> None:
-        """Set the speed to a share 0 .. 1 of the configured one, at once."""
+        """Set the speed at once to a share, 0 .. 1, of the configured one."""
         if not isinstance(self.trajectory, LiveTrajectory):
             self.override.settle(tick, speed)
 
     def advance(self, tick: int) -> None:
-        """Advance the motion to a tick."""
+        """Advance speed share and path time to a tick."""
         advance_to(self.record, self.override.record, tick)
 
     def stop(self, tick: int, duration_s: float) -> None:
@@ -224,12 +224,12 @@ class Motion:
             self.record["stopped"] = tick if self.override.resting else SLOWS
 
     def time(self, tick: int) -> float:
-        """Time along the present trajectory, s."""
+        """Path time along the present trajectory in a tick, s."""
         return self.override.time(tick)
 
     @property
     def resting(self) -> bool:
-        """True while the reference stands still, and stays so until it is commanded on."""
+        """True while the reference is at rest and stays there until a command moves it."""
         if isinstance(self.trajectory, LiveTrajectory):
             return self.trajectory.resting
         return self.override.resting
@@ -239,11 +239,11 @@ class Motion:
         return end(self.record, self.override.record, tick, 0.0) != 0
 
     def overdue(self, tick: int, patience_s: float) -> bool:
-        """True if the present trajectory ended more than `patience_s` ago."""
+        """True if the present trajectory ended more than `patience_s`, s, ago."""
         return end(self.record, self.override.record, tick, patience_s) == OVERDUE
 
     def sample(self, tick: int) -> PoseSample:
-        """Sample of the reference at this tick."""
+        """Reference sample of a tick: pose, twist, acceleration."""
         into = np.ndarray((), SAMPLE)
         require(sample_at(self.record, self.override.record, tick, into), self._callee)
         return of_record(into)

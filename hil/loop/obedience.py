@@ -24,7 +24,7 @@ UNLIKE = 0.3
 
 
 class Obedience:
-    """Checks the legs while force holds them after a fault. Mutable state: last rates, refused leg."""
+    """Checks that no leg accelerates against its force. Mutable state: last rates, refused leg."""
 
     def __init__(self, model: Model, rate_Hz: float) -> None:
         self._model = model
@@ -32,17 +32,17 @@ class Obedience:
         self.reset()
 
     def reset(self) -> None:
-        """Trust all drives."""
+        """Trust all drives again, and forget the rates."""
         self.refused: int | None = None
         """The leg that no longer gets a force; at most one, as the simplest explanation."""
         self.forget()
 
     def forget(self) -> None:
-        """Forget the rates: a new holding force begins."""
+        """Forget the stored rates, as a new holding force begins."""
         self._rates.clear()
 
     def watch(self, tick: Record, tau: Array) -> bool:
-        """Add a tick's rates, given the forces (6,) N sent last; return True when a leg is newly refused."""
+        """Add a tick's rates, given the forces (6,) N sent last; True if a leg is newly found to disobey."""
         rate = tick["rate"]
         if self.refused is not None or tick["age"].any():
             return False
@@ -56,7 +56,7 @@ class Obedience:
         return True
 
     def _alone(self, leg: int, change: Array, tick: Record) -> bool:
-        """True if one leg's force explains the change (6,) m/s of the rates, with brakes open or shut."""
+        """True if one leg's force explains the change (6,) m/s of all rates, with brakes open or closed."""
         J, M = tick["J"], self._model.mass_matrix(tick["p"], tick["R"])
         coupled = (J * solve(M, J[leg])).sum(axis=1)
         for of in (coupled, np.eye(LEGS)[leg]):

@@ -1,6 +1,6 @@
-"""The operator's permissions: go or hold, speed, jog, park; and whether the key is held.
+"""The operator's permissions: go or hold, speed, jog, park; and whether the enabling key is held.
 
-Pure: its time is the tick. Orders come with a tick's input. Moves at set-up speed are in no file, so each is
+No clock: time is the tick. Orders come with a tick's input. Moves at set-up speed are in no file, so each is
 checked before it starts, a few poses a tick while the platform rests.
 """
 
@@ -27,7 +27,7 @@ PEAK = 1.875
 
 
 def approach(parts: Parts, here: PoseSample, period_s: float) -> GeodesicMove:
-    """Move from a pose at rest to the start of the reference."""
+    """Move from a pose at rest to the start of the reference; period_s: loop period, s."""
     start, engage = parts.trajectory.sample(0.0), parts.engage
     farthest = farthest_leg_m(parts.platform, here, start)
     duration = max(farthest / engage.approach_speed_m_s, engage.blend_s, period_s)
@@ -48,7 +48,7 @@ def at_setup_speed(
 
 
 def _length(vector: Array) -> float:
-    """Length of a vector (3,), without BLAS."""
+    """Euclidean norm of a vector (3,), without BLAS, so that replay is exact to the bit."""
     x, y, z = vector.tolist()
     return sqrt(x * x + y * y + z * z)
 
@@ -62,12 +62,12 @@ PER_TICK = 2
 
 
 class Inspection:
-    """Running check of a move. Mutable state: number of checked poses, reason for a refusal."""
+    """Check of a move, some poses per call. Mutable state: number of checked poses, reason for a refusal."""
 
     def __init__(
         self, platform: Platform, judge: Callable[[PoseSample], int], name: str, move: GeodesicMove
     ) -> None:
-        """judge: Refusal bits of a sample; name: how messages call the move."""
+        """judge: returns the Refusal bits of a sample; name: name of the move in messages."""
         self.move, self._judge, self._name = move, judge, name
         reach = max(hypot(*joint) for joint in platform.platform_joints.tolist())
         self._steps = min(max(ceil(move.travel_m(reach) / APART_M), LEAST), MOST)
@@ -89,18 +89,18 @@ class Inspection:
         return bool(self.refusal) or self._next > self._steps
 
 
-NO_KEY = "the key is not held (operator.deadman_s): hold it, then send start"
+NO_KEY = "the enabling key is not held (operator.deadman_s): hold it, then send start"
 _ON_THE_WAY = frozenset({Operator.KEY, Operator.SPEED})
 """Orders that do not cancel the check of a way back."""
-NOT_MOVING = "nothing moves in mode {}: the platform has to be on its way or on hold"
+NOT_MOVING = "not possible in mode {}: the platform must be moving or on hold"
 
 
 class Operating:
     """Turns the operator's orders into the speed along the path.
 
     Mutable state: permission to go, requested speed, parking at or on the way to the first pose, the tick of
-    the last key frame, and the answers to the last tick's orders; the way back to the path after a jog, the
-    move under check, the reason for the last refusal, and the state of `jogging`.
+    the last frame of the enabling key, and the answers to the last tick's orders; the way back to the path
+    after a jog, the move under check, the reason for the last refusal, and the state of `jogging`.
     """
 
     def __init__(
@@ -111,7 +111,7 @@ class Operating:
         jogging: Jogging,
         judged: Callable[[str, GeodesicMove], Inspection],
     ) -> None:
-        """least_s: shortest time of a move at set-up speed; judged: starts the check of a named move."""
+        """least_s: shortest time of a move at set-up speed, s; judged: starts the check of a named move."""
         self.jogging, self._judged = jogging, judged
         self.settings = settings
         self.least_s = least_s
@@ -121,7 +121,7 @@ class Operating:
         self.reset()
 
     def reset(self) -> None:
-        """Reset to full speed, without a key frame."""
+        """Restore the initial state: full speed, no orders, enabling key not held."""
         self.go = True
         self.speed = 1.0
         self.parks = False
@@ -135,31 +135,31 @@ class Operating:
         """Reason for the refusal of each order of the last tick, in order; empty where it was accepted."""
 
     def holds_key(self, tick: int) -> bool:
-        """True while the key is held, or if no key is needed."""
+        """True while the operator holds the enabling key, or if no key is configured."""
         if self.patience is None:
             return True
         return self.key_tick is not None and tick - self.key_tick < self.patience
 
     def moves(self, mode: Mode) -> bool:
-        """True in a mode in which the operator controls the motion."""
+        """True in a mode in which the operator may hold, start or park the motion."""
         return mode in {Mode.APPROACH, Mode.TRACKING} or (mode is Mode.STOPPING and self.parks)
 
     def stays(self, mode: Mode) -> bool:
-        """True while the brakes stay open at the end of the motion.
+        """True if the brakes stay open when the reference is at rest, as the operator may move it again.
 
-        On hold, and before the way back to the first pose has begun.
+        That is on hold, and before the way back to the first pose has begun.
         """
         if mode is Mode.TRACKING:
             return self.parks or not self.go
         return mode is Mode.STOPPING and self.parks and not self.go
 
     def busy(self, mode: Mode) -> bool:
-        """True if the next tick needs a decision even without an order."""
+        """True if the next tick needs a decision in Python even without a new order."""
         parks = self.parks and mode is not Mode.STOPPING
         return bool(self.answers) or parks or self.jogging.waits or self._inspection is not None
 
     def step(self, orders: Sequence[Order], tick: int, mode: Mode, motion: Motion) -> None:
-        """Advance the motion to a tick, take the tick's orders, check the key, and set the speed."""
+        """Advance the motion to a tick; process its orders and the enabling key, and set the speed."""
         motion.advance(tick)
         if not self.go and self.stays(mode) and not motion.away and motion.finished(tick):
             motion.settle(tick, 0.0)  # the motion is over: so is its time
@@ -200,7 +200,7 @@ class Operating:
         return ""
 
     def _jog(self, orders: Sequence[Order], tick: int, motion: Motion) -> None:
-        """Continue a jog; if a limit has stopped it in this tick, refuse its words."""
+        """Continue a jog; if a limit has stopped it in this tick, answer its orders with the reason."""
         jogging = self.jogging
         jogging.step(tick, motion, key=self.holds_key(tick))
         if jogging.refusal:
@@ -223,14 +223,14 @@ class Operating:
                 motion.leave(move, tick)
 
     def engage(self, tick: int, motion: Motion) -> None:
-        """Begin to move, if the key is held; forget a way back from an earlier motion."""
+        """Start a motion: permission to go if the enabling key is held; a former way back is forgotten."""
         self.parks, self.go = False, self.holds_key(tick)
         self._way_back = self._inspection = None
         self.trouble = ""
         motion.settle(tick, self.speed if self.go else 0.0)
 
     def enter(self, mode: Mode, tick: int, motion: Motion) -> None:
-        """Begin TRACKING or the way back; at rest if the operator has to start the motion."""
+        """Start TRACKING or the way back; at rest if the operator has to give the order to start."""
         if mode is Mode.TRACKING:
             begins = self.parks or self.settings.start == "automatic"
             self.go = self.go and begins and self.holds_key(tick)
@@ -239,9 +239,10 @@ class Operating:
         self._aim(tick, mode, motion)
 
     def way(self, name: str, tick: int, motion: Motion, there: PoseSample) -> GeodesicMove | None:
-        """Checked move from rest to a pose of the reference.
+        """Move from the present rest to a pose of the reference, once all its poses have been checked.
 
-        None while the check runs, and if it fails: then the platform stays on hold, see `trouble`.
+        None while the check runs, and if it fails: then the platform stays on hold, with the reason in
+        `trouble`.
         """
         if self._inspection is None:
             move = at_setup_speed(self.settings, self.least_s, motion.sample(tick), there)

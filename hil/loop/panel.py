@@ -1,4 +1,4 @@
-"""The operator's signals: Ctrl-C, and the loss of the terminal."""
+"""The operator's signals: Ctrl-C, termination, and the loss of the terminal."""
 
 import signal
 import sys
@@ -11,7 +11,7 @@ from hil.signals import Operator
 
 @contextmanager
 def signals_to(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
-    """Route the signals that request an end to `handler`."""
+    """Route SIGINT, SIGTERM and SIGHUP to `handler` inside the block."""
     before = {s: signal.signal(s, handler) for s in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         yield
@@ -24,7 +24,7 @@ class OperatorPanel:
     """The operator's signals, which wait for the next tick.
 
     The first SIGINT, SIGTERM or SIGHUP requests a controlled stop, a second one an emergency stop. While the
-    drives hold a platform whose brakes are not proven shut, each requests a controlled stop only. Mutable
+    drives hold a platform whose brakes are not proven closed, each requests a controlled stop only. Mutable
     state: numbers of received and of delivered signals.
     """
 
@@ -34,7 +34,7 @@ class OperatorPanel:
         self._running = False
 
     def take(self, *, held: bool = False) -> tuple[Operator, ...]:
-        """Commands since the last call; held: only force holds the platform."""
+        """Stops requested by signals since the last call; held: only drive force holds the platform."""
         commands: tuple[Operator, ...] = ()
         while self._answered < self.interrupts:  # counted, not listed: a signal may strike between any two
             self._answered += 1
@@ -53,5 +53,5 @@ class OperatorPanel:
         return signals_to(self.interrupt)
 
     def running(self) -> None:
-        """From now on only count signals: they wait for the next tick, and are ignored after the last one."""
+        """Only count signals from now on: they take effect in a tick; after the last tick they have none."""
         self._running = True

@@ -1,6 +1,6 @@
-"""The parts of a cycle.
+"""The parts of which a cycle is made.
 
-It only lists the parts; `hil.app.compose` builds them.
+This module only lists the parts; `hil.app.compose` builds them.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Parts:
-    """The parts of a cycle."""
+    """The parts of a cycle: robot, protocol, law, reference, safety, estimators and settings."""
 
     platform: Platform
     model: Model
@@ -55,7 +55,7 @@ class Parts:
     steering: Steering | None = None
     """Takes set-points, where the reference is live."""
     last_pose: LastPose | None = None
-    """Parked leg lengths, for drives that forget their turns at power-off."""
+    """Parked leg lengths, for drives that lose count of motor turns at power-off."""
     sensors: SensorProtocol | None = None
     fusion: FusedEstimator | None = None
     """Fusion filter, which takes over once the legs have given a pose; None: the pose comes from the legs
@@ -63,6 +63,6 @@ class Parts:
     buses: tuple[str, ...] = ()
     """Channel and legs of each bus, if there are several."""
     predictor: Predictor | None = None
-    """For a law that reads state and reference at the instant when its force acts."""
+    """Predicts state and reference at the time when the law's force will act; None: no prediction."""
     learned: LearnedForces | None = None
     """Forces learned from earlier runs of this trajectory."""

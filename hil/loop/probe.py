@@ -1,4 +1,4 @@
-"""The probe: decides whether friction holds a leg whose reading stands still, if necessary by a push.
+"""Probe forces: a push decides whether a leg whose reading stands still is held by friction.
 
 A stage between the law and the limits. Safety reports the legs that stand still while they or others stray
 from the reference, and counts a leg that does not move under its push. The limits apply to the sum of law and
@@ -44,7 +44,7 @@ LEAST_S, LONGEST_S = 0.01, 0.05
 
 @helper
 def look(tick: Any, limits: Any, memory: Any, window: Array, robot: int, senses_wrench: int) -> None:
-    """Decide for each leg that stands still whether a push begins, continues or ends.
+    """Decide for each leg whose reading stands still whether a probe push starts, continues or ends.
 
     limits, memory: records of `hil.safety.kernels`; window: the forces sent, (n, 6) N, see
     `hil.safety.force_limits`; robot: address of the constants of the load model, see
@@ -136,7 +136,7 @@ def beyond(force: float, load: float, friction: float, driving: float, back_driv
 
 @helper
 def fill_probe(tick: Any, last: Any, limits: Any, memory: Any) -> bool:
-    """Fill probe_force, (6,) N, > 0 extends, from that of the last tick; return True if a push begins."""
+    """Fill in probe_force, (6,) N, > 0 extends, from that of the last tick; True if a push starts."""
     begins = False
     for i in range(LEGS):
         rise, ticks = limits.rise_ticks, limits.push_ticks

@@ -1,4 +1,4 @@
-"""The reference of a tick from a trajectory's sample, and the ramps of the force around it."""
+"""The reference of a tick (pose, twist, leg lengths and rates), and the force ramps around it."""
 
 from typing import Any, NamedTuple
 
@@ -19,7 +19,7 @@ _LOADING = int(Mode.LOADING)
 
 @helper
 def fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, tick: Any) -> None:
-    """Fill the reference of a tick; see `fill_reference`. a, b (6, 3) m: joints of base and platform."""
+    """Fill in a tick's reference as `fill_reference` does; a, b (6, 3) m: joints of base and platform."""
     tick.p_d[:] = p
     tick.R_d[:] = R
     tick.twist_d[:] = twist
@@ -38,7 +38,7 @@ def fill(a: Array, b: Array, p: Array, R: Array, twist: Array, dtwist: Array, ti
 
 @helper
 def fill_sample(a: Array, b: Array, sample: Any, tick: Any) -> None:
-    """Fill the reference of a tick with a record of SAMPLE."""
+    """Fill in the reference columns of a tick from a record of SAMPLE; a, b (6, 3) m: joints."""
     fill(a, b, sample.p, sample.R, sample.twist, sample.dtwist, tick)
 
 
@@ -54,7 +54,7 @@ _fill = kernel(MATRIX, MATRIX, VECTOR, MATRIX, VECTOR, VECTOR, record(TICK, *par
 
 
 def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:
-    """Largest difference of a leg's length between two samples, m."""
+    """Largest difference, over the legs, between the leg lengths of two samples, m."""
     one, other = new_record(), new_record()
     fill_reference(platform, a, one)
     fill_reference(platform, b, other)
@@ -63,14 +63,14 @@ def farthest_leg_m(platform: Platform, a: PoseSample, b: PoseSample) -> float:
 
 @helper
 def smoothstep(x: float) -> float:
-    """10 x^3 - 15 x^4 + 6 x^5 of x clamped to 0 .. 1; both ends are at rest."""
+    """Smooth step 10 x^3 - 15 x^4 + 6 x^5 of x limited to 0 .. 1; slope and curvature are 0 at both ends."""
     x = min(max(x, 0.0), 1.0)
     return x * x * x * (10.0 + x * (6.0 * x - 15.0))
 
 
 @helper
 def holding_share(mode: int, elapsed_s: float, load_s: float) -> float:
-    """Share of the holding force in LOADING and UNLOADING, whose ramps both take `load_s` > 0.
+    """Share, 0..1, of the holding force that acts in LOADING or UNLOADING; their ramps take `load_s` > 0 s.
 
     LOADING begins with a brake test of the same duration, without force.
     """
@@ -80,9 +80,9 @@ def holding_share(mode: int, elapsed_s: float, load_s: float) -> float:
 
 
 def tau_at_rest(law: Law, platform: Platform, tick: Record, sample: PoseSample, *, on_it: bool) -> Array:
-    """Force of the law at rest, without load, with the sample as reference; resets the law.
+    """Law's forces (6,) N at rest, without load, with the sample as reference; resets the law.
 
-    on_it: as if the platform were there, too; otherwise at its pose measured in this tick.
+    on_it: True to evaluate it at the sample's pose; False: at the pose measured in this tick.
     """
     at_rest = copy_of(tick)
     at_rest["wrench"] = 0.0
@@ -98,12 +98,12 @@ def tau_at_rest(law: Law, platform: Platform, tick: Record, sample: PoseSample, 
 
 
 class LearnedForces(NamedTuple):
-    """Leg forces over the time of one reference, and over the last part of the way to its start."""
+    """Leg forces from earlier runs, over the time of a reference and the end of the way to its start."""
 
     tau: Array
     """(n, 6) N at start_s, start_s + step_s, ... Read-only."""
     start_s: float
-    """Time before the start of the reference, at most 0."""
+    """Time of the first row relative to the start of the reference, s, at most 0."""
     step_s: float
     fade_s: float
-    """Time in which they fade in and out."""
+    """Time in which the forces fade in and out, s."""

@@ -1,4 +1,4 @@
-"""Replay: the recorded inputs run through the same Cycle, and the results are compared to the bit."""
+"""Replay: runs the recorded inputs through the same Cycle and compares the results to the bit."""
 
 import math
 from collections.abc import Callable, Iterator, Sequence
@@ -29,7 +29,7 @@ TOLERANCE = 1e-9
 
 @dataclass
 class Difference:
-    """One difference in a tick: in a column, or in the sent frames."""
+    """A difference between log and replay in a tick: in a column, or in the sent frames."""
 
     tick: int
     column: str
@@ -49,11 +49,11 @@ class Difference:
 
 @dataclass
 class Comparison:
-    """Result of a replay."""
+    """Result of a replay: numbers of ticks, frames and differences."""
 
     ticks: int = 0
     end: int = 0
-    """Number of the last tick plus one."""
+    """Number of the last compared tick plus one."""
     frames: int = 0
     different_ticks: int = 0
     wire_different_ticks: int = 0
@@ -66,7 +66,7 @@ class Comparison:
     largest: float = 0.0
     """Largest |replayed - recorded| / max(1, |recorded|) over all columns; inf where an integer differs."""
     story: Story | None = None
-    """Story of the faults that are latched at the end of the log."""
+    """Report of the faults that are latched at the end of the log."""
 
     @property
     def exact(self) -> bool:
@@ -75,7 +75,7 @@ class Comparison:
 
     @property
     def equivalent(self) -> bool:
-        """True if every sent frame is identical and every column within TOLERANCE, as on another CPU."""
+        """True if all sent frames are identical and all columns within TOLERANCE, as on another CPU."""
         return (
             self.ticks > 0 and not self.wire_different_ticks and self.largest <= TOLERANCE and not self.gaps
         )
@@ -86,7 +86,7 @@ _STATES = frozenset(map(int, BusState))
 
 
 def other_columns(columns: Sequence[Column]) -> str:
-    """Differences between a log's columns and RECORDED, as text; empty if a replay can compare them."""
+    """Text: how a log's columns differ from RECORDED; empty if a replay can compare them."""
     log, own = (
         {c.name: (c.kind, c.shape, c.elements, c.names) for c in table} for table in (columns, RECORDED)
     )
@@ -104,19 +104,19 @@ def other_columns(columns: Sequence[Column]) -> str:
 
 
 class Recorded(Protocol):
-    """Source of recorded ticks in order, for example `hil.record.log.Log`."""
+    """Source of recorded ticks, such as `hil.record.log.Log`."""
 
     def ticks(self) -> Iterator[Tick]:
-        """The recorded ticks in order."""
+        """The recorded ticks in their order."""
 
 
 def recorded_input(entry: Tick) -> TickInput:
-    """Input of the cycle in a recorded tick. Raises LogError for a row that no cycle writes."""
+    """Cycle input of a recorded tick. Raises LogError for values that no cycle writes."""
     return input_of(entry.row, entry.received_items, entry.operator, entry.setpoints, entry.orders)
 
 
 class Block(NamedTuple):
-    """Recorded ticks, and a cycle's results for the same inputs; only the last tick may have a decision."""
+    """Consecutive recorded ticks and a cycle's results; Python decides in the last tick at most."""
 
     entries: Sequence[Tick]
     """The recorded ticks."""
@@ -125,25 +125,25 @@ class Block(NamedTuple):
     ticks: Ticks
     """Memory of the cycle's ticks: frames received, frames sent, records."""
     span: slice
-    """Place of the block within `ticks`."""
+    """Place of the block's ticks within `ticks`."""
 
     @property
     def operator(self) -> tuple[Operator, ...]:
-        """Operator's commands in the last tick."""
+        """Operator's commands in the last tick of the block."""
         return tuple(map(Operator, self.entries[-1].operator))
 
     @property
     def rows(self) -> Rows:
-        """Rows that the cycle computes."""
+        """Recorded columns as the replaying cycle computes them, one row per tick."""
         return self.ticks.recorded(self.span)[0]
 
     def sent(self, k: int) -> Rows:
-        """Frames that the cycle sends in tick k of the block, elements of FRAME."""
+        """Frames that the cycle sends in tick k of the block, FRAME records."""
         _, opened, command = self.ticks.spans(self.span.start + k)
         return self.ticks.frames[opened.start : command.stop]
 
     def differs(self) -> tuple[Flags, Flags]:
-        """Flags (n,) of ticks whose sent frames differ, times aside; flags of those whose columns differ."""
+        """(n,) flags of ticks whose sent frames differ, apart from times; (n,) flags of differing columns."""
         count, ends = len(self.entries), self.ticks.ends[self.span]
         words = self.ticks.records[self.span].view(np.int64)[:, :_ROW_WORDS]
         recorded = self.recorded.view(np.float64).reshape(count, _ROW_WORDS)
@@ -159,7 +159,7 @@ class Block(NamedTuple):
 
 @kernel(records(FRAME), MATRIX_OF_INTEGERS, records(FRAME), INTEGERS, OUT_FLAGS)
 def _compare_frames(own: Any, ends: Any, recorded: Any, bounds: Any, differs: Any) -> None:
-    """Flag the ticks whose frames differ: own frames at `ends` (n, 3), recorded ones at `bounds`."""
+    """Flag the ticks whose sent frames differ: own ones at `ends` (n, 3), recorded ones at `bounds`."""
     for k in range(differs.shape[0]):
         first, count = ends[k, 0], ends[k, 2] - ends[k, 0]
         differs[k] = count != bounds[k + 1] - bounds[k]
@@ -179,7 +179,7 @@ _LATER_WORDS = sum(c.size for c in LATER)
 
 @helper
 def _begins(s: Any) -> int:
-    """Observe a tick with the input and the frames of the recorded one."""
+    """Run the observe stage of a tick with recorded input and frames; returns 0 or a reason to stop."""
     bounds = integers_at(s.bounds + 8 * s.entry, 2)
     s.heard_at, s.heard = s.items + bounds[0] * part.BYTES, bounds[1] - bounds[0]
     if not part.has_room(s):
@@ -192,7 +192,7 @@ def _begins(s: Any) -> int:
 
 @kernel(record(REPLAY), unlocked=True)
 def again(s: Any) -> int:
-    """Run until `count` ticks are done; return 0, or the status of the stage that stopped."""
+    """Replay ticks until `count` are done; returns 0, or the status of the stage that stopped."""
     while s.done < s.count:
         status = 0
         if s.stage == part.START:
@@ -215,7 +215,7 @@ def again(s: Any) -> int:
 
 
 def _gathered(log: Recorded) -> Iterator[list[Tick]]:
-    """Yield the ticks of a log in groups; a LogError is raised after the last readable tick."""
+    """The ticks of a log in groups; a LogError is raised after the last readable tick."""
     gathered: list[Tick] = []
     try:
         for entry in log.ticks():
@@ -232,7 +232,7 @@ def _gathered(log: Recorded) -> Iterator[list[Tick]]:
 
 
 def _odd(entries: Sequence[Tick], recorded: Rows, last: int) -> list[int]:
-    """Indices of ticks with operator input, after a gap, or with a row that no cycle writes."""
+    """Indices of ticks with operator input, after a gap, or with values that no cycle writes."""
     tick, skipped = recorded["tick"], recorded["skipped"]
     gap = tick - skipped - np.concatenate(([last], tick[:-1])) != 1
     flags = zip(recorded["recorder_alive"].tolist(), recorded["bus_state"].tolist(), strict=True)
@@ -244,7 +244,7 @@ def _odd(entries: Sequence[Tick], recorded: Rows, last: int) -> list[int]:
 def blocks(
     log: Recorded, cycle: Cycle, gaps: list[tuple[int, int]], progress: Callable[[int], None] | None = None
 ) -> Iterator[Block]:
-    """Run `cycle`, after its reset, on the recorded inputs of a log; yield its results.
+    """Reset `cycle` and run it on the recorded inputs of a log; yields its results in blocks.
 
     Ends at the first gap, which is appended to `gaps`: first missing tick and number. With latched faults a
     cycle runs one tick at a time. Raises LogError where the log cannot be read.
@@ -303,7 +303,6 @@ def replay(log: Recorded, cycle: Cycle, progress: Callable[[int], None] | None =
 
 
 def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> None:
-    """Add a tick that differs to the comparison."""
     row, entry = block.rows[k], block.entries[k]
     comparison.different_ticks += 1
     comparison.wire_different_ticks += wire
@@ -317,7 +316,6 @@ def _compare(comparison: Comparison, block: Block, k: int, *, wire: bool) -> Non
 
 
 def _compared(recorded: np.void) -> list[str]:
-    """Recorded columns that a replay also computes."""
     lacking = {c.name for c in LATER if np.isnan(recorded[c.name]).all()}
     return [name for name in COMPUTED_COLUMNS if name not in lacking]
 

@@ -1,4 +1,4 @@
-"""State reports of the six drives in a tick, and their wording in the messages of a run.
+"""State reports of the six drives in a tick, and their text for the messages of a run.
 
 `cycle` is a `hil.loop.cycle.Cycle`, which imports this module.
 """
@@ -18,15 +18,15 @@ _POWERED = (DriveState.READY, DriveState.RUN)
 
 
 def any_powered(tick: Record) -> bool:
-    """True if a drive is powered."""
+    """True if a drive reports READY or RUN."""
     return any(state in _POWERED for state in tick["drive_state"].tolist())
 
 
 def unconfirmed(tick: Record, latches: bool) -> tuple[int, ...]:
-    """Legs whose drive has not confirmed the emergency stop: not in FAULT, or for another reason.
+    """Legs whose drive has not confirmed the emergency stop: it is not in FAULT, or for another reason.
 
-    A fault code of the manufacturer counts as a confirmation, as its meaning is unknown here. If the drives
-    do not latch a stop: the legs whose drive is in RUN.
+    A fault code of the manufacturer counts as a confirmation, as its meaning is unknown here. If a stop does
+    not put the drives into FAULT (`latches` False): the legs whose drive is in RUN.
     """
     if not latches:
         return tuple(leg for leg, state in enumerate(tick["drive_state"].tolist()) if state == DriveState.RUN)
@@ -39,7 +39,7 @@ def unconfirmed(tick: Record, latches: bool) -> tuple[int, ...]:
 
 
 def confirmed(tick: Record, latches: bool) -> bool:
-    """True if all drives have confirmed the emergency stop, see `unconfirmed`."""
+    """True if all drives have confirmed the emergency stop; latches: a stop puts them into FAULT."""
     return not unconfirmed(tick, latches)
 
 
@@ -54,13 +54,13 @@ def ready(tick: Record, mode: Mode, set_up: Iterable[bool], *, located: bool) ->
 
 
 def measured_at_rest(tick: Record) -> bool:
-    """True if all six legs report trusted readings in this tick and are at rest."""
+    """True if all six legs report valid readings in this tick and are at rest."""
     measured = max(tick["age"].tolist()) == 0 and not tick["legs_slipped"]
     return bool(measured and max(abs(tick["rate"]).tolist()) < REST_m_s)
 
 
 def because(fault: int, meaning: str = "") -> str:
-    """A drive's fault reason in brackets; a number if it is a manufacturer's code.
+    """Reason of a drive's fault in brackets, as text; a number if it is a manufacturer's code.
 
     meaning: of that number, as the protocol gives it.
     """
@@ -70,7 +70,7 @@ def because(fault: int, meaning: str = "") -> str:
 
 
 def moving_text(cycle: Any) -> str:
-    """List of the legs that are not at rest, as text."""
+    """List of the legs that are not at rest, as text; empty if none moves."""
     rates, ages = cycle.tick["rate"].tolist(), cycle.tick["age"].tolist()
     legs = [
         f"leg {leg} at {rate:+.3f} m/s"
@@ -110,7 +110,7 @@ def _unlocated(cycle: Any) -> str:
     """Reason why no pose has been found although all drives answer."""
     last, sight = cycle.tick, cycle.sight
     if sight.located:
-        return "they became ready only after the end of the run; give the run more time"
+        return "they became ready only after the end of the run; lengthen the run"
     if sight.sought:
         lengths = ", ".join(f"{q:.4f}" for q in last["length"])
         return f"no pose near platform.home has the measured leg lengths {lengths} m"
@@ -125,25 +125,25 @@ def _unlocated(cycle: Any) -> str:
 
 
 KEPT = "they keep the last torque; cut their power now"
-NO_WATCHDOG = f"have no watchdog that is set from here: {KEPT}"
+NO_WATCHDOG = f"have no watchdog that this program sets: {KEPT}"
 """For families whose `has_watchdog` is False."""
-_NOT_SENT = "the drives could not be told to switch off, since the bus takes no frames: "
+_NOT_SENT = "the command to switch off could not be sent to the drives, as the bus takes no frames: "
 
 
 def off_not_sent(parts: Parts, reaction: str = "") -> str:
-    """Consequence for drives whose bus takes no frames, as text; `reaction`: of their watchdog, if known."""
+    """Text: what drives do whose bus takes no frames; `reaction`: of their watchdog, if known."""
     if not parts.protocol.traits.has_watchdog:
         return f"{_NOT_SENT}they {NO_WATCHDOG}"
     return f"{_NOT_SENT}the watchdog of each acts {_acts(parts.setup, reaction)}"
 
 
 def not_confirmed(parts: Parts, reaction: str) -> str:
-    """Consequence for a drive that may have received nothing, as text."""
+    """Text: what a drive does that may have received no command; `reaction`: of its watchdog."""
     if not parts.protocol.traits.has_watchdog:
         return f"drives that receive nothing {NO_WATCHDOG}"
     return f"the watchdog of a drive that receives nothing acts {_acts(parts.setup, reaction)}"
 
 
 def _acts(setup: DriveSetup, reaction: str) -> str:
-    after = f"{1e3 * setup.watchdog_s:g} ms after the last command it heard"
+    after = f"{1e3 * setup.watchdog_s:g} ms after the last command that it received"
     return f"{after}, with reaction `{reaction}`" if reaction else after

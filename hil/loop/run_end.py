@@ -1,6 +1,6 @@
-"""The course of a run: its own operator commands, the end of the run, and the reason for it.
+"""Course of a run: its own commands to the cycle, when the run ends, and why.
 
-The same rules for the daemon and the lockstep. It reads no clock: its time is the tick.
+The daemon and the simulation use the same rules. No clock: time is the tick.
 """
 
 from dataclasses import dataclass, field, replace
@@ -36,9 +36,9 @@ _HOLDS = {
 """By whether the drives give force on closed brakes."""
 _MOVING = "the platform still moves, and the run continues until it rests; Ctrl-C twice ends it"
 NO_DRIVES = "no drives"
-LEFT_ALONE = "no commands are left and the run would wait for the operator, so it stops and parks"
+LEFT_ALONE = "the last operator command was given and the run would wait for another, so it stops and parks"
 _STOPS = {
-    Stop.MISSED: "the loop missed limits.missed_stop_ticks periods in a row",
+    Stop.MISSED: "the loop missed as many periods in a row as limits.missed_stop_ticks allows",
     Stop.STRETCHED: "this machine was too busy for the virtual bench: its time was stopped, for 4 ms or more "
     "at once, during more than limits.stretch_percent of the run; reduce the load of this machine, lower "
     "loop.rate_Hz, or use `hil sim`",
@@ -48,7 +48,7 @@ _STOPS = {
 
 @dataclass(frozen=True)
 class Ending:
-    """Reason and mode of a run's end."""
+    """Reason for the end of a run, with the mode and the faults at that time."""
 
     mode: Mode
     faults: Fault
@@ -67,7 +67,7 @@ class Ending:
     done: str = ""
     """Reaction to a failure of the loop itself."""
     story: Story | None = field(default=None, compare=False)
-    """Story of the latched faults."""
+    """Report of the latched faults."""
 
     @property
     def success(self) -> bool:
@@ -76,7 +76,7 @@ class Ending:
 
     @property
     def trouble(self) -> str:
-        """The failure, its tick, and the reaction to it, as text; empty for a success."""
+        """Text: failure of the run, its tick, and the reaction to it; empty for a success."""
         text = self.reason
         if self.fault_tick >= 0:
             text = f"{text} at tick {self.fault_tick}"
@@ -85,7 +85,7 @@ class Ending:
         return f"{text}: {done}" if done else text
 
     def blamed(self, plant: str) -> Self:
-        """The same ending, with the plant's own trouble, if any, before the controller's reason."""
+        """The same ending, with the failure of a simulated plant put before the controller's reason."""
         if not plant:
             return self
         reason = f"{plant}; the controller: {self.reason}" if self.reason else plant
@@ -98,9 +98,9 @@ _QUIET = frozenset(Mode) - {Mode.WAITING, Mode.IDLE, Mode.PARKED, Mode.FAULT, Mo
 
 
 class Course:
-    """Engages when the drives are ready, stops after `duration_s`, and ends the run.
+    """Arms the platform when the drives are ready, stops it after `duration_s`, and ends the run.
 
-    `armed`: engages by itself; otherwise on the operator's ENGAGE, from which `duration_s` then counts.
+    `armed`: starts by itself; otherwise on the operator's ENGAGE, from which `duration_s` then counts.
     `reset` first clears faults that the drives have latched; without it they end the run. `stays`: a held
     platform stays held until the operator releases it. A platform that still moves after a fault keeps the
     run going until it rests, or until the operator requests an emergency stop in FAULT. Without `stays`, as
@@ -150,7 +150,7 @@ class Course:
         """True while nothing ends the run or has to be reported, until the cycle has something to decide."""
 
     def commands(self, tick: int, operator: tuple[Operator, ...] = ()) -> tuple[Operator, ...]:
-        """Commands of a tick that is about to begin: the run's own, then the operator's."""
+        """Commands to the cycle for a tick that is about to begin: the run's own, then the operator's."""
         if self._quiet and not operator and tick < self._stop_tick:
             self._operator = operator
             return operator
@@ -186,13 +186,13 @@ class Course:
         return operator
 
     def quiet(self, tick: int) -> float:
-        """Number of ticks, at least 1, in which nothing ends the run unless the cycle decides."""
+        """Ticks, at least 1, for which the run cannot end unless the cycle decides in Python."""
         return max(1, self._stop_tick - tick) if self._quiet else 1
 
     def left_alone(self) -> tuple[Operator, ...]:
-        """Commands that follow if the operator gives no more: STOP if the run would wait for one.
+        """Commands to give if the operator gives no more: STOP if the run would wait without end.
 
-        Clears `goes_on`. If `duration_s` ends the run, no command follows.
+        Clears `goes_on`. If `duration_s` ends the run, no command is needed.
         """
         if self._stop_tick < inf:
             return ()
@@ -222,7 +222,7 @@ class Course:
         return replace(ending, story=self.story(), reason=ending.reason or self._narrator.short)
 
     def _tell(self) -> None:
-        """Log the reason if a move that the operator requested is refused."""
+        """Log the reason when a move that the operator requested is refused."""
         cycle = self.cycle
         trouble = cycle.operating.trouble
         if trouble != self._trouble:
@@ -231,18 +231,18 @@ class Course:
                 self._event(int(cycle.tick["t_ns"]), "warning", trouble)
 
     def failed(self, plant: str, tick: int) -> Ending:
-        """Ending of a simulation in a tick that could not be stepped, as its plant had failed."""
+        """Ending of a simulation whose plant failed in a tick; plant: the reason."""
         cycle, before = self.cycle, self._narrator.short
         reason = f"{plant}; before that: {before}" if before else plant
         story = self._narrator.story(plant)
         return Ending(cycle.mode, cycle.faults, reason, tick, self._fault_tick, story=story)
 
     def story(self) -> Story | None:
-        """Story of the latched faults so far; None without any."""
+        """Report of the latched faults so far (cause, reaction, advice); None without any."""
         return self._narrator.story()
 
     def _ending(self, tick: int) -> Ending | None:
-        """Ending of the run after a tick, without its story; None if it continues.
+        """Ending of the run after a tick, without its fault report; None if the run continues.
 
         A run ends when parked, as soon as the brakes are proven and all drives report OFF, or after TAIL_S;
         after a fault, when the legs have been at rest for TAIL_S; when no drive has reported for NO_DRIVES_S;
@@ -300,7 +300,6 @@ class Course:
         return Ending(mode, cycle.faults, text, tick, self._fault_tick, released=self._released)
 
     def _note_faults(self, tick: int) -> None:
-        """Store tick and text of new faults."""
         faults = self.cycle.faults
         if faults == self._faults:
             return
@@ -315,7 +314,7 @@ class Course:
 
     @property
     def stays_for(self) -> str:
-        """Reason why the run continues after a fault; empty where it ends soon."""
+        """Text: why the run continues after a fault; empty if it ends soon."""
         cycle = self.cycle
         if not self.stays:
             return ""

@@ -1,4 +1,4 @@
-"""State of the platform in a tick, estimated from leg lengths and sensors."""
+"""Estimate of the platform's pose and twist in a tick, from leg lengths and sensors."""
 
 from math import inf
 
@@ -14,7 +14,7 @@ SEARCH_S = 0.02
 
 
 class Sight:
-    """Fills the estimate of each tick.
+    """Fills in the estimated pose and twist of each tick.
 
     Mutable state: the sensors' samples, the estimator's pose, whether it has been found, searched for, or is
     due for a search, and the filter with whether it has begun.
@@ -30,13 +30,13 @@ class Sight:
         self.reset()
 
     def reset(self) -> None:
-        """Back to the state before the first tick."""
+        """Restore the state before the first tick."""
         self.estimator.reset(self.parts.home_p, self.parts.home_R)
         self.sensors["counter"] = NEVER
         self.forget()
 
     def forget(self) -> None:
-        """Search for the pose again, from the last one."""
+        """Mark the pose as unknown: it is searched for again, from the last one."""
         self.located = self.sought = self.due = False
         """The pose has been found; it was searched for with six lengths of one tick; a search is due."""
         self.fusing = False
@@ -44,13 +44,13 @@ class Sight:
 
     @property
     def rotation(self) -> Array:
-        """(3, 3): last known rotation of the platform."""
+        """Last known rotation of the platform (3, 3), platform to base."""
         fusion = self.parts.fusion if self.fusing else None
         R: Array = (self.estimator if fusion is None else fusion).record["R"]
         return R
 
     def locate(self, tick: Record) -> None:
-        """Search for the first pose from home, and fill the estimate of a tick before which none was found.
+        """Search for the first pose from home, and fill in the estimate of a tick before it is found.
 
         The search needs all six lengths of one tick, and runs at most once in SEARCH_S. Until the pose is
         found, home's stands in its place. After a RESET the search starts from the last pose that all six
@@ -68,7 +68,7 @@ class Sight:
         tick["fk_residual"] = tick["condition"] = inf
 
     def update(self, tick: Record) -> None:
-        """Fill the estimate of a tick: pose from lengths; a leg without fresh data is extrapolated."""
+        """Fill in pose and twist of a tick from leg lengths; a leg without fresh data is extrapolated."""
         if tick["age"].any():
             tick["q"] += tick["dq"] * (tick["age"] * self.period_s)
         self.estimator.update(tick)

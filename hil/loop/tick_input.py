@@ -1,4 +1,4 @@
-"""The input of a tick and the columns of its record that hold it, with the checksum of its frames."""
+"""The input of a tick, the columns of its record that store it, and the checksum of its frames."""
 
 import struct
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ _STATES = {int(state): state for state in BusState}
 
 
 def put_input(tick: Any, inp: TickInput) -> None:
-    """Put an input into its columns of a tick's record."""
+    """Write a tick's input to the input columns of its record."""
     _INPUT.pack_into(
         tick, 0, inp.tick,
         inp.t_ns, inp.lateness_ns, inp.skipped, inp.stretched_ns, inp.sync_skew_ns, inp.sends_failed,
@@ -35,9 +35,9 @@ def input_of(
     setpoints: tuple[SetPoint, ...] = (),
     orders: tuple[Order, ...] = (),
 ) -> TickInput:
-    """Input of a tick from its row, and from the arguments that no column holds.
+    """Input of a tick from its recorded row; the other arguments are stored in no column.
 
-    Raises LogError for a row that no cycle writes.
+    Raises LogError for values that no cycle writes.
     """
     numbers = _INPUT.unpack_from(row)
     given: dict[str, Any] = dict(zip(INPUT_COLUMNS, numbers, strict=False))  # latch_ns, the last one, is six
@@ -59,7 +59,7 @@ _ALL_ONES = 0xFFFFFFFF
 
 
 def _tables() -> Any:
-    """(8, 256): the CRC register after a byte, followed by 0 to 7 zero bytes."""
+    """CRC table (8, 256): the register after a byte, followed by 0 to 7 zero bytes."""
     tables = np.zeros((8, 256), np.uint32)
     for byte in range(256):
         register = byte
@@ -77,7 +77,7 @@ _TABLES = _tables()
 
 @helper
 def eight(register: Any, word: Any) -> Any:
-    """The CRC register after the eight bytes of a word."""
+    """CRC register after the eight bytes of a 64-bit word."""
     low = np.uint64(word) ^ np.uint64(register)
     after = np.uint32(0)
     for k in range(8):
@@ -87,10 +87,10 @@ def eight(register: Any, word: Any) -> Any:
 
 @helper
 def crc32(frames: Any) -> int:
-    """CRC-32 (ISO 3309, as in zlib) of elements of FRAME, over these bytes of each.
+    """CRC-32 (ISO 3309, as in zlib) of FRAME records.
 
-    Little-endian: time (8 bytes), identifier (4), flags with the bus in the high byte (2), number of data
-    bytes (2), and the data.
+    Of each it covers, little-endian: time (8 bytes), identifier (4), flags with the bus in the high byte (2),
+    number of data bytes (2), and the data.
     """
     register: Any = np.uint32(_ALL_ONES)
     for n in range(frames.shape[0]):

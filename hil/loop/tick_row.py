@@ -1,8 +1,8 @@
-"""A row of ticks: a kernel runs through them, and stops where the cycle has something to decide.
+"""Many ticks in one compiled call, which returns where the cycle has something to decide in Python.
 
 The controller's part of a tick is compiled, for kernels with and without a plant. A tick runs through stages,
-from START to COMMAND. It stops where Python has to act (`TickRow`), and continues at that stage or at the
-next.
+from START to COMMAND. The call returns where Python has to act (`TickRow`); the next call continues at that
+stage or after it.
 """
 
 from collections.abc import Callable
@@ -52,7 +52,7 @@ _control_at = record_at(record(CONTROL))
 
 @helper
 def start(s: Any, number: int) -> int:
-    """Get the frames that start a tick from the controller; return 0."""
+    """Copy the controller's first frames of tick `number` (SYNC or polls) to the frames; returns 0."""
     s.begins = call(s.opening, (s.opener, number, s.starts))
     return 0
 
@@ -66,7 +66,7 @@ def _keep(s: Any, source: int, count: int) -> None:
 
 @helper
 def begin_tick(s: Any) -> Any:
-    """Initialized record of the present tick, before its input columns are filled."""
+    """Record of the present tick with initial values; its input columns are not filled in yet."""
     place, words = s.ticks + s.done * _TICK_BYTES, _TICK_BYTES // 8
     integers_at(place, words)[:] = integers_at(s.begun, words)
     return tick_at(place)
@@ -74,13 +74,13 @@ def begin_tick(s: Any) -> Any:
 
 @helper
 def has_room(s: Any) -> bool:
-    """True if there is room for the frames of a tick."""
+    """True if the array of frames has room for the frames of one more tick."""
     return bool(s.used + s.heard + 2 * MOST_FRAMES <= s.room)
 
 
 @helper
 def observe(s: Any, tick: Any) -> int:
-    """Pass the received frames to the controller; return 0, or the reason for a stop."""
+    """Run the observe stage of a tick on its received frames; returns 0, or why Python has to act."""
     ends = integers_at(s.ends + s.done * 24, 3)
     at = s.frames + s.used * BYTES
     _keep(s, s.heard_at, s.heard)
@@ -93,7 +93,7 @@ def observe(s: Any, tick: Any) -> int:
 
 @helper
 def act(s: Any) -> int:
-    """Run the controller's law; return 0, or the reason for a stop."""
+    """Run law, safety and command of the tick; returns 0, or the reason to return to Python."""
     control, into = _control_at(s.control), frames_at(s.frames + s.used * BYTES, MOST_FRAMES)
     ended = int(compiled_pass.act(control, tick_at(s.ticks + s.done * _TICK_BYTES), into, ALL))
     s.sent = control.sent
@@ -102,7 +102,7 @@ def act(s: Any) -> int:
 
 @helper
 def end_tick(s: Any) -> None:
-    """End the tick; its sent frames get the time of its start."""
+    """Finish the tick: store its sent frames, stamped with its start time."""
     ends = integers_at(s.ends + s.done * 24, 3)
     s.last = s.ticks + s.done * _TICK_BYTES
     t_ns = tick_at(s.last).t_ns
@@ -120,7 +120,7 @@ _FRAMES_A_TICK = 24
 
 
 class Given(NamedTuple):
-    """The operator's input in a tick."""
+    """The operator's input in a tick: commands, orders and set-points."""
 
     operator: tuple[Operator, ...] = ()
     orders: tuple[Order, ...] = ()
@@ -133,7 +133,7 @@ NOTHING = Given()
 class Ticks:
     """Memory for CAPACITY ticks, which the kernel fills in order; no tick is filled twice.
 
-    Attributes: records (CAPACITY, words of TICK); frames, elements of FRAME: of each tick the received ones,
+    Attributes: records (CAPACITY, words of TICK); frames, FRAME records: of each tick the received ones,
     those that started it and those of its command, sent at its instant; ends (CAPACITY, 3), the ends of
     these.
     """
@@ -144,15 +144,15 @@ class Ticks:
         self.frames: Rows = np.empty(CAPACITY * _FRAMES_A_TICK + 2 * MOST_FRAMES, FRAME)
 
     def record(self, k: int) -> Record:
-        """Record of a tick."""
+        """Record of tick k."""
         return np.ndarray((), TICK, self.records[k])
 
     def row(self, k: int) -> Record:
-        """Recorded columns of a tick."""
+        """Recorded columns of tick k."""
         return np.ndarray((), ROW, self.records[k])
 
     def recorded(self, ticks: slice) -> tuple[Rows, Rows, Ints]:
-        """Rows and frames of some ticks, and the number of frames up to the end of each tick."""
+        """Rows and frames of some ticks, and (n,) the number of frames up to the end of each tick."""
         records = self.records[ticks]
         rows = np.ndarray((len(records),), ROW, records, strides=(TICK.itemsize,))
         first = int(self.ends[ticks.start - 1, 2]) if ticks.start else 0
@@ -167,7 +167,7 @@ class Ticks:
 
 
 class TickRow:
-    """The ticks of a cycle through which a kernel runs, in order.
+    """Runs the ticks of a cycle in order, many in one compiled call where nothing is to be decided.
 
     Mutable state: the kernel's record, the ticks that it fills, the operator's input, and the cycle itself.
     """
@@ -181,7 +181,7 @@ class TickRow:
     ) -> None:
         """kernel: works on a record of `dtype`, which begins with ROW_OF_TICKS.
 
-        attend: called for a stop in a stage that is not the controller's, with stage and reason.
+        attend: called with stage and reason when the kernel returns in a stage that is not the controller's.
         """
         self._cycle, self._kernel, self._attend = cycle, kernel, attend
         self.record = s = np.zeros((), dtype)
@@ -196,7 +196,7 @@ class TickRow:
         self._turn_over()
 
     def go(self, count: int, given: Given = NOTHING) -> slice:
-        """Run at most `count` ticks: to the end of `ticks`, or of a tick with a decision.
+        """Run at most `count` ticks; ends earlier when `ticks` is full, or after a tick with a decision.
 
         given: the operator's input of the first tick. Returns the ticks done; after an exception, see `new`.
         """
@@ -221,19 +221,17 @@ class TickRow:
         return self.new
 
     def _turn_over(self) -> None:
-        """Begin new memory for ticks; blocks that use the old memory keep it."""
         s, self.ticks, self.new = self.record, Ticks(), slice(0, 0)
         s["ticks"], s["ends"] = data_at(self.ticks.records), data_at(self.ticks.ends)
         s["done"] = s["used"] = 0
         self._hold(self.ticks.frames)
 
     def _hold(self, frames: Rows) -> None:
-        """Use this memory for the frames of the ticks."""
         self.ticks.frames = frames
         self.record["frames"], self.record["room"] = data_at(frames), len(frames)
 
     def _stop(self, stage: int, stopped: int) -> None:
-        """Handle a stop in a stage."""
+        """Handle a return of the kernel in a stage: get room for frames, or let Python act."""
         if stage == OBSERVE and stopped == NO_ROOM:
             frames = self.ticks.frames
             self._hold(np.concatenate((frames, np.empty(self.record["heard"] + len(frames), FRAME))))
@@ -244,7 +242,7 @@ class TickRow:
             self._attend(stage, stopped)
 
     def _decide(self, stopped: int, *, observed: bool) -> None:
-        """Let the cycle decide in a tick, which becomes the last one of `go`."""
+        """Let the cycle decide in the present tick, which becomes the last one of `go`."""
         s, ticks, cycle, given = self.record, self.ticks, self._cycle, self._given
         k, used = int(s["done"]), int(s["used"])
         tick = ticks.record(k)

@@ -1,4 +1,4 @@
-"""Answers of another controller to recorded measurements: its cycle runs on the inputs of a log.
+"""What-if: another controller's cycle runs on the inputs of a log, and its answers are compared.
 
 The measurements do not follow its forces: after the first difference the loop is open.
 """
@@ -33,9 +33,9 @@ class OtherFrames(NamedTuple):
 
     tick: int
     time_s: float
-    """Since the first tick of the log."""
+    """Time since the first tick of the log, s."""
     recorded: Frame | None
-    """None: no frame in this place."""
+    """Frame in the log; None: the log has no frame in this place."""
     answered: Frame | None
     legs: tuple[int, ...]
     """Legs that the frame addresses."""
@@ -43,25 +43,25 @@ class OtherFrames(NamedTuple):
 
 @dataclass
 class Forces:
-    """Force differences per leg, N: answered minus recorded."""
+    """Differences of the leg forces, N, between another controller and the log: answered minus recorded."""
 
     ticks: int = 0
     """Number of compared ticks: those before the latched faults differ."""
     largest: Array = field(default_factory=lambda: np.zeros(LEGS))
-    """(6,) N, absolute."""
+    """Largest absolute difference of each leg, (6,) N."""
     at: list[int | None] = field(default_factory=lambda: [None] * LEGS)
     """Tick of each largest difference; None without a difference."""
     squares: Array = field(default_factory=lambda: np.zeros(LEGS))
-    """(6,) N^2, summed over the ticks."""
+    """Sum of squared differences over the ticks, (6,) N^2."""
 
     @property
     def rms(self) -> Array:
-        """(6,) N, root of the mean square."""
+        """Root mean square of the force differences, (6,) N."""
         found: Array = np.sqrt(self.squares / max(self.ticks, 1))
         return found
 
     def take(self, ticks: Array, difference: Array) -> None:
-        """Add n ticks and their differences (n, 6) N."""
+        """Add n ticks and their force differences (n, 6) N."""
         if not len(ticks):
             return
         size = np.abs(difference)
@@ -74,7 +74,7 @@ class Forces:
 
 @dataclass
 class Answer:
-    """Result of a comparison. Mutable while the ticks come."""
+    """Result of a what-if comparison; it grows while the ticks are processed."""
 
     ticks: int = 0
     different_ticks: int = 0
@@ -102,7 +102,7 @@ class Answer:
     last_mode: str = ""
     """Mode of the recorded controller in the last tick."""
     story: Story | None = None
-    """Story of the faults that are latched at the end."""
+    """Report of the faults that are latched at the end."""
 
     @property
     def whole(self) -> bool:
@@ -111,7 +111,7 @@ class Answer:
 
 
 class _Blocks:
-    """Rows of both sides, compared many at a time.
+    """Rows of log and other controller, compared many at a time.
 
     Mutable state: rows not yet compared, the faults of the last row, the start time of the log.
     """
@@ -123,7 +123,6 @@ class _Blocks:
         self._origin_ns: int | None = None
 
     def add(self, block: Block, addressed: Callable[[Frame], tuple[int, ...]]) -> None:
-        """Add the ticks of a block; addressed: gives the legs that a frame addresses."""
         if self._origin_ns is None:
             self._origin_ns = int(block.recorded["t_ns"][0])
         wire = block.differs()[0]
@@ -137,7 +136,6 @@ class _Blocks:
             self.flush()
 
     def flush(self) -> None:
-        """Compare the rows added since the last call."""
         if not self._waiting:
             return
         recorded, answered, wire = map(np.concatenate, zip(*self._waiting, strict=True))
@@ -191,7 +189,7 @@ def what_if(
     """Run `cycle` from its initial state on the recorded inputs of a log, and compare its answers.
 
     observe : called with blocks of ticks and answers; progress : called every thousand ticks with the number
-    of ticks done. If the log is damaged on the way, the answer ends there; `damage` has the reason.
+    of ticks done. If the log is damaged on the way, the comparison ends there; `damage` has the reason.
     """
     cycle.reset()
     answer = Answer()
@@ -212,7 +210,7 @@ def what_if(
 
 
 def _find(answer: Answer, level: str, text: str) -> None:
-    """Keep a finding of the narrator: a text line, with its fields as JSON below."""
+    """Append a fault finding: `text` is a line, with its fields as JSON below."""
     if level == "error":
         answer.answered_faults.append(json.loads(text.partition("\n")[2]))
 
@@ -220,7 +218,7 @@ def _find(answer: Answer, level: str, text: str) -> None:
 def _first_frames(
     block: Block, k: int, time_s: float, addressed: Callable[[Frame], tuple[int, ...]]
 ) -> OtherFrames:
-    """First frame of tick k of a block that differs."""
+    """First frame of tick k of a block that differs, with its legs; time_s: since the log's start."""
     there, here = block.entries[k].sent, sent_frames(block.sent(k))
     recorded, answered = next(pair for pair in zip_longest(there, here) if pair[0] != pair[1])
     either = answered or recorded

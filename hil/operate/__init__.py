@@ -1,1 +1,1 @@
-"""The operator channel: its commands, the socket at the loop's end, and the client at the other end."""
+"""The operator channel: its commands, the socket in the control loop, and the client for operators."""

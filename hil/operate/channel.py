@@ -17,7 +17,7 @@ from hil.operate.commands import ParsedLine, parse, split
 from hil.signals import Operator, Order, SetPoint
 
 AT_MOST = 8
-"""Lines read in one tick."""
+"""Most lines read in one tick."""
 MOST_CLIENTS = 128
 """Clients at once; beyond that the one with the longest silence is dropped."""
 _READ = 4096
@@ -27,7 +27,7 @@ _STATUS = len(ParsedLine._fields)
 
 
 class Heard(NamedTuple):
-    """The operator's commands since the last tick, each kind in order."""
+    """The operator's input since the last tick: commands, motion orders and set-points, each in order."""
 
     operator: tuple[Operator, ...] = ()
     orders: tuple[Order, ...] = ()
@@ -38,18 +38,18 @@ SILENCE = Heard()
 
 
 class OperatorChannel:
-    """Socket for the operator's lines. While it is open, this process has the controller's role on the bus.
+    """Socket on which the loop receives the operator's lines; only the controller on a bus may open it.
 
     Mutable state: the socket, the clients, which of them may have old lines, lines without an answer yet, and
     the number of malformed lines.
     """
 
     def __init__(self, interface: str, channel: str) -> None:
-        """Listen. Raises RunError when the socket cannot be created."""
+        """Listen on the operator socket of a bus. Raises RunError if the socket cannot be created."""
         self.path = socket_path(interface, channel)
         self.malformed = 0
         self._clients: dict[int, socket.socket] = {}
-        """By file descriptor, the latest sender last."""
+        """Clients by file descriptor, the latest sender last."""
         self._old: set[int] = set()
         self.old: frozenset[int] = frozenset()
         """Indices, in the last commands, of those that may have waited since before the last `mark_old`."""
@@ -70,14 +70,14 @@ class OperatorChannel:
 
     @property
     def waited_for(self) -> bool:
-        """True while a client waits for an answer."""
+        """True while a client waits for an answer to its line."""
         return bool(self._waiting)
 
     def take(self, at_most: int = AT_MOST, *, mark_old: bool = False) -> Heard:
-        """Commands since the last call; a malformed line is answered at once.
+        """The operator's input since the last call; a malformed line is answered at once.
 
-        mark_old: lines that wait now are old, even if they are read in a later tick. A client that always has
-        another line waiting has only old lines until it pauses.
+        mark_old: lines that wait now count as old, even if they are read in a later tick. A client that
+        always has another line waiting has only old lines until it pauses.
         """
         self._waiting.clear()
         self.old = frozenset()
@@ -115,7 +115,7 @@ class OperatorChannel:
         return {number for number, _ in self._ready.poll(0.0, MOST_CLIENTS + 1)}
 
     def _lines(self, at_most: int, ready: set[int]) -> list[tuple[bytes, socket.socket, bool]]:
-        """Lines with their clients and whether they may be old, one of each client in turn."""
+        """(line, client, may be old) for at most `at_most` lines, one from each client in turn."""
         turns = deque(number for number in self._clients if number in ready)
         lines: list[tuple[bytes, socket.socket, bool]] = []
         for _ in range(2 * at_most):  # those who come and go are no lines, and bounded too
@@ -138,7 +138,6 @@ class OperatorChannel:
         return lines
 
     def _welcome(self, at_most: int) -> set[int]:
-        """Accept the next clients; return their file descriptors."""
         found: set[int] = set()
         for _ in range(at_most):
             try:
@@ -154,7 +153,6 @@ class OperatorChannel:
         return found
 
     def _drop(self, client: socket.socket) -> None:
-        """Close a client's connection, if it still exists."""
         if self._clients.pop(client.fileno(), None) is not None:
             self._old.discard(client.fileno())
             client.close()
@@ -166,9 +164,9 @@ class OperatorChannel:
         setpoints: Sequence[str],
         status: Callable[[], str],
     ) -> None:
-        """Answer the last lines with the reasons for their refusal; an empty reason: accepted.
+        """Answer the last lines, each kind in order: the reason for a refusal, or empty text: accepted.
 
-        `status` gives the answer to a status line.
+        `status` returns the answer to a status line.
         """
         refusals = [iter(each) for each in (operator, orders, setpoints)]
         for kind, tag, client in self._waiting:
@@ -181,7 +179,7 @@ class OperatorChannel:
         self._waiting.clear()
 
     def close(self) -> None:
-        """Stop listening and remove the socket."""
+        """Stop listening and remove the socket file."""
         for client in self._clients.values():
             client.close()
         self._clients.clear()

@@ -16,19 +16,19 @@ TAKEN = "taken"
 REFUSED = "refused: "
 """The controller's answers to a line; the second is followed by the reason."""
 ANSWER_S = 1.0
-"""Time to wait for an answer."""
+"""Time to wait for an answer, s."""
 _LONGEST = 4096
 """Bytes of an answer, and of a line to send; the controller already refuses far shorter lines as too long."""
 
 
 def socket_path(interface: str, channel: str) -> Path:
-    """Path of the operator socket of the controller on a bus."""
+    """Path of the operator socket of the controller on a bus; interface, channel as in section `bus`."""
     return runtime_folder() / f"{safe_name(interface)}.{safe_name(channel)}.operator.sock"
 
 
 @dataclass(frozen=True)
 class Answer:
-    """The controller's answer to one command; true if the command was accepted."""
+    """The controller's answer to one command; it is true in a condition if the command was accepted."""
 
     taken: bool
     """True if the command was accepted."""
@@ -42,7 +42,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Streamed:
-    """Result of a stream of set-points."""
+    """Numbers of set-points sent, accepted and refused in a stream."""
 
     sent: int
     """Number of set-points sent."""
@@ -53,7 +53,7 @@ class Streamed:
     why: str
     """Reason for the last refusal."""
     seconds: float
-    """Time from the first set-point to the last answer."""
+    """Time from the first set-point to the last answer, s."""
 
 
 class OperatorClient:
@@ -121,15 +121,15 @@ class OperatorClient:
         return self.say("estop")
 
     def end(self) -> Answer:
-        """End a run that stays (operator.stays): stop, park, close the log."""
+        """End a run that would continue after parking (operator.stays): stop, park, close the log."""
         return self.say("end")
 
     def speed(self, percent: float) -> Answer:
-        """Set the speed along the path, in percent of the configured one, 0 .. 100; it changes smoothly."""
+        """Set the speed along the path, 0 .. 100 % of the configured one; the speed changes smoothly."""
         return self.say(f"speed {float(percent)!r}")
 
     def key(self) -> None:
-        """Report that the operator holds the key (operator.deadman_s), without waiting for an answer.
+        """Report that the operator holds the enabling key (operator.deadman_s); does not wait for an answer.
 
         Raises RunError if the controller has ended.
         """
@@ -139,29 +139,30 @@ class OperatorClient:
     def jog_axis(self, axis: str, fraction: float) -> Answer:
         """Move along x, y or z of the base frame, or rotate about one of them (rx, ry, rz), from hold.
 
-        fraction: of the set-up speed, -1 .. 1. It lasts for 100 ms: repeat it, for instance at 50 Hz, as long
-        as the motion should continue. A refusal gives the reason in the answer.
+        fraction: of the set-up speed, -1 .. 1. The order lasts for 100 ms: repeat it, for instance at 50 Hz,
+        as long as the motion should continue. A refusal gives the reason in the answer.
         """
         return self.say(f"jog {axis} {fraction!r}")
 
     def jog_leg(self, leg: int, fraction: float) -> Answer:
-        """Extend or retract leg 0 .. 5, from hold; the other five keep their lengths. See `jog_axis`."""
+        """Extend or retract leg 0 .. 5, from hold; the other legs keep their lengths. See `jog_axis`."""
         return self.say(f"jog leg{leg} {fraction!r}")
 
     def release(self) -> Answer:
-        """Release a platform that force holds because its brakes are not proven shut. Support it first."""
+        """Release a platform that only drive force holds, as a brake may be open. Support it first."""
         return self.say("release")
 
     def setpoint(
         self, x: float, y: float, z: float, rx: float = 0.0, ry: float = 0.0, rz: float = 0.0
     ) -> Answer:
-        """Send a live reference to a pose: m, and the rotation vector in deg, in the base frame."""
+        """Send a live set-point: position x, y, z m, rotation vector rx, ry, rz deg, in the base frame."""
         return self.say("setpoint " + " ".join(repr(float(each)) for each in (x, y, z, rx, ry, rz)))
 
     def stream(self, poses: Iterable[Iterable[float]], rate_Hz: float) -> Streamed:
-        """Send set-points (x y z [rx ry rz], m and deg) at a fixed rate, without waiting for each answer.
+        """Send set-points (x y z [rx ry rz], m and deg, base frame) at a fixed rate.
 
-        rate_Hz: at most that of the loop, which in each tick follows the last set-point received.
+        It does not wait for each answer. rate_Hz: at most that of the loop, which in each tick follows the
+        last set-point received.
         """
         sent, answers = 0, list[str]()
         begun = time.perf_counter()
@@ -192,16 +193,16 @@ class OperatorClient:
         return found
 
     def say(self, line: str) -> Answer:
-        """Send a line of the channel, for example `speed 40`, and return the answer."""
+        """Send a line of text, for example `speed 40`, and return the controller's answer."""
         answer = self._ask(line)
         return Answer(answer == TAKEN, "" if answer == TAKEN else answer.removeprefix(REFUSED))
 
     def close(self) -> None:
-        """Close the socket."""
+        """Close the connection to the controller."""
         self._socket.close()
 
     def _send(self, line: str) -> str:
-        """Send a line; return the tag for its answer."""
+        """Send a line with a new tag; returns the tag, which the answer repeats."""
         self._number += 1
         tag = f"#{self._number}"
         try:
@@ -222,7 +223,7 @@ class OperatorClient:
         raise RunError(f"the controller on {self._where} did not answer within {ANSWER_S:g} s: has it ended?")
 
     def _arrived(self) -> list[str]:
-        """Answers received so far, without their tags."""
+        """Texts of the answers received so far, without their tags."""
         answers = []
         self._socket.settimeout(0.0)
         with contextlib.suppress(OSError):

@@ -1,6 +1,6 @@
 """The commands of the operator channel: one short line of text each, and its meaning.
 
-Pure: no socket, no clock. A line is `[#tag] word [numbers]`; the answer repeats the tag.
+No socket, no clock. A line is `[#tag] word [numbers]`; the answer repeats the tag.
 """
 
 import math
@@ -15,7 +15,7 @@ SETPOINT_FORM = "six numbers, x y z in m and the rotation vector rx ry rz in deg
 
 
 class ParsedLine(NamedTuple):
-    """Meaning of a line: one of the three fields, or `status`, where all are None."""
+    """Meaning of a line: one of the three fields; a `status` line has none of them."""
 
     operator: Operator | None = None
     """A command without numbers, for the loop."""
@@ -50,7 +50,7 @@ def _speed(words: Sequence[str]) -> ParsedLine:
         raise ValueError(f"speed: {len(words)} words; allowed: {form}")
     (percent,) = _numbers([words[0].removesuffix("%")], form)
     if not 0.0 <= percent <= 100.0:
-        raise ValueError(f"speed: {percent:g} %; allowed: 0 .. 100: no path goes faster than it was checked")
+        raise ValueError(f"speed: {percent:g} %; allowed: 0 .. 100, as the path was checked at 100 %")
     return ParsedLine(order=Order(Operator.SPEED, (percent / 100.0,)))
 
 
@@ -82,11 +82,11 @@ _ALONE: dict[str, ParsedLine] = {
 }
 """Commands without numbers."""
 _NUMBERED = {"speed": _speed, "jog": _jog, "setpoint": _setpoint}
-"""Parser of the words after each of these commands."""
+"""Command with numbers -> parser of the words after it."""
 
 
 def split(line: str) -> tuple[str, str]:
-    """Tag of a line, with a space behind it, and the rest; without a tag it is empty."""
+    """(tag with a space after it, rest of the line); the tag is empty if the line has none."""
     if not line.startswith("#"):
         return "", line
     tag, _, rest = line.partition(" ")
@@ -94,7 +94,7 @@ def split(line: str) -> tuple[str, str]:
 
 
 def parse(text: str) -> ParsedLine:
-    """Parse a line without its tag. Raises ValueError with the mistake and the allowed values."""
+    """Meaning of a line without its tag. Raises ValueError with the mistake and the allowed values."""
     if len(text) > LONGEST:  # what has been cut off could change what it means
         raise ValueError(f"longer than {LONGEST} bytes")
     word, *rest = text.replace(",", " ").split() or [""]

@@ -1,4 +1,4 @@
-"""Safety: faults, warnings, and force limits. One file for each kind of evidence.
+"""Safety: checks of each tick for faults and warnings, and force limits. One file for each kind of evidence.
 
 Every rule is a pure function of numbers and small arrays; only `Safety` has state.
 

@@ -1,6 +1,6 @@
-"""Rule on the certificate: V of the error dynamics grows no faster than a stated disturbance allows.
+"""Certificate check: the Lyapunov function V of the tracking error grows no faster than disturbances allow.
 
-Derived in docs/theory/monitor.md.
+Derived in docs/theory/monitor.md. The stated disturbance is at most D.
 
 ::
 
@@ -8,7 +8,7 @@ Derived in docs/theory/monitor.md.
     bound(k + 1) = min(level(k) + g D T, sqrt(a level(k)^2 + (1 - a) D^2)),  a = exp(-2 alpha T)
     level(k) = min(bound(k), W(k) + noise)
 
-for each axis: `bound` is the smallest bound that follows from any tick since the start of the watch. The axis
+for each axis: `bound` is the smallest bound that follows from any tick since the check started. The axis
 violates its certificate where W - noise > bound.
 """
 
@@ -38,12 +38,12 @@ measured."""
 
 
 class Watch(NamedTuple):
-    """Constants of a watch, from `hil.design.stability.monitor`."""
+    """Constants of the certificate check, computed by `hil.design.stability.monitor`."""
 
     constants: Array
-    """(CONSTANTS, 6); (0, 6): no watch."""
+    """Constants (CONSTANTS, 6), see the rows above; (0, 6): no certificate check."""
     ticks: int
-    """Number of last efforts that may act at once."""
+    """Number of ticks whose requested forces may act at once."""
 
 
 NO_WATCH = Watch(np.zeros((0, 6)), 0)
@@ -51,14 +51,14 @@ NO_WATCH = Watch(np.zeros((0, 6)), 0)
 
 @helper
 def grown(level: float, disturbance: float, rise: float, decay: float) -> float:
-    """Largest W one period after W <= level, under a disturbance."""
+    """Largest W = sqrt(V) one period after W <= level; rise = g T, decay = exp(-2 alpha T)."""
     settled = decay * level * level + (1.0 - decay) * disturbance * disturbance
     return min(level + rise * disturbance, sqrt(settled))
 
 
 @helper
 def lyapunov(constants: Array, i: int, e: float, de: float) -> float:
-    """V of axis i."""
+    """Lyapunov function V of axis i at error e (m or rad) and its derivative de."""
     mixed = 2.0 * constants[P_12, i] * e * de
     value: float = constants[P_11, i] * e * e + mixed + constants[P_22, i] * de * de
     return max(value, 0.0)
@@ -66,10 +66,10 @@ def lyapunov(constants: Array, i: int, e: float, de: float) -> float:
 
 @helper
 def asked_for(constants: Array, e: Array, de: Array, feed: Array, linear: Array, asked: Array) -> None:
-    """Fill accelerations of the axes: by the certified gains, and by the law, which saturates.
+    """Fill in axis accelerations, m/s^2 or rad/s^2: `linear` by the certified gains, `asked` by the law.
 
     linear = feed + K_P e + K_D de; sigma = de + slope e. Where |sigma| (over all legs if they share a layer)
-    exceeds the layer, the law asks for steepness (|sigma| - layer) less along sigma.
+    exceeds the boundary layer, `asked` is smaller by steepness (|sigma| - layer) along sigma.
     """
     layer = constants[SCALARS, LAYER]
     square = 0.0
@@ -88,8 +88,8 @@ def asked_for(constants: Array, e: Array, de: Array, feed: Array, linear: Array,
 def jumped(constants: Array, memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> bool:
     """True if the change of the reference since the last tick does not follow from its own rates.
 
-    Tolerance: the motion of a leg under the disturbance within a period; a jump of the acceleration alone may
-    stay within it.
+    q_d m, dq_d m/s, ddq_d m/s^2, each (6,). Tolerance: the motion of a leg under the disturbance within a
+    period; a jump of the acceleration alone may stay within it.
     """
     T = constants[SCALARS, PERIOD]
     for i in range(6):
@@ -103,7 +103,7 @@ def jumped(constants: Array, memory: Array, q_d: Array, dq_d: Array, ddq_d: Arra
 
 @helper
 def spread(memory: Array, i: int, linear: float) -> float:
-    """Largest difference between `linear` and the law's requests for axis i whose forces act now."""
+    """Largest difference, m/s^2 or rad/s^2, of `linear` from the requested accelerations acting now."""
     widest = 0.0
     for k in range(ASKED, memory.shape[0]):
         widest = max(widest, abs(linear - memory[k, i]))
@@ -112,7 +112,7 @@ def spread(memory: Array, i: int, linear: float) -> float:
 
 @helper
 def remember_reference(memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> None:
-    """Store the reference of this tick."""
+    """Store the reference of this tick, (6,) lengths m, rates m/s, accelerations m/s^2."""
     memory[REFERENCE] = q_d
     memory[REFERENCE + 1] = dq_d
     memory[REFERENCE + 2] = ddq_d
@@ -120,7 +120,7 @@ def remember_reference(memory: Array, q_d: Array, dq_d: Array, ddq_d: Array) -> 
 
 @helper
 def remember_asked(memory: Array, asked: Array, fresh: bool) -> None:
-    """Store the law's request; `fresh`: as if it had always been the same."""
+    """Store the law's requested accelerations (6,); `fresh`: also for all earlier ticks."""
     for k in range(memory.shape[0] - 1, ASKED, -1):
         memory[k] = asked if fresh else memory[k - 1]
     memory[ASKED] = asked
@@ -128,7 +128,7 @@ def remember_asked(memory: Array, asked: Array, fresh: bool) -> None:
 
 @helper
 def forget(memory: Array) -> None:
-    """Clear the memory: no watch is running."""
+    """Reset the certificate check: its next tick starts a new comparison."""
     memory[COUNT] = 0.0
     memory[PAST, LAST_V] = nan
     memory[PAST, UNREST] = 0.0
@@ -136,13 +136,13 @@ def forget(memory: Array) -> None:
 
 @helper
 def settle(memory: Array, limited: bool) -> None:
-    """Note whether a limit acted on the forces: they are not the law's until they have left the memory."""
+    """Pause the certificate check if a limit changed the forces, until these no longer act."""
     memory[PAST, UNREST] = memory.shape[0] - ASKED if limited else max(memory[PAST, UNREST] - 1.0, 0.0)
 
 
 @helper
 def unsettle(memory: Array) -> None:
-    """Note that the error came from an estimate: the next error is not compared with it."""
+    """Pause the check for a tick, as the error came from an estimate and not from readings."""
     memory[PAST, UNREST] = max(memory[PAST, UNREST], 2.0)  # one of which `settle` takes off in this tick
 
 
@@ -151,12 +151,12 @@ def watch(
     constants: Array, memory: Array, e: Array, de: Array, rate: Array, feed: Array,
     whole: bool, late_s: float, periods: float, tick: Any,
 ) -> bool:  # fmt: skip
-    """Fill V, its rate, the allowed V and the largest W / (bound + noise) of a tick.
+    """Fill in V, its rate, the allowed V and the largest W / (bound + noise) of a tick.
 
-    Return True if an axis has violated its certificate for the configured number of ticks.
+    Returns True if an axis has violated its certificate for the configured number of ticks.
 
     e, de, and rate and acceleration of the reference as in `hil.safety.error_axes`. whole: nothing outside
-    the certificate's model has happened since the last tick; otherwise the watch restarts. late_s: delay of
+    the certificate's model has happened since the last tick; otherwise the check restarts. late_s: delay of
     the encoder readings; periods: since the last tick.
     """
     fresh = bool(np.isnan(memory[PAST, LAST_V]))

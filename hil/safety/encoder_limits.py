@@ -1,4 +1,4 @@
-"""Limits and memory of the encoder rules."""
+"""Limits and memory of the encoder checks, computed for one robot."""
 
 from math import inf
 from typing import NamedTuple, get_type_hints
@@ -17,18 +17,18 @@ the bus."""
 
 
 class EncoderLimits(NamedTuple):
-    """Stated figures of encoders, model and loads, from which the limits are computed."""
+    """Noise, model errors and forces from which the limits of the encoder checks are computed."""
 
     watched_legs: int
-    """Bit i: leg i; 0: no leg."""
+    """Legs whose encoders are checked, bit i: leg i."""
     length_noise_m: float
     rate_noise_m_s: float
     rate_skew_s: float
-    """Largest time between the latching of a rate and of its length."""
+    """Largest time between the sampling of a rate and of its length, s."""
     rate_error: float
-    """Relative error of a rate."""
+    """Relative error of a measured rate."""
     disturbance_m_s2: float
-    """Acceleration of a leg that the model does not contain, friction included."""
+    """Largest acceleration of a leg, m/s^2, that the model does not contain, friction included."""
     mobility: Array
     """(6, 6) 1/kg: largest acceleration of each leg per force on each leg, |J M^-1 J^T| with a margin."""
     acting_ticks: int
@@ -41,7 +41,7 @@ class EncoderLimits(NamedTuple):
     rise_ticks: int
     """A push of a leg that sticks rises to `push_N` within this number of ticks; 1: at once."""
     open_ticks: int
-    """Time that the brakes get to open."""
+    """Ticks that the brakes may take to open."""
     period_s: float
     unnamed: int = 0
     """1: feedback does not identify its SYNC or poll, see `hil.safety.encoder_rules.compare`."""
@@ -52,18 +52,18 @@ class EncoderLimits(NamedTuple):
     unshared: float = UNSHARED
     """Share of a period by which a latch may be late even if another leg contradicts it."""
     friction_N: float = 0.0
-    """Dry friction of each leg, configured or identified; see `hil.loop.probe`."""
+    """Dry friction of each leg, N, configured or identified; see `hil.loop.probe`."""
     driving: Array = ONE6
-    """(6,), efficiency where the motor drives the leg."""
+    """Efficiency (6,), 0..1, where the motor drives the leg."""
     back_driving: Array = ONE6
-    """(6,), efficiency where the leg drives the motor."""
+    """Efficiency (6,), 0..1, where the leg drives the motor."""
     mobility_low: Array = ZERO6
     """(6,) 1/kg, smallest acceleration of each leg per force on itself, including the mass that moves along
     the leg."""
 
 
 NONE = EncoderLimits(0, 0.0, 0.0, 0.0, 0.0, inf, np.zeros((LEGS, LEGS)), 0, np.zeros(LEGS), 0, 0, 1, 0, 0.0)
-"""No encoder is watched."""
+"""Limits without any encoder check."""
 ENCODER_LIMITS = [
     (name, "<i8" if kind is int else "<f8", np.shape(getattr(NONE, name)))
     for name, kind in get_type_hints(EncoderLimits).items()

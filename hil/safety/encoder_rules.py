@@ -1,4 +1,4 @@
-"""The encoder rules of one tick: which legs are in doubt, and which are suspected: see `hil.loop.probe`."""
+"""The encoder checks of one tick: doubtful legs, and legs to be probed by a push (`hil.loop.probe`)."""
 
 from math import inf, isnan
 from typing import Any
@@ -42,7 +42,7 @@ COMPARED = np.dtype(
 
 @helper
 def doubt_leg(tick: Any, limits: Any, memory: Any, leg: int, why: int, value: float, limit: float) -> None:
-    """Mark a leg as doubtful; store the reason of the first one.
+    """Mark a leg's encoder as doubtful; store reason (Doubt), value and limit of the first one.
 
     A length that jumped is not a motion: a leg that must stand still now has to stand at the new length.
     """
@@ -56,7 +56,7 @@ def doubt_leg(tick: Any, limits: Any, memory: Any, leg: int, why: int, value: fl
 
 @helper
 def forget_doubt(memory: Any) -> None:
-    """Clear all doubts and the sums behind them."""
+    """Clear all doubts about encoders, and the sums behind them."""
     memory.doubt = memory.doubted = 0
     memory.doubt_value = memory.doubt_limit = 0.0
     memory.gaps[:] = 0.0
@@ -66,7 +66,7 @@ def forget_doubt(memory: Any) -> None:
 
 @helper
 def swings(tick: Any, limits: Any, memory: Any, window: Array, swing: Array) -> None:
-    """Fill swing (6,) N: range of each leg's forces that act between the readings to be compared.
+    """Fill swing (6,) N: range of the forces on each leg that act between the compared readings.
 
     window: its first rows are the ring of the forces sent, (n, 6) N.
     """
@@ -85,17 +85,18 @@ def swings(tick: Any, limits: Any, memory: Any, window: Array, swing: Array) -> 
 
 @helper
 def latched(tick: Any, leg: int) -> int:
-    """Instant at which the encoder of a leg was latched, ns: when its SYNC or poll had been sent."""
+    """Time at which the encoder of a leg was sampled, ns: when its SYNC or poll had been sent."""
     return int(tick.t_ns + tick.lateness_ns + tick.latch_ns[leg])
 
 
 @helper
 def compare(tick: Any, limits: Any, memory: Any, x: Any) -> float:
-    """Fill time, gap, mean rate and bound of every leg with a reading now and lately; else the gap is nan.
+    """Fill in time, gap, mean rate and bound of each leg with a present and a recent reading; else nan gap.
 
-    The bounds include the effect of a delay of one leg alone: a whole period if no other leg contradicts it,
-    since a leg that answers in a tick was latched in that tick. Returns the delay of the latch beyond the
-    clock's time, s, agreed on by the legs that reported in the last tick with any report.
+    A gap, m, is the length change less mean rate times time. The bounds include a delay of one leg alone: a
+    whole period if no other leg contradicts it, as a leg that answers in a tick was sampled in that tick.
+    Returns the delay of the sampling beyond the clock's time, s, common to the legs that reported in the last
+    tick with reports.
     """
     for i in range(6):
         x["gap"][i] = x["say"][i] = np.nan
@@ -144,7 +145,7 @@ def compare(tick: Any, limits: Any, memory: Any, x: Any) -> float:
 
 @helper
 def fill_leaps(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Fill the leap of each rate, and its share of what forces explain; nan and 0 where unknown."""
+    """Fill in each rate's unexplained change (leap), m/s, and its share of the bound; unknown: nan and 0."""
     x["leap"][:] = np.nan
     for i in range(6):
         if not isnan(x["gap"][i]) and memory.spacing_s[i] > 0.0 and x["stray"][i] == 0.0:
@@ -161,7 +162,7 @@ def fill_leaps(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def judge_lengths(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Doubt legs whose length and rate contradict each other, at once or over a while."""
+    """Mark legs whose length and rate contradict each other, at once or over some time, as doubtful."""
     closed = tick.mode in (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
     for i in range(6):
         gap, T = x["gap"][i], x["elapsed"][i]
@@ -188,7 +189,7 @@ def judge_lengths(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def judge_rates(tick: Any, limits: Any, memory: Any, x: Any) -> None:
-    """Doubt the only leg whose rate leaps, unless a late latch explains the leap of a difference."""
+    """Mark the only leg whose rate leaps as doubtful, unless late sampling explains the leap."""
     leg = residuals.sole(x["excess"])
     if leg < 0:
         return
@@ -201,7 +202,7 @@ def judge_rates(tick: Any, limits: Any, memory: Any, x: Any) -> None:
 
 @helper
 def let_settle(memory: Any, deviation: Array, period_s: float) -> None:
-    """Suspect no leg because of another leg's motion that follows a recent push."""
+    """After a push on a leg, let no other leg be suspected because of that leg's settling motion."""
     for i in range(6):
         if memory.push[i] != 0:
             memory.unsettled_s[i] = residuals.SETTLES_S
@@ -266,10 +267,10 @@ def remember_readings(tick: Any, limits: Any, memory: Any, delay: float, x: Any)
 
 @helper
 def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: bool) -> int:
-    """Fill the doubted legs; return fault bits.
+    """Fill in the legs with doubtful encoders; returns fault bits.
 
     window: see `hil.safety.force_limits`, its newest row `memory.newest`. is_open: all drives are in RUN and
-    the law moves the platform. Rates and standstill are judged once the brakes have had time to open.
+    the law moves the platform. Rates and standstill are checked once the brakes have had time to open.
     """
     tick.legs_doubted, tick.doubt, tick.doubt_value, tick.doubt_limit = 0, Doubt.NONE.value, 0.0, 0.0
     tick.encoder_share[:] = np.nan
@@ -300,7 +301,7 @@ def judge_encoders(tick: Any, limits: Any, memory: Any, window: Array, is_open: 
 
 @helper
 def probed(tick: Any, memory: Any) -> bool:
-    """True while a leg is being probed."""
+    """True while a leg gets a probe push."""
     for i in range(6):  # noqa: SIM110 - compiled
         if memory.push[i] != 0 or tick.probe_force[i] != 0.0:
             return True

@@ -1,4 +1,4 @@
-"""The error of the six axes of a law: of the legs, or of the pose."""
+"""The tracking error of the six axes on which a law acts: the legs, or the pose."""
 
 from typing import Any
 
@@ -14,9 +14,10 @@ from hil.mathematics.vectors import at, rotate, rotate_back, sub
 def error_axes(pose: bool, tick: Any, e: Array, de: Array, rate: Array, feed: Array) -> None:
     """Fill e, de, and rate and acceleration of the reference, each (6,), for the axes.
 
-    Legs: e = q_d - q. Pose: e = [p_d - p; r], r = log(R_d R^T), base frame, and dr is its exact derivative as
-    in `hil.control.pose_inverse_dynamics`. Those of the reference are twist_d and dtwist_d; for the rotation
-    they differ from the derivatives of r in the second order of r.
+    pose: False for leg axes, True for pose axes. Legs: e = q_d - q, m. Pose: e = [p_d - p; r], m and rad, r =
+    log(R_d R^T), base frame, and dr is its exact derivative as in `hil.control.pose_inverse_dynamics`. Rate
+    and acceleration of the reference are then twist_d and dtwist_d; for the rotation they differ from the
+    derivatives of r in the second order of r.
     """
     if not pose:
         for i in range(6):

@@ -1,6 +1,6 @@
 """The force limits that `kernels.limit_effort` applies: size, change per tick and within 250 ms.
 
-All three admit the last force sent, so they leave a force to send in any order.
+All three allow the last force sent, so in any order they leave a force that may be sent.
 """
 
 from drivers.arrays import Array
@@ -9,7 +9,7 @@ from drivers.compiled.compiler import helper
 
 @helper
 def clamp(tau: Array, i: int, low: float, high: float) -> bool:
-    """Clamp tau[i] to low .. high, in place; return True if that changed it."""
+    """Limit tau[i], N, to low .. high, in place; True if that changed it."""
     if tau[i] > high:
         tau[i] = high
         return True
@@ -26,7 +26,7 @@ window."""
 
 @helper
 def widen(rows: Array, low: Array, high: Array) -> None:
-    """Extend low and high (6,) to include all rows (n, 6)."""
+    """Widen the ranges low .. high (6,) so that they include all rows (n, 6)."""
     for k in range(rows.shape[0]):
         for i in range(6):
             low[i] = min(low[i], rows[k, i])
@@ -35,7 +35,7 @@ def widen(rows: Array, low: Array, high: Array) -> None:
 
 @helper
 def remember(tau: Array, row: int, window: Array, rows: int) -> None:
-    """Store tau (6,) N in a row of the window, and update the extremes of its block.
+    """Store tau (6,) N in a row of the window, and update smallest and largest force of its block.
 
     window: the forces sent, (rows, 6) N, then the smallest and then the largest of each block of BLOCK rows.
     """
@@ -49,7 +49,7 @@ def remember(tau: Array, row: int, window: Array, rows: int) -> None:
 
 @helper
 def window_extremes(window: Array, rows: int) -> tuple[Array, Array]:
-    """Smallest and largest force (6,) N of each leg in the window, from its blocks."""
+    """Smallest and largest force (6,) N of each leg in the window of sent forces, from its blocks."""
     low, high = window[rows].copy(), window[rows].copy()
     widen(window[rows:], low, high)
     return low, high

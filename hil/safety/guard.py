@@ -1,4 +1,4 @@
-"""Safety: all rules of one tick in a fixed order, between the law and the bus."""
+"""Class Safety: all checks of one tick in a fixed order, between the law and the bus."""
 
 import math
 from collections.abc import Callable
@@ -27,13 +27,13 @@ from hil.safety.force_limits import BLOCK
 from hil.safety.kernels import LIMITS, MEMORY, judge, limit
 
 WINDOW_S = 0.25
-"""Length of the force window."""
+"""Length of the force window, s."""
 SETTLE_S = 0.2
-"""After a fault, legs that have been at rest for this long must stand still."""
+"""After a fault, legs that have been at rest for this long, s, must stand still."""
 
 
 class Verdict(NamedTuple):
-    """Safety's verdict on a tick, besides its tau."""
+    """Result of the safety checks of a tick: warnings, faults, and reason for a controlled stop."""
 
     warnings: Warn
     faults: Fault
@@ -42,12 +42,12 @@ class Verdict(NamedTuple):
 
     @classmethod
     def of(cls, faults: int, warnings: int, stop: int) -> Self:
-        """Verdict from the numbers that `hil.safety.kernels.judge` returns."""
+        """Result from the bits and the number that `hil.safety.kernels.judge` returns."""
         return cls(Warn(warnings), Fault(faults), Stop(stop))
 
 
 class Safety:
-    """The rules of `hil.safety` with the limits of one robot.
+    """The checks of `hil.safety` with the limits of one robot.
 
     Faults and stops occur only while the drives are powered (LOADING to UNLOADING, HELD). Two faults also
     occur before: a leg that moves on closed brakes, and another controller on the bus. Warnings occur in all
@@ -56,8 +56,8 @@ class Safety:
     Mutable state: the forces sent within the last 250 ms, ending with the last tau; the late ticks among the
     last 32; periods missed in a row; of the last 32 ticks, those in which the bus refused frames, and those
     with refused frames of the drives; the recorder's losses so far; whether all drives have been in RUN since
-    the brakes opened; where the legs have to stand; the last encoder readings, doubted legs and pushed legs;
-    the memory of the certificate. `reset` clears all of it.
+    the brakes opened; where the legs have to stand; the last encoder readings, doubtful legs and pushed legs;
+    the memory of the certificate check. `reset` clears all of it.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Safety:
         watch: Watch = NO_WATCH,
         encoders: EncoderLimits = NONE,
     ) -> None:
-        """length_min, length_max: hard ends of the legs (m); drive_force_limit: drives' rated force (N)."""
+        """length_min, length_max: hard ends of the legs, m; drive_force_limit: drives' rated force, N."""
         rows = len(watch.constants)
         self._watched = np.zeros((rows + (ASKED + watch.ticks if rows else 0), LEGS))
         self._watched[:rows] = watch.constants
@@ -100,26 +100,26 @@ class Safety:
 
     @property
     def stops_unrecorded(self) -> bool:
-        """True if a lost recorder ends the run."""
+        """True if the run has to end when the recorder is lost."""
         return bool(self.limits["stop_on_recorder_loss"])
 
     def reset(self) -> None:
-        """Reset to the state before the first tick: no force, no late tick, no failure."""
+        """Restore the state before the first tick: no force, no late tick, no failure."""
         for array in (self.memory, self._window, self._watch_memory):
             array.fill(0)
         self._watch_memory[PAST:, LAST_V] = math.nan  # as good as forgotten, and no row without a watch
         self.memory["dropped"] = np.iinfo(np.int64).max  # what was lost before the first look is no news
 
     def resume(self, tau: Array) -> None:
-        """Let the force (6,) N return at once: its changes are limited as if it had never been off.
+        """Allow a jump of the force to tau (6,) N: its changes are limited as if it had been on before.
 
-        Clamped to `limits.force_N`.
+        Limited to `limits.force_N`.
         """
         most = float(self.limits["force_N"])
         self._window[:] = np.clip(tau, -most, most)
 
     def places(self) -> dict[str, int]:
-        """Addresses of the records and matrices, and the matrices' numbers of rows."""
+        """Addresses of the records and matrices that compiled code uses, and the matrices' row numbers."""
         return {
             "limits": data_at(self.limits),
             "memory": data_at(self.memory),
@@ -131,26 +131,26 @@ class Safety:
 
     @property
     def watches_pose(self) -> bool:
-        """True if the certificate's axes are those of the pose; otherwise they are the legs."""
+        """True if the certificate check is about the pose; False if it is about the legs."""
         return bool(self._watched.size) and bool(self._watched[SCALARS, POSE])
 
     def broken_axes(self) -> tuple[int, ...]:
-        """Axes that have violated the certificate for the configured number of ticks."""
+        """Axes (0..5) that have violated the certificate for the configured number of ticks."""
         if not self._watched.size:
             return ()
         counts, confirm = self._watch_memory[COUNT].tolist(), float(self._watched[SCALARS, CONFIRM])
         return tuple(axis for axis, count in enumerate(counts) if count >= confirm)
 
     def moved_m(self, tick: Record) -> Array:
-        """Distance of each leg from where it last had to stand, (6,) m."""
+        """Distance (6,) m of each leg from where it stood when it last had to stand still."""
         moved: Array = np.abs(tick["length"] - self.memory["still"])
         return moved
 
     def judge(self, tick: Record, probe: Callable[[], object] | None = None) -> Verdict:
-        """Fill the verdict columns of a tick, once; return its warnings, faults and stop request.
+        """Check a tick and limit its forces, once per tick. Returns warnings, faults and stop request.
 
-        probe: fills probe_force by the rules' result for this tick, before the limits apply. Mutates the
-        state listed in the class.
+        probe: fills probe_force by the checks' result for this tick, before the limits apply. Fills in the
+        tick's safety columns and changes the state listed in the class.
         """
         given = (tick, self.limits, self.memory, self._window, self._watched)
         faults, warnings, stop = judge(*given)

@@ -1,4 +1,4 @@
-"""All rules of one tick in one kernel: faults, warnings, and force limits."""
+"""All safety checks of one tick in kernels: faults, warnings, and force limits."""
 
 from math import nan
 from typing import Any
@@ -44,7 +44,7 @@ LIMITS = np.dtype(
         *ENCODER_LIMITS,
     ]
 )  # fmt: skip
-"""Section `limits`, and the other limits of the rules."""
+"""Record of the limits of all checks: section `limits` and computed ones."""
 MEMORY = np.dtype(
     [
         ("late", "<i8"),  # the last ticks as bits, see `hil.safety.signals`
@@ -61,7 +61,7 @@ MEMORY = np.dtype(
         *ENCODER_MEMORY,
     ]
 )
-"""Memory of the rules."""
+"""Record of what the checks remember from tick to tick."""
 TICK_SEEN = record(
     TICK, "mode", *part("input", "measurement", "estimate", "fusion", "reference", "effort", "verdict")
 )
@@ -69,7 +69,6 @@ TICK_SEEN = record(
 
 @helper
 def _finite(tick: Any) -> bool:
-    """True if measurement, state and reference are all finite."""
     measured = all_finite(tick.length) and all_finite(tick.rate) and all_finite(tick.drive_force)
     state = all_finite(tick.q) and all_finite(tick.dq) and all_finite(tick.p) and all_finite(tick.R)
     state = state and all_finite(tick.twist) and all_finite(tick.J)
@@ -85,10 +84,10 @@ def powered(mode: int) -> bool:
 
 @helper
 def judge_standstill(tick: Any, limits: Any, memory: Any) -> int:
-    """Fill the legs that moved where they must stand still; return fault bits.
+    """Find the legs that moved where they must stand still; returns fault bits.
 
     They must stand still while the brakes are closed. After a fault they must as soon as they have been at
-    rest for a while.
+    rest for some time.
     """
     mode = tick.mode
     closed = mode in (Mode.IDLE, Mode.LOADING, Mode.UNLOADING, Mode.PARKED)
@@ -104,7 +103,7 @@ def judge_standstill(tick: Any, limits: Any, memory: Any) -> int:
 
 @helper
 def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
-    """Fault bits and warning bits for legs, drives, estimate and reference.
+    """Check legs, drives, estimate and reference; returns fault bits and warning bits.
 
     The tracking error is checked from RELEASING to PARKING. Faults only while the drives are powered.
     """
@@ -155,7 +154,7 @@ def judge_state(tick: Any, limits: Any, memory: Any) -> tuple[int, int]:
 
 @helper
 def judge_frames(tick: Any, memory: Any) -> int:
-    """Fault bits for the frames received on the bus.
+    """Check the frames received on the bus; returns fault bits.
 
     Another controller, and an emergency stop of another node, are faults in every mode. The drives' own
     frames count after their set-up, as long as the drives are in use.
@@ -179,10 +178,10 @@ def judge_frames(tick: Any, memory: Any) -> int:
 
 @helper
 def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[int, int]:
-    """Fill tau with the limited sum of tau_asked and probe_force; return fault bits and warning bits.
+    """Fill tau with the limited sum of tau_asked and probe_force; returns fault bits and warning bits.
 
     window: see `hil.safety.force_limits`, a ring of the forces sent, its newest row `memory.newest`; receives
-    the forces held during skipped periods, and the new ones. If a force asked for is not finite, all become
+    the forces held during skipped periods, and the new ones. If a requested force is not finite, all become
     0, with fault LAW.
     """
     faults = warnings = 0
@@ -214,10 +213,11 @@ def limit_effort(tick: Any, limits: Any, memory: Any, window: Array) -> tuple[in
 
 @helper
 def judge_certificate(tick: Any, running: int, late: bool, watched: Array) -> tuple[int, int]:
-    """Fill the Lyapunov columns, see `hil.safety.certificate`; return fault bits and warning bits.
+    """Check the certificate (`hil.safety.certificate`) and fill in the Lyapunov columns of a tick.
 
-    running: not 0 while the brakes are open and the law moves the platform. The watch restarts after a late,
-    skipped or stale tick, after a tick with an unseen leg, a jump of the reference, or an active limit.
+    Returns fault bits and warning bits. running: not 0 while the brakes are open and the law moves the
+    platform. The check restarts after a late, skipped or stale tick, after a tick with an unseen leg, a jump
+    of the reference, or an active limit.
     """
     if not watched.size:
         return 0, 0
@@ -245,7 +245,7 @@ def judge_certificate(tick: Any, running: int, late: bool, watched: Array) -> tu
 
 @helper
 def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
-    """Store this tick's timing and the state of bus and recorder; return warning bits.
+    """Record this tick's timing and the state of bus and recorder; returns warning bits.
 
     A skipped period counts as a late tick. Only a tick without a skipped period before it resets the count of
     missed periods, so a loop that runs only every third tick is still stopped.
@@ -273,9 +273,9 @@ def judge_loop(tick: Any, memory: Any, late: bool, losing: bool) -> int:
 
 @kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)
 def judge(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) -> tuple[int, int, int]:
-    """Fill the verdict's columns except tau: for that see `limit`, which comes next.
+    """Run all safety checks of a tick; `limit`, which comes next, limits its forces tau.
 
-    Returns fault bits, warning bits and the reason to stop. The rules read the whole tick except the sent
+    Returns fault bits, warning bits and the reason to stop. The checks read the whole tick except the sent
     columns. Changes memory and watched; see `Safety`. A tick is late if it woke up more than a fifth of a
     period too late, or if the SYNCs of the buses were too far apart.
     """
@@ -307,9 +307,9 @@ def judge(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) ->
 
 @kernel(TICK_SEEN, record(LIMITS), record(MEMORY), OUT_MATRIX, OUT_MATRIX)
 def limit(tick: Any, limits: Any, memory: Any, window: Array, watched: Array) -> tuple[int, int]:
-    """Fill tau, with no force where the drives are off; return fault bits and warning bits.
+    """Fill tau (6,) N with the limited force, 0 while the drives are off; returns fault and warning bits.
 
-    Changes the force window, and lets the certificate settle where a force is not the law's.
+    Changes the force window, and pauses the certificate check where a force is not the law's.
     """
     if not powered(tick.mode):
         window[:] = 0.0

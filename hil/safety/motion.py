@@ -1,6 +1,6 @@
-"""Rules on the motion: ends of the stroke, speed, tracking error, estimate, and standstill.
+"""Checks of the motion: ends of the stroke, speed, tracking error, estimate, and standstill.
 
-A leg without a reading in a tick is not judged in it; the rule on stale legs covers missing readings.
+A leg without a reading in a tick is not checked in that tick; the check of stale legs covers it.
 """
 
 import math
@@ -21,7 +21,7 @@ def speed_cap(distance: float, deceleration: float) -> float:
 
 @helper
 def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, deceleration: float) -> bool:
-    """True if a leg moves towards a soft end faster than its speed cap. q (6,) m, dq (6,) m/s."""
+    """True if a leg moves towards a soft end faster than `speed_cap` allows. q (6,) m, dq (6,) m/s."""
     for i in range(6):
         if dq[i] > speed_cap(soft_max - q[i], deceleration):
             return True
@@ -32,7 +32,7 @@ def too_fast_for_end(q: Array, dq: Array, soft_min: float, soft_max: float, dece
 
 @helper
 def overspeed(dq: Array, limit: float) -> bool:
-    """True if the size of a leg rate dq (6,) m/s exceeds the limit."""
+    """True if a leg rate |dq|, dq (6,) m/s, exceeds the limit, m/s."""
     for rate in dq:  # noqa: SIM110 - compiled
         if abs(rate) > limit:
             return True
@@ -59,7 +59,7 @@ REST_m_s = 0.02
 
 @helper
 def at_rest(rate: Array, age: Ints, limit: float) -> bool:
-    """True if no leg with a reading in this tick reaches `limit` (m/s). rate (6,) m/s, age (6,) ticks."""
+    """True if no leg with a reading in this tick reaches `limit`, m/s. rate (6,) m/s, age (6,) ticks."""
     for i in range(6):  # noqa: SIM110 - compiled
         if age[i] == 0 and abs(rate[i]) >= limit:
             return False
@@ -68,7 +68,7 @@ def at_rest(rate: Array, age: Ints, limit: float) -> bool:
 
 @helper
 def moved_legs(length: Array, age: Ints, still: Array, tolerance: float) -> int:
-    """Legs farther than `tolerance` (m) from where they stood, bit i: leg i.
+    """Legs farther than `tolerance`, m, from where they stood, bit i: leg i.
 
     length (6,) m of the readings, age (6,) ticks; still (6,) m is filled at a leg's first reading.
     """

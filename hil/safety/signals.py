@@ -1,4 +1,4 @@
-"""Limits of the rules on drives, bus, frames, the loop's own timing and the recorder.
+"""Limits of the checks on drives, bus, frames, the loop's own timing and the recorder.
 
 A full queue and a dead bus look the same; only time tells them apart.
 """
@@ -29,13 +29,13 @@ DEGRADED_AT = 8
 
 @helper
 def noted(history: int, happened: bool) -> int:
-    """History bits of the last HISTORY ticks, 1 where something happened, updated with the present tick."""
+    """Bits of the last HISTORY ticks (1: something happened), shifted by one, the present tick lowest."""
     return (2 * history + happened) % (1 << HISTORY)
 
 
 @helper
 def ones(history: int) -> int:
-    """Number of ones in the lowest HISTORY bits."""
+    """Number of ticks, of the last HISTORY, in which the event happened: ones in the bits."""
     count = 0
     for k in range(HISTORY):
         count += (history >> k) & 1
@@ -44,7 +44,7 @@ def ones(history: int) -> int:
 
 @helper
 def bus_down(bus_off: bool, history: int) -> bool:
-    """True if the bus is off, or has refused frames IN_A_ROW times in a row or DEAD_BUS times in all."""
+    """True if the bus is off, or refused frames in IN_A_ROW successive ticks or in DEAD_BUS ticks."""
     row = (1 << IN_A_ROW) - 1
     return bus_off or history & row == row or ones(history) >= DEAD_BUS
 

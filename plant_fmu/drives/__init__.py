@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def drives_end(protocol: Family) -> DrivesEnd:
-    """Drives' end of a protocol, powered up: `protocol.drives_end()`, else the entry point of its family."""
+    """Emulated drives' end of a protocol, powered up, from the protocol or its family's entry point."""
     own = getattr(protocol, "drives_end", None)
     if own is None:
         return cast("DrivesEnd", loaded("hil.emulated_drives", protocol.traits.family)(protocol))

@@ -1,4 +1,4 @@
-"""The drives' end of CiA 402, not compiled: NMT, SDO and rejected frames of six emulated drives.
+"""The drives' end of CiA 402 in Python: NMT, SDO and rejected frames of six emulated drives.
 
 The drives follow the standards, not our controller: CiA 301 for communication, IEC 61800-7-201 for the drive.
 `cia402_dictionary` lists the objects that they have. Each drive controls its brake. Quick stop and NMT stop
@@ -26,7 +26,7 @@ _NODE = 0x7F
 
 
 class Cia402Drives(DrivesEnd):
-    """The drives' end of CiA 402. Mutable state: six elements of DEVICE."""
+    """The drives' end of six CiA 402 drives. Mutable state: six DEVICE records."""
 
     def __init__(self, family: Any) -> None:
         d: Any = np.zeros((), kernels.DEVICES)
@@ -125,7 +125,7 @@ class Cia402Drives(DrivesEnd):
         self._send(leg, o.SDO_REPLY_ID, o.abort(key, code) if code else answer)
 
     def _write(self, leg: int, key: Key, specifier: int, data: bytes) -> int:
-        """Execute a download; return the abort code, 0 for success."""
+        """Execute an SDO download (write); returns the abort code, 0 for success."""
         if not specifier & 2:
             return o.TOO_LONG
         d, said = self.state[leg], 4 - (specifier >> 2 & 3) if specifier & 1 else 0

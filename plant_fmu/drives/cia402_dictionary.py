@@ -39,7 +39,7 @@ _SIGNED, _SIZES = range(2, 5), {2: 1, 3: 2, 4: 4, 5: 1, 6: 2, 7: 4}
 
 
 class Entry(NamedTuple):
-    """One object of the dictionary."""
+    """One object of the object dictionary."""
 
     size: int
     """Number of bytes."""
@@ -74,7 +74,7 @@ _INDICES = {index for index, _ in ENTRIES}
 
 
 def defaults(node: int, rated_torque_mNm: int, increments: int) -> Ints:
-    """Values (len(ENTRIES),) of a drive at power-up."""
+    """Values (len(ENTRIES),) of all objects of a drive at power-up."""
     own = {
         (0x1014, 0): o.EMCY_ID + node,
         o.SERIAL: node,
@@ -88,14 +88,14 @@ def defaults(node: int, rated_torque_mNm: int, increments: int) -> Ints:
 
 
 def signed(key: Key, raw: int) -> int:
-    """Value of an object's raw bits, signed where its data type is."""
+    """Integer value of an object's raw bits: signed if the object's data type is signed."""
     entry = ENTRIES[key]
     bits = 8 * entry.size
     return raw - (1 << bits) if entry.signed and raw >> bits - 1 else raw
 
 
 def fill_pdos(row: Any) -> None:
-    """Derive the active PDOs from a drive's objects. Changes the element of DEVICE."""
+    """Derive the active PDOs from a drive's objects. Changes the DEVICE record."""
     row["pdos"] = row["counts"] = 0
     for way, (parameters, mapping) in enumerate(((o.RPDO, o.RPDO_MAP), (o.TPDO, o.TPDO_MAP))):
         found = 0
@@ -115,14 +115,14 @@ def fill_pdos(row: Any) -> None:
 
 
 def missing(key: Key) -> int:
-    """Abort code for an object that does not exist; 0 for one that does."""
+    """SDO abort code for access to an object that does not exist; 0 if it exists."""
     if key in ENTRIES:
         return 0
     return o.NO_SUB_INDEX if key[0] in _INDICES else o.NO_OBJECT
 
 
 def refused(values: Ints, key: Key, value: int, size: int) -> int:
-    """Abort code of a write, 0 if it is allowed. size: bytes, 0 if the request does not state it."""
+    """SDO abort code of a write, 0 if it is allowed; size: bytes, 0 if the request does not state it."""
     entry = ENTRIES[key]
     if not entry.writable:
         return o.READ_ONLY

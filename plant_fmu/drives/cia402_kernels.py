@@ -1,6 +1,6 @@
-"""The drives' end of CiA 402, compiled: SYNC, PDOs, heartbeats and EMCY of six emulated drives.
+"""The drives' end of CiA 402 in kernels: SYNC, PDOs, heartbeats and EMCY of six emulated drives.
 
-`plant_fmu.drives.cia402` does NMT, SDO and rejected frames.
+`plant_fmu.drives.cia402` processes NMT, SDO and rejected frames.
 """
 
 from typing import Any
@@ -44,10 +44,10 @@ DEVICE = np.dtype(
         ("places", "<i8", (2, PDOS, MAPPED)),
     ]
 )
-"""State of one drive."""
+"""State of one emulated CiA 402 drive."""
 DEVICES = np.dtype(
     [
-        ("devices", "<i8"),  # address of six elements of DEVICE
+        ("devices", "<i8"),  # address of six DEVICE records
         ("new", "<i8"),  # address of six elements as at power-up
         ("buses", "<i8"),  # number
         ("bus_of", "<i8", (LEGS,)),
@@ -58,7 +58,7 @@ DEVICES = np.dtype(
         *((name, "<f8", (LEGS,)) for name in ("counts", "N_per_permille")),
     ]
 )
-"""Six emulated drives."""
+"""State of six emulated CiA 402 drives."""
 _DEVICES = record(DEVICES)
 _device_at: Any = record_at(record(DEVICE))
 _ROW, _FRAME, _MESSAGE = DEVICE.itemsize, FRAME.itemsize, codec.MESSAGE.itemsize
@@ -80,7 +80,7 @@ def _device(c: Any, leg: int) -> Any:
 
 @helper
 def _following(d: Any, word: int) -> int:
-    """CiA 402 state after a controlword."""
+    """CiA 402 state that a drive enters from its present one after a controlword."""
     state = s.commanded(word, d.state, not d.values[_WORD] & 0x80)
     stops_at_once = state == s.QUICK_STOP and d.state == s.ENABLED and d.values[_QUICK] == 0
     return s.DISABLED if stops_at_once else state
@@ -112,7 +112,7 @@ def _control(c: Any, leg: int, word: int, torque: int, messages: int) -> int:
 def control(c: Any, leg: int, word: int, messages: int) -> int:
     """Execute a controlword with the stored target torque; without a mode of operation the torque is 0.
 
-    Fills in messages at an address; returns their number.
+    Writes the commands to the drive (MESSAGEs) to the address `messages`; returns their number.
     """
     return _control(c, leg, word, _device(c, leg).values[_TARGET], messages)
 
@@ -141,7 +141,7 @@ def _listens(c: Any, leg: int, k: int, frame: Any) -> bool:
 
 @helper
 def _listeners(c: Any, frame: Any) -> int:
-    """Bit mask of the legs that a frame is an RPDO of; FAILED if it is shorter than the mapping."""
+    """Legs whose drives receive a frame as an RPDO, bit i: leg i; FAILED if it is too short."""
     found = 0
     for leg in range(LEGS):
         for k in range(PDOS):
@@ -156,7 +156,6 @@ def _listeners(c: Any, frame: Any) -> int:
 
 @helper
 def _obey(c: Any, frame: Any, messages: int) -> int:
-    """Execute an RPDO at all drives that receive it."""
     count = 0
     for leg in range(LEGS):
         d = _device(c, leg)
@@ -171,7 +170,6 @@ def _obey(c: Any, frame: Any, messages: int) -> int:
 
 @helper
 def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
-    """Fill in one message: a SYNC, or a heartbeat for the drives that monitor the sending node."""
     message, count = codec.message_at(messages), 0
     for leg in range(LEGS):
         d = _device(c, leg)
@@ -193,7 +191,7 @@ def _to_all(c: Any, kind: int, bus: int, node: int, messages: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(c: Any, frame_address: int, messages: int) -> int:
-    """Decode a SYNC, a PDO or a heartbeat; FAILED for a frame that Python has to process."""
+    """Decode SYNC, PDO or heartbeat to MESSAGEs; returns their number, FAILED to leave it to Python."""
     frame = frame_at(frame_address)
     if frame.flags & STRANGE or frame.bus >= c.buses:
         return 0
@@ -224,13 +222,12 @@ def _restart(c: Any, leg: int) -> None:
 
 @helper
 def _whole(number: float, least: float, most: float) -> int:
-    """Nearest whole number, saturated."""
     return int(np.rint(min(max(number, least), most)))
 
 
 @helper
 def _measure(c: Any, leg: int, reading: Any) -> bool:
-    """Store position, velocity and torque in the drive's objects; False if one is NaN."""
+    """Write position, velocity and torque of a reading to the drive's objects; False if one is NaN."""
     d, (turns, speed, torque) = _device(c, leg), codec.at_motor(c, leg, reading)
     position, velocity, torque = turns * c.counts[leg], speed * c.counts[leg], torque * 1e6 / c.rated_mNm
     if np.isnan(position) or np.isnan(velocity) or np.isnan(torque):
@@ -243,7 +240,6 @@ def _measure(c: Any, leg: int, reading: Any) -> bool:
 
 @helper
 def _send(d: Any, bus: int, k: int, frame: Any) -> None:
-    """Fill in a TPDO."""
     begin_sent(frame, d.pdos[1, k], 0, 0, bus)
     at = 0
     for j in range(d.counts[1, k]):
@@ -257,7 +253,7 @@ def _send(d: Any, bus: int, k: int, frame: Any) -> None:
 
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in the TPDOs that answer a SYNC and the leg of each; return their number, FAILED for a NaN."""
+    """Write the TPDOs that answer a SYNC to `into`, their legs to `senders`; returns how many, or FAILED."""
     sync, reading = codec.message_at(sync_address), codec.reading_at(reading_address)
     legs, asked, buses, count = integers_at(senders, LEGS * PDOS), 0, 0, 0
     for k in range(sync.count):
@@ -291,7 +287,10 @@ def answer(c: Any, sync_address: int, reading_address: int, into: int, senders: 
 def report(
     c: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, _due: int, into: int
 ) -> int:
-    """Fill in a boot-up message, or else EMCY and heartbeat; end a quick stop that was reported before."""
+    """Write a drive's boot-up message, or else its EMCY and heartbeat, to address `into`; returns how many.
+
+    A quick stop that was reported before ends in Switch On Disabled.
+    """
     d, count = _device(c, leg), 0
     if state == _BOOT and d.started:
         _restart(c, leg)

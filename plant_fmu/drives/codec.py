@@ -1,4 +1,4 @@
-"""Codec of a family's emulated drives: the interface `DrivesEnd`, and the records that it exchanges."""
+"""Codec of emulated drives: base class `DrivesEnd`, and the records that it exchanges with the drives."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -52,7 +52,7 @@ MOST_MESSAGES = 64
 
 @helper
 def at_motor(of: Any, leg: int, reading: Any) -> tuple[float, float, float]:
-    """Motor turns, turns/s and N m at length, rate and force of a leg; `of` has the fields `FIELDS`."""
+    """Motor turns, turns/s and N m for a leg's length, rate and force; `of`: record with `FIELDS`."""
     force, rate = reading.force[leg], reading.rate[leg]
     loss = loss_of(force, rate, of.driving[leg], of.back_driving[leg], of.full_loss_m_s)
     turns = (reading.length[leg] - of.offset[leg]) / of.m_per_turn[leg]
@@ -61,7 +61,7 @@ def at_motor(of: Any, leg: int, reading: Any) -> tuple[float, float, float]:
 
 @helper
 def put_message(messages: int, count: int, leg: int, kind: int, mode: int, counter: int, force: float) -> int:
-    """Append a message to one leg behind `count` elements of MESSAGE at an address; return the new count."""
+    """Append a MESSAGE (kind, DriveMode, force N, > 0 extends) for a leg; returns the new count."""
     message = message_at(messages + count * _MESSAGE)
     message.kind, message.mode, message.counter, message.count = kind, mode, counter, 1
     message.legs[0], message.force[0] = leg, force
@@ -69,7 +69,7 @@ def put_message(messages: int, count: int, leg: int, kind: int, mode: int, count
 
 
 class DrivesEnd:
-    """The drives' end of a drive family.
+    """The emulated drives' end of a drive family: decodes the controller's frames, encodes feedback.
 
     Mutable state: protocol state of six drives, initially powered up; messages of the last frame, valid until
     the next one.
@@ -87,20 +87,20 @@ class DrivesEnd:
     """
 
     def __init__(self, record: Rows, parse: Pointed, answer: Pointed, report: Pointed) -> None:
-        """Create an end. record: context of the three functions, with the drives' state or its address."""
+        """Create an end; record: context of its three functions, with the drives' protocol state."""
         self.record = self.state = record
         self.parse, self.answer, self.report = parse, answer, report
         self.messages, self._frames = np.zeros(MOST_MESSAGES, MESSAGE), np.zeros(MOST_MESSAGES, FRAME)
         self._count = 0
 
     def converse(self, frame: Frame) -> None:
-        """Process a frame that is not compiled (set-up, identification, stop) with `put` and `say`."""
+        """Process a frame in Python (set-up, identification, stop); it acts by `put` and `say`."""
         raise NotImplementedError
 
     def put(
         self, kind: int, legs: Sequence[int] = (), mode: int = 0, counter: int = 0, force: float = 0.0
     ) -> None:
-        """Append a message to those of the present frame."""
+        """Append a message to those of the present frame; legs: addressees; force: N, push positive."""
         message: Any = self.messages[self._count]
         message["kind"], message["mode"] = kind, mode
         message["counter"], message["count"] = counter, len(legs)
@@ -108,13 +108,13 @@ class DrivesEnd:
         self._count += 1
 
     def say(self, leg: int, frame: Frame) -> None:
-        """Append a frame of a start-up dialogue, which the drive sends at once."""
+        """Append a frame of a start-up dialogue, which the drive of a leg sends at once."""
         into = self._frames[self._count :]
         into[:1] = sent_array([frame])
         self.put(ANSWER, (leg,), counter=data_at(into))
 
     def hear(self, frame: Frame) -> Rows:
-        """Messages to drives in a frame; none if it addresses no drive."""
+        """Commands (MESSAGEs) to drives that a frame contains; empty if it addresses no drive."""
         self._count = self.parse(self.record, sent_array([frame]), self.messages)
         if self._count == FAILED:
             self._count = 0
@@ -127,4 +127,4 @@ class DrivesEnd:
         return sent_frames(self._frames[:count])
 
     def restart(self, legs: Sequence[int]) -> None:
-        """Restore the power-up state of drives that were switched off and on; by default there is none."""
+        """Restore the power-up protocol state of drives that were switched off and on; none by default."""

@@ -1,7 +1,7 @@
-"""One compiled pass that advances six drives and their plant to an instant.
+"""One compiled call, `live`, that advances six drives and their plant to an instant.
 
-The pass does the work of every tick. It returns to its owner, with the reason, for a decision or a part that
-is not compiled. The owner does that and enters the pass again.
+The call does the work of every tick. It returns early, with the reason, for a decision or a part that is not
+compiled. The caller does that and calls it again.
 """
 
 from typing import Any
@@ -42,7 +42,7 @@ def _grid_ns(n: Any) -> int:
 
 @helper
 def due_ns(t0_ns: int, number: int, share: float) -> int:
-    """Instant of the `number`-th event in a series of distance `share` ns; NEVER_NS if the distance is 0."""
+    """Instant, ns, of event `number` in a series with period `share` ns; NEVER_NS if the period is 0."""
     return t0_ns + int(np.int64(np.rint(number * share))) if share > 0.0 else NEVER_NS
 
 
@@ -51,7 +51,7 @@ def due_ns(t0_ns: int, number: int, share: float) -> int:
 
 @helper
 def _at_leg(n: Any, into: Array) -> None:
-    """Fill in the leg forces: the drives' forces after the losses of the transmission."""
+    """Fill in leg forces, N: the drives' forces divided by the loss factor of the transmission."""
     if n.geared:
         fill_loss(n.force, n.rate, n.driving, n.back_driving, n.full_loss_m_s, into)
         for leg in range(LEGS):
@@ -78,7 +78,7 @@ def _move(n: Any, steps: int) -> int:
 
 @helper
 def move_to(n: Any, t_ns: int) -> int:
-    """Advance the plant to the grid point nearest to `t_ns`."""
+    """Advance the plant to its time step nearest to `t_ns`; returns DONE or the plant's refusal."""
     steps = np.int64(np.floor((t_ns - n.t0_ns) / n.h_ns + 0.5)) - n.k
     if steps <= 0:
         return r.DONE
@@ -97,7 +97,6 @@ def move_to(n: Any, t_ns: int) -> int:
 
 @helper
 def _to_report(n: Any, leg: int) -> None:
-    """Queue a status report of a drive whose state has changed."""
     if n.reported == n.pending:
         n.pending = n.reported = n.due = 0
     n.reports[n.pending] = leg
@@ -115,7 +114,7 @@ def _fail(n: Any, legs: Any, fault: int) -> int:
 
 @helper
 def _happen(n: Any, t_ns: int) -> int:
-    """Execute the earliest event due by `t_ns`; without one, note when the next is due."""
+    """Execute the earliest event due by `t_ns`; without one, store when the next is due."""
     watchdog, moved = n.deadline_ns.min(), next_move_ns(n)
     other = min(n.edge_ns, n.beat_ns, n.reading_ns, moved)
     if watchdog < t_ns and watchdog <= other:
@@ -146,7 +145,7 @@ def _happen(n: Any, t_ns: int) -> int:
 
 @helper
 def _pass_time(n: Any, frames: int, count: int) -> int:
-    """Execute an event before the next frame, or receive the frame."""
+    """Execute the events before the next frame, or receive that frame."""
     t_ns, is_end = n.until_ns, n.frame == count
     if not is_end:
         t_ns = min(max(frame_at(frames + n.frame * _FRAME).t_ns, n.now_ns), t_ns)
@@ -166,7 +165,7 @@ def _pass_time(n: Any, frames: int, count: int) -> int:
 
 @helper
 def _put(n: Any, count: int, leg: int) -> None:
-    """Send `count` new frames of drive `leg`, or for -1 of the drives in `senders`, except silent drives."""
+    """Send `count` new frames of drive `leg` (-1: of the drives in `senders`), except silent drives."""
     senders = integers_at(n.senders, r.ROOM)
     first = n.sent
     for k in range(first, first + count):
@@ -183,7 +182,6 @@ def _put(n: Any, count: int, leg: int) -> None:
 
 @helper
 def _report(n: Any) -> int:
-    """Send the status of one drive."""
     if n.sent + r.ROOM > n.room:
         return r.FULL
     leg = n.reports[n.reported]
@@ -203,7 +201,7 @@ def _report(n: Any) -> int:
 
 @helper
 def _read(n: Any) -> int:
-    """Read forces and encoders, extrapolated from the plant's grid point to the present instant."""
+    """Read forces and encoders, extrapolated from the plant's time step to the present instant."""
     reading = codec.reading_at(n.reading)
     known = call(n.applied, (n.plant, reading.force.ctypes.data))
     if known < 0:
@@ -219,7 +217,7 @@ def _read(n: Any) -> int:
 
 @helper
 def _answers(n: Any) -> int:
-    """Fill in the drives' answers to a SYNC message; return their number, FAILED for a reading of NaN."""
+    """Write the drives' answers to a SYNC message; returns their number, FAILED for a NaN reading."""
     into = n.out + n.sent * _FRAME
     if not n.wired:
         return int(call(n.answer, (n.end, n.asked, n.reading, into, n.senders)))
@@ -243,7 +241,7 @@ def _answers(n: Any) -> int:
 
 @helper
 def _forge(n: Any) -> None:
-    """Send forged answers under drives' node numbers, then restore the protocol's memory of the readings."""
+    """Send forged answers with drives' node numbers, then restore the codec's memory of true readings."""
     reading, silent = codec.reading_at(n.reading), n.silent
     true = reading.length.copy()
     for leg in range(LEGS):
@@ -257,7 +255,7 @@ def _forge(n: Any) -> None:
 
 @helper
 def _latch(n: Any) -> int:
-    """Sample the encoders and answer; returns in between for steps that only the owner can do."""
+    """Sample the encoders and send answers; returns early for steps that only Python can do."""
     if n.latching == 1:
         status = move_to(n, n.t_ns)
         if status != r.DONE:
@@ -301,7 +299,7 @@ def _obey(n: Any, command: Any) -> int:
 
 @helper
 def _reaches(n: Any, message: Any) -> bool:
-    """Replace the node numbers of a message by the drives that have them; False if no drive has one."""
+    """Replace node numbers in a message by the legs that have them; False if no drive has one."""
     numbers, force, count = message.legs[: message.count].copy(), message.force.copy(), 0
     for leg in range(LEGS):
         for k in range(numbers.shape[0]):
@@ -314,7 +312,6 @@ def _reaches(n: Any, message: Any) -> bool:
 
 @helper
 def _hear(n: Any) -> int:
-    """Execute the next message."""
     if n.sent + r.ROOM > n.room:
         return r.FULL
     at = n.messages + n.message * _MESSAGE
@@ -353,9 +350,9 @@ def _hear(n: Any) -> int:
 
 @kernel(NODES_RECORD, records(FRAME), INTEGER, BOOLEAN, unlocked=True)
 def live(n: Any, received: Any, until_ns: int, again: bool) -> int:
-    """Advance to `until_ns`, receiving frames in the order of time; return why the pass ends.
+    """Advance the drives and the plant to `until_ns`, receiving frames in the order of time.
 
-    again: continue a pass that has returned for its owner.
+    again: continue a call that has returned early. Returns the reason, see `record`; DONE at the end.
     """
     frames: Any = np.int64(received.ctypes.data)
     count = received.shape[0]

@@ -1,4 +1,4 @@
-"""Six emulated drives: their record, and the faults of drives and encoders. `Nodes` owns them."""
+"""Six emulated drives: their record, and faults of drives and encoders. `Nodes` owns them."""
 
 import ctypes
 from collections import deque
@@ -30,7 +30,7 @@ _NO_COUNTER = -1
 
 
 def at_motor(settings: DriveSettings, transmission: Transmission | None) -> DriveSettings:
-    """Drive settings with the force limit at the motor: rated leg force before the transmission's losses."""
+    """Drive settings with force_limit_N at the motor: the rated leg force before transmission losses."""
     if transmission is None:
         return settings
     rated_N = settings.force_limit_N / float(transmission.driving.min())
@@ -38,14 +38,14 @@ def at_motor(settings: DriveSettings, transmission: Transmission | None) -> Driv
 
 
 class Drives:
-    """Six drives, initially just powered up.
+    """Six emulated drives, initially just powered up.
 
     Mutable state: the record, see `record.NODES`; the frames to send; the reading of the current answer; the
     leg lengths at which faults of encoder scale began.
     """
 
     def __init__(self, settings: DriveSettings, emulation: DriveEmulation, step_s: float) -> None:
-        """Power up; `step_s` is the plant's internal step, for which the force lag is discretised exactly."""
+        """Power up. step_s: internal step of the plant, s, for which the force lag is discretised exactly."""
         self.record: Record = np.zeros((), NODES)
         self.seen = cast("Any", self.record.view(np.recarray))
         """View of the record for the functions of `kernels` in plain Python: each field is an attribute."""
@@ -70,7 +70,7 @@ class Drives:
     def connect(
         self, t0_ns: int, end: DrivesEnd, plant: Moved, heartbeat_ns: float, reading_ns: float
     ) -> None:
-        """Start the drives at `t0_ns` with their protocol's end and the plant.
+        """Start the drives at `t0_ns` with their codec (protocol's end) and the plant's functions.
 
         heartbeat_ns, reading_ns: periods of each drive's status and of its unrequested reading; 0: never.
         """
@@ -93,7 +93,7 @@ class Drives:
         n["reading_ns"] = due_ns(t0_ns, 1, reading_ns / LEGS)
 
     def reserve(self, room: int) -> None:
-        """Enlarge the array of frames to send; frames in it are kept."""
+        """Enlarge the array of frames to send to `room` elements; its frames are kept."""
         out = np.zeros(room, FRAME)
         sent = int(self.record["sent"])
         out[:sent] = self.out[:sent]
@@ -133,7 +133,7 @@ class Drives:
         self.seen.scale, self.seen.shift = scale, shift
 
     def drift(self, present: Present, t_ns: int) -> None:
-        """Apply the offsets and drifts of encoders, as large as they are at `t_ns`."""
+        """Set the offsets and drifts of encoders, m, to their values at `t_ns`."""
         n = self.seen
         n.offset, n.drift = present.offset_m, 0.0
         for leg, by_m_s, since_ns in present.drifts:
@@ -142,9 +142,9 @@ class Drives:
 
 
 def forgotten_m(settings: HomingSettings, transmission: Transmission, length: Array) -> Array:
-    """Parts of the leg lengths (6,) m that encoders lose at power-up, at lengths (6,) m.
+    """Length (6,) m that each encoder loses count of at power-up, at leg lengths (6,) m.
 
-    After power-up each encoder starts within half of `forgotten_turns` of zero.
+    After power-up each encoder starts within half of `forgotten_turns` motor turns of zero.
     """
     whole = np.round(transmission.turns(length) / settings.forgotten_turns) * settings.forgotten_turns
     return transmission.m_per_turn * whole
@@ -160,7 +160,7 @@ class Reading:
         self._read: deque[tuple[int, Array, Array]] = deque()
 
     def begin(self, present: Present) -> None:
-        """Continue with other faults; without a delayed encoder the stored readings are deleted."""
+        """Continue with other faults; once no encoder is delayed, the stored readings are deleted."""
         if not any(present.late_ns):
             self._read.clear()
 
@@ -178,7 +178,7 @@ class Reading:
             length[leg] += sigma_m * generator.standard_normal()
 
     def _at(self, t_ns: int, leg: int) -> tuple[float, float]:
-        """Length and rate at an instant, extrapolated from the reading before it; else the first reading."""
+        """Length, m, and rate, m/s, of an encoder at an instant, extrapolated from the reading before."""
         before = [read for read in self._read if read[0] <= t_ns]
         at_ns, length, rate = before[-1] if before else self._read[0]
         dt = max(0, t_ns - at_ns) * 1e-9
@@ -186,28 +186,28 @@ class Reading:
 
 
 class Snapshot(NamedTuple):
-    """Plant and drives at one instant, for the plant's log."""
+    """State of plant and drives at one instant, for the plant's log."""
 
     t_ns: int
-    """Grid instant of length and rate."""
+    """Time of length and rate, ns: a time step of the plant."""
     length: Array
-    """(6,) m, true."""
+    """True leg lengths (6,) m."""
     rate: Array
-    """(6,) m/s, true."""
+    """True leg rates (6,) m/s."""
     command: Array
-    """(6,) N, last valid command."""
+    """Forces (6,) N of the last valid command, > 0 extends."""
     force: Array
     """(6,) N, force of the drives on the plant."""
     applied: Array
     """(6,) N, force that the plant reports as applied; `force` if it reports none."""
     state: Ints
-    """(6,) DriveState."""
+    """DriveState of each drive, (6,)."""
     fault: Ints
-    """(6,) DriveFault."""
+    """DriveFault of each drive, (6,)."""
     brake: Array
-    """(6,) 1 engaged, 0 released."""
+    """Brakes (6,): 1 engaged, 0 released."""
     wrench: Array
-    """(6,) N, N m on the platform."""
+    """Wrench (6,) N, N m on the platform at its origin, base frame."""
     truth: Truth | None
     syncs: int
     """SYNC frames or polls received since the start."""
@@ -220,7 +220,7 @@ class Snapshot(NamedTuple):
 
 
 def moved(plant: Plant) -> Moved:
-    """Functions of a plant by address: compiled ones, or wrappers of its Python methods."""
+    """Addresses of a plant's functions: compiled ones, or wrappers of its Python methods."""
     compiled = getattr(plant, "moved", None)
     return _python_functions(plant) if compiled is None else compiled()
 

@@ -1,4 +1,4 @@
-"""One tick of six emulated drives, compiled: n is a record of `record.NODES`."""
+"""Rules of six emulated drives in kernels: states, faults, watchdog, brake. n: a record of NODES."""
 
 from typing import Any
 
@@ -34,7 +34,7 @@ _NO_FAULT, _ESTOP = int(DriveFault.NONE), int(DriveFault.ESTOP)
 
 @helper
 def enter(n: Any, leg: int, state: int, reason: int) -> None:
-    """Change the state of one drive."""
+    """Put one drive into a state (DriveState), with the fault `reason`."""
     n.state[leg], n.fault[leg] = state, reason
     if state not in (READY, RUN):
         n.command[leg], n.deadline_ns[leg] = 0.0, NEVER_NS
@@ -42,7 +42,7 @@ def enter(n: Any, leg: int, state: int, reason: int) -> None:
 
 @helper
 def configure(n: Any, leg: int, message: Any) -> bool:
-    """Set up a drive from a CONFIGURE message; False if the drive is powered, which leaves it unchanged."""
+    """Set up a drive from a CONFIGURE message; False, without effect, if the drive is powered."""
     state = n.state[leg]
     if state in (READY, RUN):
         return False
@@ -55,7 +55,7 @@ def configure(n: Any, leg: int, message: Any) -> bool:
 
 @helper
 def encoder(n: Any, leg: int) -> tuple[float, float]:
-    """Length and rate that an encoder reads before quantisation, m and m/s; 0 if it is lost."""
+    """Length, m, and rate, m/s, that an encoder reads before quantisation; 0 if its signal is lost."""
     if n.lost[leg]:
         return 0.0, 0.0
     if np.isnan(n.frozen[leg]):
@@ -67,7 +67,7 @@ def encoder(n: Any, leg: int) -> tuple[float, float]:
 
 @helper
 def _move_brake(at: Array, due_ns: Ints, leg: int, wanted: float, takes_ns: int, t_ns: int) -> None:
-    """Begin, cancel or end the movement of a leg's brake; a cancelled movement leaves the brake as it was."""
+    """Start, cancel or finish a brake's movement; a cancelled movement leaves the brake as it was."""
     if at[leg] == wanted:
         due_ns[leg] = NEVER_NS
         return
@@ -79,10 +79,11 @@ def _move_brake(at: Array, due_ns: Ints, leg: int, wanted: float, takes_ns: int,
 
 @helper
 def actuate(n: Any, lag: bool, t_ns: int) -> None:
-    """Set force and brake of the plant from the drives' states at `t_ns`; with `lag` over the next grid step.
+    """Set force and brake of the plant from the drives' states at `t_ns`.
 
     A drive whose brake closes keeps its last force until the brake has closed. Sets `controls` if a drive
-    controls its force from its encoder (DAMP or HOLD).
+    controls its force from its encoder (DAMP or HOLD). lag: True to filter the forces over the next time
+    step.
     """
     controls = False
     for leg in range(LEGS):
@@ -125,7 +126,7 @@ def next_move_ns(n: Any) -> int:
 
 @helper
 def fail(n: Any, leg: int, fault: int, t_ns: int) -> bool:
-    """Latch a fault at `t_ns`, when the plant has reached it; True if the fault is to be reported.
+    """Latch a drive's fault at `t_ns`, when the plant has reached it; True if it is to be reported.
 
     A latched fault stays, except that an emergency stop replaces it.
     """
@@ -159,9 +160,9 @@ def feed(n: Any, leg: int, t_ns: int) -> None:
 def obey(n: Any, command: Any, t_ns: int) -> int:
     """Execute a command, a MESSAGE, at `t_ns`, when the plant has reached it.
 
-    Returns the legs whose drives entered a state, as a bit mask (bit i: leg i). Forces change if the counter
-    is new to one drive. An UNWATCHED command feeds the watchdogs only of drives that were not powered
-    before.
+    Returns the legs whose drives entered a state, as a bit mask (bit i: leg i). Forces change if at least one
+    drive has not had the counter before. An UNWATCHED command feeds the watchdogs only of drives that were
+    not powered before.
     """
     fresh, entered = False, 0
     for k in range(command.count):
@@ -193,7 +194,10 @@ def obey(n: Any, command: Any, t_ns: int) -> int:
 
 @helper
 def encoders(n: Any, dt_s: float, l: Array, dl: Array, state: Ints) -> None:
-    """Fill in readings `dt_s` after the plant's last step: m in whole quanta, m/s, state or INVALID."""
+    """Fill in encoder readings `dt_s` after the plant's last step.
+
+    l, dl, state (6,): lengths in whole quanta, m; rates, m/s; DriveState, or INVALID for a lost encoder.
+    """
     for leg in range(LEGS):
         state[leg] = n.state[leg] | n.lost[leg]
         at, dl[leg] = encoder(n, leg)

@@ -17,15 +17,14 @@ Timed = tuple[int, Frame]
 
 
 class Gateway:
-    """Passes frames on with the faults of a schedule, and adds the frames of nodes that should not exist.
+    """Applies the faults of a schedule to passing frames, and adds the frames of extra nodes.
 
     A returned frame may have a later time: it enters the bus then. Mutable state: frames to deliver later,
-    frames of extra nodes to put on the bus, the time of the last step, the protocol's state at the drives'
-    end.
+    frames of extra nodes to put on the bus, the time of the last step, the codec's state at the drives' end.
     """
 
     def __init__(self, schedule: Schedule, protocol: Family, end: DrivesEnd, t0_ns: int) -> None:
-        """Create a gateway; `end` is a drives' end for it alone, powered up."""
+        """Create a gateway; `end` is a drives' end that no other object uses, powered up."""
         self._schedule = schedule
         self._protocol = protocol
         self._end = end
@@ -34,7 +33,7 @@ class Gateway:
         self._until_ns = t0_ns
 
     def hear(self, received: Sequence[Received], until_ns: int) -> list[Received]:
-        """Frames that reach the drives by `until_ns`, in the order of time."""
+        """Frames that reach the drives by `until_ns`, in time order: passed, delayed or forged ones."""
         heard = self._later
         for t_ns, frame in received:
             for at_ns, arriving, foreign in self._schedule.carry(t_ns, frame, to_drives=True):
@@ -61,7 +60,6 @@ class Gateway:
                         self._add(t_ns, [each for each in frames if asked & set(addressed(each))], heard)
 
     def _send(self, until_ns: int, heard: list[Timed]) -> None:
-        """Add the frames that extra nodes send by `until_ns`."""
         for fault, own in self._schedule.senders():
             period_ns = 1e9 / fault.rate_Hz
             while (t_ns := own.start_ns + round(own.sent * period_ns)) <= until_ns and t_ns < own.stop_ns:
@@ -74,7 +72,7 @@ class Gateway:
         self._added += timed
 
     def send(self, sent: Sequence[Timed]) -> list[Timed]:
-        """Frames for the bus in the order of time: of the drives, after their faults, and of extra nodes."""
+        """Frames for the bus in time order: those of the drives, after their faults, and of extra nodes."""
         out = [
             (at_ns, arriving)
             for t_ns, frame in sent

@@ -1,6 +1,6 @@
 """The drives' end of protocol `legs`: fields and checksums as in `drivers.legs.kernels`.
 
-CONFIG and E-stop are processed in Python, the other frames are compiled.
+CONFIG and E-stop are processed in Python, the other frames in kernels.
 """
 
 from typing import Any
@@ -43,7 +43,7 @@ def _parse_sync(e: Any, frame: Any, bus: int, message: Any) -> int:
 
 @helper
 def _parse_command(e: Any, of: Any, frame: Any, message: Any) -> int:
-    """Decode a command; bytes behind the checksum, which does not cover them, have to be 0."""
+    """Decode a command; bytes after the checksum, which does not cover them, have to be 0."""
     data, at, width = frame.data, of.check[0] >> 3, of.check[1] >> 3
     if frame.length != of.length or kernels.check_of(of.id, data, at, width) != whole(data, at, width):
         return _reject(message)
@@ -91,9 +91,10 @@ def parse(e: Any, frame_address: int, message_address: int) -> int:
 
 @pointed(_ENDS, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in the feedback frames to a SYNC and the leg of each; return their number, FAILED for a NaN.
+    """Write the feedback frames to a SYNC to address `into` and the leg of each to address `senders`.
 
-    The frames are in leg order on each bus. Values out of range saturate.
+    The frames are in leg order on each bus. Values out of range saturate. Returns their number, or FAILED if
+    a reading is NaN.
     """
     sync, reading = message_at(sync_address), reading_at(reading_address)
     values = (reading.length, reading.rate, reading.force)
@@ -128,7 +129,7 @@ def answer(e: Any, sync_address: int, reading_address: int, into: int, senders: 
 def report(
     e: Any, leg: int, state: int, fault: int, watchdog_ns: int, reaction: int, _due: int, into: int
 ) -> int:
-    """Fill in the status frame of one drive."""
+    """Write the status frame of one drive to address `into`; returns 1."""
     checksum, last = 0, e.status_length - 1
     if watchdog_ns >= 0:
         watchdog = np.int64(np.rint(watchdog_ns * 1e-9 / e.watchdog_s))
@@ -153,7 +154,7 @@ class LegsDrives(DrivesEnd):
         super().__init__(family.tables.copy(), parse, answer, report)
 
     def converse(self, frame: Frame) -> None:
-        """Process an E-stop, whatever its payload, or a CONFIG, rejected if its version or leg is another."""
+        """Process an E-stop, whatever its payload, or a CONFIG; reject one of another version or leg."""
         there, config = self._family.legs[frame.bus], self.record["config"].tolist()
         if frame.id not in config:
             self.put(STOP, sorted(there))

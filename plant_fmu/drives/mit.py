@@ -1,4 +1,4 @@
-"""Emulated drives of the MIT framing, 11-bit identifiers: mini-cheetah, CubeMars, Damiao with registers."""
+"""Emulated drives of MIT framing, 11-bit identifiers: mini-cheetah, CubeMars, Damiao with registers."""
 
 import struct
 from typing import Any
@@ -24,7 +24,7 @@ _ENABLE, _DISABLE, _CLEAR, _ZERO = (each[-1] for each in (k.ENABLE, k.DISABLE, k
 
 @helper
 def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
-    """Encode a number in a symmetric field -end..end, as a drive does."""
+    """Code of x in a symmetric field -end..end of `bits` bits, as a drive computes it: may wrap."""
     at = min(max(x, -end), end) if clamps else x
     return int((at + end) * ((1 << bits) - 1) / (2.0 * end))
 
@@ -33,7 +33,7 @@ def scaled(x: float, end: float, bits: int, clamps: bool) -> int:
 def device_motion(
     position: float, velocity: float, torque: float, r: Ranges, clamps: bool
 ) -> tuple[int, int, int, int, int]:
-    """Five bytes of motion in a reply, as a drive packs them.
+    """Bytes 1 to 5 of a reply, with position rad, velocity rad/s and torque N m as a drive packs them.
 
     Without clamping, as in Katz's firmware, a position out of range wraps, the velocity loses its high bits,
     and the torque carries into the low bits of the velocity.
@@ -46,7 +46,7 @@ def device_motion(
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Execute a command. The drive answers every frame with its feedback."""
+    """Execute a command as MESSAGEs, with an answer of feedback; result: see `plant_fmu.drives.motors`."""
     ear, data, count = drives.ear_at(d.ear), frame.data, 0
     if frame.flags & STRANGE & ~ear.flags:
         return 0
@@ -79,7 +79,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in a reply. A lost encoder reads the lower end of the range, as no field reports the loss."""
+    """Fill in a reply frame. A lost encoder reads the lower end, as no field can report the loss."""
     ear, leg = drives.ear_at(d.ear), said.leg
     begin_sent(frame, ear.replies[leg], ear.longest, ear.flags, d.bus_of[leg])
     data, node = frame.data, d.nodes[leg]
@@ -98,7 +98,7 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 
 
 class MitDrives(drives.MotorDrives):
-    """Six drives of one variant."""
+    """Six emulated drives of one variant of MIT framing."""
 
     obey, encode = obey, encode
 
@@ -107,7 +107,7 @@ class MitDrives(drives.MotorDrives):
         super().__init__(family)
 
     def power_up(self, d: Record) -> None:
-        """Set the registers to their factory values."""
+        """Set the registers of six drives to their factory values."""
         r = self.family.ranges
         for leg, node in enumerate(self.family.nodes):
             d["registers"][leg, : len(HELD)] = 0, 0, r.position, r.velocity, r.torque, node, 1
@@ -130,7 +130,6 @@ class MitDrives(drives.MotorDrives):
             self._take_register(leg, data)
 
     def _take_register(self, leg: int, data: bytes) -> None:
-        """Write a register if that is requested, then answer with its value."""
         register, kind, held = HELD.index(data[3]), k.KIND[data[3]], self.record["registers"][leg]
         if data[2] == k.WRITE:
             (held[register],) = struct.unpack(kind, data[4:])

@@ -31,7 +31,7 @@ _WATCHDOG = int(DriveFault.WATCHDOG)
 
 @helper
 def ask(d: Any, leg: int, source: int, data: Any, size: int) -> None:
-    """Store who requests which registers of a drive, in their order, up to the first malformed subframe."""
+    """Store who requests which registers of a drive, in order, up to the first malformed subframe."""
     d.host[leg], at, found = source, 0, 0
     while at < size:
         kind, width, first, count, at = k.group(data, size, at)
@@ -63,7 +63,7 @@ def _take_torque(d: Any, leg: int, values: Array, messages: int) -> int:
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Execute a command from any controller, then answer if it requests a reply."""
+    """Execute any controller's command as MESSAGEs, with an answer if requested; result as in `motors`."""
     identifier, size, data, count = int(frame.id), int(frame.length), frame.data, 0
     if frame.flags & k.STRANGE or not frame.flags & FD:
         return 0
@@ -115,7 +115,6 @@ def _held(d: Any, said: Any, name: int) -> float:
 
 @helper
 def _put(frame: Any, number: int) -> None:
-    """Append a byte to a frame if there is room."""
     if frame.length < FD_LENGTHS[-1]:
         frame.data[frame.length] = number
         frame.length += 1
@@ -131,7 +130,7 @@ def _put_register(frame: Any, name: int) -> None:
 
 @helper
 def _put_value(frame: Any, number: float, name: int, width: int) -> None:
-    """Append a value as a float, or as a scaled, saturated integer; NaN is the smallest integer."""
+    """Append a register's value as float32, or as a scaled, saturated integer; NaN as the smallest one."""
     size, raw = k.SIZES[width], 0
     if width == k.FLOAT:
         word = np.empty(1, np.float32)
@@ -148,7 +147,7 @@ def _put_value(frame: Any, number: float, name: int, width: int) -> None:
 
 @helper
 def _consecutive(d: Any, leg: int, at: int) -> int:
-    """Length of the run of requested registers, from index `at` on, for one subframe; 0: unknown register."""
+    """Number of requested registers from index `at` that fit one subframe; 0: unknown register."""
     first, width, count = d.wanted[leg, at], d.widths[leg, at], 0
     while at + count < d.asked[leg]:
         name = d.wanted[leg, at + count]
@@ -162,7 +161,7 @@ def _consecutive(d: Any, leg: int, at: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in the reply to the last request, for whoever sent it; a full frame ends it.
+    """Fill in the reply to the last request, whoever sent it; it ends when the frame is full.
 
     A state that the drive does not have is NaN or the smallest integer; any other unknown register is an
     error.
@@ -195,13 +194,13 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 
 
 class MoteusDrives(drives.MotorDrives):
-    """The drives' end of moteus."""
+    """The drives' end of six moteus drives."""
 
     obey, encode = obey, encode
     everyone = k.ALL_NODES
     codes, otherwise = {DriveFault.OVERFORCE: 33, DriveFault.SENSOR: 35, DriveFault.STROKE: 39}, 33
 
     def power_up(self, d: Record) -> None:
-        """Let drives answer our query even before the first one has arrived."""
+        """Set our own query as pending, so that drives report its registers before it has arrived."""
         for leg in range(LEGS):
             ask(d.view(np.recarray), leg, self.family.host, k.QUERY, len(k.QUERY))

@@ -1,4 +1,4 @@
-"""The drives' end of single-motor drives: one record and one compiled end, which all their families share.
+"""The drives' end of single-motor drives: one record and one set of kernels, which all families share.
 
 A family is a subclass of `MotorDrives` with two compiled functions:
 
@@ -66,7 +66,7 @@ DEVICES = np.dtype(
         ("said", "<f8", (SAID.itemsize // 8,)),  # scratch: an element of SAID
     ]
 )
-"""Six emulated drives."""
+"""State of six emulated single-motor drives."""
 _DEVICES = record(DEVICES)
 ear_at = record_at(record(EAR))
 _said_at = record_at(record(SAID))
@@ -84,7 +84,7 @@ _RUNS, _FAILS = int(DriveState.RUN), int(DriveState.FAULT)
 
 @helper
 def commands(d: Any, leg: int, mode: int, torque: float, messages: int, count: int) -> int:
-    """Append a command, torque in N m, after `count` messages; return the new count."""
+    """Append a command MESSAGE: DriveMode and motor torque, N m; returns the new count."""
     d.heard[leg] += 1
     d.enabled[leg] = mode == RUN
     force = torque * d.N_per_Nm[leg]
@@ -93,26 +93,26 @@ def commands(d: Any, leg: int, mode: int, torque: float, messages: int, count: i
 
 @helper
 def enables(d: Any, leg: int, torque: float, messages: int, count: int) -> int:
-    """Append two commands that enable a drive."""
+    """Append two command MESSAGEs, READY and RUN, that enable a drive; returns the new count."""
     count = commands(d, leg, READY, torque, messages, count)
     return commands(d, leg, RUN, torque, messages, count)
 
 
 @helper
 def configures(d: Any, leg: int, watchdog_ns: int, messages: int, count: int) -> int:
-    """Append a set-up of a drive."""
+    """Append a CONFIGURE MESSAGE with a watchdog time, ns; returns the new count."""
     return codec.put_message(messages, count, leg, codec.CONFIGURE, d.reaction, watchdog_ns, 0.0)
 
 
 @helper
 def rejects(leg: int, messages: int) -> int:
-    """Fill in one message: the frame is rejected."""
+    """Write one MESSAGE that counts the frame as rejected; returns 1."""
     return codec.put_message(messages, 0, leg, codec.REJECTED, 0, 0, 0.0)
 
 
 @helper
 def answers(leg: int, messages: int, count: int) -> int:
-    """Append a message that lets a drive answer."""
+    """Append a SYNC MESSAGE, which makes the drive of a leg send its feedback; returns the new count."""
     return codec.put_message(messages, count, leg, codec.SYNC, 0, 0, 0.0)
 
 
@@ -121,7 +121,7 @@ def answers(leg: int, messages: int, count: int) -> int:
 
 @pointed(_DEVICES, INTEGER, INTEGER)
 def parse(d: Any, frame_address: int, messages: int) -> int:
-    """Decode a frame for the drives on its bus, see `DrivesEnd`."""
+    """Decode a frame for the drives on its bus to MESSAGEs; function `parse` of `DrivesEnd`."""
     frame = frame_at(frame_address)
     identifier = np.int64(frame.id)
     if frame.bus >= d.buses:
@@ -154,7 +154,7 @@ def _read(d: Any, leg: int, reading: Any, said: Any) -> bool:
 
 @pointed(_DEVICES, INTEGER, INTEGER, INTEGER, INTEGER)
 def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: int) -> int:
-    """Fill in the answers to a SYNC message, each on its bus; FAILED for a reading that is not finite."""
+    """Write the feedback frames for a SYNC message to address `into`; returns how many; FAILED for NaN."""
     sync, reading = codec.message_at(sync_address), codec.reading_at(reading_address)
     at = np.int64(d.said.ctypes.data)
     said, legs, count = _said_at(at), integers_at(senders, LEGS), 0
@@ -175,7 +175,7 @@ def answer(d: Any, sync_address: int, reading_address: int, into: int, senders: 
 def silent(
     _d: Any, _leg: int, _state: int, _fault: int, _watchdog_ns: int, _reaction: int, _due: int, _into: int
 ) -> int:
-    """No status frame: these drives send only when they are requested to."""
+    """Function `report` of drives without a status frame: they send only on request. Returns 0."""
     return 0
 
 
@@ -183,7 +183,7 @@ _MEMORY = ("heard", "enabled", "registers", "host", "asked", "wanted", "widths")
 
 
 class MotorDrives(codec.DrivesEnd):
-    """The drives' end of single-motor drives. Mutable state: the record."""
+    """The drives' end of six single-motor drives. Mutable state: its record."""
 
     obey: Pointed
     encode: Pointed
@@ -211,12 +211,12 @@ class MotorDrives(codec.DrivesEnd):
         self._new = d.copy()
 
     def power_up(self, d: Record) -> None:
-        """Fill in the power-up state of six drives; by default all is 0."""
+        """Set the power-up state of six drives in the record; by default all is 0."""
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Process a frame that is not compiled, see `converse`.
+        """Process a frame that the kernels do not decode; called by `converse`.
 
-        leg: addressed leg, None if there is none; the frame is given as on bus 0.
+        leg: addressed leg, None if there is none; the frame has bus index 0.
         """
         raise NotImplementedError
 
@@ -225,7 +225,7 @@ class MotorDrives(codec.DrivesEnd):
         super().say(leg, self.family.to_leg(leg, frame))
 
     def converse(self, frame: Frame) -> None:
-        """Pass a frame that is not compiled to `request`."""
+        """Pass a frame that the kernels do not decode to `request`."""
         legs: tuple[int, ...] = self.family.addressed(frame)
         self.request(legs[0] if legs else None, off_bus(frame))
 

@@ -31,7 +31,7 @@ from plant_fmu.plant import Plant, Truth
 
 
 class Nodes:
-    """Six drives and the plant behind them.
+    """Six emulated drives and the plant that they move: the drives' side of the bus.
 
     States. A drive boots with its brake engaged; CONFIG takes it to OFF; then `TRANSITIONS` hold. RUN is
     reached through READY only. CONFIG is valid in BOOT, OFF and FAULT; the drive answers with a status that
@@ -93,21 +93,21 @@ class Nodes:
         self._apply_faults(t0_ns)
 
     def step(self, t_ns: int, received: Sequence[Received]) -> list[tuple[int, Frame]]:
-        """`advance` with frames in place of arrays; returns (instant at which to queue it, frame to send)."""
+        """`advance` for Python frames; returns pairs (time, ns, at which to queue it; frame to send)."""
         return [*received_frames(self.advance(t_ns, received_array(received)))]
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
-        """Advance to `t_ns`, receiving elements of FRAME; return those to queue at their instants, in order.
+        """Advance to `t_ns`, receiving FRAME records; returns the frames to queue, in time order.
 
-        `received` holds the frames that arrived since the last pass, times up to `t_ns`; a frame older than
-        the end of the last pass counts as arriving then. Feedback is queued at the instant its SYNC arrives.
+        `received` holds the frames that arrived since the last call, times up to `t_ns`; a frame older than
+        the end of the last call counts as arriving then. Feedback is queued at the instant its SYNC arrives.
         Status is queued every heartbeat, one drive after the other, and at changes of state or fault if the
-        family does so. A watchdog that ends exactly at `t_ns` waits for the next pass: a command of that
+        family does so. A watchdog that ends exactly at `t_ns` waits for the next call: a command of that
         instant is in time. Frames that faults delay or add may have later instants. The result is valid
-        until the next pass. Raises PlantError if `t_ns` is before the last one or the plant fails.
+        until the next call. Raises PlantError if `t_ns` is before the last one or the plant fails.
         """
         if t_ns < self._record["now_ns"]:
-            raise PlantError(f"nodes: t_ns {t_ns} is before the last pass at {self.now_ns}")
+            raise PlantError(f"nodes: time {t_ns} ns is before that of the last call, {self.now_ns} ns")
         if self._present.hangs:
             self._missed.append(received.copy())
             if self.schedule.present(t_ns).hangs:
@@ -120,11 +120,11 @@ class Nodes:
 
     @property
     def address(self) -> int:
-        """Address of the record for `live`; 0 while the drives can only advance through `advance`."""
+        """Address of the drives' record for compiled calls of `live`; 0: only `advance` is possible."""
         return 0 if self._gateway is not None or self._present.hangs else self._drives.address
 
     def go_on(self, received: Rows, status: int) -> Rows:
-        """Continue after `live` has ended with a status; return the frames to send, see `advance`."""
+        """Do what `live` returned early for, and finish its call; returns the frames to send as `advance`."""
         self._frames = received
         while status:
             self._decide(status)
@@ -165,7 +165,7 @@ class Nodes:
                 )
 
     def reached(self, mode: str) -> None:
-        """Start the time of the faults that wait for a mode which the controller has reached."""
+        """Start the faults whose times count from the instant at which the controller reaches `mode`."""
         now_ns = self.now_ns
         if self.schedule.reached(mode, now_ns):
             self._edges = self.schedule.edges_ns(now_ns)
@@ -175,21 +175,21 @@ class Nodes:
 
     @property
     def now_ns(self) -> int:
-        """End of the last pass, ns; for a pass that failed, the instant it reached."""
+        """Time that the drives have reached, ns: end of the last `advance`, or where it failed."""
         return int(self._record["now_ns"])
 
     @property
     def next_reading_ns(self) -> int:
-        """Instant at which the next drive sends its unrequested reading, ns."""
+        """Time at which the next drive sends an unrequested reading, ns."""
         return int(self._record["reading_ns"])
 
     @property
     def syncs(self) -> int:
-        """SYNC frames or polls received since the start."""
+        """Number of SYNC frames or polls received since the start."""
         return int(self._record["syncs"])
 
     def snapshot(self) -> Snapshot:
-        """State of plant and drives now, in copied arrays; a plant that has failed has no truth."""
+        """State of plant and drives now, in copied arrays; `truth` is None for a plant that has failed."""
         truth, n = None, self._record
         with suppress(PlantError):  # the next step reports it
             truth = self._known_truth()
@@ -213,7 +213,6 @@ class Nodes:
         self._record["edge_ns"] = self._edges[0] if self._edges else drive_rules.NEVER_NS
 
     def _set_wrench(self) -> None:
-        """Set the wrench on the platform; the weight of a mass acts at its current position."""
         wrench = self._present.wrench
         truth = self._known_truth() if self._present.masses else None
         if truth is not None:
@@ -249,7 +248,7 @@ class Nodes:
         drive_rules.actuate(self._drives.seen, False, t)
 
     def _switch_on(self, which: Sequence[bool]) -> None:
-        """Let the encoders of drives that are switched on lose their count of turns."""
+        """Subtract the motor turns that encoders lose when their drives are switched on."""
         n, homing, transmission = self._record, self._settings.homing, self._transmission
         if homing is not None and transmission is not None and any(which):
             n["uncounted"] = np.where(which, forgotten_m(homing, transmission, n["length"]), n["uncounted"])

@@ -42,7 +42,7 @@ def _ask_state(d: Any, leg: int, data: Any, messages: int) -> int:
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Execute a command, or answer a request for estimates."""
+    """Execute a command, or answer a request for estimates; result: see `plant_fmu.drives.motors`."""
     kind, size, data = int(frame.id) & 0x1F, int(frame.length), frame.data
     if frame.flags & o.NOT_OURS:
         return 0
@@ -73,7 +73,7 @@ def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
 
 @drives.encoding
 def encode(d: Any, said: Any, frame: Any) -> int:
-    """Fill in encoder estimates; NaN for a lost encoder."""
+    """Fill in a frame of encoder estimates, turns and turns/s; NaN for a lost encoder."""
     begin_sent(frame, d.nodes[said.leg] << 5 | o.ESTIMATES, 8, 0, d.bus_of[said.leg])
     motors.put_single(np.nan if said.lost else said.turns, frame.data, 0)
     motors.put_single(np.nan if said.lost else said.speed, frame.data, 4)
@@ -84,7 +84,7 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 def beat(
     d: Any, leg: int, state: int, fault: int, _watchdog_ns: int, _reaction: int, due: int, into: int
 ) -> int:
-    """Fill in a heartbeat: error, state, procedure result, trajectory done. None is sent at a change."""
+    """Write a heartbeat with error and state to address `into` if it is due; none at a change of state."""
     if not due:
         return 0
     frame = frame_at(into)
@@ -97,7 +97,7 @@ def beat(
 
 
 class ODriveDrives(drives.MotorDrives):
-    """The drives' end of ODrive."""
+    """The drives' end of six ODrive axes."""
 
     obey, encode, beat = obey, encode, beat
     codes = {
@@ -109,7 +109,7 @@ class ODriveDrives(drives.MotorDrives):
     }
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Process Estop or a request for the address."""
+        """Process Estop, or a request for the serial number."""
         assert leg is not None
         node = self.family.nodes[leg]
         if frame.id & 0x1F == o.ADDRESS:

@@ -1,4 +1,4 @@
-"""The record of six drives, of their time and their pass, and the reasons for which the pass ends."""
+"""The record (NODES) of six emulated drives, and the reasons for which a call of `live` returns."""
 
 import numpy as np
 

@@ -17,7 +17,7 @@ from plant_fmu.drives.mit import CODES, scaled
 
 @drives.obeying
 def obey(d: Any, leg: int, frame: Any, messages: int) -> int:
-    """Execute a command; the drive answers with its feedback."""
+    """Execute a command as MESSAGEs, with an answer of feedback; result: see `plant_fmu.drives.motors`."""
     identifier = int(frame.id)
     kind, count = identifier >> 24, 0
     if not frame.flags & EXTENDED or frame.flags & k.STRANGE:
@@ -63,13 +63,13 @@ def encode(d: Any, said: Any, frame: Any) -> int:
 
 
 class RobStrideDrives(drives.MotorDrives):
-    """The drives' end of RobStride."""
+    """The drives' end of six RobStride drives."""
 
     obey, encode = obey, encode
     codes, otherwise = CODES["robstride"], 4
 
     def request(self, leg: int | None, frame: Frame) -> None:
-        """Process a request for the device identifier or a register; feedback answers a write only."""
+        """Process a request for serial number or register; feedback answers only the write of a register."""
         identifier, data, _ = frame
         assert leg is not None
         kind, node = identifier >> 24, self.family.nodes[leg]

@@ -1,4 +1,4 @@
-"""Emulated sensors, compiled: reception of SYNC, the pose between two grid points, bias and noise."""
+"""Emulated sensors in kernels: reception of SYNC, the pose between two time steps, bias and noise."""
 
 from math import atan2, pi, sin, sqrt
 from typing import Any
@@ -55,7 +55,7 @@ def turn(r: Array, R: Array) -> Array:
 
 @helper
 def carried(p: Array, R: Array, twist: Array, dt_s: float) -> tuple[Array, Array]:
-    """Position (3,) m and rotation (3, 3) after `dt_s` at a constant twist (6,), base frame."""
+    """Position (3,) m and rotation (3, 3) after `dt_s` s at a constant twist (6,); all in the base frame."""
     return p + dt_s * twist[:3], turn(dt_s * twist[3:], R)
 
 
@@ -102,7 +102,10 @@ def listen(n: Any, frame_address: int) -> int:
 def measure(
     n: Any, kind: int, counter: int, t_ns: int, grid_ns: int, p: Array, R: Array, twist: Array, frame: Any
 ) -> int:
-    """Measure at `t_ns`, given the truth at the grid point, and fill in the frame; 0, SILENT or FAILED."""
+    """Measure at `t_ns`, given pose and twist at the plant's last time step `grid_ns`, and fill in the frame.
+
+    twist (6,) m/s, rad/s, base frame. Returns 0, SILENT if the last SYNC is too old, or FAILED for NaN.
+    """
     there, turned = carried(p, R, twist, (t_ns - grid_ns) * 1e-9)
     bias, noise, v = n.bias[kind], n.noise[kind] * n.drawn, n.values
     if kind == TRACKER:

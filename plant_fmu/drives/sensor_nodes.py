@@ -1,7 +1,7 @@
-"""Emulated tracker, IMU and wrench sensor in addition to the drives: they sample the plant's truth.
+"""Emulated tracker, IMU and wrench sensor in addition to the drives: they sample the plant's true state.
 
 A sample is taken at its own instant, stamped relative to the last SYNC before it, and enters the bus after
-its latency. Between grid points of the plant the pose is extrapolated with the twist. The specific force is
+its latency. Between time steps of the plant the pose is extrapolated with the twist. The specific force is
 the mean over the plant's last internal step, as of a device that integrates.
 """
 
@@ -49,7 +49,7 @@ class SensedNodes(Nodes):
         super().__init__(plant, protocol, emulation, drives, faults)
 
     def start(self, t0_ns: int) -> None:
-        """`Nodes.start`; every sensor takes its first sample at `t0_ns`."""
+        """Power up as `Nodes.start`; every sensor takes its first sample at `t0_ns`."""
         super().start(t0_ns)
         self._start_ns = self._sense_ns = t0_ns
         self._count, self._due_ns = dict.fromkeys(self._period_ns, 0), dict.fromkeys(self._period_ns, t0_ns)
@@ -75,13 +75,13 @@ class SensedNodes(Nodes):
 
     @property
     def address(self) -> int:
-        """Always 0: the sensors' frames have to be added after each pass."""
+        """Always 0, so that only `advance` is used: it adds the sensors' frames."""
         return 0
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
-        """`Nodes.advance`, with the frames of the sensors among those of the drives.
+        """Advance as `Nodes.advance`; the sensors' frames are merged into those of the drives.
 
-        A pass ends at each sample of a sensor, as faults change the truth between samples.
+        The drives advance from sample to sample, as faults change the true state between samples.
         """
         out: list[Rows] = []
         frames = received[np.argsort(received["t_ns"], kind="stable")]
@@ -107,7 +107,9 @@ class SensedNodes(Nodes):
     def _sense(self, t_ns: int) -> None:
         truth, grid_ns = self._known_truth(), self._grid_ns()
         if truth is None:
-            raise PlantError("sensors: the plant does not know its pose, so nothing can measure it")
+            raise PlantError(
+                "sensors: the plant reports no platform pose for them to measure; remove sensors"
+            )
         for kind, due_ns in self._due_ns.items():
             if due_ns == t_ns:
                 self._sample(kind, t_ns, truth, grid_ns)
@@ -121,7 +123,6 @@ class SensedNodes(Nodes):
         self._sense_ns = min(self._note_ns, *self._due_ns.values())
 
     def _sample(self, kind: int, t_ns: int, truth: Truth, grid_ns: int) -> None:
-        """Take one sample, and keep its frame until its latency is over."""
         n, frame = self._sensed, np.zeros(1, FRAME)
         self._chance.standard_normal(out=n["drawn"])
         status = measure(n, kind, self._count[kind], t_ns, grid_ns, *truth[:3], frame.reshape(()))

@@ -1,4 +1,4 @@
-"""Faults of plant, drives, frames and process. A module with kinds of faults has to be imported here."""
+"""Faults of plant, drives, frames and process. A module that defines fault kinds is imported here."""
 
 from typing import TYPE_CHECKING, Annotated, Union
 

@@ -28,7 +28,7 @@ entry that lists (leg, figure, since when); the figure, or the name of the field
 
 
 class Present:
-    """The faults of drives and plant at one instant; an element per leg for faults of legs."""
+    """All effects of faults on drives and plant at one instant; lists have one element per leg."""
 
     def __init__(self) -> None:
         self.since_ns: int
@@ -37,12 +37,12 @@ class Present:
         """Random numbers of the fault that is being entered."""
         self.offset_m = [0.0] * LEGS
         self.drifts: list[tuple[int, float, int]] = []
-        """Leg, m/s, start in ns."""
+        """(leg, speed m/s, start ns) of each encoder drift."""
         self.noise: list[tuple[int, float, np.random.Generator]] = []
-        """Leg, standard deviation in m, random numbers."""
+        """(leg, standard deviation m, random numbers) of each encoder noise."""
         self.late_ns = [0] * LEGS
         self.scales: list[tuple[int, float, int]] = []
-        """Leg, factor on the motion that its encoder counts, start in ns."""
+        """(leg, factor on the motion that its encoder counts, start ns) of each scale error."""
         self.frozen = [False] * LEGS
         self.lost = [False] * LEGS
         self.forged_m: list[float | None] = [None] * LEGS
@@ -61,9 +61,9 @@ class Present:
         self.wrench: Array = np.zeros(LEGS)
         """(6,) N, N m on the platform at its origin, base frame."""
         self.masses: list[tuple[float, Array]] = []
-        """kg, and the position of the mass on the platform: (3,) m, platform frame."""
+        """(mass kg, position (3,) m in the platform frame) of each extra mass."""
         self.bus_off = 0
-        """Bit i: bus i is cut."""
+        """Bit i is set if bus i is off by a fault."""
         self.not_finite = self.hangs = self.crashes = False
 
 
@@ -72,7 +72,7 @@ FAULTS: dict[str, type[Fault]] = {}
 
 
 class Fault(Section):
-    """A fault that begins at an instant. Each kind states its name as `kind` in the head of its class.
+    """A fault that begins at an instant. A subclass gives its name by `kind` in its class statement.
 
     Raises ValidationError on invalid values.
     """
@@ -85,7 +85,7 @@ class Fault(Section):
     """Mode of the controller from whose beginning `at_s` counts."""
 
     def __init_subclass__(cls, kind: str | None = None, effect: Effect | None = None, **given: Any) -> None:
-        """Register a kind: add it to `FAULTS`, and restrict its field `kind` to this name."""
+        """Register the subclass under `kind` in `FAULTS`; effect: (field, operator, value) of `Present`."""
         super().__init_subclass__(**given)
         cls.effect = effect or cls.effect
         if kind is not None:
@@ -94,11 +94,11 @@ class Fault(Section):
 
     @property
     def lasts_ns(self) -> int:
-        """Duration of the fault, ns; by default one instant."""
+        """Duration of the fault, ns; by default 1 ns, that is one instant."""
         return 1
 
     def act(self, present: Present) -> None:
-        """Enter the fault's effect in `present`, for its leg if it has one."""
+        """Add the fault's effect to `present`, for its leg if it has one."""
         if self.effect is None:
             return
         (entry, join, figure), fault = self.effect, cast("Any", self)
@@ -113,35 +113,35 @@ class Fault(Section):
 
 
 def last(_: object, figure: object) -> object:
-    """Of several faults of one kind the last one counts."""
+    """Combine two faults of one kind on a field: the later value replaces the earlier one."""
     return figure
 
 
 def later(ns: int, by_ms: float) -> int:
-    """Several delays add up."""
+    """Combine delays: ns plus `by_ms` milliseconds, in ns."""
     return ns + round(by_ms * 1e6)
 
 
 class LastingFault(Fault):
-    """A fault with the duration `for_s`."""
+    """A fault that lasts for `for_s` seconds."""
 
     for_s: Annotated[float, Field(gt=0)] | None = None
     """Duration of the fault; default: to the end of the run."""
 
     @property
     def lasts_ns(self) -> int:
-        """Duration of the fault, ns."""
+        """Duration of the fault, ns, from `for_s`."""
         return NEVER_NS if self.for_s is None else max(1, round(self.for_s * 1e9))
 
 
 class LegFault(LastingFault):
-    """A fault of one leg."""
+    """A fault of one leg (0..5): of its encoder, drive or brake."""
 
     leg: Annotated[int, Field(ge=0, lt=LEGS)]
 
 
 class Occurrence:
-    """One fault in one run.
+    """One fault in one run, with its start time.
 
     Mutable state: its start, its random numbers, the frames that it has seen, by `Place`, and how many it has
     sent.
@@ -163,23 +163,23 @@ Place = tuple[bool, int, int]
 
 
 class Passage(LastingFault):
-    """A fault of frames in transit, in both directions."""
+    """A fault of frames in transit between controller and drives, in both directions."""
 
     adds: ClassVar[bool] = False
     """True if frames after the first come from an extra node, so that both ends receive them."""
 
     def concerns(self, frame: Frame) -> bool:
-        """Check if the fault can affect this frame: its identifier and bus are the frame's or not set."""
+        """True if the fault may affect this frame: identifier and bus match or are not configured."""
         identifier, bus = getattr(self, "identifier", None), getattr(self, "bus", None)
         return identifier in (None, frame.id) and bus in (None, frame.bus)
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Arrivals of a frame that was due at `t_ns`: (instant, frame). Changes `own`."""
+        """(arrival ns, frame) of each copy of a frame that was due at `t_ns`; empty: lost. Changes `own`."""
         raise NotImplementedError
 
 
 class FrameFault(Passage):
-    """A fault of the frames of one identifier, or of all, in both directions."""
+    """A fault of all frames, or of those with one identifier, in both directions."""
 
     copies: ClassVar[int] = 1
     """Number of copies that arrive of an affected frame."""
@@ -191,11 +191,11 @@ class FrameFault(Passage):
     """Seed of the random choice of frames."""
 
     def carry(self, t_ns: int, frame: Frame, _place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Let the fault affect a frame at random."""
+        """Arrivals (ns, frame); the fault affects the frame with its configured probability."""
         if own.generator.random() < self.probability:
             return self.strike(t_ns, frame, own.generator)
         return [(t_ns, frame)]
 
     def strike(self, t_ns: int, frame: Frame, _generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Arrivals of an affected frame: (instant, frame). May draw random numbers."""
+        """Arrivals (ns, frame) of a frame that the fault affects. May draw random numbers."""
         return [(t_ns, frame)] * self.copies

@@ -1,4 +1,4 @@
-"""Frames of a controller that should not exist, and has received no feedback."""
+"""Frames of an additional controller that should not be on the bus, and has received no feedback."""
 
 import numpy as np
 
@@ -10,9 +10,9 @@ from drivers.signals import LEGS, Command, DriveMode
 
 
 def forged(protocol: Family, force_N: float, tick: int) -> tuple[Frame, ...]:
-    """Command of an extra controller in a tick: RUN, the same force in each leg.
+    """Command frames of an extra controller in a tick: RUN, with `force_N` (push positive) for each leg.
 
-    It takes all drives for enabled. Raises ProtocolError if the force does not fit.
+    It presumes that all drives are enabled. Raises ProtocolError if the force does not fit.
     """
     end = _unheard(protocol)
     end.presume_running()
@@ -21,7 +21,7 @@ def forged(protocol: Family, force_N: float, tick: int) -> tuple[Frame, ...]:
 
 
 def opened(protocol: Family, force_N: float, tick: int) -> tuple[Frame, ...]:
-    """Frames of the start of a tick, and the command; only this in a family whose poll is the command."""
+    """SYNC and command of an extra controller in a tick; only the command if it is also the poll."""
     command = forged(protocol, force_N, tick)
     if protocol.traits.command_delay_ticks:
         return command
@@ -29,5 +29,5 @@ def opened(protocol: Family, force_N: float, tick: int) -> tuple[Frame, ...]:
 
 
 def _unheard(protocol: Family) -> ControllerEnd:
-    """Create the end of a controller that has received no frames."""
+    """Controller's end of an extra controller that has received no frames."""
     return protocol.controller_end(DriveSetup(0.01, protocol.traits.reactions[0], 1000.0))

@@ -30,41 +30,41 @@ Vector = tuple[float, float, float]
 
 
 class EncoderJump(LegFault, kind="encoder_jump", effect=("offset_m", add, "by_m")):
-    """The encoder slips: its reading is the length plus a constant."""
+    """The encoder slips: its reading is the length plus a constant, `by_m`."""
 
     by_m: float
 
 
 class EncoderFreeze(LegFault, kind="encoder_freeze", effect=("frozen", last, True)):
-    """The reading stays as it was when the fault began, with rate zero."""
+    """The encoder's reading stays as it was when the fault began, with rate zero."""
 
 
 class EncoderDrift(LegFault, kind="encoder_drift", effect=("drifts", None, "by_m_s")):
-    """The reading drifts away from the length at this speed, which the measured rate contains."""
+    """The encoder's reading drifts away from the length at a constant speed, also seen in the rate."""
 
     by_m_s: float
 
 
 class EncoderNoise(LegFault, kind="encoder_noise"):
-    """White noise on the length in the feedback."""
+    """White noise on the leg length in the feedback, with standard deviation `sigma_m`."""
 
     sigma_m: Annotated[float, Field(ge=0)]
-    """Standard deviation."""
+    """Standard deviation of the length."""
     seed: Annotated[int, Field(ge=0)] = 0
 
     def act(self, present: Present) -> None:
-        """Several noises add up."""
+        """Add this noise to the leg's other noise sources."""
         present.noise.append((self.leg, self.sigma_m, present.generator))
 
 
 class EncoderLate(LegFault, kind="encoder_late", effect=("late_ns", later, "by_ms")):
-    """The feedback is late by this time: at first its length and rate stay as when the fault began."""
+    """The feedback is late by `by_ms`; for that time length and rate stay as when the fault began."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)] = 1.0
 
 
 class EncoderScale(LegFault, kind="encoder_scale", effect=("scales", None, "factor")):
-    """The encoder scales the motion since the fault began, and the rate, by this factor."""
+    """The encoder multiplies the motion since the fault began, and the rate, by a factor."""
 
     factor: float
 
@@ -88,7 +88,7 @@ class DriveReset(Fault, kind="drive_reset", effect=("reset", last, True)):
 
 
 class DriveGain(LegFault, kind="drive_gain", effect=("gain", mul, "factor")):
-    """The leg's force is the drive's force times this factor."""
+    """The leg's force is the drive's force times `factor`."""
 
     factor: float
 
@@ -98,7 +98,7 @@ class DriveSign(LegFault, kind="drive_sign", effect=("gain", mul, -1.0)):
 
 
 class DriveSaturation(LegFault, kind="drive_saturation", effect=("saturation_N", min, "limit_N")):
-    """The drive's force is limited to this value."""
+    """The drive's force is limited to `limit_N`."""
 
     limit_N: Annotated[float, Field(ge=0)]
 
@@ -112,13 +112,13 @@ class BrakeStuckClosed(LegFault, kind="brake_stuck_closed", effect=("stuck", las
 
 
 class BrakeSlow(LegFault, kind="brake_slow", effect=("slow_ns", later, "by_ms")):
-    """The brake opens and closes later by this time than its drive assumes."""
+    """The brake opens and closes later than its drive assumes, by `by_ms`."""
 
     by_ms: Annotated[float, Field(gt=0, le=10_000)]
 
 
 class BrakeSlipping(LegFault, kind="brake_slipping", effect=("share", mul, "share")):
-    """The engaged brake has only this share of its force."""
+    """The engaged brake holds only a share of its force, `share`."""
 
     share: Annotated[float, Field(ge=0, le=1)]
 
@@ -128,32 +128,32 @@ BRAKES = (BrakeStuckOpen, BrakeStuckClosed, BrakeSlipping)
 
 
 class FramesLoss(FrameFault, kind="frames_loss"):
-    """The frame never arrives."""
+    """Frames are lost: an affected frame never arrives."""
 
     copies: ClassVar[int] = 0
 
 
 class FramesDuplicate(FrameFault, kind="frames_duplicate"):
-    """The frame arrives twice."""
+    """Frames are duplicated: an affected frame arrives twice."""
 
     copies: ClassVar[int] = 2
 
 
 class FramesDelay(FrameFault, kind="frames_delay"):
-    """The frame arrives later."""
+    """Frames are delayed: an affected frame arrives `by_ms` later."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)]
 
     def strike(self, t_ns: int, frame: Frame, generator: np.random.Generator) -> list[tuple[int, Frame]]:
-        """Delay the frame."""
+        """Arrival of an affected frame, `by_ms` after its time."""
         return super().strike(t_ns + round(self.by_ms * 1e6), frame, generator)
 
 
 class FramesReorder(FrameFault, kind="frames_reorder"):
-    """The frame arrives after the next one of its identifier on its bus."""
+    """Frames change order: an affected frame arrives after the next one of its identifier on its bus."""
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Hold an affected frame back until the next one of its stream has arrived."""
+        """Hold an affected frame back until the next one of its identifier and bus has arrived."""
         held = own.frames.pop(place, [])
         if not held and own.generator.random() < self.probability:
             own.frames[place] = [frame]
@@ -175,7 +175,7 @@ class FramesCorrupt(FrameFault, kind="frames_corrupt"):
 
 
 class FramesForgedCommand(LastingFault, kind="frames_forged_command"):
-    """An extra node sends a command after every SYNC: RUN, this force in each leg, with valid checksums.
+    """An extra node sends a command after every SYNC: RUN, with `force_N` for each leg and valid checksums.
 
     Both ends receive it, before the controller's command.
     """
@@ -190,14 +190,14 @@ class FramesForgedFeedback(LegFault, kind="frames_forged_feedback", effect=("for
 
 
 class FramesOld(FrameFault, kind="frames_old"):
-    """An extra node repeats an older frame of the same identifier and bus after a frame, for both ends."""
+    """An extra node repeats, after a frame, an older one of its identifier and bus; both ends receive it."""
 
     adds: ClassVar[bool] = True
     back: Annotated[int, Field(ge=1, le=1000)] = 2
     """Age of the repeated frame, in frames of this identifier on its bus."""
 
     def carry(self, t_ns: int, frame: Frame, place: Place, own: Occurrence) -> list[tuple[int, Frame]]:
-        """Store the frame, and repeat an older one at random."""
+        """Store the frame; with the configured probability add an older one after it."""
         seen = own.frames.setdefault(place, [])
         seen.append(frame)
         if len(seen) <= self.back:
@@ -214,44 +214,44 @@ class BusOff(Passage, kind="bus_off"):
     """Index of the bus in `bus.channels`, from 0; default: every bus."""
 
     def act(self, present: Present) -> None:
-        """Cut the bus."""
+        """Mark the configured bus, or all buses, as off."""
         present.bus_off |= EVERY_BUS if self.bus is None else 1 << self.bus
 
     def carry(self, _t_ns: int, _frame: Frame, _place: Place, _own: Occurrence) -> list[tuple[int, Frame]]:
-        """Lose every frame."""
+        """No arrivals: the frame is lost."""
         return []
 
 
 class SenderFault(LastingFault):
-    """An extra node that sends frames at its own rate. Both ends receive them."""
+    """An extra node that sends frames at its own rate; controller and drives receive them."""
 
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 1000.0
     bus: BusIndex = 0
     """Index of the node's bus in `bus.channels`, from 0."""
 
     def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
-        """Frames that the node sends as its transmission `number`, from 0."""
+        """Frames that the extra node sends as its transmission `number`, counted from 0."""
         raise NotImplementedError
 
 
 class BusFlood(SenderFault, kind="bus_flood"):
-    """Frames of 8 bytes with an identifier that wins arbitration against all others."""
+    """An extra node floods the bus with 8-byte frames that win arbitration against all others."""
 
     rate_Hz: Annotated[float, Field(gt=0, le=100_000)] = 8000.0
     identifier: Annotated[int, Field(ge=0, le=0x7FF)] = 0
 
     def frames(self, _protocol: Family, _number: int) -> tuple[Frame, ...]:
-        """One frame."""
+        """One frame of 8 bytes with the configured identifier, per transmission."""
         return (Frame(self.identifier, _DATA, BUS * self.bus),)
 
 
 class BusSecondController(SenderFault, kind="bus_second_controller"):
-    """A second controller: SYNC, then a RUN command with this force in each leg."""
+    """A second controller sends SYNC and a RUN command with `force_N` for each leg."""
 
     force_N: float = 0.0
 
     def frames(self, protocol: Family, number: int) -> tuple[Frame, ...]:
-        """Frames of the start of a tick, and the command; only this in a family whose poll is the command."""
+        """SYNC and command frames of one tick; only the command if it is also the poll."""
         from plant_fmu.faults.foreign_controller import opened  # noqa: PLC0415 - compiled code: not for who only reads a configuration
 
         return tuple(frame for frame in opened(protocol, self.force_N, number) if frame.bus == self.bus)
@@ -269,7 +269,7 @@ class ProcessStop(Fault, kind="process_stop"):
 
 
 class ProcessSlow(LastingFault, kind="process_slow"):
-    """Every iteration of the process's loop takes longer by this time."""
+    """Every iteration of the process's loop takes `by_ms` longer."""
 
     by_ms: Annotated[float, Field(gt=0, le=1000)]
 
@@ -279,39 +279,39 @@ PROCESS = (ProcessKill, ProcessStop, ProcessSlow)
 
 
 class PlantNaN(LastingFault, kind="plant_nan", effect=("not_finite", last, True)):
-    """The plant's lengths are NaN."""
+    """The plant's leg lengths are NaN."""
 
 
 class PlantHang(LastingFault, kind="plant_hang", effect=("hangs", last, True)):
-    """The plant hangs in a step: no drive answers; afterwards it catches up on what it has missed."""
+    """The plant hangs in a step: no drive answers; afterwards it makes up for the missed time."""
 
 
 class PlantCrash(Fault, kind="plant_crash", effect=("crashes", last, True)):
-    """The plant fails at this instant, and with it the drives."""
+    """The plant fails at this instant, and the emulated drives stop with it."""
 
 
 class WrenchStep(LastingFault, kind="wrench_step"):
-    """A wrench on the platform at its origin, base frame."""
+    """A constant wrench on the platform at its origin, base frame."""
 
     force_N: Vector = (0.0, 0.0, 0.0)
     moment_N_m: Vector = (0.0, 0.0, 0.0)
 
     def act(self, present: Present) -> None:
-        """Several wrenches add up."""
+        """Add this wrench to those of other faults."""
         present.wrench += (*self.force_N, *self.moment_N_m)
 
 
 class PayloadStep(LastingFault, kind="payload_step"):
-    """The weight of an extra mass on the platform; its inertia is not simulated."""
+    """An extra mass on the platform, simulated as its weight only: it adds no inertia."""
 
     mass_kg: Annotated[float, Field(gt=0)]
     position_m: Vector = (0.0, 0.0, 0.0)
-    """Position of the mass, platform frame."""
+    """Position of the extra mass, platform frame."""
 
     def act(self, present: Present) -> None:
-        """Several masses add up."""
+        """Add this mass to those of other faults."""
         present.masses.append((self.mass_kg, np.array(self.position_m)))
 
 
 LOADS = (WrenchStep, PayloadStep)
-"""Faults that need a platform."""
+"""Fault kinds that need a platform."""

@@ -1,4 +1,4 @@
-"""The faults of one run, and their times."""
+"""The faults of one run, and when each of them begins and ends."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,7 +14,7 @@ STANDARD_GRAVITY = (0.0, 0.0, -9.81)
 
 
 class FaultPlan:
-    """The faults of one run. `seed` varies all their random numbers; gravity (3,) m/s^2, base frame."""
+    """The faults of one run; seed: of all their random numbers; gravity: (3,) m/s^2, base frame."""
 
     def __init__(
         self, faults: Sequence[Fault] = (), seed: int = 0, gravity: Sequence[float] = STANDARD_GRAVITY
@@ -28,7 +28,7 @@ class FaultPlan:
 
 
 class Schedule:
-    """Start and end of the faults of a plan in one run.
+    """Start and end times of the faults of a plan in one run.
 
     Mutable state: the occurrences of the faults.
     """
@@ -50,31 +50,31 @@ class Schedule:
 
     @property
     def waiting(self) -> tuple[Fault, ...]:
-        """Faults that wait for a mode of the controller."""
+        """Faults of the plan whose times count from a mode that the controller has not reached yet."""
         return tuple(each.fault for each in self._occurrences if each.start_ns == NEVER_NS)
 
     def begun(self, t_ns: int) -> tuple[Fault, ...]:
-        """Faults that have begun by an instant."""
+        """Faults that have begun by `t_ns`."""
         return tuple(each.fault for each in self._occurrences if each.start_ns <= t_ns)
 
     def reached(self, mode: str, t_ns: int) -> bool:
-        """Start the time of the faults that wait for this mode; True if there are any."""
+        """Start the faults that wait for this mode at `t_ns`; True if there are any."""
         found = [each for each in self._occurrences if each.start_ns == NEVER_NS and each.fault.mode == mode]
         for each in found:
             each.start_ns = t_ns + round(each.fault.at_s * 1e9)
         return bool(found)
 
     def edges_ns(self, since_ns: int) -> list[int]:
-        """Instants from `since_ns` on at which a fault begins or ends, in rising order."""
+        """Times, ns, from `since_ns` on at which a fault begins or ends, ascending."""
         edges = {edge for each in self._occurrences for edge in (each.start_ns, each.stop_ns)}
         return sorted(edge for edge in edges if since_ns <= edge < NEVER_NS)
 
     def active(self, t_ns: int) -> tuple[Occurrence, ...]:
-        """Faults that are present at an instant."""
+        """Faults, as occurrences, that are present at `t_ns`."""
         return tuple(each for each in self._occurrences if each.start_ns <= t_ns < each.stop_ns)
 
     def present(self, t_ns: int) -> Present:
-        """Effects of the faults on drives and plant at an instant."""
+        """Combined effects of all faults on drives and plant at `t_ns`."""
         present = Present()
         for each in self.active(t_ns):
             present.since_ns, present.generator = each.start_ns, each.generator
@@ -82,7 +82,7 @@ class Schedule:
         return present
 
     def carry(self, t_ns: int, frame: Frame, *, to_drives: bool) -> list[tuple[int, Frame, bool]]:
-        """Arrivals of a frame after all faults: (instant, frame, True if an extra node sent it)."""
+        """(arrival ns, frame, True if an extra node sent it) of each copy of a frame after all faults."""
         arriving = [(t_ns, frame, False)]
         for own in self._passages:
             fault = own.fault
@@ -99,14 +99,14 @@ class Schedule:
         return arriving
 
     def senders(self) -> Iterator[tuple[SenderFault, Occurrence]]:
-        """Yield the faults that are extra nodes and have begun or will begin."""
+        """Faults that are extra nodes on the bus and have begun or will begin."""
         for each in self._occurrences:
             if isinstance(each.fault, SenderFault) and each.start_ns < NEVER_NS:
                 yield each.fault, each
 
 
 def weight(masses: Sequence[tuple[float, Array]], truth: Truth, gravity: Array) -> Array:
-    """Wrench (6,) N, N m on the platform at its origin, base frame, due to the weight of masses on it."""
+    """Weight of masses on the platform: wrench (6,) N, N m at the platform origin, base frame."""
     wrench = np.zeros(6)
     for mass, position in masses:
         force = mass * gravity

@@ -1,6 +1,6 @@
 """Safe extraction of an .fmu file.
 
-A foreign archive is untrusted until each member has been checked; nothing is loaded. `zipfile` writes nothing
+A foreign archive is untrusted until each member has been checked; no code is loaded. `zipfile` writes nothing
 outside the given folder, and writes a link as a text file.
 """
 
@@ -54,9 +54,8 @@ def open_archive(path: Path) -> zipfile.ZipFile:
 def check_members(members: Sequence[zipfile.ZipInfo], path: Path) -> None:
     """Check number, sizes, compression ratios and names of the members, and the sizes of parsed files.
 
-    Refused as well: members whose names differ at most in case, but whose contents differ.
-
-    Raises PlantError naming the member.
+    Members whose names differ at most in case, but whose contents differ, are refused too. Raises PlantError
+    with the member's name.
     """
     if len(members) > MAX_MEMBERS:
         raise PlantError(f"{path}: {len(members)} members; at most {MAX_MEMBERS} are allowed")

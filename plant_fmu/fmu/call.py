@@ -1,6 +1,6 @@
 """Communication steps of an FMU in one compiled call: inputs, step, outputs.
 
-Other threads run in the meantime: one of them ends a child process whose FMU hangs.
+The call releases the GIL: another thread can end a child process whose FMU hangs.
 """
 
 from typing import Any
@@ -12,7 +12,7 @@ from drivers.compiled.pointed import call, integers_at, pointed, reals_at
 from drivers.signals import LEGS
 
 DONE, NOT_FINITE, INPUTS_REFUSED, STEP_REFUSED, OUTPUTS_REFUSED, INTERRUPTED, OUTPUT_NOT_FINITE = range(7)
-"""Results of a step."""
+"""Results of a communication step."""
 CLOSED = 7
 """There was no step: the FMU is not initialised."""
 MEASURED = 2 * LEGS
@@ -47,13 +47,13 @@ _TERMINATED, _EARLY = 1, 2
 
 @helper
 def succeeded(status: int) -> bool:
-    """Check if a status is a success in either standard; a number that is no status is none."""
+    """True if an FMI status is OK or Warning (FMI 2 and 3); False for any other number."""
     return 0 <= status <= WARNING
 
 
 @helper
 def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
-    """Call a function of the FMU, with the extra arguments `counted` in FMI 3; return its status."""
+    """Call an FMI function; FMI 3 has the extra arguments `counted`. Returns the FMI status."""
     if fmu.counted:
         status = int(call(function, (fmu.instance, *given, *counted)))
     else:
@@ -64,7 +64,7 @@ def _called(fmu: Any, function: int, given: Any, counted: Any) -> int:
 
 @helper
 def _put(fmu: Any) -> int:
-    """Set the FMU's inputs; return its status. `held` becomes their bits, or differs from them on failure."""
+    """Set the FMU's inputs; returns the FMI status. `held` becomes their bits, or differs after failure."""
     bits, held = integers_at(fmu.inputs, fmu.input_count), integers_at(fmu.held, fmu.input_count)
     held[:] = ~bits
     reals = fmu.input_count - LEGS if fmu.set_brake else fmu.input_count
@@ -82,7 +82,7 @@ def _put(fmu: Any) -> int:
 
 @helper
 def _fetch(fmu: Any) -> int:
-    """Get the FMU's outputs; return DONE or the failure. Lengths and rates have to be finite."""
+    """Get the FMU's outputs; returns DONE or the failure. Lengths and rates have to be finite."""
     given = (fmu.get_references, fmu.get_count, fmu.outputs)
     fmu.status = _called(fmu, fmu.get, given, (fmu.output_count,))
     if not succeeded(fmu.status):
@@ -107,10 +107,10 @@ do_step = pointed(record(FMU), REAL, REAL)(_do_step)
 
 @pointed(record(FMU), INTEGER, INTEGER, INTEGER, INTEGER, INTEGER)
 def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: int) -> int:
-    """Set the inputs if they changed, do some internal steps, and fill in lengths and rates `measured` (12,).
+    """Set the inputs if they changed, do `steps` internal steps, and fill in lengths and rates.
 
-    force, brake, wrench (6,) and `measured` are addresses. Returns DONE or the failure. The communication
-    time is a multiple of the internal step, not a sum of steps.
+    force (N), brake, wrench (N, N m), each (6,), and `measured` (12,), m and m/s, are addresses. Returns DONE
+    or the failure. The communication time is a multiple of the internal step, not a sum of steps.
     """
     if not fmu.ready:
         return CLOSED
@@ -148,7 +148,7 @@ def move(fmu: Any, force: int, brake: int, wrench: int, steps: int, measured: in
 
 @pointed(record(FMU), INTEGER)
 def applied(fmu: Any, force: int) -> int:
-    """Fill in the applied forces (6,) N at an address; return 1, or 0 if they are unknown."""
+    """Fill in the applied forces (6,) N at an address; returns 1, or 0 if they are unknown."""
     if not fmu.known:
         return 0
     reals_at(force, LEGS)[:] = reals_at(fmu.outputs, fmu.output_count)[APPLIED : APPLIED + LEGS]

@@ -1,4 +1,4 @@
-"""Checks of an FMU's description against our requirements, before any of its code is loaded.
+"""Checks of an FMU's model description against our requirements, before any of its code is loaded.
 
 Each error message states what the FMU offers.
 """
@@ -38,7 +38,7 @@ Parameter = float | int | bool | str | list[float]
 
 
 class FmuSpec(FmuPlant):
-    """Settings of an FMU to host; its path does not depend on a folder."""
+    """Settings of an FMU to host, with an absolute path."""
 
     type: Literal["fmu"] = "fmu"
     truth: list[str] = []
@@ -57,7 +57,7 @@ def fmu_spec(settings: FmuPlant, folder: Path) -> FmuSpec:
 
 @dataclass(frozen=True)
 class Start:
-    """One parameter to set before initialisation."""
+    """One parameter of an FMU to set before initialisation."""
 
     name: str
     setter: str
@@ -68,7 +68,7 @@ class Start:
 
 @dataclass(frozen=True)
 class Interface:
-    """Data about one FMU that hosting needs."""
+    """Variables, binary and start values of one FMU, as hosting needs them."""
 
     description: Any
     """ModelDescription of fmpy."""
@@ -87,7 +87,7 @@ class Interface:
 
     @property
     def set_brake(self) -> tuple[str, int] | None:
-        """Function that sets brakes which are no real numbers, and bytes of a value; None without such."""
+        """(setter, bytes per value) of brake inputs that are integer or Boolean; None if they are real."""
         if self.brake_type not in SWITCHES:
             return None
         bits = re.search("[0-9]+$", self.brake_type)
@@ -95,7 +95,7 @@ class Interface:
         return f"fmi{self.major}Set{self.brake_type}", size
 
     def unfit_step(self, step_s: float) -> str:
-        """Compare steps of `step_s` with the step that the description states; empty if they fit."""
+        """Text if steps of `step_s` s differ from the step that the description fixes; empty if they fit."""
         face = self.description.coSimulation
         fixed = getattr(face, "fixedInternalStepSize", None)
         key, stated = "fixedInternalStepSize", fixed
@@ -120,12 +120,12 @@ class Interface:
 
 
 def shown(text: str) -> str:
-    """Text of a description for a message: in one line, unprintable characters escaped."""
+    """A text from a description, safe to print: in one line, unprintable characters escaped."""
     return text if text.isprintable() else repr(text)[1:-1]
 
 
 def stated_unit(variable: Any) -> str | None:
-    """Find the unit that a variable or its type declares; None without one."""
+    """Unit that an FMU's variable or its type declares; None without one."""
     of_type = None if variable.declaredType is None else variable.declaredType.unit
     return variable.unit or of_type or None
 
@@ -140,7 +140,7 @@ class _Reader:
         self.by_name: dict[str, Any] = {v.name: v for v in description.modelVariables}
 
     def find(self, name: str) -> list[Any]:
-        """Find a variable, or in FMI 2 the elements ``name[..]`` of an array, sorted by index."""
+        """A variable by its name, or in FMI 2 the elements ``name[..]`` of an array, sorted by index."""
         if name in self.by_name:
             return [self.by_name[name]]
         elements = [v for n, v in self.by_name.items() if self.major < 3 and n.startswith(f"{name}[")]
@@ -180,7 +180,7 @@ class _Reader:
         )
 
     def _assume(self, key: str, variable: Any, allowed: Sequence[str]) -> None:
-        """Take the configured unit of a variable that declares none; an array has that of its elements."""
+        """Assume the configured unit for a variable that declares none; arrays have one for all elements."""
         names = (variable.name, variable.name.split("[")[0], key)
         assumed = next((self.assume_unit[n] for n in names if n in self.assume_unit), None)
         if assumed is None:
@@ -207,7 +207,7 @@ class _Reader:
         count: int = 6,
         types: Collection[str] = FLOATS,
     ) -> tuple[int, ...]:
-        """Value references of `names`, which have `count` values in total."""
+        """Value references of `names`, with `count` values in total. Raises PlantError if one is unfit."""
         found = [v for name in names for v in self.find(name)]
         for variable in found:
             if variable.causality != causality:
@@ -235,7 +235,7 @@ class _Reader:
         return references
 
     def start(self, name: str, value: Parameter) -> Start:
-        """Find one parameter and convert its value to the variable's type."""
+        """Parameter `name` with its value converted to the variable's type. Raises PlantError."""
         found = self.find(name)
         first = found[0]
         values = list(value) if isinstance(value, list) else [value]
@@ -266,7 +266,7 @@ class _Reader:
         return Start(name, kind, tuple(map(self.reference, found)), cast)
 
     def _cast(self, variable: Any, value: float | bool | str) -> float | int | bool | str:
-        """Convert a value to the variable's type. Raises ValueError."""
+        """A configured value converted to the variable's type. Raises ValueError."""
         kind = variable.type
         if kind in FLOATS or kind == "Float32":
             return float(value)
@@ -279,7 +279,7 @@ class _Reader:
         raise ValueError(kind)
 
     def _integer(self, variable: Any, value: float | bool | str) -> int:
-        """Convert to an integer; an enumeration also takes the names of its items."""
+        """A configured value as integer; an enumeration also accepts the names of its items."""
         if isinstance(value, str) and variable.declaredType is not None:
             for i, item in enumerate(variable.declaredType.items, start=1):
                 if item.name == value:
@@ -327,7 +327,7 @@ def _refuse_tool(description: Any, spec: FmuSpec) -> None:
 
 
 def described(path: Path) -> Any:
-    """Read the description of an FMU.
+    """Model description of an FMU, as FMPy reads it.
 
     Raises PlantError on a file that `open_archive` refuses, a description that cannot be read, an unsupported
     FMI version, and an FMU without co-simulation interface.
@@ -356,7 +356,7 @@ def read_interface(members: Sequence[str], spec: FmuSpec) -> Interface:
 
     members: names in the archive. Checked are FMI version, co-simulation, a binary for this machine, the
     parameters, and for each mapped variable existence, causality, type, unit and number of elements. Raises
-    PlantError that names the variable, its property and the required one.
+    PlantError with the variable, its property and the required one.
     """
     path = Path(spec.path)
     description = described(path)

@@ -1,4 +1,4 @@
-"""An FMU in a process of its own: ChildHost, and the program of that process.
+"""An FMU in a process of its own: class ChildHost, and the program of that process.
 
 Requests and answers pass through a pair of sockets. Whatever the FMU does to its process (crash, hang, exit,
 change of directory or rounding mode), our process gets a PlantError.
@@ -42,7 +42,7 @@ _LIFE_CHECK_MS = 1000
 class ChildHost:
     """Plant whose FMU runs in a child process.
 
-    Mutable state: the child process, the truth of its last answer, why a reset failed. The child ends
+    Mutable state: the child process, the true state of its last answer, why a reset failed. The child ends
     with our process, however that ends. An FMU that cannot be reset in it is loaded in a new child.
     """
 
@@ -115,7 +115,7 @@ class ChildHost:
         return answer
 
     def reset(self) -> tuple[Array, Array]:
-        """`FmuHost.reset`; from here on the child has the real-time scheduling of the calling process."""
+        """Reset as `FmuHost.reset`; afterwards the child has the caller's real-time scheduling."""
         if self._ended is None:
             if not self._cannot_reset:
                 try:
@@ -132,7 +132,7 @@ class ChildHost:
         return self._measured(_RESET, START_TIMEOUT_S, "reset")
 
     def step(self, force: Array, brake: Array, wrench: Array, dt_s: float) -> tuple[Array, Array]:
-        """`FmuHost.step`; also raises PlantError when the FMU hangs or its process dies."""
+        """Step as `FmuHost.step`; also raises PlantError when the FMU hangs or its process dies."""
         # Lists: pickling an array takes ten times as long.
         question = force.tolist(), brake.tolist(), wrench.tolist(), dt_s
         return self._measured(question, STEP_TIMEOUT_S, "step")
@@ -142,17 +142,17 @@ class ChildHost:
         return np.array(measured[0]), np.array(measured[1])
 
     def truth(self) -> Truth | None:
-        """`FmuHost.truth`, without a request: every answer contains it."""
+        """True pose, twist and forces; needs no request, as every answer of the child contains them."""
         if self._ended is not None:
             raise PlantError(self._ended)
         return self._truth
 
     def applied_force(self) -> Array | None:
-        """`FmuHost.applied_force`."""
+        """Leg forces (6,) N after the drives' lag; None if the FMU's output for them is unknown."""
         return None if self._truth is None else self._truth.applied_force
 
     def notes(self) -> list[str]:
-        """`FmuHost.notes`, of this child; of one that has ended only what its reset did."""
+        """Warnings of the FMU in this child; for a child that has ended, only those of its reset."""
         found = f"the FMU cannot be reset, so each new start gets a fresh process: {self._cannot_reset}"
         own: list[str] = []
         if self._ended is None:
@@ -177,12 +177,12 @@ class ChildHost:
 
 
 def host(spec: FmuSpec) -> Plant:
-    """Load an FMU in this process or a child, as its isolation states. Raises PlantError."""
+    """Host an FMU in this process or a child, by `spec.isolation`. Raises PlantError if that fails."""
     return FmuHost(spec) if spec.isolation == "in_process" else ChildHost(spec)
 
 
 def fmu_plant(model: FmuPlant, _: Robot, folder: Path) -> Plant:
-    """Host the user's FMU. Raises PlantError."""
+    """Host the FMU of section `plant.model`. Raises PlantError if that fails."""
     return host(fmu_spec(model, folder))
 
 
@@ -221,7 +221,7 @@ def _bound_memory(most_GB: float) -> None:
 
 
 def serve(line: Connection, parent: int, folder: str) -> None:
-    """Run in the child: load the FMU of a spec, then answer requests until None, or the parent's end."""
+    """Main loop of the child: load an FMU, then answer requests until None or the parent's end."""
     ending = threading.Thread(target=_end_with_parent, args=(line, parent, folder), daemon=True)
     ending.start()
     host: FmuHost | None = None

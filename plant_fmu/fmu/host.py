@@ -143,7 +143,7 @@ class FmuHost(PointedPlant):
         return self._error(f"the FMU refused to {what} ({label})")
 
     def _begin(self) -> None:
-        """Initialise: the first time, after a reset, or a fresh instance where the reset fails."""
+        """Initialise the FMU: first time, after a reset, or as a new instance if the reset fails."""
         if self._fmu is None:
             raise PlantError(f"{self.spec.path}: the FMU is closed; open it again")
         again, self._initialised = self._initialised, True
@@ -198,7 +198,7 @@ class FmuHost(PointedPlant):
             ) from error
 
     def reset(self) -> tuple[Array, Array]:
-        """Initialise again with the same parameters: force 0, brakes engaged, no wrench.
+        """Reset the FMU and initialise it with the same parameters: force 0, brakes engaged, no wrench.
 
         Returns lengths (6,) m and rates (6,) m/s. Raises PlantError if the FMU
         refuses or a value is not finite.
@@ -229,12 +229,12 @@ class FmuHost(PointedPlant):
         return PlantError(f"{error}; {unfit}") if unfit else error
 
     def moved(self) -> Moved:
-        """Functions and context of this plant by address."""
+        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
         move, applied = fmu_call.move.address, fmu_call.applied.address
         return Moved(move, applied, data_at(self._record), self._did_not_step, self)
 
     def truth(self) -> Truth | None:
-        """Pose, twist and applied forces now; None if the FMU's outputs for them are unknown."""
+        """Pose, twist and applied forces now; None if the configuration maps no outputs for them."""
         if not self.spec.truth:
             return None
         if not self._record["ready"]:
@@ -246,7 +246,7 @@ class FmuHost(PointedPlant):
         return self._outputs[fmu_call.APPLIED :] if self.spec.truth else None
 
     def notes(self) -> list[str]:
-        """Sentences on a reset that failed, and on warnings: their number and the first message."""
+        """Warnings about a failed reset, and the number and first text of the FMU's warnings."""
         found, reason = [], self._cannot_reset
         if reason:
             found.append(f"the FMU cannot be reset, so each new start gets a fresh instance of it: {reason}")

@@ -1,4 +1,4 @@
-"""Response of a plant to pushes, which shows if its legs are coupled and if it falls without brakes."""
+"""Response of a plant to test pushes: shows coupled legs, and a fall with open brakes."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ class Probe(NamedTuple):
 
     @property
     def uncoupled(self) -> bool | None:
-        """True if each force moves one leg alone; None if a push moves no leg."""
+        """True if each force moves one leg alone; None if some push moves no leg."""
         others = np.abs(self.mobility)
         own = others.max(axis=0)
         if not own.min() > 0.0:
@@ -36,8 +36,8 @@ class Probe(NamedTuple):
 def probe(plant: Plant, force_N: float, dt_s: float) -> Probe:
     """Push each leg once by `force_N` for one step of `dt_s` s, each time from the initial state.
 
-    The mobility is the difference to the motion without any force. The plant is reset before each step and at
-    the end. Raises PlantError.
+    The mobility (6, 6), 1/kg, is the difference to the motion without any force, per force. The plant is
+    reset before each step and at the end. Raises PlantError.
     """
     open_, calm = np.zeros(LEGS), np.zeros(6)
 

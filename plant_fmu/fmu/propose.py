@@ -1,4 +1,4 @@
-"""A proposal for `plant.model`: variables of an FMU that look like forces, lengths, rates, brakes.
+"""Proposal of a section `plant.model` for an FMU: variables that look like forces, lengths, rates, brakes.
 
 Only the description is read; no code of the FMU is loaded.
 """
@@ -31,7 +31,7 @@ _NUMBER = re.compile(r"[_.\[(]?([0-9]{1,9})[\])]?")
 
 @dataclass(frozen=True)
 class Proposal:
-    """A proposed map from the keys of `plant.model` to variables of an FMU."""
+    """A proposed map from the keys of section `plant.model` to variables of an FMU."""
 
     tool: str
     """Name of the authoring tool."""
@@ -50,7 +50,7 @@ class Proposal:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Keys that have to be mapped by hand."""
+        """Required keys of `plant.model` without a proposal: the user has to map them."""
         return tuple(key for key in ("force", "length", "rate") if key not in self.mapped)
 
 
@@ -96,7 +96,7 @@ def _obstacle(description: Any, members: Sequence[str], path: Path) -> str:
 
 
 def _groups_of_six(variables: Sequence[Any]) -> list[list[Any]]:
-    """Find groups of six: arrays of six elements, and names that differ in a number 0..5 or 1..6."""
+    """Groups of six variables: arrays of six elements, or names that differ in a number 0..5 or 1..6."""
     arrays = [[v] for v in variables if v.shape and tuple(v.shape) == (6,)]
     numbered: dict[tuple[str, str, str], dict[int, Any]] = {}
     for v in variables:
@@ -110,7 +110,7 @@ def _groups_of_six(variables: Sequence[Any]) -> list[list[Any]]:
 def _best(
     groups: list[list[Any]], causality: str, unit: str | None, words: Sequence[str]
 ) -> list[Any] | None:
-    """Find the one group that fits: by declared unit and name, or by name if no unit is declared."""
+    """The only group that fits by declared unit and name, or by name if no unit is declared; else None."""
     ranked: dict[int, list[list[Any]]] = {}
     for group in groups:
         first = group[0]

@@ -1,1 +1,1 @@
-"""A rehearsal bench: six emulated drives, wired as a Wiring states, with legs on trestles or a platform."""
+"""Rehearsal of a bring-up: six emulated drives, wired as a Wiring states, with legs on stands or mounted."""

@@ -1,6 +1,6 @@
-"""The rehearsal bench: drives, cables and legs of a wiring, and the hands of the operator.
+"""The rehearsal bench: drives, cables and legs of a wiring, and the actions of the operator.
 
-Its answers are the plant's truth. It knows no configuration except the figures that it is built from.
+Its answers are the plant's true state. Its only configuration is the figures from which it is built.
 """
 
 from typing import Any, NamedTuple
@@ -40,25 +40,25 @@ _STEP_S = 1e-4
 
 
 class TrestleLegs(UncoupledLegs):
-    """Plant: six uncoupled legs on trestles, at rest, x their lengths.
+    """Plant: six uncoupled legs, each on a stand of its own and at rest; x is the leg length, m.
 
     A hand on a leg is a force. A lever on the brake of a leg lets the operator move it anywhere. A force
     gauge holds the end of a leg with a spring.
     """
 
     def __init__(self, gauge_N: float, **figures: Any) -> None:
-        """Create legs from the force at which a gauge deflects by GAUGE_YIELD_M, and fields of BENCH."""
+        """Create legs from fields of BENCH; gauge_N: force at which the gauge deflects by GAUGE_YIELD_M."""
         super().__init__(_STEP_S, damping=_DAMPING_N_s2_m2, **figures)
         self._gauge_N_m = gauge_N / GAUGE_YIELD_M
 
     def place(self, leg: int, length: float) -> None:
-        """Move a leg to a length, within its ends of travel, with a lever on its brake."""
+        """Move a leg to a length, m, limited by its ends of travel, with a lever on its brake."""
         at = self.legs
         at["x"][leg] = min(max(length, at["shortest"][leg]), at["longest"][leg])
         at["v"][leg] = 0.0
 
     def push(self, leg: int, force: float, *, on: bool = False) -> None:
-        """Push a leg by hand, in N; 0 takes the hand away. It follows for HAND_M, or always (`on`)."""
+        """Push a leg by hand, N, > 0 extends, 0: no hand; it follows for HAND_M, or always (`on`)."""
         self.legs["hand"][leg], self.legs["hand_from"][leg] = force, np.inf if on else self.legs["x"][leg]
 
     def hold_at_gauge(self, leg: int | None) -> None:
@@ -68,7 +68,7 @@ class TrestleLegs(UncoupledLegs):
             self.legs["stiffness"][leg], self.legs["origin"][leg] = self._gauge_N_m, self.legs["x"][leg]
 
     def gauge(self) -> float:
-        """Force gauge reading, N, > 0 if the leg pushes. Raises PlantError if no leg is clamped."""
+        """Force gauge reading, N, > 0 if the leg pushes. Raises PlantError if no leg is clamped to it."""
         legs = self.legs
         if not legs["stiffness"].any():
             raise PlantError("rehearsal: no leg is clamped to the force gauge")
@@ -76,29 +76,28 @@ class TrestleLegs(UncoupledLegs):
 
 
 class WiredNodes(Nodes):
-    """`Nodes` with drives that are set up as a wiring states.
+    """`Nodes` whose drives have the node numbers, watchdogs and losses of a `Wiring`.
 
     The protocol's state of drives is stored by node number: two drives with one number share it.
     """
 
     def __init__(self, wiring: Wiring, *given: Any) -> None:
-        """Create nodes from the wiring and the arguments of `Nodes`."""
         self._wiring = wiring
         super().__init__(*given)
 
     def start(self, t0_ns: int) -> None:
-        """`Nodes.start`, with the node numbers, watchdogs and missing drives of the wiring."""
+        """Start as `Nodes.start`, with the node numbers, watchdogs and missing drives of the wiring."""
         super().start(t0_ns)
         self._chance = np.random.default_rng(1)
         self.wire(self._wiring)
 
     @property
     def address(self) -> int:
-        """`Nodes.address`; 0 if frames are lost."""
+        """Address as `Nodes.address`, but 0 if the wiring loses frames."""
         return 0 if self._wiring.frames_lost else super().address
 
     def advance(self, t_ns: int, received: Rows) -> Rows:
-        """`Nodes.advance` without the frames that are lost."""
+        """Advance as `Nodes.advance`; the wiring loses its share of the frames in both directions."""
         return self._kept(super().advance(t_ns, self._kept(received)))
 
     def _kept(self, frames: Rows) -> Rows:
@@ -106,7 +105,7 @@ class WiredNodes(Nodes):
         return frames[self._chance.random(len(frames)) >= lost] if lost else frames
 
     def wire(self, wiring: Wiring) -> None:
-        """Set node numbers, watchdogs and missing drives of a wiring."""
+        """Set the node numbers, watchdogs and missing drives that a wiring states."""
         self._wiring = w = wiring
         n = self._record
         strange, absent = np.array(w.other_protocol), ~np.array(w.present)
@@ -116,27 +115,27 @@ class WiredNodes(Nodes):
 
 
 class Stand(NamedTuple):
-    """Data of a machine on trestles."""
+    """Masses, forces, strokes and joints of a machine whose legs lie on stands."""
 
     mass_kg: float
     """Moving mass of a leg."""
     friction_N: float
     brake_N: float
     length_min: float
-    """m, ends of travel in the configuration."""
+    """Shortest leg length in the configuration, m."""
     length_max: float
     base_joints: Array
-    """(6, 3) m."""
+    """Joint centres (6, 3) m in the frame of their body."""
     platform_joints: Array
-    """(6, 3) m."""
+    """Joint centres (6, 3) m in the frame of their body."""
     platform_kg: float
     """Mass of the platform."""
     presses: float
-    """> 0: the platform's weight compresses the legs."""
+    """> 0 if the platform's weight compresses the legs, < 0 if it pulls them."""
 
 
 class RehearsalBench:
-    """Six drives with legs on trestles.
+    """Six emulated drives with legs on stands, on which a bring-up can be rehearsed.
 
     Mutable state: the nodes, the legs, the random errors of readings, whether the platform is mounted, and
     the wiring, which changes when it is mounted.
@@ -175,20 +174,20 @@ class RehearsalBench:
         self._chance = np.random.default_rng(seed)
 
     def behind_cables(self, plant: Plant, wiring: Wiring) -> WiredPlant:
-        """Connect a plant to the cables of a wiring; encoders are right at the middle of the stroke."""
+        """Plant with the mistakes of a wiring; encoder scales have no error at the middle of the stroke."""
         middle = 0.5 * (self.stand.length_min + self.stand.length_max)
         return WiredPlant(plant, wiring, np.full(LEGS, middle), self._rated_N)
 
     def length(self, leg: int) -> float:
-        """Length of a leg, m, without errors of measurement."""
+        """True length of a leg, m."""
         return float(self._legs.legs["x"][leg])
 
     def _read(self, value: float) -> float:
-        """Add the error of a reading of force gauge or scales to a true value."""
+        """Force gauge or scales reading for a true value, with a random error."""
         return value * (1.0 + GAUGE_SHARE * float(self._chance.standard_normal()))
 
     def do(self, act: str, leg: int = -1, value: float = 0.0) -> float:
-        """Execute an act of the operator; return the operator's reading, 0 for an act without one.
+        """Execute an action of the operator; returns the operator's reading, 0 for an action without one.
 
         leg: for acts on one leg. value: for `move`, m by which a lever on the brake moves the leg; for
         `place`, the target as a share of the configured stroke, limited by the ends of travel. Hands push
@@ -237,9 +236,9 @@ class RehearsalBench:
         return 0.0
 
     def hang(self, p: Array, R: Array) -> None:
-        """Mount the platform at p (3,) m, R (3, 3), off by the wiring's error of the home. Moves the legs.
+        """Mount the platform at p (3,) m, R (3, 3), base frame, plus the wiring's home error; moves the legs.
 
-        The mistakes made when mounting begin here.
+        Mistakes that are made when mounting take effect here.
         """
         self.hung, wiring = True, self.wiring.as_mounted
         if wiring is not self.wiring:
@@ -253,7 +252,7 @@ class RehearsalBench:
 
 
 def joints_of(wiring: Wiring, base: Array, platform: Array) -> tuple[Array, Array]:
-    """Joints of base and platform (6, 3) m to which the legs are mounted, from the correct joints."""
+    """Base and platform joints (6, 3) m to which the legs are mounted, from the correct joints."""
     radius = np.hypot(base[:, 0], base[:, 1])[:, None]
     outwards = base / np.where(radius > 0.0, radius, np.inf) * (1.0, 1.0, 0.0)
     moved = base + np.array(wiring.joint_off_m)[:, None] * outwards

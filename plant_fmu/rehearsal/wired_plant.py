@@ -1,4 +1,4 @@
-"""A plant behind wrong cables: readings and effects of six drives, derived from six legs."""
+"""A plant behind wrong cables: readings and forces of six drives, derived from those of six legs."""
 
 from typing import Any
 
@@ -40,7 +40,7 @@ SLIP_m_s = 2.0
 
 @helper
 def _late(w: Any, drive: int, given: float) -> float:
-    """Force of a drive after its lag and its coupling, N. Updates the slip of the coupling."""
+    """Force, N, of a drive after its lag and its slipping coupling; updates the slip of the coupling."""
     if w.force_lag_s[drive] > 0.0:
         w.lagged[drive] += (given - w.lagged[drive]) * min(1.0, w.h_s / w.force_lag_s[drive])
         given = w.lagged[drive]
@@ -52,7 +52,7 @@ def _late(w: Any, drive: int, given: float) -> float:
 
 @helper
 def _connect(w: Any, force: Array, brake: Array, at_leg: Array, held: Array) -> None:
-    """Fill in forces and brakes at the legs from forces (6,) N and brakes (6,) of the drives."""
+    """Fill in forces (6,) N and brakes (6,) at the legs from those that the drives apply."""
     at_leg[:], held[:] = 0.0, 1.0
     for drive in range(LEGS):
         if w.driven[drive]:
@@ -78,7 +78,6 @@ def _connect(w: Any, force: Array, brake: Array, at_leg: Array, held: Array) -> 
 
 @helper
 def _read(w: Any, length: Array, rate: Array, reads: Array, rates: Array) -> None:
-    """Fill in readings of the encoders, m and m/s, for legs at length (6,) m and rate (6,) m/s."""
     past, now = reals_at(w.past, w.room * 2 * LEGS), w.k % w.room * 2 * LEGS
     for leg in range(LEGS):
         past[now + leg], past[now + LEGS + leg] = length[leg], rate[leg]
@@ -123,14 +122,14 @@ def _applied(_w: Any, _force: int) -> int:
 
 
 class WiredPlant(PointedPlant):
-    """Plant: forces and brakes of drives act on, and encoders read, the legs to which they are wired.
+    """Plant in which drives act on, and encoders read, the legs to which a `Wiring` connects them.
 
     Mutable state: the cables and the plant behind them; from `reset` on the readings of frozen encoders, the
     positions of encoders with play, past readings, and brakes, forces and couplings with a delay.
     """
 
     def __init__(self, plant: Plant, wiring: Wiring, origin: Array, rated_N: float = 1.0) -> None:
-        """Create a wired plant.
+        """Connect a plant to the cables of a wiring.
 
         origin: leg lengths (6,) m at which an error of scale has no effect; rated_N: rated force of a drive.
         """
@@ -141,7 +140,7 @@ class WiredPlant(PointedPlant):
         self.wire(wiring)
 
     def wire(self, wiring: Wiring) -> None:
-        """Change the wiring and forget the old one's state. Frozen encoders freeze at the next `reset`."""
+        """Change the wiring and reset its state. Frozen encoders freeze at the next `reset`."""
         w, wires = wiring, self._wires
         for names in _AS_WIRED.values():
             for name in names:
@@ -182,14 +181,14 @@ class WiredPlant(PointedPlant):
         return reads, rates
 
     def moved(self) -> Moved:
-        """Functions and context of this plant by address."""
+        """Addresses of the compiled functions of this plant and of its state, for compiled callers."""
         return Moved(_move.address, _applied.address, data_at(self._wires), self._refused, self)
 
     def _refused(self, status: int, force: Array, brake: Array, wrench: Array, steps: int) -> BaseException:
         return self._behind.refused(status, force, brake, wrench, steps)
 
     def truth(self) -> Truth | None:
-        """Truth of the plant behind the cables."""
+        """True pose, twist and forces of the plant behind the cables."""
         return self._plant.truth()
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""The wiring of a rehearsal bench: the truth that a bring-up has to find.
+"""The wiring of a rehearsal bench: the actual connections and mistakes that a bring-up has to find.
 
 Every tuple has one element per drive, in the leg order of the configuration, or per leg if that is stated.
 """
@@ -19,7 +19,7 @@ NONE = (None,) * LEGS
 
 @dataclass(frozen=True)
 class Wiring:
-    """Actual drives, motors, encoders, brakes and joints; the defaults are the correct ones."""
+    """Actual drives, motors, encoders, brakes and joints of a machine; the defaults have no mistake."""
 
     motor: tuple[int, ...] = OWN
     """Leg that the motor of each drive moves."""
@@ -72,7 +72,7 @@ class Wiring:
     joint_off_m: tuple[float, ...] = ZEROS
     """Per leg: distance by which its base joint is too far outwards."""
     home_off_m: float = 0.0
-    """Height of the platform above its known poses."""
+    """Height of the platform above its known poses, m."""
     payload: float = 1.0
     """Factor on mass and inertia of the platform."""
     gravity: float = 1.0
@@ -92,20 +92,20 @@ class Wiring:
 
     @property
     def as_mounted(self) -> "Wiring":
-        """Wiring after the platform is mounted."""
+        """Wiring that holds after the platform is mounted."""
         return self.mounting or self
 
 
 @dataclass(frozen=True)
 class Mistake:
-    """One wiring mistake."""
+    """One wiring mistake, and the legs that it concerns."""
 
     name: str
     """Key of MISTAKES."""
     leg: int
     """Leg or drive, 0..5."""
     other: int = -1
-    """The second leg or drive of a mistake with two."""
+    """Second leg or drive of a mistake that concerns two."""
     third: int = -1
     """The third leg or drive of a rotation."""
     value: float | None = None
@@ -127,7 +127,7 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
         ("encoder",),
         1,
         (),
-        "an encoder measures another leg, as that leg's own does",
+        "two encoders measure one leg: an encoder is fitted to another leg",
     ),
     "same_id": (("answers_as",), 1, (), "a drive has the node number of another one"),
     "encoder_sign": (("scale",), 1, (-1.0, -4.0, -0.25), "the encoder counts backwards"),
@@ -144,46 +144,46 @@ MISTAKES: dict[str, tuple[tuple[str, ...], int, tuple[float, ...], str]] = {
         ("force_most",),
         1,
         (0.008, 0.0, 1.0),
-        "largest force, as a share of the rated force",
+        "the drive force saturates; size: share of the rated force",
     ),
     "force_sign": (("force_gain",), 1, (-1.0, -4.0, -0.25), "motor phases exchanged: force reversed"),
     "force_scale": (("force_gain",), 1, (0.5, 0.0, 100.0), "force too large or too small"),
     "wrong_lead": (("scale", "force_gain"), 1, (1.25, 0.25, 4.0), "wrong lead or gear ratio"),
     "drive_reversed": (("scale", "force_gain"), 1, (-1.0, -4.0, -0.25), "motor and encoder reversed"),
     "encoder_frozen": (("frozen",), 1, (1.0,), "the encoder reading is frozen"),
-    "encoder_jumps": (("jump_m",), 1, (6e-3, -0.1, 0.1), "the reading jumps by this at mid-stroke, m"),
+    "encoder_jumps": (("jump_m",), 1, (6e-3, -0.1, 0.1), "the encoder reading jumps at mid-stroke; size: m"),
     "encoder_stops": (("stops",), 1, (1.0,), "the encoder reading stops at mid-stroke"),
-    "backlash": (("play_m",), 1, (0.005, 0.0, 0.1), "play between leg and encoder, m"),
-    "offset": (("offset_m",), 1, (0.004, -0.1, 0.1), "homing error, m"),
+    "backlash": (("play_m",), 1, (0.005, 0.0, 0.1), "play between leg and encoder; size: m"),
+    "offset": (("offset_m",), 1, (0.004, -0.1, 0.1), "homing error of the encoder; size: m"),
     "brake_stuck_shut": (("stuck",), 1, (1.0,), "the brake does not open"),
     "brake_stuck_open": (("stuck",), 1, (0.0,), "the brake does not close"),
     "brake_inverted": (("brake_inverted",), 1, (1.0,), "the brake closes when it should open"),
-    "brake_weak": (("brake_share",), 1, (0.01, 0.0, 1.0), "the brake has this share of its force"),
-    "brake_late": (("brake_late_s",), 1, (0.2, 0.0, 1.0), "the brake closes late by this, s"),
-    "encoder_late": (("encoder_late_s",), 1, (0.02, 0.0, 0.2), "age of the encoder reading, s"),
-    "force_lags": (("force_lag_s",), 1, (0.05, 0.0, 1.0), "time constant of the drive's force, s"),
+    "brake_weak": (("brake_share",), 1, (0.01, 0.0, 1.0), "the brake is too weak; size: share of its force"),
+    "brake_late": (("brake_late_s",), 1, (0.2, 0.0, 1.0), "the brake closes late; size: delay, s"),
+    "encoder_late": (("encoder_late_s",), 1, (0.02, 0.0, 0.2), "the encoder reading is old; size: age, s"),
+    "force_lags": (("force_lag_s",), 1, (0.05, 0.0, 1.0), "the drive's force lags; size: time constant, s"),
     "coupling_slips": (
         ("coupling",),
         1,
         (0.01, 0.0, 1.0),
-        "the coupling slips above this share of the rated force",
+        "the coupling slips; size: force at which it slips, share of the rated force",
     ),
-    "friction": (("friction",), 1, (0.012, 0.0, 1.0), "additional friction, as a share of the rated force"),
-    "end_stop": (("shorter",), 1, (0.15, 0.0, 0.9), "part of the stroke is blocked, as a share of it"),
+    "friction": (("friction",), 1, (0.012, 0.0, 1.0), "additional friction; size: share of the rated force"),
+    "end_stop": (("shorter",), 1, (0.15, 0.0, 0.9), "part of the stroke is blocked; size: share of it"),
     "watchdog_missing": (("watchdog",), 1, (inf,), "the drive has no watchdog"),
-    "watchdog_long": (("watchdog",), 1, (8.0, 1.0, 100.0), "factor on the watchdog time, too long"),
-    "watchdog_short": (("watchdog",), 1, (0.3, 0.01, 1.0), "factor on the watchdog time, too short"),
+    "watchdog_long": (("watchdog",), 1, (8.0, 1.0, 100.0), "watchdog time too long; size: factor"),
+    "watchdog_short": (("watchdog",), 1, (0.3, 0.01, 1.0), "watchdog time too short; size: factor"),
     "absent": (("present",), 1, (0.0,), "a drive without power or bus"),
     "wrong_protocol": (("other_protocol",), 1, (1.0,), "the drive uses CANopen with factory settings"),
     "joint_elsewhere": (
         ("joint_off_m",),
         1,
         (0.03, -0.1, 0.1),
-        "the base joint is too far outwards by this, m",
+        "the base joint is too far outwards; size: m",
     ),
-    "wrong_home": (("home_off_m",), 0, (0.015, -0.1, 0.1), "the platform is too high by this at home, m"),
-    "payload": (("payload",), 0, (2.0, 0.1, 10.0), "factor on the platform's mass and inertia"),
-    "frames_lost": (("frames_lost",), 0, (0.05, 0.0, 0.9), "share of frames that are lost"),
+    "wrong_home": (("home_off_m",), 0, (0.015, -0.1, 0.1), "the platform is too high at home; size: m"),
+    "payload": (("payload",), 0, (2.0, 0.1, 10.0), "wrong mass and inertia of the platform; size: factor"),
+    "frames_lost": (("frames_lost",), 0, (0.05, 0.0, 0.9), "frames are lost; size: share of all frames"),
     "upside_down": (("gravity",), 0, (-1.0,), "the machine hangs from the ceiling"),
 }
 """Name -> fields of Wiring that it changes, number of legs, sizes, description.
@@ -195,14 +195,14 @@ OF_WATCHDOG = frozenset(name for name, (fields, *_) in MISTAKES.items() if "watc
 
 
 def wired(*mistakes: Mistake) -> Wiring:
-    """Wiring with some mistakes. Raises ValueError on an unknown mistake or a leg that does not exist."""
+    """Wiring with some mistakes. Raises ValueError on an unknown mistake or a leg outside 0..5."""
     wiring = reduce(_with, (each for each in mistakes if not each.mounting), Wiring())
     late = [each for each in mistakes if each.mounting]
     return replace(wiring, mounting=reduce(_with, late, wiring)) if late else wiring
 
 
 def legs_of(name: str) -> int:
-    """Legs that a mistake needs, 0 to 3: `leg`, `other`, `third`; 0: it concerns the whole machine."""
+    """Number of legs that a mistake needs, 0 to 3; 0: it concerns the whole machine."""
     return 2 if name in _ONTO_ANOTHER else MISTAKES[name][1]
 
 

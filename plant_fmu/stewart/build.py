@@ -1,4 +1,4 @@
-"""Build of the .fmu: finds a compiler, compiles the C sources, packs and caches."""
+"""Build of our .fmu: find a C compiler, compile the sources, pack and cache the result."""
 
 import hashlib
 import importlib.util
@@ -34,7 +34,7 @@ _ZIP_DATE = (2000, 1, 1, 0, 0, 0)
 
 
 class Target(NamedTuple):
-    """A kind of machine for which a binary is built."""
+    """A platform (operating system and processor) for which an FMU binary is built."""
 
     zig: str
     """Target triple for zig; without one zig compiles for the present CPU."""
@@ -52,7 +52,7 @@ TARGETS: dict[str, Target] = {
 
 
 class Compiler(NamedTuple):
-    """Command line of a C compiler."""
+    """Command line of a C compiler, and what kind of compiler it is."""
 
     command: tuple[str, ...]
     zig: bool
@@ -77,9 +77,9 @@ def _identity(command: tuple[str, ...], argument: str) -> str | None:
 
 
 def find_compiler(*, zig: bool = False) -> Compiler:
-    """Find $CC, the system's cc, or zig from the package ziglang; with `zig` only the last.
+    """Command line of a C compiler: $CC, the system's cc, or zig from the package ziglang.
 
-    Raises PlantError that says what to install if there is none.
+    zig: True to accept zig only. Raises PlantError with what to install if there is none.
     """
     if not zig:
         wanted = os.environ.get("CC")
@@ -115,7 +115,7 @@ def _digest(parts: dict[str, bytes]) -> str:
 
 
 def token(version: FmiVersion) -> str:
-    """Token of the FMU's instantiation: it changes with any source or description, and with nothing else."""
+    """Instantiation token of the FMU: a hash of its sources and model description."""
     files = _source_files(version)
     xml = model_description(version, "", [name for name in files if name.endswith(".c")])
     digest = _digest({**files, "modelDescription.xml": xml})

@@ -29,7 +29,7 @@ def _typed(
     about: dict[str, str],
     numbers: dict[str, str],
 ) -> ET.Element:
-    """Add an element with a type.
+    """Add an XML element whose type has attributes of its own.
 
     tags: outer and inner element of FMI 2.0, where the type is an element inside; the element of FMI 3.0.
     """
@@ -114,7 +114,7 @@ def model_description(version: FmiVersion, token: str, sources: Sequence[str]) -
 
 
 def _variables(root: ET.Element, version: FmiVersion) -> dict[str, list[str]]:
-    """Add the variables; return the keys of each row's elements in the structure: index or reference."""
+    """Add the variables; returns the keys of each row's elements in ModelStructure: index or reference."""
     two = version == "2.0"
     variables = ET.SubElement(root, "ModelVariables")
     keys: dict[str, list[str]] = {}

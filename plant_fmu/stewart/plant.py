@@ -1,4 +1,4 @@
-"""Our FMU as a plant: parameters from a robot, and hosting."""
+"""Our FMU as a plant: its parameters from a robot's data, and its hosting."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ def _flat(value: Any) -> list[float]:
 
 
 def stewart_parameters(settings: StewartPlant, robot: Robot) -> dict[str, Parameter]:
-    """Parameters of our FMU for one robot."""
+    """Parameter values of our FMU for one robot."""
     platform = robot.platform
     body = platform["platform"]
     parameters: dict[str, Parameter] = {
@@ -49,7 +49,7 @@ def stewart_parameters(settings: StewartPlant, robot: Robot) -> dict[str, Parame
 
 
 def stewart_plant(settings: StewartPlant, robot: Robot, *_: object) -> Plant:
-    """Build our FMU (or take it from the cache) and host it with `stewart_parameters`; `truth()` is known.
+    """Build our FMU (or take it from the cache) and host it; its true pose is known.
 
     Raises PlantError: no compiler, invalid data of the robot, an initial pose outside the strokes.
     """

@@ -1,4 +1,4 @@
-"""Table of the plant's variables, from which model descriptions and C tables are generated.
+"""Table of the FMU's variables, from which model descriptions and C tables are generated.
 
 A new variable is one row here and its use in ``sources/plant.c``.
 """
@@ -29,7 +29,7 @@ UNITS: dict[str, dict[str, int]] = {
 
 
 class Type(NamedTuple):
-    """A type definition: quantity, unit and range of a kind of variable."""
+    """An FMI type definition: quantity, unit and range of a kind of variable."""
 
     quantity: str
     unit: str | None
@@ -68,7 +68,7 @@ LEG_SPIN = ("none", "universal")
 
 
 class Variable(NamedTuple):
-    """One variable of the FMU; values flat in C order (last index fastest)."""
+    """One variable of the FMU; values are flat in C order (last index fastest)."""
 
     name: str
     type: str
@@ -85,7 +85,7 @@ class Variable(NamedTuple):
 
     @property
     def size(self) -> int:
-        """Number of elements."""
+        """Number of elements of the variable."""
         return math.prod(self.shape)
 
 
@@ -172,7 +172,7 @@ VARIABLES: tuple[Variable, ...] = (
 
 
 def type_of(variable: Variable, element: int) -> str:
-    """Name of the type of one element."""
+    """Name of the type definition of one element of a variable."""
     return variable.types[element] if variable.types else variable.type
 
 
@@ -185,7 +185,7 @@ def element_name(variable: Variable, element: int) -> str:
 
 
 def header() -> str:
-    """Text of model.h."""
+    """Text of the generated C header model.h."""
     values = "\n".join(f"    double {v.name}{f'[{v.size}]' if v.shape else ''};" for v in VARIABLES)
     return f"""/* Generated from the variable table. */
 #ifndef STEWART_MODEL_H
@@ -217,7 +217,7 @@ extern const char TOKEN[];
 
 
 def tables(token: str) -> str:
-    """Text of model.c with the given instantiation token."""
+    """Text of the generated C file model.c with an instantiation token."""
     rows = []
     for v, end in zip(VARIABLES, accumulate(v.size for v in VARIABLES), strict=True):
         low, high = TYPES[v.type].min, TYPES[v.type].max

@@ -300,5 +300,5 @@ def test_damiao_is_set_up_with_mode_watchdog_and_three_ranges():
     assert VARIANTS["cubemars"].exchanges(SETUP) == ((),) * 6
     for watchdog_s, ticks in ((0.000026, 1), (0.01, 200)):
         assert DAMIAO.exchanges(SETUP._replace(watchdog_s=watchdog_s))[0][1].value == ticks
-    with pytest.raises(ProtocolError, match="watchdog of 2"):
+    with pytest.raises(ProtocolError, match=r"drives\.watchdog_ms: 0\.024 ms"):
         DAMIAO.exchanges(SETUP._replace(watchdog_s=0.000024))

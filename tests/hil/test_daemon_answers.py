@@ -182,5 +182,5 @@ def test_a_dead_bus_reports_the_watchdog_only_for_drives_that_have_one(name, cha
     shell = Shell(cast("Any", bus), cast("Any", deadlines), cast("Any", recording), OperatorPanel(), 0)
     ending = run(Course(cycle), shell)
     assert ending.trouble.startswith("tick 7: the interface is gone")
-    assert "could not be told to switch off" in ending.trouble
+    assert "command to switch off could not be sent" in ending.trouble
     assert left in ending.trouble

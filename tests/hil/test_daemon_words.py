@@ -201,9 +201,9 @@ def test_a_failing_loop_switches_the_drives_off_and_reports_the_reason(slept, er
     else:
         assert ended.reason.startswith(f"tick 1: defect of this program, {type(error).__name__}: {error}")
         assert "raise self.ticks" in ended.unexpected
-    promised = "the watchdog of each acts 20 ms after the last command it heard"
+    promised = "the watchdog of each acts 20 ms after the last command that it received"
     assert (promised in ended.done) is bool(refused)
-    assert ("were told to switch off" in ended.done) is not refused
+    assert ("were commanded to switch off" in ended.done) is not refused
 
 
 @pytest.mark.parametrize("answer_ns", [None, 0, 111])

@@ -59,7 +59,7 @@ def test_received_controller_frame_means_a_second_controller(mode):
         assert bench.cycle.mode is Mode.FAULT, name
         assert bench.cycle.faults == Fault.SECOND_CONTROLLER, name
         assert out.row["foreign"] == kind
-        assert f"another controller is on the bus, heard: {kind.name}" in fault_text(bench.cycle)
+        assert f"frames received from it: {kind.name}" in fault_text(bench.cycle)
         assert estops(out.frames) == (mode in POWERED), "at rest the drives are not ours to stop"
         if mode is not Mode.APPROACH:
             break  # one of them stands for the others
@@ -167,7 +167,7 @@ def test_drive_that_changes_its_confirmed_set_up_is_a_fault(mode):
     out = bench.step()
     assert bench.cycle.faults == Fault.SET_UP
     assert out.row["altered"] == 1 << 4
-    assert "drive 4 reports another set-up" in fault_text(bench.cycle)
+    assert "drive 4 reports a set-up that this controller did not send" in fault_text(bench.cycle)
 
 
 @pytest.mark.parametrize(

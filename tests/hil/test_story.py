@@ -112,7 +112,7 @@ CASES = [
         [(3, nan, "a finite number"), (None, inf, "a finite number")], ("length of leg 3", "twist"),
     ),
     Case(Fault.LAW, {"tau_asked": legs(100.0, leg_2=-inf)}, [(2, -inf, "a finite force")]),
-    Case(Fault.ESTOP, {"foreign": 0}, [(None, "asked for at this controller", None)]),
+    Case(Fault.ESTOP, {"foreign": 0}, [(None, "requested at this controller", None)]),
     Case(Fault.ESTOP, {"foreign": int(Foreign.ESTOP)}, [(None, "sent by another node on the bus", None)]),
     Case(
         Fault.SECOND_CONTROLLER, {"foreign": int(Foreign.SYNC | Foreign.CONFIG | Foreign.ESTOP)},

@@ -50,7 +50,7 @@ def confirm(bench: Bench, *deaf: int) -> None:
 def test_drives_on_a_dead_bus_are_not_reported_as_switched_off(bench):
     narrator = Narrator(bench.cycle)
     story = go_on(bench, narrator, 40, frames=(), bus_off=True, sends_failed=2)
-    assert "could not be told" in story.done_text
+    assert "could not be sent to the drives" in story.done_text
     assert "10 ms" in story.done_text
     assert "`brake`" in story.done_text
     later = go_on(bench, narrator, 3)
@@ -66,7 +66,7 @@ def test_a_drive_that_does_not_confirm_is_listed_with_its_last_state(bench):
     assert "all six" not in story.done_text
     assert "--release" in next(iter(story.next))
     assert [(d.leg, d.state, d.age) for d in story.drives if d.age] == [(2, "RUN", 5)]
-    assert story.at_end == "no leg that is heard moves"
+    assert story.at_end == "all legs that report are at rest"
     bench.drives.silent, bench.drives.rate = set(), -0.05
     assert "leg 3 at -0.050 m/s" in go_on(bench, narrator, 1).at_end
     bench.drives.silent = set(range(6))

@@ -161,7 +161,7 @@ def test_start_restores_the_whole_state():
 def test_an_earlier_instant_is_refused():
     rig = Rig()
     rig.at(5 * MS)
-    with pytest.raises(PlantError, match="before the last pass"):
+    with pytest.raises(PlantError, match="before that of the last call"):
         rig.at(4 * MS)
 
 

@@ -1,4 +1,4 @@
-"""localcan: a CAN bus between the processes of one machine, with bit time and arbitration.
+"""localcan: a virtual CAN bus between the processes of one machine, with bit time and arbitration.
 
 There is no broker and no lock: the wire is shared memory (`wire`), and every reader advances the arbitration
 (`log`). A participant (`participant`) sees a frame when its last bit would end on a real wire. Time is that

@@ -1,9 +1,9 @@
-"""Clock of a virtual bench: CLOCK_MONOTONIC, but it stands still while the machine delays a participant.
+"""Clock of a localcan bus: CLOCK_MONOTONIC, but it stands still while the machine delays a participant.
 
-A participant that holds time publishes its due: the time by which it will have read the bus again. Bench time
-is CLOCK_MONOTONIC minus an offset, and never passes the earliest due. A late participant first adds the
-standstill to the offset, then sets its next due. A participant that does not come back is dismissed: at once
-if its process is gone, else after DISMISS_NS.
+A participant may *hold* time: it publishes its due, the time by which it will have read the bus again. Bench
+time is CLOCK_MONOTONIC minus an offset, and never passes the earliest due. A late participant first adds the
+standstill to the offset, then sets its next due. A participant that does not come back loses its hold: at
+once if its process has ended, else after DISMISS_NS.
 
 Each reading is raised to the latest reading of any participant, so that time never runs backwards.
 """
@@ -35,14 +35,14 @@ NAP_S = 2e-4
 _NEVER = 1 << 62
 _CLOCK_ID = time.CLOCK_MONOTONIC
 _AT, _NOW, _BEHIND, _FREE, _OVERDUE, _SECONDS, _NANOSECONDS, _GETTIME, _RESULT = range(9)
-"""Indices of a clock's `state`: word of its own due; bench time; lag of bench time by a standstill;
+"""Indices of a clock's `state`: word of its own due; virtual time; lag of virtual time by a standstill;
 CLOCK_MONOTONIC; slot of the participant with the earliest due, -1: none; seconds and nanoseconds of
 clock_gettime; address of clock_gettime, and of the seconds."""
 
 
 @helper
 def _earliest(words: Ints) -> tuple[int, int]:
-    """Earliest due and its slot; -1 if no participant holds time."""
+    """(earliest due of all participants, ns; its slot); slot -1 if no participant holds time."""
     cap, slot = _NEVER, -1
     for each in range(load(words, at.USED_AT)):
         due = load(words, at.slot_at(each) + at.SLOT_DUE)
@@ -53,7 +53,7 @@ def _earliest(words: Ints) -> tuple[int, int]:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def read(words: Ints, state: Ints) -> int:
-    """Read the clock into `state`; the result is bench time, ns."""
+    """Read virtual time, ns; stores the parts of the reading in `state` (int64, of this participant)."""
     while True:
         # a participant advances the offset before it sets a later due: read the due first, then the offset;
         # a due that was brought forward counts if it was there when the clock was read
@@ -82,7 +82,10 @@ def _go_on(words: Ints, state: Ints) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, INTEGER)
 def promise(words: Ints, state: Ints, due_ns: int) -> None:
-    """Set the own due; 0 or less: that long from now. Ends a standstill caused by this participant."""
+    """Set this participant's due to `due_ns`; a value <= 0 means -due_ns from now. Resumes stopped time.
+
+    The due is the virtual time by which the participant will have read the bus again; time stops there.
+    """
     read(words, state)
     if 0 < load(words, state[_AT]) <= state[_NOW]:
         _go_on(words, state)
@@ -93,7 +96,7 @@ def promise(words: Ints, state: Ints, due_ns: int) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def dismiss(words: Ints, state: Ints) -> None:
-    """Dismiss the participant of the earliest due, if that due is past; time resumes."""
+    """End the hold of the participant with the earliest due, if that due is past; time then resumes."""
     read(words, state)
     if state[_OVERDUE] < 0:
         return
@@ -106,7 +109,7 @@ def dismiss(words: Ints, state: Ints) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def interrupt(words: Ints, state: Ints) -> None:
-    """Resume time from where it is, and never stop it again."""
+    """Let virtual time run from its present value and disable all further standstills."""
     read(words, state)
     _go_on(words, state)
     store(words, at.CLOCK_AT, FOREIGN)
@@ -114,19 +117,19 @@ def interrupt(words: Ints, state: Ints) -> None:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS)
 def share(other: Ints, words: Ints) -> bool:
-    """Give the clock of another wire the same lag; True if time may stand still here but not there."""
+    """Copy this clock's offset to another wire; True if time may stand still on `words`, not on `other`."""
     raise_to(other, at.OFFSET_AT, load(words, at.OFFSET_AT))
     return bool(load(other, at.CLOCK_AT) == FOREIGN and load(words, at.CLOCK_AT) == HELD)
 
 
 class BenchClock(Clock):
-    """Clock of one participant on a localcan wire.
+    """Clock of one participant on a localcan bus, which can make time stand still.
 
-    `holds`: True while it holds time, if that may stand still. `wires`: the words of its own wire and of all
-    wires that follow this clock.
+    `holds`: True while this participant's due stops time, if time may stop. `wires`: the shared words of its
+    own bus and of all buses that follow this clock.
 
-    Mutable state: the shared words; the last reading; whether this participant holds time, and for how long
-    it has waited for another one that holds time back.
+    Mutable state: the shared words; the last reading; whether this participant holds time, and how long it
+    has waited for another participant that is late.
     """
 
     def __init__(self, wire: Wire, serial: int) -> None:
@@ -144,12 +147,12 @@ class BenchClock(Clock):
         self.holds = False
 
     def now(self) -> int:
-        """Bench time, ns."""
+        """Virtual time, ns: CLOCK_MONOTONIC less all standstills."""
         return int(read(*self.arguments))
 
     # holding time
     def begin(self, wake_ns: int, work_ns: int) -> None:
-        """Allow time to stand still on this wire from now on, for all participants that hold it.
+        """From now on let virtual time stand still on this bus for late participants that hold it.
 
         wake_ns: time to wake up after a due sleep; work_ns: time from then to the next wait.
         """
@@ -160,11 +163,11 @@ class BenchClock(Clock):
             each[at.CLOCK_AT] = HELD
 
     def working(self, allowed_ns: int = 0) -> None:
-        """Promise to wait again within `allowed_ns`; 0: within the time allowed for work."""
+        """Hold virtual time for at most `allowed_ns`, ns, of work until the next wait; 0: usual work time."""
         self._promise(-(allowed_ns or int(self._words[at.WORK_AT])))
 
     def waiting(self, until_ns: int) -> None:
-        """Promise to sleep until `until_ns`."""
+        """Hold virtual time at `until_ns`, ns: this participant sleeps until then."""
         self._promise(until_ns + int(self._words[at.WAKE_AT]))
 
     def _promise(self, due_ns: int) -> None:
@@ -175,14 +178,14 @@ class BenchClock(Clock):
                     interrupt(*self.arguments)
 
     def sends(self) -> None:
-        """Note that this participant sends: time no longer stands still once a non-holder has sent."""
+        """Call before each send; if this participant holds no virtual time, this ends all standstills."""
         if self.holds:
             self.working()
         elif self._words[at.CLOCK_AT] == HELD:
             interrupt(*self.arguments)
 
     def leave(self) -> None:
-        """Stop holding bench time."""
+        """Stop holding virtual time: from now on this participant cannot make it stand still."""
         if self.holds:
             self._promise(0)
             self._words[self._state[_AT]] = 0
@@ -190,16 +193,16 @@ class BenchClock(Clock):
 
     @property
     def interrupted(self) -> bool:
-        """True once a participant that does not hold time has sent: time cannot stand still any more."""
+        """True once a participant that does not hold time has sent: virtual time then always runs."""
         return bool(self._words[at.CLOCK_AT] == FOREIGN)
 
     def stretched(self) -> int:
-        """Total standstill of bench time, ns."""
+        """Total standstill of virtual time since its start, ns."""
         return int(self._words[at.OFFSET_AT])
 
     # waiting
     def stands(self) -> bool:
-        """True while time stands still; dismisses the participant that causes it if it is late or gone."""
+        """True while virtual time stands still; ends the hold of the late participant after DISMISS_NS."""
         now = self.now()
         if not self._state[_BEHIND]:
             return False
@@ -215,7 +218,7 @@ class BenchClock(Clock):
         return True
 
     def sleep_until(self, t_ns: int, spin_ns: int = 0) -> None:
-        """Sleep until bench time t_ns or later; spins at the end, but never while time stands still."""
+        """Sleep until virtual time `t_ns` or later; busy-wait for the last `spin_ns` while time runs."""
         self.waiting(t_ns)
         while (now := self.now()) < t_ns:
             rest = t_ns - now - spin_ns

@@ -1,4 +1,4 @@
-"""LocalCanBus: localcan as a python-can interface, for its viewer, logger and player."""
+"""LocalCanBus: the virtual bus localcan as a python-can interface, for its viewer, logger and player."""
 
 import errno
 import struct
@@ -26,7 +26,7 @@ class LocalCanBus(can.BusABC):
     all. If left out, the present values apply (1M/5M, CAN FD if nobody has set any).
     receive_own_messages: deliver own messages too, with is_rx False.
 
-    Message.timestamp is Unix time of the frame's end, minus the standstill of bench time since joining.
+    Message.timestamp is Unix time of the frame's end, minus the standstill of virtual time since joining.
     Filters are applied in software. Mutable state: the participant and the messages received but not taken.
     Raises can.CanInitializationError if the timing differs or the runtime folder cannot be used.
     """
@@ -70,7 +70,7 @@ class LocalCanBus(can.BusABC):
         return message, False
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Queue a message. Raises can.CanOperationError: ENOBUFS without room for it within `timeout`, s."""
+        """Queue a message. Raises can.CanOperationError (ENOBUFS) if no room is free within `timeout` s."""
         end = time.monotonic() + (timeout or 0.0)
         try:
             frames = sent_array([from_message(msg)])
@@ -85,7 +85,7 @@ class LocalCanBus(can.BusABC):
             raise can.CanOperationError(str(error)) from error
 
     def flush_tx_buffer(self) -> None:
-        """Drop the messages of this node that have not started."""
+        """Drop this node's messages whose transmission has not started."""
         self._node.flush_tx()
 
     def fileno(self) -> int:
@@ -93,7 +93,7 @@ class LocalCanBus(can.BusABC):
         return self._node.fileno()
 
     def shutdown(self) -> None:
-        """Leave the bus."""
+        """Leave the bus and release its resources."""
         super().shutdown()
         if hasattr(self, "_node"):
             self._node.close()

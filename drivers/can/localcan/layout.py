@@ -10,7 +10,7 @@ from drivers.compiled.compiler import helper
 VERSION = 4
 """Part of the file name: programs with different layouts use different wires."""
 SLOTS = 64
-"""Most participants."""
+"""Most participants on one channel."""
 LOG = 1 << 15
 """Entries of the log, one per frame: a reader may lag by 2 s at 14 000 frames/s."""
 OUTBOX = 1 << 13
@@ -21,8 +21,8 @@ TIMING_AT, SERIAL_AT, USED_AT, CLOCK_AT, WAKE_AT, WORK_AT = range(6)
 """Header: bit timing, 0 until it is set; participants so far; slots ever used; and for `bench_clock`: whether
 time may stand still, and the times allowed to wake up and to work, ns."""
 HINT_AT, OFFSET_AT, LATEST_AT = 16, 24, 32
-"""Words that change all the time, far from each other: an index near the log's end; lag of bench time behind
-CLOCK_MONOTONIC, ns; latest bench time read by any participant, ns."""
+"""Words that change all the time, far from each other: an index near the log's end; lag of virtual time
+behind CLOCK_MONOTONIC, ns; latest virtual time read by any participant, ns."""
 SLOTS_AT = 64
 SLOT = 16
 SLOT_SERIAL, SLOT_PID, SLOT_RUNG, SLOT_COUNT, SLOT_DUE, SLOT_FIRST = range(6)
@@ -46,11 +46,11 @@ FIRST = LOG
 
 @helper
 def slot_at(serial: int) -> int:
-    """Index of the first word of a participant's slot."""
+    """Index of the first word of the slot of the participant with this serial number."""
     return SLOTS_AT + serial % SLOTS * SLOT
 
 
 @helper
 def record_at(serial: int, number: int) -> int:
-    """Index of the first word of a participant's frame with this number."""
+    """Index of the first word of the record of a participant's frame; number: counts its sent frames."""
     return OUTBOX_AT + (serial % SLOTS * OUTBOX + number % OUTBOX) * RECORD_WORDS

@@ -31,7 +31,7 @@ PLACE, ENTRY = bus.WIRE + 1, bus.WIRE + 2
 """Columns of a reader's `queue` after those of `arbitration`: index of the record; its entry without lap."""
 QUEUE_ROWS = 8192
 FRAME_WORDS = 10
-"""Words of an element of FRAME: t_ns, and the words of a record from DETAIL on."""
+"""Words of a FRAME record: t_ns, and the words of a record from DETAIL on."""
 _KEPT = at.LOG - 1024
 """Entries before the log's end that cannot be overwritten during a read."""
 _NUMBERS = (1 << at.NUMBER_BITS) - 1
@@ -42,7 +42,7 @@ _SENT_AS_IT_IS = 0xFFFFFFFF | (0xFF & ~OWN) << _FLAGS
 
 @helper
 def _gather(words: Ints, queue: Ints) -> int:
-    """Fill in the waiting frames of all outboxes; the result is their number."""
+    """Fill `queue` with the waiting frames of all outboxes; the result is their number."""
     rows = 0
     for slot in range(load(words, at.USED_AT)):
         place = at.slot_at(slot)
@@ -66,7 +66,7 @@ def _gather(words: Ints, queue: Ints) -> int:
 
 @helper
 def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
-    """Record, number and end of the frame of an entry; end 0: withdrawn, negative: overwritten."""
+    """(record, number, end ns) of the frame of log entry `index`; end 0: withdrawn, negative: overwritten."""
     entry = load(words, at.LOG_AT + index % at.LOG)
     record = at.record_at(entry >> at.NUMBER_BITS, entry & _NUMBERS)
     number = load(words, record + at.NUMBER)
@@ -80,9 +80,10 @@ def _settle(words: Ints, index: int, free_ns: int) -> tuple[int, int, int]:
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, INTEGER, OUT_INTEGER_MATRIX)
 def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> int:
-    """Start the frames due by now, and fill `frames`, elements of FRAME, with the ended ones.
+    """Start all transmissions due by `now_ns` and copy ended frames into `frames`; returns their number.
 
-    The result is the number filled in. Call again when `frames` is full.
+    words: shared memory; state: this reader's position; frames: FRAME records. Call again when it is
+    full.
     """
     taken = 0
     while taken < frames.shape[0]:
@@ -121,9 +122,10 @@ def look(words: Ints, state: Ints, queue: Ints, now_ns: int, frames: Ints) -> in
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, OUT_INTEGER_MATRIX, OUT_INTEGERS)
 def foresee(words: Ints, state: Ints, queue: Ints, missing: Ints) -> int:
-    """Time, ns, when all missing identifiers (none: the next foreign frame) will have ended; -1: unknown.
+    """Time, ns, at which all identifiers in `missing` (empty: another node's next frame) will have been sent.
 
-    A frame queued later can only delay this time, unless it is itself awaited. Overwrites `missing`.
+    -1: unknown. A frame queued later can only delay this time, unless it is itself awaited. Overwrites
+    `missing`.
     """
     index, free, rows, left = state[CURSOR], state[FREE], -1, missing.shape[0]
     while True:
@@ -162,11 +164,11 @@ def put(
     limit: int,
     limit_of_all: int,
 ) -> int:
-    """Queue leading frames of this participant, elements of FRAME as words; the result is their number.
+    """Queue this participant's frames, FRAME records as words, until there is no room; returns how many.
 
-    costs: priority, duration ns and length of each frame. clock_words, clock: those of its `bench_clock`,
-    which may belong to another wire. At most `limit` of its own frames then wait, and `limit_of_all` of all.
-    A frame's time of queueing is read just before the frame is counted.
+    costs: priority, duration ns and length of each frame. clock_words, clock: shared words and state of its
+    `bench_clock`, which may belong to another wire. After the call at most `limit` of its own frames wait,
+    and `limit_of_all` of all. The time of queueing is read just before the frame is counted.
     """
     slot, rows, own = state[SERIAL] % at.SLOTS, _gather(words, queue), 0
     for row in range(rows):
@@ -202,16 +204,16 @@ def withdraw(words: Ints, state: Ints, queue: Ints) -> int:
 
 @kernel(OUT_INTEGERS, INTEGER, INTEGER, INTEGER)
 def change(words: Ints, place: int, expected: int, new: int) -> bool:
-    """Set a word to `new` if it is `expected`; True if it was. Later reads cannot move before it."""
+    """Set a word to `new` if it equals `expected`; True if so. A barrier: later reads stay after it."""
     return bool(replace(words, place, expected, new))
 
 
 @kernel(OUT_INTEGERS, OUT_INTEGERS, INTEGER, INTEGER, OUT_INTEGERS)
 def to_ring(words: Ints, state: Ints, now_ns: int, again_ns: int, serials: Ints) -> int:
-    """Fill in participants to ring: they wait for a ring or have not answered one for `again_ns`.
+    """Fill `serials` with the participants whose doorbell is to be rung; the result is their number.
 
-    The result is their number. The due of those that hold bench time is brought forward: they have frames to
-    read.
+    They wait for a ring or have not answered one for `again_ns`. The due of those that hold virtual time is
+    brought forward: they have frames to read.
     """
     found = 0
     for slot in range(load(words, at.USED_AT)):

@@ -1,4 +1,4 @@
-"""One participant on a localcan channel: elements of FRAME, times in ns of the channel's clock."""
+"""One participant on a localcan channel; frames are FRAME records, times ns of the channel's clock."""
 
 import threading
 from collections.abc import Set as AbstractSet
@@ -36,7 +36,7 @@ LOOK_S = 1e-3
 
 @lru_cache(1024)
 def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: str) -> tuple[int, int, int]:
-    """Priority, duration ns and length of a frame.
+    """(priority, duration ns, length in bytes) of a frame on this bus.
 
     classic: the channel's name if it is a classic CAN bus, else empty. Raises BusError for a frame that this
     bus cannot carry.
@@ -55,14 +55,13 @@ def _cost(identifier: int, flags: int, size: int, timing: BitTiming, classic: st
 
 
 class Participant(Link):
-    """A node on the channel.
+    """A node on a localcan channel.
 
-    The first participant that sets a mode (`timing`, `fd`) fixes it; None accepts the present mode.
-    `own`: receive own frames, too. `spin_us`: busy-wait before the end of an awaited frame. `tx_limit`:
-    frames that may wait for the bus before `send` accepts no more.
-    `clock`: clock of a participant on another channel, to be shared; it stops holding time when this one
-    leaves. By default the channel has its own clock. Others that join this channel use its own clock, which
-    follows the shared one.
+    The first participant that sets bit rates (`timing`) or CAN FD (`fd`) fixes them; None accepts what is
+    set. `own`: receive own frames, too. `spin_us`: busy-wait this long, us, before the end of an awaited
+    frame. `tx_limit`: frames that may wait for the bus before `send` accepts no more. `clock`: clock of a
+    participant on another channel, to be shared; it stops holding time when this one leaves. By default the
+    channel has its own clock. Others that join this channel use its own clock, which follows the shared one.
 
     Mutable state: the shared wire; this reader's position in its log; frames received but not taken.
     Raises BusError if the timing differs or the folder cannot be used.
@@ -138,7 +137,7 @@ class Participant(Link):
         wire.words[at.slot_at(self.serial) + at.SLOT_SERIAL] = self.serial
 
     def close(self) -> None:
-        """Leave the bus; queued frames are still sent. The last participant removes the wire."""
+        """Leave the bus; queued frames are still sent. The last participant removes the shared memory."""
         if self._closed:
             return
         self._closed = True
@@ -158,7 +157,7 @@ class Participant(Link):
         return self._wire.mode or DEFAULT_MODE
 
     def send(self, frames: Rows) -> int:
-        """Queue frames at this node; the result counts those accepted: fewer once `tx_limit` frames wait.
+        """Queue FRAME records at this node; returns how many were accepted: fewer at `tx_limit` waiting.
 
         Never waits. Raises BusError for a frame that this bus cannot carry.
         """
@@ -196,29 +195,28 @@ class Participant(Link):
         return taken
 
     def flush_tx(self) -> int:
-        """Drop this node's frames that have not started; the result is their number."""
+        """Drop this node's frames whose transmission has not started; the result is their number."""
         with self._thread:
             self._look()
             return int(log.withdraw(self._wire.words, self._state, self._queue))
 
     def sent_ns(self) -> list[int]:
-        """End of each frame accepted by the last `send`, ns, as far as this node has seen it.
+        """Time, ns, of each frame that the last `send` accepted: its end on the wire, once that is known.
 
-        Else the time of acceptance.
+        Before this node has seen the end, the time at which the frame was queued.
         """
         words, places = self._wire.words, [at.record_at(self.serial, number) for number in self._sent]
         return [int(end) if (end := words[place + at.END]) > 0 else self._queued_ns for place in places]
 
     # receiving
     def receive(self) -> Rows:
-        """Frames that ended since the last call, in the order of the wire. Does not block."""
+        """Frames whose transmission ended since the last call, FRAME records in wire order; no wait."""
         with self._thread:
             self._look()
             received, self._inbox = self._inbox, bytearray()
         return np.frombuffer(received, FRAME)
 
     def _look(self) -> None:
-        """Read frames that have ended into the inbox."""
         words, now, taken = self._wire.words, self.clock.now(), BATCH
         while taken == BATCH:
             taken = log.look(words, self._state, self._queue, now, self._frames)
@@ -227,9 +225,10 @@ class Participant(Link):
 
     # waiting
     def block(self, deadline_ns: int, missing: AbstractSet[int]) -> None:
-        """Sleep until all missing identifiers (none: the next foreign frame) will have ended.
+        """Sleep until all identifiers in `missing` (empty: another node's next frame) will have been sent.
 
-        If that time is unknown, sleep until somebody sends. The sleep ends at the deadline at the latest.
+        If that time is unknown, sleep until a participant sends. The sleep ends at `deadline_ns` at the
+        latest.
         """
         clock, end = self.clock, self.foresee(missing)
         if end is None:
@@ -249,9 +248,9 @@ class Participant(Link):
         clock.working()
 
     def foresee(self, missing: AbstractSet[int] = frozenset()) -> int | None:
-        """Time, ns, when all missing identifiers will have ended; None if unknown at present.
+        """Time, ns, at which all identifiers in `missing` will have been sent; None if unknown at present.
 
-        Without missing identifiers: the end of the next foreign frame.
+        With an empty `missing`: the end of the next frame of another node.
         """
         awaited = np.fromiter(missing, np.int64, len(missing))
         with self._thread:
@@ -259,20 +258,20 @@ class Participant(Link):
         return None if end < 0 else end
 
     def _ask_for_ring(self) -> None:
-        """Empty the doorbell and request a ring from the next sender. Read the log after it, not before."""
+        """Empty the doorbell and request a ring from the next sender. Call it before reading the log."""
         self._wire.silence()
         place = at.slot_at(self.serial) + at.SLOT_RUNG
         log.change(self._wire.words, place, int(self._wire.words[place]), 0)
 
     def arm(self) -> bool:
-        """Request the next ring, unless a frame has arrived or is under way; True if none has."""
+        """Request a ring at the next frame; False, without request, if a frame has arrived or is near."""
         self._ask_for_ring()
         return not self._inbox and self.foresee() is None
 
     def fileno(self) -> int:
-        """Descriptor of the doorbell, readable after a ring."""
+        """Descriptor of the doorbell socket, readable when frames have arrived after `arm`."""
         return self._wire.bell.fileno()
 
     def ring(self) -> None:
-        """Make `fileno` readable: the reader has not yet taken all frames received."""
+        """Make `fileno` readable, as some received frames have not been taken yet."""
         self._wire.ring(self.serial)

@@ -1,6 +1,6 @@
-"""Shared memory of one localcan channel: its file, timing, participants and doorbells.
+"""Shared memory of one localcan channel: its file, bit timing, participants and their doorbell sockets.
 
-Only joining and leaving take the file's lock; the wait for it is bounded.
+Joining and leaving take the file's lock, for a bounded time; sending and receiving never do.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ _AGAIN_S = 0.001
 
 
 class Mode(NamedTuple):
-    """Mode of a channel: bit rates, and CAN FD or classic. Modes with the same text agree."""
+    """Bit rates of a channel, and CAN FD or classic. Modes with equal text are compatible."""
 
     timing: BitTiming
     fd: bool
@@ -87,7 +87,7 @@ class Wire:
         self.bell.setblocking(False)
 
     def lock(self, seconds: float) -> bool:
-        """Wait at most `seconds` for others that join or leave; True if the lock was taken."""
+        """Lock the channel against others that join or leave; False if that took more than `seconds`."""
         until = time.monotonic() + seconds
         while True:
             with contextlib.suppress(BlockingIOError):
@@ -98,7 +98,7 @@ class Wire:
             time.sleep(_AGAIN_S)
 
     def _claim(self, start: int, length: int) -> None:
-        """Reserve memory for a part of the file, as a full file system would kill the process at a write."""
+        """Reserve memory for part of the file: on a full file system a later write would kill the process."""
         try:
             os.ftruncate(self._fd, at.SIZE)
             os.posix_fallocate(self._fd, start, length)
@@ -109,7 +109,7 @@ class Wire:
             ) from error
 
     def unlock(self) -> None:
-        """Let others join and leave."""
+        """Release the lock, so that others can join and leave."""
         fcntl.flock(self._fd, fcntl.LOCK_UN)
 
     def close(self) -> None:
@@ -120,24 +120,24 @@ class Wire:
 
     @property
     def mode(self) -> Mode | None:
-        """Mode on which the participants agreed; None until one of them sets it."""
+        """Bit timing that the participants use; None until one of them sets it."""
         packed = int(self.words[at.TIMING_AT])
         rates = BitTiming(packed & 0x7FFFFFFF, packed >> 31 & 0x7FFFFFFF)
         return Mode(rates, bool(packed >> 62)) if packed else None
 
     def fix(self, mode: Mode) -> None:
-        """Set the mode for the life of this bus, in one word: two participants at once cannot mix theirs."""
+        """Set the bit timing for the life of this bus, in one atomic word: two writers cannot mix theirs."""
         (rate, fast), fd = mode
         self.words[at.TIMING_AT] = rate | fast << 31 | int(fd) << 62
 
     # participants
     def present(self) -> dict[int, int]:
-        """Serial number -> process, for each participant."""
+        """Process id of each participant, by serial number."""
         pairs = self._slots[:, [at.SLOT_SERIAL, at.SLOT_PID]].tolist()
         return {serial: pid for serial, pid in pairs if serial}
 
     def enter(self) -> int:
-        """Take a slot and its doorbell, with the lock held; the result is the serial number.
+        """Take a slot and open its doorbell, with the lock held; the result is the serial number.
 
         The participant is on the bus once it writes the number into the slot.
         Raises BusError without a free slot, without memory, or if the socket cannot be opened.
@@ -163,11 +163,11 @@ class Wire:
 
     # doorbells
     def bell_of(self, serial: int) -> str:
-        """Path of a participant's doorbell."""
+        """Path of the doorbell socket of the participant with this serial number."""
         return f"{self._prefix}.{serial}"
 
     def ring(self, serial: int) -> bool:
-        """Ring a participant; True if it is alive."""
+        """Ring the doorbell of a participant; False if its process has ended."""
         try:
             self.bell.sendto(b"", self.bell_of(serial))
         except (ConnectionRefusedError, FileNotFoundError):
@@ -177,11 +177,11 @@ class Wire:
         return True
 
     def silence(self) -> None:
-        """Discard all rings received."""
+        """Empty the doorbell: discard all rings received so far."""
         with contextlib.suppress(BlockingIOError):
             while True:
                 self.bell.recv(1)
 
     def wait(self, seconds: float) -> None:
-        """Sleep until a ring, at most `seconds`."""
+        """Sleep until the doorbell rings, at most `seconds`."""
         select.select([self.bell], [], [], seconds)

@@ -1,4 +1,4 @@
-"""The story of a fault: what happened, the drives' reports, the reaction, and what to do next.
+"""The report of a fault: what happened, what the drives reported, the reaction, what to do next.
 
-It only reads the cycle and never changes its behaviour.
+The package only reads the cycle and never changes its behaviour.
 """

@@ -1,4 +1,4 @@
-"""Evidence of a fault in its tick, per leg or as a whole, with the quantities of the safety rules."""
+"""Evidence of a fault: measured values and limits in its tick, per leg or for the whole platform."""
 
 import traceback
 from collections.abc import Callable, Iterable, Iterator
@@ -23,12 +23,12 @@ _OF_ALL = ("p", "R", "twist", "J", "twist_d", "dtwist_d")
 _WAIT_FOR_DRIVES = frozenset({Mode.LOADING, Mode.RELEASING, Mode.PARKING})
 _AXES = ("x", "y", "z", "rx", "ry", "rz")
 _DOUBTS = {
-    Doubt.JUMP: "from one reading to the next the length of leg {leg} changed by {mm:+.3f} mm beside "
-    "what its rate says, {mm_limit:.3f} mm are allowed: its encoder jumped, or its rate is wrong",
+    Doubt.JUMP: "between two readings of leg {leg} the change of length is {mm:+.3f} mm off its rate "
+    "(limit: {mm_limit:.3f} mm): its encoder jumped, or its rate is wrong",
     Doubt.SLIP: "length and rate of leg {leg} drifted {mm:+.3f} mm apart within "
     f"{1e3 * WINDOW_S:g} ms "
-    "(limit: {mm_limit:.3f} mm): its encoder slips, or its rate is dead",
-    Doubt.LEAP: "the rate of leg {leg} leapt by {mm:+.1f} mm/s; forces and the stated disturbance explain "
+    "(limit: {mm_limit:.3f} mm): its encoder slips, or its rate is stuck",
+    Doubt.LEAP: "the rate of leg {leg} changed by {mm:+.1f} mm/s at once; forces and disturbance explain "
     "{mm_limit:.1f} mm/s: its encoder failed, its brake closed, or a force acts along this leg",
     Doubt.STILL: "leg {leg} stands still while it or another leg strays from its reference by {mm:.3f} mm "
     "(limit: {mm_limit:.3f} mm), and pushes beyond friction did not move it: its encoder is frozen, or its "
@@ -39,12 +39,12 @@ Source = Callable[[Moment], Iterable[Evidence]]
 
 
 def legs_of(bits: int) -> Iterator[int]:
-    """Legs whose bits are set."""
+    """Legs (0..5) whose bits are set."""
     return (leg for leg in range(LEGS) if bits >> leg & 1)
 
 
 def compared(column: str, limit: str | float, unit: str, key: str = "") -> Source:
-    """Evidence from a column: one number, or those of six numbers whose size exceeds the limit.
+    """Function that gives the evidence from a column: its value, or each leg's if beyond the limit.
 
     limit: a number, or the name of one of safety's limits.
     """
@@ -63,41 +63,41 @@ def compared(column: str, limit: str | float, unit: str, key: str = "") -> Sourc
 
 
 def kinematics(m: Moment) -> Iterator[Evidence]:
-    """The residual of the forward kinematics, or that Newton's method found no pose."""
+    """Evidence: residual of the forward kinematics, or that Newton's method found no pose."""
     residual = m.tick["fk_residual"].item()
-    text = "" if isfinite(residual) else "no pose near the last one has the six lengths: residual {value}"
+    text = "" if isfinite(residual) else "no pose near the last one has these leg lengths: residual {value}"
     yield Evidence(residual, m.limit("consistency_m"), None, text, "m", "limits.consistency_m")
 
 
 def second_controller(m: Moment) -> Iterator[Evidence]:
-    """The kinds of frames that another controller has sent."""
+    """Evidence: kinds of frames that another controller has sent."""
     yield Evidence(", ".join(str(kind.name) for kind in Foreign(int(m.tick["foreign"])) & ~Foreign.ESTOP))
 
 
 def duplicate_node(m: Moment) -> Iterator[Evidence]:
-    """The legs whose nodes gave two answers."""
+    """Evidence: legs whose nodes gave two different answers to one SYNC."""
     return (Evidence(leg=leg) for leg in legs_of(int(m.tick["doubled"])))
 
 
 def set_up(m: Moment) -> Iterator[Evidence]:
-    """The legs, and the set-up that their drives report."""
+    """Evidence: legs whose drives report a set-up that was not sent, and that set-up."""
     lacks = m.cycle.end.lacks()
     return (Evidence(lacks[leg] or "", "", leg) for leg in legs_of(int(m.tick["altered"])))
 
 
 def estop(m: Moment) -> Iterator[Evidence]:
-    """The source of the emergency stop."""
+    """Evidence: who requested the emergency stop."""
     another = bool(int(m.tick["foreign"]) & Foreign.ESTOP)
-    yield Evidence("sent by another node on the bus" if another else "asked for at this controller")
+    yield Evidence("sent by another node on the bus" if another else "requested at this controller")
 
 
 def bus(m: Moment) -> Iterator[Evidence]:
-    """A bus that is off, or one that accepts no frames."""
+    """Evidence: a bus that is off, or one that accepts no frames."""
     off = int(m.tick["bus_off"])
     if not off:
         refused = m.memory("refused")
         if refused % (1 << IN_A_ROW) == (1 << IN_A_ROW) - 1:
-            text = "the bus did not accept our frames in {value} ticks in a row (limit: {limit})"
+            text = "the bus accepted no frames of the controller in {value} ticks in a row (limit: {limit})"
             yield Evidence(IN_A_ROW, IN_A_ROW, None, text, "ticks")
             return
         yield Evidence(refused.bit_count(), DEAD_BUS, unit="ticks")
@@ -111,24 +111,24 @@ def bus(m: Moment) -> Iterator[Evidence]:
 
 
 def refused_frames(m: Moment) -> Iterator[Evidence]:
-    """The number of ticks with refused frames."""
+    """Evidence: number of ticks with refused frames."""
     yield Evidence(m.memory("untrusted").bit_count(), UNRELIABLE, unit="ticks")
 
 
 def stale(m: Moment) -> Iterator[Evidence]:
-    """The legs without readings, with refused frames, or with invalid lengths."""
+    """Evidence: legs without readings, with refused frames, or with invalid lengths."""
     limit, ages = m.limit("stale_fault_ticks"), m.legs("counted_age")
     if max(ages) < limit:
         ages = m.legs("age")  # a brake test takes no estimate for a measurement
     blind, refused = m.legs("blind"), m.memory("untrusted")
-    heard, why = "heard", ""
+    answer, why = "reading", ""
     if refused % (1 << limit):
-        heard = "understood"
+        answer = "valid frame"
         why = (
             f": frames came but were refused (length, checksum or state) in {refused.bit_count()} of the "
             "last 32 ticks: check wiring, termination, gateways and bit rates"
         )
-    text = f"{heard} for {{value}} ticks, {{key}} is {{limit}}"
+    text = f"no {answer} for {{value}} ticks (limit: {{limit}}, {{key}})"
     more = {"unit": "ticks", "key": "limits.stale_fault_ticks"}
     if min(ages) >= limit and not any(blind):
         watched = m.cycle.parts.protocol.traits.has_watchdog
@@ -137,15 +137,15 @@ def stale(m: Moment) -> Iterator[Evidence]:
             f"{1e3 * min(ages) / m.cycle.parts.rate_Hz:.0f} ms by then; if it was this machine, lower "
             f"loop.rate_Hz{' and lengthen drives.watchdog_ms' if watched else ''}"
         )
-        yield Evidence(min(ages), limit, None, f"no leg {text}{why}", **more)
+        yield Evidence(min(ages), limit, None, f"all six legs gave {text}{why}", **more)
         return
     no_length = (
-        "the drive of leg {leg} answers, and calls its length invalid for {value} ticks, {key} is {limit}"
+        "the drive of leg {leg} has reported an invalid length for {value} ticks (limit: {limit}, {key})"
     )
     for leg, age in enumerate(ages):
         if age >= limit:
             yield Evidence(
-                age, limit, leg, no_length if blind[leg] else f"leg {{leg}} not {text}{why}", **more
+                age, limit, leg, no_length if blind[leg] else f"leg {{leg}} gave {text}{why}", **more
             )
     if max(ages) < limit:
         unproven = "the brake of leg {leg} cannot be proven: its encoder has slipped"
@@ -153,13 +153,13 @@ def stale(m: Moment) -> Iterator[Evidence]:
 
 
 def drive(m: Moment) -> Iterator[Evidence]:
-    """The drives that do not obey, or are not in the commanded state, with reason and waiting time."""
+    """Evidence: drives in another state than commanded, with reason and waiting time."""
     refused = int(m.tick["legs_refused"]) & ~int(m.before["legs_refused"])
     for leg in legs_of(refused):
         rate, force = m.legs("rate")[leg], m.before["tau"][leg]
         text = (
             f"drive {leg} does not obey: at {force:+.0f} N its leg moves at {rate:+.2f} m/s and gets faster: "
-            "swapped wires, a wrong sign, or a force along this leg; it gets no force any more"
+            "swapped wires, a wrong sign, or a force along this leg; its force is now off"
         )
         yield Evidence(abs(rate), FASTER_m_s, leg, text)
     if refused:
@@ -180,19 +180,19 @@ def drive(m: Moment) -> Iterator[Evidence]:
         why = because(fault, m.cycle.parts.protocol.fault_text(int(fault)))
         text = f"drive {leg} in {name}{why} instead of {asked.name}{since}"
         if state == DriveState.OFF and not late:
-            text += ": not on our command"
+            text += " without a command of the controller"
         yield Evidence(name, asked.name, leg, text)
 
 
 def brake(m: Moment) -> Iterator[Evidence]:
-    """The legs that moved, and their distances."""
+    """Evidence: legs that moved on closed brakes, and their distances."""
     limit, moved = m.limit("standstill_m"), m.cycle.parts.safety.moved_m(m.tick).tolist()
     for leg in legs_of(int(m.tick["legs_moved"])):
         yield Evidence(moved[leg], limit, leg, "", "m", "limits.standstill_m")
 
 
 def encoder(m: Moment) -> Iterator[Evidence]:
-    """The legs whose encoder is in doubt, or has slipped."""
+    """Evidence: legs whose encoder contradicts rate and force, or has slipped."""
     doubted = int(m.tick["legs_doubted"])
     if doubted:
         doubt, value, limit = (m.tick[name].item() for name in ("doubt", "doubt_value", "doubt_limit"))
@@ -206,7 +206,7 @@ def encoder(m: Moment) -> Iterator[Evidence]:
 
 
 def uncertain(m: Moment) -> Iterator[Evidence]:
-    """An uncertain position, or a tracker that has been silent for too long."""
+    """Evidence: uncertainty of the fused position, or the silence of the tracker."""
     fusion = m.cycle.parts.fusion
     if fusion is None:
         return
@@ -220,7 +220,7 @@ def uncertain(m: Moment) -> Iterator[Evidence]:
 
 
 def not_finite(m: Moment) -> Iterator[Evidence]:
-    """The first column with a value that is not finite, for each leg or for the platform."""
+    """Evidence: first column with a value that is not finite, per leg or for the platform."""
     named = set()
     for column in (*_OF_LEGS, *_OF_ALL):
         values = m.tick[column]
@@ -235,7 +235,7 @@ def not_finite(m: Moment) -> Iterator[Evidence]:
 
 
 def law(m: Moment) -> Iterator[Evidence]:
-    """The exception that the law raised, or the legs whose force is not finite."""
+    """Evidence: exception that the control law raised, or legs whose force is not finite."""
     raised = m.cycle.effort.law.keeps.raised
     if raised is not None:
         where = traceback.extract_tb(raised.__traceback__)[-1]
@@ -248,7 +248,7 @@ def law(m: Moment) -> Iterator[Evidence]:
 
 
 def stroke(m: Moment) -> Iterator[Evidence]:
-    """The legs beyond a hard end, or too fast before a soft one."""
+    """Evidence: legs beyond a hard end of the stroke, or too fast before a soft one."""
     margin, deceleration = m.limit("stroke_margin_m"), m.limit("deceleration_m_s2")
     for leg, (q, dq) in enumerate(zip(m.legs("q"), m.legs("dq"), strict=True)):
         for name, way in (("length_min_m", -1.0), ("length_max_m", 1.0)):
@@ -257,18 +257,18 @@ def stroke(m: Moment) -> Iterator[Evidence]:
             left = -margin - beyond
             allowed = max(sqrt(2.0 * deceleration * max(left, 0.0)), CREEP)
             if beyond > 0.0:
-                text = "leg {leg} is {value:.4f} m long, {key} is {limit:.4f} m: a hard end"
+                text = "leg {leg} is {value:.4f} m long, beyond its hard end ({key}: {limit:.4f} m)"
                 yield Evidence(q, end, leg, text, "m", f"platform.{name}")
             elif way * dq > allowed:
                 text = (
                     f"leg {{leg}} moves at {{value:.4f}} m/s, {1e3 * left:.2f} mm before its soft end; "
-                    "with {key} it stops in time from {limit:.4f} m/s"
+                    "it stops in time from at most {limit:.4f} m/s ({key})"
                 )
                 yield Evidence(way * dq, allowed, leg, text, "m/s", "limits.deceleration_m_s2")
 
 
 def following(m: Moment) -> Iterator[Evidence]:
-    """The legs too far from their reference; if there are none, those that do not come to rest."""
+    """Evidence: legs too far from their reference, or else those that do not come to rest."""
     off = np.abs(m.tick["q_d"] - m.tick["q"])
     limits = m.limit("following_error_m") + m.limit("following_error_s") * np.abs(m.tick["dq_d"])
     lagging = np.flatnonzero(off > limits).tolist()
@@ -278,20 +278,20 @@ def following(m: Moment) -> Iterator[Evidence]:
         if not lagging and abs(rate) >= REST_m_s:
             text = (
                 f"leg {{leg}} still moves at {{value:.3f}} m/s {REST_PATIENCE_S:g} s after its motion has "
-                "ended; below {limit:g} m/s it is at rest"
+                "ended; at rest means below {limit:g} m/s"
             )
             yield Evidence(abs(rate), REST_m_s, leg, text, "m/s")
 
 
 def certificate(m: Moment) -> Iterator[Evidence]:
-    """The axes that violate the certificate, with the share of the worst axis."""
+    """Evidence: axes whose error grew beyond the certificate's limit, with the worst axis's share."""
     share, safety = m.tick["lyapunov_share"].item(), m.cycle.parts.safety
     pose = safety.watches_pose
     for axis in safety.broken_axes():
         name = _AXES[axis] if pose else f"of leg {axis}"
         text = (
-            f"axis {name} violates the certificate: sqrt(V) of the worst axis is {{value:.3f}} of the "
-            "largest value that a disturbance within {key} allows"
+            f"axis {name} violates the certificate: sqrt(V) of the worst axis is {{value:.3f}} times the "
+            "largest value that a disturbance within {key} explains"
         )
         key = f"monitor.disturbance_{'rad' if pose and axis >= len(_AXES) // 2 else 'm'}_s2"
         yield Evidence(share, 1.0, None if pose else axis, text, "1", key)

@@ -1,4 +1,4 @@
-"""The table of faults, one row each; causes stand before their effects."""
+"""The table of faults for the fault report, one row each; causes stand before their effects."""
 
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from hil.safety.motion import HOP
 
 
 class FaultRow(NamedTuple):
-    """One fault."""
+    """One fault: its sentence, its evidence, and the advice to the user."""
 
     fault: Fault
     sentence: str
@@ -19,7 +19,7 @@ class FaultRow(NamedTuple):
     find: evidence.Source
     """Gives the evidence in the tick of the fault; none if it is no longer known."""
     advice: str
-    """What to do next."""
+    """Advice to the user: what to do next."""
 
 
 _CLEAR = "start again with --reset"
@@ -27,7 +27,7 @@ _ = FaultRow
 FAULTS = (
     _(
         Fault.SECOND_CONTROLLER,
-        "another controller is on the bus, heard: {value}; one bus has one controller",
+        "another controller is on the bus; frames received from it: {value}",
         evidence.second_controller,
         f"find who else sends on this bus and stop it; then {_CLEAR}",
     ),
@@ -39,7 +39,7 @@ FAULTS = (
     ),
     _(
         Fault.SET_UP,
-        "drive {leg} reports another set-up than the one sent to it: {value}",
+        "drive {leg} reports a set-up that this controller did not send: {value}",
         evidence.set_up,
         f"find the sender of CONFIG, or why the drive has lost its set-up; then {_CLEAR}",
     ),
@@ -51,13 +51,13 @@ FAULTS = (
     ),
     _(
         Fault.BUS,
-        "the bus did not accept our frames in {value} of the last 32 ticks (limit: {limit})",
+        "the bus accepted no frames of the controller in {value} of the last 32 ticks (limit: {limit})",
         evidence.bus,
         "check cable, termination, bit rates and that at least one drive has power; then start again",
     ),
     _(
         Fault.REFUSED_FRAMES,
-        "frames of the drives were refused in {value} of the last 32 ticks (limit: {limit})",
+        "frames from the drives were refused as invalid in {value} of the last 32 ticks (limit: {limit})",
         evidence.refused_frames,
         "check wiring, shield, termination, bit rates, and any gateway that rewrites frames",
     ),
@@ -65,7 +65,7 @@ FAULTS = (
         Fault.STALE,
         "",
         evidence.stale,
-        "check power, cable and encoder of the legs named; with all six, the load of this machine; where "
+        "check power, cable and encoder of these legs; if all six are listed, the load of this machine; if "
         "frames were refused, wiring, gateways and bit rates",
     ),
     _(Fault.DRIVE, "", evidence.drive, f"look up the drive's reason and fix it; then {_CLEAR}"),
@@ -74,15 +74,14 @@ FAULTS = (
         "leg {leg} moved {mm:.2f} mm although it had to stand still ({key}: {mm_limit:g} mm): its brake or "
         "its encoder slipped",
         evidence.brake,
-        "support the platform before anything else, then fix the brake of the leg named, or its encoder",
+        "support the platform before anything else, then fix the brake of this leg, or its encoder",
     ),
     _(
         Fault.ENCODER,
-        "the encoder of leg {leg} contradicts the pose of the others by {mm:.3f} mm, {key} is "
-        "{mm_limit:g} mm",
+        "the encoder of leg {leg} is {mm:.3f} mm off the fused pose ({key}: {mm_limit:g} mm)",
         evidence.encoder,
-        "check encoder, coupling, zero and brake of the leg named before the next start; for an encoder that "
-        "is only noisy state monitor.length_noise_m",
+        "check encoder, coupling, zero and brake of this leg before the next start; if the encoder is only "
+        "noisy, set monitor.length_noise_m",
     ),
     _(
         Fault.UNCERTAIN,
@@ -93,20 +92,19 @@ FAULTS = (
     _(Fault.NOT_FINITE, "", evidence.not_finite, "keep the log and report this defect of the program"),
     _(
         Fault.KINEMATICS,
-        "the six lengths fit no pose to better than {mm:.4g} mm, {key} is {mm_limit:g} mm",
+        "no pose fits the six leg lengths better than {mm:.4g} mm ({key}: {mm_limit:g} mm)",
         evidence.kinematics,
         "check zero and scale of the encoders, and section platform (`hil calibrate`)",
     ),
     _(
         Fault.ASSEMBLY,
-        "the pose may belong to another assembly than the last one (measure of the hop: {value:.3f}, limit: "
-        "{limit:g})",
+        "the pose may have jumped to another assembly mode (column hop: {value:.3f}, limit: {limit:g})",
         evidence.compared("hop", HOP, "1"),
         "keep the reference away from singular poses (`hil check`), and check the encoders",
     ),
     _(
         Fault.CONDITION,
-        "the condition number of J is {value:.4g}, {key} is {limit:g}",
+        "the condition number of the Jacobian is {value:.4g} ({key}: {limit:g})",
         evidence.compared("condition", "condition", "1", "limits.condition"),
         "keep the reference away from singular poses: `hil check`, `hil workspace`",
     ),
@@ -124,7 +122,7 @@ FAULTS = (
     ),
     _(
         Fault.SPEED,
-        "leg {leg} moves at {value:.4f} m/s, {key} is {limit:g} m/s",
+        "leg {leg} moves at {value:.4f} m/s ({key}: {limit:g} m/s)",
         evidence.compared("dq", "speed_m_s", "m/s", "limits.speed_m_s"),
         "check the reference (`hil check`), sign and scale of rate and force, and pushes on the platform",
     ),
@@ -139,7 +137,7 @@ FAULTS = (
         Fault.CERTIFICATE,
         "",
         evidence.certificate,
-        "compare load and model (payload, friction, delay), or allow more in monitor.disturbance_m_s2",
+        "compare load and model (payload, friction, delay), or raise monitor.disturbance_m_s2",
     ),
 )
 """Sorted from cause to effect: of several faults in one tick the first is the likely cause."""
@@ -147,7 +145,7 @@ del _
 
 
 def findings(m: Moment, faults: Fault) -> Iterator[Finding]:
-    """Yield the findings of the faults that strike in a moment, causes first.
+    """Findings (report lines) of the faults that strike in a tick, causes first.
 
     A fault without evidence in its tick gives a finding with its name alone.
     """

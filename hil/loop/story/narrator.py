@@ -1,4 +1,4 @@
-"""Watches the cycle from tick to tick and composes the story of its faults."""
+"""Narrator: watches the cycle from tick to tick and collects the report of its faults."""
 
 import json
 from collections.abc import Callable, Sequence
@@ -13,19 +13,19 @@ from hil.signals import Operator
 
 PUSHED = (
     "leg {leg} stands still while a leg strays from its reference: it is pushed by up to {most_N:.3g} N to "
-    "test whether it moves. If friction held it, set monitor.friction_N; if a load held it, state that load"
+    "test whether it moves. If friction held it, set monitor.friction_N; if a load held it, model the load"
 )
 EventSink = Callable[[int, str, str], None]
 """Receives t_ns, level and text of an event."""
 
 
 def no_event(t_ns: int, level: str, text: str) -> None:
-    """Discard the event."""
+    """Event sink that discards the event."""
     del t_ns, level, text
 
 
 class Narrator:
-    """Collects the story of the latched faults from every tick in which the cycle decides.
+    """Collects the report of the latched faults from every tick in which the cycle decides.
 
     It changes nothing in the cycle. In most ticks there is nothing new; it looks only at changes.
 
@@ -34,7 +34,7 @@ class Narrator:
     """
 
     def __init__(self, cycle: Cycle, event: EventSink = no_event) -> None:
-        """Watch a cycle from its present tick on; `event` receives each finding."""
+        """Watch a cycle from its present tick on; `event` receives each finding of a fault."""
         self._cycle, self._event = cycle, event
         self._mode, self._mode_tick = cycle.mode, cycle.mode_tick
         self._reset_tick = cycle.reset_tick
@@ -55,7 +55,7 @@ class Narrator:
         """Tick of the first emergency stop frame."""
 
     def look(self, operator: Sequence[Operator] = ()) -> None:
-        """Process the tick that was just stepped, and the operator's commands in it."""
+        """Update the report from the tick that was just stepped; operator: its commands."""
         cycle = self._cycle
         if cycle.reset_tick != self._reset_tick:
             self._reset_tick = cycle.reset_tick
@@ -73,7 +73,6 @@ class Narrator:
         self._mode, self._mode_tick = mode, cycle.mode_tick
 
     def _push(self, cycle: Cycle) -> None:
-        """Log each push that begins."""
         safety = cycle.parts.safety
         began = (cycle.last["probe_force"] == 0.0) & (abs(safety.memory["push"]) == 1)
         for leg in began.nonzero()[0].tolist():
@@ -81,7 +80,7 @@ class Narrator:
             self._event(int(cycle.tick["t_ns"]), "warning", PUSHED.format(leg=leg, most_N=most_N))
 
     def _wait(self, cycle: Cycle, off_tick: int) -> None:
-        """Check whether all drives have reported since the command to switch off, and are off."""
+        """Note when all drives have reported since the command to switch off that they are off."""
         tick = cycle.tick
         since = int(tick["tick"]) - off_tick
         self._sent = self._sent or not (tick["sends_failed"] or tick["bus_off"])
@@ -121,7 +120,7 @@ class Narrator:
         return short(self._findings)
 
     def story(self, plant: str = "") -> Story | None:
-        """The story so far; None without a fault.
+        """Report of the faults so far; None without a fault.
 
         `plant`: reason of a plant failure, which has ended the simulation.
         """
@@ -129,15 +128,13 @@ class Narrator:
             return None
         tick = self._cycle.tick
         moving = moving_text(self._cycle)
-        rest = f"still moving: {moving}" if moving else "no leg that is heard moves"
+        rest = f"still moving: {moving}" if moving else "all legs that report are at rest"
         if tick["age"].all():
             rest = "no leg reports, so a leg may still move"
         done = self._done()
         if plant:
             number = int(tick["tick"])
-            done.append(
-                Step(number, number / self._cycle.parts.rate_Hz, "PLANT", "the simulation ended with it")
-            )
+            done.append(Step(number, number / self._cycle.parts.rate_Hz, "PLANT", "the simulation ended too"))
         now = reports(self._cycle)
         return Story(tuple(self._findings), self._drives or now, tuple(done), now, rest, plant)
 
@@ -165,14 +162,14 @@ class Narrator:
         return sorted(steps, key=lambda step: step.tick)
 
     def _braked(self, since: int) -> str:
-        """Text with the drives that have not reported a closed brake since a tick."""
+        """Text: drives that have not reported a closed brake since a tick; empty if all have."""
         now = int(self._cycle.tick["tick"])
         run = DriveState.RUN.name
         missing = [d.leg for d in reports(self._cycle) if d.state == run or now - d.age <= since]
         return f"; not confirmed by drive {listed(missing)}" if missing else ""
 
     def _switched_off(self, off_tick: int) -> str:
-        """Result of the command to switch off, as text."""
+        """Text: which drives have switched off since the command in `off_tick`, and which have not."""
         cycle, now = self._cycle, int(self._cycle.tick["tick"])
         if now == off_tick:
             return DONE[Mode.FAULT]
@@ -188,7 +185,7 @@ class Narrator:
         return f"{DONE[Mode.FAULT]}: not confirmed by drive {silent}; {not_confirmed(cycle.parts, reaction)}"
 
     def _stopped(self) -> str:
-        """Result of the emergency stop, as text."""
+        """Text: whether the emergency stop was sent, and which drives have not confirmed it."""
         if self._off_tick is not None and not self._sent and int(self._cycle.tick["tick"]) > self._off_tick:
             return "the emergency stop could not be sent: the bus takes no frames"
         silent = unconfirmed(self._cycle.tick, self._cycle.parts.protocol.traits.stop_latches)
@@ -197,7 +194,7 @@ class Narrator:
 
 
 def reports(cycle: Cycle) -> tuple[DriveReport, ...]:
-    """Last report of each drive up to the last tick, with the meanings of its maker's codes."""
+    """Last state report of each drive, with the meaning of its fault code."""
     tick, meaning = cycle.tick, cycle.parts.protocol.fault_text
     columns = (tick[name].tolist() for name in ("drive_state", "drive_fault", "age", "blind"))
     rows = zip(range(LEGS), *columns, strict=True)

@@ -1,4 +1,4 @@
-"""Evidence of a fault in its tick, and the story of a run's faults: in words, and as plain values."""
+"""Evidence of a fault, and the report of a run's faults (`Story`): as text, and as plain values."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -17,64 +17,64 @@ GLOSSARY = "docs/guides/glossary-of-faults.md"
 
 
 class Moment(NamedTuple):
-    """The tick in which a fault struck."""
+    """The tick in which a fault struck, with the cycle and the tick before."""
 
     cycle: Cycle
     before: Record
-    """The tick before."""
+    """Record of the tick before the fault."""
     mode: Mode
-    """Mode of the tick before."""
+    """Mode in the tick before the fault."""
     elapsed_s: float
-    """Time since that mode was entered."""
+    """Time since that mode was entered, s."""
 
     @property
     def tick(self) -> Record:
-        """The tick itself."""
+        """Record of the tick in which the fault struck."""
         return self.cycle.tick
 
     def limit(self, name: str) -> Any:
-        """A limit of safety, int or float."""
+        """A limit of the safety checks, by its name in their record."""
         return self.cycle.parts.safety.limits[name].item()
 
     def memory(self, name: str) -> int:
-        """A field of safety's memory, as bits."""
+        """A field of the safety checks' memory, as an integer of bits."""
         return int(self.cycle.parts.safety.memory[name])
 
     def legs(self, column: str) -> list[Any]:
-        """A column of the tick, one element per leg."""
+        """A column of the tick as a list, one element per leg."""
         values: list[Any] = self.tick[column].tolist()
         return values
 
 
 class Evidence(NamedTuple):
-    """Evidence of a fault in a tick, at one leg or as a whole."""
+    """Evidence of a fault in a tick: value and limit at one leg, or for the whole platform."""
 
     value: float | str | None = None
     limit: float | str | None = None
     leg: int | None = None
-    """The leg, if known."""
+    """Leg (0..5) that the evidence is about; None: the whole platform, or unknown."""
     sentence: str = ""
-    """Replaces the row's sentence."""
+    """Text format that replaces that of the fault's row; empty: none."""
     unit: str = ""
     """Unit of value and limit, SI."""
     key: str = ""
     """Configuration key of the limit; empty for a constant."""
 
     def text(self, sentence: str) -> str:
-        """Text line of the evidence; `sentence`: the row's, used if it has none of its own."""
+        """The evidence as one line; `sentence`: format of the fault's row, unless it has its own."""
         numbers = {"mm": self.value, "mm_limit": self.limit}
         thousandths = {name: 1e3 * each for name, each in numbers.items() if isinstance(each, float)}
         return (self.sentence or sentence).format(**self._asdict(), **thousandths)
 
 
 class Finding(NamedTuple):
-    """Report of a fault, at one leg or as a whole."""
+    """One line of a fault report: fault, time, value, limit and advice, for a leg or the platform."""
 
     fault: str
-    """Name of the bit."""
+    """Name of the fault's bit."""
     tick: int
     time_s: float
-    """Time in the run."""
+    """Time since the start of the run, s."""
     mode: str
     """Name of the mode before the fault."""
     leg: int | None
@@ -82,29 +82,29 @@ class Finding(NamedTuple):
     limit: float | str | None
     unit: str
     limit_key: str
-    """As in `Evidence`."""
+    """Configuration key of the limit; empty for a constant."""
     text: str
     """One line, with the numbers of the tick."""
     next: str
-    """What to do."""
+    """Advice to the user."""
 
     @property
     def place(self) -> str:
-        """Fault name, time and mode."""
+        """Fault name, time in the run and mode, as text."""
         return f"fault {self.fault} at {self.time_s:.3f} s (tick {self.tick}) in {self.mode}"
 
     @property
     def line(self) -> str:
-        """Place and text in one line."""
+        """Fault name, time, mode and evidence in one line."""
         return f"{self.place}: {self.text}" if self.text else self.place
 
     @property
     def page(self) -> str:
-        """Section of the glossary for this fault."""
+        """Page and anchor of the glossary entry for this fault."""
         return f"{GLOSSARY}#fault-{self.fault.lower()}"
 
     def fields(self) -> dict[str, Any]:
-        """The finding as plain values: null, text, or a finite number."""
+        """All fields of the finding as JSON values: null, text, or a finite number."""
         odd = {k: str(x) for k, x in self._asdict().items() if isinstance(x, float) and not isfinite(x)}
         return self._asdict() | odd | {"page": self.page}
 
@@ -113,28 +113,28 @@ DONE = {
     Mode.WAITING: "the faults were cleared on request",
     Mode.IDLE: "the brakes stayed closed",
     Mode.LOADING: "the brakes stayed closed while the force was built up",
-    Mode.RELEASING: "the brakes were told to open",
+    Mode.RELEASING: "the brakes were commanded to open",
     Mode.APPROACH: "the move to the start of the reference went on",
     Mode.TRACKING: "the motion along the reference went on",
     Mode.STOPPING: "a controlled stop along the reference began",
-    Mode.PARKING: "the brakes were told to close, while the law held the platform",
-    Mode.UNLOADING: "the closed brakes took the platform over, while the legs had to stand still",
-    Mode.PARKED: "the drives were told to switch off",
-    Mode.FAULT: "the drives were told to switch off",
-    Mode.HELD: "the brakes were told to close and the force held the platform: not all are proven shut",
+    Mode.PARKING: "the brakes were commanded to close, while the law held the platform",
+    Mode.UNLOADING: "the closed brakes took over the platform, while the legs had to stand still",
+    Mode.PARKED: "the drives were commanded to switch off",
+    Mode.FAULT: "the drives were commanded to switch off",
+    Mode.HELD: "the brakes were commanded to close and the force held the platform: not all are proven shut",
 }
 """Reaction to a fault, by the mode that was entered."""
 WITHOUT_FORCE = {
     Mode.LOADING: "the brakes stayed closed: these drives give no force on them",
-    Mode.PARKING: "the drives were told to close their brakes, on which they give no force",
+    Mode.PARKING: "the drives were commanded to close their brakes, on which they give no force",
     Mode.UNLOADING: "the closed brakes carried the platform, while the legs had to stand still",
-    Mode.HELD: "the drives were told to close their brakes, on which they give no force: nothing else holds "
-    "the platform, and not all brakes are proven shut",
+    Mode.HELD: "the drives were commanded to close their brakes, on which they give no force: nothing else "
+    "holds the platform, and not all brakes are proven shut",
 }
 """Reactions of drives that give no force on closed brakes."""
 PLANT_PAGE = "docs/guides/own-fmu.md"
 """Page on the requirements for a plant."""
-HELD_NEXT = "support the platform, then let go of it with `hil run CONFIG --release`"
+HELD_NEXT = "support the platform, then release it with `hil run CONFIG --release`"
 HELD_PAGE = "docs/guides/real-drives.md#held-until-the-brakes-are-proven"
 """Page on brakes that are not proven shut."""
 NUMBER = re.compile(r"^[-+]?\d+(\.\d+)?(e[-+]?\d+)?$")
@@ -142,7 +142,7 @@ _POWERED = (DriveState.READY.name, DriveState.RUN.name)
 
 
 class DriveReport(NamedTuple):
-    """Last report of a drive."""
+    """Last state report of a drive, and its age in ticks."""
 
     leg: int
     state: str
@@ -155,20 +155,20 @@ class DriveReport(NamedTuple):
 
     @property
     def powered(self) -> bool:
-        """True if it was powered at its last report."""
+        """True if the drive was in READY or RUN at its last report."""
         return self.state in _POWERED
 
     @property
     def text(self) -> str:
-        """State in words."""
+        """Drive state, fault and age of the report, as text."""
         if self.age >= NEVER:
-            return "never heard"
-        silent = f" when last heard, {self.age} ticks ago" if self.age else ""
+            return "no report received"
+        silent = f" in its last report, {self.age} ticks ago" if self.age else ""
         return f"{self.state}{because(self.fault, self.meaning)}{silent}"
 
 
 class Step(NamedTuple):
-    """One step of the reaction."""
+    """One step of the reaction to a fault: a mode that was entered, or a stop that was sent."""
 
     tick: int
     time_s: float
@@ -179,7 +179,7 @@ class Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Story:
-    """What happened, the drives' reports, the reaction, and what to do next."""
+    """The report of a run's faults: findings, the drives' states, the reaction, and what to do next."""
 
     findings: tuple[Finding, ...]
     """In the order in which the faults struck; of those in one tick, causes first."""
@@ -199,11 +199,11 @@ class Story:
 
     @property
     def done_text(self) -> str:
-        """The reactions, in one line."""
+        """The reactions to the faults, in one line."""
         return "; ".join(step.text for step in self.done)
 
     def fields(self) -> dict[str, Any]:
-        """The story as plain values."""
+        """The fault report as JSON values."""
         return {
             "text": self.short,
             "plant": self.plant or None,
@@ -216,7 +216,7 @@ class Story:
         }
 
     def lines(self) -> list[str]:
-        """The story in words, one statement per line."""
+        """The fault report as text, one statement per line."""
         lines = [f"plant: {self.plant}"] if self.plant else []
         lines += [f"{each.place}: {text}" if text else each.place for each, text in _merged(self.findings)]
         lines.append(f"drives: {_grouped(self.drives)}")
@@ -227,7 +227,7 @@ class Story:
 
     @property
     def next(self) -> dict[str, str]:
-        """What to do next: each advice with its page."""
+        """Advice to the user -> documentation page about it."""
         modes = [step.mode for step in self.done if step.mode in Mode.__members__]
         advice = {HELD_NEXT: HELD_PAGE} if modes[-1:] == [Mode.HELD.name] else {}
         if self.plant:
@@ -246,12 +246,12 @@ def short(findings: Sequence[Finding]) -> str:
 
 
 def listed(legs: Sequence[int]) -> str:
-    """Leg numbers, separated by commas."""
+    """Leg numbers as text, separated by commas."""
     return ", ".join(map(str, legs))
 
 
 def _merged(findings: Sequence[Finding]) -> Iterator[tuple[Finding, str]]:
-    """Yield findings with their texts, merged where neighbours differ only in leg and numbers."""
+    """Findings with their texts; neighbours that differ only in leg and numbers are merged."""
 
     def alike(each: Finding) -> tuple[Any, ...]:
         words = tuple(NUMBER.sub("#", word) for word in each.text.split(" "))
@@ -264,7 +264,7 @@ def _merged(findings: Sequence[Finding]) -> Iterator[tuple[Finding, str]]:
 
 
 def _grouped(drives: Sequence[DriveReport]) -> str:
-    """The drives' reports as text, with equal reports grouped."""
+    """Text of the drives' reports; equal reports are grouped."""
     texts: dict[str, list[int]] = {}
     for each in drives:
         texts.setdefault(each.text, []).append(each.leg)

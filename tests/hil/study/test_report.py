@@ -58,7 +58,7 @@ def test_the_page_begins_with_leg_value_limit_time_reaction_and_advice(logs, tmp
         assert said in opening, said
     assert "check encoder, coupling, zero and brake" in opening
     assert "docs/guides/glossary-of-faults.md#fault-encoder" in opening
-    assert "the brakes were told to close" in opening
+    assert "the brakes were commanded to close" in opening
     assert "RUN" in opening
 
 
